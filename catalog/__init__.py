@@ -1,0 +1,1 @@
+"""The world: what there is to see on a body, and how it would look."""

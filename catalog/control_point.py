@@ -1,0 +1,88 @@
+"""A control point: a place on a body that a camera can recognise, and what is known about it."""
+
+from dataclasses import dataclass, field
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.geometry.projection import Stereographic
+
+FloatArray = NDArray[np.float64]
+SHADOW_AZIMUTHS = 36  # skyline bins, centred on 0, 10, ... degrees east of north
+
+
+class Flag(IntFlag):
+    """Why a control point is not usable, or what to know about it."""
+
+    NONE = 0
+    NO_DATA = 1  # a patch has holes
+    FLAT = 2  # predicted localisation error above the limit
+    NOT_UNIQUE = 4  # a rival in the search region looks too much alike
+    NOT_RECOGNISED = 8  # recognition trials failed
+    CROWDED = 16  # nearer to a neighbour's point than the spacing allows
+    SHADOWED = 32  # foreign shadows reach the patch at most Suns
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Heights around a control point at one pyramid level.
+
+    heights_m (n, n) float32 above the body's reference sphere, NaN for no data; row 0 is north,
+    column 0 west, in the oblique stereographic projection centred on the point.
+    """
+
+    posting_m: float
+    heights_m: NDArray[np.float32]
+
+    @property
+    def size(self) -> int:
+        """Nodes a side."""
+        return int(self.heights_m.shape[0])
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """One control point with its certificate; patches are loaded apart.
+
+    localisation_px      predicted 1-sigma match error, nodes of the finest level, worst direction
+    hessian_eigenvalue   smallest eigenvalue, worst Sun azimuth, of the summed products of second
+                         differences of height/posting over the finest template (dimensionless)
+    recognition_rate     share of passed recognition trials, of `trials`
+    uniqueness           (levels,) margin between the true place and its best rival
+    shadow_limit_deg     (36,) Sun elevation by azimuth above which no foreign shadow reaches
+                         the patch
+    source               which DEM the point comes from
+    """
+
+    id: int
+    lat_deg: float
+    lon_deg: float
+    radius_m: float
+    localisation_px: float
+    hessian_eigenvalue: float
+    recognition_rate: float
+    trials: int
+    uniqueness: tuple[float, ...]
+    shadow_limit_deg: tuple[float, ...]
+    usable: bool
+    flags: Flag = Flag.NONE
+    source: str = ""
+
+    @property
+    def xyz_m(self) -> FloatArray:
+        """(3,) body-fixed position, m."""
+        return xyz_from_latlon(np.radians(self.lat_deg), np.radians(self.lon_deg), self.radius_m)
+
+    def projection(self, body_radius_m: float) -> Stereographic:
+        """The map projection of this point's patches."""
+        return Stereographic(np.radians(self.lat_deg), np.radians(self.lon_deg), body_radius_m)
+
+
+@dataclass(frozen=True)
+class Pyramid:
+    """A control point together with its patches, finest first."""
+
+    point: ControlPoint
+    levels: tuple[Patch, ...] = field(default_factory=tuple)

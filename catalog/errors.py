@@ -1,0 +1,52 @@
+"""The mistakes and failures that a user can meet, each with the exit code it ends a command with.
+
+A programming mistake is not one of these: it stays a traceback (exit code 1).
+"""
+
+
+class OptnavError(Exception):
+    """Base of all reported failures; the message says where, what was found, wanted and to do."""
+
+    exit_code = 1
+
+
+class UsageError(OptnavError):
+    """The command was called with words it does not take."""
+
+    exit_code = 2
+
+
+class ConfigError(OptnavError):
+    """A configuration file is wrong."""
+
+    exit_code = 3
+
+
+class DataError(OptnavError):
+    """An input file is missing, damaged or not what it claims to be."""
+
+    exit_code = 3
+
+
+class OutputError(OptnavError):
+    """A place to write to cannot be used."""
+
+    exit_code = 3
+
+
+class NothingToDoError(OptnavError):
+    """The command ran but nothing could be solved or selected."""
+
+    exit_code = 4
+
+
+class NoSolutionError(OptnavError):
+    """One frame or one fit has no solution; the message is the reason."""
+
+    exit_code = 4
+
+
+class DifferenceError(OptnavError):
+    """A comparison differs or a limit is passed."""
+
+    exit_code = 5

@@ -1,0 +1,1 @@
+"""Pure geometry: no files, no bodies, no cameras."""

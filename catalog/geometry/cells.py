@@ -1,0 +1,128 @@
+"""The grid of cells that a catalog hangs on: latitude bands of equal step, equal cells in each band.
+
+Band k (from the south) has max(1, round(360 cos(mid-latitude) / step)) cells, so that cells keep
+about the same area. A step of 1 degree gives 41 252 cells, the number of control points of
+Zhukov (2025), chapter 3. A cell's number follows from latitude and longitude by arithmetic.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from catalog.geometry.latlon import wrap_longitude_deg
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class CellGrid:
+    """Cells of about `step_deg` x `step_deg`, numbered from the south, eastward from -180.
+
+    Raises ValueError for a step outside (0, 90] degrees.
+    """
+
+    step_deg: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.step_deg <= 90.0:
+            raise ValueError(f"cell step {self.step_deg}° is not within (0, 90]")
+
+    @cached_property
+    def bands(self) -> int:
+        """Number of latitude bands; the last may be narrower when the step does not divide 180."""
+        return int(np.ceil(180.0 / self.step_deg - 1e-9))
+
+    @cached_property
+    def cells_in_band(self) -> IntArray:
+        """(bands,) number of cells of each band."""
+        south = -90.0 + self.step_deg * np.arange(self.bands)
+        north = np.minimum(south + self.step_deg, 90.0)
+        middle = np.radians((south + north) / 2.0)
+        counts = np.rint(360.0 * np.cos(middle) / self.step_deg)
+        return np.maximum(1, counts).astype(np.int64)
+
+    @cached_property
+    def first_cell(self) -> IntArray:
+        """(bands + 1,) number of the first cell of each band; the last entry is the total."""
+        return np.concatenate([[0], np.cumsum(self.cells_in_band)]).astype(np.int64)
+
+    @property
+    def total(self) -> int:
+        """Number of cells on the whole sphere."""
+        return int(self.first_cell[-1])
+
+    def cell_of(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> IntArray:
+        """Cell numbers of points; longitudes of any turn."""
+        lat = np.clip(np.asarray(lat_deg, dtype=np.float64), -90.0, 90.0)
+        band = np.clip(((lat + 90.0) / self.step_deg).astype(np.int64), 0, self.bands - 1)
+        count = self.cells_in_band[band]
+        turn = (wrap_longitude_deg(lon_deg) + 180.0) / 360.0
+        column = np.minimum((turn * count).astype(np.int64), count - 1)
+        return np.asarray(self.first_cell[band] + column)
+
+    def band_of(self, cell: int) -> int:
+        """Latitude band of a cell number."""
+        return int(np.searchsorted(self.first_cell, cell, side="right") - 1)
+
+    def bounds_deg(self, cell: int) -> tuple[float, float, float, float]:
+        """West, south, east, north of a cell (deg, west in [-180, 180))."""
+        band = self.band_of(cell)
+        count = int(self.cells_in_band[band])
+        column = cell - int(self.first_cell[band])
+        south = -90.0 + self.step_deg * band
+        north = min(south + self.step_deg, 90.0)
+        west = -180.0 + 360.0 * column / count
+        return west, south, west + 360.0 / count, north
+
+    def centre_deg(self, cell: int) -> tuple[float, float]:
+        """Latitude and longitude (deg) of a cell's middle; the pole for a cell that is a cap."""
+        west, south, east, north = self.bounds_deg(cell)
+        if east - west >= 360.0:
+            return (90.0, 0.0) if north >= 90.0 else (-90.0, 0.0)
+        return (south + north) / 2.0, float(wrap_longitude_deg((west + east) / 2.0))
+
+    def within(self, lat_deg: float, lon_deg: float, radius_deg: float) -> IntArray:
+        """Numbers of all cells that may hold a point closer than `radius_deg` (a superset), sorted."""
+        south, north = lat_deg - radius_deg, lat_deg + radius_deg
+        first = max(0, int((south + 90.0) / self.step_deg))
+        last = min(self.bands - 1, int((north + 90.0) / self.step_deg))
+        parts: list[IntArray] = []
+        # widest in longitude where the circle touches its meridians: sin(dlon) = sin(r)/cos(lat)
+        sine = np.sin(np.radians(min(radius_deg, 90.0)))
+        cosine = np.cos(np.radians(lat_deg))
+        whole = north >= 90.0 or south <= -90.0 or sine >= cosine
+        half = 180.0 if whole else float(np.degrees(np.arcsin(sine / cosine))) + 1e-9
+        for band in range(first, last + 1):
+            count = int(self.cells_in_band[band])
+            start = int(self.first_cell[band])
+            if half >= 180.0:
+                parts.append(np.arange(start, start + count))
+                continue
+            low = int(np.floor((lon_deg - half + 180.0) / 360.0 * count))
+            high = int(np.floor((lon_deg + half + 180.0) / 360.0 * count))
+            columns = np.arange(low, min(high, low + count - 1) + 1) % count
+            parts.append(start + columns)
+        if not parts:
+            return np.empty(0, dtype=np.int64)
+        return np.unique(np.concatenate(parts)).astype(np.int64)
+
+    def in_bbox(self, west: float, south: float, east: float, north: float) -> IntArray:
+        """Numbers of the cells whose middle lies in a box (deg); west > east crosses ±180°, sorted."""
+        cells: list[IntArray] = []
+        width = (east - west) % 360.0
+        if width == 0.0 and east != west:
+            width = 360.0
+        for band in range(self.bands):
+            band_south = -90.0 + self.step_deg * band
+            middle = (band_south + min(band_south + self.step_deg, 90.0)) / 2.0
+            if not south <= middle <= north:
+                continue
+            count = int(self.cells_in_band[band])
+            lon = -180.0 + 360.0 * (np.arange(count) + 0.5) / count
+            inside = np.mod(lon - west, 360.0) <= width
+            cells.append(self.first_cell[band] + np.flatnonzero(inside))
+        if not cells:
+            return np.empty(0, dtype=np.int64)
+        return np.concatenate(cells).astype(np.int64)

@@ -1,0 +1,111 @@
+"""Sampling and averaging of regular grids, with NaN for no data."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.geometry.kernel import kernel
+
+FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
+
+
+@kernel
+def _cubic_weights(t: float) -> tuple[float, float, float, float]:
+    """Weights of the four neighbours for cubic convolution with a = -1/2 (Keys 1981)."""
+    t2 = t * t
+    t3 = t2 * t
+    return (
+        -0.5 * t + t2 - 0.5 * t3,
+        1.0 - 2.5 * t2 + 1.5 * t3,
+        0.5 * t + 2.0 * t2 - 1.5 * t3,
+        -0.5 * t2 + 0.5 * t3,
+    )
+
+
+@kernel
+def _bilinear_at(grid: HeightGrid, row: float, col: float) -> float:
+    rows, cols = grid.shape
+    # half a cell beyond the outer nodes still belongs to the outer pixels
+    if not (-0.5 <= row <= rows - 0.5 and -0.5 <= col <= cols - 0.5):
+        return np.nan
+    row = min(max(row, 0.0), rows - 1.0)
+    col = min(max(col, 0.0), cols - 1.0)
+    r = min(int(row), max(rows - 2, 0))
+    c = min(int(col), max(cols - 2, 0))
+    dr, dc = row - r, col - c
+    r2, c2 = min(r + 1, rows - 1), min(c + 1, cols - 1)
+    total = 0.0
+    weight = 0.0
+    for rr, wr in ((r, 1.0 - dr), (r2, dr)):
+        for cc, wc in ((c, 1.0 - dc), (c2, dc)):
+            w = wr * wc
+            if w > 0.0:
+                value = grid[rr, cc]
+                if value == value:
+                    total += w * value
+                    weight += w
+    # a hole is a hole: at least half of the weight must be real data
+    if weight < 0.5:
+        return np.nan
+    return total / weight
+
+
+@kernel
+def bicubic_at(grid: HeightGrid, row: float, col: float) -> float:
+    """Cubic convolution at one place; bilinear at the border and beside holes; NaN outside."""
+    rows, cols = grid.shape
+    if not (1.0 <= row < rows - 2.0 and 1.0 <= col < cols - 2.0):
+        return _bilinear_at(grid, row, col)
+    r, c = int(row), int(col)
+    wr = _cubic_weights(row - r)
+    wc = _cubic_weights(col - c)
+    total = 0.0
+    for i in range(4):
+        line = 0.0
+        for j in range(4):
+            line += wc[j] * grid[r - 1 + i, c - 1 + j]
+        total += wr[i] * line
+    if total != total:
+        return _bilinear_at(grid, row, col)
+    return total
+
+
+@kernel
+def _sample_flat(grid: HeightGrid, row: FloatArray, col: FloatArray, cubic: bool) -> HeightGrid:
+    out = np.empty(row.size, np.float32)
+    for i in range(row.size):
+        if cubic:
+            out[i] = bicubic_at(grid, row[i], col[i])
+        else:
+            out[i] = _bilinear_at(grid, row[i], col[i])
+    return out
+
+
+def sample_bicubic(grid: HeightGrid, row: FloatArray, col: FloatArray) -> HeightGrid:
+    """Values (float32, shape of `row`) of a grid at fractional rows and columns; NaN outside."""
+    row = np.ascontiguousarray(row, dtype=np.float64)
+    col = np.ascontiguousarray(col, dtype=np.float64)
+    grid = np.ascontiguousarray(grid, dtype=np.float32)
+    return _sample_flat(grid, row.ravel(), col.ravel(), True).reshape(row.shape)
+
+
+def sample_bilinear(grid: HeightGrid, row: FloatArray, col: FloatArray) -> HeightGrid:
+    """As `sample_bicubic`, linear in each direction."""
+    row = np.ascontiguousarray(row, dtype=np.float64)
+    col = np.ascontiguousarray(col, dtype=np.float64)
+    grid = np.ascontiguousarray(grid, dtype=np.float32)
+    return _sample_flat(grid, row.ravel(), col.ravel(), False).reshape(row.shape)
+
+
+def halve(grid: HeightGrid) -> HeightGrid:
+    """Area means over 2 x 2 nodes; a mean needs at least two of its four nodes.
+
+    grid (2n, 2m) float32 with NaN for no data; returns (n, m).
+    """
+    rows, cols = grid.shape
+    blocks = grid.reshape(rows // 2, 2, cols // 2, 2).astype(np.float64)
+    valid = np.isfinite(blocks)
+    count = valid.sum(axis=(1, 3))
+    total = np.where(valid, blocks, 0.0).sum(axis=(1, 3))
+    mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count >= 2)
+    return mean.astype(np.float32)

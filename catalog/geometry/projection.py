@@ -1,0 +1,78 @@
+"""The map projection of a patch: oblique stereographic on a sphere, centred on the point.
+
+Source: Snyder, Map Projections - A Working Manual (USGS PP 1395), ch. 21, sphere, k0 = 1.
+Conformal, so directions are not distorted; the scale grows as 1 + (rho / 2R)^2.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stereographic:
+    """Oblique stereographic projection of a sphere about (lat, lon).
+
+    lat, lon  rad  the centre; radius_m  the sphere that heights are measured from
+    """
+
+    lat: float
+    lon: float
+    radius_m: float
+
+    @cached_property
+    def body_from_local(self) -> FloatArray:
+        """(3, 3): columns east, north, up at the centre, in the body frame."""
+        return body_from_local(self.lat, self.lon)
+
+    def local_directions(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+        """Unit vectors (..., 3) in the centre's east, north, up frame of map points x, y (m)."""
+        x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        # On the unit sphere the map point is the tangent of half the angle: rational, no trigonometry.
+        u, v = x / (2.0 * self.radius_m), y / (2.0 * self.radius_m)
+        squared = u * u + v * v
+        scale = 1.0 / (1.0 + squared)
+        return np.stack([2.0 * u * scale, 2.0 * v * scale, (1.0 - squared) * scale], axis=-1)
+
+    def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
+        """Body-fixed points (..., 3), m, of map points x, y and heights above the sphere."""
+        directions = self.local_directions(x, y) @ self.body_from_local.T
+        return np.asarray(directions * (self.radius_m + np.asarray(height))[..., None])
+
+    def latlon(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Latitude and east longitude (rad) of map points x, y (m)."""
+        lat, lon, _ = latlon_from_xyz(self.local_directions(x, y) @ self.body_from_local.T)
+        return lat, lon
+
+    def xy_from_xyz(self, xyz: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Map coordinates (m) of body-fixed directions or points (..., 3) of any length.
+
+        The antipode of the centre has no finite place and gives infinities.
+        """
+        local = np.asarray(xyz, dtype=np.float64) @ self.body_from_local
+        length = np.linalg.norm(local, axis=-1)
+        with np.errstate(divide="ignore"):
+            factor = 2.0 * self.radius_m / (length + local[..., 2])
+        return factor * local[..., 0], factor * local[..., 1]
+
+    def xy_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Map coordinates (m) of latitudes and longitudes (rad)."""
+        return self.xy_from_xyz(xyz_from_latlon(lat, lon, 1.0))
+
+
+def node_offsets(size: int, posting_m: float) -> FloatArray:
+    """Map x of the columns of a centred grid (m); the rows' y are its negative."""
+    return (np.arange(size) - (size - 1) / 2.0) * posting_m
+
+
+def node_grid(size: int, posting_m: float) -> tuple[FloatArray, FloatArray]:
+    """Map x (east) and y (north) of all nodes, each (size, size); row 0 is the northernmost."""
+    offsets = node_offsets(size, posting_m)
+    x, y = np.meshgrid(offsets, -offsets)
+    return x, y

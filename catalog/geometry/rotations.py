@@ -1,0 +1,56 @@
+"""Rotations: scalar-first quaternions of files, small rotation vectors, RNB axes."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+FloatArray = NDArray[np.float64]
+
+
+def rotation_from_quaternion(qw: float, qx: float, qy: float, qz: float) -> Rotation:
+    """Rotation of a scalar-first quaternion of any non-zero length.
+
+    Raises ValueError for a quaternion of zero length or with a value that is not finite.
+    """
+    quaternion = np.array([qw, qx, qy, qz], dtype=np.float64)
+    length = float(np.linalg.norm(quaternion))
+    if not np.isfinite(length) or length < 1e-12:
+        raise ValueError("the quaternion has no direction")
+    return Rotation.from_quat(quaternion / length, scalar_first=True)
+
+
+def quaternion_from_rotation(rotation: Rotation) -> FloatArray:
+    """Scalar-first unit quaternion (4,), its scalar not negative, so that equal attitudes print alike."""
+    quaternion = rotation.as_quat(canonical=True, scalar_first=True)
+    return np.asarray(quaternion, dtype=np.float64)
+
+
+def cross_matrix(vectors: ArrayLike) -> FloatArray:
+    """Matrices (..., 3, 3) with cross_matrix(a) @ b = a x b."""
+    v = np.asarray(vectors, dtype=np.float64)
+    zero = np.zeros(v.shape[:-1])
+    return np.stack(
+        [
+            np.stack([zero, -v[..., 2], v[..., 1]], axis=-1),
+            np.stack([v[..., 2], zero, -v[..., 0]], axis=-1),
+            np.stack([-v[..., 1], v[..., 0], zero], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def rnb_axes(position: ArrayLike, forward: ArrayLike) -> FloatArray:
+    """Axes R, N, B as the rows of a (3, 3) matrix: rnb = axes @ body.
+
+    position (3,), forward (3,): the place and a direction of motion, any lengths, same frame.
+    R is along the position, B across the plane of motion, N completes them (forward).
+    Raises ValueError when the motion is radial.
+    """
+    r = np.asarray(position, dtype=np.float64)
+    r = r / np.linalg.norm(r)
+    b = np.cross(r, np.asarray(forward, dtype=np.float64))
+    length = float(np.linalg.norm(b))
+    if length < 1e-12 * float(np.linalg.norm(forward)) or length == 0.0:
+        raise ValueError("the motion is radial: no orbit plane")
+    b = b / length
+    return np.stack([r, np.cross(b, r), b])
