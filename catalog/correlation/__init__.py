@@ -1,0 +1,1 @@
+"""Two map grids against each other: no cameras, no files."""
