@@ -1,0 +1,280 @@
+"""TOML files read into typed settings, and the files that travel with the package.
+
+A setting that nobody reads is a mistake that nobody sees, so unknown keys are refused, with the
+nearest right one named. Numbers must be finite.
+"""
+
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+from msgspec import inspect
+
+from catalog.errors import ConfigError
+
+T = TypeVar("T")
+
+_KINDS = {
+    "str": "text",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a section",
+    "null": "nothing",
+    "datetime": "a date and time",
+}
+_EXPECTED = re.compile(r"Expected `([^`]+)`(?: (.*?))?(?:, got (`?[\w ]+`?))?$")
+_STEP = re.compile(r"\.([^.\[]+)|\[(\d+|\.\.\.)\]")
+
+
+def load_toml(path: str | Path, type_: type[T]) -> T:
+    """Read a TOML file into a msgspec.Struct type.
+
+    Raises ConfigError, naming file, section and key, for a file that cannot be read, is not TOML
+    or does not fit the type.
+    """
+    path = Path(path)
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such file; check the path") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{path}: is a folder; name a TOML file in it") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"{path}: line {line} is not UTF-8 text; save it as UTF-8") from None
+    return parse_toml(text, type_, path)
+
+
+def parse_toml(text: str, type_: type[T], where: str | Path) -> T:
+    """Read TOML text into a msgspec.Struct type; `where` names its origin in messages.
+
+    Raises ConfigError.
+    """
+    try:
+        data = tomllib.loads(text.replace("\r\n", "\n"))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{where}: not valid TOML: {error}") from None
+    info = inspect.type_info(type_)
+    for problem in _unknown_keys(info, data, (), info):
+        raise ConfigError(f"{where}: {problem}")
+    for steps in _not_finite(data, ()):
+        raise ConfigError(f"{where}: {_place(steps)} must be a finite number")
+    try:
+        return msgspec.convert(data, type_)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{where}: {_explain(str(error), info, data)}") from None
+
+
+def resource(name: str) -> Path:
+    """Path of a shipped file, such as "configs/bodies/moon.toml" or "data/moon_gld100_4ppd.tif".
+
+    In a checkout configs/ lies beside the package, in an installed wheel inside it.
+    Raises ConfigError, naming the neighbours that exist, when there is no such file.
+    """
+    package = Path(str(files("catalog")))
+    for base in (package, package.parent):
+        path = base / name
+        # only data/ and configs/ are shipped: a name must not climb out of them
+        inside = any(path.resolve().is_relative_to(base / top) for top in ("data", "configs"))
+        if inside and path.is_file():
+            return path
+    wanted = Path(name)
+    folders = (package / wanted.parent, package.parent / wanted.parent)
+    shipped = wanted.parts[:1] in (("data",), ("configs",))
+    there = sorted(p.name for f in folders if shipped for p in f.glob("*" + wanted.suffix))
+    known = f"it has {', '.join(there)}" if there else "the installation may be incomplete"
+    raise ConfigError(f"optnav ships no file {name!r}; {known}")
+
+
+def nearest_name(name: str, known: list[str]) -> str | None:
+    """The known name that was most likely meant, or None when none is near."""
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    if close:
+        return close[0]
+    # a unit left out or a beginning typed: 'edge_sigma' for 'edge_sigma_px'
+    longer = [k for k in known if len(name) > 2 and (k.startswith(name) or name.startswith(k))]
+    return longer[0] if longer else None
+
+
+Steps = tuple[str | int, ...]
+
+
+def _unknown_keys(
+    info: inspect.Type, value: Any, steps: Steps, root: inspect.Type
+) -> Iterator[str]:
+    """Say of each key in the data that the types do not have where it stands and what is near."""
+    if isinstance(info, inspect.UnionType):
+        parts = [part for part in info.types if _is_container(part, value)]
+        if len(parts) == 1:
+            yield from _unknown_keys(parts[0], value, steps, root)
+    elif isinstance(info, inspect.StructType) and isinstance(value, dict):
+        fields = {field.encode_name: field.type for field in info.fields}
+        for key, child in value.items():
+            if key in fields:
+                yield from _unknown_keys(fields[key], child, (*steps, key), root)
+            elif key != info.tag_field:
+                yield _unknown_message(key, child, list(fields), steps, root)
+    elif isinstance(info, inspect.DictType) and isinstance(value, dict):
+        for key, child in value.items():
+            yield from _unknown_keys(info.value_type, child, (*steps, key), root)
+    elif isinstance(info, inspect.ListType | inspect.VarTupleType) and isinstance(value, list):
+        for number, child in enumerate(value):
+            yield from _unknown_keys(info.item_type, child, (*steps, number), root)
+
+
+def _is_container(info: inspect.Type, value: Any) -> bool:
+    if isinstance(value, list):
+        return isinstance(info, inspect.ListType | inspect.VarTupleType)
+    if isinstance(info, inspect.StructType) and isinstance(value, dict):
+        return info.tag_field is None or value.get(info.tag_field) == info.tag
+    return isinstance(info, inspect.DictType) and isinstance(value, dict)
+
+
+def _unknown_message(
+    key: str, value: Any, known: list[str], steps: Steps, root: inspect.Type
+) -> str:
+    kind = "section" if isinstance(value, dict) else "setting"
+    shown = f"[{key}]" if kind == "section" and not steps else repr(key)
+    message = f"{_section(steps) or 'it'} has no {kind} {shown}"
+    near = nearest_name(key, known)
+    if near:
+        meant = f"[{near}]" if shown.startswith("[") else repr(near)
+        return f"{message}; did you mean {meant}?"
+    elsewhere = [place for place in _all_settings(root, ()) if place[-1] == key]
+    if elsewhere:
+        return f"{message}; it belongs to {_section(elsewhere[0][:-1]) or 'the top of the file'}"
+    return f"{message}; it knows {', '.join(sorted(known))}"
+
+
+def _all_settings(info: inspect.Type, steps: Steps) -> Iterator[Steps]:
+    """Every setting of the types that one could write into the file."""
+    if isinstance(info, inspect.UnionType):
+        for part in info.types:
+            yield from _all_settings(part, steps)
+    elif isinstance(info, inspect.ListType | inspect.VarTupleType):
+        yield from _all_settings(info.item_type, (*steps, 0))
+    elif isinstance(info, inspect.StructType):
+        for field in info.fields:
+            yield (*steps, field.encode_name)
+            yield from _all_settings(field.type, (*steps, field.encode_name))
+
+
+def _not_finite(value: Any, steps: Steps) -> Iterator[Steps]:
+    if isinstance(value, float) and not math.isfinite(value):
+        yield steps
+    elif isinstance(value, dict):
+        for key, child in value.items():
+            yield from _not_finite(child, (*steps, key))
+    elif isinstance(value, list):
+        for number, child in enumerate(value):
+            yield from _not_finite(child, (*steps, number))
+
+
+def _section(steps: Steps) -> str:
+    """The heading of a section as TOML writes it; "" at the top of the file."""
+    if not steps:
+        return ""
+    names = ".".join(str(step) for step in steps if isinstance(step, str))
+    if isinstance(steps[-1], int):
+        return f"[[{names}]] number {steps[-1] + 1}"
+    return f"[{names}]"
+
+
+def _place(steps: Steps) -> str:
+    """Section and setting of a value: "[grid] cell_deg", "[camera] principal_point_px, item 2"."""
+    if steps and isinstance(steps[-1], int):
+        return f"{_place(steps[:-1])}, item {steps[-1] + 1}"
+    return f"{_section(steps[:-1])} {steps[-1] if steps else 'the file'}".lstrip()
+
+
+def _explain(message: str, info: inspect.Type, data: Any) -> str:
+    """Put msgspec's finding into the words of the file's author."""
+    text, _, path = message.partition(" - at `")
+    steps = tuple(
+        name or (int(number) if number.isdigit() else "*")
+        for name, number in _STEP.findall(path.removesuffix("`"))
+    )
+    missing = re.match(r"Object missing required field `(.+)`", text)
+    if missing:
+        return _missing_message(missing[1], info, steps)
+    value = _value_at(data, steps)
+    found = "" if value is None or isinstance(value, dict | list) else f" = {_toml(value)}"
+    place = f"{_place(steps)}{found}"
+    expected = _EXPECTED.match(text)
+    if expected:
+        kinds = [_KINDS.get(kind, kind) for kind in expected[1].split(" | ") if kind != "null"]
+        wanted = " or ".join(kinds) + (f" {expected[2]}" if expected[2] else "")
+        got = "" if found or not expected[3] else f"; it is {_found(expected[3])}"
+        return f"{place}: must be {wanted}{got}"
+    if text.startswith("Invalid enum value"):
+        choices = sorted(str(choice) for choice in _choices(_type_at(info, steps)))
+        near = nearest_name(str(value), choices)
+        hint = f"; did you mean {near!r}?" if near else ""
+        return f"{place}: must be one of {', '.join(choices)}{hint}"
+    return f"{place}: {text}" if steps else text
+
+
+def _missing_message(key: str, info: inspect.Type, steps: Steps) -> str:
+    type_ = _type_at(info, (*steps, key))
+    if isinstance(type_, inspect.StructType):
+        return f"it has no section {_section((*steps, key))}; add it"
+    if isinstance(type_, inspect.ListType) and isinstance(type_.item_type, inspect.StructType):
+        return f"it has no section [{_section((*steps, key))}]; add at least one"
+    return f"{_section(steps)} needs the setting {key!r}; add it".lstrip()
+
+
+def _type_at(info: inspect.Type, steps: Steps) -> inspect.Type | None:
+    if isinstance(info, inspect.UnionType):
+        found = (_type_at(part, steps) for part in info.types)
+        return next((type_ for type_ in found if type_ is not None), None)
+    if not steps:
+        return None if isinstance(info, inspect.NoneType) else info
+    if isinstance(info, inspect.StructType):
+        fields = {field.encode_name: field.type for field in info.fields}
+        return _type_at(fields[str(steps[0])], steps[1:]) if str(steps[0]) in fields else None
+    if isinstance(info, inspect.ListType | inspect.VarTupleType):
+        return _type_at(info.item_type, steps[1:])
+    if isinstance(info, inspect.DictType):
+        return _type_at(info.value_type, steps[1:])
+    return None
+
+
+def _choices(type_: inspect.Type | None) -> list[Any]:
+    if isinstance(type_, inspect.LiteralType):
+        return list(type_.values)
+    if isinstance(type_, inspect.EnumType):
+        return [member.value for member in type_.cls]
+    return []
+
+
+def _value_at(data: Any, steps: Steps) -> Any:
+    for step in steps:
+        in_list = isinstance(data, list) and isinstance(step, int) and step < len(data)
+        if not in_list and not (isinstance(data, dict) and step in data):
+            return None
+        data = data[step]
+    return data
+
+
+def _found(word: str) -> str:
+    """What msgspec says it got: a kind in backquotes, or how many items."""
+    return _KINDS.get(word.strip("`"), f"{word} long")
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f'"{value}"' if isinstance(value, str) else str(value)

@@ -1,0 +1,38 @@
+"""What a long piece of work tells about how far it is; who shows it is decided elsewhere."""
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol
+
+
+class Stage(Protocol):
+    """One counted piece of work that is under way."""
+
+    def advance(self, n: int = 1, note: str = "") -> None:
+        """Say that n more units are done; the note is shown beside the count."""
+
+
+class Progress(Protocol):
+    """Receives the stages of a run, one after the other.
+
+    with progress.stage("render", total=len(cells), unit="cell") as stage:
+        for cell in cells:
+            ...
+            stage.advance()
+    """
+
+    def stage(self, name: str, total: int, unit: str) -> AbstractContextManager[Stage]:
+        """Open a stage of `total` units."""
+
+
+class _SilentStage:
+    def advance(self, n: int = 1, note: str = "") -> None:
+        return None
+
+
+class SilentProgress:
+    """Shows nothing; for library callers, workers and tests."""
+
+    @contextmanager
+    def stage(self, name: str, total: int, unit: str) -> Iterator[Stage]:
+        yield _SilentStage()
