@@ -1,0 +1,1 @@
+"""What is known of a body as a whole: size, mass, how it turns, where its Sun stands."""

@@ -1,0 +1,113 @@
+"""The constants of a body, read from configs/bodies/NAME.toml."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from catalog.config import load_toml, nearest_name, resource
+from catalog.errors import ConfigError
+
+Heights = tuple[float, float]
+Polynomial = tuple[float, float, float]
+ZERO: Polynomial = (0.0, 0.0, 0.0)
+
+
+class RotationTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One trigonometric term of a rotation series.
+
+    angle_deg_by_century  the argument E, a polynomial in Julian centuries of TDB
+    ra_deg, meridian_deg  amplitudes of sin E;  dec_deg  amplitude of cos E
+    """
+
+    angle_deg_by_century: Polynomial
+    ra_deg: float = 0.0
+    dec_deg: float = 0.0
+    meridian_deg: float = 0.0
+
+
+class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Pole and prime meridian as the IAU working group writes them.
+
+    Polynomials from J2000 TDB: right ascension and declination of the pole in degrees by powers of
+    Julian centuries, the prime meridian W by powers of days.
+    error_m is the mean size of its known error at the surface; 0 where none is stated.
+    """
+
+    pole_ra_deg_by_century: Polynomial
+    pole_dec_deg_by_century: Polynomial
+    meridian_deg_by_day: Polynomial
+    error_m: float = 0.0
+    terms: tuple[RotationTerm, ...] = ()
+
+
+class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A body file as it is written."""
+
+    name: str
+    radius_km: float
+    radii_km: tuple[float, float, float]
+    gm_km3_s2: float
+    plausible_heights_km: Heights
+    sun: str
+    rotation: RotationSeries
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body and its body-fixed frame.
+
+    radius_m             the reference sphere that all heights are measured from
+    radii_m              (3,) semi-axes of the best ellipsoid along body x, y, z
+    gm_m3_s2             gravitational parameter
+    plausible_heights_m  (lowest, highest) a height above the reference sphere may be; beyond it a
+                         terrain model has the wrong units or the wrong body
+    rotation             how the body-fixed frame turns
+    sun                  which analytic theory gives the Sun's direction, see `catalog.bodies.sun`
+    """
+
+    name: str
+    radius_m: float
+    radii_m: tuple[float, float, float]
+    gm_m3_s2: float
+    plausible_heights_m: Heights
+    rotation: RotationSeries
+    sun: str
+
+
+def load_body(name: str) -> Body:
+    """The body of this name.
+
+    Raises ConfigError for a body that has no file in configs/bodies, naming the nearest one.
+    """
+    folder = resource("configs/bodies/moon.toml").parent
+    known = sorted(path.stem for path in folder.glob("*.toml"))
+    if name not in known:
+        near = nearest_name(name.lower(), known)
+        hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
+        raise ConfigError(f"no body '{name}'; {hint}")
+    return read_body(folder / f"{name}.toml")
+
+
+def read_body(path: Path) -> Body:
+    """The body a file describes. Raises ConfigError when the file is not a valid body."""
+    settings = load_toml(path, BodySettings)
+    lowest_km, highest_km = settings.plausible_heights_km
+    sizes = (settings.radius_km, settings.gm_km3_s2, *settings.radii_km)
+    if min(sizes) <= 0.0:
+        raise ConfigError(f"{path}: a radius or gm_km3_s2 is not positive; correct the file")
+    if not -settings.radius_km < lowest_km < highest_km:
+        raise ConfigError(
+            f"{path}: plausible_heights_km is [{lowest_km}, {highest_km}]; "
+            "wanted [lowest, highest], the lowest above the body's centre"
+        )
+    x_km, y_km, z_km = settings.radii_km
+    return Body(
+        name=settings.name,
+        radius_m=settings.radius_km * 1e3,
+        radii_m=(x_km * 1e3, y_km * 1e3, z_km * 1e3),
+        gm_m3_s2=settings.gm_km3_s2 * 1e9,
+        plausible_heights_m=(lowest_km * 1e3, highest_km * 1e3),
+        rotation=settings.rotation,
+        sun=settings.sun,
+    )
