@@ -1,0 +1,1 @@
+"""The observer: pictures in, camera positions out."""
