@@ -1,0 +1,1 @@
+"""From measured directions to states with honest covariances."""
