@@ -92,7 +92,7 @@ def resource(name: str) -> Path:
             return path
     wanted = Path(name)
     folders = (package / wanted.parent, package.parent / wanted.parent)
-    shipped = wanted.parts[:1] in (("data",), ("configs",))
+    shipped = wanted.parts[:1] in (("data",), ("configs",)) and ".." not in wanted.parts
     there = sorted(p.name for f in folders if shipped for p in f.glob("*" + wanted.suffix))
     known = f"it has {', '.join(there)}" if there else "the installation may be incomplete"
     raise ConfigError(f"optnav ships no file {name!r}; {known}")

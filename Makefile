@@ -1,0 +1,70 @@
+# `make` alone prints what there is. The environment .venv is made from requirements.lock by the
+# targets that need it, and again when the lock or pyproject.toml has changed.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+OUT ?= optnav-demo
+ARGS ?=
+
+.PHONY: help setup demo test check lint types tests bench golden lock clean
+
+help: ## print this list
+	@echo "optnav: control-point catalogs from terrain, camera positions from pictures"
+	@echo
+	@grep -hE '^[a-z%-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' \
+	  | while IFS=$$'\t' read -r name text; do printf '  make %-12s %s\n' "$$name" "$$text"; done
+	@echo
+	@echo "  PYTHON=python3.12 chooses the interpreter (3.11 or newer) that .venv is made with."
+
+setup: $(READY) ## make the environment .venv from requirements.lock
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "make: $(PYTHON) is older than Python 3.11; name a newer one: make PYTHON=python3.12" >&2; exit 1; }
+	rm -rf .venv
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: $(READY) ## the main job on the bundled Tycho terrain, with a report (OUT=optnav-demo)
+	$(BIN)/optnav demo -o $(OUT)
+
+test: lint types tests ## style, types and tests with warnings as errors: what CI runs
+
+check: test ## the same as test
+
+lint: $(READY) ## style alone
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(READY) ## types alone
+	$(BIN)/mypy
+
+tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest)
+	$(BIN)/python -m pytest $(ARGS)
+
+study-%: $(READY) ## one long experiment behind the figures, such as study-selection
+	$(BIN)/optnav study $* $(ARGS)
+
+bench: $(READY) ## speed, as ratios to well-known tools on this machine
+	$(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)
+
+golden: $(READY) ## make the golden values and the README's pictures anew; look at the difference
+	$(BIN)/python -m tests.golden $(ARGS)
+
+lock: ## make requirements.lock anew from pyproject.toml
+	rm -rf build/lock-env
+	$(PYTHON) -m venv build/lock-env
+	build/lock-env/bin/python -m pip install --quiet --disable-pip-version-check 'pip-tools>=7.4'
+	build/lock-env/bin/pip-compile --quiet --upgrade --generate-hashes --strip-extras --allow-unsafe \
+	  --extra test --no-header --no-annotate --no-emit-index-url --no-emit-trusted-host \
+	  --no-emit-find-links --output-file requirements.lock pyproject.toml
+
+clean: ## remove the environment, caches and the demo's output
+	rm -rf .venv build dist optnav-demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find catalog optnav_cli tests -name __pycache__ -type d -prune -exec rm -rf {} +
