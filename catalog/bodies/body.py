@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
 from catalog.config import load_toml, nearest_name, resource
 from catalog.errors import ConfigError
 
+SunTheory = Literal["moon", "earth", "mars"]
 Heights = tuple[float, float]
 Polynomial = tuple[float, float, float]
 ZERO: Polynomial = (0.0, 0.0, 0.0)
@@ -49,7 +51,7 @@ class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     radii_km: tuple[float, float, float]
     gm_km3_s2: float
     plausible_heights_km: Heights
-    sun: str
+    sun: SunTheory
     rotation: RotationSeries
 
 
@@ -72,7 +74,7 @@ class Body:
     gm_m3_s2: float
     plausible_heights_m: Heights
     rotation: RotationSeries
-    sun: str
+    sun: SunTheory
 
 
 def load_body(name: str) -> Body:

@@ -1,0 +1,65 @@
+"""Body constants."""
+
+from pathlib import Path
+
+import pytest
+
+from catalog.bodies.body import load_body, read_body
+from catalog.errors import ConfigError
+
+
+def test_the_moon_has_its_published_size_and_mass() -> None:
+    moon = load_body("moon")
+    assert moon.radius_m == 1737400.0
+    assert moon.gm_m3_s2 == pytest.approx(4.9028e12, rel=1e-5)
+    # the highest and lowest places that LOLA found
+    lowest, highest = moon.plausible_heights_m
+    assert lowest < -9200.0
+    assert highest > 10800.0
+
+
+@pytest.mark.parametrize("name", ["moon", "phobos", "earth", "mars"])
+def test_every_shipped_body_loads_under_its_own_name(name: str) -> None:
+    body = load_body(name)
+    assert body.name == name
+    # the ellipsoid itself lies inside the plausible heights
+    lowest, highest = body.plausible_heights_m
+    assert lowest < min(body.radii_m) - body.radius_m
+    assert max(body.radii_m) - body.radius_m < highest
+
+
+def test_a_misspelt_body_is_answered_with_the_nearest() -> None:
+    with pytest.raises(ConfigError, match=r"no body 'mon'; did you mean 'moon'\?"):
+        load_body("mon")
+    with pytest.raises(ConfigError, match="no body 'xyzzy'; there are earth, mars, moon, phobos"):
+        load_body("xyzzy")
+
+
+@pytest.mark.parametrize("name", ["../bodies/moon", "", "moon.toml"])
+def test_a_body_name_is_not_a_path(name: str) -> None:
+    with pytest.raises(ConfigError, match="no body"):
+        load_body(name)
+
+
+def edited(tmp_path: Path, old: str, new: str) -> Path:
+    source = Path(__file__).parents[3] / "configs/bodies/earth.toml"
+    text = source.read_text()
+    assert old in text
+    path = tmp_path / "earth.toml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("radius_km = 6371.0088", "radius_km = -1.0", "not positive"),
+        ("[-27.0, 16.0]", "[16.0, -27.0]", "plausible_heights_km"),
+        ("[-27.0, 16.0]", "[-7000.0, 16.0]", "plausible_heights_km"),
+        ("radius_km =", "radius =", "radius_km"),
+        ('sun = "earth"', 'sun = "jupiter"', "sun"),
+    ],
+)
+def test_a_wrong_body_file_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        read_body(edited(tmp_path, old, new))

@@ -1,0 +1,104 @@
+"""UTC and TDB."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
+from catalog.errors import DataError
+
+TIMES = [
+    "1997-06-01T12:34:56.789000Z",
+    "2005-12-31T23:59:60.500000Z",
+    "2023-08-17T05:23:00.000000Z",
+]
+
+
+def test_j2000_is_known() -> None:
+    # J2000 is 12:00:00 TT = 11:58:55.816 UTC (TAI - UTC = 32 s, TT - TAI = 32.184 s);
+    # TDB - TT is below 2 ms at all times
+    assert abs(utc_to_tdb_s("2000-01-01T11:58:55.816Z")) < 2e-3
+
+
+def test_a_leap_second_counts() -> None:
+    before = utc_to_tdb_s("2005-12-31T23:59:59Z")
+    assert utc_to_tdb_s("2005-12-31T23:59:60Z") == pytest.approx(before + 1.0, abs=1e-6)
+    assert utc_to_tdb_s("2006-01-01T00:00:00Z") == pytest.approx(before + 2.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("utc", TIMES)
+def test_times_survive_the_round_trip(utc: str) -> None:
+    assert utc_from_tdb_s(utc_to_tdb_s(utc)) == utc
+
+
+@pytest.mark.parametrize("utc", TIMES)
+def test_times_agree_with_spice(utc: str, shared_data: Callable[[str], Path]) -> None:
+    """SPICE models TDB - TT with one sine term, good to 30 microseconds."""
+    spice = pytest.importorskip("spiceypy", reason="needs spiceypy")
+    kernel = str(shared_data("spice/naif0012.tls"))
+    spice.furnsh(kernel)
+    try:
+        assert utc_to_tdb_s(utc) == pytest.approx(spice.utc2et(utc.rstrip("Z")), abs=5e-5)
+    finally:
+        spice.unload(kernel)
+
+
+def test_ways_of_writing_utc_mean_the_same() -> None:
+    expected = utc_to_tdb_s("2023-08-17T05:23:00Z")
+    for text in (
+        "2023-08-17T05:23:00",
+        "2023-08-17 05:23:00.000",
+        " 2023-08-17T05:23Z ",
+        "2023-08-17T05:23:00+00:00",
+        "2023-08-17t05:23:00 UTC",
+    ):
+        assert utc_to_tdb_s(text) == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2023-08-17T05:23:00+03:00",
+        "2023-08-17T05:23:00 MSK",
+        "2023-08-17T05:23:00 TDB",
+        "2023-08-17T05:23:00-00:30",
+    ],
+)
+def test_other_zones_and_scales_are_refused(text: str) -> None:
+    with pytest.raises(DataError, match="is not UTC"):
+        utc_to_tdb_s(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "yesterday",
+        "2023-08-17",
+        "17.08.2023 05:23",
+        "745521849.18",
+        "nan",
+        "2023-8-7T05:23:00Z",
+    ],
+)
+def test_what_is_not_a_time_is_refused(text: str) -> None:
+    with pytest.raises(DataError, match="not understood"):
+        utc_to_tdb_s(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2023-13-01T00:00:00Z",
+        "2023-02-30T00:00:00Z",
+        "2023-08-17T24:00:00Z",
+        "2023-08-17T05:61:00Z",
+        "2023-08-17T05:23:60Z",
+        "2023-08-17T05:23:99Z",
+        "1957-10-04T19:28:34Z",
+    ],
+)
+def test_impossible_times_are_refused(text: str) -> None:
+    with pytest.raises(DataError, match="time '"):
+        utc_to_tdb_s(text)

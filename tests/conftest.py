@@ -1,0 +1,26 @@
+"""What all tests share."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def shared_data() -> Callable[[str], Path]:
+    """Path of a file of the big test data, which does not travel with the project.
+
+    It is looked for in the folder that OPTNAV_SHARED_DATA names, or in ../shared/data.
+    """
+
+    def find(name: str) -> Path:
+        folder = os.environ.get("OPTNAV_SHARED_DATA")
+        path = (Path(folder) if folder else CHECKOUT.parent / "shared" / "data") / name
+        if not path.exists():
+            pytest.skip(f"needs the shared data file {name}; OPTNAV_SHARED_DATA names its folder")
+        return path
+
+    return find
