@@ -1,0 +1,230 @@
+"""Upright SURF-64: how a small square of brightness looks, in 64 numbers.
+
+Source: H. Bay, T. Tuytelaars, L. Van Gool, "SURF: Speeded Up Robust Features", ECCV 2006; the
+upright form, because map grids share their orientation. A square is split into cells; each gives
+the sums of dx, dy, |dx|, |dy| of Haar responses, and the whole is brought to unit length.
+
+Ours: the Gaussian weight is taken once a cell, at its middle, and not at every sample. Then the
+sums over a cell are box sums that all positions share, and a descriptor costs a gather.
+Cells larger than 8 nodes blur the peak: a 64-node square wants 8 x 8 cells (256 numbers).
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.correlation.ncc import match_ncc
+from catalog.correlation.peak import RIVAL_DISTANCE, Match
+from catalog.geometry.kernel import kernel
+
+Image = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+CELLS = 4  # a side: 4 x 4 cells of four sums are the 64 numbers
+# Bay et al. weight with sigma = 3.3 s on a square of 20 s: 3.3 / 20 of the side
+WEIGHT_SIGMA = 0.165
+# matching: cells of at most this many nodes over the whole reference
+MATCH_CELL_PX = 8
+# wavelets of two nodes hear every node's noise; SURF's own wavelet spans two samples of ~1.6
+MATCH_SMOOTHING_NODES = 1.0
+# correlation looks this far around the descriptor's peak, which is good to about a node
+REFINE_NODES = 3
+# distance to the best place over distance to the best rival; above it the two are alike (Lowe's
+# ratio, 0.8 in his paper; rivals here are relief of the same kind, so a little more is allowed)
+MAX_DISTANCE_RATIO = 0.9
+
+
+@kernel
+def _cell_sums(image: Image, cell_px: int) -> NDArray[np.float32]:
+    """Sums of dx, dy, |dx|, |dy| over the cell whose first node is (row, col): (rows, cols, 4).
+
+    The Haar wavelet spans 2 x 2 nodes: its response belongs to the corner shared by them. The
+    last rows and columns, where a cell does not fit, stay zero. NaN counts as no response.
+    """
+    rows, cols = image.shape
+    out = np.zeros((rows, cols, 4), np.float32)
+    columns = np.zeros((cols, 4), np.float64)
+    for row in range(rows - 1):
+        for entering in range(2):
+            r = row if entering == 0 else row - cell_px
+            if r < 0:
+                continue
+            sign = 1.0 if entering == 0 else -1.0
+            for c in range(cols - 1):
+                a, b = image[r, c], image[r, c + 1]
+                d, e = image[r + 1, c], image[r + 1, c + 1]
+                dx = np.float64(0.5 * ((b + e) - (a + d)))
+                dy = np.float64(0.5 * ((d + e) - (a + b)))
+                if dx == dx and dy == dy:
+                    columns[c, 0] += sign * dx
+                    columns[c, 1] += sign * dy
+                    columns[c, 2] += sign * abs(dx)
+                    columns[c, 3] += sign * abs(dy)
+        first = row - cell_px + 1
+        if first < 0:
+            continue
+        s0 = s1 = s2 = s3 = 0.0
+        for c in range(cols - 1):
+            s0 += columns[c, 0]
+            s1 += columns[c, 1]
+            s2 += columns[c, 2]
+            s3 += columns[c, 3]
+            start = c - cell_px + 1
+            if start >= 0:
+                out[first, start, 0] = s0
+                out[first, start, 1] = s1
+                out[first, start, 2] = s2
+                out[first, start, 3] = s3
+                s0 -= columns[start, 0]
+                s1 -= columns[start, 1]
+                s2 -= columns[start, 2]
+                s3 -= columns[start, 3]
+    return out
+
+
+@kernel
+def _gather(
+    sums: NDArray[np.float32],
+    rows: IntArray,
+    cols: IntArray,
+    cell_px: int,
+    weights: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Weighted cell sums of each square, normalised; zeros for a square without contrast."""
+    cells = weights.shape[0]
+    out = np.empty((rows.size, 4 * cells * cells), np.float32)
+    half = cells * cell_px // 2
+    for n in range(rows.size):
+        k = 0
+        squared = np.float32(0.0)
+        for i in range(cells):
+            r = rows[n] - half + i * cell_px
+            for j in range(cells):
+                c = cols[n] - half + j * cell_px
+                weight = weights[i, j]
+                for channel in range(4):
+                    value = weight * sums[r, c, channel]
+                    out[n, k] = value
+                    squared += value * value
+                    k += 1
+        scale = np.float32(1.0 / np.sqrt(squared)) if squared > 1e-20 else np.float32(0.0)
+        for k in range(out.shape[1]):
+            out[n, k] *= scale
+    return out
+
+
+def cell_weights(cells: int) -> NDArray[np.float32]:
+    """(cells, cells) Gaussian weights at the middles of the cells, largest near one."""
+    middles = (np.arange(cells) + 0.5) / cells - 0.5
+    line = np.exp(-0.5 * (middles / WEIGHT_SIGMA) ** 2)
+    return np.outer(line, line).astype(np.float32)
+
+
+def reach_px(cell_px: int, cells: int = CELLS) -> tuple[int, int]:
+    """Nodes that a descriptor needs before and behind its position (it needs its own too)."""
+    half = cells * cell_px // 2
+    return half, cells * cell_px - half
+
+
+def descriptors(
+    image: Image, rows: IntArray, cols: IntArray, cell_px: int, cells: int = CELLS
+) -> NDArray[np.float32]:
+    """Descriptors of the squares of cells x cells cells of cell_px nodes about given nodes.
+
+    image       (rows, cols)  brightness, any unit; NaN for no data
+    rows, cols  (n,)          nodes; the square's middle is the corner before them when its side
+                              is even, alike for all, so differences of positions are exact
+    Returns (n, 4 cells²) float32 of unit length (zeros where there is no contrast).
+    Raises ValueError when a square leaves the image.
+    """
+    image = np.ascontiguousarray(image, dtype=np.float32)
+    rows = np.ascontiguousarray(rows, dtype=np.int64).ravel()
+    cols = np.ascontiguousarray(cols, dtype=np.int64).ravel()
+    before, behind = reach_px(cell_px, cells)
+    height, width = image.shape
+    if rows.size and (
+        min(rows.min(), cols.min()) < before
+        or rows.max() + behind > height - 1
+        or cols.max() + behind > width - 1
+    ):
+        raise ValueError(f"a square of {cells * cell_px} nodes leaves the {height} x {width} image")
+    return _gather(_cell_sums(image, cell_px), rows, cols, cell_px, cell_weights(cells))
+
+
+def dense_descriptors(image: Image, cell_px: int, cells: int = CELLS) -> NDArray[np.float32]:
+    """Descriptors at every node whose square fits: (m, k, 4 cells²).
+
+    Entry [0, 0] belongs to node (before, before) of `reach_px`.
+    Raises ValueError when the image is smaller than one square.
+    """
+    before, behind = reach_px(cell_px, cells)
+    height, width = image.shape
+    m, k = height - before - behind, width - before - behind
+    if m < 1 or k < 1:
+        raise ValueError(f"a square of {cells * cell_px} nodes leaves the {height} x {width} image")
+    rows, cols = np.meshgrid(np.arange(m) + before, np.arange(k) + before, indexing="ij")
+    flat = descriptors(image, rows, cols, cell_px, cells)
+    return flat.reshape(m, k, flat.shape[1])
+
+
+def similarity_surface(reference: Image, search: Image) -> NDArray[np.float32]:
+    """Cosine of the descriptors of a reference and of every place where it fits into a search grid.
+
+    reference (n, n), search (m, m) with m - n even, n >= 17.
+    Returns (m - n + 1, m - n + 1) in -1..1; the middle element is the centred place.
+    Raises ValueError for sizes that cannot be centred on each other or a reference too small.
+    """
+    n, m = reference.shape[0], search.shape[0]
+    if reference.shape != (n, n) or search.shape != (m, m) or m < n or (m - n) % 2 or n < 17:
+        raise ValueError(f"reference {reference.shape} cannot be centred in search {search.shape}")
+    cells = max(CELLS, round((n - 1) / MATCH_CELL_PX))
+    cell_px = (n - 1) // cells
+    before, _ = reach_px(cell_px, cells)
+    middle = (n - 1 - cells * cell_px) // 2 + before
+    room = np.arange(m - n + 1) + middle
+    rows, cols = np.meshgrid(room, room, indexing="ij")
+    template, image = (
+        cv2.GaussianBlur(grid.astype(np.float32, copy=False), (0, 0), MATCH_SMOOTHING_NODES)
+        for grid in (reference, search)
+    )
+    own = descriptors(template, np.array([middle]), np.array([middle]), cell_px, cells)[0]
+    there = descriptors(image, rows, cols, cell_px, cells)
+    return (there @ own).reshape(rows.shape).astype(np.float32)
+
+
+def match_surf(reference: Image, search: Image) -> Match:
+    """Find a reference in a search grid by SURF; its place and score are then correlation's.
+
+    Arguments as `similarity_surface`. The descriptor's own value says little (right 0.98, wrong
+    up to 0.95), so the score is the correlation at the refined peak and the runner-up the
+    correlation at the descriptor's best rival: both compare with those of `match_ncc`.
+    A peak whose rival is almost as near in descriptor space has an infinite covariance.
+    """
+    surface = similarity_surface(reference, search)
+    row, col = (int(i) for i in np.unravel_index(int(np.argmax(surface)), surface.shape))
+    refined = _refined(reference, search, row, col)
+    rivals = surface.copy()
+    near = RIVAL_DISTANCE
+    rivals[max(row - near, 0) : row + near + 1, max(col - near, 0) : col + near + 1] = -2.0
+    if rivals.max() <= -2.0:
+        return refined._replace(runner_up=-1.0)
+    rival_row, rival_col = (int(i) for i in np.unravel_index(int(np.argmax(rivals)), rivals.shape))
+    rival = _refined(reference, search, rival_row, rival_col)
+    # unit vectors: squared distance is 2 - 2 cosine
+    ratio = np.sqrt(max(1.0 - surface[row, col], 0.0) / max(1.0 - rivals.max(), 1e-9))
+    match = refined._replace(runner_up=min(rival.score, refined.score))
+    if ratio > MAX_DISTANCE_RATIO:
+        return match._replace(covariance=np.diag([np.inf, np.inf]))
+    return match
+
+
+def _refined(reference: Image, search: Image, row: int, col: int) -> Match:
+    """Correlation within REFINE_NODES of an offset of the surface."""
+    last = search.shape[0] - reference.shape[0]
+    reach = min(REFINE_NODES, last // 2)
+    row, col = (min(max(i, reach), last - reach) for i in (row, col))
+    side = reference.shape[0] + 2 * reach
+    window = search[row - reach : row - reach + side, col - reach : col - reach + side]
+    match = match_ncc(reference, window)
+    half = last // 2
+    return match._replace(dx=match.dx + col - half, dy=match.dy + row - half)
