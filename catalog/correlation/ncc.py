@@ -14,6 +14,8 @@ Grid = NDArray[np.float32]
 
 # Standard deviation of the Gaussian that is subtracted, nodes.
 HIGH_PASS_NODES = 5.0
+# Contrast below this share of the brightness is rounding, not relief.
+LEAST_CONTRAST = 1e-5
 
 
 def high_pass(grid: Grid, sigma_nodes: float = HIGH_PASS_NODES) -> Grid:
@@ -42,11 +44,21 @@ def correlation_surface(reference: Grid, search: Grid, sigma_nodes: float = HIGH
         raise ValueError(f"reference {reference.shape} cannot be centred in search {search.shape}")
     template = high_pass(reference, sigma_nodes)
     image = high_pass(search, sigma_nodes)
-    surface = cv2.matchTemplate(image, template, cv2.TM_CCOEFF_NORMED)
-    # a window without any contrast has no correlation; OpenCV then returns infinities or ones
-    surface[~np.isfinite(surface)] = -1.0
-    surface[np.abs(surface) > 1.0 + 1e-3] = -1.0
-    return np.asarray(surface, dtype=np.float32)
+    surface = np.asarray(cv2.matchTemplate(image, template, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
+    # A side without contrast has no correlation; OpenCV then returns ones, rounding noise decides.
+    if float(template.std()) <= LEAST_CONTRAST * _largest(reference):
+        return np.full_like(surface, -1.0)
+    power = cv2.boxFilter(image * image, -1, template.shape[::-1], borderType=cv2.BORDER_CONSTANT)
+    rows, cols = surface.shape
+    top, left = template.shape[0] // 2, template.shape[1] // 2
+    power = power[top : top + rows, left : left + cols]
+    surface[power <= (LEAST_CONTRAST * _largest(search)) ** 2] = -1.0
+    return surface
+
+
+def _largest(grid: Grid) -> float:
+    finite = grid[np.isfinite(grid)]
+    return float(np.abs(finite).max()) if finite.size else 0.0
 
 
 def match_ncc(reference: Grid, search: Grid, sigma_nodes: float = HIGH_PASS_NODES) -> Match:

@@ -1,0 +1,111 @@
+"""Correlation against shifts made in Fourier space, noise of known size, and OpenCV's own filter."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from catalog.correlation.ncc import correlation_surface, high_pass, match_ncc
+from catalog.correlation.similarity import match_similarity, turned
+
+
+def texture(seed: int, size: int = 256, smooth: float = 1.5) -> np.ndarray:
+    """A periodic random texture with a little smoothness, standing for shaded ground."""
+    rng = np.random.default_rng(seed)
+    field = ndimage.gaussian_filter(rng.normal(size=(size, size)), smooth, mode="wrap")
+    return (field / field.std()).astype(np.float64)
+
+
+def shifted(field: np.ndarray, dx: float, dy: float) -> np.ndarray:
+    """The field moved by (dx, dy) nodes, exactly, through the shift theorem."""
+    return np.real(np.fft.ifft2(ndimage.fourier_shift(np.fft.fft2(field), (dy, dx))))
+
+
+def cut(field: np.ndarray, size: int) -> np.ndarray:
+    start = (field.shape[0] - size) // 2
+    return field[start : start + size, start : start + size].astype(np.float32)
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(0.0, 0.0), (3.3, -2.6), (-7.5, 5.25)])
+def test_a_fourier_shift_is_found_to_a_twentieth_of_a_node(dx, dy):
+    field = texture(1)
+    match = match_ncc(cut(field, 64), cut(shifted(field, dx, dy), 96))
+    assert match.dx == pytest.approx(dx, abs=0.05)
+    assert match.dy == pytest.approx(dy, abs=0.05)
+    assert match.score > 0.9
+
+
+def test_gain_offset_and_a_slope_of_brightness_change_nothing():
+    field = texture(2)
+    plain = match_ncc(cut(field, 64), cut(shifted(field, 1.4, 0.7), 80))
+    ramp = np.linspace(0, 30, 256)[None, :]
+    bright = match_ncc(cut(field, 64), cut(5.0 * shifted(field, 1.4, 0.7) + 40.0 + ramp, 80))
+    assert bright.dx == pytest.approx(plain.dx, abs=0.02)
+    assert bright.score == pytest.approx(plain.score, abs=0.01)
+
+
+def test_stated_covariance_is_of_the_size_of_the_scatter():
+    """The model's count of independent samples is a fit to terrain: a factor of 3 must hold here."""
+    rng = np.random.default_rng(3)
+    errors, stated = [], []
+    for seed in range(60):
+        field = texture(100 + seed)
+        noise = ndimage.gaussian_filter(rng.normal(size=field.shape), 1.5)
+        noise *= 0.6 / noise.std()
+        match = match_ncc(cut(field, 64), cut(field + noise, 80))
+        errors.append([match.dx, match.dy])
+        stated.append(np.trace(match.covariance) / 2.0)
+    ratio = np.mean(np.square(errors)) / np.mean(stated)
+    assert 1 / 3 < ratio < 3
+
+
+def test_holes_take_no_part_in_the_match():
+    field = texture(4)
+    search = cut(shifted(field, 2.0, -1.0), 96)
+    search[:30, :20] = np.nan
+    reference = cut(field, 64)
+    reference[50:, 50:] = np.nan
+    match = match_ncc(reference, search)
+    assert (match.dx, match.dy) == pytest.approx((2.0, -1.0), abs=0.15)
+
+
+def test_a_second_place_that_looks_alike_is_the_runner_up():
+    field = texture(5)
+    search = cut(field, 128).copy()
+    reference = search[48:80, 48:80].copy()
+    search[8:40, 8:40] = reference
+    match = match_ncc(reference, search)
+    assert match.runner_up > 0.9 * match.score
+
+
+def test_flat_ground_gives_no_score():
+    match = match_ncc(np.full((32, 32), 0.3, np.float32), cut(texture(6), 48))
+    assert match.score <= 0.0
+
+
+def test_high_pass_of_whole_data_is_the_difference_to_a_gaussian():
+    grid = cut(texture(7), 64)
+    expected = grid - cv2.GaussianBlur(grid, (0, 0), 5.0)
+    assert np.allclose(high_pass(grid, 5.0), expected)
+
+
+def test_a_peak_on_the_border_of_the_search_has_no_finite_covariance():
+    field = texture(8)
+    match = match_ncc(cut(field, 64), cut(shifted(field, 9.0, 0.0), 72))
+    assert not np.isfinite(match.covariance).all()
+
+
+def test_grids_that_cannot_be_centred_are_refused():
+    with pytest.raises(ValueError, match="centred"):
+        correlation_surface(np.zeros((32, 32), np.float32), np.zeros((41, 41), np.float32))
+
+
+def test_roll_and_scale_are_found_together_with_the_shift():
+    field = texture(9, smooth=3.0)
+    rolls = np.radians([-6.0, -3.0, 0.0, 3.0, 6.0])
+    scales = [0.9, 0.95, 1.0, 1.05, 1.1]
+    search = turned(cut(field, 161), np.radians(4.5), 1.06)[32:129, 32:129]
+    found = match_similarity(cut(field, 65), search, list(rolls), scales)
+    assert np.degrees(found.roll) == pytest.approx(4.5, abs=1.0)
+    assert found.scale == pytest.approx(1.06, abs=0.02)
+    assert abs(found.match.dx) < 0.5 and abs(found.match.dy) < 0.5
