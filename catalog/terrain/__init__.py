@@ -1,0 +1,1 @@
+"""Terrain models: files read and averaged, heights sampled, skylines and ray casts."""

@@ -1,0 +1,278 @@
+"""Where a latitude and longitude fall in a raster.
+
+Equidistant cylindrical, geographic and polar stereographic rasters have closed forms (Snyder,
+USGS PP 1395, sphere), because a PROJ transformer costs milliseconds to make and cannot be called
+from a compiled loop. A closed form is used only where it agrees with PROJ at the raster's own
+corners; any other projection goes through PROJ.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pyproj
+from numpy.typing import ArrayLike, NDArray
+
+from catalog.geometry.kernel import kernel
+
+FloatArray = NDArray[np.float64]
+
+# a, b, c, d, e, f: x = a col + b row + c, y = d col + e row + f at the corner of a pixel
+Steps = tuple[float, float, float, float, float, float]
+
+CYLINDRICAL, POLAR, OTHER = 0, 1, 2
+# A raster whose columns miss a full turn by less than this (columns) is taken as going all the way
+# round: writers round a posting to a centimetre, which is 1e-3 of a column over the whole turn.
+WRAP_TOLERANCE = 0.02
+# Closed forms must give PROJ's pixels this closely (columns); rounding alone leaves 1e-8.
+AGREEMENT = 1e-3
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """The map from latitude and east longitude (rad) to fractional columns and rows.
+
+    Whole numbers are pixel centres. kind and parameters drive the compiled form:
+    cylindrical (col0, cols per rad, row0, rows per rad, period in columns, 0 if rotated);
+    polar (pole sign, col of the pole, row of the pole, 2 R k0 / posting, lon0).
+    longitude_sign is -1 for a map whose longitudes count westward.
+    """
+
+    wkt: str
+    affine: Steps
+    shape: tuple[int, int]
+    longitude_sign: float
+    kind: int
+    parameters: tuple[float, ...]
+    row_angle: float  # rad of ground between neighbouring rows
+    column_angle: float  # the same between columns, at the equator for a cylindrical raster
+
+    @property
+    def period(self) -> float:
+        """Columns in a full turn of longitude; 0 where columns are not meridians."""
+        return self.parameters[4] if self.kind == CYLINDRICAL else 0.0
+
+    @property
+    def ellipsoid_m(self) -> tuple[float, float]:
+        """Semi-major and semi-minor axis of the map's ellipsoid."""
+        ellipsoid = pyproj.CRS.from_wkt(self.wkt).ellipsoid
+        if ellipsoid is None:
+            raise ValueError("it has no ellipsoid")
+        return float(ellipsoid.semi_major_metre), float(ellipsoid.semi_minor_metre)
+
+    @property
+    def wraps(self) -> bool:
+        """Whether the last column's eastern neighbour is the first column."""
+        return self.period > 0.0 and abs(self.period - self.shape[1]) <= WRAP_TOLERANCE
+
+    def reaches_pole(self, row_edge: float, tolerance: float) -> int:
+        """+1, -1 or 0: the pole that lies on the raster's edge at a row (a half-integer)."""
+        if not self.wraps or self.shape[1] % 2:
+            return 0
+        _, _, row0, rows_per_rad, _ = self.parameters
+        lat = (row_edge - row0) / rows_per_rad
+        near = abs(abs(lat) - np.pi / 2.0) * abs(rows_per_rad) <= tolerance
+        return int(np.sign(lat)) if near else 0
+
+    @cached_property
+    def _transformers(self) -> tuple[pyproj.Transformer, pyproj.Transformer]:
+        crs = pyproj.CRS.from_wkt(self.wkt)
+        geodetic = crs.geodetic_crs
+        if geodetic is None:
+            raise ValueError("the CRS has no geographic base")
+        forward = pyproj.Transformer.from_crs(geodetic, crs, always_xy=True)
+        backward = pyproj.Transformer.from_crs(crs, geodetic, always_xy=True)
+        return forward, backward
+
+    def __getstate__(self) -> dict[str, Any]:
+        # transformers do not travel between processes; they are made again on first use
+        return {k: v for k, v in self.__dict__.items() if k != "_transformers"}
+
+    def pixel_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Fractional (col, row) of planetocentric latitudes and east longitudes (rad).
+
+        Columns of a cylindrical raster lie in [-0.5, period - 0.5): any turn of longitude is right.
+        Points that the projection cannot show give NaN.
+        """
+        lat, lon = np.broadcast_arrays(
+            np.asarray(lat, dtype=np.float64), np.asarray(lon, dtype=np.float64)
+        )
+        if self.kind == OTHER:
+            return self._pixel_through_proj(lat, lon)
+        col, row = np.empty(lat.size), np.empty(lat.size)
+        _pixels(
+            self.kind,
+            np.array(self.parameters),
+            self.longitude_sign,
+            np.ascontiguousarray(lat).ravel(),
+            np.ascontiguousarray(lon).ravel(),
+            col,
+            row,
+        )
+        return col.reshape(lat.shape), row.reshape(lat.shape)
+
+    def _pixel_through_proj(
+        self, lat: FloatArray, lon: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        forward, _ = self._transformers
+        lon_deg = np.degrees(lon) * self.longitude_sign
+        x, y = forward.transform(lon_deg, np.degrees(lat))
+        a, b, c, d, e, f = self.affine
+        x, y = np.asarray(x) - c, np.asarray(y) - f
+        determinant = a * e - b * d
+        col = (e * x - b * y) / determinant - 0.5
+        row = (a * y - d * x) / determinant - 0.5
+        outside = ~(np.isfinite(col) & np.isfinite(row))
+        return np.where(outside, np.nan, col), np.where(outside, np.nan, row)
+
+    def latlon_from_pixel(self, col: ArrayLike, row: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Latitude and east longitude (rad, of any turn) of fractional columns and rows."""
+        _, backward = self._transformers
+        a, b, c, d, e, f = self.affine
+        col, row = np.asarray(col, dtype=np.float64) + 0.5, np.asarray(row, dtype=np.float64) + 0.5
+        lon_deg, lat_deg = backward.transform(a * col + b * row + c, d * col + e * row + f)
+        return np.radians(lat_deg), np.radians(lon_deg) * self.longitude_sign
+
+    def columns_per_posting(self, row_scale: float, lat: FloatArray) -> FloatArray:
+        """Columns that a ground length of `row_scale` rows spans at latitudes (rad)."""
+        ratio = row_scale * self.row_angle / self.column_angle
+        if self.kind != CYLINDRICAL:
+            return np.full(lat.shape, ratio)
+        return np.asarray(ratio / np.maximum(np.cos(lat), 1e-9))
+
+
+def georeference(
+    wkt: str, affine: Steps, shape: tuple[int, int], longitude_sign: float, radius_m: float
+) -> Georeference:
+    """The georeference of a raster: closed form where one fits, PROJ otherwise.
+
+    affine     the raster's steps and corner, in the CRS's unit
+    radius_m   the body's radius, for grid spacings on the ground
+    Raises ValueError for a CRS without a geographic base.
+    """
+    crs = pyproj.CRS.from_wkt(wkt)
+    form = _closed_form(crs, affine)
+    kind, parameters = form if form is not None else (OTHER, ())
+    if kind == CYLINDRICAL:
+        column_angle, row_angle = 1.0 / abs(parameters[1]), 1.0 / abs(parameters[3])
+    else:
+        unit = crs.axis_info[0].unit_conversion_factor  # m or rad a CRS unit
+        per = 1.0 if crs.is_geographic else radius_m
+        column_angle = float(np.hypot(affine[0], affine[3])) * unit / per
+        row_angle = float(np.hypot(affine[1], affine[4])) * unit / per
+    made = Georeference(
+        wkt, affine, shape, longitude_sign, kind, parameters, row_angle, column_angle
+    )
+    if kind != OTHER and not _agrees(made):
+        return georeference_through_proj(made)
+    return made
+
+
+def georeference_through_proj(closed: Georeference) -> Georeference:
+    """The same raster with every point sent through PROJ (the reference of the closed forms)."""
+    return Georeference(
+        closed.wkt,
+        closed.affine,
+        closed.shape,
+        closed.longitude_sign,
+        OTHER,
+        (),
+        closed.row_angle,
+        closed.column_angle,
+    )
+
+
+def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]] | None:
+    a, b, c, d, e, f = affine
+    if b != 0.0 or d != 0.0:
+        return None
+    if crs.is_geographic:
+        unit = crs.axis_info[0].unit_conversion_factor  # rad a CRS unit
+        rows = 1.0 / (unit * e)
+        return CYLINDRICAL, (-c / a - 0.5, 1.0 / (unit * a), -f / e - 0.5, rows, _turn(unit * a))
+    operation = crs.coordinate_operation
+    ellipsoid = crs.ellipsoid
+    if operation is None or ellipsoid is None or ellipsoid.inverse_flattening != 0.0:
+        return None
+    radius = ellipsoid.semi_major_metre
+    unit = crs.axis_info[0].unit_conversion_factor  # m a CRS unit
+    values = {p.name: float(p.value) * p.unit_conversion_factor for p in operation.params}
+    east, north = values.get("False easting", 0.0), values.get("False northing", 0.0)
+    if operation.method_name.startswith("Equidistant Cylindrical"):
+        lat_ts = values.get("Latitude of 1st standard parallel", 0.0)
+        lat0 = values.get("Latitude of natural origin", 0.0)
+        lon0 = values.get("Longitude of natural origin", 0.0)
+        per_rad = radius * np.cos(lat_ts) / unit
+        col0 = (east / unit - per_rad * lon0 - c) / a - 0.5
+        row0 = (north / unit - radius / unit * lat0 - f) / e - 0.5
+        period = 2.0 * np.pi * per_rad / abs(a)
+        return CYLINDRICAL, (
+            float(col0),
+            float(per_rad / a),
+            float(row0),
+            float(radius / unit / e),
+            float(period),
+        )
+    if "Stereographic" in operation.method_name:
+        lat0 = values.get("Latitude of natural origin", values.get("Latitude of standard parallel"))
+        lat0 = values.get("Latitude of standard parallel", lat0)
+        if lat0 is None or a != -e:
+            return None
+        sign = float(np.sign(lat0))
+        scale = values.get("Scale factor at natural origin", 1.0)
+        if "Latitude of standard parallel" in values:
+            scale = (1.0 + np.sin(abs(lat0))) / 2.0
+        elif abs(abs(lat0) - np.pi / 2.0) > 1e-12:
+            return None
+        lon0 = values.get("Longitude of natural origin", values.get("Longitude of origin", 0.0))
+        factor = 2.0 * radius * scale / unit / a
+        return POLAR, (
+            sign,
+            float((east / unit - c) / a - 0.5),
+            float((north / unit - f) / e - 0.5),
+            float(factor),
+            float(lon0),
+        )
+    return None
+
+
+def _turn(step: float) -> float:
+    return float(2.0 * np.pi / abs(step))
+
+
+def _agrees(made: Georeference) -> bool:
+    """Whether the closed form lands on PROJ's pixels over the raster."""
+    rows, cols = made.shape
+    row, col = np.meshgrid(np.linspace(0.1, 0.9, 3) * rows, np.linspace(0.1, 0.9, 5) * cols)
+    lat, lon = made.latlon_from_pixel(col, row)
+    back_col, back_row = made.pixel_from_latlon(lat, lon)
+    off = back_col - col
+    if made.period:
+        off = off - np.round(off / made.period) * made.period
+    return bool(np.all(np.abs(off) < AGREEMENT) and np.all(np.abs(back_row - row) < AGREEMENT))
+
+
+@kernel
+def _pixels(
+    kind: int,
+    p: FloatArray,
+    longitude_sign: float,
+    lat: FloatArray,
+    lon: FloatArray,
+    col: FloatArray,
+    row: FloatArray,
+) -> None:
+    for i in range(lat.size):
+        east = lon[i] * longitude_sign
+        if kind == 0:
+            c = p[0] + p[1] * east + 0.5
+            # the column of [-0.5, period - 0.5) that shows this meridian
+            col[i] = c - np.floor(c / p[4]) * p[4] - 0.5
+            row[i] = p[2] + p[3] * lat[i]
+        else:
+            sign, dlon = p[0], east - p[4]
+            distance = p[3] * np.tan(np.pi / 4.0 - sign * lat[i] / 2.0)
+            col[i] = p[1] + distance * np.sin(dlon)
+            # rows count southward in the map: y grows upward
+            row[i] = p[2] + sign * distance * np.cos(dlon)
