@@ -1,0 +1,121 @@
+"""manifest.json: what an output was made from, by which versions; the mark of optnav's outputs."""
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from catalog.errors import DataError
+from optnav_cli.output.replace import MADE_BY, MANIFEST
+
+FORMAT = 1
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "rasterio",
+    "msgspec",
+    "mcap",
+    "pyerfa",
+    "zstandard",
+)
+CHUNK = 1 << 20
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, hex. Raises DataError when it cannot be read."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while chunk := file.read(CHUNK):
+                digest.update(chunk)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+    return digest.hexdigest()
+
+
+def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str | None]:
+    """SHA-256 of each named file of a folder, None for one that is not there, in name order."""
+    return {
+        name: hash_file(folder / name) if (folder / name).is_file() else None
+        for name in sorted(set(names))
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of optnav, of Python and of the libraries that its numbers depend on."""
+    found = {"optnav": _version("optnav"), "python": platform.python_version()}
+    found.update({name: _version(name) for name in LIBRARIES})
+    return found
+
+
+def write_manifest(
+    folder: Path,
+    kind: str,
+    *,
+    command: str,
+    options: Mapping[str, Any],
+    inputs: Mapping[str, Any],
+    started: datetime,
+    results: Mapping[str, Any] | None = None,
+) -> None:
+    """Write folder/manifest.json; the same but for its two times when the inputs are the same.
+
+    kind     "run" or "pictures": what the folder is
+    command  the subcommand's name; options its settings, as plain JSON values or paths
+    inputs   what went in: paths with hashes and digests, as the command collected them
+    started  when the command began, with its time zone
+    results  a few figures of the outcome
+    """
+    manifest = {
+        "made_by": MADE_BY,
+        "kind": kind,
+        "format": FORMAT,
+        "command": command,
+        "options": dict(options),
+        "inputs": dict(inputs),
+        "results": dict(results or {}),
+        "versions": versions(),
+        "started_utc": _utc(started),
+        "finished_utc": _utc(datetime.now(UTC)),
+    }
+    text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False, default=_plain)
+    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of an output. Raises DataError when there is none or it is damaged."""
+    path = folder / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror}); this is not an output of optnav"
+        ) from error
+    except ValueError as error:
+        raise DataError(f"{path}: is damaged ({error}); make the output again") from error
+    if not isinstance(manifest, dict) or manifest.get("made_by") != MADE_BY:
+        raise DataError(f"{path}: was not written by optnav; name an output of optnav")
+    return manifest
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _utc(time: datetime) -> str:
+    return time.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{value!r} has no place in a manifest")
