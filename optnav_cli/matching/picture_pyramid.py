@@ -1,0 +1,57 @@
+"""A picture at several resolutions, so that coarse map grids average it instead of picking pixels."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+
+class PicturePyramid:
+    """Samples a picture at any place, averaged over about the footprint of a map node.
+
+    picture (height, width) float32
+    """
+
+    def __init__(self, picture: Image) -> None:
+        self._levels: dict[int, Image] = {1: np.ascontiguousarray(picture, dtype=np.float32)}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the picture, px."""
+        height, width = self._levels[1].shape
+        return int(height), int(width)
+
+    def sample(self, pixels: FloatArray, pixels_per_node: float) -> Image:
+        """Brightness at pixels (..., 2); NaN outside the picture or where a pixel is NaN.
+
+        pixels_per_node  picture pixels that one node of the map grid spans
+        """
+        height, width = self.shape
+        factor = self._factor(pixels_per_node)
+        level = self._level(factor)
+        with np.errstate(invalid="ignore"):
+            x, y = pixels[..., 0], pixels[..., 1]
+            inside = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
+        # the centre of the first block of `factor` pixels lies at (factor - 1) / 2
+        shift = (factor - 1) / 2.0
+        map_x = np.where(inside, (x - shift) / factor, -1.0).astype(np.float32)
+        map_y = np.where(inside, (y - shift) / factor, -1.0).astype(np.float32)
+        sampled = cv2.remap(level, map_x, map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        return np.where(inside, sampled, np.float32(np.nan)).astype(np.float32)
+
+    def _factor(self, pixels_per_node: float) -> int:
+        # A block of up to one node; cubic interpolation between blocks does the rest.
+        smallest_side = max(1, min(self.shape) // 8)
+        return int(min(max(1.0, np.floor(pixels_per_node + 0.25)), smallest_side))
+
+    def _level(self, factor: int) -> Image:
+        if factor not in self._levels:
+            picture = self._levels[1]
+            rows, cols = picture.shape[0] // factor, picture.shape[1] // factor
+            whole = picture[: rows * factor, : cols * factor]
+            self._levels[factor] = np.asarray(
+                cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32
+            )
+        return self._levels[factor]

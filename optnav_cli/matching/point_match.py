@@ -1,0 +1,131 @@
+"""One control point searched in a picture: window into map projection, reference, correlation."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.correlation.peak import Match
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.resection import Pose
+from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.matching.reference import Reference
+
+FloatArray = NDArray[np.float64]
+Grid = NDArray[np.float32]
+Matcher = Callable[[Grid, Grid], Match]
+
+# A reference lit or known over less than this share of its nodes is no picture of a place.
+LEAST_VALID_SHARE = 0.6
+LEAST_LIT_SHARE = 0.3
+
+
+@dataclass(frozen=True)
+class MatchGates:
+    """When a found peak is believed.
+
+    min_score       correlation at the peak
+    rival_ratio     the best rival's score over the peak's must stay below it
+    """
+
+    min_score: float = 0.5
+    rival_ratio: float = 0.9
+
+
+@dataclass(frozen=True)
+class PointMatch:
+    """Where a control point was found, or why not.
+
+    pixel           (2,) measured, None when refused before a peak was located
+    covariance_px2  (2, 2) of the pixel from the peak's curvature
+    offset_m        (2,) east and north of the place where the pose expected it
+    reason          empty when the match is believed
+    """
+
+    level: int
+    pixel: FloatArray | None
+    covariance_px2: FloatArray | None
+    offset_m: FloatArray | None
+    score: float | None
+    runner_up: float | None
+    reason: str
+
+
+def match_point(
+    reference: Reference,
+    level: int,
+    template_nodes: int,
+    search_nodes: int,
+    picture: PicturePyramid,
+    camera: Camera,
+    pose: Pose,
+    sun_body: FloatArray,
+    metres_per_pixel: float,
+    matcher: Matcher,
+    gates: MatchGates,
+) -> PointMatch:
+    """Search a control point within `search_nodes` of where the pose expects it.
+
+    template_nodes  side of the reference; search_nodes  room on every side, nodes of the level
+    """
+    posting = reference.patches[level].posting_m
+    template = reference.render(level, template_nodes, sun_body, pose.position_m)
+    refusal = _unfit(template)
+    if refusal:
+        return PointMatch(level, None, None, None, None, None, refusal)
+    size = template_nodes + 2 * search_nodes
+    surface = reference.surface(level, size)
+    turn = pose.camera_from_body.as_matrix()
+    pixels = camera.project_from_body(surface, pose.position_m, turn)
+    window = picture.sample(pixels, posting / metres_per_pixel)
+    middle = window[search_nodes : size - search_nodes, search_nodes : size - search_nodes]
+    if np.isfinite(middle).mean() < LEAST_VALID_SHARE:
+        return PointMatch(level, None, None, None, None, None, "outside the frame")
+    match = matcher(template, window)
+    place, jacobian = _pixel_at(surface, pixels, match, posting)
+    offset = np.array([match.dx, -match.dy]) * posting
+    covariance = jacobian @ match.covariance @ jacobian.T
+    reason = _doubt(match, gates)
+    return PointMatch(level, place, covariance, offset, match.score, match.runner_up, reason)
+
+
+def _unfit(template: Grid) -> str:
+    valid = np.isfinite(template)
+    if valid.mean() < LEAST_VALID_SHARE:
+        return "no terrain data"
+    if (template[valid] > 0.0).mean() < LEAST_LIT_SHARE:
+        return "in shadow"
+    return ""
+
+
+def _doubt(match: Match, gates: MatchGates) -> str:
+    if not np.isfinite(match.covariance).all():
+        return "peak at the border of the search"
+    if match.score < gates.min_score:
+        return f"score {match.score:.2f} below {gates.min_score:.2f}"
+    if match.runner_up > gates.rival_ratio * match.score:
+        return f"rival {match.runner_up:.2f} near score {match.score:.2f}"
+    return ""
+
+
+def _pixel_at(
+    surface: FloatArray, pixels: FloatArray, match: Match, posting: float
+) -> tuple[FloatArray, FloatArray]:
+    """Pixel of the matched place, and its derivative (2, 2) by dx, dy in nodes."""
+    size = pixels.shape[0]
+    centre = (size - 1) / 2.0
+    col = float(np.clip(centre + match.dx, 0.0, size - 1.001))
+    row = float(np.clip(centre + match.dy, 0.0, size - 1.001))
+    c, r = int(col), int(row)
+    u, v = col - c, row - r
+    p00, p01 = pixels[r, c], pixels[r, c + 1]
+    p10, p11 = pixels[r + 1, c], pixels[r + 1, c + 1]
+    place = (1 - v) * ((1 - u) * p00 + u * p01) + v * ((1 - u) * p10 + u * p11)
+    # across the window's middle, where relief between neighbouring nodes does not matter
+    reach = max(2, size // 8)
+    low, high = max(r - reach, 0), min(r + reach, size - 1)
+    left, right = max(c - reach, 0), min(c + reach, size - 1)
+    by_x = (pixels[r, right] - pixels[r, left]) / (right - left)
+    by_y = (pixels[high, c] - pixels[low, c]) / (high - low)
+    return np.asarray(place), np.stack([by_x, by_y], axis=-1)

@@ -1,0 +1,98 @@
+"""What a control point should look like: its patches cut to any window and rendered for this Sun."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.control_point import ControlPoint, Patch
+from catalog.geometry.grid import bicubic_at
+from catalog.geometry.kernel import kernel
+from catalog.geometry.projection import Stereographic, node_grid
+from catalog.rendering.map_view import render_map
+
+FloatArray = NDArray[np.float64]
+Grid = NDArray[np.float32]
+
+
+@kernel
+def _fill_from(window: Grid, posting: float, patch: Grid, patch_posting: float) -> None:
+    """Put a patch's heights into the NaN nodes of a centred window; bicubic between the nodes."""
+    size = window.shape[0]
+    ratio = posting / patch_posting
+    centre = (patch.shape[0] - 1) / 2.0
+    half = (size - 1) / 2.0
+    for row in range(size):
+        r = centre + (row - half) * ratio
+        if r < 0.0 or r > patch.shape[0] - 1.0:
+            continue
+        for col in range(size):
+            c = centre + (col - half) * ratio
+            if c < 0.0 or c > patch.shape[1] - 1.0:
+                continue
+            if window[row, col] != window[row, col]:
+                window[row, col] = bicubic_at(patch, r, c)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A control point ready to be rendered and projected.
+
+    point   the control point; patches its levels, finest first
+    radius_m  the body's reference sphere, from which heights are measured
+    """
+
+    point: ControlPoint
+    patches: tuple[Patch, ...]
+    radius_m: float
+
+    @property
+    def projection(self) -> Stereographic:
+        """The map projection of the patches."""
+        return self.point.projection(self.radius_m)
+
+    def heights(self, level: int, size: int) -> Grid:
+        """A centred window of `size` nodes at a level's posting, coarser levels where it is wider.
+
+        NaN where no level has data.
+        """
+        posting = self.patches[level].posting_m
+        own = self.patches[level].heights_m
+        window = np.full((size, size), np.nan, dtype=np.float32)
+        margin = (own.shape[0] - size) // 2
+        if (own.shape[0] - size) % 2 == 0 and margin >= 0:
+            window[:] = own[margin : margin + size, margin : margin + size]
+        elif (own.shape[0] - size) % 2 == 0:
+            window[-margin : size + margin, -margin : size + margin] = own
+        else:
+            _fill_from(window, posting, own, posting)
+        for patch in self.patches[level + 1 :]:
+            if not np.isnan(window).any():
+                break
+            _fill_from(window, posting, patch.heights_m, patch.posting_m)
+        return window
+
+    def surface(self, level: int, size: int) -> FloatArray:
+        """Body-fixed points (size, size, 3), m, of a window's nodes."""
+        x, y = node_grid(size, self.patches[level].posting_m)
+        return self.projection.points(x, y, self.heights(level, size))
+
+    def render(
+        self, level: int, size: int, sun_body: FloatArray, camera_position_m: FloatArray
+    ) -> Grid:
+        """Lommel-Seeliger brightness of a window with cast shadows, (size, size), 0 in shadow.
+
+        sun_body           (3,) unit vector to the Sun, body frame
+        camera_position_m  (3,) body frame
+        """
+        turn = self.projection.body_from_local
+        outer = tuple((p.heights_m, p.posting_m) for p in self.patches[level + 1 :])
+        return render_map(
+            self.heights(level, size),
+            self.patches[level].posting_m,
+            sun_body @ turn,
+            camera_local=(camera_position_m - self.point.xyz_m) @ turn,
+            law="lommel_seeliger",
+            radius_m=self.radius_m,
+            outer=outer,
+        )

@@ -1,0 +1,1 @@
+"""Methods that turn pictures into positions, one file each."""

@@ -1,0 +1,55 @@
+"""How far and at which level to search a control point, from what is believed of the pose."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# Room beyond the stated uncertainty: half a node of rounding and the error of the terrain itself.
+MARGIN_NODES = 2.0
+
+
+@dataclass(frozen=True)
+class SearchPlan:
+    """The level to search a point at, and the room on every side, nodes of that level."""
+
+    level: int
+    search_nodes: int
+
+
+def finest_level(
+    postings_m: FloatArray, metres_per_pixel: float, finest_posting_per_gsd: float
+) -> int:
+    """The finest level that the picture still resolves."""
+    fit = np.flatnonzero(postings_m >= finest_posting_per_gsd * metres_per_pixel)
+    return int(fit[0]) if len(fit) else len(postings_m) - 1
+
+
+def plan_search(
+    postings_m: FloatArray,
+    finest: int,
+    uncertainty_m: float,
+    search_sigmas: float,
+    max_search_nodes: int,
+) -> SearchPlan:
+    """The finest level at which the uncertainty (1 sigma, m on the ground) fits the search room."""
+    for level in range(finest, len(postings_m)):
+        nodes = int(np.ceil(search_sigmas * uncertainty_m / postings_m[level] + MARGIN_NODES))
+        if nodes <= max_search_nodes:
+            return SearchPlan(level, nodes)
+    return SearchPlan(len(postings_m) - 1, max_search_nodes)
+
+
+def ground_uncertainty_m(
+    jacobian: FloatArray, pose_covariance: FloatArray, metres_per_pixel: FloatArray
+) -> FloatArray:
+    """Largest 1-sigma shift on the ground (n,), m, that a pose error causes in the picture.
+
+    jacobian (n, 2, 6) of pixels by position (m) and rotation (rad); pose_covariance (6, 6).
+    A pixel's shift is turned into metres by the point's mean ground sample distance.
+    """
+    shift = jacobian @ pose_covariance @ np.swapaxes(jacobian, 1, 2)
+    largest = np.linalg.eigvalsh(shift)[:, -1]
+    return np.asarray(np.sqrt(np.maximum(largest, 0.0)) * metres_per_pixel)

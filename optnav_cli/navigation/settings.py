@@ -1,0 +1,47 @@
+"""What a user can set about navigation; every key has a default that works."""
+
+from typing import Annotated
+
+import msgspec
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
+Elevation = Annotated[float, msgspec.Meta(ge=0.0, le=90.0)]
+
+
+class ViewSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Which control points of the catalog are looked for in a frame."""
+
+    sun_min_deg: Elevation = 5.0
+    sun_max_deg: Elevation = 60.0
+    emission_max_deg: Elevation = 70.0
+
+
+class MatchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How control points are searched and when a match is believed."""
+
+    template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 80
+    # nodes of the finest level per pixel of the picture: finer levels hold nothing the picture shows
+    finest_posting_per_gsd: Positive = 0.6
+    max_search_nodes: Annotated[int, msgspec.Meta(ge=4, le=128)] = 24
+    search_sigmas: Positive = 3.5
+    min_score: Share = 0.5
+    rival_ratio: Share = 0.9
+
+
+class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How matches become a position."""
+
+    max_passes: Annotated[int, msgspec.Meta(ge=1, le=20)] = 6
+    gate_probability: Share = 0.999
+    # how far a free attitude's first guess may be off, 1 sigma an axis
+    free_attitude_deg: Positive = 1.0
+    max_first_pass_points: Annotated[int, msgspec.Meta(ge=4)] = 24
+
+
+class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """The whole navigation config."""
+
+    view: ViewSettings = ViewSettings()
+    match: MatchSettings = MatchSettings()
+    solve: SolveSettings = SolveSettings()

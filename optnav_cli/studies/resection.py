@@ -1,0 +1,152 @@
+"""How well control points can fix a camera: errors against their number and intersection angle.
+
+Reproduces the behaviour that Zhukov (2025), ch. 3, reports: with the attitude measured apart the
+horizontal error falls with the number of points and stays below the points' own error, the height
+error grows fast below 20 degrees of intersection angle; solving the attitude from four points too
+makes the horizontal error about four times larger at 80 degrees and over ten times at 40.
+
+Every trial is solved by the navigator's own resection from noisy sightings; errors are counted
+against the truth, not read from the covariance.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from catalog.errors import NoSolutionError
+from catalog.progress import Progress
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.resection import Pose, Sightings, predict, resect
+
+FloatArray = NDArray[np.float64]
+
+HEIGHT_M = 200e3
+RADIUS_M = 1_737_400.0
+POINT_SIGMA_M = 50.0
+COUNTS = (2, 4, 8, 16, 32)
+ANGLES_DEG = (5.0, 10.0, 20.0, 40.0, 80.0)
+# straight down: camera x east, y south, z into the ground
+CAMERA_FROM_LOCAL = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class ResectionRow:
+    """Errors of one geometry, rms over the trials, in units of the control points' own sigma."""
+
+    count: int
+    angle_deg: float
+    free_attitude: bool
+    horizontal: float
+    height: float
+    normalised: float
+    trials: int
+
+
+def run(progress: Progress, trials: int = 300, seed: int = 1) -> list[ResectionRow]:
+    """All geometries: with the attitude exact, and free with four points and more."""
+    cases = [(n, a, False) for n, a in product(COUNTS, ANGLES_DEG)]
+    cases += [(n, a, True) for n, a in product(COUNTS, ANGLES_DEG) if n >= 4]
+    rows = []
+    with progress.stage("resection", len(cases), "geometries") as bar:
+        for count, angle, free in cases:
+            rows.append(one_geometry(count, angle, free, trials, seed))
+            bar.advance()
+    return rows
+
+
+def one_geometry(
+    count: int, angle_deg: float, free_attitude: bool, trials: int, seed: int
+) -> ResectionRow:
+    """Rms errors over `trials` random draws of points and noise."""
+    rng = np.random.default_rng([seed, count, int(angle_deg), int(free_attitude)])
+    camera = _ideal_camera()
+    truth = Pose(np.array([0.0, 0.0, HEIGHT_M]), Rotation.from_matrix(CAMERA_FROM_LOCAL))
+    errors, normalised = [], []
+    for _ in range(trials):
+        points = _ring_and_inside(rng, count, angle_deg)
+        pixels, jacobian = predict(camera, truth, points)
+        # the points' error on the ground, as it shows in the picture
+        by_ground = -jacobian[:, :, :3]
+        covariance = by_ground @ np.swapaxes(by_ground, 1, 2) * POINT_SIGMA_M**2
+        shift = rng.normal(0.0, POINT_SIGMA_M, (count, 3))
+        seen = Sightings(points, pixels + np.einsum("nij,nj->ni", by_ground, shift), covariance)
+        try:
+            solution = resect(camera, seen, truth, None if free_attitude else 0.0)
+        except NoSolutionError:
+            continue
+        error = solution.pose.position_m - truth.position_m
+        errors.append(error)
+        normalised.append(error @ np.linalg.solve(solution.position_covariance_m2, error) / 3.0)
+    found = np.array(errors) / POINT_SIGMA_M
+    return ResectionRow(
+        count,
+        angle_deg,
+        free_attitude,
+        float(np.sqrt((found[:, :2] ** 2).sum(axis=1).mean() / 2.0)),
+        float(np.sqrt((found[:, 2] ** 2).mean())),
+        float(np.mean(normalised)),
+        len(found),
+    )
+
+
+def format_table(rows: list[ResectionRow]) -> str:
+    """Two text tables: rows by the number of points, columns by intersection angle."""
+    lines = []
+    for free in (False, True):
+        chosen = [row for row in rows if row.free_attitude == free]
+        title = "free" if free else "known"
+        lines.append(f"attitude {title}: horizontal (a component) / height error, point sigmas")
+        lines.append("points  " + "".join(f"{angle:>16.0f}°" for angle in ANGLES_DEG))
+        for count in sorted({row.count for row in chosen}):
+            cells = [row for row in chosen if row.count == count]
+            text = "".join(f"{c.horizontal:>9.2f} /{c.height:>6.2f}" for c in cells)
+            lines.append(f"{count:>6}  {text}")
+        lines.append("")
+    known = {(r.count, r.angle_deg): r.horizontal for r in rows if not r.free_attitude}
+    for row in rows:
+        if row.free_attitude and row.count == 4 and row.angle_deg in (40.0, 80.0):
+            ratio = row.horizontal / known[row.count, row.angle_deg]
+            lines.append(
+                f"4 points, {row.angle_deg:.0f}°: free attitude makes the horizontal error "
+                f"{ratio:.1f} times larger"
+            )
+    return "\n".join(lines)
+
+
+def _ideal_camera() -> Camera:
+    return Camera(
+        name="ideal",
+        model="pinhole",
+        width_px=8000,
+        height_px=8000,
+        focal_length_px=4000.0,
+        principal_point_px=(3999.5, 3999.5),
+    )
+
+
+def _ring_and_inside(rng: np.random.Generator, count: int, angle_deg: float) -> FloatArray:
+    """Points on a rough sphere, two of them the intersection angle apart, the others between.
+
+    Four points stand at the corners of the field, as a chooser of control points would take them.
+    """
+    half = np.radians(angle_deg / 2.0)
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    azimuth = turn + np.arange(count) * (2.0 * np.pi / min(count, 4))
+    off = np.full(count, half)
+    if count > 4:
+        off[4:] = half * np.sqrt(rng.uniform(0.0, 1.0, count - 4))
+        azimuth[4:] = rng.uniform(0.0, 2.0 * np.pi, count - 4)
+    directions = np.stack(
+        [np.sin(off) * np.cos(azimuth), np.sin(off) * np.sin(azimuth), -np.cos(off)], axis=1
+    )
+    # onto the sphere whose top is the origin below the camera
+    centre = np.array([0.0, 0.0, -RADIUS_M])
+    origin = np.array([0.0, 0.0, HEIGHT_M]) - centre
+    along = directions @ origin
+    distance = -along - np.sqrt(along**2 - (origin @ origin - RADIUS_M**2))
+    points = np.array([0.0, 0.0, HEIGHT_M]) + directions * distance[:, None]
+    points[:, 2] += rng.normal(0.0, 1000.0, count)
+    return points
