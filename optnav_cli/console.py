@@ -1,0 +1,243 @@
+"""What a person sees of a run, on stderr, and what a log file keeps of it.
+
+Results go to stdout; messages, warnings and progress go to stderr. On a terminal a stage is a bar,
+otherwise it is a plain line now and then. The log file has one JSON object a line.
+"""
+
+import json
+import logging
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
+
+from catalog.errors import OutputError
+from catalog.progress import Stage
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+PACKAGES = ("catalog", "optnav_cli")
+FIRST_LINE_S = 10.0  # plain progress lines: the first wait, doubled up to the longest
+LONGEST_LINE_S = 60.0
+
+_log = logging.getLogger(__name__)
+
+
+class JsonLines(logging.Formatter):
+    """One JSON object a record: time (UTC), level, logger, message and, if any, the traceback."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        entry: dict[str, Any] = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        if record.exc_info:
+            entry["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(entry, ensure_ascii=False)
+
+
+class PeopleHandler(logging.Handler):
+    """Writes messages to stderr, above a bar if one is being shown."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        kind = "warning: " if record.levelno == logging.WARNING else ""
+        line = f"optnav: {kind}{record.getMessage()}"
+        shown = sys.modules.get("tqdm")  # no bar without its module
+        if shown is not None:
+            shown.tqdm.write(line, file=sys.stderr)
+        else:
+            print(line, file=sys.stderr)  # noqa: T201 -- this is the place that prints
+
+
+def set_up_logging(*, quiet: bool, verbose: bool, log_file: Path | None) -> None:
+    """Send the packages' messages to stderr and, if named, to a file of JSON lines.
+
+    quiet shows warnings and errors only, verbose shows details. The file always has the details.
+    Raises OutputError when the file cannot be written.
+    """
+    root = logging.getLogger()
+    for old in root.handlers[:]:
+        if isinstance(old, PeopleHandler) or isinstance(old.formatter, JsonLines):
+            root.removeHandler(old)
+            old.close()
+    people = PeopleHandler()
+    people.setLevel(logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO)
+    root.addHandler(people)
+    if log_file is not None:
+        try:
+            lines = logging.FileHandler(log_file, encoding="utf-8")
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise OutputError(
+                f"{log_file}: cannot write the log: {reason}; name another --log-file"
+            ) from None
+        lines.setFormatter(JsonLines())
+        root.addHandler(lines)
+    for package in PACKAGES:  # libraries below us tell warnings only
+        logging.getLogger(package).setLevel(logging.DEBUG)
+    logging.captureWarnings(True)
+
+
+class _LineStage:
+    """Tells a stage's progress as plain lines through the log."""
+
+    def __init__(self, name: str, total: int, unit: str) -> None:
+        self.name, self.total, self.unit = name, total, unit
+        self.done = 0
+        self.started = self._told = time.monotonic()
+        self._told_done = 0
+        self._wait_s = FIRST_LINE_S
+
+    def advance(self, n: int = 1, note: str = "") -> None:
+        self.done += n
+        now = time.monotonic()
+        if now - self._told < self._wait_s or self.done >= self.total:
+            return
+        # The rate since the last line, not since the start: a resumed stage begins with a leap.
+        rate = (self.done - self._told_done) / (now - self._told)
+        left = f", {duration((self.total - self.done) / rate)} left" if rate > 0 else ""
+        share = 100 * self.done // max(self.total, 1)
+        _log.info(
+            "%s: %d of %d %s (%d %%), %s%s%s",
+            self.name, self.done, self.total, plural(self.unit, self.total), share,
+            speed(rate, self.unit), left, f"; {note}" if note else "",
+        )  # fmt: skip
+        self._told, self._told_done = now, self.done
+        self._wait_s = min(2.0 * self._wait_s, LONGEST_LINE_S)
+
+    def close(self) -> None:
+        took = time.monotonic() - self.started
+        rate = f" ({speed(self.done / took, self.unit)})" if took >= 1.0 else ""
+        _log.info(
+            "%s: %d %s in %s%s",
+            self.name, self.done, plural(self.unit, self.done), duration(took), rate,
+        )  # fmt: skip
+
+
+class _BarStage(_LineStage):
+    """Shows a stage as a bar on a terminal; its last line stays in the log."""
+
+    def __init__(self, name: str, total: int, unit: str, bar: "tqdm[Any]") -> None:
+        super().__init__(name, total, unit)
+        self.bar = bar
+
+    def advance(self, n: int = 1, note: str = "") -> None:
+        self.done += n
+        if note:
+            self.bar.set_postfix_str(note, refresh=False)
+        self.bar.update(n)
+
+    def close(self) -> None:
+        self.bar.close()
+        super().close()
+
+
+class ConsoleProgress:
+    """Shows stages to people: a bar where `stream` is a terminal, plain lines elsewhere."""
+
+    def __init__(self, stream: TextIO | None = None, *, quiet: bool = False) -> None:
+        self.stream = stream if stream is not None else sys.stderr
+        self.quiet = quiet
+
+    @contextmanager
+    def stage(self, name: str, total: int, unit: str) -> Iterator[Stage]:
+        """Open a stage; a failed or interrupted one leaves no last line."""
+        if self.stream.isatty() and not self.quiet:
+            from tqdm import tqdm
+
+            bar = tqdm(
+                total=total, desc=name, unit=unit, file=self.stream, leave=False, dynamic_ncols=True
+            )
+            stage: _LineStage = _BarStage(name, total, unit, bar)
+        else:
+            bar = None
+            stage = _LineStage(name, total, unit)
+            if total > 0:
+                _log.info("%s: %d %s", name, total, plural(unit, total))
+        try:
+            yield stage
+        except BaseException:
+            if bar is not None:
+                bar.close()
+            raise
+        stage.close()
+
+
+def announce_compilation() -> None:
+    """Say once, before or when it happens, that numba compiles its kernels in this run.
+
+    Later runs find them in numba's cache and start at once.
+    """
+    if not _has_cached_kernels():
+        _tell_compilation()
+        return
+    numba_event: Any = import_module("numba.core.event")
+    numba_event.Listener.register(_CompilationListener)
+    numba_event.register("numba:compile", _CompilationListener())
+
+
+class _CompilationListener:
+    """What numba calls around each compilation that its cache could not spare."""
+
+    def on_start(self, event: Any) -> None:
+        _tell_compilation()
+
+    def on_end(self, event: Any) -> None:
+        return None
+
+    def notify(self, event: Any) -> None:
+        if event.is_start:
+            self.on_start(event)
+
+
+def _has_cached_kernels() -> bool:
+    """Whether numba's cache has an index of any kernel of the catalog, a look of a millisecond."""
+    from importlib.resources import files
+
+    override = os.environ.get("NUMBA_CACHE_DIR")
+    base = Path(override) if override else Path(str(files("catalog")))
+    if not override and not os.access(base, os.W_OK):
+        return True  # numba then caches for the user elsewhere; its event tells if it compiles
+    return next(base.rglob("*.nbi"), None) is not None
+
+
+_told_compilation = False
+
+
+def _tell_compilation() -> None:
+    global _told_compilation
+    if not _told_compilation:
+        _told_compilation = True
+        _log.info("compiling numerical kernels, once on this machine; later runs start at once")
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def speed(rate: float, unit: str) -> str:
+    """A rate as people say it: 12.3 cells/s, or 4.0 s a cell when it is slow."""
+    if rate <= 0.0:
+        return f"no {unit} done yet"
+    return f"{rate:.1f} {plural(unit, 2)}/s" if rate >= 1.0 else f"{1.0 / rate:.1f} s a {unit}"
+
+
+def plural(unit: str, count: int) -> str:
+    """The English plural of a unit of work."""
+    return unit if count == 1 else f"{unit}s"

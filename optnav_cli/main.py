@@ -1,0 +1,147 @@
+"""The `optnav` command: its subcommands by name, and the one place where errors become exit codes.
+
+Exit codes: 0 done; 1 our bug (with a traceback); 2 wrong usage; 3 bad or damaged config, data or
+output place; 4 nothing could be solved or selected; 5 a comparison differs or a limit is passed;
+130 interrupted.
+"""
+
+import errno
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+import click
+
+import catalog
+from catalog.errors import OptnavError
+from optnav_cli.lazy_group import Entry, LazyGroup
+
+INTERRUPTED = 130
+BAD_PLACE = 3
+
+# What the operating system says when an output place cannot be used, and what to do about it.
+PLACE_ERRORS = {
+    errno.ENOSPC: "free some space or choose another place",
+    errno.EDQUOT: "free some space or choose another place",
+    errno.EACCES: "check the permissions or choose another place",
+    errno.EPERM: "check the permissions or choose another place",
+    errno.EROFS: "choose a place that can be written to",
+    errno.ENOTDIR: "a part of this path is a file; choose another place",
+    errno.EISDIR: "this is a folder; name a file",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EFBIG: "the file system takes no file this large; choose another place",
+    errno.EMFILE: "raise the limit of open files (ulimit -n) or use fewer --workers",
+}
+
+_HERE = "optnav_cli.commands"
+COMMANDS = {
+    "demo": Entry(f"{_HERE}.demo", "The main job on the bundled Tycho terrain, with a report."),
+    "build": Entry(f"{_HERE}.build", "Build a control-point catalog from terrain models."),
+    "ingest": Entry(f"{_HERE}.stages", "Build stage 1: read the terrain models.", "ingest"),
+    "render": Entry(f"{_HERE}.stages", "Build stage 2: shortlist points, render them.", "render"),
+    "select": Entry(f"{_HERE}.stages", "Build stage 3: choose the points to check.", "select"),
+    "check": Entry(f"{_HERE}.stages", "Build stage 4: check the chosen points.", "check"),
+    "write": Entry(f"{_HERE}.stages", "Build stage 5: write the catalog file.", "write"),
+    "catalog": Entry(f"{_HERE}.catalog", "Look at, verify and export a catalog."),
+    "simulate": Entry(f"{_HERE}.simulate", "Make a folder of pictures with known positions."),
+    "navigate": Entry(f"{_HERE}.navigate", "Find the camera's position for each picture."),
+    "evaluate": Entry(f"{_HERE}.evaluate", "Compare a run's positions with the truth."),
+    "report": Entry(f"{_HERE}.report", "Make a page about a run or a catalog."),
+    "config": Entry(f"{_HERE}.config", "Print a commented configuration to start from."),
+    "study": Entry(f"{_HERE}.study", "Run an experiment behind the figures."),
+}  # fmt: skip
+
+
+@click.group(
+    cls=LazyGroup,
+    table=lambda: COMMANDS,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Begin with `optnav demo`. Each command has its own --help with an example.",
+)
+@click.option("-q", "--quiet", is_flag=True, help="Show warnings and errors only.")
+@click.option("-v", "--verbose", is_flag=True, help="Show details.")
+@click.option(
+    "--log-file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Also write all messages to this file, one JSON object a line.",
+)
+@click.version_option(catalog.__version__, message="optnav %(version)s")
+@click.pass_context
+def cli(ctx: click.Context, quiet: bool, verbose: bool, log_file: Path | None) -> None:
+    """Optical navigation near the Moon.
+
+    Builds catalogs of control points from terrain models and finds the camera's position for each
+    picture of a folder. Results go to stdout, messages to stderr.
+    """
+    from optnav_cli.console import ConsoleProgress, set_up_logging
+
+    if quiet and verbose:
+        raise click.UsageError("--quiet and --verbose exclude each other; give one")
+    set_up_logging(quiet=quiet, verbose=verbose, log_file=log_file)
+    ctx.obj = ConsoleProgress(quiet=quiet)
+
+
+def run(args: Sequence[str]) -> int:
+    """Run a command line and return its exit code; a bug of ours stays a traceback."""
+    try:
+        result = cli.main(args=list(args), prog_name="optnav", standalone_mode=False)
+        sys.stdout.flush()
+        # --help and --version end with an exit code as result, commands with nothing
+        return result if isinstance(result, int) else 0
+    except OptnavError as error:
+        return _fail(str(error), error.exit_code)
+    except click.UsageError as error:
+        error.show()
+        return error.exit_code
+    except click.ClickException as error:
+        return _fail(error.format_message(), error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        return _fail("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Who read our output has seen enough (`optnav ... | head`). Python flushes stdout once
+        # more at its end: let that go nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        if error.errno not in PLACE_ERRORS:
+            raise
+        place = f"{os.fsdecode(error.filename)}: " if error.filename else ""
+        reason = os.strerror(error.errno).lower()
+        return _fail(f"{place}{reason}; {PLACE_ERRORS[error.errno]}", BAD_PLACE)
+
+
+def _fail(message: str, code: int) -> int:
+    """Tell people on stderr why the command ends, and the log file if there is one."""
+    import logging
+
+    if logging.getLogger().handlers:
+        logging.getLogger(__name__).error("%s", message)
+    else:  # the command line was wrong: no logging yet
+        click.echo(f"optnav: {message}", err=True)
+    return code
+
+
+_main_process = 0
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    """Leave on SIGTERM as on Ctrl-C, so that half-written files are cleared away."""
+    if os.getpid() != _main_process:  # a forked worker is ended by its pool: without a word
+        os._exit(INTERRUPTED)
+    raise KeyboardInterrupt
+
+
+def main() -> NoReturn:
+    """Entry point of the `optnav` script."""
+    global _main_process
+    _main_process = os.getpid()
+    signal.signal(signal.SIGTERM, _terminate)
+    sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

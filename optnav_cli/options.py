@@ -1,0 +1,100 @@
+"""Options and arguments that several commands share, so that they mean the same everywhere."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+BoundingBox = tuple[float, float, float, float]
+
+_NEGATIVE = re.compile(r"-\.?\d")
+
+
+class NumberArguments(click.Command):
+    """A command whose arguments may be negative numbers, written without a `--` before them."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        # Only then: otherwise a misspelt option would no longer be called one.
+        ctx.ignore_unknown_options = any(_NEGATIVE.match(arg) for arg in args)
+        return super().parse_args(ctx, args)
+
+
+class BoundingBoxType(click.ParamType):  # type: ignore[type-arg] # generic since 8.4 only
+    """west,south,east,north in degrees; west > east crosses ±180°."""
+
+    name = "W,S,E,N"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> BoundingBox:
+        if isinstance(value, tuple):
+            return value
+        try:
+            west, south, east, north = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not four numbers W,S,E,N, such as -17,-48,-5,-38", param, ctx)
+        if not all(-180.0 <= lon <= 360.0 for lon in (west, east)):
+            self.fail(f"{value!r}: longitudes must be within -180..360", param, ctx)
+        if not -90.0 <= south < north <= 90.0:
+            self.fail(f"{value!r}: needs -90 <= south < north <= 90", param, ctx)
+        if west == east:
+            self.fail(f"{value!r}: west and east are the same", param, ctx)
+        return west, south, east, north
+
+
+def latitude(ctx: click.Context, param: click.Parameter, value: float) -> float:
+    """Callback that refuses a latitude outside -90..90 degrees."""
+    if not -90.0 <= value <= 90.0:
+        raise click.BadParameter(f"{value} is not within -90..90 degrees", ctx, param)
+    return value
+
+
+def longitude(ctx: click.Context, param: click.Parameter, value: float) -> float:
+    """Callback that refuses a longitude outside -180..360 degrees."""
+    if not -180.0 <= value <= 360.0:
+        raise click.BadParameter(f"{value} is not within -180..360 degrees", ctx, param)
+    return value
+
+
+def path_argument(name: str) -> Callable[[F], F]:
+    """A path given as an argument; whether it is there is told by who opens it."""
+    return click.argument(name, type=click.Path(path_type=Path))
+
+
+def output_option(text: str, *, required: bool = True) -> Callable[[F], F]:
+    """`-o PATH`: where the result goes."""
+    return click.option(
+        "-o", "--output", type=click.Path(path_type=Path), required=required, help=text
+    )
+
+
+def workers_option(command: F) -> F:
+    """`--workers N`: processes; all cores when left out."""
+    return click.option(
+        "--workers",
+        type=click.IntRange(min=1),
+        help="Processes to work with; all cores by default.",
+    )(command)
+
+
+def bbox_option(command: F) -> F:
+    """`--bbox W,S,E,N`: only cells with their middle in this box."""
+    return click.option(
+        "--bbox",
+        type=BoundingBoxType(),
+        help="Only cells whose middle lies in this box (degrees); W > E crosses ±180°.",
+    )(command)
+
+
+def work_option(*, required: bool) -> Callable[[F], F]:
+    """`--work DIR`: the workspace of a build, from which a stopped one goes on."""
+    return click.option(
+        "--work",
+        type=click.Path(path_type=Path, file_okay=False),
+        required=required,
+        help="Folder for what the stages hand on; a stopped run goes on from it."
+        + ("" if required else " By default OUTPUT.work."),
+    )
