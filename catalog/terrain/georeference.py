@@ -214,27 +214,28 @@ def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]
             float(radius / unit / e),
             float(period),
         )
-    if "Stereographic" in operation.method_name:
-        lat0 = values.get("Latitude of natural origin", values.get("Latitude of standard parallel"))
-        lat0 = values.get("Latitude of standard parallel", lat0)
-        if lat0 is None or a != -e:
+    if "Stereographic" in operation.method_name and a == -e:
+        polar = _polar(values)
+        if polar is None:
             return None
-        sign = float(np.sign(lat0))
-        scale = values.get("Scale factor at natural origin", 1.0)
-        if "Latitude of standard parallel" in values:
-            scale = (1.0 + np.sin(abs(lat0))) / 2.0
-        elif abs(abs(lat0) - np.pi / 2.0) > 1e-12:
-            return None
-        lon0 = values.get("Longitude of natural origin", values.get("Longitude of origin", 0.0))
-        factor = 2.0 * radius * scale / unit / a
-        return POLAR, (
-            sign,
-            float((east / unit - c) / a - 0.5),
-            float((north / unit - f) / e - 0.5),
-            float(factor),
-            float(lon0),
-        )
+        sign, lon0, scale = polar
+        col_pole, row_pole = (east / unit - c) / a - 0.5, (north / unit - f) / e - 0.5
+        return POLAR, (sign, col_pole, row_pole, 2.0 * radius * scale / unit / a, lon0)
     return None
+
+
+def _polar(values: dict[str, float]) -> tuple[float, float, float] | None:
+    """Pole sign, central longitude and scale at the pole, in any of the ways a CRS says them."""
+    if "Latitude of standard parallel" in values:  # variants B and C
+        lat = values["Latitude of standard parallel"]
+        scale = (1.0 + float(np.sin(abs(lat)))) / 2.0
+    elif abs(abs(values.get("Latitude of natural origin", 0.0)) - np.pi / 2.0) < 1e-12:
+        lat = values["Latitude of natural origin"]
+        scale = values.get("Scale factor at natural origin", 1.0)
+    else:
+        return None
+    lon0 = values.get("Longitude of natural origin", values.get("Longitude of origin", 0.0))
+    return float(np.sign(lat)), lon0, scale
 
 
 def _turn(step: float) -> float:

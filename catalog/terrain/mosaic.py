@@ -107,7 +107,7 @@ class Mosaic:
         return np.isfinite(self.heights(lat, lon, posting_m or self.posting_m))
 
     def local_grid(self, projection: Stereographic, posting_m: float, size: int) -> HeightGrid:
-        """Heights (size, size) of a map grid centred on a projection; row 0 north, column 0 west."""
+        """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
         lat, lon = np.empty(size * size), np.empty(size * size)
         _nodes(projection.body_from_local, size, posting_m, projection.radius_m, lat, lon)
         return self._sample(lat, lon, posting_m)[0].reshape(size, size)

@@ -1,16 +1,12 @@
-"""Averaged overviews of a terrain model: area means at 2, 4, 8, ... times its posting.
+"""A terrain model with its averaged overviews: area means at 2, 4, 8, ... times its posting.
 
-The file is read once, window by window, so that memory stays bounded and damage anywhere is found
-before anything is built on it. Overviews are tiled GeoTIFFs beside a small JSON record.
+Level 0 is read from the file itself; the overviews are tiled GeoTIFFs in a folder of the workspace.
 """
 
 import math
 import os
 import shutil
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,51 +19,17 @@ from rasterio.windows import Window
 
 from catalog.bodies.body import Body
 from catalog.errors import DataError, OutputError
-from catalog.geometry.kernel import kernel
 from catalog.progress import Progress, SilentProgress
-from catalog.terrain.source import GDAL_CACHE_BYTES, Conversion, DemSettings, DemSource
-
-FORMAT = 1  # of the overview folder; another number means: make it again
-BLOCK = 256  # pixels a side of the overviews' tiles
-WINDOW = 4096  # pixels of the source read at once, a side: 32 MB of int16
-CASCADE = 4  # levels made from one window: 4096 halves to a whole tile of 256
-SMALLEST = 48  # a level with a side shorter than this ends the pyramid
-# Heights are rounded to a power of two near this part of the posting (1/16 m at 118 m, far below a
-# tenth of any DEM's error), so that the last bits of float32 are zeros and compress away.
-ROUNDING = 1.0 / 1500.0
-# A source with blocks longer than this and no thicker than 16 rows is copied into tiles first:
-# a square window would decode whole strips.
-LONGEST_STRIP = 4096
+from catalog.terrain.overviews import (
+    FORMAT,
+    PyramidRecord,
+    level_path,
+    level_shape,
+    write_levels,
+)
+from catalog.terrain.source import GDAL_CACHE_BYTES, DemSettings, DemSource
 
 HeightGrid = NDArray[np.float32]
-
-
-class PyramidRecord(msgspec.Struct, frozen=True):
-    """What is known of a source after reading all of it; pyramid.json of an overview folder."""
-
-    format: int
-    source: str
-    shape: tuple[int, int]
-    levels: int
-    tiled_copy: bool
-    heights: str
-    units: str
-    posting_m: float
-    lowest_m: float
-    highest_m: float
-    valid_share: float
-
-
-@dataclass
-class _Statistics:
-    lowest: float = math.inf
-    highest: float = -math.inf
-    valid: int = 0
-    total: int = 0
-
-    def add(self, part: tuple[float, float, int, int]) -> None:
-        self.lowest, self.highest = min(self.lowest, part[0]), max(self.highest, part[1])
-        self.valid, self.total = self.valid + part[2], self.total + part[3]
 
 
 @dataclass
@@ -147,7 +109,7 @@ class HeightPyramid:
         try:
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir(parents=True)
-            record = _write_levels(source, partial, workers, progress or SilentProgress())
+            record = write_levels(source, partial, workers, progress or SilentProgress())
             (partial / "pyramid.json").write_bytes(msgspec.json.encode(record))
             shutil.rmtree(folder, ignore_errors=True)
             os.replace(partial, folder)
@@ -173,245 +135,3 @@ class HeightPyramid:
         """The pyramid of a [[dem]] section, made if the folder does not hold it yet."""
         source = DemSource.open(settings, base_dir, body)
         return cls.load(source, folder) or cls.build(source, folder, workers, progress)
-
-
-def level_shape(shape: tuple[int, int], level: int) -> tuple[int, int]:
-    """Rows and columns after `level` halvings; an odd last row or column makes one of its own."""
-    return -(-shape[0] >> level), -(-shape[1] >> level)
-
-
-def level_path(folder: Path, level: int) -> Path:
-    """The file of a level; level 0 exists only as the tiled copy of a source made of strips."""
-    return folder / f"level-{level:02d}.tif"
-
-
-def level_count(shape: tuple[int, int]) -> int:
-    """Levels down to a side of about SMALLEST, the source's own included."""
-    return max(1, 1 + math.floor(math.log2(max(1.0, min(shape) / SMALLEST))))
-
-
-def _write_levels(
-    source: DemSource, folder: Path, workers: int, progress: Progress
-) -> PyramidRecord:
-    levels = level_count(source.shape)
-    rows, cols = source.block_shape
-    copied = cols > LONGEST_STRIP and rows <= 16
-    if copied:
-        _copy_into_tiles(source, folder, progress)
-    statistics = _Statistics()
-    for first in range(0, max(1, levels - 1), CASCADE):
-        made = min(CASCADE, levels - 1 - first)
-        _cascade(source, folder, first, made, copied, statistics, workers, progress)
-    if statistics.valid == 0:
-        raise DataError(f"{source.path}: has no data at all; check `nodata` and the file")
-    source.check_heights(statistics.lowest, statistics.highest)
-    return PyramidRecord(
-        format=FORMAT,
-        source=source.path.name,
-        shape=source.shape,
-        levels=levels,
-        tiled_copy=copied,
-        heights=source.heights,
-        units=source.units,
-        posting_m=source.posting_m,
-        lowest_m=statistics.lowest,
-        highest_m=statistics.highest,
-        valid_share=statistics.valid / statistics.total,
-    )
-
-
-def _cascade(
-    source: DemSource,
-    folder: Path,
-    first: int,
-    made: int,
-    copied: bool,
-    statistics: _Statistics,
-    workers: int,
-    progress: Progress,
-) -> None:
-    """Make `made` levels above level `first` in one pass over it; statistics come from level 0."""
-    shape = level_shape(source.shape, first)
-    step = 2.0 ** math.floor(math.log2(source.posting_m * ROUNDING))
-    identity = Conversion(1.0, 0.0, None, -math.inf)
-    convert = source.convert if first == 0 else identity
-    path = level_path(folder, first) if first > 0 or copied else None
-    windows = [
-        (row, col, min(WINDOW, shape[0] - row), min(WINDOW, shape[1] - col))
-        for row in range(0, shape[0], WINDOW)
-        for col in range(0, shape[1], WINDOW)
-    ]
-
-    def work(window: tuple[int, int, int, int]) -> tuple[Any, list[HeightGrid]]:
-        # every window has its own handle: GDAL's are not safe across threads, and opening is cheap
-        if path is None:
-            reader = source.reopen()
-            raw = reader.read_raw(*window)
-            reader.close()
-        else:
-            with rasterio.open(path) as dataset:
-                row, col, height, width = window
-                raw = dataset.read(1, window=Window(col, row, width, height))
-        nodata = math.nan if convert.nodata is None else convert.nodata
-        limits = (convert.lowest_valid, nodata, float(np.float32(nodata)))
-        part = _extremes(raw, convert.scale_m, convert.offset_m, *limits)
-        grids = []
-        if made > 0:
-            grids.append(_halve_raw(raw, convert.scale_m, convert.offset_m, *limits, step))
-        while len(grids) < made:
-            grids.append(_halve_raw(grids[-1], 1.0, 0.0, -math.inf, math.nan, math.nan, step))
-        return part, grids
-
-    outputs = [_create(source, folder, first + 1 + k) for k in range(made)]
-    name = "overviews" if first == 0 else f"overviews from level {first}"
-    try:
-        with progress.stage(name, total=len(windows), unit="window") as stage:
-            for window, (part, grids) in _in_order(work, windows, workers):
-                if first == 0:
-                    statistics.add(part)
-                for k, grid in enumerate(grids):
-                    row, col = window[0] >> (k + 1), window[1] >> (k + 1)
-                    outputs[k].write(grid, 1, window=Window(col, row, grid.shape[1], grid.shape[0]))
-                stage.advance()
-    except RasterioError as error:
-        raise OutputError(f"{folder}: overviews cannot be written ({error}); free space") from None
-    finally:
-        for output in outputs:
-            output.close()
-
-
-def _in_order(
-    work: Any, windows: list[tuple[int, int, int, int]], workers: int
-) -> Iterator[tuple[tuple[int, int, int, int], tuple[Any, list[HeightGrid]]]]:
-    """Results in order; no more windows in memory than threads and one."""
-    if workers <= 1:
-        for window in windows:
-            yield window, work(window)
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        waiting = iter(windows)
-        under_way: list[tuple[tuple[int, int, int, int], Future[Any]]] = [
-            (w, pool.submit(work, w)) for w in islice(waiting, workers + 1)
-        ]
-        try:
-            while under_way:
-                window, future = under_way.pop(0)
-                yield window, future.result()
-                under_way.extend((w, pool.submit(work, w)) for w in islice(waiting, 1))
-        finally:
-            for _, future in under_way:
-                future.cancel()
-
-
-def _create(source: DemSource, folder: Path, level: int) -> Any:
-    rows, cols = level_shape(source.shape, level)
-    return rasterio.open(
-        level_path(folder, level),
-        "w",
-        driver="GTiff",
-        height=rows,
-        width=cols,
-        count=1,
-        dtype="float32",
-        nodata=math.nan,
-        crs=rasterio.CRS.from_wkt(source.place.wkt),
-        transform=rasterio.Affine(*source.place.affine) * rasterio.Affine.scale(2.0**level),
-        tiled=True,
-        blockxsize=BLOCK,
-        blockysize=BLOCK,
-        compress="zstd",
-        zstd_level=1,
-        predictor=3,
-        bigtiff="if_safer",
-    )
-
-
-def _copy_into_tiles(source: DemSource, folder: Path, progress: Progress) -> None:
-    """Level 0 as tiles, counts unchanged, read in bands of whole rows."""
-    rows, cols = source.shape
-    dtype = np.dtype(source.dtype)
-    with (
-        rasterio.open(
-            level_path(folder, 0),
-            "w",
-            driver="GTiff",
-            height=rows,
-            width=cols,
-            count=1,
-            dtype=source.dtype,
-            crs=rasterio.CRS.from_wkt(source.place.wkt),
-            transform=rasterio.Affine(*source.place.affine),
-            tiled=True,
-            blockxsize=BLOCK,
-            blockysize=BLOCK,
-            compress="zstd",
-            zstd_level=1,
-            predictor=3 if dtype.kind == "f" else 2,
-            bigtiff="if_safer",
-        ) as copy,
-        progress.stage("tiles", total=-(-rows // BLOCK), unit="band") as stage,
-    ):
-        for row in range(0, rows, BLOCK):
-            height = min(BLOCK, rows - row)
-            raw = source.read_raw(row, 0, height, cols)
-            copy.write(raw, 1, window=Window(0, row, cols, height))
-            stage.advance()
-
-
-@kernel
-def _extremes(
-    raw: NDArray[Any],
-    scale: float,
-    offset: float,
-    lowest_valid: float,
-    nodata: float,
-    nodata32: float,
-) -> tuple[float, float, int, int]:
-    """Lowest and highest height, number of valid and of all values."""
-    lowest, highest, valid = np.inf, -np.inf, 0
-    for i in range(raw.shape[0]):
-        for j in range(raw.shape[1]):
-            value = float(raw[i, j])
-            if value >= lowest_valid and value != nodata and value != nodata32 and value < np.inf:
-                height = value * scale + offset
-                lowest, highest = min(lowest, height), max(highest, height)
-                valid += 1
-    return lowest, highest, valid, raw.size
-
-
-@kernel
-def _halve_raw(
-    raw: NDArray[Any],
-    scale: float,
-    offset: float,
-    lowest_valid: float,
-    nodata: float,
-    nodata32: float,
-    step: float,
-) -> HeightGrid:
-    """Means of 2 x 2 counts as heights rounded to `step`; at least half of what is there is valid.
-
-    An odd last row or column has fewer than four counts to average.
-    """
-    rows, cols = raw.shape
-    out = np.empty(((rows + 1) // 2, (cols + 1) // 2), np.float32)
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            total, valid, there = 0.0, 0, 0
-            for r in range(2 * i, min(2 * i + 2, rows)):
-                for c in range(2 * j, min(2 * j + 2, cols)):
-                    value = float(raw[r, c])
-                    there += 1
-                    if (
-                        value >= lowest_valid
-                        and value != nodata
-                        and value != nodata32
-                        and value < np.inf
-                    ):
-                        total += value
-                        valid += 1
-            if 2 * valid >= there and valid > 0:
-                out[i, j] = np.round((total / valid * scale + offset) / step) * step
-            else:
-                out[i, j] = np.nan
-    return out

@@ -12,12 +12,20 @@ import msgspec
 import numpy as np
 import rasterio
 from numpy.typing import ArrayLike, NDArray
-from rasterio.errors import RasterioError, RasterioIOError
+from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from catalog.bodies.body import Body
 from catalog.errors import DataError
-from catalog.terrain.georeference import Georeference, georeference
+from catalog.terrain.dem_file import (
+    RADIUS_TOLERANCE,
+    file_units,
+    gdal_reason,
+    label_of,
+    open_raster,
+    place_of,
+)
+from catalog.terrain.georeference import Georeference
 
 FloatArray = NDArray[np.float64]
 HeightGrid = NDArray[np.float32]
@@ -25,8 +33,6 @@ HeightGrid = NDArray[np.float32]
 METRES = {"m": 1.0, "km": 1000.0, "dm": 0.1, "cm": 0.01}
 # GDAL keeps decoded blocks; its default is 5 % of the machine, which is no bound for a worker.
 GDAL_CACHE_BYTES = 96 << 20
-# A CRS made for another body is off by tens of percent; spheres of one body differ by less.
-RADIUS_TOLERANCE = 0.01
 PROBES = 5  # windows a side that are looked at to tell radii from heights
 PROBE_SIZE = 32
 # A raster this wide whose heights span less than this is in kilometres, not in metres: the
@@ -107,7 +113,7 @@ class DemSource:
         body, or with values that cannot be heights; the whole file is read later, when averaged.
         """
         path = label_of(base_dir / settings.path)
-        dataset = _open(path)
+        dataset = open_raster(path)
         try:
             return cls._read_header(path, settings, body, dataset)
         except BaseException:
@@ -123,8 +129,8 @@ class DemSource:
         dtype = str(dataset.dtypes[0])
         if np.dtype(dtype).kind not in "iuf":
             raise DataError(f"{path}: pixels are {dtype}; wanted whole or real numbers")
-        place = _place(path, settings, body, dataset)
-        units = settings.units or _file_units(dataset)
+        place = place_of(path, settings.crs, settings.longitude, body, dataset)
+        units = settings.units or file_units(dataset)
         factor = METRES[units]
         scale = settings.scale if settings.scale is not None else float(dataset.scales[0])
         offset = settings.offset if settings.offset is not None else float(dataset.offsets[0])
@@ -249,14 +255,14 @@ class DemSource:
     def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:
         """Counts as they are stored; the window must lie inside. Raises DataError."""
         if self._dataset is None:
-            self._dataset = _open(self.path)
+            self._dataset = open_raster(self.path)
         try:
             with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES):
                 raw: NDArray[Any] = self._dataset.read(1, window=Window(col, row, width, height))
         except RasterioError as error:
             raise DataError(
                 f"{self.path}: rows {row}-{row + height - 1} cannot be read "
-                f"({_reason(error)}); the file is damaged or cut short, get it again"
+                f"({gdal_reason(error)}); the file is damaged or cut short, get it again"
             ) from None
         return raw
 
@@ -299,80 +305,3 @@ class DemSource:
                 f"{found}: too flat for {extent * self.body.radius_m / 1e3:.0f} km of ground; "
                 'are these km? set units = "km" in its [[dem]] section (or "m" if they are metres)'
             )
-
-
-def label_of(path: Path) -> Path:
-    """The file that GDAL opens for a product: a PDS3 image's detached label."""
-    if path.suffix.lower() == ".img":
-        for suffix in (".LBL", ".lbl", ".Lbl"):
-            if path.with_suffix(suffix).is_file():
-                return path.with_suffix(suffix)
-    return path
-
-
-def _open(path: Path) -> Any:
-    if not path.exists():
-        raise DataError(f"{path}: there is no such file; check `path` in its [[dem]] section")
-    if path.is_dir():
-        raise DataError(f"{path}: is a folder; name a raster file")
-    if path.stat().st_size == 0:
-        raise DataError(f"{path}: is empty; get the file again")
-    try:
-        return rasterio.open(path)
-    except RasterioIOError as error:
-        remedy = "wanted a raster that GDAL reads (GeoTIFF, PDS3, PDS4, ISIS cube, VRT)"
-        if path.suffix.lower() == ".img":
-            remedy = f"a PDS3 image needs its label {path.with_suffix('.LBL').name} beside it"
-        raise DataError(f"{path}: cannot be opened ({_reason(error)}); {remedy}") from None
-
-
-def _reason(error: BaseException) -> str:
-    """GDAL's own words, which rasterio keeps as the cause of its error."""
-    deepest: BaseException = error
-    while deepest.__cause__ is not None:
-        deepest = deepest.__cause__
-    return str(deepest).strip().rstrip(".")
-
-
-def _file_units(dataset: Any) -> Literal["m", "km", "dm", "cm"]:
-    """Units that the band states, metres when it states none that is known."""
-    stated = (dataset.units[0] or "").strip().lower()
-    if stated in ("km", "kilometer", "kilometre", "kilometers", "kilometres"):
-        return "km"
-    return "m"
-
-
-def _place(path: Path, settings: DemSettings, body: Body, dataset: Any) -> Georeference:
-    """The raster's georeference. Raises DataError for no CRS, another body or no geotransform."""
-    remedy = 'set `crs` in its [[dem]] section, for example crs = "IAU_2015:30100"'
-    try:
-        crs = rasterio.CRS.from_user_input(settings.crs) if settings.crs else dataset.crs
-    except (RasterioError, ValueError) as error:
-        raise DataError(f"{path}: crs = '{settings.crs}' is not known to PROJ ({error})") from None
-    if not crs:
-        raise DataError(f"{path}: has no coordinate system; {remedy}")
-    if dataset.transform.is_identity:
-        raise DataError(f"{path}: has no place on the map (no geotransform); georeference it")
-    sign = -1.0 if settings.longitude == "west" else 1.0
-    try:
-        affine = (*dataset.transform,)[:6]
-        place = georeference(crs.to_wkt(), affine, dataset.shape, sign, body.radius_m)
-        semi_major, semi_minor = place.ellipsoid_m
-    except (RasterioError, ValueError) as error:
-        raise DataError(
-            f"{path}: its coordinate system cannot be used ({error}); {remedy}"
-        ) from None
-    largest = max(body.radius_m, *body.radii_m)
-    smallest = min(body.radius_m, *body.radii_m)
-    slack = 1.0 + RADIUS_TOLERANCE
-    if not smallest / slack <= semi_major <= largest * slack:
-        raise DataError(
-            f"{path}: its coordinate system is for a body of {semi_major / 1e3:.1f} km radius, "
-            f"{body.name} has {body.radius_m / 1e3:.1f} km; check [body] name, or {remedy}"
-        )
-    if abs(semi_major - semi_minor) > 1e-6 * semi_major:
-        raise DataError(
-            f"{path}: its coordinate system is on a flattened ellipsoid; wanted a sphere "
-            "(planetocentric latitudes): reproject it with gdalwarp"
-        )
-    return place
