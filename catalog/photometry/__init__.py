@@ -1,0 +1,1 @@
+"""Brightness laws: how much sunlight a bare surface sends towards the camera."""

@@ -1,0 +1,1 @@
+"""Pictures of terrain: shading, cast shadows, the Suns that can occur."""
