@@ -1,0 +1,1 @@
+"""Camera models: from a direction to a pixel and back."""

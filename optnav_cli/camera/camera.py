@@ -1,0 +1,131 @@
+"""A camera: the size of its picture and the lens that takes directions to pixels.
+
+Camera frame: x right, y down, z along the boresight. Pixels (x, y), centre of the first at (0, 0).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from optnav_cli.camera import lens
+from optnav_cli.camera.validity import brown_limit, fisheye_limit
+
+FloatArray = NDArray[np.float64]
+Model = Literal["pinhole", "equidistant", "kannala_brandt"]
+Distortion = Literal["none", "brown"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Interior orientation of a camera.
+
+    focal_length_px         the same along x and y
+    principal_point_px      (x, y) where the boresight meets the picture
+    coefficients            distortion "brown": k1 k2 p1 p2 k3 (OpenCV's forward model);
+                            model "kannala_brandt": k1 k2 k3 k4; else empty
+    image_circle_radius_px  about the principal point; pixels beyond it see nothing
+    pixel_pitch_um          size of a pixel, where known; only written back to files
+    """
+
+    name: str
+    model: Model
+    width_px: int
+    height_px: int
+    focal_length_px: float
+    principal_point_px: tuple[float, float]
+    distortion: Distortion = "none"
+    coefficients: tuple[float, ...] = ()
+    image_circle_radius_px: float | None = None
+    pixel_pitch_um: float | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a picture."""
+        return self.height_px, self.width_px
+
+    @property
+    def angular_resolution(self) -> float:
+        """Angle of one pixel at the principal point, rad."""
+        return 1.0 / self.focal_length_px
+
+    @cached_property
+    def _lens(self) -> tuple[int, FloatArray]:
+        parameters = np.zeros(lens.PARAMETERS)
+        parameters[:3] = self.focal_length_px, *self.principal_point_px
+        parameters[3 : 3 + len(self.coefficients)] = self.coefficients
+        model = lens.PINHOLE if self.model == "pinhole" else lens.FISHEYE
+        if model == lens.PINHOLE:
+            parameters[lens.LIMIT] = (
+                brown_limit(self.coefficients) if self.coefficients else math.inf
+            )
+        else:
+            parameters[lens.LIMIT] = fisheye_limit(self.coefficients or (0.0, 0.0, 0.0, 0.0))
+        circle = self.image_circle_radius_px
+        parameters[lens.CIRCLE] = math.inf if circle is None else circle
+        return model, parameters
+
+    def project(self, points_camera: ArrayLike) -> FloatArray:
+        """Pixels (..., 2) of points or directions (..., 3) in the camera frame, any length.
+
+        NaN where the lens images nothing: behind a pinhole, beyond the fold of its distortion or
+        the image circle. Pixels outside the picture are returned: see `contains`.
+        """
+        points, shape = _rows(points_camera, 3)
+        pixels = np.empty((len(points), 2))
+        lens.project_points(*self._lens, points, pixels)
+        return pixels.reshape(*shape, 2)
+
+    def project_from_body(
+        self, points_body: ArrayLike, position: ArrayLike, camera_from_body: ArrayLike
+    ) -> FloatArray:
+        """Pixels (..., 2) of body-fixed points in one pass, for whole grids.
+
+        points_body (..., 3) and position (3,)  m, body frame;  camera_from_body (3, 3)
+        """
+        points, shape = _rows(points_body, 3)
+        pixels = np.empty((len(points), 2))
+        lens.project_body_points(
+            *self._lens,
+            points,
+            np.ascontiguousarray(position, dtype=np.float64),
+            np.ascontiguousarray(camera_from_body, dtype=np.float64),
+            pixels,
+        )
+        return pixels.reshape(*shape, 2)
+
+    def project_with_jacobian(self, points_camera: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Pixels (..., 2) and derivatives (..., 2, 3) by the points (..., 3), camera frame."""
+        points, shape = _rows(points_camera, 3)
+        pixels, jacobians = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
+        lens.project_with_derivatives(*self._lens, points, pixels, jacobians)
+        return pixels.reshape(*shape, 2), jacobians.reshape(*shape, 2, 3)
+
+    def unproject(self, pixels: ArrayLike) -> FloatArray:
+        """Unit rays (..., 3), camera frame, of pixels (..., 2); NaN where no ray leads there."""
+        rows, shape = _rows(pixels, 2)
+        rays = np.empty((len(rows), 3))
+        lens.rays_of_pixels(*self._lens, rows, rays)
+        return rays.reshape(*shape, 3)
+
+    def contains(self, pixels: ArrayLike, margin_px: float = 0.0) -> NDArray[np.bool_]:
+        """Whether pixels (..., 2) lie in the picture, at least margin_px inside its edge."""
+        x, y = np.moveaxis(np.asarray(pixels, dtype=np.float64), -1, 0)
+        low = margin_px - 0.5
+        inside_x = (x >= low) & (x <= self.width_px - 1 - low)
+        return np.asarray(inside_x & (y >= low) & (y <= self.height_px - 1 - low))
+
+    def pixel_grid(self) -> FloatArray:
+        """Coordinates (height, width, 2) of all pixel centres."""
+        x, y = np.meshgrid(np.arange(self.width_px), np.arange(self.height_px))
+        return np.stack([x, y], axis=-1).astype(np.float64)
+
+
+def _rows(values: ArrayLike, width: int) -> tuple[FloatArray, tuple[int, ...]]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape[-1:] != (width,):
+        raise ValueError(f"expected an array (..., {width}), got {array.shape}")
+    return np.ascontiguousarray(array).reshape(-1, width), array.shape[:-1]

@@ -1,0 +1,153 @@
+"""Camera files: TOML in, checked, and out again."""
+
+import math
+from pathlib import Path
+
+import msgspec
+
+from catalog.config import load_toml, nearest_name, resource
+from catalog.errors import ConfigError
+from optnav_cli.camera.camera import Camera, Distortion, Model
+
+# Focal length, pitch and their ratio are each printed with about four digits.
+AGREEMENT = 1e-3
+LARGEST_SIDE_PX = 100_000
+_TERMS = {"pinhole": 5, "kannala_brandt": 4}
+_TERM_NAMES = {"pinhole": "[k1, k2, p1, p2, k3]", "kannala_brandt": "[k1, k2, k3, k4]"}
+
+
+class CameraSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
+    """A camera file as it is written."""
+
+    name: str
+    model: Model
+    width_px: int
+    height_px: int
+    principal_point_px: tuple[float, float]
+    focal_length_px: float | None = None
+    focal_length_mm: float | None = None
+    pixel_pitch_um: float | None = None
+    distortion: Distortion = "none"
+    coefficients: tuple[float, ...] = ()
+    image_circle_radius_px: float | None = None
+
+
+def load_camera(path: str | Path) -> Camera:
+    """The camera that a TOML file describes.
+
+    Raises ConfigError, naming file and key, for a file that is missing, wrong or inconsistent.
+    """
+    settings = load_toml(Path(path), CameraSettings)
+    where = str(path)
+    _check_picture(settings, where)
+    _check_lens(settings, where)
+    return Camera(
+        name=settings.name,
+        model=settings.model,
+        width_px=settings.width_px,
+        height_px=settings.height_px,
+        focal_length_px=_focal_length_px(settings, where),
+        principal_point_px=settings.principal_point_px,
+        distortion=settings.distortion,
+        coefficients=settings.coefficients,
+        image_circle_radius_px=settings.image_circle_radius_px,
+        pixel_pitch_um=settings.pixel_pitch_um,
+    )
+
+
+def preset_camera(name: str) -> Camera:
+    """A camera that ships with optnav. Raises ConfigError, naming the nearest, for another name."""
+    folder = resource("configs/cameras/unk.toml").parent
+    known = sorted(path.stem for path in folder.glob("*.toml"))
+    if name not in known:
+        near = nearest_name(name, known)
+        hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
+        raise ConfigError(f"no camera '{name}' ships with optnav; {hint}")
+    return load_camera(folder / f"{name}.toml")
+
+
+def camera_toml(camera: Camera) -> str:
+    """The text of a camera file that `load_camera` reads back to the same camera."""
+    x, y = camera.principal_point_px
+    lines = [
+        f'name = "{camera.name}"',
+        f'model = "{camera.model}"',
+        f"width_px = {camera.width_px}",
+        f"height_px = {camera.height_px}",
+        f"focal_length_px = {float(camera.focal_length_px)!r}",
+        f"principal_point_px = [{float(x)!r}, {float(y)!r}]",
+    ]
+    if camera.pixel_pitch_um is not None:
+        focal_mm = camera.focal_length_px * camera.pixel_pitch_um * 1e-3
+        lines += [f"focal_length_mm = {focal_mm!r}", f"pixel_pitch_um = {camera.pixel_pitch_um!r}"]
+    if camera.distortion != "none":
+        lines.append(f'distortion = "{camera.distortion}"')
+    if camera.coefficients:
+        lines.append(f"coefficients = [{', '.join(repr(float(c)) for c in camera.coefficients)}]")
+    if camera.image_circle_radius_px is not None:
+        lines.append(f"image_circle_radius_px = {float(camera.image_circle_radius_px)!r}")
+    return "\n".join(lines) + "\n"
+
+
+def _check_picture(settings: CameraSettings, where: str) -> None:
+    for key in ("width_px", "height_px"):
+        value = getattr(settings, key)
+        if not 1 <= value <= LARGEST_SIDE_PX:
+            raise ConfigError(f"{where}: {key} is {value}; wanted 1 to {LARGEST_SIDE_PX}")
+    if not settings.name or set(settings.name) & set('"\\\n,/'):
+        raise ConfigError(f"{where}: name is '{settings.name}'; wanted a plain word")
+    circle = settings.image_circle_radius_px
+    if circle is not None and circle <= 0.0:
+        raise ConfigError(f"{where}: image_circle_radius_px is {circle}; wanted a positive number")
+    values = (*settings.principal_point_px, *settings.coefficients)
+    if not all(math.isfinite(value) for value in values):
+        raise ConfigError(f"{where}: a number is not finite; correct it")
+
+
+def _check_lens(settings: CameraSettings, where: str) -> None:
+    model, given = settings.model, len(settings.coefficients)
+    if settings.distortion == "brown" and model != "pinhole":
+        raise ConfigError(
+            f'{where}: distortion "brown" belongs to model "pinhole", not "{model}"; '
+            'a fisheye\'s distortion is the model "kannala_brandt"'
+        )
+    distorted = settings.distortion == "brown" or model == "kannala_brandt"
+    if not distorted and given:
+        remedy = 'write distortion = "brown"' if model == "pinhole" else 'use "kannala_brandt"'
+        raise ConfigError(f"{where}: coefficients are given but nothing uses them; {remedy}")
+    if distorted and given != _TERMS[model]:
+        raise ConfigError(
+            f'{where}: {given} coefficients; model "{model}" wants '
+            f"{_TERMS[model]}: coefficients = {_TERM_NAMES[model]}"
+        )
+
+
+def _focal_length_px(settings: CameraSettings, where: str) -> float:
+    for key in ("focal_length_px", "focal_length_mm", "pixel_pitch_um"):
+        value = getattr(settings, key)
+        if value is not None and value <= 0.0:
+            raise ConfigError(f"{where}: {key} is {value}; wanted a positive number")
+    pixels, length_mm, pitch_um = (
+        settings.focal_length_px,
+        settings.focal_length_mm,
+        settings.pixel_pitch_um,
+    )
+    if (length_mm is None) != (pitch_um is None):
+        missing = "pixel_pitch_um" if pitch_um is None else "focal_length_mm"
+        raise ConfigError(
+            f"{where}: focal_length_mm and pixel_pitch_um belong together; add {missing}"
+        )
+    if length_mm is None or pitch_um is None:
+        if pixels is None:
+            raise ConfigError(
+                f"{where}: no focal length; add focal_length_px, "
+                "or focal_length_mm with pixel_pitch_um"
+            )
+        return pixels
+    from_length = length_mm * 1e3 / pitch_um
+    if pixels is not None and abs(pixels / from_length - 1.0) > AGREEMENT:
+        raise ConfigError(
+            f"{where}: focal_length_px is {pixels}, but focal_length_mm / pixel_pitch_um gives "
+            f"{from_length:.2f}; correct one of them"
+        )
+    return from_length if pixels is None else pixels

@@ -1,0 +1,127 @@
+"""Camera files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalog.errors import ConfigError
+from optnav_cli.camera.camera_file import camera_toml, load_camera, preset_camera
+
+PRESETS = Path(__file__).parents[3] / "configs/cameras"
+GOOD = """
+name = "wide"
+model = "pinhole"
+width_px = 640
+height_px = 480
+focal_length_px = 500.0
+principal_point_px = [319.5, 239.5]
+"""
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "camera.toml"
+    path.write_text(text)
+    return path
+
+
+def test_the_shortest_camera_file_works(tmp_path: Path) -> None:
+    camera = load_camera(written(tmp_path, GOOD))
+    assert (camera.name, camera.shape, camera.focal_length_px) == ("wide", (480, 640), 500.0)
+    np.testing.assert_allclose(camera.project([0.1, 0.2, 1.0]), [369.5, 339.5])
+
+
+def test_a_focal_length_in_millimetres_needs_the_pitch(tmp_path: Path) -> None:
+    text = GOOD.replace("focal_length_px = 500.0", "focal_length_mm = 2.75\npixel_pitch_um = 5.5")
+    assert load_camera(written(tmp_path, text)).focal_length_px == pytest.approx(500.0)
+    with pytest.raises(ConfigError, match="add pixel_pitch_um"):
+        load_camera(written(tmp_path, text.replace("pixel_pitch_um = 5.5", "")))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("focal_length_px = 500.0", "", "no focal length"),
+        ("focal_length_px = 500.0", "focal_length_px = -500.0", "focal_length_px is -500"),
+        ("focal_length_px = 500.0", "focal_length_px = nan", "finite"),
+        ("focal_length_px", "focal_lenght_px", "focal_length_px"),
+        ("width_px = 640", "width_px = 0", "width_px is 0"),
+        ("width_px = 640", "width_px = 640.5", "width_px"),
+        ('"pinhole"', '"pinehole"', "pinhole"),
+        ("[319.5, 239.5]", "[319.5]", "principal_point_px"),
+        ("[319.5, 239.5]", '[319.5, 239.5]\ndistortion = "brown"', "0 coefficients.*k1, k2, p1"),
+        ("[319.5, 239.5]", "[319.5, 239.5]\ncoefficients = [0.1]", "nothing uses them"),
+        ('"pinhole"', '"kannala_brandt"', "wants 4"),
+        ('"pinhole"', '"equidistant"\ndistortion = "brown"', "kannala_brandt"),
+        (
+            "focal_length_px = 500.0",
+            "focal_length_px = 500.0\nfocal_length_mm = 2.8\npixel_pitch_um = 5.5",
+            "gives 509.09",
+        ),
+        ('name = "wide"', 'name = "../wide"', "plain word"),
+        ("width_px = 640", "width_px = 640\nimage_circle_radius_px = -1.0", "image_circle"),
+    ],
+)
+def test_a_wrong_camera_file_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in GOOD
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_camera(written(tmp_path, GOOD.replace(old, new)))
+    assert "camera.toml" in str(caught.value)
+
+
+def test_a_missing_camera_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nothing\.toml"):
+        load_camera(tmp_path / "nothing.toml")
+
+
+@pytest.mark.parametrize("path", sorted(PRESETS.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_shipped_camera_loads_and_returns_from_its_own_text(
+    path: Path, tmp_path: Path
+) -> None:
+    camera = load_camera(path)
+    assert camera == preset_camera(path.stem)
+    assert camera.name == path.stem
+    assert load_camera(written(tmp_path, camera_toml(camera))) == camera
+    # every pixel of the picture has a ray and comes back
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0]])
+    pixels = corners * [camera.width_px - 1, camera.height_px - 1]
+    np.testing.assert_allclose(camera.project(camera.unproject(pixels)), pixels, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "field_deg", "tolerance_deg"),
+    [
+        ("shnk", 180.0, 0.5),
+        ("unk", 27.5, 0.1),
+        ("kam_s", 49.0, 1.5),
+        ("tsnn2_wide", 76.0, 3.0),
+        ("tsnn2_narrow", 49.0, 1.0),
+        ("tsnn_utk", 0.85, 0.02),
+        ("tsnn_shtk", 23.3, 0.2),
+    ],
+)
+def test_presets_have_their_published_field(
+    name: str, field_deg: float, tolerance_deg: float
+) -> None:
+    """Published fields are rounded; two of the lenses carry a distortion of ours."""
+    camera = preset_camera(name)
+    middle = camera.principal_point_px[1]
+    left, right = camera.unproject([[-0.5, middle], [camera.width_px - 0.5, middle]])
+    field = np.degrees(np.arctan2(np.linalg.norm(np.cross(left, right)), left @ right))
+    assert field == pytest.approx(field_deg, abs=tolerance_deg)
+
+
+def test_the_apollo_lens_has_the_published_distortion() -> None:
+    """USGS ISIS gives the undistorted place of a measured one, in mm; radial terms."""
+    camera = preset_camera("apollo15_metric")
+    measured_mm = np.linspace(1.0, 80.0, 60)
+    s = measured_mm**2
+    true_mm = measured_mm * (1.0 + s * (-0.13361854e-5 + s * (0.52261757e-9 - s * 0.50728336e-13)))
+    pixels = camera.project(np.stack([true_mm, 0.0 * s, 0.0 * s + 76.054], axis=1))
+    expected = 505.5 + measured_mm * 673.3 / 76.054
+    np.testing.assert_allclose(pixels[:, 0], expected, atol=0.005)
+
+
+def test_an_unknown_preset_is_answered_with_the_nearest() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'shnk'"):
+        preset_camera("shnkk")
