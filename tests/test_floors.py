@@ -1,0 +1,106 @@
+"""The house's floors: a module imports only from lower floors, never from its neighbours."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+PACKAGES = ("catalog", "optnav_cli")
+
+# Lowest first. An image arrives with the first floor of optnav_cli.
+FLOORS = (
+    {"catalog.errors"},
+    {"catalog.config", "catalog.progress", "catalog.geometry"},
+    {"catalog.bodies"},
+    {"catalog.terrain", "catalog.photometry", "catalog.control_point"},
+    {"catalog.rendering", "catalog.correlation"},
+    {"catalog.selection", "catalog.store"},
+    {"catalog.stages"},
+    {"optnav_cli.solution", "optnav_cli.camera", "optnav_cli.estimation"},
+    {"optnav_cli.imagery", "optnav_cli.dynamics"},
+    {"optnav_cli.matching", "optnav_cli.measurements", "optnav_cli.stars", "optnav_cli.simulation"},
+    {"optnav_cli.navigation", "optnav_cli.hazard", "optnav_cli.output"},
+    {"optnav_cli.studies", "optnav_cli.options", "optnav_cli.lazy_group", "optnav_cli.console"},
+    {"optnav_cli.commands"},
+    {"optnav_cli.main"},
+)
+FLOOR_OF = {unit: number for number, units in enumerate(FLOORS, start=1) for unit in units}
+
+
+def unit_of(module: str) -> str:
+    """The part of the house a module belongs to: package and folder, or package and file."""
+    return ".".join(module.split(".")[:2])
+
+
+def modules(root: Path = CHECKOUT) -> Iterator[tuple[str, Path]]:
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            parts = path.relative_to(root).with_suffix("").parts
+            yield ".".join(parts).removesuffix(".__init__"), path
+
+
+def imports(module: str, path: Path) -> Iterator[str]:
+    """Full names of the project's modules that a module imports, wherever in it."""
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*above, base]).rstrip(".")
+            # `from catalog import config` names a module, `from catalog.config import x` has it
+            names = [f"{base}.{alias.name}" if base in PACKAGES else base for alias in node.names]
+        else:
+            continue
+        yield from (name for name in names if name.split(".")[0] in PACKAGES)
+
+
+def faults(root: Path = CHECKOUT) -> list[str]:
+    """What breaks the house's rule, one line each."""
+    found = []
+    for module, path in modules(root):
+        unit = unit_of(module)
+        if module not in PACKAGES and unit not in FLOOR_OF:
+            found.append(f"{unit} stands on no floor")
+            continue
+        for name in imports(module, path):
+            other = unit_of(name)
+            if other == unit or name in PACKAGES or name.endswith(".__version__"):
+                continue
+            if other not in FLOOR_OF:
+                found.append(f"{module} imports {name}, which stands on no floor")
+            elif FLOOR_OF[other] >= FLOOR_OF.get(unit, 0):
+                found.append(f"{module} imports {name}, which is not on a lower floor")
+    return sorted(set(found))
+
+
+def test_modules_import_only_from_lower_floors() -> None:
+    assert faults() == []
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "fault"),
+    [
+        ("catalog/weather/wind.py", "", "catalog.weather stands on no floor"),
+        ("catalog/errors.py", "import optnav_cli.main", "imports optnav_cli.main"),
+        ("catalog/terrain/a.py", "from catalog.photometry.hapke import f", "catalog.photometry"),
+        ("catalog/bodies/a.py", "def f():\n  from ..terrain import b", "imports catalog.terrain"),
+        ("catalog/errors.py", "from catalog import config", "imports catalog.config"),
+    ],
+)
+def test_a_breach_of_the_floors_is_found(path: str, text: str, fault: str, tmp_path: Path) -> None:
+    file = tmp_path / path
+    file.parent.mkdir(parents=True)
+    file.write_text(text)
+    assert any(fault in line for line in faults(tmp_path))
+
+
+def test_files_of_one_folder_may_import_each_other(tmp_path: Path) -> None:
+    folder = tmp_path / "catalog" / "terrain"
+    folder.mkdir(parents=True)
+    (folder / "a.py").write_text("from catalog.terrain.b import c\nfrom . import d\n")
+    assert faults(tmp_path) == []
