@@ -1,0 +1,263 @@
+"""run.mcap: a run as time-stamped Foxglove messages in JSON, to be looked at in a robotics viewer.
+
+For each frame: the picture with its calibration, the predicted and the found control points, the
+camera's pose in the body frame, the transform body to camera, and one log line. Message times are
+the frames' UTC, so the same run gives the same bytes.
+"""
+
+import base64
+import json
+import re
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import Writer
+from numpy.typing import NDArray
+
+from catalog.geometry.rotations import quaternion_from_rotation
+from optnav_cli.camera.camera import Camera
+from optnav_cli.output import foxglove
+from optnav_cli.output.display import eight_bits, encoded, resized, shrink_factor
+from optnav_cli.solution import MatchRow, Solution
+
+Message = dict[str, Any]
+LONGEST_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it
+JPEG_QUALITY = 80
+MARK_PX, TEXT_PX = 14.0, 12.0  # for a picture of LONGEST_PX
+PREDICTED, FOUND, REJECTED = (0.20, 0.75, 1.0), (0.25, 0.95, 0.35), (1.0, 0.35, 0.30)  # RGB
+_CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
+_TIME = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d):(\d\d)(?::(\d\d)(?:\.(\d*))?)?", re.ASCII)
+
+
+class Recording:
+    """Writes run.mcap frame by frame; a context manager that completes the file at its end."""
+
+    def __init__(self, path: Path, body: str) -> None:
+        """Begin a recording; `body` names the frame that positions refer to ("moon")."""
+        self._path, self._body = path, body
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._sequence = 0
+        self._last_ns = 0
+
+    def __enter__(self) -> "Recording":
+        self._file = self._path.open("wb")
+        self._writer = Writer(self._file)
+        self._writer.start(library="optnav")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._file.close()
+
+    def add_frame(
+        self,
+        solution: Solution,
+        matches: Iterable[MatchRow] = (),
+        camera: Camera | None = None,
+        picture: NDArray[np.generic] | None = None,
+    ) -> None:
+        """Add what is known of one frame.
+
+        picture  (h, w) as read; camera may be None only where the picture is
+        A frame whose time cannot be understood keeps the time of the frame before.
+        """
+        self._last_ns = nanoseconds(solution.utc, self._last_ns)
+        if camera is not None:
+            factor = shrink_factor(camera.width_px, camera.height_px, LONGEST_PX)
+            place = f"/camera/{camera.name}"
+            if picture is not None:
+                self._write(f"{place}/image", self._image(camera, picture, factor))
+            self._write(f"{place}/calibration", self._calibration(camera, factor))
+            self._write(f"{place}/annotations", self._annotations(camera, matches, factor))
+        if solution.position_m is not None and solution.camera_from_body is not None:
+            self._write("/pose", self._pose(solution))
+            self._write("/tf", self._transform(solution, camera))
+        self._write("/log", self._log(solution))
+
+    def _write(self, topic: str, message: tuple[foxglove.Schema, Message]) -> None:
+        schema, content = message
+        title = schema["title"]
+        if title not in self._schemas:
+            self._schemas[title] = self._writer.register_schema(
+                title, SchemaEncoding.JSONSchema, json.dumps(schema).encode()
+            )
+        if topic not in self._channels:
+            self._channels[topic] = self._writer.register_channel(
+                topic, MessageEncoding.JSON, self._schemas[title]
+            )
+        self._writer.add_message(
+            self._channels[topic],
+            log_time=self._last_ns,
+            publish_time=self._last_ns,
+            sequence=self._sequence,
+            data=json.dumps(content, allow_nan=False).encode(),
+        )
+        self._sequence += 1
+
+    def _stamp(self) -> Message:
+        return {"sec": self._last_ns // 10**9, "nsec": self._last_ns % 10**9}
+
+    def _image(
+        self, camera: Camera, picture: NDArray[np.generic], factor: float
+    ) -> tuple[foxglove.Schema, Message]:
+        data = encoded(resized(eight_bits(picture), factor), ".jpg", JPEG_QUALITY)
+        return foxglove.COMPRESSED_IMAGE, {
+            "timestamp": self._stamp(),
+            "frame_id": camera.name,
+            "data": base64.b64encode(data).decode("ascii"),
+            "format": "jpeg",
+        }
+
+    def _calibration(self, camera: Camera, factor: float) -> tuple[foxglove.Schema, Message]:
+        # A scaled picture keeps its corners, and pixel centres stand half a pixel inside them.
+        cx, cy = ((c + 0.5) * factor - 0.5 for c in camera.principal_point_px)
+        focal = camera.focal_length_px * factor
+        fisheye = camera.model != "pinhole"
+        terms = camera.coefficients or (0.0,) * (4 if fisheye else 5)
+        return foxglove.CAMERA_CALIBRATION, {
+            "timestamp": self._stamp(),
+            "frame_id": camera.name,
+            "width": max(1, round(camera.width_px * factor)),
+            "height": max(1, round(camera.height_px * factor)),
+            "distortion_model": "kannala_brandt" if fisheye else "plumb_bob",
+            "D": list(terms),
+            "K": [focal, 0.0, cx, 0.0, focal, cy, 0.0, 0.0, 1.0],
+            "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            "P": [focal, 0.0, cx, 0.0, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        }
+
+    def _annotations(
+        self, camera: Camera, matches: Iterable[MatchRow], factor: float
+    ) -> tuple[foxglove.Schema, Message]:
+        size = factor * max(camera.width_px, camera.height_px) / LONGEST_PX
+        circles, texts = [], []
+        for match in matches:
+            marks = [(match.predicted_px, PREDICTED, 1.6 * MARK_PX)]
+            if match.measured_px is not None:
+                marks.append((match.measured_px, FOUND if match.used else REJECTED, MARK_PX))
+            for pixel, rgb, diameter in marks:
+                if not np.isfinite(pixel).all():
+                    continue
+                circles.append(
+                    {
+                        "timestamp": self._stamp(),
+                        "position": _point(pixel, factor),
+                        "diameter": diameter * size,
+                        "thickness": 2.0 * size,
+                        "fill_color": _CLEAR,
+                        "outline_color": _color(rgb),
+                        "metadata": _about(match),
+                    }
+                )
+            if np.isfinite(marks[-1][0]).all():
+                texts.append(
+                    {
+                        "timestamp": self._stamp(),
+                        "position": _point(marks[-1][0] + MARK_PX * size / factor, factor),
+                        "text": str(match.cp_id),
+                        "font_size": TEXT_PX * size,
+                        "text_color": _color(marks[-1][1]),
+                        "background_color": _CLEAR,
+                        "metadata": [],
+                    }
+                )
+        return foxglove.IMAGE_ANNOTATIONS, {"circles": circles, "points": [], "texts": texts}
+
+    def _pose(self, solution: Solution) -> tuple[foxglove.Schema, Message]:
+        position, orientation = _camera_in_body(solution)
+        return foxglove.POSE_IN_FRAME, {
+            "timestamp": self._stamp(),
+            "frame_id": self._body,
+            "pose": {"position": position, "orientation": orientation},
+        }
+
+    def _transform(
+        self, solution: Solution, camera: Camera | None
+    ) -> tuple[foxglove.Schema, Message]:
+        position, orientation = _camera_in_body(solution)
+        return foxglove.FRAME_TRANSFORM, {
+            "timestamp": self._stamp(),
+            "parent_frame_id": self._body,
+            "child_frame_id": "camera" if camera is None else camera.name,
+            "translation": position,
+            "rotation": orientation,
+        }
+
+    def _log(self, solution: Solution) -> tuple[foxglove.Schema, Message]:
+        return foxglove.LOG, {
+            "timestamp": self._stamp(),
+            "level": foxglove.INFO if solution.solved else foxglove.WARNING,
+            "message": describe(solution),
+            "name": "optnav",
+            "file": solution.file,
+            "line": 0,
+        }
+
+
+def describe(solution: Solution) -> str:
+    """A frame's result in one line."""
+    if not solution.solved or solution.covariance_m2 is None:
+        return f"{solution.file}: unsolved: {solution.reason}"
+    sigma = float(np.sqrt(np.trace(solution.covariance_m2) / 3.0))
+    rms = "" if solution.residual_rms_px is None else f", rms {solution.residual_rms_px:.2f} px"
+    remark = f" ({solution.reason})" if solution.reason else ""
+    return (
+        f"{solution.file}: solved: {solution.n_used} of {solution.n_predicted} control points"
+        f"{rms}, sigma {sigma:.0f} m an axis{remark}"
+    )
+
+
+def nanoseconds(utc: str, otherwise: int = 0) -> int:
+    """Nanoseconds since 1970 of an ISO-8601 UTC time; `otherwise` for what is no such time."""
+    match = _TIME.match(utc.strip())
+    if match is None:
+        return otherwise
+    day, hour, minute, second, fraction = match.groups()
+    try:
+        start = datetime.fromisoformat(day).replace(tzinfo=UTC)
+    except ValueError:
+        return otherwise
+    seconds = int(start.timestamp()) + 3600 * int(hour) + 60 * int(minute) + int(second or 0)
+    return max(0, seconds * 10**9 + int(((fraction or "") + "0" * 9)[:9]))
+
+
+def _camera_in_body(solution: Solution) -> tuple[Message, Message]:
+    if solution.position_m is None or solution.camera_from_body is None:
+        raise ValueError(f"{solution.file}: there is no pose to record")
+    x, y, z = (float(v) for v in solution.position_m)
+    qw, qx, qy, qz = (
+        float(v) for v in quaternion_from_rotation(solution.camera_from_body.inv())
+    )  # the camera's axes seen from the body
+    return {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
+
+
+def _point(pixel: NDArray[np.float64], factor: float) -> Message:
+    x, y = ((float(v) + 0.5) * factor for v in pixel)
+    return {"x": x, "y": y}
+
+
+def _color(rgb: tuple[float, float, float]) -> Message:
+    return {**dict(zip("rgb", rgb, strict=True)), "a": 1.0}
+
+
+def _about(match: MatchRow) -> list[Message]:
+    about = {"id": str(match.cp_id), "level": str(match.level)}
+    if match.score is not None:
+        about["score"] = f"{match.score:.3f}"
+    if match.reason:
+        about["why not used"] = match.reason
+    return [{"key": key, "value": value} for key, value in about.items()]

@@ -1,0 +1,197 @@
+"""run.mcap read back with the mcap reader: schemas, times, poses and marks."""
+
+import base64
+import json
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
+
+from optnav_cli.camera.camera import Camera
+from optnav_cli.output.recording import Recording, nanoseconds
+from optnav_cli.solution import MatchRow, solved, unsolved
+
+UTC = "2023-08-17T05:23:10.250Z"
+NS = 1692249790_250000000  # date -u -d 2023-08-17T05:23:10 +%s
+UNK = Camera("unk", "pinhole", 640, 480, 900.0, (319.5, 239.5))
+FISHEYE = Camera("shnk", "equidistant", 4096, 4096, 1305.0, (2047.5, 2047.5))
+
+# The required fields of the published definitions.
+REQUIRED = {
+    "foxglove.CompressedImage": {"timestamp", "frame_id", "data", "format"},
+    "foxglove.CameraCalibration": set(),
+    "foxglove.ImageAnnotations": {"circles", "points", "texts"},
+    "foxglove.PoseInFrame": {"timestamp", "frame_id", "pose"},
+    "foxglove.FrameTransform": {
+        "timestamp",
+        "parent_frame_id",
+        "child_frame_id",
+        "translation",
+        "rotation",
+    },
+    "foxglove.Log": {"timestamp", "level", "message", "name", "file", "line"},
+}
+
+
+def conforms(value, schema, where="message"):
+    """Check a value against the parts of JSON Schema that these schemas use; no unknown field."""
+    if "oneOf" in schema:
+        assert value in [option["const"] for option in schema["oneOf"]], where
+        return
+    types = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
+    assert isinstance(value, types[schema["type"]]), where
+    assert not isinstance(value, bool), where
+    if schema["type"] == "object":
+        assert set(schema.get("required", ())) <= set(value), where
+        assert set(value) <= set(schema["properties"]), where
+        for key, item in value.items():
+            conforms(item, schema["properties"][key], f"{where}.{key}")
+    elif schema["type"] == "array":
+        assert schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", 10**9), where
+        for item in value:
+            conforms(item, schema["items"], f"{where}[]")
+    elif schema["type"] in ("integer", "number"):
+        assert schema.get("minimum", value) <= value <= schema.get("maximum", value), where
+
+
+def a_pose(seed=2):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=3) * 1e6, Rotation.random(rng=rng)
+
+
+def a_frame(file="a.png", utc=UTC):
+    position, attitude = a_pose()
+    return solved(
+        file, utc, "control_points", position, np.diag([9.0, 16.0, 25.0]), attitude, 0.0,
+        n_predicted=3, n_matched=2, n_used=1, residual_rms_px=0.2,
+    )  # fmt: skip
+
+
+MATCHES = [
+    MatchRow(
+        "a.png", 7, 0, np.ones(3), np.array([10.0, 20.0]), np.array([11.0, 20.5]), 0.9, 0.2, True
+    ),
+    MatchRow(
+        "a.png", 8, 1, np.ones(3), np.array([30.0, 40.0]), np.array([70.0, 80.0]), 0.7, 0.6,
+        reason="residual",
+    ),
+    MatchRow("a.png", 9, 1, np.ones(3), np.array([np.nan, np.nan]), reason="not found"),
+]  # fmt: skip
+
+
+def read(path):
+    with path.open("rb") as file:
+        return [
+            (schema, channel, message, json.loads(message.data))
+            for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages()
+        ]
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    path = tmp_path / "run.mcap"
+    picture = np.arange(480 * 640, dtype=np.float32).reshape(480, 640)
+    with Recording(path, "moon") as recording:
+        recording.add_frame(a_frame(), MATCHES, UNK, picture)
+        recording.add_frame(
+            unsolved("b.png", "2023-08-17T05:24:10Z", "picture is black"), (), FISHEYE,
+            np.zeros((4096, 4096), np.float32),
+        )  # fmt: skip
+        recording.add_frame(unsolved("c.png", "yesterday", "time is not understood"))
+    return read(path)
+
+
+def test_every_message_follows_its_schema_and_its_schema_the_published_one(recorded):
+    assert {schema.name for schema, *_ in recorded} == set(REQUIRED)
+    for schema, channel, _, content in recorded:
+        body = json.loads(schema.data)
+        assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+        assert body["title"] == schema.name
+        assert set(body["required"]) == REQUIRED[schema.name]
+        conforms(content, body, schema.name)
+
+
+def test_messages_carry_the_frames_utc(recorded):
+    minute = 60 * 10**9
+    times = {m.log_time for _, _, m, _ in recorded}
+    assert times == {NS, NS - 250_000_000 + minute}
+    for _, _, message, content in recorded:
+        if "timestamp" in content:
+            stamp = content["timestamp"]
+            assert stamp["sec"] * 10**9 + stamp["nsec"] == message.log_time == message.publish_time
+
+
+def test_the_pose_takes_camera_points_to_the_body(recorded):
+    position, attitude = a_pose()
+    (pose,) = [c for s, _, _, c in recorded if s.name == "foxglove.PoseInFrame"]
+    (transform,) = [c for s, _, _, c in recorded if s.name == "foxglove.FrameTransform"]
+    q = pose["pose"]["orientation"]
+    body_from_camera = Rotation.from_quat([q["x"], q["y"], q["z"], q["w"]])
+    boresight = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(
+        body_from_camera.apply(boresight), attitude.inv().apply(boresight), atol=1e-12
+    )
+    np.testing.assert_array_equal(list(pose["pose"]["position"].values()), position)
+    assert (pose["frame_id"], transform["parent_frame_id"]) == ("moon", "moon")
+    assert transform["child_frame_id"] == "unk"
+    assert transform["rotation"] == q
+
+
+def test_marks_count_pixels_from_the_corner_and_skip_what_has_no_place(recorded):
+    marks = next(c for s, _, _, c in recorded if s.name == "foxglove.ImageAnnotations")
+    places = [(c["position"]["x"], c["position"]["y"]) for c in marks["circles"]]
+    assert places == [(10.5, 20.5), (11.5, 21.0), (30.5, 40.5), (70.5, 80.5)]
+    assert [t["text"] for t in marks["texts"]] == ["7", "8"]
+
+
+def test_a_large_picture_is_recorded_smaller_with_its_calibration(recorded):
+    images = [c for s, _, _, c in recorded if s.name == "foxglove.CompressedImage"]
+    sizes = []
+    for image in images:
+        data = np.frombuffer(base64.b64decode(image["data"]), np.uint8)
+        sizes.append(cv2.imdecode(data, cv2.IMREAD_UNCHANGED).shape)
+    assert sizes == [(480, 640), (2048, 2048)]
+    unk, fisheye = [c for s, _, _, c in recorded if s.name == "foxglove.CameraCalibration"]
+    assert (unk["distortion_model"], unk["D"]) == ("plumb_bob", [0.0] * 5)
+    assert (fisheye["distortion_model"], fisheye["D"]) == ("kannala_brandt", [0.0] * 4)
+    assert fisheye["width"] == 2048
+    # A ray 0.4 rad off the boresight, through OpenCV's fisheye model with the recorded numbers.
+    ray = np.array([[[np.tan(0.4), 0.0, 1.0]]])
+    small = cv2.fisheye.projectPoints(
+        ray, np.zeros(3), np.zeros(3), np.reshape(fisheye["K"], (3, 3)), np.zeros(4)
+    )[0][0, 0]
+    full = FISHEYE.project(ray[0, 0])
+    np.testing.assert_allclose(small, (full + 0.5) / 2.0 - 0.5, atol=1e-9)
+
+
+def test_each_frame_has_a_log_line_and_an_unsolved_one_says_why(recorded):
+    lines = [(c["level"], c["message"]) for s, _, _, c in recorded if s.name == "foxglove.Log"]
+    assert lines == [
+        (2, "a.png: solved: 1 of 3 control points, rms 0.20 px, sigma 4 m an axis"),
+        (3, "b.png: unsolved: picture is black"),
+        (3, "c.png: unsolved: time is not understood"),
+    ]
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path):
+    for name in ("one", "other"):
+        with Recording(tmp_path / name, "moon") as recording:
+            recording.add_frame(a_frame(), MATCHES, UNK, np.ones((480, 640), np.float32))
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("utc", "expected"),
+    [
+        (UTC, NS),
+        ("2023-08-17 05:23:10.25+00:00", NS),
+        ("2016-12-31T23:59:60Z", 1483228800 * 10**9),
+        ("1971-07-31T00:00Z", 49766400 * 10**9),
+        ("2023-02-30T00:00:00Z", 77),
+        ("soon", 77),
+    ],
+)
+def test_times_become_nanoseconds_since_1970(utc, expected):
+    assert nanoseconds(utc, 77) == expected
