@@ -1,0 +1,96 @@
+"""What every stage is given: the body, its terrain, the cells, and how patches are cut.
+
+A stage is a module with `Settings` (its section of the build config), a record type and one
+function:
+
+    render.render_chunk(context, cells)      -> list[render.Record]    cells: list[int]
+    select.select(context, records)          -> list[select.Record]    all records, by cell number
+    check.check_chunk(context, records)      -> list[check.Record]     records of select
+    write.write(context, ...)                                          see write.py
+
+Chunk functions run in worker processes and must not depend on which cells share a chunk. Record
+types are msgspec.Structs, because they travel and rest as msgpack; numpy arrays in them are
+annotated `np.ndarray` and keep their type and shape.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from catalog.bodies.body import Body
+from catalog.control_point import Patch
+from catalog.geometry.cells import CellGrid
+from catalog.geometry.projection import Stereographic
+from catalog.terrain.mosaic import Mosaic
+
+if TYPE_CHECKING:
+    from catalog.stages.settings import BuildConfig
+
+
+class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[body]. name: a file of configs/bodies."""
+
+    name: str
+
+
+class GridSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[grid]. cell_deg: side of a cell, one control point each; 1 gives 41 252 on a sphere."""
+
+    cell_deg: float = 1.0
+
+
+class PyramidSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[pyramid]. Patches of a control point.
+
+    levels     grids, each of twice the posting of the one before
+    size       nodes a side of each
+    posting_m  of the finest; without it the finest DEM's own
+    """
+
+    levels: int = 5
+    size: int = 80
+    posting_m: float | None = None
+
+
+@dataclass(frozen=True)
+class StageContext:
+    """The world of a build; pickles small (paths and numbers), files open again in a worker.
+
+    posting_m  of the finest patches, settled from the config or the DEM
+    config     the whole build config; a stage reads its own section
+    """
+
+    body: Body
+    mosaic: Mosaic
+    grid: CellGrid
+    posting_m: float
+    config: "BuildConfig"
+
+    @property
+    def levels(self) -> int:
+        """Patches of a control point."""
+        return self.config.pyramid.levels
+
+    @property
+    def size(self) -> int:
+        """Nodes a side of every patch."""
+        return self.config.pyramid.size
+
+    @property
+    def postings_m(self) -> tuple[float, ...]:
+        """Postings of the levels, finest first."""
+        return tuple(self.posting_m * 2.0**level for level in range(self.levels))
+
+    def projection(self, lat_deg: float, lon_deg: float) -> Stereographic:
+        """The map projection centred on a place."""
+        return Stereographic(np.radians(lat_deg), np.radians(lon_deg), self.body.radius_m)
+
+    def patches(self, lat_deg: float, lon_deg: float) -> tuple[Patch, ...]:
+        """The patches of a control point at a place, finest first; NaN where there is no ground."""
+        projection = self.projection(lat_deg, lon_deg)
+        return tuple(
+            Patch(posting, self.mosaic.local_grid(projection, posting, self.size))
+            for posting in self.postings_m
+        )
