@@ -10,6 +10,7 @@ Gray = NDArray[np.uint8]
 Colour = NDArray[np.uint8]  # (h, w, 3), blue green red as OpenCV has them
 DARK, BRIGHT = 0.5, 99.7  # percentiles that become black and white
 SAMPLES = 1 << 16  # pixels that the percentiles are taken from
+PNG_LEVEL = 3  # a tenth smaller than OpenCV's default in a third more time; 9 takes 15 times as long
 GAMMA = 0.8  # lifts the shadows a little; below 1 is brighter
 
 
@@ -43,7 +44,11 @@ def resized(picture: Gray, factor: float) -> Gray:
 
 def encoded(picture: NDArray[np.uint8], suffix: str, quality: int = 85) -> bytes:
     """The bytes of a picture as ".png" or ".jpg" (`quality` 0..100 for the latter)."""
-    options = [cv2.IMWRITE_JPEG_QUALITY, quality] if suffix == ".jpg" else []
+    options = (
+        [cv2.IMWRITE_JPEG_QUALITY, quality]
+        if suffix == ".jpg"
+        else [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL]
+    )
     done, data = cv2.imencode(suffix, picture, options)
     if not done:
         raise OutputError(f"a picture of {picture.shape} pixels cannot be written as {suffix}")

@@ -1,0 +1,114 @@
+"""Overlays: marks stand where the frame's pixels are, at every size."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.geometry.latlon import body_from_local, xyz_from_latlon
+from catalog.geometry.projection import Stereographic
+from optnav_cli.camera.camera import Camera
+from optnav_cli.output.overlay import (
+    FOUND,
+    LONGEST_PX,
+    PREDICTED,
+    REJECTED,
+    RESIDUAL,
+    draw_overlay,
+    overlay_path,
+    patch_outlines,
+    write_overlay,
+)
+from optnav_cli.solution import MatchRow, solved, unsolved
+
+RADIUS_M = 1737400.0
+
+
+def a_match(x, y, shift=None, used=True, residual=None):
+    predicted = np.array([x, y])
+    measured = None if shift is None else predicted + shift
+    return MatchRow(
+        "a.png", 41, 0, np.ones(3), predicted, measured, 0.9, 0.1, used,
+        residual_px=None if residual is None else np.array(residual),
+    )  # fmt: skip
+
+
+def near(image, x, y, colour, reach=9):
+    """How near the colour of any pixel around (x, y) comes, 0 = met exactly."""
+    window = image[int(y) - reach : int(y) + reach + 1, int(x) - reach : int(x) + reach + 1]
+    return int(np.abs(window.astype(int) - colour).max(axis=-1).min())
+
+
+@pytest.mark.parametrize("side", [600, 1200, 2400])
+def test_marks_stand_where_the_frames_pixels_are(side):
+    factor = min(1.0, LONGEST_PX / side)
+    matches = [
+        a_match(100, 150, (0.2, 0.1), residual=(2.0, 0.0)),
+        a_match(400, 300, (60.0, 0.0), used=False),
+        a_match(150, 450),
+    ]
+    image = draw_overlay(
+        np.zeros((side, side), np.uint8), unsolved("a.png", "", "too few"), matches
+    )
+    assert image.shape[1] == min(side, LONGEST_PX)
+    assert image.shape[0] > image.shape[1]  # the legend
+
+    def at(x, y, colour):
+        return near(image, x * factor, y * factor, colour)
+
+    assert at(100, 150, PREDICTED) < 60
+    assert at(100, 150, FOUND) < 60
+    assert at(200, 150, RESIDUAL) < 60  # 2 px, 50 times
+    assert at(460, 300, REJECTED) < 60
+    assert at(150, 450, PREDICTED) < 60
+    assert at(150, 450, FOUND) > 100
+    assert at(300, 500, PREDICTED) > 100
+
+
+def test_a_line_tells_the_result_and_long_reasons_are_cut(tmp_path):
+    picture = np.full((300, 300), 100.0, np.float32)
+    image = draw_overlay(picture, unsolved("a.png", "", "σ " * 400), [])
+    assert image.shape[1] == 300
+    strip = image[300:]
+    assert (strip[:, 290:] > 100).sum() == 0
+    assert (strip > 200).sum() > 50
+
+
+def test_points_without_a_place_do_not_hinder():
+    match = MatchRow("a.png", 1, 0, np.ones(3), np.array([np.nan, np.nan]), reason="not in view")
+    image = draw_overlay(np.zeros((50, 50), np.uint8), unsolved("a.png", "", ""), [match])
+    assert (image[:50] == 0).all()
+
+
+def test_the_same_frame_gives_the_same_file_with_its_whole_name(tmp_path):
+    rng = np.random.default_rng(4)
+    picture = rng.normal(size=(200, 300)).astype(np.float32)
+    solution = solved(
+        "sub/a.tif", "", "control_points", np.ones(3), np.eye(3), Rotation.identity(), 0.0,
+        n_predicted=1, n_matched=1, n_used=1, residual_rms_px=0.1,
+    )  # fmt: skip
+    paths = [
+        write_overlay(tmp_path / name, picture, solution, [a_match(20, 30, (0, 0))])
+        for name in ("one", "other")
+    ]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert paths[0] == overlay_path(tmp_path / "one", "sub/a.tif")
+    assert paths[0].name == "sub_a.tif.png"
+    assert cv2.imread(str(paths[0])).shape[1] == 300
+
+
+def test_patch_outlines_are_squares_seen_from_above():
+    camera = Camera("unk", "pinhole", 2048, 2048, 4184.0, (1023.5, 1023.5))
+    lat, lon = np.radians(-43.0), np.radians(-11.0)
+    axes = body_from_local(lat, lon)
+    position = xyz_from_latlon(lat, lon, RADIUS_M + 200e3)
+    nadir = Rotation.from_matrix(np.stack([axes[:, 0], -axes[:, 1], -axes[:, 2]]))
+    (outline,) = patch_outlines(
+        Stereographic(lat, lon, RADIUS_M), 1000.0, [3776.0], camera, position, nadir
+    )
+    # Level ground 199 km below: half a side is 3776 m * f / 199 km, but for the body's curvature
+    # (the border lies 2 * 3776^2 / 2R = 8 m lower at the corners).
+    expected = 3776.0 * 4184.0 / 199e3
+    reach = np.abs(outline - 1023.5).max(axis=0)
+    np.testing.assert_allclose(reach, expected, rtol=1e-3)
+    assert outline[0, 1] < 1023.5  # north is up
