@@ -1,0 +1,1 @@
+"""The catalog file: one GeoPackage of control points and their height pyramids."""

@@ -1,0 +1,168 @@
+"""Height grids as compressed bytes.
+
+A grid of heights becomes counts (int16, -32768 = no data) with value = offset + step * count. The
+counts, read as unsigned 16-bit numbers, are differenced along rows and then along columns, both
+modulo 65536: what is left is what the plane through the west, north and north-west neighbours
+does not predict. Residuals r (signed) are folded to 2r for r >= 0 and -2r - 1 for r < 0, and
+split into a plane of high bytes followed by a plane of low bytes. The two planes are one
+Zstandard frame, each in its own block, so that each gets its own entropy table: on lunar terrain
+this is 4 % smaller than one block and a third of the plain counts.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from catalog.errors import DataError
+from catalog.geometry.kernel import kernel
+
+HeightGrid = NDArray[np.float32]
+Counts = NDArray[np.int16]
+ByteArray = NDArray[np.uint8]
+
+NO_DATA_COUNT = -32768
+LARGEST_COUNT = 32767
+MAX_SIZE = 4096  # nodes a side; refuses to allocate gigabytes for a damaged size
+# The residuals are noise to a dictionary coder: level 19 saves 2 % for 90 times the work.
+ZSTD_LEVEL = 1
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """A grid as it is stored: value = offset + step * count at each of size x size nodes."""
+
+    size: int
+    step: float
+    offset: float
+    data: bytes
+
+
+def quantise(heights: HeightGrid, step: float) -> tuple[Counts, float, float]:
+    """Counts of a grid together with the step and the offset that they are in.
+
+    heights (n, n), NaN for no data; step: wanted height step, same unit. Where the relief does
+    not fit 65535 steps the step is doubled until it does. The offset is the middle of the range,
+    rounded to whole steps.
+    """
+    values = np.asarray(heights, dtype=np.float64)
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full(values.shape, NO_DATA_COUNT, dtype=np.int16), step, 0.0
+    low, high = float(values[known].min()), float(values[known].max())
+    while (high - low) / step > 2 * LARGEST_COUNT - 2:
+        step *= 2.0
+    offset = float(np.rint((low + high) / 2.0 / step) * step) + 0.0  # + 0.0 makes -0.0 a 0.0
+    counts = np.rint((np.where(known, values, offset) - offset) / step)
+    return np.where(known, counts, NO_DATA_COUNT).astype(np.int16), step, offset
+
+
+def heights_from_counts(counts: Counts, step: float, offset: float) -> HeightGrid:
+    """The heights (float32, NaN for no data) that counts stand for."""
+    values = offset + step * counts.astype(np.float64)
+    return np.where(counts == NO_DATA_COUNT, np.nan, values).astype(np.float32)
+
+
+@kernel
+def _planes_from_counts(counts: Counts, planes: ByteArray) -> None:
+    rows, cols = counts.shape
+    nodes = rows * cols
+    for i in range(rows):
+        for j in range(cols):
+            residual = np.int64(counts[i, j])
+            if i > 0:
+                residual -= counts[i - 1, j]
+            if j > 0:
+                residual -= counts[i, j - 1]
+                if i > 0:
+                    residual += counts[i - 1, j - 1]
+            # into the signed 16-bit range, as the reader's arithmetic is modulo 65536
+            residual = ((residual + 32768) & 65535) - 32768
+            folded = 2 * residual if residual >= 0 else -2 * residual - 1
+            planes[i * cols + j] = folded >> 8
+            planes[nodes + i * cols + j] = folded & 255
+
+
+@kernel
+def _counts_from_planes(planes: ByteArray, counts: Counts) -> None:
+    rows, cols = counts.shape
+    nodes = rows * cols
+    for i in range(rows):
+        along_row = np.int64(0)
+        for j in range(cols):
+            folded = (np.int64(planes[i * cols + j]) << 8) | planes[nodes + i * cols + j]
+            along_row += -((folded + 1) >> 1) if folded & 1 else folded >> 1
+            above = np.int64(counts[i - 1, j]) if i > 0 else np.int64(0)
+            counts[i, j] = ((above + along_row + 32768) & 65535) - 32768
+
+
+@kernel
+def _heights_from_planes(
+    planes: ByteArray, step: float, offset: float, counts: Counts, heights: HeightGrid
+) -> None:
+    _counts_from_planes(planes, counts)
+    rows, cols = counts.shape
+    for i in range(rows):
+        for j in range(cols):
+            count = counts[i, j]
+            heights[i, j] = np.nan if count == NO_DATA_COUNT else offset + step * count
+
+
+def encode_counts(counts: Counts) -> bytes:
+    """Compress a square grid of counts."""
+    size = counts.shape[0]
+    nodes = size * size
+    planes = np.empty(2 * nodes, dtype=np.uint8)
+    _planes_from_counts(np.ascontiguousarray(counts), planes)
+    raw = planes.tobytes()
+    compressor = zstandard.ZstdCompressor(
+        compression_params=zstandard.ZstdCompressionParameters.from_level(
+            ZSTD_LEVEL, write_content_size=False, write_checksum=False, write_dict_id=False
+        )
+    ).compressobj()
+    return b"".join(
+        [
+            compressor.compress(raw[:nodes]),
+            compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK),
+            compressor.compress(raw[nodes:]),
+            compressor.flush(),
+        ]
+    )
+
+
+def encode(heights: HeightGrid, step: float) -> tuple[Encoded, Counts]:
+    """Compress a square grid of heights; returns the counts too, for the content digest."""
+    counts, step, offset = quantise(heights, step)
+    return Encoded(counts.shape[0], step, offset, encode_counts(counts)), counts
+
+
+def _planes(data: bytes, size: int) -> ByteArray:
+    if not 0 < size <= MAX_SIZE:
+        raise DataError(f"a patch of {size} nodes a side; wanted 1..{MAX_SIZE}")
+    expected = 2 * size * size
+    try:
+        raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=expected)
+    except zstandard.ZstdError as error:
+        raise DataError(f"compressed heights cannot be unpacked: {error}") from None
+    if len(raw) != expected:
+        raise DataError(f"compressed heights hold {len(raw)} bytes; wanted {expected}")
+    return np.frombuffer(raw, dtype=np.uint8)
+
+
+def decode_counts(data: bytes, size: int) -> Counts:
+    """Counts (size, size) of compressed bytes. Raises DataError when they do not unpack."""
+    planes = _planes(data, size)
+    counts = np.empty((size, size), dtype=np.int16)
+    _counts_from_planes(planes, counts)
+    return counts
+
+
+def decode(encoded: Encoded) -> HeightGrid:
+    """Heights (size, size), float32, NaN for no data. Raises DataError when they do not unpack."""
+    planes = _planes(encoded.data, encoded.size)
+    shape = (encoded.size, encoded.size)
+    heights = np.empty(shape, dtype=np.float32)
+    counts = np.empty(shape, dtype=np.int16)
+    _heights_from_planes(planes, encoded.step, encoded.offset, counts, heights)
+    return heights

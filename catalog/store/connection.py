@@ -1,0 +1,79 @@
+"""Opening a catalog file for reading, and nothing but reading."""
+
+import sqlite3
+from pathlib import Path
+from urllib.parse import quote
+
+from catalog.errors import DataError
+from catalog.store.manifest import CatalogMeta, meta_from_rows
+from catalog.store.partial import SQLITE_MAGIC
+from catalog.store.schema import META
+
+CACHE_KIB = 8192
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Open a catalog read-only.
+
+    Raises DataError for a file that is missing, cut short or no SQLite database.
+    """
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            header = file.read(100)
+    except FileNotFoundError:
+        raise DataError(f"{path}: there is no such file; check the path") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    if len(header) < 100 or not header.startswith(SQLITE_MAGIC):
+        raise DataError(f"{path}: is not an optnav catalog; make one with `optnav build`")
+    live = _has_live_log(path)
+    if not live:
+        _check_length(path, header, size)
+    # Without a log beside it nobody is writing, and `immutable` spares locks and works on
+    # read-only media; with one (a GIS program has the file open) SQLite must read both.
+    uri = f"file:{quote(str(path.absolute()))}?mode=ro" + ("" if live else "&immutable=1")
+    try:
+        # SQLite serialises calls itself, so that threads may share a catalog
+        db = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
+        db.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
+    except sqlite3.Error as error:
+        raise DataError(f"{path}: cannot be opened: {error}") from None
+    return db
+
+
+def read_meta(db: sqlite3.Connection, path: Path) -> CatalogMeta:
+    """The manifest. Raises DataError for another format, a newer version or damage."""
+    try:
+        rows = dict(db.execute(f"SELECT key, value FROM {META}").fetchall())
+    except (sqlite3.Error, ValueError) as error:
+        if "no such table" in str(error):
+            raise DataError(
+                f"{path}: is not an optnav catalog (it has no table {META}); make one with "
+                "`optnav build`"
+            ) from None
+        raise DataError(
+            f"{path}: the catalog is damaged: {error}; restore it or build it again"
+        ) from None
+    return meta_from_rows(rows, str(path))
+
+
+def _has_live_log(path: Path) -> bool:
+    for suffix in ("-wal", "-journal"):
+        log = path.with_name(path.name + suffix)
+        if log.exists() and log.stat().st_size > 0:
+            return True
+    return False
+
+
+def _check_length(path: Path, header: bytes, size: int) -> None:
+    """Compare the file's length with the page count in its header (SQLite file format, 1.3)."""
+    page_size = int.from_bytes(header[16:18], "big")
+    page_size = 65536 if page_size == 1 else page_size
+    pages = int.from_bytes(header[28:32], "big")
+    # the count is kept only by programs that write both version numbers alike
+    if header[24:28] == header[92:96] and size < pages * page_size:
+        raise DataError(
+            f"{path}: is cut short: {size} bytes of {pages * page_size}; copy it again or "
+            "build it again"
+        )

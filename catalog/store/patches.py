@@ -1,0 +1,96 @@
+"""Patches as rows of the table `optnav_patches`, and back."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.control_point import ControlPoint, Patch
+from catalog.errors import DataError
+from catalog.store.codec import Encoded, decode, decode_counts, encode
+from catalog.store.digest import POSTING_DECIMALS, patch_header, patches_digest
+from catalog.store.records import checksum, rounded_point
+from catalog.store.schema import HEIGHT_LAYER, patch_key
+
+PatchRow = tuple[int, int, int, int, float, int, float, float, int, bytes]  # as PATCH_COLUMNS
+
+
+@dataclass(frozen=True)
+class PreparedPoint:
+    """A point ready for the file: numbers rounded, patches compressed.
+
+    Made by `prepare_point` in whichever process has the heights; small enough to be sent.
+    """
+
+    point: ControlPoint
+    rows: tuple[PatchRow, ...]
+    patches_digest: bytes
+
+
+def prepare_point(
+    point: ControlPoint, patches: Sequence[Patch], height_step_m: float
+) -> PreparedPoint:
+    """Round a point's numbers and compress its patches, finest first."""
+    rounded = rounded_point(point)
+    rows: list[PatchRow] = []
+    contents: list[tuple[bytes, NDArray[np.int16]]] = []
+    for level, patch in enumerate(patches):
+        encoded, counts = encode(patch.heights_m, height_step_m)
+        posting = round(float(patch.posting_m), POSTING_DECIMALS)
+        header = patch_header(
+            rounded.id, HEIGHT_LAYER, level, encoded.size, posting, encoded.step, encoded.offset
+        )
+        key = patch_key(rounded.id, HEIGHT_LAYER, level)
+        rows.append(
+            (
+                key,
+                rounded.id,
+                HEIGHT_LAYER,
+                level,
+                posting,
+                encoded.size,
+                encoded.step,
+                encoded.offset,
+                checksum(header, encoded.data),
+                encoded.data,
+            )
+        )
+        contents.append((header, counts))
+    return PreparedPoint(rounded, tuple(rows), patches_digest(contents))
+
+
+def _checked(row: Sequence[object], point_id: int, level: int) -> tuple[float, Encoded, bytes]:
+    """Posting, encoded grid and header of a row. Raises DataError unless its checksum fits."""
+    key, owner, layer, number, posting, size, step, offset, stored, data = row
+    if (
+        key != patch_key(point_id, HEIGHT_LAYER, level)
+        or owner != point_id
+        or layer != HEIGHT_LAYER
+        or number != level
+        or not isinstance(size, int)
+        or not 0 < size < 2**31
+        or not isinstance(posting, float)
+        or not isinstance(step, float)
+        or not isinstance(offset, float)
+        or not isinstance(data, bytes)
+    ):
+        raise DataError("row of optnav_patches is damaged")
+    header = patch_header(point_id, HEIGHT_LAYER, level, size, posting, step, offset)
+    if stored != checksum(header, data):
+        raise DataError("row of optnav_patches does not fit its checksum")
+    return posting, Encoded(size, step, offset, data), header
+
+
+def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
+    """The patch of a row (columns as PATCH_COLUMNS). Raises DataError for a damaged one."""
+    posting, encoded, _ = _checked(row, point_id, level)
+    return Patch(posting, decode(encoded))
+
+
+def content_from_row(
+    row: Sequence[object], point_id: int, level: int
+) -> tuple[bytes, NDArray[np.int16]]:
+    """Header and counts of a row, for the digest. Raises DataError for a damaged one."""
+    _, encoded, header = _checked(row, point_id, level)
+    return header, decode_counts(encoded.data, encoded.size)

@@ -1,0 +1,183 @@
+"""Reading a catalog: all points at once, patches one point at a time."""
+
+import logging
+import math
+import sqlite3
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.control_point import ControlPoint, Patch, Pyramid
+from catalog.errors import DataError
+from catalog.geometry.cells import CellGrid
+from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
+from catalog.store.connection import connect, read_meta
+from catalog.store.index import CellIndex
+from catalog.store.listing import read_records
+from catalog.store.manifest import CatalogMeta
+from catalog.store.patches import patch_from_row
+from catalog.store.records import Records, point_from_record
+from catalog.store.schema import HEIGHT_LAYER, PATCH_COLUMNS, PATCHES, patch_key
+
+log = logging.getLogger(__name__)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SELECT_PATCHES = (
+    f"SELECT {', '.join(PATCH_COLUMNS)} FROM {PATCHES} WHERE id BETWEEN ? AND ? ORDER BY id"
+)
+
+
+class Catalog:
+    """An open catalog; all arrays are in the order of ascending ids.
+
+    path, meta        where it is and its manifest
+    records           (n,) the points as stored, see `catalog.store.records`
+    ids               (n,) cell numbers
+    lat_deg, lon_deg, radius_m  (n,) places
+    usable            (n,) bool
+
+    A catalog can be sent to another process: it opens the file again there.
+    """
+
+    def __init__(self, path: Path, db: sqlite3.Connection, meta: CatalogMeta, records: Records):
+        self.path = path
+        self.meta = meta
+        self.grid = CellGrid(meta.cell_deg)
+        self.records = records
+        self.ids: IntArray = np.ascontiguousarray(records["id"], dtype=np.int64)
+        self.lat_deg: FloatArray = np.ascontiguousarray(records["lat_deg"], dtype=np.float64)
+        self.lon_deg: FloatArray = np.ascontiguousarray(records["lon_deg"], dtype=np.float64)
+        self.radius_m: FloatArray = np.ascontiguousarray(records["radius_m"], dtype=np.float64)
+        self.usable: NDArray[np.bool_] = records["usable"] != 0
+        self._db = db
+
+    @classmethod
+    def open(cls, path: str | Path) -> "Catalog":
+        """Open a catalog file.
+
+        Raises DataError for a file that is missing, cut short, of a newer format, no catalog, or
+        so damaged that its points cannot be listed. A damaged point is left out with a warning.
+        """
+        path = Path(path)
+        db = connect(path)
+        try:
+            meta = read_meta(db, path)
+            records = read_records(db, meta, _warn_about(path))
+        except DataError as error:
+            db.close()
+            where = "" if str(error).startswith(str(path)) else f"{path}: "
+            raise DataError(f"{where}{error}") from None
+        return cls(path, db, meta, records)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Catalog.open, (self.path,)
+
+    def __enter__(self) -> "Catalog":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def close(self) -> None:
+        """Close the file; points already read stay."""
+        self._db.close()
+
+    @property
+    def digest(self) -> str:
+        """The content digest that the writer stated; `verify` tells whether it is true."""
+        return self.meta.digest
+
+    @cached_property
+    def direction(self) -> FloatArray:
+        """(n, 3) body-fixed unit vectors of the points."""
+        return xyz_from_latlon(np.radians(self.lat_deg), np.radians(self.lon_deg), 1.0)
+
+    @cached_property
+    def xyz_m(self) -> FloatArray:
+        """(n, 3) body-fixed places of the points, m."""
+        return self.direction * self.radius_m[:, None]
+
+    @cached_property
+    def _index(self) -> CellIndex:
+        return CellIndex(self.grid, self.ids, self.direction)
+
+    def row_of(self, point_id: int) -> int:
+        """Row of a point in the arrays. Raises DataError for an id that is not there."""
+        row = int(self.ids.searchsorted(point_id))
+        if row >= len(self.ids) or self.ids[row] != point_id:
+            raise DataError(f"{self.path}: has no control point {point_id}; see `optnav catalog`")
+        return row
+
+    def point(self, point_id: int) -> ControlPoint:
+        """A point with its certificate. Raises DataError for an id that is not there."""
+        return point_from_record(self.records[self.row_of(point_id)], self.meta.point_sources)
+
+    def points(self) -> Iterator[ControlPoint]:
+        """All points in the order of their ids."""
+        for record in self.records:
+            yield point_from_record(record, self.meta.point_sources)
+
+    def nearest(self, lat_deg: float, lon_deg: float) -> int:
+        """Id of the point at the least angle from a place; of equals, the lowest.
+
+        lat_deg in [-90, 90], lon_deg of any turn. Raises ValueError for a place that is none and
+        DataError for a catalog without points.
+        """
+        if not (abs(lat_deg) <= 90.0 and math.isfinite(lon_deg)):
+            raise ValueError(f"latitude {lat_deg}, longitude {lon_deg}: not a place")
+        lon = (lon_deg + 180.0) % 360.0 - 180.0
+        row = self._index.nearest_row(lat_deg, lon if lon < 180.0 else -180.0)
+        if row < 0:
+            raise DataError(f"{self.path}: holds no control point")
+        return int(self.ids[row])
+
+    def in_cell(self, cell: int) -> tuple[int, ...]:
+        """Ids of the points in a cell: one, or none."""
+        row = int(self.ids.searchsorted(cell))
+        return (cell,) if row < len(self.ids) and self.ids[row] == cell else ()
+
+    def within(self, lat_deg: float, lon_deg: float, radius_deg: float) -> IntArray:
+        """Ids of all points within an angle of a place, ascending."""
+        lon = float(wrap_longitude_deg(lon_deg))
+        centre = xyz_from_latlon(math.radians(lat_deg), math.radians(lon), 1.0)
+        # chords keep their digits at small angles, where cosines do not
+        chord = np.linalg.norm(self.direction - centre, axis=1)
+        limit = 2.0 * math.sin(math.radians(min(max(radius_deg, 0.0), 180.0)) / 2.0)
+        return np.asarray(self.ids[chord <= limit])
+
+    def patches(self, point_id: int) -> tuple[Patch, ...]:
+        """The height grids of a point, finest first; empty for a point kept without any.
+
+        Raises DataError when one is missing or damaged: then the point must not be used.
+        """
+        stored = int(self.records["levels"][self.row_of(point_id)])
+        first = patch_key(point_id, HEIGHT_LAYER, 0)
+        try:
+            rows = self._db.execute(SELECT_PATCHES, (first, first + 15)).fetchall()
+            if len(rows) != stored:
+                raise DataError(f"{len(rows)} levels of {stored} are there")
+            return tuple(patch_from_row(row, point_id, level) for level, row in enumerate(rows))
+        except (sqlite3.Error, DataError) as error:
+            raise DataError(
+                f"{self.path}: control point {point_id} is damaged: {error}; run "
+                "`optnav catalog verify`"
+            ) from None
+
+    def pyramid(self, point_id: int) -> Pyramid:
+        """A point together with its patches. Raises DataError as `patches` does."""
+        return Pyramid(self.point(point_id), self.patches(point_id))
+
+
+def _warn_about(path: Path) -> Callable[[str, object], None]:
+    def warn(place: str, what: object) -> None:
+        log.warning("%s: %s: %s", path, place, what)
+
+    return warn

@@ -1,0 +1,219 @@
+"""Reading a whole catalog again and comparing it with everything it says about itself."""
+
+import sqlite3
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from catalog.errors import DataError
+from catalog.store.connection import connect, read_meta
+from catalog.store.digest import CatalogDigest, patches_digest, point_digest
+from catalog.store.features import record_from_row
+from catalog.store.listing import read_records
+from catalog.store.manifest import CatalogMeta
+from catalog.store.patches import content_from_row
+from catalog.store.reader import SELECT_PATCHES
+from catalog.store.records import Records
+from catalog.store.schema import (
+    APPLICATION_ID,
+    HEIGHT_LAYER,
+    PATCHES,
+    POINT_COLUMNS,
+    POINTS,
+    RTREE,
+    patch_key,
+    service_rows,
+    srs_of,
+)
+
+# an R-tree keeps float32 corners, rounded outward
+RTREE_TOLERANCE_DEG = 4e-5
+MAX_INTEGRITY_LINES = 20
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong: where (table, point, level) and what."""
+
+    place: str
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.what}"
+
+
+@dataclass
+class Verification:
+    """What `verify` found.
+
+    stated, computed  the digest in the manifest and that of what was read ("" if unreadable)
+    points, patches   read and whole
+    """
+
+    path: Path
+    stated: str = ""
+    computed: str = ""
+    points: int = 0
+    patches: int = 0
+    problems: list[Problem] = field(default_factory=list)
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+    def add(self, place: str, what: object) -> None:
+        """Note a problem."""
+        self.problems.append(Problem(place, str(what)))
+
+
+def verify(path: str | Path, progress: Callable[[int], None] | None = None) -> Verification:
+    """Read everything in a catalog and check every checksum; progress(n) hears of each point.
+
+    Damage is reported, never raised; a file that is missing or no catalog at all raises DataError.
+    """
+    path = Path(path)
+    found = Verification(path)
+    with closing(connect(path)) as db:
+        try:
+            meta = read_meta(db, path)
+        except DataError as error:
+            _integrity(db, found)
+            if found.sound or "is not an optnav catalog" in str(error):
+                raise
+            found.add("optnav_meta", error)
+            return found
+        found.stated = meta.digest
+        _integrity(db, found)
+        records = _records(db, meta, found)
+        if records is not None:
+            _features(db, meta, records, found)
+            _contents(db, meta, records, found, progress)
+        _service(db, meta, found)
+    return found
+
+
+def _integrity(db: sqlite3.Connection, found: Verification) -> None:
+    """SQLite's own check of pages and indexes; data inside them is ours to check."""
+    try:
+        (identity,) = db.execute("PRAGMA application_id").fetchone()
+        if identity != APPLICATION_ID:
+            found.add("file header", f"application id {identity:#x} is not a GeoPackage's")
+        rows = db.execute(f"PRAGMA integrity_check({MAX_INTEGRITY_LINES})").fetchall()
+        for (line,) in rows:
+            if line != "ok":
+                found.add("SQLite", line)
+    except (sqlite3.Error, ValueError) as error:
+        found.add("SQLite", error)
+
+
+def _records(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> Records | None:
+    try:
+        records = read_records(db, meta, found.add)
+    except DataError as error:
+        found.add(POINTS, error)
+        return None
+    if int((records["usable"] != 0).sum()) != meta.usable:
+        found.add("optnav_meta", f"states {meta.usable} usable points; there are others")
+    return records
+
+
+def _features(
+    db: sqlite3.Connection, meta: CatalogMeta, records: Records, found: Verification
+) -> None:
+    """The feature layer and its R-tree must say the same as the packed points."""
+    srs_id = srs_of(meta.body, meta.radius_m)[0]
+    columns = ", ".join(POINT_COLUMNS)
+    for record in records:
+        number = int(record["id"])
+        place = f"{POINTS} {number}"
+        try:
+            row = db.execute(f"SELECT {columns} FROM {POINTS} WHERE id = ?", (number,)).fetchone()
+            if row is None:
+                found.add(place, "is missing")
+                continue
+            feature = record_from_row(row, meta.levels, meta.point_sources, srs_id)
+            if feature.tobytes() != record.tobytes():
+                found.add(place, "differs from the packed points")
+            tree = db.execute(
+                f"SELECT minx, maxx, miny, maxy FROM {RTREE} WHERE id = ?", (number,)
+            ).fetchone()
+            if tree is None or not _encloses(tree, record):
+                found.add(f"{RTREE} {number}", "does not enclose its point")
+        except (sqlite3.Error, ValueError, DataError) as error:
+            found.add(place, error)
+    for table in (POINTS, RTREE):
+        _count(db, table, len(records), found)
+
+
+def _encloses(tree: Sequence[float], record: Records) -> bool:
+    west, east, south, north = tree
+    lon, lat = float(record["lon_deg"]), float(record["lat_deg"])
+    near = RTREE_TOLERANCE_DEG
+    return (
+        west <= lon <= east
+        and south <= lat <= north
+        and east - west <= near
+        and north - south <= near
+    )
+
+
+def _contents(
+    db: sqlite3.Connection,
+    meta: CatalogMeta,
+    records: Records,
+    found: Verification,
+    progress: Callable[[int], None] | None,
+) -> None:
+    """Decode every patch and compute the content digest."""
+    digest = CatalogDigest()
+    wanted = 0
+    for record in records:
+        number, levels = int(record["id"]), int(record["levels"])
+        wanted += levels
+        first = patch_key(number, HEIGHT_LAYER, 0)
+        contents = []
+        for level in range(levels):
+            place = f"control point {number}, level {level}"
+            try:
+                key = first + level
+                row = db.execute(SELECT_PATCHES, (key, key)).fetchone()
+                if row is None:
+                    found.add(place, "is missing")
+                    continue
+                contents.append(content_from_row(row, number, level))
+            except (sqlite3.Error, ValueError, DataError) as error:
+                found.add(place, error)
+        digest.add(point_digest(record.tobytes(), patches_digest(contents)))
+        found.points += 1
+        found.patches += len(contents)
+        if progress is not None:
+            progress(1)
+    found.computed = digest.hexdigest(meta)
+    if found.computed != found.stated:
+        found.add("digest", f"the content gives {found.computed}; {found.stated} is stated")
+    _count(db, PATCHES, wanted, found)
+
+
+def _count(db: sqlite3.Connection, table: str, wanted: int, found: Verification) -> None:
+    try:
+        (count,) = db.execute(f"SELECT count(*) FROM {table}").fetchone()
+    except sqlite3.Error as error:
+        found.add(table, error)
+        return
+    if count != wanted:
+        found.add(table, f"holds {count} rows; wanted {wanted}")
+
+
+def _service(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> None:
+    """Our rows in the GeoPackage's service tables; rows of other programs are their own."""
+    for table, wanted in service_rows(meta).items():
+        try:
+            rows = set(db.execute(f"SELECT * FROM {table}").fetchall())
+        except sqlite3.Error as error:
+            found.add(table, error)
+            continue
+        for row in wanted:
+            if row not in rows:
+                found.add(table, f"the row of {row[0]!r} is missing or was changed")

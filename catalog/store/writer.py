@@ -1,0 +1,186 @@
+"""Writing a catalog: a partial file beside its place, made durable, then renamed over it."""
+
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from catalog.control_point import ControlPoint, Patch
+from catalog.geometry.cells import CellGrid
+from catalog.store.digest import CatalogDigest, point_digest
+from catalog.store.features import feature_row
+from catalog.store.index import CELL_SLACK_DEG
+from catalog.store.manifest import CatalogMeta, rows_from_meta
+from catalog.store.partial import replacing
+from catalog.store.patches import PreparedPoint, prepare_point
+from catalog.store.records import (
+    Record,
+    checksum,
+    point_from_record,
+    record_from_point,
+    record_type,
+)
+from catalog.store.schema import (
+    META,
+    PATCHES,
+    POINT_COLUMNS,
+    POINTS,
+    RECORDS,
+    RECORDS_A_ROW,
+    RTREE,
+    create_tables,
+    create_triggers,
+    insert_service_rows,
+    srs_of,
+)
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written."""
+
+    path: Path
+    count: int
+    usable: int
+    digest: str
+    size_bytes: int
+
+
+def write_catalog(
+    path: str | Path,
+    meta: CatalogMeta,
+    points: Iterable[tuple[ControlPoint, Sequence[Patch]]],
+    progress: Callable[[int], None] | None = None,
+) -> Written:
+    """Write points and their patches, in the order of their ids, as one catalog file.
+
+    A point has `meta.levels` patches, or none at all if it is not usable. progress(n) hears of
+    every point. The old file at `path` stays whole until the new one is complete and on the disk.
+    Raises OutputError for a place that cannot be written, a full disk, or a file at `path` that
+    is no optnav catalog; ValueError for points out of order or outside their cells.
+    """
+    prepared = (prepare_point(p, patches, meta.height_step_m) for p, patches in points)
+    return write_prepared(path, meta, prepared, progress)
+
+
+def write_prepared(
+    path: str | Path,
+    meta: CatalogMeta,
+    points: Iterable[PreparedPoint],
+    progress: Callable[[int], None] | None = None,
+) -> Written:
+    """As `write_catalog`, for points that were prepared elsewhere."""
+    path = Path(path)
+    with replacing(path) as partial, closing(_connect_new(partial)) as db:
+        create_tables(db)
+        meta = _fill(db, meta, points, progress)
+        db.execute("COMMIT")
+    return Written(path, meta.count, meta.usable, meta.digest, path.stat().st_size)
+
+
+def _connect_new(path: Path) -> sqlite3.Connection:
+    db = sqlite3.connect(path, isolation_level=None)
+    # nobody reads the file before it is complete, and a broken one is thrown away
+    db.execute("PRAGMA journal_mode = OFF")
+    db.execute("PRAGMA synchronous = OFF")
+    db.execute("PRAGMA locking_mode = EXCLUSIVE")
+    db.execute("PRAGMA temp_store = MEMORY")
+    return db
+
+
+def _fill(
+    db: sqlite3.Connection,
+    meta: CatalogMeta,
+    points: Iterable[PreparedPoint],
+    progress: Callable[[int], None] | None,
+) -> CatalogMeta:
+    """Insert everything; returns the manifest with counts and digest."""
+    db.execute("BEGIN")
+    layout = record_type(meta.levels)
+    grid = CellGrid(meta.cell_deg)
+    sources: dict[str, int] = {}
+    digest = CatalogDigest()
+    chunk: list[bytes] = []
+    count = usable = chunks = 0
+    last_id = -1
+    insert_patch = f"INSERT INTO {PATCHES} VALUES (?,?,?,?,?,?,?,?,?,?)"
+    for prepared in points:
+        point = prepared.point
+        _check(prepared, meta, grid, last_id)
+        last_id = point.id
+        source = sources.setdefault(point.source, len(sources))
+        record = record_from_point(point, len(prepared.rows), source, layout).tobytes()
+        digest.add(point_digest(record, prepared.patches_digest))
+        db.executemany(insert_patch, prepared.rows)
+        chunk.append(record)
+        count += 1
+        usable += point.usable
+        if len(chunk) == RECORDS_A_ROW:
+            _insert_records(db, chunks, chunk)
+            chunks, chunk = chunks + 1, []
+        if progress is not None:
+            progress(1)
+    if chunk:
+        _insert_records(db, chunks, chunk)
+    meta = replace(meta, point_sources=tuple(sources), count=count, usable=usable)
+    meta = replace(meta, digest=digest.hexdigest(meta))
+    extent = insert_features(db, meta, _stored_points(db, meta))
+    insert_service_rows(db, meta, extent)
+    rows = enumerate(rows_from_meta(meta).items(), start=1)
+    db.executemany(f"INSERT INTO {META} VALUES (?,?,?)", [(number, *row) for number, row in rows])
+    return meta
+
+
+def _check(prepared: PreparedPoint, meta: CatalogMeta, grid: CellGrid, last_id: int) -> None:
+    point = prepared.point
+    if not last_id < point.id < grid.total:
+        raise ValueError(f"point {point.id} after {last_id}; ids must ascend below {grid.total}")
+    west, south, east, north = grid.bounds_deg(point.id)
+    slack = CELL_SLACK_DEG / 2.0
+    middle, half = (west + east) / 2.0, (east - west) / 2.0
+    aside = abs((point.lon_deg - middle + 180.0) % 360.0 - 180.0)
+    if not (south - slack <= point.lat_deg <= north + slack and aside <= half + slack):
+        raise ValueError(f"point {point.id} at {point.lat_deg}, {point.lon_deg} is not in its cell")
+    levels = len(prepared.rows)
+    if levels != meta.levels and (levels or point.usable):
+        raise ValueError(f"point {point.id} has {levels} patches; wanted {meta.levels}")
+
+
+def _insert_records(db: sqlite3.Connection, number: int, records: Sequence[bytes]) -> None:
+    data = b"".join(records)
+    row = (number, len(records), checksum(data), data)
+    db.execute(f"INSERT INTO {RECORDS} VALUES (?,?,?,?)", row)
+
+
+def _stored_points(
+    db: sqlite3.Connection, meta: CatalogMeta
+) -> Iterator[tuple[ControlPoint, Record]]:
+    layout = record_type(meta.levels)
+    for (data,) in db.execute(f"SELECT data FROM {RECORDS} ORDER BY id"):
+        for record in np.frombuffer(data, dtype=layout):
+            yield point_from_record(record, meta.point_sources), record
+
+
+def insert_features(
+    db: sqlite3.Connection,
+    meta: CatalogMeta,
+    points: Iterable[tuple[ControlPoint, Record]],
+) -> tuple[float, float, float, float] | None:
+    """Fill the feature layer and its R-tree; returns west, south, east, north of the points."""
+    srs_id = srs_of(meta.body, meta.radius_m)[0]
+    insert = f"INSERT INTO {POINTS} VALUES ({', '.join('?' * len(POINT_COLUMNS))})"
+    box: tuple[float, float, float, float] | None = None
+    places: list[tuple[int, float, float]] = []
+    for point, record in points:
+        lat, lon = point.lat_deg, point.lon_deg
+        db.execute(insert, feature_row(point, record, srs_id))
+        places.append((point.id, lon, lat))
+        west, south, east, north = box or (lon, lat, lon, lat)
+        box = (min(west, lon), min(south, lat), max(east, lon), max(north, lat))
+    tree = f"INSERT INTO {RTREE} VALUES (?,?,?,?,?)"
+    db.executemany(tree, [(number, x, x, y, y) for number, x, y in places])
+    create_triggers(db)
+    return box
