@@ -7,8 +7,8 @@ combination of six box sums of products of second differences: Hxx², Hxx Hxy, H
 Hxy Hyy, Hyy². Its smallest eigenvalue is Harris' measure of a corner; the worst azimuth counts.
 
 Heights are in units of the posting, so every number here is dimensionless. The linear law is
-ours and ignores shadows and the curvature of the reflectance law (see `match_error.py` for the exact
-score): on real ground it chose as well as full renders at a twentieth of their cost.
+ours and ignores shadows and the curvature of the reflectance law (see `match_error.py` for the
+exact score): on real ground it chose as well as full renders at a twentieth of their cost.
 """
 
 import numpy as np
@@ -126,27 +126,42 @@ def _eigenvalue_map(
 
 
 def azimuth_products(azimuths: int = AZIMUTHS) -> Grid:
-    """(azimuths, 3): s², sc, c² of azimuths evenly over half a turn; s is the Sun's east part."""
+    """(azimuths, 3): e², e n, n² of azimuths evenly over half a turn; e, n the Sun's east, north."""
     angle = np.pi * np.arange(azimuths) / azimuths
-    east, north = np.sin(angle), np.cos(angle)
+    return sun_products(np.stack([np.sin(angle), np.cos(angle), np.ones(azimuths)], axis=1))
+
+
+def sun_products(suns_local: FloatArray) -> Grid:
+    """(n, 3) the same for Sun directions (n, 3) east, north, up, times cot² of their elevation.
+
+    With these weights an eigenvalue is that of the *relative* brightness, and a match under noise
+    of 1 / SNR has a predicted 1-sigma error of 1 / (SNR sqrt(eigenvalue)) nodes.
+    """
+    suns = np.asarray(suns_local, dtype=np.float64).reshape(-1, 3)
+    east, north = suns[:, 0] / suns[:, 2], suns[:, 1] / suns[:, 2]
     products = np.stack([east * east, east * north, north * north], axis=1)
     return products.astype(np.float32)
 
 
 def hessian_eigenvalue_map(
-    heights: Grid, posting_m: float, window: int, azimuths: int = AZIMUTHS, step: int = 1
+    heights: Grid,
+    posting_m: float,
+    window: int,
+    products: Grid | None = None,
+    step: int = 1,
 ) -> Grid:
-    """Smallest eigenvalue, worst Sun azimuth, of the summed Hessian products in every window.
+    """Smallest eigenvalue, worst Sun, of the summed Hessian products in every window.
 
     heights    (rows, cols)  m, NaN for no data, row 0 north
     posting_m                node spacing, m
     window                   nodes a side of the summed square
+    products   (n, 3)        of the Suns, see `sun_products`; all azimuths, unweighted, without it
     step                     evaluate every step-th node
 
     Returns ((rows - window) // step + 1, ...) float32, dimensionless; entry [i, j] is the window
     whose first node is (i step, j step), so its middle is window / 2 - 1/2 nodes further. NaN
     where more than MAX_MISSING of a window has no data (nodes on the grid's edge, which have no
-    second difference, count as missing).
+    second difference, do not count as missing).
     Raises ValueError when the window does not fit.
     """
     if min(heights.shape) < window or window < 3:
@@ -158,12 +173,12 @@ def hessian_eigenvalue_map(
         1.0 / posting_m,
         window,
         least,
-        azimuth_products(azimuths),
+        azimuth_products() if products is None else products,
         step,
     )
 
 
-def hessian_eigenvalue(heights: Grid, posting_m: float, azimuths: int = AZIMUTHS) -> float:
+def hessian_eigenvalue(heights: Grid, posting_m: float, products: Grid | None = None) -> float:
     """The same for one square patch, summed over all of it; NaN when it has holes."""
     side = min(heights.shape)
-    return float(hessian_eigenvalue_map(heights[:side, :side], posting_m, side, azimuths)[0, 0])
+    return float(hessian_eigenvalue_map(heights[:side, :side], posting_m, side, products)[0, 0])

@@ -1,4 +1,4 @@
-"""The error of a match predicted from rendered brightness, and one map of it over many Suns.
+"""The error of a match predicted from rendered brightness.
 
 With white image noise of variance s² a least-squares match has covariance s² M⁻¹, M the structure
 tensor: the sum over the template of the products of the brightness gradient. The noise here is the

@@ -1,0 +1,91 @@
+"""Keeping chosen points apart: peaks of a response within a cell, and choices across cells.
+
+Best-per-cell alone picks one crater from several neighbouring cells, which then counts several
+times in a resection: points are kept at least a share of a cell apart.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from catalog.geometry.latlon import xyz_from_latlon
+
+FloatArray = NDArray[np.float64]
+
+
+class Choice(NamedTuple):
+    """Candidates of one cell in the order in which they should be tried; `crowded` if none is free."""
+
+    order: tuple[int, ...]
+    crowded: bool
+
+
+def strongest_peaks(
+    response: NDArray[np.float32], radius: float, count: int
+) -> list[tuple[int, int]]:
+    """Up to `count` nodes of the largest response, no two nearer than `radius` nodes.
+
+    response (rows, cols), NaN where unknown; nodes of response <= 0 are never taken.
+    Equal responses are taken in row order, so the answer does not depend on anything else.
+    """
+    left = np.where(np.isfinite(response) & (response > 0.0), response, -np.inf)
+    rows, cols = np.ogrid[: left.shape[0], : left.shape[1]]
+    peaks: list[tuple[int, int]] = []
+    while len(peaks) < count and left.size:
+        flat = int(np.argmax(left))
+        row, col = divmod(flat, left.shape[1])
+        if not np.isfinite(left[row, col]):
+            break
+        peaks.append((row, col))
+        left[(rows - row) ** 2 + (cols - col) ** 2 < radius * radius] = -np.inf
+    return peaks
+
+
+def choose_spaced(
+    cells: Sequence[int],
+    lat_deg: FloatArray,
+    lon_deg: FloatArray,
+    score: FloatArray,
+    spacing_deg: float,
+) -> dict[int, Choice]:
+    """Order every cell's candidates so that any of them may be taken without crowding another cell's.
+
+    cells      (n,)  cell of each candidate; lat_deg, lon_deg (n,) its place
+    score      (n,)  smaller is better; infinite scores come last
+    Best first over all cells, a candidate is accepted when no accepted candidate of *another* cell
+    lies nearer than `spacing_deg`; first one candidate a cell, then the second, and so on. So the
+    alternatives of a cell are as free as its first choice, and cells can be checked independently.
+    A cell none of whose candidates is free keeps them all, best first, and is marked crowded.
+    Ties go to the lower cell and the earlier candidate. Returns indices into the inputs by cell.
+    """
+    cell_of = np.asarray(cells, dtype=np.int64)
+    places = xyz_from_latlon(np.radians(lat_deg), np.radians(lon_deg), 1.0).reshape(-1, 3)
+    chord = 2.0 * np.sin(np.radians(spacing_deg) / 2.0)
+    near = cKDTree(places).query_ball_point(places, chord) if places.size else []
+    order = np.lexsort((np.arange(cell_of.size), cell_of, np.nan_to_num(score, nan=np.inf)))
+    accepted = np.zeros(cell_of.size, dtype=bool)
+    taken: dict[int, list[int]] = {int(c): [] for c in cell_of}
+    waiting = [int(i) for i in order]
+    while waiting:
+        served: set[int] = set()
+        later: list[int] = []
+        for i in waiting:
+            cell = int(cell_of[i])
+            if cell in served:
+                later.append(i)
+            elif not any(accepted[j] and cell_of[j] != cell for j in near[i]):
+                accepted[i] = True
+                taken[cell].append(i)
+                served.add(cell)
+            # a candidate that is not free now never will be: accepted ones stay
+        waiting = later
+    choices: dict[int, Choice] = {}
+    ranked: dict[int, list[int]] = {}
+    for i in order:
+        ranked.setdefault(int(cell_of[i]), []).append(int(i))
+    for cell, indices in taken.items():
+        choices[cell] = Choice(tuple(indices or ranked[cell]), not indices)
+    return choices

@@ -1,0 +1,286 @@
+"""Recognition trials: is a place found again in pictures that differ from its reference?
+
+The picture's side is another ground and another law than the reference's: the DEM with relief
+below its posting added, rendered by Hapke on a grid twice as fine, seen from off nadir through a
+point-spread function, with noise and 8 bits, and resampled with a wrong scale, roll and place. The
+reference is the catalog's patch rendered by Lommel-Seeliger. Both cast shadows. The search goes as
+the navigator's does: roll and scale over a small grid at a coarse level, then tracked to the finest.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.correlation.ncc import match_ncc
+from catalog.correlation.peak import Match
+from catalog.correlation.similarity import Matcher, match_similarity
+from catalog.rendering.map_view import render_map
+
+Grid = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+
+FINER = 2  # the picture's ground has this many nodes to one of the reference
+
+
+class Level(NamedTuple):
+    """The ground of a trial at one pyramid level; both grids are centred on the point.
+
+    reference     (n, n)  the catalog's heights, m
+    truth         (t, t)  heights of the ground that is seen, posting / FINER, m; sub-posting
+                          relief included
+    posting_m             of the reference
+    """
+
+    reference: Grid
+    truth: Grid
+    posting_m: float
+
+
+class Circumstances(NamedTuple):
+    """What one trial looks like.
+
+    sun_local, view_local  (3,)  unit vectors east, north, up
+    roll, scale            residual turn (rad) and stretch of the resampled picture
+    stretch_azimuth        direction (rad east of north) in which the ground is foreshortened
+    stretch                its factor, cos(off nadir), 1 when the resampling has taken it out
+    shift_m        (2,)    where the point really lies, east and north of where it is expected
+    snr                    mean brightness over the noise of one picture pixel
+    """
+
+    sun_local: FloatArray
+    view_local: FloatArray
+    roll: float
+    scale: float
+    stretch_azimuth: float
+    stretch: float
+    shift_m: FloatArray
+    snr: float
+
+
+class Outcome(NamedTuple):
+    """What came of a trial: the error of the place (finest nodes, x and y) and whether to trust it."""
+
+    error: tuple[float, float]
+    score: float
+    runner_up: float
+    accepted: bool
+
+    @property
+    def distance(self) -> float:
+        """Length of the error, finest nodes."""
+        return float(np.hypot(*self.error))
+
+
+class Gate(NamedTuple):
+    """When a match is believed, as the navigator does: score, and rival's score over it."""
+
+    min_score: float = 0.5
+    rival_ratio: float = 0.9
+
+
+class Search(NamedTuple):
+    """How the reference is looked for.
+
+    template_nodes           side of the reference, the same at every level
+    coarse_nodes             room on every side at the coarsest level of the trial
+    fine_nodes               room at finer levels: what the level before leaves
+    rolls, scales            tried at the coarsest level
+    """
+
+    template_nodes: int = 64
+    coarse_nodes: int = 8
+    fine_nodes: int = 5
+    rolls: tuple[float, ...] = tuple(np.radians((-5.0, 0.0, 5.0)).tolist())
+    scales: tuple[float, ...] = (0.92, 1.0, 1.08)
+
+
+PSF_SIGMA_PX = 0.7
+BITS = 8
+# the brightest percent of a picture may saturate: exposure is set by what is seen
+EXPOSURE_PERCENTILE = 99.5
+
+
+def truth_size(search: Search, circumference_factor: float = 1.25) -> int:
+    """Nodes a side of the truth grid that covers a search window whatever its distortion."""
+    window = search.template_nodes + 2 * max(search.coarse_nodes, search.fine_nodes)
+    return 2 * int(np.ceil(FINER * window * circumference_factor / 2.0))
+
+
+def draw_circumstances(
+    rng: np.random.Generator,
+    suns: FloatArray,
+    posting_m: float,
+    *,
+    max_roll_deg: float = 6.0,
+    max_scale: float = 0.1,
+    max_off_nadir_deg: float = 25.0,
+    max_shift_nodes: float = 5.0,
+    snr: tuple[float, float] = (10.0, 50.0),
+    rectified: bool = True,
+) -> Circumstances:
+    """One trial's circumstances; errors uniform within their limits, noise uniform in its logarithm.
+
+    suns       (n, 3)  Sun directions to choose from
+    rectified          the resampling knows the view: foreshortening is taken out, what remains of
+                       an off-nadir view is its photometry
+    """
+    roll, scale, off_nadir = rng.uniform(-1.0, 1.0, 3)
+    azimuth = rng.uniform(0.0, 2.0 * np.pi)
+    angle = abs(off_nadir) * np.radians(max_off_nadir_deg)
+    view = np.array(
+        [np.sin(angle) * np.sin(azimuth), np.sin(angle) * np.cos(azimuth), np.cos(angle)]
+    )
+    return Circumstances(
+        sun_local=np.asarray(suns[rng.integers(len(suns))], dtype=np.float64),
+        view_local=view,
+        roll=float(np.radians(roll * max_roll_deg)),
+        scale=float(1.0 + scale * max_scale),
+        stretch_azimuth=float(azimuth),
+        stretch=1.0 if rectified else float(np.cos(angle)),
+        shift_m=rng.uniform(-max_shift_nodes, max_shift_nodes, 2) * posting_m,
+        snr=float(np.exp(rng.uniform(np.log(snr[0]), np.log(snr[1])))),
+    )
+
+
+def distortion(circumstances: Circumstances) -> FloatArray:
+    """(2, 2): map offsets of the ground (x east, y north) to offsets in the resampled picture."""
+    turn = _similarity(circumstances.roll, circumstances.scale)
+    along = np.array(
+        [np.sin(circumstances.stretch_azimuth), np.cos(circumstances.stretch_azimuth)]
+    )
+    squeeze = np.eye(2) - (1.0 - circumstances.stretch) * np.outer(along, along)
+    return np.asarray(turn @ squeeze)
+
+
+def picture_of(
+    brightness: Grid,
+    ground_from_picture: FloatArray,
+    origin: FloatArray,
+    size: int,
+    averaging: int,
+    snr: float,
+    rng: np.random.Generator,
+) -> Grid:
+    """The resampled picture (size, size): blurred, sampled, noisy, in 8 bits.
+
+    brightness           (t, t)  on the truth grid
+    ground_from_picture  (2, 2)  offsets in the picture to offsets on the truth grid, node to node,
+                                 x along columns, y along rows
+    origin               (2,)    truth column and row under the picture's centre
+    averaging                    picture pixels averaged into one node, each way: lowers the noise
+    """
+    # a pixel integrates over its own area: a box of one node has sigma 1/sqrt(12)
+    sigma = FINER * np.hypot(PSF_SIGMA_PX / averaging, 1.0 / np.sqrt(12.0))
+    blurred = cv2.GaussianBlur(brightness, (0, 0), float(sigma))
+    centre = np.full(2, (size - 1) / 2.0)
+    matrix = np.column_stack([ground_from_picture, origin - ground_from_picture @ centre])
+    sampled = cv2.warpAffine(
+        blurred,
+        matrix,
+        (size, size),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=float("nan"),
+    )
+    valid = np.isfinite(sampled)
+    if not valid.any():
+        return np.asarray(sampled, dtype=np.float32)
+    noise = rng.standard_normal((size, size), dtype=np.float32)
+    sampled += noise * np.float32(float(sampled[valid].mean()) / (snr * averaging))
+    white = max(float(np.percentile(sampled[valid], EXPOSURE_PERCENTILE)), 1e-6)
+    counts = 2**BITS - 1
+    return np.asarray(np.clip(np.rint(sampled * (counts / white)), 0, counts), dtype=np.float32)
+
+
+def run_trial(
+    levels: Sequence[Level],
+    circumstances: Circumstances,
+    seed: Sequence[int],
+    radius_m: float,
+    search: Search = Search(),
+    gate: Gate = Gate(),
+    matcher: Matcher = match_ncc,
+) -> Outcome:
+    """Look for a point once.
+
+    levels  finest first; the search starts at the last
+    seed    of the noise
+    """
+    if not levels:
+        raise ValueError("a trial needs at least one level")
+    rng = np.random.default_rng(list(seed))
+    ground_from_picture = np.linalg.inv(distortion(circumstances))
+    believed = np.eye(2)  # picture from ground, as far as the search knows
+    place = np.zeros(2)  # where the point is believed to lie in the picture, m east and north
+    for number in range(len(levels) - 1, -1, -1):
+        level = levels[number]
+        coarsest = number == len(levels) - 1
+        outer = tuple((o.reference, o.posting_m) for o in levels[number + 1 :])
+        template = _centre(
+            render_map(
+                level.reference,
+                level.posting_m,
+                circumstances.sun_local,
+                law="lommel_seeliger",
+                radius_m=radius_m,
+                outer=outer,
+            ),
+            search.template_nodes,
+        )
+        seen = render_map(
+            level.truth,
+            level.posting_m / FINER,
+            circumstances.sun_local,
+            view_local=circumstances.view_local,
+            law="hapke",
+            radius_m=radius_m,
+            outer=outer,
+        )
+        room = search.coarse_nodes if coarsest else search.fine_nodes
+        offset = ground_from_picture @ (place - circumstances.shift_m) / level.posting_m
+        middle = (seen.shape[0] - 1) / 2.0
+        picture = picture_of(
+            seen,
+            FINER * _FLIP @ ground_from_picture @ believed @ _FLIP,
+            middle + FINER * _FLIP @ offset,
+            search.template_nodes + 2 * room,
+            round(level.posting_m / levels[0].posting_m),
+            circumstances.snr,
+            rng,
+        )
+        if coarsest:
+            match, roll, scale = match_similarity(
+                template, picture, search.rolls, search.scales, matcher
+            )
+            believed = _similarity(roll, scale)
+            step = np.array([match.dx, -match.dy])
+        else:
+            match = matcher(template, picture)
+            step = believed @ np.array([match.dx, -match.dy])
+        place = place + step * level.posting_m
+        if not np.isfinite(match.covariance).all():
+            break
+    error = (place - circumstances.shift_m) / levels[0].posting_m
+    accepted = (
+        bool(np.isfinite(match.covariance).all())
+        and match.score >= gate.min_score
+        and match.runner_up <= gate.rival_ratio * match.score
+    )
+    return Outcome((float(error[0]), float(error[1])), match.score, match.runner_up, accepted)
+
+
+# between map axes (x east, y north) and grid axes (x along columns, y along rows)
+_FLIP = np.diag([1.0, -1.0])
+
+
+def _similarity(roll: float, scale: float) -> FloatArray:
+    cosine, sine = np.cos(roll), np.sin(roll)
+    return scale * np.array([[cosine, -sine], [sine, cosine]])
+
+
+def _centre(grid: Grid, size: int) -> Grid:
+    first = (grid.shape[0] - size) // 2
+    return grid[first : first + size, first : first + size]
