@@ -10,7 +10,9 @@ Gray = NDArray[np.uint8]
 Colour = NDArray[np.uint8]  # (h, w, 3), blue green red as OpenCV has them
 DARK, BRIGHT = 0.5, 99.7  # percentiles that become black and white
 SAMPLES = 1 << 16  # pixels that the percentiles are taken from
-PNG_LEVEL = 3  # a tenth smaller than OpenCV's default in a third more time; 9 takes 15 times as long
+PNG_LEVEL = (
+    3  # a tenth smaller than OpenCV's default in a third more time; 9 takes 15 times as long
+)
 GAMMA = 0.8  # lifts the shadows a little; below 1 is brighter
 
 

@@ -1,0 +1,192 @@
+"""The evaluation of a run folder: read, printed as a table, written as evaluation.json and .csv."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from catalog.errors import DataError
+from optnav_cli.output.evaluation import WRONG_PX, Evaluation, evaluate
+from optnav_cli.output.figures import Figures, FrameError, Spread
+from optnav_cli.output.replace import replacing_file, starts_with
+from optnav_cli.output.run_folder import read_run
+from optnav_cli.output.tables import ARCSEC, Row, fixed, number, read_table, write_table
+from optnav_cli.output.truth import read_truth
+
+EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
+EVALUATION_COLUMNS = (
+    *("file", "utc", "status", "forward", "truth_height_m"),
+    *("error_r_m", "error_n_m", "error_b_m", "sigma_r_m", "sigma_n_m", "sigma_b_m"),
+    *("normalised_error_squared", "attitude_error_arcsec"),
+    *("n_predicted", "n_matched", "n_used", "n_wrong", "reason"),
+)
+ERROR_COLUMNS, SIGMA_COLUMNS = EVALUATION_COLUMNS[5:8], EVALUATION_COLUMNS[8:11]
+
+
+def evaluate_run(run: Path, truth: Path) -> Evaluation:
+    """Compare a run folder with a truth.csv.
+
+    Raises DataError for a folder that is no run, a damaged file, a truth of other frames.
+    """
+    folder = read_run(run)
+    truths = read_truth(truth, folder.attitude)
+    try:
+        return evaluate(
+            folder.solutions,
+            truths,
+            folder.attitude.body.radius_m,
+            folder.matches,
+            folder.cameras,
+        )
+    except DataError as error:
+        raise DataError(f"{truth}: {error}") from error
+
+
+def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
+    """Write evaluation.json and evaluation.csv into a run folder.
+
+    Raises NothingToDoError when no frame is solved, OutputError when the folder is not writable.
+    """
+    summary = summary_of(evaluation)
+    text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,utc,status,forward")) as path:
+        write_table(path, EVALUATION_COLUMNS, map(_row, evaluation.frames))
+    with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "frames"')) as path:
+        path.write_text(text, encoding="utf-8")
+
+
+def read_errors(folder: Path) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Of each solved frame of a written evaluation: file, error (3,) and sigma (3,) in R, N, B, m.
+
+    Empty when the run was not evaluated. Raises DataError for a damaged table.
+    """
+    path = folder / EVALUATION_CSV
+    if not path.exists():
+        return []
+    found = []
+    for where, row in read_table(path, EVALUATION_COLUMNS):
+        values = [number(row, column, where) for column in (*ERROR_COLUMNS, *SIGMA_COLUMNS)]
+        known = [value for value in values if value is not None]
+        if len(known) == 6:
+            found.append((row["file"], np.array(known[:3]), np.array(known[3:])))
+    return found
+
+
+def summary_of(evaluation: Evaluation) -> dict[str, Any]:
+    """The figures as plain JSON values, rounded as they are written."""
+    figures = evaluation.figures()
+
+    def spread(values: Spread) -> dict[str, float | None]:
+        return {f"{k}_m": None if v is None else round(v, 3) for k, v in asdict(values).items()}
+
+    def arcsec(angle: float | None) -> float | None:
+        return None if angle is None else round(angle / ARCSEC, 3)
+
+    return {
+        "frames": figures.frames,
+        "solved": figures.solved,
+        "share_solved": round(figures.solved / figures.frames, 6),
+        "r": spread(figures.r),
+        "n": spread(figures.n),
+        "b": spread(figures.b),
+        "horizontal_rms_m": round(figures.horizontal_rms_m, 3),
+        "horizontal_max_m": round(figures.horizontal_max_m, 3),
+        "height_rms_m": round(figures.height_rms_m, 3),
+        "share_inside_3_sigma": dict(
+            zip("rnb", (round(v, 6) for v in figures.inside_3_sigma), strict=True)
+        ),
+        "normalised_error_squared": round(figures.nees, 6),
+        "normalised_error_squared_95_percent": [round(v, 6) for v in figures.nees_range],
+        "attitude_rms_arcsec": arcsec(figures.attitude_rms),
+        "attitude_max_arcsec": arcsec(figures.attitude_max),
+        "control_points": {
+            "predicted": figures.n_predicted,
+            "matched": figures.n_matched,
+            "used": figures.n_used,
+            "checked": figures.n_checked,
+            "wrong": figures.n_wrong,
+        },
+        "frames_with_local_north": figures.north_frames,
+        "unsolved_reasons": dict(figures.unsolved_reasons),
+        "remarks": list(evaluation.remarks),
+    }
+
+
+def format_table(evaluation: Evaluation) -> str:
+    """The figures as a table for people. Raises NothingToDoError when no frame is solved."""
+    figures = evaluation.figures()
+    share = _percent(figures.solved, figures.frames)
+    lines = [
+        f"solved {figures.solved} of {figures.frames} frames ({share})",
+        "",
+        f"{'error, m':<14}{'bias':>10}{'sigma':>10}{'rms':>10}{'max':>10}{'inside 3 sigma':>17}",
+    ]
+    names = ("R  height", "N  along", "B  across")
+    spreads = (figures.r, figures.n, figures.b)
+    for name, spread, inside in zip(names, spreads, figures.inside_3_sigma, strict=True):
+        sigma = "-" if spread.sigma is None else fixed(spread.sigma, 1)
+        lines.append(
+            f"{name:<14}{spread.bias:>+10.1f}{sigma:>10}{spread.rms:>10.1f}{spread.max:>10.1f}"
+            f"{100.0 * inside:>15.1f} %"
+        )
+    lines += [
+        f"{'horizontal':<34}{figures.horizontal_rms_m:>10.1f}{figures.horizontal_max_m:>10.1f}",
+        "",
+        f"normalised error squared {figures.nees:.2f} (1 expected; {figures.nees_range[0]:.2f} to "
+        f"{figures.nees_range[1]:.2f} in 95 % of cases with an honest covariance)",
+    ]
+    lines += _notes(figures, evaluation.remarks)
+    return "\n".join(lines)
+
+
+def _notes(figures: Figures, remarks: tuple[str, ...]) -> list[str]:
+    lines = []
+    if figures.attitude_rms is not None and figures.attitude_max is not None:
+        rms, largest = figures.attitude_rms / ARCSEC, figures.attitude_max / ARCSEC
+        lines.append(f'attitude error {rms:.1f}" rms, {largest:.1f}" max')
+    lines.append(
+        f"control points: {figures.n_predicted} predicted, {figures.n_matched} found "
+        f"({_percent(figures.n_matched, figures.n_predicted)}), {figures.n_used} used "
+        f"({_percent(figures.n_used, figures.n_predicted)})"
+    )
+    if figures.n_checked:
+        lines.append(
+            f"wrong matches used (> {WRONG_PX:g} px from the truth): {figures.n_wrong} of "
+            f"{figures.n_checked} ({_percent(figures.n_wrong, figures.n_checked, 2)})"
+        )
+    else:
+        lines.append("wrong matches: not checked (no camera, or a truth without attitude)")
+    if figures.north_frames:
+        lines.append(
+            f"N is local north for {figures.north_frames} of {figures.solved} frames "
+            "that have no neighbour in their pass"
+        )
+    lines += [f"unsolved {n} times: {why}" for why, n in figures.unsolved_reasons.items()]
+    return lines + list(remarks)
+
+
+def _percent(part: int, whole: int, decimals: int = 1) -> str:
+    return f"{100.0 * part / whole:.{decimals}f} %" if whole else "-"
+
+
+def _row(frame: FrameError) -> Row:
+    solution = frame.solution
+    row = dict.fromkeys(EVALUATION_COLUMNS, "")
+    row.update(file=frame.file, utc=frame.utc, status=solution.status, forward=frame.forward)
+    row.update(truth_height_m=fixed(frame.height_m, 3), reason=solution.reason)
+    for columns, values in ((ERROR_COLUMNS, frame.error_rnb_m), (SIGMA_COLUMNS, frame.sigma_rnb_m)):
+        if values is not None:
+            row.update(zip(columns, (fixed(float(v), 3) for v in values), strict=True))
+    row["normalised_error_squared"] = fixed(frame.nees, 6)
+    if frame.attitude_error_rad is not None:
+        row["attitude_error_arcsec"] = fixed(frame.attitude_error_rad / ARCSEC, 4)
+    counts = {
+        "n_predicted": solution.n_predicted,
+        "n_matched": solution.n_matched,
+        "n_used": solution.n_used,
+        "n_wrong": frame.n_wrong,
+    }
+    row.update({name: "" if value is None else str(value) for name, value in counts.items()})
+    return row

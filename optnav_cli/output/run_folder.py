@@ -1,0 +1,84 @@
+"""A run folder: the names of its files, what it takes over from the picture folder, reading it."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from catalog.bodies.body import load_body
+from catalog.config import load_toml
+from catalog.errors import ConfigError, DataError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import load_camera
+from optnav_cli.output.attitude import AttitudeName, FileAttitude
+from optnav_cli.output.tables import read_matches, read_solutions, read_table
+from optnav_cli.solution import MatchRow, Solution
+
+SOLUTION, MATCHES = "solution.csv", "matches.csv"
+RECORDING, OVERLAYS = "run.mcap", "overlays"
+RUN_TOML, FRAMES, CAMERAS = "run.toml", "frames.csv", "cameras"  # copies of the picture folder's
+
+
+class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """run.toml of a picture folder."""
+
+    body: str
+    attitude: AttitudeName
+
+
+@dataclass(frozen=True, eq=False)
+class RunFolder:
+    """What a run folder holds; `cameras` by picture file name, as far as they are known."""
+
+    path: Path
+    attitude: FileAttitude
+    solutions: list[Solution]
+    matches: list[MatchRow]
+    cameras: dict[str, Camera]
+
+
+def copy_inputs(pictures: Path, run: Path) -> None:
+    """Copy run.toml, frames.csv and cameras/ into a run, so that it can be read without them."""
+    for name in (RUN_TOML, FRAMES):
+        shutil.copyfile(pictures / name, run / name)
+    shutil.copytree(pictures / CAMERAS, run / CAMERAS, copy_function=shutil.copyfile)
+
+
+def read_run(path: Path) -> RunFolder:
+    """Read a run folder back.
+
+    Raises DataError for a folder that is no run and for damaged files.
+    """
+    if not (path / SOLUTION).is_file():
+        found = "a file" if path.is_file() else "no solution.csv in it"
+        raise DataError(f"{path}: {found}; wanted the folder that `optnav navigate -o` wrote")
+    try:
+        settings = load_toml(path / RUN_TOML, RunSettings)
+        body = load_body(settings.body)
+    except ConfigError as error:
+        raise DataError(f"{error}; the run's copy is needed to read its attitudes") from error
+    attitude = FileAttitude(settings.attitude, body)
+    matches = read_matches(path / MATCHES) if (path / MATCHES).exists() else []
+    return RunFolder(
+        path, attitude, read_solutions(path / SOLUTION, attitude), matches, _cameras(path)
+    )
+
+
+def _cameras(path: Path) -> dict[str, Camera]:
+    """The camera of each frame; frames whose camera is missing or wrong are left out."""
+    if not (path / FRAMES).exists():
+        return {}
+    known: dict[str, Camera | None] = {}
+    cameras = {}
+    for _, row in read_table(path / FRAMES, ("file", "camera")):
+        name = row["camera"]
+        if name not in known:
+            try:
+                known[name] = load_camera(path / CAMERAS / f"{name}.toml")
+            except ConfigError:  # its frames are unsolved, and navigate has said why
+                known[name] = None
+        camera = known[name]
+        if camera is not None:
+            cameras[row["file"]] = camera
+    return cameras
