@@ -9,6 +9,7 @@ from catalog.errors import ConfigError
 from catalog.photometry.hapke import LUNAR, HapkeParameters
 from catalog.photometry.lommel_seeliger import NORMAL_ALBEDO
 from catalog.rendering import shading
+from catalog.rendering.hapke_table import TABLE_SIZE, shade_hapke
 from catalog.rendering.shadow import lit_mask
 
 HeightGrid = NDArray[np.float32]
@@ -20,6 +21,7 @@ LAW_NUMBERS = {
     "lunar_lambert": shading.LUNAR_LAMBERT,
     "lambert": shading.LAMBERT,
 }
+TABLE_PAYS_NODES = 3 * TABLE_SIZE**2  # smaller grids are evaluated node by node
 ALL_LIT: BoolGrid = np.empty((0, 0), dtype=np.bool_)
 
 
@@ -62,7 +64,8 @@ def render_map(
     Raises ConfigError for an unknown law, ValueError for vectors without a direction.
     """
     if law not in LAW_NUMBERS:
-        raise ConfigError(f"photometry: no law is called '{law}'; use one of {', '.join(LAW_NUMBERS)}")
+        names = ", ".join(LAW_NUMBERS)
+        raise ConfigError(f"photometry: no law is called '{law}'; use one of {names}")
     if view_local is not None and camera_local is not None:
         raise ValueError("render_map: give view_local or camera_local, not both")
     sun = _unit(sun_local, "sun_local")
@@ -76,6 +79,12 @@ def render_map(
             heights, posting, radius, sun, camera, number, surface, float(albedo), lit
         )
     view = _unit((0.0, 0.0, 1.0) if view_local is None else view_local, "view_local")
+    if law == "lommel_seeliger":
+        return shading.shade_lommel_seeliger(
+            heights, posting, radius, sun, view, float(albedo), lit
+        )
+    if law == "hapke" and heights.size >= TABLE_PAYS_NODES:
+        return shade_hapke(heights, posting, radius, sun, view, surface, lit)
     return shading.shade_fixed(
         heights, posting, radius, sun, view, number, surface, float(albedo), lit
     )

@@ -35,29 +35,65 @@ def _slope(before: float, here: float, after: float, posting: float) -> float:
 
 
 @kernel
-def node_normal(
-    heights: HeightGrid, row: int, col: int, posting: float, radius: float
-) -> tuple[float, float, float]:
-    """Outward normal (any length; east, north, up at the grid's centre) of the ground at a node."""
+def _row_slopes(
+    heights: HeightGrid, row: int, posting: float, east: FloatArray, north: FloatArray
+) -> None:
+    """Fill east, north (n,) with dh/dx and dh/dy of a row's nodes, by central differences."""
     size = heights.shape[0]
-    here = heights[row, col]
-    west = heights[row, col - 1] if col > 0 else np.nan
-    east = heights[row, col + 1] if col < size - 1 else np.nan
-    north = heights[row - 1, col] if row > 0 else np.nan
-    south = heights[row + 1, col] if row < size - 1 else np.nan
-    u = (col - (size - 1) / 2.0) * posting / (2.0 * radius)
-    v = ((size - 1) / 2.0 - row) * posting / (2.0 * radius)
-    q = u * u + v * v
-    # Times (1 + q): up = (2u, 2v, 1 - q), map east = (1 - u^2 + v^2, -2uv, -2u), map north alike.
-    # A metre of map is 1 / (1 + q) m on the sphere and (R + h) / R more at the ground.
-    stretch = (1.0 + q) / (1.0 + here / radius)
-    gx = _slope(west, here, east, posting) * stretch
-    gy = _slope(south, here, north, posting) * stretch
-    return (
-        2.0 * u - gx * (1.0 - u * u + v * v) + gy * 2.0 * u * v,
-        2.0 * v + gx * 2.0 * u * v - gy * (1.0 + u * u - v * v),
-        1.0 - q + 2.0 * (gx * u + gy * v),
-    )
+    here = heights[row]
+    above = heights[row - 1] if row > 0 else here
+    below = heights[row + 1] if row < size - 1 else here
+    per_column = 1.0 / (2.0 * posting)
+    per_row = per_column if 0 < row < size - 1 else 1.0 / posting
+    left, right = here[: size - 2], here[2:]
+    inner = east[1 : size - 1]
+    total = 0.0
+    for c in range(size - 2):
+        inner[c] = (right[c] - left[c]) * per_column
+        total += inner[c]
+    for c in range(size):
+        north[c] = (above[c] - below[c]) * per_row
+        total += north[c]
+    east[0] = (here[1] - here[0]) / posting
+    east[size - 1] = (here[size - 1] - here[size - 2]) / posting
+    if total == total and east[0] == east[0] and east[size - 1] == east[size - 1]:
+        return
+    # a hole is near: look at each node's neighbours
+    for c in range(size):
+        west_of = here[c - 1] if c > 0 else np.nan
+        east_of = here[c + 1] if c < size - 1 else np.nan
+        north_of = above[c] if row > 0 else np.nan
+        south_of = below[c] if row < size - 1 else np.nan
+        east[c] = _slope(west_of, here[c], east_of, posting)
+        north[c] = _slope(south_of, here[c], north_of, posting)
+
+
+@kernel
+def row_normals(
+    heights: HeightGrid, row: int, posting: float, radius: float, normals: FloatArray
+) -> None:
+    """Fill normals (3, n) with a row's outward normals (any length; east, north, up at the centre).
+
+    Times (1 + q), with u = x/2R, v = y/2R, q = u^2 + v^2: the local up is (2u, 2v, 1 - q), map east
+    (1 - u^2 + v^2, -2uv, -2u), map north (-2uv, 1 + u^2 - v^2, -2v). A metre of map is 1 / (1 + q) m
+    on the sphere and (R + h) / R times as much at the ground.
+    """
+    size = heights.shape[0]
+    nx, ny, nz = normals[0], normals[1], normals[2]
+    _row_slopes(heights, row, posting, nx, ny)
+    here = heights[row]
+    scale = posting / (2.0 * radius)
+    middle = (size - 1) / 2.0
+    v = (middle - row) * scale
+    for c in range(size):
+        u = (c - middle) * scale
+        uu, uv, q = u * u, u * v, u * u + v * v
+        stretch = (1.0 + q) * (1.0 - here[c] / radius)  # 1 / (1 + h/R) to (h/R)^2 = 1e-5
+        gx = nx[c] * stretch
+        gy = ny[c] * stretch
+        nx[c] = 2.0 * u - gx * (1.0 - uu + v * v) + gy * 2.0 * uv
+        ny[c] = 2.0 * v + gx * 2.0 * uv - gy * (1.0 + uu - v * v)
+        nz[c] = 1.0 - q + 2.0 * (gx * u + gy * v)
 
 
 @kernel
@@ -75,6 +111,50 @@ def brightness(
 
 
 @kernel
+def darken(heights: HeightGrid, lit: BoolGrid, row: int, line: HeightGrid) -> None:
+    """Put the row's shadows and holes into its brightness."""
+    here = heights[row]
+    if lit.shape[0] > 0:
+        seen = lit[row]
+        for c in range(line.size):
+            line[c] = line[c] if seen[c] else np.float32(0.0)
+    for c in range(line.size):
+        line[c] = line[c] if here[c] == here[c] else np.float32(np.nan)
+
+
+@kernel
+def shade_lommel_seeliger(
+    heights: HeightGrid,
+    posting: float,
+    radius: float,
+    sun: FloatArray,
+    view: FloatArray,
+    albedo: float,
+    lit: BoolGrid,
+) -> HeightGrid:
+    """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit.
+
+    The law is a ratio of cosines: the normals need no length, the pass no branch.
+    """
+    size = heights.shape[0]
+    out = np.empty((size, size), np.float32)
+    normals = np.empty((3, size))
+    nx, ny, nz = normals[0], normals[1], normals[2]
+    sx, sy, sz = sun[0], sun[1], sun[2]
+    vx, vy, vz = view[0], view[1], view[2]
+    for row in range(size):
+        row_normals(heights, row, posting, radius, normals)
+        line = out[row]
+        for c in range(size):
+            mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz
+            mu = nx[c] * vx + ny[c] * vy + nz[c] * vz
+            value = 2.0 * albedo * mu0 / (mu0 + mu)
+            line[c] = value if (mu0 > 0.0) & (mu > 0.0) else 0.0
+        darken(heights, lit, row, line)
+    return out
+
+
+@kernel
 def shade_fixed(
     heights: HeightGrid,
     posting: float,
@@ -86,30 +166,23 @@ def shade_fixed(
     albedo: float,
     lit: BoolGrid,
 ) -> HeightGrid:
-    """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit."""
+    """As `shade_lommel_seeliger`, by any law, each node evaluated."""
     size = heights.shape[0]
     out = np.zeros((size, size), np.float32)
-    shadows = lit.shape[0] > 0
-    sx, sy, sz = sun[0], sun[1], sun[2]
-    vx, vy, vz = view[0], view[1], view[2]
-    cos_g = sx * vx + sy * vy + sz * vz
+    normals = np.empty((3, size))
+    nx, ny, nz = normals[0], normals[1], normals[2]
+    cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
     for row in range(size):
-        for col in range(size):
-            if heights[row, col] != heights[row, col]:
-                out[row, col] = np.nan
+        row_normals(heights, row, posting, radius, normals)
+        line = out[row]
+        for c in range(size):
+            if lit.shape[0] > 0 and not lit[row, c]:
                 continue
-            if shadows and not lit[row, col]:
-                continue
-            nx, ny, nz = node_normal(heights, row, col, posting, radius)
-            mu0 = nx * sx + ny * sy + nz * sz
-            mu = nx * vx + ny * vy + nz * vz
-            if mu0 <= 0.0 or mu <= 0.0:
-                continue
-            if law != LOMMEL_SEELIGER:  # whose ratio does not ask for the normal's length
-                length = math.sqrt(nx * nx + ny * ny + nz * nz)
-                mu0 /= length
-                mu /= length
-            out[row, col] = brightness(law, mu0, mu, cos_g, surface, albedo)
+            length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
+            mu0 = (nx[c] * sun[0] + ny[c] * sun[1] + nz[c] * sun[2]) / length
+            mu = (nx[c] * view[0] + ny[c] * view[1] + nz[c] * view[2]) / length
+            line[c] = brightness(law, mu0, mu, cos_g, surface, albedo)
+        darken(heights, lit, row, line)
     return out
 
 
@@ -128,33 +201,27 @@ def shade_from_camera(
     """Every node seen from a place: `camera` (3,) m from the centre's foot on the sphere."""
     size = heights.shape[0]
     out = np.zeros((size, size), np.float32)
-    shadows = lit.shape[0] > 0
+    normals = np.empty((3, size))
+    nx, ny, nz = normals[0], normals[1], normals[2]
     middle = (size - 1) / 2.0
-    sx, sy, sz = sun[0], sun[1], sun[2]
     for row in range(size):
+        row_normals(heights, row, posting, radius, normals)
         v = (middle - row) * posting / (2.0 * radius)
-        for col in range(size):
-            h = heights[row, col]
-            if h != h:
-                out[row, col] = np.nan
+        for c in range(size):
+            h = heights[row, c]
+            if lit.shape[0] > 0 and not lit[row, c]:
                 continue
-            if shadows and not lit[row, col]:
-                continue
-            nx, ny, nz = node_normal(heights, row, col, posting, radius)
-            mu0 = nx * sx + ny * sy + nz * sz
-            u = (col - middle) * posting / (2.0 * radius)
+            u = (c - middle) * posting / (2.0 * radius)
             q = u * u + v * v
             reach = (radius + h) / (1.0 + q)
             vx = camera[0] - 2.0 * u * reach
             vy = camera[1] - 2.0 * v * reach
             vz = camera[2] - (h * (1.0 - q) - 2.0 * q * radius) / (1.0 + q)
-            mu = nx * vx + ny * vy + nz * vz
-            if mu0 <= 0.0 or mu <= 0.0:
-                continue
-            length = math.sqrt(nx * nx + ny * ny + nz * nz)
+            length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
             distance = math.sqrt(vx * vx + vy * vy + vz * vz)
-            cos_g = (sx * vx + sy * vy + sz * vz) / distance
-            mu0 /= length
-            mu /= length * distance
-            out[row, col] = brightness(law, mu0, mu, cos_g, surface, albedo)
+            mu0 = (nx[c] * sun[0] + ny[c] * sun[1] + nz[c] * sun[2]) / length
+            mu = (nx[c] * vx + ny[c] * vy + nz[c] * vz) / (length * distance)
+            cos_g = (sun[0] * vx + sun[1] * vy + sun[2] * vz) / distance
+            out[row, c] = brightness(law, mu0, mu, cos_g, surface, albedo)
+        darken(heights, lit, row, out[row])
     return out

@@ -13,6 +13,7 @@ thousandth at the rim of a 100 km tile on the Moon). The Sun is a point (its dis
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -24,30 +25,8 @@ BoolGrid = NDArray[np.bool_]
 
 NOTHING = -1e30  # height of no ground
 NODE_TOLERANCE_M = 1e-3  # float32 heights of 1e4 m are good to this
-
-
-@kernel
-def _oriented(
-    heights: HeightGrid, posting: float, radius: float, swap: bool, flip_t: bool, flip_c: bool
-) -> FloatArray:
-    """Tangent-frame heights with the Sun's side in row 0 and lines that run to higher columns."""
-    size = heights.shape[0]
-    out = np.empty((size, size), np.float64)
-    middle = (size - 1) / 2.0
-    scale = posting / (2.0 * radius)
-    for block_t in range(0, size, 32):  # by blocks, since a swap reads across the rows
-        for block_c in range(0, size, 32):
-            for t in range(block_t, min(block_t + 32, size)):
-                a = size - 1 - t if flip_t else t
-                q_t = ((t - middle) * scale) ** 2
-                for c in range(block_c, min(block_c + 32, size)):
-                    b = size - 1 - c if flip_c else c
-                    h = heights[b, a] if swap else heights[a, b]
-                    q = q_t + ((c - middle) * scale) ** 2
-                    # (R + h)(1 - q)/(1 + q) - R without the loss of digits
-                    z = (h * (1.0 - q) - 2.0 * q * radius) / (1.0 + q)
-                    out[t, c] = z if z == z else NOTHING
-    return out
+NO_FIELD: FloatArray = np.empty((0, 0))
+NO_MASK: BoolGrid = np.empty((0, 0), dtype=np.bool_)
 
 
 @kernel
@@ -64,56 +43,94 @@ def _sample_field(field: FloatArray, t: float, c: float) -> float:
 
 
 @kernel
-def _sweep(z: FloatArray, shear: float, rise: float, outer: FloatArray, ratio: float) -> FloatArray:
-    """Height (m) that the ground must pass at each node to see the Sun.
-
-    z       (n, n)  oriented heights
-    shear   columns that a line moves a row, 0..1
-    rise    climb (m) of a ray to the Sun from one row to the next
-    outer   (m, m)  the same field of a coarser grid about the same centre, or (0, 0)
-    ratio   postings of the coarser grid in one of this
-    """
-    size = z.shape[0]
-    field = np.empty((size, size), np.float64)
-    span = int(np.ceil(shear * (size - 1))) + 1
-    # lines[k + span] meets row t at column k + shear t; it starts before the grid's first column
-    lines = np.full(size + span + 1, NOTHING)
-    has_outer = outer.shape[0] > 0
+def _tangent_row(
+    heights: HeightGrid, t: int, posting: float, radius: float, mirror: bool, z: FloatArray
+) -> None:
+    """Fill z (n,) with the tangent-frame heights of a row, its columns mirrored on demand."""
+    size = heights.shape[0]
+    line = heights[t]
     middle = (size - 1) / 2.0
-    outer_middle = (outer.shape[0] - 1) / 2.0
-    born = size + span + 1  # the lowest line that has entered the grid
-    for t in range(size):
-        whole = int(np.floor(shear * t))
-        part = shear * t - whole
-        first = span - whole - 1  # the line at column part - 1
-        if has_outer:
-            for k in range(first, born):
-                column = k - first + part - 1.0
-                lines[k] = _sample_field(
-                    outer,
-                    outer_middle + (t - middle) * ratio,
-                    outer_middle + (column - middle) * ratio,
-                )
-        born = min(born, first)
-        # between lines: the one a part of a column back has weight `part`
-        for c in range(size):
-            field[t, c] = part * lines[first + c] + (1.0 - part) * lines[first + c + 1]
-        for c in range(size - 1):
-            ground = (1.0 - part) * z[t, c] + part * z[t, c + 1]
-            lines[first + c + 1] = max(lines[first + c + 1], ground)
-        lines[first + size] = max(lines[first + size], z[t, size - 1])
-        for k in range(first, first + size + 1):
-            lines[k] -= rise
-    return field
+    scale = posting / (2.0 * radius)
+    q_row = ((t - middle) * scale) ** 2
+    for c in range(size):
+        h = line[size - 1 - c] if mirror else line[c]
+        q = q_row + ((c - middle) * scale) ** 2
+        # (R + h)(1 - q)/(1 + q) - R without the loss of digits
+        value = (h - q * (h + 2.0 * radius)) / (1.0 + q)
+        z[c] = value if value == value else NOTHING
 
 
 @kernel
-def _compare(z: FloatArray, field: FloatArray, tolerance: float) -> BoolGrid:
-    lit = np.empty(z.shape, np.bool_)
-    for t in range(z.shape[0]):
-        for c in range(z.shape[1]):
-            lit[t, c] = z[t, c] >= field[t, c] - tolerance
-    return lit
+def _sweep(
+    heights: HeightGrid,
+    posting: float,
+    radius: float,
+    flip_t: bool,
+    flip_c: bool,
+    shear: float,
+    climb: float,
+    outer: FloatArray,
+    ratio: float,
+    field: FloatArray,
+    lit: BoolGrid,
+) -> None:
+    """Sweep a grid away from the Sun, row by row.
+
+    heights  (n, n)  rows are swept in their order, or against it (flip_t); lines run to higher
+             columns, or to lower ones (flip_c)
+    shear    columns that a line moves a row, 0..1
+    climb    climb of a ray to the Sun a metre along the rows' order
+    outer    (m, m)  field of a coarser grid about the same centre, or (0, 0)
+    ratio    this grid's posting in postings of the coarser one
+    field    (n, n) or (0, 0)  receives the height that ground must pass to see the Sun, in the
+             order of the sweep
+    lit      (n, n) or (0, 0)  receives whether the node's ground does, in the order of `heights`
+    """
+    size = heights.shape[0]
+    want_field, want_lit, has_outer = field.shape[0] > 0, lit.shape[0] > 0, outer.shape[0] > 0
+    middle = (size - 1) / 2.0
+    outer_middle = (outer.shape[0] - 1) / 2.0
+    rise = climb * posting
+    span = int(np.ceil(shear * (size - 1))) + 1
+    # lines[k + span] meets row t at column k + shear t; the highest k starts in the last column
+    lines = np.full(size + span + 1, NOTHING)
+    born = size + span  # the lowest line that has entered the grid
+    z = np.empty(size)
+    limit = np.empty(size)
+    for t in range(size):
+        row = size - 1 - t if flip_t else t
+        _tangent_row(heights, row, posting, radius, flip_c, z)
+        whole = int(np.floor(shear * t))
+        part = shear * t - whole
+        first = span - whole - 1  # the line at column part - 1
+        near = lines[first : first + size]
+        here = lines[first + 1 : first + 1 + size]
+        if has_outer:
+            for k in range(first, born):
+                lines[k] = _sample_field(
+                    outer,
+                    outer_middle + (t - middle) * ratio,
+                    outer_middle + (k - first + part - 1.0 - middle) * ratio,
+                )
+            born = min(born, first)
+        # a node lies between two lines: the one a part of a column ahead, and the one before it
+        for c in range(size):
+            limit[c] = part * near[c] + (1.0 - part) * here[c]
+        if want_field:
+            field[t, :] = limit
+        if want_lit:
+            seen = lit[row]
+            if flip_c:
+                for c in range(size):
+                    seen[size - 1 - c] = z[c] >= limit[c] - NODE_TOLERANCE_M
+            else:
+                for c in range(size):
+                    seen[c] = z[c] >= limit[c] - NODE_TOLERANCE_M
+        for c in range(size - 1):
+            ground = (1.0 - part) * z[c] + part * z[c + 1]
+            here[c] = (here[c] if here[c] > ground else ground) - rise
+        here[size - 1] = max(here[size - 1], z[size - 1]) - rise
+        near[0] -= rise
 
 
 def lit_mask(
@@ -156,28 +173,33 @@ def lit_mask(
     shear = abs(across) / abs(along)
     climb = up / abs(along)  # m a metre along the swept axis
 
-    field = np.empty((0, 0), np.float64)
-    outer_posting = 1.0
-    z = field
-    for grid, posting in [*reversed(outer), (heights, posting_m)]:
-        if grid.shape[0] != grid.shape[1]:
+    field, outer_posting = NO_FIELD, 1.0
+    for grid, posting in reversed(outer):
+        if grid.ndim != 2 or grid.shape[0] != grid.shape[1] or grid.shape[0] < 2:
             raise ValueError(f"lit_mask: an outer map grid is square, not {grid.shape}")
-        grid = np.ascontiguousarray(grid, dtype=np.float32)
-        z = _oriented(grid, float(posting), float(radius_m), swap, flip_t, flip_c)
-        field = _sweep(z, shear, climb * posting, field, posting / outer_posting)
-        outer_posting = float(posting)
-    lit = _compare(z, field, NODE_TOLERANCE_M)
-    if flip_t:
-        lit = lit[::-1]
-    if flip_c:
-        lit = lit[:, ::-1]
+        finer = np.empty(grid.shape)
+        _sweep(
+            _rows_along(grid, swap), float(posting), float(radius_m), flip_t, flip_c, shear, climb,
+            field, posting / outer_posting, finer, NO_MASK,
+        )  # fmt: skip
+        field, outer_posting = finer, float(posting)
+    lit = np.empty(heights.shape, dtype=np.bool_)
+    _sweep(
+        _rows_along(heights, swap), float(posting_m), float(radius_m), flip_t, flip_c, shear, climb,
+        field, posting_m / outer_posting, NO_FIELD, lit,
+    )  # fmt: skip
     if swap:
-        lit = lit.T
-    return np.ascontiguousarray(lit & valid)
+        lit = cv2.transpose(lit.view(np.uint8)).view(np.bool_)
+    return np.asarray(lit & valid)
+
+
+def _rows_along(grid: HeightGrid, swap: bool) -> HeightGrid:
+    grid = np.ascontiguousarray(grid, dtype=np.float32)
+    return np.asarray(cv2.transpose(grid), dtype=np.float32) if swap else grid
 
 
 def halo(relief_m: float, elevation: float) -> float:
-    """How far (m) ground that rises relief_m above a tile can throw a shadow at a Sun elevation (rad).
+    """How far (m) ground relief_m above a tile can throw a shadow at a Sun elevation (rad).
 
     Flat-body value, an upper bound: the body's curvature only shortens shadows.
     Raises ValueError for a Sun at or below the horizon.

@@ -1,0 +1,94 @@
+"""Hapke's law for one Sun and one view, through a table over the slopes of the ground.
+
+With the Sun and the view fixed, the phase is too, and the brightness depends on the normal alone,
+that is on two slopes (a, b) = -(n_x, n_y) / n_z. What is tabulated is the ratio to the
+Lommel-Seeliger law, which stays smooth where the brightness falls to zero; it is read bilinearly.
+A table over (cos i, cos e) instead would make steps in a view from above, where cos e hardly moves.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.geometry.kernel import kernel
+from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
+from catalog.rendering.shading import darken, row_normals
+
+FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
+BoolGrid = NDArray[np.bool_]
+
+TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated
+TABLE_SIZE = 129
+# Grazing light: below this cosine of incidence the ratio is held; the brightness itself goes to zero.
+GRAZING = 1e-3
+
+
+@kernel
+def _ratio(
+    a: float, b: float, sun: FloatArray, view: FloatArray, cos_g: float, surface: HapkeParameters
+) -> float:
+    length = math.sqrt(a * a + b * b + 1.0)
+    mu0 = max((-a * sun[0] - b * sun[1] + sun[2]) / length, GRAZING)
+    mu = max((-a * view[0] - b * view[1] + view[2]) / length, GRAZING)
+    return reflectance_scalar(mu0, mu, cos_g, surface) * (mu0 + mu) / mu0
+
+
+@kernel
+def slope_table(
+    sun: FloatArray, view: FloatArray, cos_g: float, surface: HapkeParameters
+) -> FloatArray:
+    """(n, n) ratios of Hapke's law to mu0 / (mu0 + mu), b along the rows, a along the columns."""
+    table = np.empty((TABLE_SIZE, TABLE_SIZE))
+    step = 2.0 * TABLE_SLOPE / (TABLE_SIZE - 1)
+    for i in range(TABLE_SIZE):
+        for j in range(TABLE_SIZE):
+            table[i, j] = _ratio(
+                j * step - TABLE_SLOPE, i * step - TABLE_SLOPE, sun, view, cos_g, surface
+            )
+    return table
+
+
+@kernel
+def shade_hapke(
+    heights: HeightGrid,
+    posting: float,
+    radius: float,
+    sun: FloatArray,
+    view: FloatArray,
+    surface: HapkeParameters,
+    lit: BoolGrid,
+) -> HeightGrid:
+    """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit."""
+    size = heights.shape[0]
+    out = np.zeros((size, size), np.float32)
+    normals = np.empty((3, size))
+    nx, ny, nz = normals[0], normals[1], normals[2]
+    cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
+    table = slope_table(sun, view, cos_g, surface)
+    per_step = (TABLE_SIZE - 1) / (2.0 * TABLE_SLOPE)
+    last = TABLE_SIZE - 1.0
+    for row in range(size):
+        row_normals(heights, row, posting, radius, normals)
+        line = out[row]
+        for c in range(size):
+            mu0 = nx[c] * sun[0] + ny[c] * sun[1] + nz[c] * sun[2]
+            mu = nx[c] * view[0] + ny[c] * view[1] + nz[c] * view[2]
+            if not (mu0 > 0.0 and mu > 0.0):
+                continue
+            a, b = -nx[c] / nz[c], -ny[c] / nz[c]
+            x = (a + TABLE_SLOPE) * per_step
+            y = (b + TABLE_SLOPE) * per_step
+            if nz[c] > 0.0 and 0.0 <= x < last and 0.0 <= y < last:
+                j, i = int(x), int(y)
+                dx, dy = x - j, y - i
+                ratio = (1.0 - dy) * ((1.0 - dx) * table[i, j] + dx * table[i, j + 1]) + dy * (
+                    (1.0 - dx) * table[i + 1, j] + dx * table[i + 1, j + 1]
+                )
+                line[c] = ratio * mu0 / (mu0 + mu)
+            else:
+                length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
+                line[c] = reflectance_scalar(mu0 / length, mu / length, cos_g, surface)
+        darken(heights, lit, row, line)
+    return out
