@@ -223,7 +223,9 @@ def _explain(message: str, info: inspect.Type, data: Any) -> str:
         near = nearest_name(str(value), choices)
         hint = f"; did you mean {near!r}?" if near else ""
         return f"{place}: must be one of {', '.join(choices)}{hint}"
-    return f"{place}: {text}" if steps else text
+    if isinstance(_type_at(info, steps), inspect.StructType):
+        place = _section(steps)
+    return f"{place}: {text}" if place else text
 
 
 def _missing_message(key: str, info: inspect.Type, steps: Steps) -> str:

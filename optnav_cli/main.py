@@ -85,13 +85,22 @@ def cli(ctx: click.Context, quiet: bool, verbose: bool, log_file: Path | None) -
     ctx.obj = ConsoleProgress(quiet=quiet)
 
 
+def _invoke(args: Sequence[str]) -> int:
+    # Not cli.main(): it has its own words for an interrupt and for a reader that left.
+    try:
+        with cli.make_context("optnav", list(args)) as context:
+            cli.invoke(context)
+    except click.exceptions.Exit as end:  # --help, --version
+        return end.exit_code
+    return 0
+
+
 def run(args: Sequence[str]) -> int:
     """Run a command line and return its exit code; a bug of ours stays a traceback."""
     try:
-        result = cli.main(args=list(args), prog_name="optnav", standalone_mode=False)
-        sys.stdout.flush()
-        # --help and --version end with an exit code as result, commands with nothing
-        return result if isinstance(result, int) else 0
+        code = _invoke(args)
+        sys.stdout.flush()  # here, where a full disk or a reader that left is told as such
+        return code
     except OptnavError as error:
         return _fail(str(error), error.exit_code)
     except click.UsageError as error:
