@@ -1,9 +1,10 @@
 """Hapke's bidirectional reflectance of a rough particulate surface.
 
 Source: B. Hapke, Theory of Reflectance and Emittance Spectroscopy (2nd ed., 2012); roughness as in
-Hapke, Icarus 59 (1984) 41; H functions as in Hapke, Icarus 157 (2002) 523. Porosity factor K = 1, no
-coherent backscatter (both as in Sato et al., JGR Planets 119 (2014) 1775, whose fits have K = 1 and
-Bc0 = 0). Symbols are Hapke's: i, e, g incidence, emission, phase; psi the azimuth between the planes.
+Hapke, Icarus 59 (1984) 41; H functions as in Hapke, Icarus 157 (2002) 523. The porosity factor is 1
+and there is no coherent backscatter, as in the lunar fits of Sato et al., JGR Planets 119 (2014)
+1775. Symbols are Hapke's: i, e, g for incidence, emission, phase; psi the azimuth between the
+planes of incidence and emission.
 """
 
 import math
@@ -56,7 +57,7 @@ def h_function(x: float, w: float) -> float:
 
 @kernel
 def phase_function(cos_g: float, b: float, c: float) -> float:
-    """Double Henyey-Greenstein function; its mean over the sphere is 1. c > 0 scatters backwards."""
+    """Double Henyey-Greenstein function, of mean 1 over the sphere; c > 0 scatters backwards."""
     back = 1.0 - 2.0 * b * cos_g + b * b
     ahead = 1.0 + 2.0 * b * cos_g + b * b
     lobe = 1.0 - b * b
@@ -131,7 +132,7 @@ def rough_cosines(
 
 @kernel
 def reflectance_scalar(mu0: float, mu: float, cos_phase: float, surface: HapkeParameters) -> float:
-    """Radiance factor (pi r) of one geometry; zero when the Sun or the camera is below the surface."""
+    """Radiance factor (pi r) of one geometry; zero with the Sun or the camera below the surface."""
     if mu0 <= 0.0 or mu <= 0.0:
         return 0.0
     mu0e, mue, shadowing = rough_cosines(mu0, mu, cos_phase, math.tan(surface.theta_bar))

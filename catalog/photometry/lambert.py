@@ -19,7 +19,12 @@ def reflectance_scalar(mu0: float, mu: float, albedo: float) -> float:
 def reflectance(
     mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = 0.12
 ) -> FloatArray:
-    """Radiance factor; zero where mu0 <= 0 or mu <= 0; shapes broadcast, cos_phase lends its shape."""
+    """Radiance factor; zero where mu0 <= 0 or mu <= 0.
+
+    mu0, mu    cosines of incidence and emission; shapes broadcast
+    cos_phase  only lends its shape
+    albedo     normal albedo
+    """
     a, b, _ = np.broadcast_arrays(
         np.asarray(mu0, np.float64), np.asarray(mu, np.float64), np.asarray(cos_phase, np.float64)
     )

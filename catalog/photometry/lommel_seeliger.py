@@ -1,4 +1,4 @@
-"""The Lommel-Seeliger law: single scattering in a dark, smooth layer, the on-board reference's law."""
+"""The Lommel-Seeliger law: single scattering in a dark, smooth layer; the on-board reference's."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,4 +30,6 @@ def reflectance(
         np.asarray(mu0, np.float64), np.asarray(mu, np.float64), np.asarray(cos_phase, np.float64)
     )
     seen = (a > 0.0) & (b > 0.0)
-    return np.divide(2.0 * albedo * a, a + b, out=np.zeros(a.shape), where=seen)
+    out = np.zeros(a.shape)
+    np.divide(2.0 * albedo * a, a + b, out=out, where=seen)
+    return out

@@ -21,7 +21,7 @@ BoolGrid = NDArray[np.bool_]
 
 TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated
 TABLE_SIZE = 129
-# Grazing light: below this cosine of incidence the ratio is held; the brightness itself goes to zero.
+# Below this cosine of incidence the ratio is held; the brightness itself goes to zero.
 GRAZING = 1e-3
 
 
@@ -32,7 +32,8 @@ def _ratio(
     length = math.sqrt(a * a + b * b + 1.0)
     mu0 = max((-a * sun[0] - b * sun[1] + sun[2]) / length, GRAZING)
     mu = max((-a * view[0] - b * view[1] + view[2]) / length, GRAZING)
-    return reflectance_scalar(mu0, mu, cos_g, surface) * (mu0 + mu) / mu0
+    ratio: float = reflectance_scalar(mu0, mu, cos_g, surface) * (mu0 + mu) / mu0
+    return ratio
 
 
 @kernel

@@ -75,8 +75,8 @@ def row_normals(
     """Fill normals (3, n) with a row's outward normals (any length; east, north, up at the centre).
 
     Times (1 + q), with u = x/2R, v = y/2R, q = u^2 + v^2: the local up is (2u, 2v, 1 - q), map east
-    (1 - u^2 + v^2, -2uv, -2u), map north (-2uv, 1 + u^2 - v^2, -2v). A metre of map is 1 / (1 + q) m
-    on the sphere and (R + h) / R times as much at the ground.
+    (1 - u^2 + v^2, -2uv, -2u), map north (-2uv, 1 + u^2 - v^2, -2v). A metre of map is 1 / (1 + q)
+    metres on the sphere and (R + h) / R times as much at the ground.
     """
     size = heights.shape[0]
     nx, ny, nz = normals[0], normals[1], normals[2]

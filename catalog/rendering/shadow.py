@@ -37,9 +37,10 @@ def _sample_field(field: FloatArray, t: float, c: float) -> float:
         return NOTHING
     i, j = min(int(t), size - 2), min(int(c), size - 2)
     dt, dc = t - i, c - j
-    return (1.0 - dt) * ((1.0 - dc) * field[i, j] + dc * field[i, j + 1]) + dt * (
+    value: float = (1.0 - dt) * ((1.0 - dc) * field[i, j] + dc * field[i, j + 1]) + dt * (
         (1.0 - dc) * field[i + 1, j] + dc * field[i + 1, j + 1]
     )
+    return value
 
 
 @kernel

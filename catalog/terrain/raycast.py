@@ -45,12 +45,13 @@ def _clearance(grid: HeightGrid, row: float, col: float, height: float) -> float
     dr, dc = row - i, col - j
     top = (1.0 - dc) * grid[i, j] + dc * grid[i, j + 1]
     low = (1.0 - dc) * grid[i + 1, j] + dc * grid[i + 1, j + 1]
-    return height - ((1.0 - dr) * top + dr * low)
+    clearance: float = height - ((1.0 - dr) * top + dr * low)
+    return clearance
 
 
 @kernel
 def _next_crossing(a: float, b: float, after: float) -> float:
-    """First fraction beyond `after` of the way a -> b at which it meets a whole number; 1 if none."""
+    """First fraction of the way a -> b beyond `after` that meets a whole number; 1 if none."""
     if a == b:
         return 1.0
     here = a + (b - a) * after
@@ -123,9 +124,7 @@ def _cast(
                 if k != 1:  # the ends lie on cell borders: look from inside this cell
                     f += (0.5 - 0.5 * k) * 2e-9 * (ahead - done)
                 s = distance + step * f
-                row, col, h = _place(
-                    ox + dx * s, oy + dy * s, oz + dz * s, posting, radius, middle
-                )
+                row, col, h = _place(ox + dx * s, oy + dy * s, oz + dz * s, posting, radius, middle)
                 gaps[k] = _clearance(grid, row, col, h)
             if gaps[0] == gaps[0] and gaps[1] == gaps[1] and gaps[2] == gaps[2]:
                 entered = True
@@ -203,9 +202,8 @@ def node_points(heights: HeightGrid, posting_m: float, radius_m: float) -> Float
     q = u * u + v * v
     h = heights.astype(np.float64)
     reach = (radius_m + h) / (1.0 + q)
-    return np.stack(
-        [2.0 * u * reach, 2.0 * v * reach, (h * (1.0 - q) - 2.0 * q * radius_m) / (1.0 + q)], axis=-1
-    )
+    z = (h - q * (h + 2.0 * radius_m)) / (1.0 + q)
+    return np.stack([2.0 * u * reach, 2.0 * v * reach, z], axis=-1)
 
 
 def sees(
