@@ -18,7 +18,7 @@ Matcher = Callable[[Grid, Grid], Match]
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 LEAST_VALID_SHARE = 0.6
-LEAST_LIT_SHARE = 0.3
+LEAST_LIT_SHARE = 0.1
 
 
 @dataclass(frozen=True)

@@ -86,12 +86,13 @@ class Reference:
         camera_position_m  (3,) body frame
         """
         turn = self.projection.body_from_local
+        foot = np.array([0.0, 0.0, self.radius_m])
         outer = tuple((p.heights_m, p.posting_m) for p in self.patches[level + 1 :])
         return render_map(
             self.heights(level, size),
             self.patches[level].posting_m,
             sun_body @ turn,
-            camera_local=(camera_position_m - self.point.xyz_m) @ turn,
+            camera_local=camera_position_m @ turn - foot,
             law="lommel_seeliger",
             radius_m=self.radius_m,
             outer=outer,

@@ -38,6 +38,14 @@ class PointStore(Protocol):
         ...
 
 
+class UnsolvedFrameError(NoSolutionError):
+    """A picture gave no position; `tried` are the control points of the last pass."""
+
+    def __init__(self, reason: str, tried: "list[TriedPoint]") -> None:
+        super().__init__(reason)
+        self.tried = tried
+
+
 @dataclass
 class ControlPointField:
     """The usable points of a catalog, as arrays, and their patches, loaded when first needed.
@@ -75,6 +83,11 @@ class ControlPointField:
             self._references[point.id] = Reference(point, patches, self.radius_m)
         return self._references[point.id]
 
+    def half_sizes_m(self, level: int) -> list[float]:
+        """Half a side of the patches from a level up, m."""
+        size = next(iter(self._references.values())).patches[0].size if self._references else 0
+        return [(size - 1) / 2.0 * float(p) for p in self.postings_m[level:]]
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -103,10 +116,11 @@ class TriedPoint:
 
 @dataclass(frozen=True)
 class ControlPointFix:
-    """A solved frame."""
+    """A solved frame; `remark` says what a reader of the row should know."""
 
     solution: RobustResection
     tried: list[TriedPoint]
+    remark: str = ""
 
 
 def navigate(
@@ -123,8 +137,7 @@ def navigate(
     sun_body (3,) unit vector to the Sun, body frame. The prior limits the search and starts the
     iteration; its position is no part of the estimate.
 
-    Raises NoSolutionError with the reason when the picture gives no position; its attribute
-    `tried` holds what was tried in the last pass.
+    Raises UnsolvedFrameError with the reason when the picture gives no position.
     """
     pose = prior.pose
     covariance = _prior_covariance(prior, settings)
@@ -137,7 +150,7 @@ def navigate(
         if first:
             view = _spread(view, settings.solve.max_first_pass_points)
         if len(view) == 0:
-            raise _failure(_why_nothing_in_view(points, camera, pose, sun_body, settings), tried)
+            raise UnsolvedFrameError(_why_nothing_in_view(points, camera, pose, sun_body, settings), tried)
         matches, at_finest = _match_all(
             picture, camera, pose, covariance, sun_body, points, view, settings, matcher
         )
@@ -146,7 +159,7 @@ def navigate(
         try:
             solution = _solve(camera, points, view, matches, believed, pose, prior, settings)
         except NoSolutionError as error:
-            raise _failure(f"{error} ({len(believed)} of {len(view)} matched)", tried) from error
+            raise UnsolvedFrameError(f"{error} ({len(believed)} of {len(view)} matched)", tried) from error
         tried = _tried(points, view, matches, solution, believed)
         step = solution.resection.pose.position_m - pose.position_m
         pose = solution.resection.pose
@@ -157,14 +170,8 @@ def navigate(
             break
         previous_finest = at_finest
     if solution is None:
-        raise _failure("no pass was made", tried)
+        raise UnsolvedFrameError("no pass was made", tried)
     return ControlPointFix(solution, tried)
-
-
-def _failure(reason: str, tried: list[TriedPoint]) -> NoSolutionError:
-    error = NoSolutionError(reason)
-    error.tried = tried  # type: ignore[attr-defined]
-    return error
 
 
 def _prior_covariance(prior: Prior, settings: NavigateSettings) -> FloatArray:

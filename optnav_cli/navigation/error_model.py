@@ -9,8 +9,8 @@ Sun gives a weak, easily biased pattern.
 import numpy as np
 
 # Fitted on simulated frames over terrain richer than the catalog's (study navigation).
-NODES_AT_GOOD_LIGHT = 0.35
-NODES_PER_Q = 0.1
+NODES_AT_GOOD_LIGHT = 0.05
+NODES_PER_Q = 0.05
 
 
 def match_sigma_m(posting_m: float, sun_elevation_deg: float, hessian_eigenvalue: float) -> float:

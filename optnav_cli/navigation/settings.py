@@ -25,7 +25,7 @@ class MatchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     finest_posting_per_gsd: Positive = 0.6
     max_search_nodes: Annotated[int, msgspec.Meta(ge=4, le=128)] = 24
     search_sigmas: Positive = 3.5
-    min_score: Share = 0.5
+    min_score: Share = 0.3
     rival_ratio: Share = 0.9
 
 

@@ -1,0 +1,1 @@
+"""Whole jobs over a folder: pictures in, a run folder out."""

@@ -1,0 +1,146 @@
+"""Navigate a picture folder: every row of frames.csv becomes a row of solution.csv."""
+
+import logging
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from catalog.errors import DataError, NothingToDoError
+from catalog.progress import Progress
+from catalog.store.reader import Catalog
+from optnav_cli.imagery.folder import Folder, read_folder
+from optnav_cli.navigation.control_points import ControlPointField
+from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.output.attitude import FileAttitude
+from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.overlay import patch_outlines, write_overlay
+from optnav_cli.output.recording import Recording, describe
+from optnav_cli.output.replace import replacing_folder
+from optnav_cli.output.run_folder import MATCHES, OVERLAYS, RECORDING, SOLUTION, copy_inputs
+from optnav_cli.output.tables import write_matches, write_solutions
+from optnav_cli.runs.frame_job import MATCHERS, FrameResult, solve_frame
+from optnav_cli.solution import MatchRow, Solution
+
+log = logging.getLogger(__name__)
+
+
+def navigate_folder(
+    pictures: Path,
+    catalog_path: Path,
+    settings: NavigateSettings,
+    matcher: str,
+    run: Path,
+    progress: Progress,
+) -> list[Solution]:
+    """Navigate all frames of a folder and write the run folder in one step.
+
+    Returns the rows of solution.csv. Raises NothingToDoError, after the run is written, when no
+    frame was solved; DataError or ConfigError when folder or catalog cannot be used at all.
+    """
+    started = datetime.now(UTC)
+    folder = read_folder(pictures)
+    with Catalog.open(catalog_path) as catalog, replacing_folder(run, "run") as place:
+        points = open_field(catalog, folder)
+        copy_inputs(pictures, place)
+        solutions, matches = _navigate_frames(folder, points, settings, matcher, place, progress)
+        attitude = FileAttitude(folder.settings.attitude, folder.body)
+        write_solutions(place / SOLUTION, solutions, attitude)
+        write_matches(place / MATCHES, matches)
+        for point_id, reason in points.damaged.items():
+            log.warning("control point %d is left out: %s", point_id, reason)
+        solved = sum(solution.solved for solution in solutions)
+        names = [*(frame.file for frame in folder.frames), "run.toml", "frames.csv"]
+        write_manifest(
+            place,
+            "run",
+            command="navigate",
+            options={"matcher": matcher, "config": msgspec.to_builtins(settings)},
+            inputs={
+                "pictures": str(pictures),
+                "files_sha256": hash_files(pictures, names),
+                "catalog": str(catalog_path),
+                "catalog_digest": catalog.digest,
+            },
+            results={"frames": len(solutions), "solved": solved},
+            started=started,
+        )
+    if not solved:
+        raise NothingToDoError(
+            f"{run}: none of {len(solutions)} frames was solved; the reasons stand in {SOLUTION}, "
+            f"the first: {solutions[0].reason}"
+        )
+    return solutions
+
+
+def open_field(catalog: Catalog, folder: Folder) -> ControlPointField:
+    """The usable control points of a catalog, checked to be of the folder's body.
+
+    Raises DataError for another body or a catalog without usable points.
+    """
+    meta = catalog.meta
+    if meta.body != folder.body.name:
+        raise DataError(
+            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {folder.body.name}: "
+            "name another catalog, or mend `body` in run.toml"
+        )
+    usable = [point for point in catalog.points() if point.usable]
+    if not usable:
+        raise DataError(
+            f"{catalog.path}: none of its {len(catalog)} control points is usable; "
+            "see `optnav catalog info`"
+        )
+    postings = meta.posting_m * 2.0 ** np.arange(meta.levels)
+    return ControlPointField(catalog, usable, postings, meta.radius_m)
+
+
+def _navigate_frames(
+    folder: Folder,
+    points: ControlPointField,
+    settings: NavigateSettings,
+    matcher: str,
+    place: Path,
+    progress: Progress,
+) -> tuple[list[Solution], list[MatchRow]]:
+    solutions: list[Solution] = []
+    matches: list[MatchRow] = []
+    with (
+        progress.stage("navigate", len(folder.frames), "frame") as bar,
+        Recording(place / RECORDING, folder.body.name) as recording,
+    ):
+        for frame in folder.frames:
+            result = solve_frame(folder, frame, points, settings, MATCHERS[matcher])
+            solutions.append(result.solution)
+            matches.extend(result.matches)
+            recording.add_frame(result.solution, result.matches, result.camera, result.picture)
+            if result.picture is not None:
+                _draw(place / OVERLAYS, result, points)
+            level = logging.DEBUG if result.solution.solved else logging.WARNING
+            log.log(level, "%s", describe(result.solution))
+            bar.advance()
+    return solutions, matches
+
+
+def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:
+    if result.picture is None:
+        return
+    solution = result.solution
+    outlines = {}
+    if (
+        result.camera is not None
+        and solution.position_m is not None
+        and solution.camera_from_body is not None
+    ):
+        by_id = {point.id: point for point in points.points}
+        for match in result.matches:
+            point = by_id[match.cp_id]
+            outlines[match.cp_id] = patch_outlines(
+                point.projection(points.radius_m),
+                point.radius_m - points.radius_m,
+                points.half_sizes_m(match.level),
+                result.camera,
+                solution.position_m,
+                solution.camera_from_body,
+            )
+    write_overlay(place, result.picture, solution, result.matches, outlines)
