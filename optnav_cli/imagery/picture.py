@@ -1,0 +1,90 @@
+"""One picture file: PNG, TIFF, PGM, ISIS cube or what else rasterio reads, checked for use.
+
+GDAL is used for all of them, because it says so when a file breaks off; some other readers fill the
+rest of the picture with zeros without a word.
+"""
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from catalog.errors import DataError
+from optnav_cli.camera.camera import Camera
+
+# the highest value of the integer types pictures are taken with
+_SATURATION = {"uint8": 255.0, "uint16": 65535.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture's values and where they saturate.
+
+    values      (height, width) float32, in the units of the file
+    saturation  the highest value the file can hold; None where its type says nothing
+    """
+
+    values: NDArray[np.float32]
+    saturation: float | None
+
+
+def read_picture(path: str | Path, camera: Camera) -> NDArray[np.float32]:
+    """Values (height, width) float32 of a picture taken with a camera; see `load_picture`."""
+    return load_picture(path, camera).values
+
+
+def load_picture(path: str | Path, camera: Camera) -> Picture:
+    """Read a picture of a camera.
+
+    Raises DataError, with the reason, for a file that is missing, broken, of another size than the
+    camera's pictures, in colour, or without content: all black, all white, all alike.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DataError(f"{path}: there is no such picture")
+    if path.stat().st_size == 0:
+        raise DataError(f"{path}: the picture is an empty file")
+    values, kind = _read(path, camera)
+    saturation = _SATURATION.get(kind)
+    _check_content(path, values, saturation)
+    return Picture(values.astype(np.float32), saturation)
+
+
+def _read(path: Path, camera: Camera) -> tuple[NDArray[np.generic], str]:
+    """The only band and the name of its type."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as dataset:
+                coloured = dataset.count > 1 or dataset.colorinterp[0] == ColorInterp.palette
+                if coloured:
+                    raise DataError(
+                        f"{path}: the picture is in colour or has {dataset.count} bands; "
+                        "wanted one grey band: convert it"
+                    )
+                if dataset.shape != camera.shape:
+                    raise DataError(
+                        f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
+                        f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
+                    )
+                return dataset.read(1), dataset.dtypes[0]
+    except (RasterioError, OSError) as error:
+        reason = str(error.__cause__ or error).splitlines()[0].replace(f"{path}: ", "")
+        raise DataError(f"{path}: the picture is broken or of no known kind: {reason}") from None
+
+
+def _check_content(path: Path, values: NDArray[np.generic], saturation: float | None) -> None:
+    if np.iscomplexobj(values) or not np.isfinite(values).all():
+        raise DataError(f"{path}: the picture holds values that are not finite numbers")
+    lowest, highest = float(values.min()), float(values.max())
+    if highest <= 0.0 and lowest == highest:
+        raise DataError(f"{path}: the picture is all black")
+    if lowest == saturation:
+        raise DataError(f"{path}: the picture is all white")
+    if lowest == highest:
+        raise DataError(f"{path}: all pixels of the picture have the same value, {lowest:g}")
