@@ -1,10 +1,12 @@
 """One picture file: PNG, TIFF, PGM, ISIS cube or what else rasterio reads, checked for use.
 
-GDAL is used for all of them, because it says so when a file breaks off; some other readers fill the
-rest of the picture with zeros without a word.
+GDAL reads all of them, because it says so when a file breaks off, where some other readers fill the
+rest with zeros. Of a PNG it does not say so, therefore the checksums of a PNG's chunks are checked.
 """
 
+import struct
 import warnings
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from optnav_cli.camera.camera import Camera
 
 # the highest value of the integer types pictures are taken with
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +52,32 @@ def load_picture(path: str | Path, camera: Camera) -> Picture:
         raise DataError(f"{path}: there is no such picture")
     if path.stat().st_size == 0:
         raise DataError(f"{path}: the picture is an empty file")
+    _check_png(path)
     values, kind = _read(path, camera)
     saturation = _SATURATION.get(kind)
     _check_content(path, values, saturation)
     return Picture(values.astype(np.float32), saturation)
+
+
+def _check_png(path: Path) -> None:
+    """Refuse a PNG that does not reach its end or holds a chunk with a wrong checksum."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: the picture cannot be read: {error.strerror}") from None
+    if not raw.startswith(_PNG):
+        return
+    place, kind = len(_PNG), b""
+    while kind != b"IEND":
+        if place + 12 > len(raw):
+            raise DataError(f"{path}: the picture is broken: it ends after {len(raw)} bytes")
+        length, kind = struct.unpack_from(">I4s", raw, place)
+        end = place + 8 + length
+        if end + 4 > len(raw):
+            raise DataError(f"{path}: the picture is broken: it ends after {len(raw)} bytes")
+        if zlib.crc32(raw[place + 4 : end]) != struct.unpack_from(">I", raw, end)[0]:
+            raise DataError(f"{path}: the picture is broken: wrong checksum at byte {place}")
+        place = end + 4
 
 
 def _read(path: Path, camera: Camera) -> tuple[NDArray[np.generic], str]:
