@@ -8,11 +8,22 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 
 from catalog.bodies.body import Body
+from catalog.config import resource
 from catalog.errors import DataError
 from catalog.terrain.georeference import Georeference, georeference
 
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.
 RADIUS_TOLERANCE = 0.01
+
+
+BUNDLED = "bundled:"  # a path that begins so names a file of the package's own data
+
+
+def path_of(name: str, base_dir: Path) -> Path:
+    """The file that a config names, beside the config or among the data that travel along."""
+    if name.startswith(BUNDLED):
+        return resource(f"data/{name.removeprefix(BUNDLED)}")
+    return base_dir / name
 
 
 def label_of(path: Path) -> Path:

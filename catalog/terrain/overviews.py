@@ -22,7 +22,7 @@ from rasterio.windows import Window
 from catalog.errors import DataError, OutputError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
-from catalog.terrain.source import Conversion, DemSource
+from catalog.terrain.source import Conversion, DemSettings, DemSource
 
 FORMAT = 1  # of the overview folder; another number means: make it again
 BLOCK = 256  # pixels a side of the overviews' tiles
@@ -36,7 +36,6 @@ ROUNDING = 1.0 / 1500.0
 # a square window would decode whole strips.
 LONGEST_STRIP = 4096
 
-
 HeightGrid = NDArray[np.float32]
 Box = tuple[int, int, int, int]  # first row, first column, height, width
 Extremes = tuple[float, float, int, int]
@@ -46,7 +45,9 @@ class PyramidRecord(msgspec.Struct, frozen=True):
     """What is known of a source after reading all of it; pyramid.json of an overview folder."""
 
     format: int
-    source: str
+    settings: DemSettings
+    source_bytes: int
+    source_mtime_ns: int
     shape: tuple[int, int]
     levels: int
     tiled_copy: bool
@@ -107,7 +108,9 @@ def write_levels(
     source.check_heights(statistics.lowest, statistics.highest)
     return PyramidRecord(
         format=FORMAT,
-        source=source.path.name,
+        settings=source.settings,
+        source_bytes=source.path.stat().st_size,
+        source_mtime_ns=source.path.stat().st_mtime_ns,
         shape=source.shape,
         levels=levels,
         tiled_copy=copied,

@@ -89,7 +89,14 @@ class HeightPyramid:
             record = msgspec.json.decode((folder / "pyramid.json").read_bytes(), type=PyramidRecord)
         except (FileNotFoundError, msgspec.MsgspecError):
             return None
-        same = record.format == FORMAT and record.shape == source.shape
+        state = source.path.stat()
+        same = (
+            record.format == FORMAT
+            and record.settings == source.settings
+            and record.shape == source.shape
+            and record.source_bytes == state.st_size
+            and record.source_mtime_ns == state.st_mtime_ns
+        )
         return cls(source, folder, record) if same else None
 
     @classmethod

@@ -4,6 +4,8 @@ rasterio neither applies scales and offsets nor knows whether a value is a heigh
 both are settled here, once, and stated. A window comes out as metres above the reference sphere.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +25,7 @@ from catalog.terrain.dem_file import (
     gdal_reason,
     label_of,
     open_raster,
+    path_of,
     place_of,
 )
 from catalog.terrain.georeference import Georeference
@@ -46,7 +49,7 @@ ISIS_LOWEST_VALID = {"int16": -32752.0, "float32": -3.4028226e38, "uint16": 3.0}
 class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One [[dem]] section of a build config.
 
-    path       relative to the config file
+    path       relative to the config file; "bundled:NAME" is a file that travels with optnav
     priority   1 is used first; higher numbers fill what it leaves empty
     heights    "height" above the reference sphere or "radius" from the body's centre; without it
                values near the body's radius are taken as radii
@@ -112,7 +115,7 @@ class DemSource:
         Raises DataError for a file that is missing, unreadable, without a usable CRS, of another
         body, or with values that cannot be heights; the whole file is read later, when averaged.
         """
-        path = label_of(base_dir / settings.path)
+        path = label_of(path_of(settings.path, base_dir))
         dataset = open_raster(path)
         try:
             return cls._read_header(path, settings, body, dataset)
@@ -189,6 +192,12 @@ class DemSource:
         return self.place.shape
 
     @property
+    def files(self) -> tuple[Path, ...]:
+        """All files that the terrain model is read from: a label and its image, parts of a VRT."""
+        with self._reading() as dataset:
+            return tuple(sorted(Path(name) for name in dataset.files))
+
+    @property
     def posting_m(self) -> float:
         """Ground distance of neighbouring rows."""
         return self.place.row_angle * self.body.radius_m
@@ -254,17 +263,22 @@ class DemSource:
 
     def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:
         """Counts as they are stored; the window must lie inside. Raises DataError."""
-        if self._dataset is None:
-            self._dataset = open_raster(self.path)
         try:
-            with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES):
-                raw: NDArray[Any] = self._dataset.read(1, window=Window(col, row, width, height))
+            with self._reading() as dataset:
+                raw: NDArray[Any] = dataset.read(1, window=Window(col, row, width, height))
         except RasterioError as error:
             raise DataError(
                 f"{self.path}: rows {row}-{row + height - 1} cannot be read "
                 f"({gdal_reason(error)}); the file is damaged or cut short, get it again"
             ) from None
         return raw
+
+    @contextmanager
+    def _reading(self) -> Iterator[Any]:
+        if self._dataset is None:
+            self._dataset = open_raster(self.path)
+        with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES):
+            yield self._dataset
 
     def reopen(self) -> "DemSource":
         """The same source with a file handle of its own."""

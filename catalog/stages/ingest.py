@@ -1,0 +1,197 @@
+"""Ingest: read every terrain model whole, average it, and find the cells that have ground."""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.bodies.body import Body
+from catalog.errors import DataError, UsageError
+from catalog.geometry.cells import CellGrid
+from catalog.progress import Progress
+from catalog.stages.workspace import Workspace, stage_key
+from catalog.terrain.mosaic import Mosaic
+from catalog.terrain.overviews import FORMAT
+from catalog.terrain.pyramid import HeightPyramid
+from catalog.terrain.source import DemSettings, DemSource
+
+Bbox = tuple[float, float, float, float]
+IntArray = NDArray[np.int64]
+
+HASHES = "dem-hashes.json"
+LATTICE = 5  # points a side at which a cell is asked for ground
+BLOCK_CELLS = 8  # cells a side of a block whose terrain is read together
+LARGEST_CHUNK = 64  # cells in work at once: what a kill can lose
+CHUNKS = 32  # a small build is cut at least so finely, to keep several workers busy
+
+
+class DemRecord(msgspec.Struct, frozen=True):
+    """One terrain model as it was found, for the manifest.
+
+    sha256       of its files, in order of name
+    folder       of its overviews, in the workspace
+    bounds_deg   west, south, east, north
+    valid_share  of its pixels that have a height
+    """
+
+    name: str
+    sha256: str
+    priority: int
+    folder: str
+    rows: int
+    cols: int
+    posting_m: float
+    heights: str
+    units: str
+    lowest_m: float
+    highest_m: float
+    valid_share: float
+    bounds_deg: tuple[float, float, float, float]
+
+
+def ingest(
+    workspace: Workspace,
+    settings: Sequence[DemSettings],
+    base_dir: Path,
+    body: Body,
+    workers: int,
+    progress: Progress,
+) -> tuple[Mosaic, list[DemRecord]]:
+    """The mosaic of a config's [[dem]] sections; what the workspace holds already is kept.
+
+    Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
+    """
+    hashes = _known_hashes(workspace)
+    pyramids: list[HeightPyramid] = []
+    records: list[DemRecord] = []
+    for one in sorted(settings, key=lambda s: s.priority):
+        source = DemSource.open(one, base_dir, body)
+        digest = _content_hash(source, hashes)
+        workspace.put(HASHES, msgspec.json.encode(hashes))
+        # where the file lies and how it ranks do not change its overviews
+        plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in _UNIMPORTANT}
+        folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
+        place = workspace.path(folder)
+        pyramid = HeightPyramid.load(source, place) or HeightPyramid.build(
+            source, place, workers, progress
+        )
+        pyramids.append(pyramid)
+        records.append(_record(pyramid, digest, folder))
+    workspace.keep_only("dem", {record.folder.removeprefix("dem-") for record in records})
+    return Mosaic(pyramids), records
+
+
+_UNIMPORTANT = ("path", "priority")
+
+
+def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
+    source, found = pyramid.source, pyramid.record
+    west, south, east, north = (float(np.degrees(angle)) for angle in source.latlon_bounds())
+    return DemRecord(
+        name=source.path.name,
+        sha256=digest,
+        priority=source.settings.priority,
+        folder=folder,
+        rows=source.shape[0],
+        cols=source.shape[1],
+        posting_m=source.posting_m,
+        heights=source.heights,
+        units=source.units,
+        lowest_m=found.lowest_m,
+        highest_m=found.highest_m,
+        valid_share=found.valid_share,
+        bounds_deg=(west, south, east, north),
+    )
+
+
+def _known_hashes(workspace: Workspace) -> dict[str, str]:
+    data = workspace.get(HASHES)
+    try:
+        return msgspec.json.decode(data, type=dict[str, str]) if data else {}
+    except msgspec.MsgspecError:
+        return {}
+
+
+def _content_hash(source: DemSource, known: dict[str, str]) -> str:
+    """SHA-256 over the files of a source; a file of the same size and date is not read again."""
+    whole = hashlib.sha256()
+    for path in source.files:
+        try:
+            state = path.stat()
+            name = f"{path.resolve()} {state.st_size} {state.st_mtime_ns}"
+            if name not in known:
+                with path.open("rb") as file:
+                    known[name] = hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise DataError(
+                f"{path}: cannot be read ({error.strerror or error}); check its permissions"
+            ) from None
+        whole.update(bytes.fromhex(known[name]))
+    return whole.hexdigest()
+
+
+def covered_cells(mosaic: Mosaic, grid: CellGrid, bbox: Bbox | None) -> IntArray:
+    """Numbers of the cells that have any ground, sorted; only those with their middle in a bbox.
+
+    A cell at the edge of a DEM counts: whether whole patches fit in it shows when it is rendered.
+    Raises UsageError for a bbox that is none, DataError when no cell has ground.
+    """
+    cells = np.arange(grid.total, dtype=np.int64)
+    if bbox is not None:
+        west, south, east, north = bbox
+        if not (
+            -90.0 <= south < north <= 90.0 and np.isfinite([west, east]).all() and west != east
+        ):
+            raise UsageError(
+                f"--bbox {_text(bbox)}: wanted W,S,E,N in degrees with S < N, both within -90..90"
+            )
+        cells = grid.in_bbox(west, south, east, north)
+    covered = np.zeros(cells.size, dtype=bool)
+    # any point of the lattice: asked of overviews about as coarse as the lattice
+    step_m = np.radians(grid.step_deg) * mosaic.body.radius_m / LATTICE
+    posting = max(mosaic.posting_m, step_m / 2.0)
+    for first in range(0, cells.size, 4096):
+        part = cells[first : first + 4096]
+        lat, lon = _lattice(grid, part)
+        covered[first : first + 4096] = mosaic.covers(lat, lon, posting).any(axis=1)
+    if not covered.any():
+        where = f"--bbox {_text(bbox)} " if bbox is not None else "the terrain models "
+        extents = "; ".join(
+            f"{p.source.path.name} covers {_text(np.degrees(p.source.latlon_bounds()))}"
+            for p in mosaic.pyramids
+        )
+        raise DataError(f"{where}holds the middle of no cell with ground ({extents}, W,S,E,N)")
+    return cells[covered]
+
+
+def _lattice(grid: CellGrid, cells: IntArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Latitudes and longitudes (rad), (n, LATTICE²) each, of points spread over cells."""
+    bounds = np.array([grid.bounds_deg(int(cell)) for cell in cells])
+    west, south, east, north = bounds.T[:, :, None]
+    share = (np.arange(LATTICE) + 0.5) / LATTICE
+    down, along = (a.ravel() for a in np.meshgrid(share, share, indexing="ij"))
+    return np.radians(south + (north - south) * down), np.radians(west + (east - west) * along)
+
+
+def _text(bounds: Sequence[float] | NDArray[np.float64]) -> str:
+    return ",".join(f"{value:.6g}" for value in bounds)
+
+
+def chunks_of(grid: CellGrid, cells: IntArray) -> list[list[int]]:
+    """Cells in chunks of neighbours, so that a worker's chunk reads little terrain.
+
+    The cut depends on the cells alone, never on the workers.
+    """
+    size = int(np.clip(-(-cells.size // CHUNKS), 1, LARGEST_CHUNK))
+
+    def place(cell: int) -> tuple[int, int, int]:
+        _, lon = grid.centre_deg(cell)
+        band = grid.band_of(cell) // BLOCK_CELLS
+        # equal turns of longitude for a row of blocks: narrower toward the poles, still neighbours
+        return band, int((lon + 180.0) // (BLOCK_CELLS * grid.step_deg)), cell
+
+    ordered = sorted((int(cell) for cell in cells), key=place)
+    return [ordered[i : i + size] for i in range(0, len(ordered), size)]

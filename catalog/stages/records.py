@@ -1,0 +1,55 @@
+"""Records between the stages as bytes: msgpack with numpy arrays, guarded by a checksum."""
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+import zstandard
+
+T = TypeVar("T")
+
+MAGIC = b"optnav1\n"
+HASH_BYTES = 16
+
+
+class DamagedRecordsError(ValueError):
+    """Bytes that were cut short or changed."""
+
+
+def encode_records(records: Sequence[msgspec.Struct]) -> bytes:
+    """The same records give the same bytes."""
+    payload = zstandard.ZstdCompressor(level=1).compress(
+        msgspec.msgpack.encode(records, enc_hook=_plain)
+    )
+    return MAGIC + hashlib.sha256(payload).digest()[:HASH_BYTES] + payload
+
+
+def decode_records(data: bytes, type_: type[T]) -> list[T]:
+    """The records of a type. Raises DamagedRecordsError."""
+    head = len(MAGIC) + HASH_BYTES
+    payload = data[head:]
+    same = hashlib.sha256(payload).digest()[:HASH_BYTES] == data[len(MAGIC) : head]
+    if not data.startswith(MAGIC) or not same:
+        raise DamagedRecordsError("checksum differs")
+    plain = zstandard.ZstdDecompressor().decompress(payload)
+    try:
+        return msgspec.msgpack.decode(plain, type=list[type_], dec_hook=_array)  # type: ignore[valid-type]
+    except msgspec.MsgspecError as error:
+        raise DamagedRecordsError(str(error)) from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return [value.dtype.str, list(value.shape), np.ascontiguousarray(value).tobytes()]
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(f"records cannot hold a {type(value).__name__}")
+
+
+def _array(type_: type, value: Any) -> Any:
+    if type_ is np.ndarray:
+        dtype, shape, data = value
+        return np.frombuffer(data, dtype=np.dtype(dtype)).reshape(shape)
+    raise NotImplementedError(f"records cannot hold a {type_.__name__}")
