@@ -16,6 +16,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+import click
+
 from catalog.errors import OutputError
 from catalog.progress import Stage
 
@@ -171,6 +173,10 @@ class ConsoleProgress:
         stage.close()
 
 
+# Hands a command the group's progress; a command that is run alone, as in a test, makes its own.
+pass_progress = click.make_pass_decorator(ConsoleProgress, ensure=True)
+
+
 def announce_compilation() -> None:
     """Say once, before or when it happens, that numba compiles its kernels in this run.
 
@@ -239,5 +245,9 @@ def speed(rate: float, unit: str) -> str:
 
 
 def plural(unit: str, count: int) -> str:
-    """The English plural of a unit of work."""
-    return unit if count == 1 else f"{unit}s"
+    """The English plural of a unit of work: cells, geometries, pictures."""
+    if count == 1:
+        return unit
+    if unit.endswith("y"):
+        return f"{unit[:-1]}ies"
+    return f"{unit}s"

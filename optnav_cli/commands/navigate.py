@@ -1,0 +1,58 @@
+"""`optnav navigate`: the camera's position for each picture."""
+
+from pathlib import Path
+
+import click
+
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.options import output_option, path_argument
+
+
+@click.command(short_help="Find the camera's position for each picture.")
+@path_argument("folder")
+@click.option(
+    "--catalog",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="The control-point catalog to navigate with.",
+)
+@click.option(
+    "--config",
+    type=click.Path(path_type=Path),
+    help="Settings; `optnav config template navigate` prints the defaults.",
+)
+@click.option(
+    "--matcher",
+    type=click.Choice(["ncc", "surf"]),
+    default="ncc",
+    show_default=True,
+    help="How a control point is recognised.",
+)
+@output_option("Folder for the results; an earlier run in it is replaced.")
+@pass_progress
+def command(
+    progress: ConsoleProgress,
+    folder: Path,
+    catalog: Path,
+    config: Path | None,
+    matcher: str,
+    output: Path,
+) -> None:
+    """Find the camera's position for each picture of FOLDER.
+
+    FOLDER holds run.toml, cameras/, frames.csv and the pictures. The run folder gets solution.csv
+    (a row a frame), matches.csv (a row a control point), run.mcap, overlays and manifest.json.
+    Ends with exit code 4 when no frame could be solved.
+
+    \b
+    Example:
+      optnav navigate pictures --catalog tycho.gpkg -o run
+    """
+    from catalog.config import load_toml
+    from optnav_cli.navigation.run import navigate_folder
+    from optnav_cli.navigation.settings import NavigateSettings
+
+    settings = load_toml(config, NavigateSettings) if config else NavigateSettings()
+    announce_compilation()
+    navigate_folder(folder, catalog, settings, matcher, output, progress)
+    click.echo(output)

@@ -1,0 +1,87 @@
+"""`optnav ingest | render | select | check | write`: each stage of a build alone."""
+
+from pathlib import Path
+
+import click
+
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.options import (
+    BoundingBox,
+    bbox_option,
+    output_option,
+    path_argument,
+    work_option,
+    workers_option,
+)
+
+WHAT = {
+    "ingest": "Read the terrain models that CONFIG names, average them and find their cells.",
+    "render": "Shortlist points in each cell and render them under all Suns.",
+    "select": "Choose among each cell's shortlist the points to check.",
+    "check": "Check the chosen points: uniqueness, foreign shadows, recognition trials.",
+}
+
+
+def _stage(name: str) -> click.Command:
+    """The command of one stage, with the options that all of them take."""
+
+    @click.command(name, help=f"{WHAT[name]}\n\n{_example(name)}")
+    @path_argument("config")
+    @work_option(required=True)
+    @workers_option
+    @bbox_option
+    @pass_progress
+    def command(
+        progress: ConsoleProgress,
+        config: Path,
+        work: Path,
+        workers: int | None,
+        bbox: BoundingBox | None,
+    ) -> None:
+        from catalog.stages.build import run
+
+        announce_compilation()
+        report = run(config, work, stages=(name,), workers=workers, bbox=bbox, progress=progress)
+        click.echo(f"{work}: {name} is done for {report.cells} cells")
+
+    return command
+
+
+def _example(name: str, more: str = "") -> str:
+    return (
+        "The stage works on what the stages before it left in the workspace; give it the same "
+        "CONFIG and --bbox as these.\n\n"
+        f"\b\nExample:\n  optnav {name} moon.toml --work moon.work{more}"
+    )
+
+
+ingest = _stage("ingest")
+render = _stage("render")
+select = _stage("select")
+check = _stage("check")
+
+
+@click.command(help=f"Write the catalog file.\n\n{_example('write', ' -o moon.gpkg')}")
+@path_argument("config")
+@output_option("The catalog file (GeoPackage); an earlier catalog is replaced.")
+@work_option(required=True)
+@workers_option
+@bbox_option
+@pass_progress
+def write(
+    progress: ConsoleProgress,
+    config: Path,
+    output: Path,
+    work: Path,
+    workers: int | None,
+    bbox: BoundingBox | None,
+) -> None:
+    """Write the catalog file (its help is given above)."""
+    from catalog.stages.build import run
+
+    report = run(
+        config, work, stages=("write",), output=output, workers=workers, bbox=bbox,
+        progress=progress,
+    )  # fmt: skip
+    click.echo(f"{output}: {report.points} control points, {report.usable} usable")
+    click.echo(f"digest: {report.digest}")

@@ -1,0 +1,141 @@
+"""What people read agrees with what there is."""
+
+import os
+import re
+import shlex
+import subprocess
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import click
+import pytest
+
+from optnav_cli.lazy_group import LazyGroup
+from optnav_cli.main import cli
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+TEXT = {".py", ".toml", ".md", ".lock", ".csv", ".json", ".geojson", ".txt", ".cfg", ".html", ""}
+
+
+def commands(
+    group: click.Group, words: tuple[str, ...] = ()
+) -> Iterator[tuple[str, click.Command]]:
+    """Every command below a group with its full words: "catalog nearest"."""
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        yield " ".join((*words, name)), command
+        if isinstance(command, click.Group):
+            yield from commands(command, (*words, name))
+
+
+COMMANDS = dict(commands(cli))
+
+
+def help_of(words: str, command: click.Command) -> str:
+    return command.get_help(click.Context(command, info_name=f"optnav {words}"))
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_every_command_has_help_with_an_example_of_itself(words: str) -> None:
+    text = help_of(words, COMMANDS[words])
+    example = text.partition("Example:")[2].partition("Options:")[0]
+    assert f"optnav {words} " in example.replace("\n", " ") + " "
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_every_option_says_what_it_is_for(words: str) -> None:
+    for parameter in COMMANDS[words].params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help, f"optnav {words} {parameter.opts[-1]} has no help"
+
+
+@pytest.mark.parametrize("words", [w for w in COMMANDS if w not in ("catalog", "study", "config")])
+def test_every_command_has_a_line_in_the_readme(words: str) -> None:
+    assert re.search(rf"optnav {re.escape(words)}\b", README)
+
+
+def test_examples_use_only_options_that_exist() -> None:
+    texts = [README, *(help_of(words, command) for words, command in COMMANDS.items())]
+    for line in re.findall(r"^\s*(?:\$ )?(optnav .*)$", "\n".join(texts), re.MULTILINE):
+        words = shlex.split(line.partition("#")[0])[1:]
+        known = {opt for parameter in cli.params for opt in (*parameter.opts, "--help", "-h")}
+        group: click.Command = cli
+        while words and isinstance(group, click.Group):
+            if words[0].startswith("-"):
+                assert words[0] in known, f"{line}: there is no {words[0]}"
+                takes_value = words[0] == "--log-file"
+                words = words[2 if takes_value else 1 :]
+                continue
+            command = group.get_command(click.Context(group), words[0])
+            assert command is not None, f"{line}: there is no command {words[0]!r}"
+            group, words = command, words[1:]
+        known = {opt for parameter in group.params for opt in parameter.opts}
+        for word in words:
+            if re.match(r"--?[a-z]", word):
+                assert word in known | {"--help", "-h"}, f"{line}: there is no {word}"
+
+
+def test_makes_of_the_readme_exist() -> None:
+    targets = set(re.findall(r"^([a-z%-]+):", (CHECKOUT / "Makefile").read_text(), re.MULTILINE))
+    named = set(re.findall(r"\bmake ([a-z]+(?:-[a-z]+)*)", README))
+    studies = {name for name in named if name.startswith("study-")}
+    assert named - studies <= targets
+    assert {"demo", "test"} <= named
+    for name in studies:
+        assert f"study {name.removeprefix('study-')}" in COMMANDS
+
+
+def test_pictures_and_files_that_the_readme_names_are_there() -> None:
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", README):
+        assert (CHECKOUT / target).exists(), f"README.md names {target}"
+
+
+def test_a_study_is_found_by_its_file_and_offers_a_command() -> None:
+    study = COMMANDS["study"]
+    assert isinstance(study, LazyGroup)
+    for entry in study.table.values():
+        assert isinstance(getattr(import_module(entry.module), entry.attribute), click.Command)
+
+
+def files() -> Iterator[Path]:
+    """The files of the project: those that git knows, or all when this is not a checkout."""
+    try:
+        listed = subprocess.run(
+            ["git", "ls-files", "-z"], cwd=CHECKOUT, capture_output=True, text=True, check=True
+        )
+        names = [name for name in listed.stdout.split("\0") if name]
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("needs git to know which files belong to the project")
+    yield from (CHECKOUT / name for name in names if (CHECKOUT / name).is_file())
+
+
+def test_no_file_names_a_place_on_somebodys_machine() -> None:
+    # /dev and /etc are everywhere; a temporary folder in a text is a leftover of somebody's session
+    place = re.compile(r"(?<![\w.:/~-])/(?:home|root|Users|work|opt|tmp|mnt|srv)/\w")
+    found = [
+        f"{path.relative_to(CHECKOUT)}:{number}"
+        for path in files()
+        if path.suffix in TEXT
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if place.search(line)
+    ]
+    assert found == []
+
+
+def test_the_lock_has_hashes_and_no_addresses() -> None:
+    text = (CHECKOUT / "requirements.lock").read_text(encoding="utf-8")
+    assert "://" not in text
+    assert not re.search(r"^\s*--(?!hash)", text, re.MULTILINE)
+    pins = re.findall(r"^[a-z][\w.-]*==", text, re.MULTILINE)
+    assert len(pins) > 30
+    assert text.count("--hash=sha256:") >= len(pins)
+
+
+def test_ci_runs_what_the_readme_names() -> None:
+    text = (CHECKOUT / ".ci" / "run").read_text(encoding="utf-8")
+    assert text.rstrip().endswith("make test")
+    assert os.access(CHECKOUT / ".ci" / "run", os.X_OK)
