@@ -88,7 +88,10 @@ def run(
     workspace = Workspace(work)
     with workspace.locked():
         build = _Build(workspace, config, config_path, body, workers, progress or SilentProgress())
-        return build.run(wanted, bbox, output)
+        try:
+            return build.run(wanted, bbox, output)
+        finally:
+            build.workers.close()
 
 
 class _Build:

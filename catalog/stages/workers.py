@@ -37,6 +37,9 @@ class Workers(Protocol):
     ) -> Iterator[tuple[int, R]]:
         """Yield (position in chunks, function(context, chunk)) as results come."""
 
+    def close(self) -> None:
+        """Let the workers go."""
+
 
 class SerialWorkers:
     """All work in this process, in order."""
@@ -50,13 +53,21 @@ class SerialWorkers:
         for position, chunk in enumerate(chunks):
             yield position, function(context, chunk)
 
+    def close(self) -> None:
+        """See Workers."""
+
 
 class ExecutorWorkers:
-    """Work sent to a concurrent.futures.Executor; `make` gives a new one after a worker died."""
+    """Work sent to a concurrent.futures.Executor; `make` gives a new one after a worker died.
+
+    The executor lives from the first run to `close`, so that workers load their libraries once.
+    """
 
     def __init__(self, make: Callable[[], Executor], count: int) -> None:
         self.count = count
         self._make = make
+        self._executor: Executor | None = None
+        self._others: set[int | None] = set()  # child processes that are not this one's workers
 
     def run(
         self, function: Callable[[Any, T], R], context: Any, chunks: Sequence[T]
@@ -82,8 +93,9 @@ class ExecutorWorkers:
     def _once(
         self, function: Callable[[Any, T], R], blob: bytes, chunks: Sequence[T], todo: list[int]
     ) -> Iterator[tuple[int, R]]:
-        before = {child.pid for child in multiprocessing.active_children()}
-        executor = self._make()
+        if self._executor is None:
+            self._others = {child.pid for child in multiprocessing.active_children()}
+            self._executor = self._make()
         waiting = iter(list(todo))
         under_way: dict[Future[R], int] = {}
         finished = False
@@ -93,7 +105,7 @@ class ExecutorWorkers:
                     position = next(waiting, None)
                     if position is None:
                         break
-                    future = executor.submit(call_in_worker, blob, function, chunks[position])
+                    future = self._executor.submit(call_in_worker, blob, function, chunks[position])
                     under_way[future] = position
                 if not under_way:
                     break
@@ -103,12 +115,23 @@ class ExecutorWorkers:
                     yield under_way.pop(future), future.result()
             finished = True
         finally:
-            executor.shutdown(wait=finished, cancel_futures=True)
             if not finished:
-                # an interrupt or an error: do not wait for chunks that nobody wants any more
-                for child in multiprocessing.active_children():
-                    if child.pid not in before:
-                        child.terminate()
+                self._abandon()
+
+    def _abandon(self) -> None:
+        """End the workers at once: an interrupt or an error wants no chunk any more."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+            self._executor = None
+        for child in multiprocessing.active_children():
+            if child.pid not in self._others:
+                child.terminate()
+
+    def close(self) -> None:
+        """See Workers."""
+        if self._executor is not None:
+            self._executor.shutdown()
+            self._executor = None
 
 
 def workers_of(count: int | None) -> Workers:
