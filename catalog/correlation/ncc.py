@@ -32,7 +32,9 @@ def high_pass(grid: Grid, sigma_nodes: float = HIGH_PASS_NODES) -> Grid:
     return np.where(valid, filled - mean, np.float32(0.0)).astype(np.float32)
 
 
-def correlation_surface(reference: Grid, search: Grid, sigma_nodes: float = HIGH_PASS_NODES) -> Grid:
+def correlation_surface(
+    reference: Grid, search: Grid, sigma_nodes: float = HIGH_PASS_NODES
+) -> Grid:
     """Scores of a reference at every place where it fits whole into the search grid.
 
     reference (n, n), search (m, m) with m - n even, float32, NaN for no data.

@@ -40,7 +40,7 @@ class Match(NamedTuple):
 # Least-squares quadratic over a 3 x 3 neighbourhood: rows give 1, x, y, x^2, xy, y^2.
 _X, _Y = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
 _QUADRATIC = np.linalg.pinv(
-    np.stack([np.ones(9), _X.ravel(), _Y.ravel(), (_X**2).ravel(), (_X * _Y).ravel(), (_Y**2).ravel()], 1)
+    np.stack([g.ravel() for g in (np.ones((3, 3)), _X, _Y, _X**2, _X * _Y, _Y**2)], axis=1)
 )
 
 

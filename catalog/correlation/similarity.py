@@ -1,4 +1,4 @@
-"""Matching under an unknown roll and scale: the reference is turned and stretched over a small grid."""
+"""Matching under an unknown roll and scale: the reference is turned and stretched to fit."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -56,17 +56,17 @@ def match_similarity(
     """
     best: SimilarityMatch | None = None
     scores = np.full((len(rolls), len(scales)), -1.0)
-    for i, roll in enumerate(rolls):
-        for j, scale in enumerate(scales):
+    for row, roll in enumerate(rolls):
+        for column, scale in enumerate(scales):
             match = matcher(turned(reference, roll, scale), search)
-            scores[i, j] = match.score
+            scores[row, column] = match.score
             if best is None or match.score > best.match.score:
                 best = SimilarityMatch(match, roll, scale)
     if best is None:
         raise ValueError("no roll or no scale to try")
-    i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
-    roll = _parabola_peak(rolls, scores[:, j], int(i))
-    scale = _parabola_peak(scales, scores[i, :], int(j))
+    i, j = divmod(int(np.argmax(scores)), len(scales))
+    roll = _parabola_peak(rolls, scores[:, j], i)
+    scale = _parabola_peak(scales, scores[i, :], j)
     if (roll, scale) == (best.roll, best.scale):
         return best
     refined = matcher(turned(reference, roll, scale), search)
@@ -74,7 +74,7 @@ def match_similarity(
 
 
 def _parabola_peak(places: Sequence[float], values: NDArray[np.float64], index: int) -> float:
-    """Place of the maximum of a parabola through three neighbours; the sample itself at the ends."""
+    """Place of the maximum of a parabola through three neighbours; at the ends, the sample."""
     if not 0 < index < len(places) - 1:
         return float(places[index])
     left, middle, right = (float(v) for v in values[index - 1 : index + 2])

@@ -1,4 +1,4 @@
-"""The grid of cells that a catalog hangs on: latitude bands of equal step, equal cells in each band.
+"""The grid of cells that a catalog hangs on: latitude bands, and equal cells in each band.
 
 Band k (from the south) has max(1, round(360 cos(mid-latitude) / step)) cells, so that cells keep
 about the same area. A step of 1 degree gives 41 252 cells, the number of control points of
@@ -41,7 +41,7 @@ class CellGrid:
         north = np.minimum(south + self.step_deg, 90.0)
         middle = np.radians((south + north) / 2.0)
         counts = np.rint(360.0 * np.cos(middle) / self.step_deg)
-        return np.maximum(1, counts).astype(np.int64)
+        return np.asarray(np.maximum(1, counts), dtype=np.int64)
 
     @cached_property
     def first_cell(self) -> IntArray:
@@ -84,7 +84,7 @@ class CellGrid:
         return (south + north) / 2.0, float(wrap_longitude_deg((west + east) / 2.0))
 
     def within(self, lat_deg: float, lon_deg: float, radius_deg: float) -> IntArray:
-        """Numbers of all cells that may hold a point closer than `radius_deg` (a superset), sorted."""
+        """Numbers of all cells that may hold a point within `radius_deg` (a superset), sorted."""
         south, north = lat_deg - radius_deg, lat_deg + radius_deg
         first = max(0, int((south + 90.0) / self.step_deg))
         last = min(self.bands - 1, int((north + 90.0) / self.step_deg))
@@ -109,7 +109,7 @@ class CellGrid:
         return np.unique(np.concatenate(parts)).astype(np.int64)
 
     def in_bbox(self, west: float, south: float, east: float, north: float) -> IntArray:
-        """Numbers of the cells whose middle lies in a box (deg); west > east crosses ±180°, sorted."""
+        """Cells whose middle lies in a box (deg), sorted; west > east crosses ±180°."""
         cells: list[IntArray] = []
         width = (east - west) % 360.0
         if width == 0.0 and east != west:

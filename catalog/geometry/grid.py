@@ -108,4 +108,4 @@ def halve(grid: HeightGrid) -> HeightGrid:
     count = valid.sum(axis=(1, 3))
     total = np.where(valid, blocks, 0.0).sum(axis=(1, 3))
     mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count >= 2)
-    return mean.astype(np.float32)
+    return np.asarray(mean, dtype=np.float32)

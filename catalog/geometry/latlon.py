@@ -60,7 +60,9 @@ def body_from_local(lat: float, lon: float) -> FloatArray:
     )
 
 
-def angular_distance(lat1: ArrayLike, lon1: ArrayLike, lat2: ArrayLike, lon2: ArrayLike) -> FloatArray:
+def angular_distance(
+    lat1: ArrayLike, lon1: ArrayLike, lat2: ArrayLike, lon2: ArrayLike
+) -> FloatArray:
     """Great-circle angle between points, accurate from 0 to pi (Vincenty's arctangent form)."""
     lat1, lon1, lat2, lon2 = (np.asarray(v, dtype=np.float64) for v in (lat1, lon1, lat2, lon2))
     dlon = lon2 - lon1

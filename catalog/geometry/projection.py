@@ -34,7 +34,7 @@ class Stereographic:
     def local_directions(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
         """Unit vectors (..., 3) in the centre's east, north, up frame of map points x, y (m)."""
         x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-        # On the unit sphere the map point is the tangent of half the angle: rational, no trigonometry.
+        # The map point is the tangent of half the angle: all stays rational, no trigonometry.
         u, v = x / (2.0 * self.radius_m), y / (2.0 * self.radius_m)
         squared = u * u + v * v
         scale = 1.0 / (1.0 + squared)
@@ -59,7 +59,7 @@ class Stereographic:
         length = np.linalg.norm(local, axis=-1)
         with np.errstate(divide="ignore"):
             factor = 2.0 * self.radius_m / (length + local[..., 2])
-        return factor * local[..., 0], factor * local[..., 1]
+        return np.asarray(factor * local[..., 0]), np.asarray(factor * local[..., 1])
 
     def xy_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Map coordinates (m) of latitudes and longitudes (rad)."""

@@ -20,7 +20,7 @@ def rotation_from_quaternion(qw: float, qx: float, qy: float, qz: float) -> Rota
 
 
 def quaternion_from_rotation(rotation: Rotation) -> FloatArray:
-    """Scalar-first unit quaternion (4,), its scalar not negative, so that equal attitudes print alike."""
+    """Scalar-first unit quaternion (4,), scalar not negative: equal attitudes print alike."""
     quaternion = rotation.as_quat(canonical=True, scalar_first=True)
     return np.asarray(quaternion, dtype=np.float64)
 

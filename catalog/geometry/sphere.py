@@ -4,7 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def distance_to_sphere(origin: ArrayLike, directions: ArrayLike, radius: float) -> NDArray[np.float64]:
+def distance_to_sphere(
+    origin: ArrayLike, directions: ArrayLike, radius: float
+) -> NDArray[np.float64]:
     """Distance along unit rays to their first crossing of a sphere, NaN where they miss it.
 
     origin (3,), directions (..., 3) unit vectors, same frame and unit; returns (...).

@@ -1,4 +1,4 @@
-"""Resection: the camera's position, and its attitude where wanted, from known points seen in a picture.
+"""Resection: the camera's position, and attitude where wanted, from known points in a picture.
 
 The geometry is r_i = R + L_i T e_i of Zhukov (2025), ch. 3; here it is solved in the picture, by
 Gauss-Newton on pixel residuals, so that any camera model and any pixel covariance fit in. With
@@ -41,7 +41,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Sightings:
-    """Points seen: body-fixed places, the pixels where they were found, and the pixels' covariances.
+    """Points seen: body-fixed places, the pixels where they were found, their covariances.
 
     points_body_m (n, 3), pixels (n, 2), covariances_px2 (n, 2, 2)
     """
@@ -55,9 +55,7 @@ class Sightings:
 
     def subset(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Sightings":
         """The sightings that an index array or mask picks."""
-        return Sightings(
-            self.points_body_m[index], self.pixels[index], self.covariances_px2[index]
-        )
+        return Sightings(self.points_body_m[index], self.pixels[index], self.covariances_px2[index])
 
 
 @dataclass(frozen=True)
@@ -141,7 +139,7 @@ def resect(
         raise NoSolutionError(
             f"{len(sightings)} control points are too few for {unknowns} unknowns"
         )
-    information = np.linalg.inv(sightings.covariances_px2)
+    information: FloatArray = np.linalg.inv(sightings.covariances_px2).astype(np.float64)
     if weights is not None:
         information = information * weights[:, None, None]
     reference = start.camera_from_body if measured_attitude is None else measured_attitude
@@ -149,7 +147,7 @@ def resect(
     cost = np.inf
     damping = 0.0
     for _ in range(MAX_ITERATIONS):
-        residuals, jacobian, normal, gradient = _normal_equations(
+        residuals, normal, gradient = _normal_equations(
             camera, sightings, information, pose, unknowns
         )
         if prior_count and attitude_sigma_rad is not None:
@@ -163,15 +161,16 @@ def resect(
         cost = new_cost
         covariance = _inverse(normal)
         damped = normal + damping * np.diag(np.diag(normal))
-        step = np.linalg.solve(damped, gradient)
+        step: FloatArray = np.linalg.solve(damped, gradient).astype(np.float64)
         pose = moved(pose, step)
         if np.max(np.abs(step) / np.sqrt(np.diag(covariance))) < STEP_SIGMAS and damping < 1.0:
             break
         damping *= 0.1
     else:
         raise NoSolutionError(f"the position did not settle in {MAX_ITERATIONS} iterations")
-    residuals, _, _, _ = _normal_equations(camera, sightings, information, pose, unknowns)
-    normalised = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(sightings.covariances_px2), residuals)
+    residuals, _, _ = _normal_equations(camera, sightings, information, pose, unknowns)
+    stated = np.linalg.inv(sightings.covariances_px2)
+    normalised = np.einsum("ni,nij,nj->n", residuals, stated, residuals)
     return Resection(pose, covariance, residuals, normalised, count - unknowns)
 
 
@@ -181,7 +180,7 @@ def _normal_equations(
     information: FloatArray,
     pose: Pose,
     unknowns: int,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     pixels, jacobian = predict(camera, pose, sightings.points_body_m)
     residuals = sightings.pixels - pixels
     if not np.isfinite(residuals).all():
@@ -190,7 +189,7 @@ def _normal_equations(
     weighted = np.einsum("nik,nij->nkj", jacobian, information)
     normal = np.einsum("nkj,njl->kl", weighted, jacobian)
     gradient = np.einsum("nkj,nj->k", weighted, residuals)
-    return residuals, jacobian, normal, gradient
+    return residuals, normal, gradient
 
 
 def _cost(residuals: FloatArray, information: FloatArray) -> float:

@@ -97,7 +97,7 @@ def resect_robustly(
         measured_attitude=start.camera_from_body,
     )
     factor = _variance_factor(solution)
-    scaled = replace(solution, covariance=_scaled(solution, factor, attitude_sigma_rad, camera, sightings, used))
+    scaled = replace(solution, covariance=_scaled(solution, factor, attitude_sigma_rad))
     pixels, _ = predict(camera, solution.pose, sightings.points_body_m)
     return RobustResection(scaled, used, factor, sightings.pixels - pixels)
 
@@ -113,11 +113,8 @@ def _scaled(
     solution: Resection,
     factor: float,
     attitude_sigma_rad: float | None,
-    camera: ProjectingCamera,
-    sightings: Sightings,
-    used: BoolArray,
 ) -> FloatArray:
-    """Covariance with the sightings' part scaled; the star sensor's sigma is not theirs to scale."""
+    """Covariance with the sightings' part scaled; the star sensor's is not theirs to scale."""
     if not attitude_sigma_rad:
         return solution.covariance * factor
     prior = np.zeros((6, 6))
@@ -156,7 +153,7 @@ def _consensus(
         samples = np.array([generator.choice(n, size, replace=False) for _ in range(MAX_PROPOSALS)])
     elif len(samples) > MAX_PROPOSALS:
         samples = generator.permutation(samples)[:MAX_PROPOSALS]
-    # An attitude sigma of arc seconds moves points by less than the gate: for proposals it is exact.
+    # An attitude sigma of arc seconds moves points by less than the gate: here it is exact.
     sigma = 0.0 if attitude_sigma_rad is not None else None
     # Proposals rest on two points only, so their own error adds to the residuals of the others.
     wide = 9.0 * gate
@@ -180,9 +177,5 @@ def _consensus(
     return best
 
 
-def _propose(
-    camera: ProjectingCamera, sample: Sightings, start: Pose, sigma: float | None
-) -> Pose:
+def _propose(camera: ProjectingCamera, sample: Sightings, start: Pose, sigma: float | None) -> Pose:
     return resect(camera, sample, start, sigma).pose
-
-

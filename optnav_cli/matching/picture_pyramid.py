@@ -1,4 +1,4 @@
-"""A picture at several resolutions, so that coarse map grids average it instead of picking pixels."""
+"""A picture at several resolutions, so that coarse map grids average it, not pick pixels."""
 
 import cv2
 import numpy as np

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.correlation.peak import Match
+from catalog.correlation.similarity import match_similarity
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -31,6 +32,17 @@ class MatchGates:
 
     min_score: float = 0.5
     rival_ratio: float = 0.9
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Rolls (rad) and scales that the picture may have against the reference."""
+
+    rolls: tuple[float, ...] = (0.0,)
+    scales: tuple[float, ...] = (1.0,)
+
+
+NO_DISTORTION = Distortion()
 
 
 @dataclass(frozen=True)
@@ -64,10 +76,12 @@ def match_point(
     metres_per_pixel: float,
     matcher: Matcher,
     gates: MatchGates,
+    distortion: Distortion = NO_DISTORTION,
 ) -> PointMatch:
     """Search a control point within `search_nodes` of where the pose expects it.
 
     template_nodes  side of the reference; search_nodes  room on every side, nodes of the level
+    distortion      rolls and scales to try, where the pose may be off by so much that it shows
     """
     posting = reference.patches[level].posting_m
     template = reference.render(level, template_nodes, sun_body, pose.position_m)
@@ -82,11 +96,18 @@ def match_point(
     middle = window[search_nodes : size - search_nodes, search_nodes : size - search_nodes]
     if np.isfinite(middle).mean() < LEAST_VALID_SHARE:
         return PointMatch(level, None, None, None, None, None, "outside the frame")
-    match = matcher(template, window)
+    if distortion == NO_DISTORTION:
+        match = matcher(template, window)
+    else:
+        match = match_similarity(
+            template, window, distortion.rolls, distortion.scales, matcher
+        ).match
     place, jacobian = _pixel_at(surface, pixels, match, posting)
     offset = np.array([match.dx, -match.dy]) * posting
-    covariance = jacobian @ match.covariance @ jacobian.T
     reason = _doubt(match, gates)
+    if not np.isfinite(match.covariance).all():
+        return PointMatch(level, place, None, offset, match.score, match.runner_up, reason)
+    covariance = jacobian @ match.covariance @ jacobian.T
     return PointMatch(level, place, covariance, offset, match.score, match.runner_up, reason)
 
 

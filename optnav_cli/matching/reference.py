@@ -1,4 +1,4 @@
-"""What a control point should look like: its patches cut to any window and rendered for this Sun."""
+"""What a control point should look like: its patches cut to a window and rendered."""
 
 from dataclasses import dataclass
 

@@ -131,9 +131,7 @@ def _above_skyline(
     distance = np.linalg.norm(to_camera, axis=1)
     elevation = np.degrees(np.arcsin(np.einsum("ni,ni->n", up, to_camera) / distance))
     azimuth = np.degrees(
-        np.arctan2(
-            np.einsum("ni,ni->n", east, to_camera), np.einsum("ni,ni->n", north, to_camera)
-        )
+        np.arctan2(np.einsum("ni,ni->n", east, to_camera), np.einsum("ni,ni->n", north, to_camera))
     )
     bins = skyline_deg.shape[1]
     nearest = np.rint(azimuth / (360.0 / bins)).astype(int) % bins

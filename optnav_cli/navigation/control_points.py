@@ -21,13 +21,20 @@ from optnav_cli.matching.point_match import Matcher, MatchGates, PointMatch, mat
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view
 from optnav_cli.navigation.error_model import match_sigma_m
-from optnav_cli.navigation.search_plan import finest_level, ground_uncertainty_m, plan_search
+from optnav_cli.navigation.search_plan import (
+    finest_level,
+    ground_uncertainty_m,
+    plan_distortion,
+    plan_search,
+)
 from optnav_cli.navigation.settings import NavigateSettings
 
 FloatArray = NDArray[np.float64]
 
 # The pose stands still when a pass moves it by less than this share of its sigma.
 SETTLED_SIGMAS = 0.1
+# Rolls and scales are tried this far; beyond it the search in place would miss the point too.
+DISTORTION_SIGMAS = 2.0
 
 
 class PointStore(Protocol):
@@ -91,7 +98,7 @@ class ControlPointField:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed before the picture: pose, position sigma a component, attitude sigma an axis.
+    """What is believed before the picture: pose, its sigmas a component and an axis.
 
     attitude_sigma_rad  0 exact, None free
     """
@@ -150,7 +157,8 @@ def navigate(
         if first:
             view = _spread(view, settings.solve.max_first_pass_points)
         if len(view) == 0:
-            raise UnsolvedFrameError(_why_nothing_in_view(points, camera, pose, sun_body, settings), tried)
+            reason = _why_nothing_in_view(points, camera, pose, sun_body, settings)
+            raise UnsolvedFrameError(reason, tried)
         matches, at_finest = _match_all(
             picture, camera, pose, covariance, sun_body, points, view, settings, matcher
         )
@@ -159,14 +167,15 @@ def navigate(
         try:
             solution = _solve(camera, points, view, matches, believed, pose, prior, settings)
         except NoSolutionError as error:
-            raise UnsolvedFrameError(f"{error} ({len(believed)} of {len(view)} matched)", tried) from error
+            reason = f"{error} ({len(believed)} of {len(view)} matched)"
+            raise UnsolvedFrameError(reason, tried) from error
         tried = _tried(points, view, matches, solution, believed)
         step = solution.resection.pose.position_m - pose.position_m
         pose = solution.resection.pose
         position_covariance = solution.resection.position_covariance_m2
         covariance = _full_covariance(solution, prior, settings)
         moved = float(np.sqrt(step @ np.linalg.solve(position_covariance, step)))
-        if at_finest and (previous_finest and moved < 1.0 or moved < SETTLED_SIGMAS):
+        if at_finest and ((previous_finest and moved < 1.0) or moved < SETTLED_SIGMAS):
             break
         previous_finest = at_finest
     if solution is None:
@@ -259,7 +268,7 @@ def _why_nothing_in_view(
 
 
 def _spread(view: View, most: int) -> View:
-    """At most `most` points, evenly over the frame: each next one is the farthest from all so far."""
+    """At most `most` points, evenly over the frame: each next is the farthest from all so far."""
     if len(view) <= most:
         return view
     chosen = [int(np.argmin(np.linalg.norm(view.pixels - view.pixels.mean(axis=0), axis=1)))]
@@ -293,6 +302,10 @@ def _match_all(
     _, jacobian = predict(camera, pose, points.xyz_m[view.index])
     uncertainty = ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
     gates = MatchGates(settings.match.min_score, settings.match.rival_ratio)
+    boresight = pose.camera_from_body.as_matrix()[2]
+    height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
+    roll_sigma = float(np.sqrt(covariance[5, 5]))
+    ranges = np.linalg.norm(points.xyz_m[view.index] - pose.position_m, axis=1)
     matches = []
     at_finest = True
     for k, index in enumerate(view.index):
@@ -301,6 +314,10 @@ def _match_all(
             reason = "patch damaged in the catalog"
             matches.append(PointMatch(0, None, None, None, None, None, reason))
             continue
+        template = settings.match.template_nodes
+        distortion = plan_distortion(
+            template, roll_sigma, height_sigma / float(ranges[k]), DISTORTION_SIGMAS
+        )
         finest = finest_level(
             points.postings_m, view.metres_per_pixel[k], settings.match.finest_posting_per_gsd
         )
@@ -316,7 +333,7 @@ def _match_all(
             match_point(
                 reference,
                 plan.level,
-                settings.match.template_nodes,
+                template,
                 plan.search_nodes,
                 picture,
                 camera,
@@ -325,6 +342,7 @@ def _match_all(
                 float(view.metres_per_pixel[k]),
                 matcher,
                 gates,
+                distortion,
             )
         )
     return matches, at_finest
@@ -358,7 +376,8 @@ def _solve(
         np.array(pixels).reshape(-1, 2),
         np.array(covariances).reshape(-1, 2, 2),
     )
-    attitude = pose.camera_from_body if prior.attitude_sigma_rad is None else prior.pose.camera_from_body
+    free = prior.attitude_sigma_rad is None
+    attitude = (pose if free else prior.pose).camera_from_body
     return resect_robustly(
         camera,
         sightings,

@@ -5,10 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from optnav_cli.matching.point_match import NO_DISTORTION, Distortion
+
 FloatArray = NDArray[np.float64]
 
 # Room beyond the stated uncertainty: half a node of rounding and the error of the terrain itself.
 MARGIN_NODES = 2.0
+# A template's rim may be off by so many nodes before a match suffers.
+RIM_NODES = 1.0
+# Steps to either side at most: more would take longer than a search without a prior should.
+MOST_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,30 @@ def plan_search(
         if nodes <= max_search_nodes:
             return SearchPlan(level, nodes)
     return SearchPlan(len(postings_m) - 1, max_search_nodes)
+
+
+def plan_distortion(
+    template_nodes: int, roll_sigma: float, scale_sigma: float, sigmas: float
+) -> Distortion:
+    """Rolls and scales to try so that a template's rim is never off by more than a node or so.
+
+    roll_sigma (rad) and scale_sigma (relative) are what the pose leaves open, 1 sigma.
+    """
+    step = 2.0 * RIM_NODES / template_nodes
+    rolls = _steps(sigmas * roll_sigma, step)
+    scales = _steps(sigmas * scale_sigma, step)
+    if len(rolls) == len(scales) == 1:
+        return NO_DISTORTION
+    return Distortion(rolls, tuple(1.0 + s for s in scales))
+
+
+def _steps(reach: float, step: float) -> tuple[float, ...]:
+    """Symmetric values about zero up to about `reach`; zero alone when a step covers it."""
+    count = min(int(np.ceil(reach / (2.0 * step) - 0.5)), MOST_STEPS)
+    if count <= 0:
+        return (0.0,)
+    spread = max(2.0 * step, reach / count) if count == MOST_STEPS else 2.0 * step
+    return tuple(spread * k for k in range(-count, count + 1))
 
 
 def ground_uncertainty_m(

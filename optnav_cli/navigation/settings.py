@@ -21,7 +21,7 @@ class MatchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How control points are searched and when a match is believed."""
 
     template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 80
-    # nodes of the finest level per pixel of the picture: finer levels hold nothing the picture shows
+    # finest level used: its posting over the pixel on the ground
     finest_posting_per_gsd: Positive = 0.6
     max_search_nodes: Annotated[int, msgspec.Meta(ge=4, le=128)] = 24
     search_sigmas: Positive = 3.5

@@ -57,9 +57,7 @@ def solve_frame(
             raise DataError(f"camera '{frame.camera}' is not known")
         picture = read_picture(folder.picture_path(frame), camera)
         prior, sun_body = _prior(frame)
-        fix = navigate(
-            PicturePyramid(picture), camera, prior, sun_body, points, settings, matcher
-        )
+        fix = navigate(PicturePyramid(picture), camera, prior, sun_body, points, settings, matcher)
     except DataError as error:
         return FrameResult(unsolved(frame.file, frame.utc, str(error)), [], camera, picture)
     except UnsolvedFrameError as error:
@@ -96,7 +94,7 @@ def _prior(frame: Frame) -> tuple[Prior, NDArray[np.float64]]:
 
 def _solved_row(frame: Frame, fix: ControlPointFix) -> Solution:
     resection = fix.solution.resection
-    used = [tried.residual_px for tried in fix.tried if tried.used and tried.residual_px is not None]
+    used = [t.residual_px for t in fix.tried if t.used and t.residual_px is not None]
     rms = float(np.sqrt(np.mean(np.square(used)))) if used else None
     return solved(
         frame.file,

@@ -91,7 +91,7 @@ def open_field(catalog: Catalog, folder: Folder) -> ControlPointField:
             f"{catalog.path}: none of its {len(catalog)} control points is usable; "
             "see `optnav catalog info`"
         )
-    postings = meta.posting_m * 2.0 ** np.arange(meta.levels)
+    postings = np.array([meta.posting_m * 2.0**level for level in range(meta.levels)])
     return ControlPointField(catalog, usable, postings, meta.radius_m)
 
 

@@ -149,4 +149,4 @@ def _ring_and_inside(rng: np.random.Generator, count: int, angle_deg: float) -> 
     distance = -along - np.sqrt(along**2 - (origin @ origin - RADIUS_M**2))
     points = np.array([0.0, 0.0, HEIGHT_M]) + directions * distance[:, None]
     points[:, 2] += rng.normal(0.0, 1000.0, count)
-    return points
+    return np.asarray(points)

@@ -32,7 +32,9 @@ def scene(rng, count=12, height_m=200e3, half_field=0.22):
     position = xyz_from_latlon(-0.7, 0.3, RADIUS_M + height_m)
     enu = body_from_local(-0.7, 0.3)
     camera_from_local = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
-    turn = Rotation.from_rotvec(rng.normal(0, 0.02, 3)) * Rotation.from_matrix(camera_from_local @ enu.T)
+    turn = Rotation.from_rotvec(rng.normal(0, 0.02, 3)) * Rotation.from_matrix(
+        camera_from_local @ enu.T
+    )
     reach = height_m * np.tan(half_field)
     offsets = rng.uniform(-reach, reach, (count, 2))
     ground = np.column_stack([offsets, rng.normal(0, 1500.0, count) - height_m])
@@ -99,7 +101,9 @@ def test_wrong_matches_are_thrown_out_and_right_ones_kept():
         pixels = seen.pixels.copy()
         pixels[wrong] += rng.choice([-1, 1], (5, 2)) * rng.uniform(20, 200, (5, 2))
         start = Pose(truth.position_m + rng.normal(0, 3000.0, 3), truth.camera_from_body)
-        found = resect_robustly(Pinhole(), Sightings(points, pixels, seen.covariances_px2), start, 0.0)
+        found = resect_robustly(
+            Pinhole(), Sightings(points, pixels, seen.covariances_px2), start, 0.0
+        )
         assert not found.used[wrong].any()
         assert found.used.sum() >= 8
         assert np.linalg.norm(found.resection.pose.position_m - truth.position_m) < 300.0
@@ -111,9 +115,7 @@ def test_contradicting_matches_are_no_solution():
     seen = sightings_of(truth, points, rng)
     pixels = seen.pixels + np.array([[300.0, 0.0], [0.0, 300.0]])
     with pytest.raises(NoSolutionError):
-        resect_robustly(
-            Pinhole(), Sightings(points, pixels, seen.covariances_px2), truth, 0.0
-        )
+        resect_robustly(Pinhole(), Sightings(points, pixels, seen.covariances_px2), truth, 0.0)
 
 
 def test_one_sighting_is_too_few():
