@@ -8,7 +8,13 @@ import numpy as np
 
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag
 from catalog.errors import DataError
-from catalog.store.records import Record, checksum, record_from_point, record_type
+from catalog.store.records import (
+    Record,
+    checksum,
+    record_from_point,
+    record_type,
+    unknown_as_none,
+)
 from catalog.store.schema import POINT_COLUMNS
 
 _GEOMETRY = struct.Struct("<2sBBiBIdd")
@@ -26,12 +32,8 @@ def reasons_text(flags: Flag) -> str:
     return ", ".join(name for name, bit in zip(names, bits, strict=True) if flags & bit)
 
 
-def _unknown_as_none(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _list_text(values: Sequence[float]) -> str:
-    return json.dumps([_unknown_as_none(v) for v in values], separators=(",", ":"))
+    return json.dumps([unknown_as_none(v) for v in values], separators=(",", ":"))
 
 
 def _extreme(values: Sequence[float], largest: bool) -> float | None:
@@ -52,9 +54,9 @@ def feature_row(point: ControlPoint, record: Record, srs_id: int) -> tuple[objec
         int(point.usable),
         int(point.flags),
         reasons_text(point.flags),
-        _unknown_as_none(point.localisation_px),
-        _unknown_as_none(point.hessian_eigenvalue),
-        _unknown_as_none(point.recognition_rate),
+        unknown_as_none(point.localisation_px),
+        unknown_as_none(point.hessian_eigenvalue),
+        unknown_as_none(point.recognition_rate),
         point.trials,
         _extreme(point.uniqueness, largest=False),
         _list_text(point.uniqueness),

@@ -3,11 +3,12 @@
 import os
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from urllib.parse import quote
 
 from catalog.errors import OutputError
-from catalog.store.schema import META, PAGE_SIZE
+from catalog.store.schema import META, PAGE_SIZE, POINT_COLUMNS, POINTS
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 _SIDECARS = ("-wal", "-shm", "-journal")
@@ -20,6 +21,18 @@ def is_catalog_file(path: Path) -> bool:
         first_page = file.read(PAGE_SIZE)
     # the first page holds the text of the schema
     return first_page.startswith(SQLITE_MAGIC) and META.encode() in first_page
+
+
+def is_points_file(path: Path) -> bool:
+    """Whether a file is an exported layer of ours: our points without a catalog around them."""
+    uri = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
+    try:
+        with closing(sqlite3.connect(uri, uri=True)) as db:
+            points = db.execute(f"SELECT name FROM pragma_table_info('{POINTS}')").fetchall()
+            meta = db.execute(f"SELECT name FROM pragma_table_info('{META}')").fetchall()
+    except sqlite3.Error:
+        return False
+    return tuple(name for (name,) in points) == POINT_COLUMNS and not meta
 
 
 @contextmanager

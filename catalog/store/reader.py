@@ -113,7 +113,9 @@ class Catalog:
         """Row of a point in the arrays. Raises DataError for an id that is not there."""
         row = int(self.ids.searchsorted(point_id))
         if row >= len(self.ids) or self.ids[row] != point_id:
-            raise DataError(f"{self.path}: has no control point {point_id}; see `optnav catalog`")
+            raise DataError(
+                f"{self.path}: has no control point {point_id}; `optnav catalog nearest` finds one"
+            )
         return row
 
     def point(self, point_id: int) -> ControlPoint:

@@ -121,6 +121,11 @@ def point_from_record(record: Record, sources: Sequence[str]) -> ControlPoint:
     )
 
 
+def unknown_as_none(value: float) -> float | None:
+    """A number, or None where it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
 def checksum(*parts: bytes) -> int:
     """CRC-32 of some bytes one after the other."""
     value = 0

@@ -1,12 +1,13 @@
 """Reading a whole catalog again and comparing it with everything it says about itself."""
 
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from catalog.errors import DataError
+from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.connection import connect, read_meta
 from catalog.store.digest import CatalogDigest, patches_digest, point_digest
 from catalog.store.features import record_from_row
@@ -68,8 +69,8 @@ class Verification:
         self.problems.append(Problem(place, str(what)))
 
 
-def verify(path: str | Path, progress: Callable[[int], None] | None = None) -> Verification:
-    """Read everything in a catalog and check every checksum; progress(n) hears of each point.
+def verify(path: str | Path, progress: Progress | None = None) -> Verification:
+    """Read everything in a catalog and check every checksum.
 
     Damage is reported, never raised; a file that is missing or no catalog at all raises DataError.
     """
@@ -89,7 +90,9 @@ def verify(path: str | Path, progress: Callable[[int], None] | None = None) -> V
         records = _records(db, meta, found)
         if records is not None:
             _features(db, meta, records, found)
-            _contents(db, meta, records, found, progress)
+            stages = progress or SilentProgress()
+            with stages.stage("verify", len(records), "point") as stage:
+                _contents(db, meta, records, found, stage)
         _service(db, meta, found)
     return found
 
@@ -164,7 +167,7 @@ def _contents(
     meta: CatalogMeta,
     records: Records,
     found: Verification,
-    progress: Callable[[int], None] | None,
+    stage: Stage,
 ) -> None:
     """Decode every patch and compute the content digest."""
     digest = CatalogDigest()
@@ -188,8 +191,7 @@ def _contents(
         digest.add(point_digest(record.tobytes(), patches_digest(contents)))
         found.points += 1
         found.patches += len(contents)
-        if progress is not None:
-            progress(1)
+        stage.advance()
     found.computed = digest.hexdigest(meta)
     if found.computed != found.stated:
         found.add("digest", f"the content gives {found.computed}; {found.stated} is stated")

@@ -1,0 +1,100 @@
+"""Write: cut the patches of the checked points from the terrain and put all into one file."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+import catalog
+from catalog.control_point import ControlPoint
+from catalog.progress import Progress
+from catalog.stages.context import StageContext
+from catalog.stages.workers import Workers
+from catalog.store.manifest import CatalogMeta
+from catalog.store.patches import PreparedPoint, prepare_point
+from catalog.store.records import rounded_point
+from catalog.store.writer import Written, write_prepared
+
+CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[write].
+
+    height_step_m  what heights are rounded to. Half a metre adds 0.14 m rms, far below a tenth of
+                   the 10-20 m that lunar stereo models err by, and a point of 5 levels of 80
+                   nodes takes 29 kB; a metre saves 4 kB of them.
+    """
+
+    height_step_m: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not self.height_step_m > 0.0:
+            raise ValueError(f"height_step_m is {self.height_step_m:g}; wanted more than 0")
+
+
+def write(
+    context: StageContext,
+    points: Sequence[ControlPoint],
+    output: Path,
+    *,
+    sources: Mapping[str, str],
+    config_text: str,
+    workers: Workers,
+    progress: Progress,
+) -> Written:
+    """Write the catalog file of points in the order of their ids, with their patches.
+
+    points       the chosen point of each cell, usable or with its flags down
+    output       the catalog; an older one stays whole until the new one is complete
+    sources      terrain models: name -> hash, for the manifest
+    config_text  the build config, for the manifest
+    Raises OutputError for a place that cannot be written.
+    """
+    meta = CatalogMeta(
+        body=context.body.name,
+        radius_m=context.body.radius_m,
+        cell_deg=context.grid.step_deg,
+        levels=context.levels,
+        size=context.size,
+        posting_m=context.posting_m,
+        height_step_m=context.config.write.height_step_m,
+        sources=dict(sources),
+        config=config_text,
+        software=f"optnav {catalog.__version__}",
+        created_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+    )
+    ordered = sorted(points, key=lambda point: point.id)
+    with progress.stage("write", len(ordered), "point") as stage:
+        prepared = _prepared(context, ordered, workers, prepare_chunk)
+        return write_prepared(output, meta, prepared, stage.advance)
+
+
+def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list[PreparedPoint]:
+    """Cut and compress the patches of some points; runs in a worker."""
+    step = context.config.write.height_step_m
+    prepared = []
+    for point in points:
+        # the patches are centred on the place that the catalog will state
+        place = rounded_point(point)
+        patches = context.patches(place.lat_deg, place.lon_deg)
+        prepared.append(prepare_point(place, patches, step))
+    return prepared
+
+
+def _prepared(
+    context: StageContext,
+    points: Sequence[ControlPoint],
+    workers: Workers,
+    prepare: Callable[[StageContext, Sequence[ControlPoint]], list[PreparedPoint]],
+) -> Iterator[PreparedPoint]:
+    """Prepared points in order; what comes early waits for what is late."""
+    chunks = [points[i : i + CHUNK_POINTS] for i in range(0, len(points), CHUNK_POINTS)]
+    early: dict[int, list[PreparedPoint]] = {}
+    wanted = 0
+    for position, chunk in workers.run(prepare, context, chunks):
+        early[position] = chunk
+        while wanted in early:
+            yield from early.pop(wanted)
+            wanted += 1

@@ -1,0 +1,162 @@
+"""A control point as a picture: its heights and its brightness at every level."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.control_point import Patch, Pyramid
+from catalog.errors import OutputError
+from catalog.rendering.map_view import render_map
+from catalog.store.features import reasons_text
+from catalog.store.partial import replacing
+
+Picture = NDArray[np.uint8]  # (h, w, 3), blue green red as OpenCV has them
+HeightGrid = NDArray[np.float32]
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+TILE_PX = 256
+GAP_PX = 12
+HEAD_PX = 62
+LABEL_PX = 22
+SUN_AZIMUTH_DEG = 315.0  # from the north-west, as relief is read best
+SUN_ELEVATION_DEG = 25.0
+
+_PAPER = (250, 250, 250)
+_INK = (40, 40, 40)
+_FRAME = (60, 160, 255)
+_NO_DATA = (200, 190, 190)
+
+
+def draw_pyramid(
+    pyramid: Pyramid,
+    radius_m: float,
+    sun_azimuth_deg: float = SUN_AZIMUTH_DEG,
+    sun_elevation_deg: float = SUN_ELEVATION_DEG,
+) -> Picture:
+    """Draw the levels of a point side by side, the finest left.
+
+    Above: heights by colour with relief shading. Below: brightness by Hapke with cast shadows,
+    seen from above, under a Sun at the given azimuth (east of north) and elevation. A box in each
+    level marks the ground of the level before.
+    """
+    levels = pyramid.levels
+    columns = max(len(levels), 3)  # the head needs room
+    width = GAP_PX + columns * (TILE_PX + GAP_PX)
+    height = HEAD_PX + 2 * (TILE_PX + LABEL_PX) + GAP_PX
+    picture: Picture = np.full((height, width, 3), _PAPER, dtype=np.uint8)
+    _head(picture, pyramid, sun_azimuth_deg, sun_elevation_deg)
+    azimuth, elevation = np.radians(sun_azimuth_deg), np.radians(sun_elevation_deg)
+    sun = np.array(
+        [
+            np.cos(elevation) * np.sin(azimuth),
+            np.cos(elevation) * np.cos(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    for level, patch in enumerate(levels):
+        left = GAP_PX + level * (TILE_PX + GAP_PX)
+        outer = tuple((p.heights_m, p.posting_m) for p in levels[level + 1 :])
+        bright = render_map(
+            patch.heights_m, patch.posting_m, sun, radius_m=radius_m, law="hapke", outer=outer
+        )
+        finer = levels[level - 1] if level else None
+        _tile(picture, HEAD_PX, left, _heights_in_colour(patch), patch, finer)
+        _tile(picture, HEAD_PX + TILE_PX + LABEL_PX, left, _in_grey(bright), patch, finer)
+        _write(picture, _label(level, patch), left, HEAD_PX + TILE_PX + 15)
+        extent_km = patch.posting_m * patch.size / 1000.0
+        _write(picture, f"{extent_km:.4g} km wide", left, HEAD_PX + 2 * TILE_PX + LABEL_PX + 15)
+    return picture
+
+
+def write_png(picture: Picture, path: Path) -> None:
+    """Write a picture. Raises OutputError for another ending than .png or an unusable place."""
+    if path.suffix.lower() != ".png":
+        raise OutputError(f"{path}: the picture is a PNG; choose a name that ends in .png")
+    done, data = cv2.imencode(".png", picture)
+    if not done:
+        raise OutputError(f"{path}: a picture of {picture.shape} pixels cannot be coded")
+    with replacing(path, _is_png) as partial:
+        try:
+            partial.write_bytes(data.tobytes())
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _is_png(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(8) == PNG_MAGIC
+
+
+def _head(picture: Picture, pyramid: Pyramid, azimuth_deg: float, elevation_deg: float) -> None:
+    point = pyramid.point
+    verdict = "usable" if point.usable else "not usable"
+    reasons = reasons_text(point.flags)
+    first = (
+        f"control point {point.id}   lat {point.lat_deg:.5f}  lon {point.lon_deg:.5f}   "
+        f"{verdict}{': ' + reasons if reasons else ''}"
+    )
+    second = (
+        f"recognised {point.recognition_rate:.0%} of {point.trials} trials   "
+        f"localisation {point.localisation_px:.3f} px   north up   "
+        f"Sun azimuth {azimuth_deg:.0f}, elevation {elevation_deg:.0f} deg"
+    )
+    _write(picture, first, GAP_PX, 24, 0.55)
+    _write(picture, second, GAP_PX, 48)
+
+
+def _label(level: int, patch: Patch) -> str:
+    known = patch.heights_m[np.isfinite(patch.heights_m)]
+    if known.size == 0:
+        return f"level {level}  {patch.posting_m:.4g} m  no data"
+    return f"level {level}  {patch.posting_m:.4g} m  {known.min():.0f}..{known.max():.0f} m"
+
+
+def _write(picture: Picture, text: str, x: int, y: int, size: float = 0.42) -> None:
+    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, _INK, 1, cv2.LINE_AA)
+
+
+def _tile(
+    picture: Picture, top: int, left: int, tile: Picture, patch: Patch, finer: Patch | None
+) -> None:
+    """Put a tile in its place, pixels enlarged, with the box of the finer level."""
+    large = cv2.resize(tile, (TILE_PX, TILE_PX), interpolation=cv2.INTER_CUBIC)
+    picture[top : top + TILE_PX, left : left + TILE_PX] = large
+    if finer is not None:
+        share = finer.posting_m * finer.size / (patch.posting_m * patch.size)
+        half = round(TILE_PX * share / 2.0)
+        x, y = left + TILE_PX // 2, top + TILE_PX // 2
+        cv2.rectangle(picture, (x - half, y - half), (x + half, y + half), _FRAME, 1)
+
+
+def _heights_in_colour(patch: Patch) -> Picture:
+    heights = patch.heights_m
+    known = np.isfinite(heights)
+    if not known.any():
+        return np.full((*heights.shape, 3), _NO_DATA, dtype=np.uint8)
+    low, high = float(heights[known].min()), float(heights[known].max())
+    filled = np.where(known, heights, low)
+    share = (filled - low) / max(high - low, 1e-6)
+    colours = cv2.applyColorMap(np.rint(255.0 * share).astype(np.uint8), cv2.COLORMAP_CIVIDIS)
+    southward, eastward = np.gradient(filled.astype(np.float64), patch.posting_m)
+    # exaggerated to a slope that reads well, whatever the terrain's: this is a map, not a view
+    lean = np.hypot(eastward, southward)
+    strength = 0.6 / max(float(np.percentile(lean[known], 90.0)), 1e-9)
+    # ground that rises away from the north-west faces the light
+    facing = strength * (eastward + southward) / np.sqrt(2.0)
+    shade = np.clip(0.75 + 0.35 * facing, 0.25, 1.2)
+    toned = np.clip(colours * shade[..., None], 0.0, 255.0).astype(np.uint8)
+    toned[~known] = _NO_DATA
+    return np.asarray(toned)
+
+
+def _in_grey(brightness: HeightGrid) -> Picture:
+    known = np.isfinite(brightness)
+    lit = brightness[known & (brightness > 0.0)]
+    top = float(np.percentile(lit, 99.5)) if lit.size else 1.0
+    scaled = np.clip(np.where(known, brightness, 0.0) / top, 0.0, 1.0)
+    grey = np.rint(255.0 * scaled**0.8).astype(np.uint8)
+    tile = np.repeat(grey[..., None], 3, axis=2)
+    tile[~known] = _NO_DATA
+    return np.asarray(tile)

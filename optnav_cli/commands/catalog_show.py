@@ -1,0 +1,36 @@
+"""`optnav catalog show`: a control point's attributes and a picture of its levels."""
+
+from pathlib import Path
+
+import click
+
+from optnav_cli.console import announce_compilation
+from optnav_cli.options import output_option, path_argument
+
+
+@click.command(short_help="A control point's attributes and a picture of it.")
+@path_argument("catalog")
+@click.argument("point_id", metavar="ID", type=int)
+@output_option("The picture (PNG); CATALOG-ID.png in this folder by default.", required=False)
+def command(catalog: Path, point_id: int, output: Path | None) -> None:
+    """Print what CATALOG says about control point ID and draw its levels.
+
+    In the picture: heights by colour with relief shading, and below them the brightness by Hapke
+    with cast shadows, finest level left.
+
+    \b
+    Example:
+      optnav catalog show tycho.gpkg 6512 -o point.png
+    """
+    from catalog.store.drawing import draw_pyramid, write_png
+    from catalog.store.reader import Catalog
+    from catalog.store.summary import describe_point
+
+    announce_compilation()
+    place = output or Path(f"{catalog.stem}-{point_id}.png")
+    with Catalog.open(catalog) as opened:
+        pyramid = opened.pyramid(point_id)
+        for key, value in describe_point(pyramid.point).items():
+            click.echo(f"{key}: {value}")
+        write_png(draw_pyramid(pyramid, opened.meta.radius_m), place)
+    click.echo(f"picture: {place}")
