@@ -1,35 +1,29 @@
-"""Between the attitude used inside and the one that run.toml names for the quaternions of files."""
+"""The attitude that run.toml names for the quaternions of a run's files."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.rotation import body_from_inertial
-
-AttitudeName = Literal["camera_from_body", "camera_from_inertial"]
+from optnav_cli.imagery.run_settings import Attitude, camera_from_body, rotation_for_file
 
 
 @dataclass(frozen=True)
 class FileAttitude:
     """How the files of one run write attitudes; `name` is the `attitude` of run.toml."""
 
-    name: AttitudeName
+    name: Attitude
     body: Body
 
-    def written(self, camera_from_body: Rotation, utc: str) -> Rotation:
+    def written(self, rotation: Rotation, utc: str) -> Rotation:
         """The rotation to write for a camera_from_body at a time."""
-        if self.name == "camera_from_body":
-            return camera_from_body
-        return camera_from_body * self._body_from_inertial(utc)
+        return rotation_for_file(self.name, self.body, self._time(utc), rotation)
 
     def read(self, written: Rotation, utc: str) -> Rotation:
         """camera_from_body of a written rotation at a time."""
-        if self.name == "camera_from_body":
-            return written
-        return written * self._body_from_inertial(utc).inv()
+        return camera_from_body(written, self.name, self.body, self._time(utc))
 
-    def _body_from_inertial(self, utc: str) -> Rotation:
-        return Rotation.from_matrix(body_from_inertial(self.body, utc_to_tdb_s(utc)))
+    def _time(self, utc: str) -> float:
+        # relative to the body no time is needed, and an unsolved row's may not be understood
+        return 0.0 if self.name == "camera_from_body" else utc_to_tdb_s(utc)

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
+from optnav_cli.imagery.truth import Truth
 from optnav_cli.output.figures import Figures, FrameError, figures_of
-from optnav_cli.output.truth import Forward, Truth, directions_of_motion
+from optnav_cli.output.motion import Forward, directions_of_motion
 from optnav_cli.solution import MatchRow, Solution
 
 FloatArray = NDArray[np.float64]
@@ -32,23 +33,23 @@ class Evaluation:
 
 def evaluate(
     solutions: Sequence[Solution],
-    truths: Mapping[str, Truth],
+    truths: Sequence[Truth],
     reference_radius_m: float,
     matches: Iterable[MatchRow] = (),
     cameras: Mapping[str, Camera] | None = None,
 ) -> Evaluation:
     """Compare solutions with the truth of the same frames.
 
-    truths   by file name; frames that the run does not have are left out with a remark
+    truths   frames that the run does not have are left out with a remark
     matches  the control points tried; counted as right or wrong where `cameras` (by file name)
-             has the frame's camera and the truth its attitude
+             has the frame's camera
     Raises DataError when a frame has no truth or one of another time.
     """
-    _check_same_frames(solutions, truths)
-    named = [truths[solution.file] for solution in solutions]
+    by_file = {truth.file: truth for truth in truths}
+    _check_same_frames(solutions, by_file)
+    named = [by_file[solution.file] for solution in solutions]
     # The direction of motion rests on all true positions, also of frames that the run lacks.
-    everything = list(truths.values())
-    axes = dict(zip(truths, directions_of_motion(everything), strict=True))
+    axes = dict(zip(by_file, directions_of_motion(truths), strict=True))
     kept: dict[str, list[MatchRow]] = {}
     for match in matches:
         if match.used and match.measured_px is not None:
@@ -98,7 +99,7 @@ def _checked(
     kept: Sequence[MatchRow], truth: Truth, camera: Camera | None
 ) -> tuple[int | None, int | None]:
     """How many kept matches there are, and how many lie WRONG_PX from the point's true pixel."""
-    if camera is None or truth.camera_from_body is None:
+    if camera is None:
         return None, None
     if not kept:
         return 0, 0
@@ -123,7 +124,7 @@ def _frame_error(
         return FrameError(solution.file, solution.utc, solution, forward, height)
     error = solution.position_m - truth.position_m
     angle = None
-    if solution.camera_from_body is not None and truth.camera_from_body is not None:
+    if solution.camera_from_body is not None:
         angle = float((solution.camera_from_body * truth.camera_from_body.inv()).magnitude())
     return FrameError(
         solution.file,

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from catalog.errors import DataError
+from optnav_cli.imagery.truth import read_truth
 from optnav_cli.output.evaluation import WRONG_PX, Evaluation, evaluate
 from optnav_cli.output.figures import Figures, FrameError, Spread
 from optnav_cli.output.replace import replacing_file, starts_with
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.output.tables import ARCSEC, Row, fixed, number, read_table, write_table
-from optnav_cli.output.truth import read_truth
+from optnav_cli.output.tables import ARCSEC, Row, fixed, optional_number, read_table, write_table
 
 EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
 EVALUATION_COLUMNS = (
@@ -31,7 +31,7 @@ def evaluate_run(run: Path, truth: Path) -> Evaluation:
     Raises DataError for a folder that is no run, a damaged file, a truth of other frames.
     """
     folder = read_run(run)
-    truths = read_truth(truth, folder.attitude)
+    truths = read_truth(truth, folder.settings)
     try:
         return evaluate(
             folder.solutions,
@@ -67,7 +67,9 @@ def read_errors(folder: Path) -> list[tuple[str, np.ndarray, np.ndarray]]:
         return []
     found = []
     for where, row in read_table(path, EVALUATION_COLUMNS):
-        values = [number(row, column, where) for column in (*ERROR_COLUMNS, *SIGMA_COLUMNS)]
+        values = [
+            optional_number(row, column, where) for column in (*ERROR_COLUMNS, *SIGMA_COLUMNS)
+        ]
         known = [value for value in values if value is not None]
         if len(known) == 6:
             found.append((row["file"], np.array(known[:3]), np.array(known[3:])))
@@ -157,7 +159,7 @@ def _notes(figures: Figures, remarks: tuple[str, ...]) -> list[str]:
             f"{figures.n_checked} ({_percent(figures.n_wrong, figures.n_checked, 2)})"
         )
     else:
-        lines.append("wrong matches: not checked (no camera, or a truth without attitude)")
+        lines.append("wrong matches: not checked (the run has no camera files)")
     if figures.north_frames:
         lines.append(
             f"N is local north for {figures.north_frames} of {figures.solved} frames "

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from catalog.errors import DifferenceError, NothingToDoError
-from optnav_cli.output.truth import Forward
+from optnav_cli.output.motion import Forward
 from optnav_cli.solution import Solution
 
 FloatArray = NDArray[np.float64]

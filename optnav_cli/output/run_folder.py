@@ -4,14 +4,12 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from catalog.bodies.body import load_body
-from catalog.config import load_toml
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
-from optnav_cli.output.attitude import AttitudeName, FileAttitude
+from optnav_cli.imagery.run_settings import RunSettings, read_run_settings
+from optnav_cli.output.attitude import FileAttitude
 from optnav_cli.output.tables import read_matches, read_solutions, read_table
 from optnav_cli.solution import MatchRow, Solution
 
@@ -20,18 +18,12 @@ RECORDING, OVERLAYS = "run.mcap", "overlays"
 RUN_TOML, FRAMES, CAMERAS = "run.toml", "frames.csv", "cameras"  # copies of the picture folder's
 
 
-class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """run.toml of a picture folder."""
-
-    body: str
-    attitude: AttitudeName
-
-
 @dataclass(frozen=True, eq=False)
 class RunFolder:
     """What a run folder holds; `cameras` by picture file name, as far as they are known."""
 
     path: Path
+    settings: RunSettings
     attitude: FileAttitude
     solutions: list[Solution]
     matches: list[MatchRow]
@@ -54,15 +46,13 @@ def read_run(path: Path) -> RunFolder:
         found = "a file" if path.is_file() else "no solution.csv in it"
         raise DataError(f"{path}: {found}; wanted the folder that `optnav navigate -o` wrote")
     try:
-        settings = load_toml(path / RUN_TOML, RunSettings)
-        body = load_body(settings.body)
+        settings = read_run_settings(path / RUN_TOML)
     except ConfigError as error:
         raise DataError(f"{error}; the run's copy is needed to read its attitudes") from error
-    attitude = FileAttitude(settings.attitude, body)
+    attitude = FileAttitude(settings.attitude, load_body(settings.body))
     matches = read_matches(path / MATCHES) if (path / MATCHES).exists() else []
-    return RunFolder(
-        path, attitude, read_solutions(path / SOLUTION, attitude), matches, _cameras(path)
-    )
+    solutions = read_solutions(path / SOLUTION, attitude)
+    return RunFolder(path, settings, attitude, solutions, matches, _cameras(path))
 
 
 def _cameras(path: Path) -> dict[str, Camera]:

@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from optnav_cli.imagery.csv_table import number, numbers
+from optnav_cli.imagery.frames import QUATERNION
 from optnav_cli.output.attitude import FileAttitude
 from optnav_cli.solution import MatchRow, Solution, Status
 
@@ -99,38 +101,21 @@ def fixed(value: float | None, decimals: int) -> str:
     return text.lstrip("-") if float(text) == 0.0 else text
 
 
-def number(row: Row, column: str, where: str) -> float | None:
+def optional_number(row: Row, column: str, where: str) -> float | None:
     """A finite number of a row, None for an empty field. Raises DataError for anything else."""
-    text = row[column].strip()
-    if not text:
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise DataError(f"{where}: {column} is '{text}'; wanted a number or nothing")
-    return value
+    return number(row[column], column, f"{where}: ") if row[column].strip() else None
 
 
-def numbers(row: Row, columns: Sequence[str], where: str) -> FloatArray | None:
+def _vector(row: Row, columns: Sequence[str], where: str) -> FloatArray | None:
     """Numbers that stand or miss together. Raises DataError when only some are there."""
-    values = [number(row, column, where) for column in columns]
-    known = [value for value in values if value is not None]
-    if not known:
-        return None
-    if len(known) < len(values):
-        raise DataError(f"{where}: only some of {','.join(columns)} are given; wanted all or none")
-    return np.array(known)
+    values = numbers(row, columns, f"{where}: ")
+    return None if values is None else np.array(values)
 
 
-def quaternion(row: Row, where: str) -> Rotation | None:
-    """The rotation of a row's qw,qx,qy,qz, None when empty. Raises DataError for a zero one."""
-    values = numbers(row, ("qw", "qx", "qy", "qz"), where)
-    if values is None:
-        return None
+def _quaternion(row: Row, where: str) -> Rotation | None:
+    values = _vector(row, QUATERNION, where)
     try:
-        return rotation_from_quaternion(*values)
+        return None if values is None else rotation_from_quaternion(*values)
     except ValueError as error:
         raise DataError(f"{where}: {error}") from error
 
@@ -150,7 +135,7 @@ def _solution_row(solution: Solution, attitude: FileAttitude) -> Row:
     if solution.camera_from_body is not None:
         written = attitude.written(solution.camera_from_body, solution.utc)
         values = _all(quaternion_from_rotation(written), 15)
-        row.update(zip(("qw", "qx", "qy", "qz"), values, strict=True))
+        row.update(zip(QUATERNION, values, strict=True))
     if solution.attitude_sigma_rad is not None:
         row["attitude_sigma_arcsec"] = fixed(solution.attitude_sigma_rad / ARCSEC, 6)
     for column in ("n_predicted", "n_matched", "n_used"):
@@ -163,10 +148,10 @@ def _solution_row(solution: Solution, attitude: FileAttitude) -> Row:
 def _solution(row: Row, where: str, attitude: FileAttitude) -> Solution:
     if row["status"] not in ("solved", "unsolved"):
         raise DataError(f"{where}: status is '{row['status']}'; wanted solved or unsolved")
-    position = numbers(row, ("x_m", "y_m", "z_m"), where)
-    upper = numbers(row, [f"cov_{name}_m2" for name in COVARIANCE], where)
-    written = quaternion(row, where)
-    sigma = number(row, "attitude_sigma_arcsec", where)
+    position = _vector(row, ("x_m", "y_m", "z_m"), where)
+    upper = _vector(row, [f"cov_{name}_m2" for name in COVARIANCE], where)
+    written = _quaternion(row, where)
+    sigma = optional_number(row, "attitude_sigma_arcsec", where)
     if row["status"] == "solved" and (position is None or upper is None):
         raise DataError(
             f"{where}: a solved frame without position or covariance; run navigate again"
@@ -183,7 +168,7 @@ def _solution(row: Row, where: str, attitude: FileAttitude) -> Solution:
         n_predicted=_count(row, "n_predicted", where),
         n_matched=_count(row, "n_matched", where),
         n_used=_count(row, "n_used", where),
-        residual_rms_px=number(row, "residual_rms_px", where),
+        residual_rms_px=optional_number(row, "residual_rms_px", where),
         reason=row["reason"],
     )
 
@@ -219,7 +204,7 @@ def _match_row(match: MatchRow) -> Row:
 
 def _match(row: Row, where: str) -> MatchRow:
     cp_id, level = _count(row, "id", where), _count(row, "level", where)
-    place = numbers(row, ("lat_deg", "lon_deg", "radius_m"), where)
+    place = _vector(row, ("lat_deg", "lon_deg", "radius_m"), where)
     predicted = _pixel(row, "predicted", where)
     if cp_id is None or level is None or place is None or predicted is None:
         raise DataError(
@@ -234,11 +219,11 @@ def _match(row: Row, where: str) -> MatchRow:
         cp_position_m=xyz_from_latlon(np.radians(place[0]), np.radians(place[1]), place[2]),
         predicted_px=predicted,
         measured_px=_pixel(row, "measured", where),
-        score=number(row, "score", where),
-        runner_up=number(row, "runner_up", where),
+        score=optional_number(row, "score", where),
+        runner_up=optional_number(row, "runner_up", where),
         used=row["used"] == "1",
         reason=row["reason"],
-        sun_elevation_deg=number(row, "sun_elevation_deg", where),
+        sun_elevation_deg=optional_number(row, "sun_elevation_deg", where),
         residual_px=_pixel(row, "residual", where),
     )
 
@@ -246,11 +231,11 @@ def _match(row: Row, where: str) -> MatchRow:
 def _pixel(
     row: Row, name: Literal["predicted", "measured", "residual"], where: str
 ) -> FloatArray | None:
-    return numbers(row, (f"{name}_x_px", f"{name}_y_px"), where)
+    return _vector(row, (f"{name}_x_px", f"{name}_y_px"), where)
 
 
 def _count(row: Row, column: str, where: str) -> int | None:
-    value = number(row, column, where)
+    value = optional_number(row, column, where)
     if value is not None and (value < 0 or value != int(value)):
         raise DataError(f"{where}: {column} is '{row[column]}'; wanted a count")
     return None if value is None else int(value)

@@ -162,8 +162,8 @@ def test_matches_come_back_as_they_were_written(tmp_path):
     ("old", "new", "word"),
     [
         (",solved,", ",maybe,", "status is 'maybe'"),
-        ("1900000.0000", "nan", "x_m is 'nan'"),
-        ("1900000.0000", "", "only some of"),
+        ("1900000.0000", "nan", "x_m is nan"),
+        ("1900000.0000", "", "x_m is empty, but"),
         ("cov_xy_m2", "cov", "column 'cov_xy_m2' is missing"),
         (",19,", ",-19,", "n_used is '-19'"),
         ("2.0000", "2.0000,5", "not as many fields"),

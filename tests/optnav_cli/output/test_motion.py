@@ -2,16 +2,24 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
-from optnav_cli.output.truth import Truth, directions_of_motion
+from optnav_cli.imagery.truth import Truth
+from optnav_cli.output.motion import directions_of_motion
 
 RADIUS_M = 1837400.0
 
 
 def truths(places, step_s=20.0):
     return [
-        Truth(str(i), "", step_s * i, xyz_from_latlon(np.radians(lat), np.radians(lon), r), None)
+        Truth(
+            str(i),
+            "",
+            step_s * i,
+            xyz_from_latlon(np.radians(lat), np.radians(lon), r),
+            Rotation.identity(),
+        )
         for i, (lat, lon, r) in enumerate(places)
     ]
 

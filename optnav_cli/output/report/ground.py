@@ -1,0 +1,110 @@
+"""Maps for reports: places on a body about their middle, with a graticule of their own."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from catalog.geometry.latlon import (
+    angular_distance,
+    latlon_from_xyz,
+    wrap_longitude_deg,
+    xyz_from_latlon,
+)
+from catalog.geometry.projection import Stereographic
+from optnav_cli.output.report.svg import Plot, number_text, span
+
+FloatArray = NDArray[np.float64]
+LARGEST_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
+STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
+DEGREE = "\N{DEGREE SIGN}"
+
+
+@dataclass(frozen=True, eq=False)
+class GroundMap:
+    """A way from latitude and longitude (deg) to map coordinates.
+
+    Stereographic about the middle of the places, in km, so that poles and ±180° are nothing
+    special; for places all over a body longitude and latitude themselves.
+    """
+
+    centre_deg: tuple[float, float]
+    radius_m: float
+    regional: bool
+
+    @classmethod
+    def about(cls, lat_deg: ArrayLike, lon_deg: ArrayLike, radius_m: float) -> "GroundMap":
+        """A map that suits these places (n,), at least one."""
+        lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+        middle = xyz_from_latlon(lat, lon, 1.0).reshape(-1, 3).mean(axis=0)
+        lat0, lon0, _ = latlon_from_xyz(middle)
+        reach = np.degrees(np.max(angular_distance(lat0, lon0, lat, lon)))
+        regional = bool(reach <= LARGEST_RADIUS_DEG)
+        centre = (float(np.degrees(lat0)), float(np.degrees(lon0))) if regional else (0.0, 0.0)
+        return cls(centre, radius_m, regional)
+
+    def places(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Map coordinates x, y of places (...)."""
+        lat, lon = np.asarray(lat_deg, np.float64), np.asarray(lon_deg, np.float64)
+        if not self.regional:
+            return wrap_longitude_deg(lon), lat
+        lat0, lon0 = np.radians(self.centre_deg)
+        directions = xyz_from_latlon(np.radians(lat), np.radians(lon), 1.0)
+        x, y = Stereographic(lat0, lon0, self.radius_m).xy_from_xyz(directions)
+        return x / 1e3, y / 1e3
+
+    def plot(self, x: ArrayLike, y: ArrayLike, width: int = 640, height: int = 420) -> Plot:
+        """An empty map that holds the map coordinates x, y (n,), with its graticule."""
+        if not self.regional:
+            return Plot(
+                (-180.0, 180.0), (-90.0, 90.0), x_label="longitude, deg", y_label="latitude, deg",
+                width=width, height=height, equal=True,
+            )  # fmt: skip
+        lat0, lon0 = (round(v, 2) for v in self.centre_deg)
+        plot = Plot(
+            span(x, 0.04), span(y, 0.04), width=width, height=height, equal=True, axes=False,
+            x_label=f"stereographic about {lat0:g}{DEGREE}, {lon0:g}{DEGREE}; "
+            f"the map is {self._across_km(x, y, width, height):.0f} km wide",
+        )  # fmt: skip
+        self._graticule(plot)
+        return plot
+
+    def _across_km(self, x: ArrayLike, y: ArrayLike, width: int, height: int) -> float:
+        plot = Plot(span(x, 0.04), span(y, 0.04), width=width, height=height, equal=True)
+        return plot.x[1] - plot.x[0]
+
+    def _graticule(self, plot: Plot) -> None:
+        km_per_deg = np.radians(self.radius_m) / 1e3
+        reach = max(plot.x[1] - plot.x[0], plot.y[1] - plot.y[0]) / 2.0 / km_per_deg
+        step = next((s for s in STEPS_DEG if s >= reach / 2.5), STEPS_DEG[-1])
+        lat0, lon0 = self.centre_deg
+        lats = np.arange(np.floor((lat0 - 2 * reach) / step), (lat0 + 2 * reach) / step + 1) * step
+        lats = lats[np.abs(lats) < 90.0]
+        narrowing = max(np.cos(np.radians(min(abs(lat0) + reach, 89.0))), 0.05)
+        lon_step = next((s for s in STEPS_DEG if s >= reach / 2.5 / narrowing), 30.0)
+        half = min(2 * reach / narrowing, 180.0)
+        lons = (
+            np.arange(np.floor((lon0 - half) / lon_step), (lon0 + half) / lon_step + 1) * lon_step
+        )
+        along = np.linspace(-1.0, 1.0, 61)
+        for lat in lats:
+            x, y = self.places(np.full(61, lat), lon0 + half * along)
+            plot.line(x, y, "faint thin")
+            self._name(plot, x, y, lat, left=True)
+        reachable = np.clip(lat0 + 2 * reach * along, -89.9, 89.9)
+        for lon in np.unique(wrap_longitude_deg(lons)):
+            x, y = self.places(reachable, np.full(61, lon))
+            plot.line(x, y, "faint thin")
+            self._name(plot, x, y, float(lon), left=False)
+
+    def _name(self, plot: Plot, x: FloatArray, y: FloatArray, value: float, left: bool) -> None:
+        """Write a graticule line's number where the line enters the map, left or below."""
+        edge, along, other = (plot.x[0], x, y) if left else (plot.y[0], y, x)
+        inside = plot.y if left else plot.x
+        order = np.argsort(along)
+        where = float(np.interp(edge, along[order], other[order], left=np.nan, right=np.nan))
+        room = 0.04 * (inside[1] - inside[0])
+        if inside[0] + room < where < inside[1] - room:
+            shift = 0.008 * (plot.x[1] - plot.x[0])
+            place = (plot.x[0] + shift, where) if left else (where + shift, plot.y[0] + shift)
+            plot.text(*place, number_text(round(value, 3)) + DEGREE)

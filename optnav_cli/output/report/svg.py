@@ -1,0 +1,220 @@
+"""Small plots as inline SVG: no plotting library, colours from the page's style sheet.
+
+Series are named by the classes s1 (blue), s2 (orange), s3 (green), s4 (red), muted.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from html import escape
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
+
+
+class Plot:
+    """Axes in data units; what is added later is drawn above. What is not finite is left out."""
+
+    def __init__(
+        self,
+        x: tuple[float, float],
+        y: tuple[float, float],
+        *,
+        x_label: str = "",
+        y_label: str = "",
+        width: int = 640,
+        height: int = 240,
+        equal: bool = False,
+        axes: bool = True,
+    ) -> None:
+        """Axes over the ranges x and y; `equal` widens one of them until both scales agree.
+
+        axes  False leaves out grid lines and their numbers, for maps that draw their own
+        """
+        self.width, self.height = width, height
+        self.x, self.y = _opened(x), _opened(y)
+        if equal:
+            self._equalise()
+        self._axes = axes
+        self._labels = (x_label, y_label)
+        self._body: list[str] = []
+
+    def _equalise(self) -> None:
+        across, up = self.width - LEFT - RIGHT, self.height - TOP - BOTTOM
+        unit = max((self.x[1] - self.x[0]) / across, (self.y[1] - self.y[0]) / up)
+        for name, pixels in (("x", across), ("y", up)):
+            low, high = getattr(self, name)
+            middle, half = (low + high) / 2.0, unit * pixels / 2.0
+            setattr(self, name, (middle - half, middle + half))
+
+    def px(self, x: ArrayLike) -> FloatArray:
+        """Picture x of data x."""
+        low, high = self.x
+        scale = (self.width - LEFT - RIGHT) / (high - low)
+        return np.asarray(LEFT + (np.asarray(x, dtype=np.float64) - low) * scale)
+
+    def py(self, y: ArrayLike) -> FloatArray:
+        """Picture y of data y, which grows upwards."""
+        low, high = self.y
+        scale = (self.height - TOP - BOTTOM) / (high - low)
+        return np.asarray(self.height - BOTTOM - (np.asarray(y, dtype=np.float64) - low) * scale)
+
+    def line(self, x: ArrayLike, y: ArrayLike, series: str, closed: bool = False) -> None:
+        """A polyline, broken where a point is not finite (`closed` only when all are)."""
+        points = np.column_stack([self.px(x), self.py(y)])
+        finite = np.isfinite(points).all(axis=1)
+        closed = closed and bool(finite.all())
+        gaps = np.flatnonzero(~finite)
+        for run in np.split(points, gaps):
+            run = run[np.isfinite(run).all(axis=1)]
+            if len(run) > 1:
+                kind = "polygon" if closed else "polyline"
+                self._body.append(f'<{kind} class="line {series}" points="{_points(run)}"/>')
+
+    def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, series: str) -> None:
+        """The area between two curves over the same x."""
+        x, low, high = (np.asarray(v, dtype=np.float64) for v in (x, low, high))
+        outline = np.column_stack(
+            [
+                np.concatenate([self.px(x), self.px(x)[::-1]]),
+                np.concatenate([self.py(low), self.py(high)[::-1]]),
+            ]
+        )
+        self._body.append(f'<polygon class="band {series}" points="{_points(outline)}"/>')
+
+    def dots(
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        series: str,
+        radius: float = 3.0,
+        titles: Sequence[str] | None = None,
+        colours: Sequence[str] | None = None,
+    ) -> None:
+        """Dots; `titles` appear under the pointer, `colours` (CSS) replace the series'."""
+        places = np.column_stack([self.px(x), self.py(y)])
+        for index, (cx, cy) in enumerate(places):
+            if not (math.isfinite(cx) and math.isfinite(cy)):
+                continue
+            style = f' style="fill:{colours[index]}"' if colours else ""
+            name = f"<title>{escape(titles[index])}</title>" if titles else ""
+            self._body.append(
+                f'<circle class="dot {series}" cx="{cx:.1f}" cy="{cy:.1f}" r="{radius:g}"{style}>'
+                f"{name}</circle>"
+            )
+
+    def bars(self, edges: ArrayLike, counts: ArrayLike, series: str, base: ArrayLike = 0.0) -> None:
+        """A histogram of `counts` between `edges`, standing on `base`."""
+        edges, counts = np.asarray(edges, dtype=np.float64), np.asarray(counts, dtype=np.float64)
+        base = np.broadcast_to(np.asarray(base, dtype=np.float64), counts.shape)
+        x, low, high = self.px(edges), self.py(base), self.py(base + counts)
+        for left, right, bottom, top in zip(x[:-1], x[1:], low, high, strict=True):
+            if bottom - top > 0.0:
+                self._body.append(
+                    f'<rect class="bar {series}" x="{left + 0.5:.1f}" y="{top:.1f}" '
+                    f'width="{max(right - left - 1.0, 0.5):.1f}" height="{bottom - top:.1f}"/>'
+                )
+
+    def level(self, y: float, series: str = "muted") -> None:
+        """A line across at height y."""
+        self.line(self.x, (y, y), f"{series} thin")
+
+    def picture(self, data_uri: str, x: tuple[float, float], y: tuple[float, float]) -> None:
+        """A picture stretched over a rectangle of data units."""
+        (left, right), (bottom, top) = self.px(x), self.py(y)
+        self._body.append(
+            f'<image x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" '
+            f'height="{bottom - top:.1f}" preserveAspectRatio="none" href="{data_uri}"/>'
+        )
+
+    def text(self, x: float, y: float, words: str) -> None:
+        """Small words beginning at a place in data units."""
+        self._body.append(
+            f'<text class="tick" x="{float(self.px(x)):.1f}" y="{float(self.py(y)):.1f}">'
+            f"{escape(words)}</text>"
+        )
+
+    def svg(self, description: str) -> str:
+        """The plot; `description` is read to people who cannot see it."""
+        clip = f"c{abs(hash_of(description + self._labels[0] + self._labels[1])):x}"
+        inner = self.width - LEFT - RIGHT, self.height - TOP - BOTTOM
+        parts = [
+            f'<svg viewBox="0 0 {self.width} {self.height}" role="img" '
+            f'aria-label="{escape(description, quote=True)}">',
+            f'<clipPath id="{clip}"><rect x="{LEFT}" y="{TOP}" width="{inner[0]}" '
+            f'height="{inner[1]}"/></clipPath>',
+            *(self._ticks() if self._axes else ()),
+            f'<g clip-path="url(#{clip})">',
+            *self._body,
+            "</g>",
+            f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{inner[0]}" height="{inner[1]}"/>',
+            f'<text class="label" text-anchor="middle" x="{LEFT + inner[0] / 2:.0f}" '
+            f'y="{self.height - 6}">{escape(self._labels[0])}</text>',
+            f'<text class="label" text-anchor="middle" transform="translate(13 '
+            f'{TOP + inner[1] / 2:.0f}) rotate(-90)">{escape(self._labels[1])}</text>',
+            "</svg>",
+        ]
+        return "\n".join(parts)
+
+    def _ticks(self) -> Iterable[str]:
+        bottom, right = self.height - BOTTOM, self.width - RIGHT
+        for value in ticks(*self.x, count=max(3, (right - LEFT) // 90)):
+            x = float(self.px(value))
+            yield f'<line class="grid" x1="{x:.1f}" y1="{TOP}" x2="{x:.1f}" y2="{bottom}"/>'
+            yield (
+                f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 15}">'
+                f"{number_text(value)}</text>"
+            )
+        for value in ticks(*self.y, count=max(3, (bottom - TOP) // 45)):
+            y = float(self.py(value))
+            yield f'<line class="grid" x1="{LEFT}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
+            yield (
+                f'<text class="tick" text-anchor="end" x="{LEFT - 5}" y="{y + 4:.1f}">'
+                f"{number_text(value)}</text>"
+            )
+
+
+def ticks(low: float, high: float, count: int = 5) -> list[float]:
+    """About `count` round numbers from low to high: steps of 1, 2 or 5 times a power of ten."""
+    raw = (high - low) / max(count, 1)
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= raw * (1.0 - 1e-9))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(n * step, 12) for n in range(first, last + 1)]
+
+
+def number_text(value: float) -> str:
+    """A tick's number, short, with a true minus sign."""
+    return f"{value:.10g}".replace("-", "\N{MINUS SIGN}")
+
+
+def span(values: ArrayLike, margin: float = 0.05) -> tuple[float, float]:
+    """The range of the finite values, widened by a share of it; (0, 1) for none."""
+    finite = np.asarray(values, dtype=np.float64).ravel()
+    finite = finite[np.isfinite(finite)]
+    if finite.size == 0:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    return low - margin * (high - low), high + margin * (high - low)
+
+
+def hash_of(words: str) -> int:
+    """A number that is the same in every process, unlike `hash`."""
+    number = 0
+    for byte in words.encode():
+        number = (number * 131 + byte) & 0xFFFFFFFF
+    return number
+
+
+def _opened(ends: tuple[float, float]) -> tuple[float, float]:
+    low, high = (float(v) for v in ends)
+    if high > low:
+        return low, high
+    half = abs(low) * 0.1 or 1.0
+    return low - half, low + half
+
+
+def _points(places: FloatArray) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
