@@ -1,0 +1,103 @@
+"""What pip installs works on its own: the wheel, in an empty environment, outside the checkout."""
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def call(*args: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a program away from the checkout; what it said is in the failure."""
+    clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
+    result = subprocess.run(
+        [str(arg) for arg in args], cwd=folder, env=clean, capture_output=True, text=True
+    )
+    assert result.returncode == 0, f"{args[0]}: {result.stdout}\n{result.stderr}"
+    return result
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of this checkout, built with the backend that the lock pins."""
+    folder = tmp_path_factory.mktemp("wheel")
+    call(
+        sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", folder, CHECKOUT,
+        folder=folder,
+    )  # fmt: skip
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="session")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bin folder of an empty environment with the wheel in it.
+
+    The libraries come from the environment of the tests through a path file, so that no network is
+    needed; the checkout's own path file in there is not followed.
+    """
+    folder = tmp_path_factory.mktemp("installed")
+    venv.create(folder, with_pip=False)
+    scripts = folder / ("Scripts" if os.name == "nt" else "bin")
+    call(
+        sys.executable, "-m", "pip", "--python", scripts / "python", "install", "--quiet",
+        "--no-deps", "--no-index", wheel, folder=folder,
+    )  # fmt: skip
+    site = call(
+        scripts / "python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))",
+        folder=folder,
+    ).stdout.strip()  # fmt: skip
+    libraries = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (Path(site) / "libraries.pth").write_text("\n".join(sorted(libraries)) + "\n")
+    return scripts
+
+
+def test_the_wheel_holds_all_modules_configs_and_data(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    for package in ("catalog", "optnav_cli"):
+        sources = {p.relative_to(CHECKOUT).as_posix() for p in (CHECKOUT / package).rglob("*.py")}
+        assert sources <= names
+    configs = {
+        f"catalog/{p.relative_to(CHECKOUT).as_posix()}"
+        for p in (CHECKOUT / "configs").rglob("*.toml")
+    }
+    assert configs <= names
+    assert "catalog/data/tycho_gld100_256ppd.tif" in names
+    assert "catalog/data/moon_gld100_4ppd.tif" in names
+    assert not [name for name in names if name.startswith("tests")]
+
+
+def test_the_installed_package_is_the_one_that_runs(installed: Path, tmp_path: Path) -> None:
+    script = (
+        "import catalog, optnav_cli; from catalog.config import resource; "
+        "print(catalog.__file__, optnav_cli.__file__, resource('configs/bodies/moon.toml'))"
+    )
+    for place in call(installed / "python", "-c", script, folder=tmp_path).stdout.split():
+        assert place.startswith(str(installed.parent))
+
+
+def test_the_installed_command_prints_templates(installed: Path, tmp_path: Path) -> None:
+    text = call(installed / "optnav", "config", "template", "build", folder=tmp_path).stdout
+    assert text == (CHECKOUT / "configs/templates/build.toml").read_text(encoding="utf-8")
+
+
+def test_the_demo_runs_without_a_checkout(installed: Path, tmp_path: Path) -> None:
+    result = call(installed / "optnav", "demo", "-o", "out", folder=tmp_path)
+    out = tmp_path / "out"
+    assert "report: " in result.stdout
+    for name in (
+        "tycho.gpkg", "pictures/truth.csv", "run/solution.csv", "run/matches.csv", "run/run.mcap",
+        "run/manifest.json", "run/evaluation.json", "run/evaluation.csv", "report.html",
+    ):  # fmt: skip
+        assert (out / name).stat().st_size > 0, name
+    evaluation = json.loads((out / "run/evaluation.json").read_text(encoding="utf-8"))
+    assert evaluation["frames"] == 12
+    assert evaluation["solved"] == 12
+    assert "Traceback" not in result.stderr

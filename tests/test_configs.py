@@ -1,0 +1,150 @@
+"""Every shipped config is valid, and the templates say what the defaults are."""
+
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from catalog.config import load_toml
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+
+
+def load_body(path: Path) -> object:
+    from catalog.bodies.body import load_body
+
+    return load_body(path.stem)
+
+
+def load_camera(path: Path) -> object:
+    from optnav_cli.camera.camera_file import load_camera
+
+    return load_camera(path)
+
+
+def load_build(path: Path) -> object:
+    from catalog.stages.settings import load_build_config
+
+    return load_build_config(path)
+
+
+def load_scenario(path: Path) -> object:
+    from optnav_cli.simulation.scenario import load_scenario
+
+    return load_scenario(path)
+
+
+def load_navigate(path: Path) -> object:
+    from optnav_cli.navigation.settings import NavigateSettings
+
+    return load_toml(path, NavigateSettings)
+
+
+LOADERS: dict[str, Callable[[Path], object]] = {
+    "bodies": load_body,
+    "cameras": load_camera,
+    "catalogs": load_build,
+    "scenarios": load_scenario,
+    "templates/build": load_build,
+    "templates/scenario": load_scenario,
+    "templates/navigate": load_navigate,
+}
+SHIPPED = {
+    path.relative_to(CONFIGS).with_suffix("").as_posix(): path
+    for path in sorted(CONFIGS.rglob("*.toml"))
+}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_config_loads(name: str) -> None:
+    loader = LOADERS.get(name) or LOADERS[name.partition("/")[0]]
+    assert loader(SHIPPED[name]) is not None
+
+
+def test_all_kinds_of_configs_are_shipped() -> None:
+    kinds = {name if name.startswith("templates/") else name.partition("/")[0] for name in SHIPPED}
+    assert kinds == set(LOADERS)
+
+
+def test_nothing_but_configs_is_shipped_as_config() -> None:
+    others = [p.name for p in CONFIGS.rglob("*") if p.is_file() and p.suffix != ".toml"]
+    assert others == []
+
+
+def settings(type_: type[msgspec.Struct]) -> Iterator[tuple[str, type[msgspec.Struct] | None]]:
+    """(name, struct of a section or None) of each setting of a struct."""
+    for field in msgspec.inspect.type_info(type_).fields:  # type: ignore[attr-defined]
+        parts = [field.type, *getattr(field.type, "types", ())]
+        parts += [getattr(part, "item_type", None) for part in parts]
+        structs = [p.cls for p in parts if isinstance(p, msgspec.inspect.StructType)]
+        yield field.encode_name, structs[0] if structs else None
+
+
+def documented(text: str) -> set[tuple[str, str]]:
+    """(section, setting) of a template, also of settings in comments: "# name = value"."""
+    found, section = set(), ""
+    for line in text.splitlines():
+        bare = line.removeprefix("#").strip()
+        if bare.startswith("["):
+            section = bare.partition("]")[0].strip("[] ")
+            found.add(("", section))
+        elif "=" in bare and bare.partition("=")[0].strip().isidentifier():
+            found.add((section, bare.partition("=")[0].strip()))
+    return found
+
+
+def wanted(type_: type[msgspec.Struct]) -> set[tuple[str, str]]:
+    """(section, setting) of all that a template should show."""
+    found = set()
+    for name, struct in settings(type_):
+        found.add(("", name))
+        if struct is not None:
+            found |= {(name, inner) for inner, _ in settings(struct)}
+    return found
+
+
+def config_type(kind: str) -> type[msgspec.Struct]:
+    if kind == "build":
+        from catalog.stages.settings import BuildConfig
+
+        return BuildConfig
+    if kind == "navigate":
+        from optnav_cli.navigation.settings import NavigateSettings
+
+        return NavigateSettings
+    from optnav_cli.simulation.scenario import Scenario
+
+    return Scenario
+
+
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate"])
+def test_a_template_shows_every_setting(kind: str) -> None:
+    text = SHIPPED[f"templates/{kind}"].read_text(encoding="utf-8")
+    assert wanted(config_type(kind)) - documented(text) == set()
+
+
+@pytest.mark.parametrize("kind", ["build", "navigate"])
+def test_a_template_states_the_defaults(kind: str) -> None:
+    """A template without its optional settings means the same as the whole template."""
+    text = SHIPPED[f"templates/{kind}"].read_text(encoding="utf-8")
+    whole: dict[str, Any] = tomllib.loads(text)
+    needed = {name: whole[name] for name in ("body", "dem") if name in whole}
+    for dem in needed.get("dem", ()):
+        for name in [name for name in dem if name != "path"]:
+            del dem[name]
+    type_ = config_type(kind)
+    assert msgspec.convert(tomllib.loads(text), type_) == msgspec.convert(needed, type_)
+
+
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate"])
+def test_a_template_is_what_the_command_prints(kind: str) -> None:
+    from click.testing import CliRunner
+
+    from optnav_cli.commands.config import command
+
+    result = CliRunner().invoke(command, ["template", kind])
+    assert result.exit_code == 0
+    assert result.stdout == SHIPPED[f"templates/{kind}"].read_text(encoding="utf-8")
