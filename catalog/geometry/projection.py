@@ -47,7 +47,8 @@ class Stereographic:
 
     def latlon(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Latitude and east longitude (rad) of map points x, y (m)."""
-        lat, lon, _ = latlon_from_xyz(self.local_directions(x, y) @ self.body_from_local.T)
+        directions = np.asarray(self.local_directions(x, y) @ self.body_from_local.T)
+        lat, lon, _ = latlon_from_xyz(directions)
         return lat, lon
 
     def xy_from_xyz(self, xyz: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -68,7 +69,7 @@ class Stereographic:
 
 def node_offsets(size: int, posting_m: float) -> FloatArray:
     """Map x of the columns of a centred grid (m); the rows' y are its negative."""
-    return (np.arange(size) - (size - 1) / 2.0) * posting_m
+    return np.asarray((np.arange(size) - (size - 1) / 2.0) * posting_m, dtype=np.float64)
 
 
 def node_grid(size: int, posting_m: float) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""Correlation against shifts made in Fourier space, noise of known size, and OpenCV's own filter."""
+"""Correlation against shifts made in Fourier space, noise of known size, OpenCV's own filter."""
 
 import cv2
 import numpy as np
@@ -45,7 +45,7 @@ def test_gain_offset_and_a_slope_of_brightness_change_nothing():
 
 
 def test_stated_covariance_is_of_the_size_of_the_scatter():
-    """The model's count of independent samples is a fit to terrain: a factor of 3 must hold here."""
+    """The model's count of independent samples is fitted to terrain: here a factor of 3."""
     rng = np.random.default_rng(3)
     errors, stated = [], []
     for seed in range(60):
@@ -108,4 +108,5 @@ def test_roll_and_scale_are_found_together_with_the_shift():
     found = match_similarity(cut(field, 65), search, list(rolls), scales)
     assert np.degrees(found.roll) == pytest.approx(4.5, abs=1.0)
     assert found.scale == pytest.approx(1.06, abs=0.02)
-    assert abs(found.match.dx) < 0.5 and abs(found.match.dy) < 0.5
+    assert abs(found.match.dx) < 0.5
+    assert abs(found.match.dy) < 0.5

@@ -121,5 +121,5 @@ def test_contradicting_matches_are_no_solution():
 def test_one_sighting_is_too_few():
     rng = np.random.default_rng(6)
     truth, points = scene(rng, count=1)
-    with pytest.raises(NoSolutionError, match="needed|few"):
+    with pytest.raises(NoSolutionError, match="needed"):
         resect_robustly(Pinhole(), sightings_of(truth, points, rng), truth, 0.0)

@@ -1,5 +1,7 @@
 """The behaviour that Zhukov (2025), ch. 3, states for resection, from trials of our own solver."""
 
+import itertools
+
 import pytest
 
 from optnav_cli.studies.resection import one_geometry
@@ -11,7 +13,7 @@ def horizontal(count: int, angle: float, free: bool = False) -> float:
 
 def test_the_horizontal_error_falls_with_points_and_stays_below_their_own():
     errors = [horizontal(count, 40.0) for count in (2, 4, 8, 16, 32)]
-    assert all(b < a for a, b in zip(errors, errors[1:], strict=False))
+    assert all(b < a for a, b in itertools.pairwise(errors))
     assert errors[0] < 1.0
 
 
