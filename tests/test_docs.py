@@ -35,14 +35,15 @@ def commands(
 COMMANDS = dict(commands(cli))
 
 
-def help_of(words: str, command: click.Command) -> str:
-    return command.get_help(click.Context(command, info_name=f"optnav {words}"))
+def example_of(words: str, command: click.Command) -> str:
+    """What a command's help shows under "Example:" or "Examples:"."""
+    text = command.get_help(click.Context(command, info_name=f"optnav {words}"))
+    return (re.split(r"Examples?:\n", text)[1:] or [""])[0].partition("\nOptions:")[0]
 
 
 @pytest.mark.parametrize("words", COMMANDS)
 def test_every_command_has_help_with_an_example_of_itself(words: str) -> None:
-    text = help_of(words, COMMANDS[words])
-    example = text.partition("Example:")[2].partition("Options:")[0]
+    example = example_of(words, COMMANDS[words])
     assert f"optnav {words} " in example.replace("\n", " ") + " "
 
 
@@ -59,8 +60,11 @@ def test_every_command_has_a_line_in_the_readme(words: str) -> None:
 
 
 def test_examples_use_only_options_that_exist() -> None:
-    texts = [README, *(help_of(words, command) for words, command in COMMANDS.items())]
-    for line in re.findall(r"^\s*(?:\$ )?(optnav .*)$", "\n".join(texts), re.MULTILINE):
+    texts = re.findall(r"^```\w*\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    texts += [example_of(words, command) for words, command in COMMANDS.items()]
+    lines = re.findall(r"^\s*(optnav [^:]*)$", "\n".join(texts), re.MULTILINE)
+    assert len(lines) > 30
+    for line in lines:
         words = shlex.split(line.partition("#")[0])[1:]
         known = {opt for parameter in cli.params for opt in (*parameter.opts, "--help", "-h")}
         group: click.Command = cli
