@@ -62,7 +62,7 @@ def test_every_command_has_a_line_in_the_readme(words: str) -> None:
 def test_examples_use_only_options_that_exist() -> None:
     texts = re.findall(r"^```\w*\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
     texts += [example_of(words, command) for words, command in COMMANDS.items()]
-    lines = re.findall(r"^\s*(optnav [^:]*)$", "\n".join(texts), re.MULTILINE)
+    lines = re.findall(r"^\s*(optnav [^:\n]*)$", "\n".join(texts), re.MULTILINE)
     assert len(lines) > 30
     for line in lines:
         words = shlex.split(line.partition("#")[0])[1:]
