@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from catalog.errors import ConfigError
 from catalog.photometry.hapke import LUNAR, HapkeParameters
+from catalog.photometry.laws import law_by_name
 from catalog.photometry.lommel_seeliger import NORMAL_ALBEDO
 from catalog.rendering import shading
 from catalog.rendering.hapke_table import TABLE_SIZE, shade_hapke
@@ -63,9 +63,7 @@ def render_map(
     Returns (n, n) float32. Terrain is not hidden by terrain: a node that faces the camera is drawn.
     Raises ConfigError for an unknown law, ValueError for vectors without a direction.
     """
-    if law not in LAW_NUMBERS:
-        names = ", ".join(LAW_NUMBERS)
-        raise ConfigError(f"photometry: no law is called '{law}'; use one of {names}")
+    law_by_name(law)  # refuses a name that is no law
     if view_local is not None and camera_local is not None:
         raise ValueError("render_map: give view_local or camera_local, not both")
     sun = _unit(sun_local, "sun_local")

@@ -101,8 +101,9 @@ def _sweep(
     for t in range(size):
         row = size - 1 - t if flip_t else t
         _tangent_row(heights, row, posting, radius, flip_c, z)
-        whole = int(np.floor(shear * t))
-        part = shear * t - whole
+        # a line that rounding leaves a hair before a column is on it
+        whole = int(np.floor(shear * t + 1e-9))
+        part = max(shear * t - whole, 0.0)
         first = span - whole - 1  # the line at column part - 1
         near = lines[first : first + size]
         here = lines[first + 1 : first + 1 + size]

@@ -1,0 +1,165 @@
+"""Rendered grids against gdaldem, against normals made from points in space, and in the limits."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import rasterio
+
+from catalog.config import resource
+from catalog.errors import ConfigError
+from catalog.geometry.projection import Stereographic, node_grid
+from catalog.photometry import hapke
+from catalog.photometry.hapke import LUNAR
+from catalog.rendering import shading
+from catalog.rendering.hapke_table import shade_hapke
+from catalog.rendering.map_view import ALL_LIT, render_map
+
+MOON_M = 1_737_400.0
+POSTING_M = 118.45
+LAWS = ["hapke", "lommel_seeliger", "lunar_lambert", "lambert"]
+
+
+def sun(elevation_deg, azimuth_deg):
+    el, az = np.radians([elevation_deg, azimuth_deg])
+    return np.array([np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)])
+
+
+@pytest.fixture(scope="module")
+def tycho():
+    with rasterio.open(resource("data/tycho_gld100_256ppd.tif")) as dataset:
+        window = rasterio.windows.Window(1300, 900, 320, 320)
+        return dataset.read(1, window=window).astype(np.float32)
+
+
+def normals_from_points(heights, posting, radius):
+    """Unit normals of the inner nodes from the places of their neighbours in space."""
+    x, y = node_grid(heights.shape[0], posting)
+    place = Stereographic(0.3, 1.0, radius)
+    points = place.points(x, y, heights.astype(np.float64)) @ place.body_from_local
+    east = points[1:-1, 2:] - points[1:-1, :-2]
+    north = points[:-2, 1:-1] - points[2:, 1:-1]
+    normal = np.cross(east, north)
+    return normal / np.linalg.norm(normal, axis=-1, keepdims=True), points[1:-1, 1:-1]
+
+
+@pytest.mark.parametrize(
+    ("radius", "posting"), [(MOON_M, POSTING_M), (MOON_M, 1900.0), (60e3, 50.0)]
+)
+def test_shading_over_the_curved_body_follows_normals_made_in_space(tycho, radius, posting):
+    heights = tycho[:128, :128] * np.float32(posting / POSTING_M / 4)
+    normal, _ = normals_from_points(heights, posting, radius)
+    direction = sun(30.0, 200.0)
+    expected = np.clip(normal @ direction, 0.0, None)
+    lambert = render_map(
+        heights, posting, direction, radius_m=radius, law="lambert", albedo=1.0, shadows=False
+    )
+    # (h/R)^2 is left out of the stretch; the small body has h/R of some 1e-2
+    np.testing.assert_allclose(lambert[1:-1, 1:-1], expected, atol=2e-4)
+
+
+def test_a_near_camera_sees_each_node_along_its_own_line(tycho):
+    heights = tycho[:96, :96]
+    camera = np.array([9e3, -4e3, 15e3])
+    direction = sun(40.0, 100.0)
+    normal, points = normals_from_points(heights, POSTING_M, MOON_M)
+    to_camera = camera + [0.0, 0.0, MOON_M] - points
+    to_camera /= np.linalg.norm(to_camera, axis=-1, keepdims=True)
+    expected = hapke.reflectance(
+        normal @ direction, (normal * to_camera).sum(-1), to_camera @ direction
+    )
+    got = render_map(
+        heights, POSTING_M, direction, radius_m=MOON_M, camera_local=camera, shadows=False
+    )
+    np.testing.assert_allclose(got[1:-1, 1:-1], expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_camera_far_away_sees_as_a_direction_does(tycho, law):
+    heights = tycho[:64, :64]
+    view = sun(50.0, 10.0)
+    options = {"radius_m": MOON_M, "law": law}
+    far = render_map(heights, POSTING_M, sun(25, 80), camera_local=view * 1e12, **options)
+    parallel = render_map(heights, POSTING_M, sun(25, 80), view_local=view, **options)
+    np.testing.assert_allclose(far, parallel, atol=2e-7)
+
+
+@pytest.mark.skipif(shutil.which("gdaldem") is None, reason="gdaldem is not installed")
+@pytest.mark.parametrize("azimuth", [30.0, 135.0, 250.0, 340.0])
+def test_lambert_on_a_flat_body_is_gdals_hillshade(tycho, tmp_path, azimuth):
+    """gdaldem writes 1 + 254 cos i, rounded; Zevenbergen-Thorne slopes are central differences."""
+    path, shaded = tmp_path / "dem.tif", tmp_path / "shade.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=320, height=320, count=1, dtype="float32",
+        crs="EPSG:32633", transform=rasterio.Affine(POSTING_M, 0, 5e5, 0, -POSTING_M, 5e6),
+    ) as dataset:  # fmt: skip
+        dataset.write(tycho, 1)
+    command = ["gdaldem", "hillshade", str(path), str(shaded), "-q", "-alg", "ZevenbergenThorne"]
+    subprocess.run([*command, "-az", str(azimuth), "-alt", "35"], check=True)
+    with rasterio.open(shaded) as dataset:
+        gdal = dataset.read(1).astype(float)[1:-1, 1:-1]
+    ours = render_map(
+        tycho,
+        POSTING_M,
+        sun(35.0, azimuth),
+        radius_m=1e12,
+        law="lambert",
+        albedo=1.0,
+        shadows=False,
+    )[1:-1, 1:-1]
+    assert np.abs(1.0 + 254.0 * ours - gdal).max() < 1.01
+
+
+@pytest.mark.parametrize("view_elevation", [90, 65, 35])
+@pytest.mark.parametrize("sun_elevation", [3, 15, 45, 80])
+def test_the_slope_table_is_as_good_as_hapke_node_by_node(tycho, sun_elevation, view_elevation):
+    """Bound: 0.1 % of the contrast rms, 0.001 in radiance factor anywhere (at grazing views)."""
+    towards, view = sun(sun_elevation, 70.0), sun(view_elevation, 200.0)
+    exact = shading.shade_fixed(
+        tycho, POSTING_M, MOON_M, towards, view, shading.HAPKE, LUNAR, 0.12, ALL_LIT
+    )
+    read = shade_hapke(tycho, POSTING_M, MOON_M, towards, view, LUNAR, ALL_LIT)
+    error = read - exact
+    assert np.sqrt((error**2).mean()) < 1e-3 * exact.std()
+    assert np.abs(error).max() < 1e-3
+
+
+def test_slopes_facing_the_sun_are_the_brighter_ones():
+    ramp = np.tile(np.linspace(0.0, 900.0, 31, dtype=np.float32), (31, 1))  # rises to the east
+    for law in LAWS:
+        from_west = render_map(ramp, 100.0, sun(30, 270), radius_m=MOON_M, law=law)[15, 15]
+        from_east = render_map(ramp, 100.0, sun(30, 90), radius_m=MOON_M, law=law)[15, 15]
+        from_north = render_map(ramp.T[::-1], 100.0, sun(30, 180), radius_m=MOON_M, law=law)[15, 15]
+        assert from_west > from_east
+        assert from_north == pytest.approx(from_west, rel=1e-3)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_shadow_is_black_and_holes_stay_holes(tycho, law):
+    heights = tycho[:80, :80].copy()
+    heights[30:33, 40] = np.nan
+    picture = render_map(heights, POSTING_M, sun(6, 90), radius_m=MOON_M, law=law)
+    assert np.isnan(picture[30:33, 40]).all()
+    assert np.isfinite(np.delete(picture.ravel(), [r * 80 + 40 for r in (30, 31, 32)])).all()
+    lit = render_map(heights, POSTING_M, sun(6, 90), radius_m=MOON_M, law=law, shadows=False)
+    dark = (picture == 0.0) & (lit > 0.0)
+    assert dark.sum() > 20
+    np.testing.assert_array_equal(picture[picture > 0.0], lit[picture > 0.0])
+
+
+def test_the_same_call_gives_the_same_bytes(tycho):
+    first = render_map(tycho, POSTING_M, sun(20, 20), radius_m=MOON_M)
+    assert first.tobytes() == render_map(tycho, POSTING_M, sun(20, 20), radius_m=MOON_M).tobytes()
+
+
+def test_what_cannot_be_rendered_is_refused(tycho):
+    with pytest.raises(ConfigError, match="no law is called 'phong'"):
+        render_map(tycho, POSTING_M, sun(20, 20), radius_m=MOON_M, law="phong")
+    with pytest.raises(ValueError, match="direction"):
+        render_map(tycho, POSTING_M, [0.0, 0.0, 0.0], radius_m=MOON_M)
+    with pytest.raises(ValueError, match="not both"):
+        render_map(
+            tycho, POSTING_M, sun(20, 20), radius_m=MOON_M,
+            view_local=[0, 0, 1], camera_local=[0, 0, 1e5],
+        )  # fmt: skip

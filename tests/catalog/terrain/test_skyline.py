@@ -1,0 +1,103 @@
+"""The skyline against peaks of known place and height, and against the shadows themselves."""
+
+import math
+
+import numpy as np
+import pytest
+import rasterio
+
+from catalog.config import resource
+from catalog.geometry.grid import halve
+from catalog.rendering.shadow import lit_mask
+from catalog.terrain.skyline import skyline_limits_deg
+
+MOON_M = 1_737_400.0
+POSTING_M = 118.45
+
+
+def sun(elevation_deg, azimuth_deg):
+    el, az = np.radians([elevation_deg, azimuth_deg])
+    return np.array([np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)])
+
+
+def flat_levels(size=40, count=4, posting=100.0):
+    return [(np.zeros((size, size), np.float32), posting * 2**k) for k in range(count)]
+
+
+def tycho_levels(row, col, size=80, count=5):
+    half = size * 2 ** (count - 1) // 2
+    with rasterio.open(resource("data/tycho_gld100_256ppd.tif")) as dataset:
+        window = rasterio.windows.Window(col - half, row - half, 2 * half, 2 * half)
+        grid = dataset.read(1, window=window).astype(np.float32)
+    levels, posting = [], POSTING_M
+    for _ in range(count):
+        middle = grid.shape[0] // 2
+        cut = slice(middle - size // 2, middle + size // 2)
+        levels.append((np.ascontiguousarray(grid[cut, cut]), posting))
+        grid, posting = halve(grid), posting * 2
+    return levels
+
+
+def test_a_bare_sphere_has_only_the_tilt_of_its_corners():
+    """At a corner the local horizon stands higher, on the centre's side, by its distance / R."""
+    corner = math.degrees(math.hypot(1950.0, 1950.0) / MOON_M)
+    limits = skyline_limits_deg(flat_levels(), 0, MOON_M)
+    assert 0.0 < limits.max() < corner
+    assert skyline_limits_deg(flat_levels(), 0, 1e12).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("azimuth_bin", "d_row", "d_col"), [(0, -1, 0), (9, 0, 1), (18, 1, 0), (27, 0, -1)]
+)
+def test_a_ridge_outside_stands_in_its_own_direction(azimuth_bin, d_row, d_col):
+    levels = flat_levels()
+    ridge = levels[2][0]
+    centre = 19.5
+    row, col = round(centre + d_row * 14.5), round(centre + d_col * 14.5)
+    ridge[row - 1 : row + 2, col - 1 : col + 2] = 1000.0
+    limits = skyline_limits_deg(levels, 0, MOON_M)
+    assert limits[azimuth_bin] > limits.max() - 0.05
+    # from the near edge of the patch (1.95 km) to the near edge of the ridge (5.4 km); the step of
+    # 400 m between samples of a cliff makes it up to 1.7 deg lower
+    steepest = math.degrees(math.atan2(1000.0, 3450.0))
+    assert steepest - 1.7 < limits[azimuth_bin] < steepest + 0.1
+    assert limits[(azimuth_bin + 18) % 36] < 0.1
+
+
+def test_a_hill_inside_the_patch_is_no_foreign_skyline():
+    levels = flat_levels()
+    levels[0][0][15:25, 15:25] = 3000.0
+    np.testing.assert_array_equal(
+        skyline_limits_deg(levels, 0, MOON_M), skyline_limits_deg(flat_levels(), 0, MOON_M)
+    )
+
+
+def test_curvature_hides_far_peaks():
+    levels = flat_levels(count=5, posting=1000.0)
+    bare = skyline_limits_deg(levels, 0, MOON_M)
+    levels[4][0][19:21, 33:35] = 3000.0  # 232 km away: its foot is 15 km below the tangent plane
+    np.testing.assert_array_equal(skyline_limits_deg(levels, 0, MOON_M), bare)
+    assert skyline_limits_deg(levels, 0, 1e12).max() > 0.5
+
+
+def test_no_foreign_shadow_falls_above_the_limit_and_some_do_below():
+    levels = tycho_levels(1080, 1500)
+    limits = skyline_limits_deg(levels, 0, MOON_M)
+    fallen = 0
+    for azimuth in range(0, 360, 20):
+        # 0.5 deg: the stated error of the planes' spacing
+        towards = sun(limits[azimuth // 10] + 0.5, azimuth)
+        own = lit_mask(*levels[0], towards, MOON_M)
+        joined = lit_mask(*levels[0], towards, MOON_M, levels[1:])
+        assert (own & ~joined).sum() <= 6, azimuth
+        towards = sun(max(limits[azimuth // 10] - 3.0, 0.2), azimuth)
+        own = lit_mask(*levels[0], towards, MOON_M)
+        fallen += (own & ~lit_mask(*levels[0], towards, MOON_M, levels[1:])).any()
+    assert fallen >= 9
+
+
+def test_the_coarsest_level_knows_nothing_outside():
+    levels = tycho_levels(1080, 1500, count=3)
+    assert (skyline_limits_deg(levels, 2, MOON_M) == 0.0).all()
+    with pytest.raises(ValueError, match="not a level 3"):
+        skyline_limits_deg(levels, 3, MOON_M)
