@@ -49,8 +49,8 @@ def command(
       optnav navigate pictures --catalog tycho.gpkg -o run
     """
     from catalog.config import load_toml
-    from optnav_cli.navigation.run import navigate_folder
     from optnav_cli.navigation.settings import NavigateSettings
+    from optnav_cli.runs.navigate_folder import navigate_folder
 
     settings = load_toml(config, NavigateSettings) if config else NavigateSettings()
     announce_compilation()
