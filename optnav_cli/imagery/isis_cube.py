@@ -33,6 +33,7 @@ class CubePose:
     utc                 as the label writes it
     tdb_s               TDB s past J2000, of the tables
     position_m          (3,) camera position, body frame, m
+    velocity_m_s        (3,) camera velocity against the stars along the body frame's axes, m/s
     isis_from_body      rotation taking body vectors to the *ISIS* camera frame of the instrument,
                         whose boresight may be -z and whose x need not point right
     sun_body            (3,) unit vector to the Sun, body frame
@@ -42,6 +43,7 @@ class CubePose:
     utc: str
     tdb_s: float
     position_m: FloatArray
+    velocity_m_s: FloatArray
     isis_from_body: Rotation
     sun_body: FloatArray
     body_from_inertial: Rotation
@@ -58,6 +60,7 @@ def read_cube_pose(path: str | Path) -> CubePose:
         body_from_inertial = _rotation(path, label, "BodyRotation")
         isis_from_inertial = _rotation(path, label, "InstrumentPointing")
         position = _vector(path, label, "InstrumentPosition")
+        velocity = _vector(path, label, "InstrumentPosition", "V")
         sun = _vector(path, label, "SunPosition")
         instrument = label.find("Instrument")
         utc = instrument.text("StartTime") if instrument else ""
@@ -70,6 +73,7 @@ def read_cube_pose(path: str | Path) -> CubePose:
         utc=utc,
         tdb_s=tdb_s,
         position_m=body_from_inertial.apply(position) * 1e3,
+        velocity_m_s=body_from_inertial.apply(velocity) * 1e3,
         isis_from_body=isis_from_inertial * body_from_inertial.inv(),
         sun_body=body_from_inertial.apply(sun / np.linalg.norm(sun)),
         body_from_inertial=body_from_inertial,
@@ -122,10 +126,10 @@ def _record(path: Path, label: Block, name: str) -> dict[str, float]:
     return record
 
 
-def _vector(path: Path, label: Block, name: str) -> FloatArray:
+def _vector(path: Path, label: Block, name: str, suffix: str = "") -> FloatArray:
     record = _record(path, label, name)
     try:
-        return np.array([record[f"J2000{axis}"] for axis in "XYZ"])
+        return np.array([record[f"J2000{axis}{suffix}"] for axis in "XYZ"])
     except KeyError as error:
         raise DataError(f"its table {name} has no field {error}") from None
 
