@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.geometry.latlon import body_from_local, latlon_from_xyz
+from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.estimation.resection import Pose, ProjectingCamera
 
 FloatArray = NDArray[np.float64]
@@ -119,8 +119,10 @@ def _inside(pixels: FloatArray, frame_size_px: tuple[int, int]) -> NDArray[np.bo
 def _horizontals(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """East and north unit vectors (n, 3) at body-fixed points."""
     lat, lon, _ = latlon_from_xyz(points_m)
-    axes = np.array([body_from_local(a, o) for a, o in zip(lat, lon, strict=True)])
-    return axes[:, :, 0], axes[:, :, 1]
+    zero = np.zeros_like(lat)
+    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
+    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
+    return east, north
 
 
 def _above_skyline(
