@@ -58,7 +58,7 @@ def catalog_page(catalog: Catalog) -> str:
     sections.append(_made_from(catalog))
     subtitle = (
         f"{meta.count} control points, {meta.usable} usable; {meta.levels} levels of {meta.size} "
-        f"nodes, {meta.posting_m:g} m between the finest. Digest {catalog.digest}"
+        f"nodes, {meta.posting_m:.6g} m between the finest. Digest {catalog.digest}"
     )
     return page(f"{meta.body.capitalize()}: catalog {catalog.path.name}", subtitle, sections)
 
@@ -69,7 +69,7 @@ def _main_numbers(catalog: Catalog) -> str:
         (str(meta.usable), "usable control points"),
         (str(meta.count), "cells with a point"),
         (f"{meta.cell_deg:g}°", "cell"),
-        (f"{meta.posting_m:g} m", "finest posting"),
+        (f"{meta.posting_m:.4g} m", "finest posting"),
     ]
     for column, name, form in (
         ("localisation_px", "expected match error, nodes (median)", "{:.2f}"),

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from catalog.control_point import SHADOW_AZIMUTHS
 from catalog.store.reader import Catalog
 from optnav_cli.output.report.ground import GroundMap
-from optnav_cli.output.report.page import data_uri, figure
-from optnav_cli.output.report.svg import Plot, span
+from optnav_cli.output.report.page import data_uri, figure, paragraph
+from optnav_cli.output.report.svg import HALF, Plot, span
 
 FloatArray = NDArray[np.float64]
 MOST_DOTS = 5000  # more points are painted into a picture instead of drawn one by one
@@ -25,7 +25,7 @@ def points_map(catalog: Catalog) -> str:
     """Where the points are; the usable ones coloured by their expected match error."""
     ground = GroundMap.about(catalog.lat_deg, catalog.lon_deg, catalog.meta.radius_m)
     x, y = ground.places(catalog.lat_deg, catalog.lon_deg)
-    plot = ground.plot(x, y, height=460)
+    plot = ground.plot(x, y, height=620)
     scores = np.asarray(catalog.records["localisation_px"], np.float64)
     usable = catalog.usable
     classes, limits = _classes(scores, usable)
@@ -72,6 +72,8 @@ def score_histograms(catalog: Catalog) -> list[str]:
 def trial_histogram(catalog: Catalog) -> str:
     """How often the points were recognised in their trials, usable and not."""
     tried = catalog.records["trials"] > 0
+    if not tried.any():
+        return paragraph("No point was put to recognition trials.")
     rates = np.asarray(catalog.records["recognition_rate"], np.float64)
     edges = np.linspace(0.0, 1.0, 21)
     below, above = (
@@ -120,7 +122,7 @@ def _histogram(values: FloatArray, label: str, series: str) -> str:
     counts, edges = np.histogram(values, BINS, (low, high))
     plot = Plot(
         (low, high), (0.0, 1.05 * max(float(counts.max()), 1.0)), x_label=label, y_label="points",
-        width=400, height=240,
+        width=HALF, height=260,
     )  # fmt: skip
     plot.bars(edges, counts, series)
     if values.size:
@@ -133,8 +135,8 @@ def _histogram(values: FloatArray, label: str, series: str) -> str:
 def _classes(scores: FloatArray, usable: NDArray[np.bool_]) -> tuple[NDArray[np.int64], list[str]]:
     """Which sixth of the usable points each point is in by its score, and their limits in words."""
     good = scores[usable & np.isfinite(scores)]
-    if good.size == 0:
-        return np.zeros(len(scores), np.int64), []
+    if good.size == 0 or good.min() == good.max():
+        return np.zeros(len(scores), np.int64), [f"{value:.2f}" for value in good[:1]]
     limits = np.quantile(good, np.arange(1, len(SCALE)) / len(SCALE))
     classes = np.searchsorted(limits, np.nan_to_num(scores, nan=np.inf), side="right")
     ends = [good.min(), *limits, good.max()]

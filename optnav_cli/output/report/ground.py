@@ -12,11 +12,12 @@ from catalog.geometry.latlon import (
     xyz_from_latlon,
 )
 from catalog.geometry.projection import Stereographic
-from optnav_cli.output.report.svg import Plot, number_text, span
+from optnav_cli.output.report.svg import WIDE, Plot, number_text, span
 
 FloatArray = NDArray[np.float64]
 LARGEST_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
 STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
+LABEL_ROOM_PX = 45.0
 DEGREE = "\N{DEGREE SIGN}"
 
 
@@ -53,7 +54,7 @@ class GroundMap:
         x, y = Stereographic(lat0, lon0, self.radius_m).xy_from_xyz(directions)
         return x / 1e3, y / 1e3
 
-    def plot(self, x: ArrayLike, y: ArrayLike, width: int = 640, height: int = 420) -> Plot:
+    def plot(self, x: ArrayLike, y: ArrayLike, width: int = WIDE, height: int = 600) -> Plot:
         """An empty map that holds the map coordinates x, y (n,), with its graticule."""
         if not self.regional:
             return Plot(
@@ -87,24 +88,41 @@ class GroundMap:
             np.arange(np.floor((lon0 - half) / lon_step), (lon0 + half) / lon_step + 1) * lon_step
         )
         along = np.linspace(-1.0, 1.0, 61)
+        taken: list[FloatArray] = []
         for lat in lats:
             x, y = self.places(np.full(61, lat), lon0 + half * along)
             plot.line(x, y, "faint thin")
-            self._name(plot, x, y, lat, left=True)
+            self._name(plot, (x, y), float(lat), taken)
         reachable = np.clip(lat0 + 2 * reach * along, -89.9, 89.9)
         for lon in np.unique(wrap_longitude_deg(lons)):
             x, y = self.places(reachable, np.full(61, lon))
             plot.line(x, y, "faint thin")
-            self._name(plot, x, y, float(lon), left=False)
+            self._name(plot, (x, y), float(lon), taken)
 
-    def _name(self, plot: Plot, x: FloatArray, y: FloatArray, value: float, left: bool) -> None:
-        """Write a graticule line's number where the line enters the map, left or below."""
-        edge, along, other = (plot.x[0], x, y) if left else (plot.y[0], y, x)
-        inside = plot.y if left else plot.x
-        order = np.argsort(along)
-        where = float(np.interp(edge, along[order], other[order], left=np.nan, right=np.nan))
-        room = 0.04 * (inside[1] - inside[0])
-        if inside[0] + room < where < inside[1] - room:
-            shift = 0.008 * (plot.x[1] - plot.x[0])
-            place = (plot.x[0] + shift, where) if left else (where + shift, plot.y[0] + shift)
+    def _name(
+        self, plot: Plot, line: tuple[FloatArray, FloatArray], value: float, taken: list[FloatArray]
+    ) -> None:
+        """Write a graticule line's number where the line enters the map, unless another is near."""
+        place = _entry(plot, *line)
+        if place is None:
+            return
+        at = np.array([float(plot.px(place[0])), float(plot.py(place[1]))])
+        if all(np.linalg.norm(at - other) > LABEL_ROOM_PX for other in taken):
+            taken.append(at)
             plot.text(*place, number_text(round(value, 3)) + DEGREE)
+
+
+def _entry(plot: Plot, x: FloatArray, y: FloatArray) -> tuple[float, float] | None:
+    """Where a line crosses the map's left edge or, if nowhere, its lower one; a little inside."""
+    shift = 0.008 * (plot.x[1] - plot.x[0])
+    for along, other, edge, limits, left in (
+        (x, y, plot.x[0], plot.y, True),
+        (y, x, plot.y[0], plot.x, False),
+    ):
+        for k in np.flatnonzero((along[:-1] - edge) * (along[1:] - edge) < 0.0):
+            share = (edge - along[k]) / (along[k + 1] - along[k])
+            where = float(other[k] + share * (other[k + 1] - other[k]))
+            room = 0.04 * (limits[1] - limits[0])
+            if limits[0] + room < where < limits[1] - room:
+                return (edge + shift, where) if left else (where + shift, edge + shift)
+    return None

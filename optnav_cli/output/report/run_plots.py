@@ -10,7 +10,7 @@ from catalog.geometry.sphere import distance_to_sphere
 from optnav_cli.output.evaluation_files import read_errors
 from optnav_cli.output.report.ground import GroundMap
 from optnav_cli.output.report.page import figure
-from optnav_cli.output.report.svg import Plot, span
+from optnav_cli.output.report.svg import HALF, Plot, span
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.solution import Solution
 
@@ -40,7 +40,7 @@ def error_plots(run: RunFolder) -> list[str]:
             span(np.concatenate([error[:, axis], band[:, axis], -band[:, axis]])),
             x_label=x_label if axis == 2 else "",
             y_label=f"{name}, m",
-            height=190,
+            height=200,
         )
         if len(x) > 1:
             plot.band(x, -band[:, axis], band[:, axis], "s1")
@@ -74,7 +74,7 @@ def ground_plot(run: RunFolder) -> str:
     all_lon = np.degrees(np.concatenate([lon, cp_lon, *(b[1] for b in borders)]))
     finite = np.isfinite(all_lat)
     ground = GroundMap.about(all_lat[finite], all_lon[finite], body.radius_m)
-    plot = ground.plot(*ground.places(all_lat[finite], all_lon[finite]), height=460)
+    plot = ground.plot(*ground.places(all_lat[finite], all_lon[finite]), height=620)
     for b_lat, b_lon in borders:
         x, y = ground.places(np.degrees(b_lat), np.degrees(b_lon))
         plot.line(x, y, "s1 thin", closed=ground.regional)
@@ -107,7 +107,7 @@ def residual_plots(run: RunFolder) -> list[str]:
         reach = max(3.2 * rms, float(np.percentile(np.abs(residual), 99.5)))
         plot = Plot(
             (-reach, reach), (-reach, reach), x_label="x, px", y_label="y, px",
-            width=400, height=380, equal=True,
+            width=HALF, height=420, equal=True,
         )  # fmt: skip
         few = residual[:: -(-len(residual) // MOST_DOTS)]
         plot.dots(few[:, 0], few[:, 1], "s1", 1.8)
@@ -129,7 +129,7 @@ def residual_plots(run: RunFolder) -> list[str]:
         below, above = (np.histogram(values[c], edges)[0] for c in (~kept, kept))
         plot = Plot(
             (edges[0], edges[-1]), (0.0, 1.05 * float((below + above).max())),
-            x_label="score", y_label="matches", width=400, height=380,
+            x_label="score", y_label="matches", width=HALF, height=420,
         )  # fmt: skip
         plot.bars(edges, below, "s4")
         plot.bars(edges, above, "s3", below)

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
+# Plots across the page and of a pair: at these widths their letters are as large as the text's.
+WIDE, HALF = 960, 470
 
 
 class Plot:
@@ -24,8 +26,8 @@ class Plot:
         *,
         x_label: str = "",
         y_label: str = "",
-        width: int = 640,
-        height: int = 240,
+        width: int = WIDE,
+        height: int = 260,
         equal: bool = False,
         axes: bool = True,
     ) -> None:
@@ -167,7 +169,7 @@ class Plot:
                 f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 15}">'
                 f"{number_text(value)}</text>"
             )
-        for value in ticks(*self.y, count=max(3, (bottom - TOP) // 45)):
+        for value in ticks(*self.y, count=max(4, (bottom - TOP) // 45)):
             y = float(self.py(value))
             yield f'<line class="grid" x1="{LEFT}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
             yield (
@@ -180,7 +182,7 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     """About `count` round numbers from low to high: steps of 1, 2 or 5 times a power of ten."""
     raw = (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
-    step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= raw * (1.0 - 1e-9))
+    step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= 0.75 * raw)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [round(n * step, 12) for n in range(first, last + 1)]
 
