@@ -118,13 +118,12 @@ class Georeference:
         forward, _ = self._transformers
         lon_deg = np.degrees(lon) * self.longitude_sign
         x, y = forward.transform(lon_deg, np.degrees(lat))
+        # PROJ gives infinities for points that the projection cannot show
+        shown = np.isfinite(x) & np.isfinite(y)
         a, b, c, d, e, f = self.affine
-        x, y = np.asarray(x) - c, np.asarray(y) - f
+        x, y = np.where(shown, x, np.nan) - c, np.where(shown, y, np.nan) - f
         determinant = a * e - b * d
-        col = (e * x - b * y) / determinant - 0.5
-        row = (a * y - d * x) / determinant - 0.5
-        outside = ~(np.isfinite(col) & np.isfinite(row))
-        return np.where(outside, np.nan, col), np.where(outside, np.nan, row)
+        return (e * x - b * y) / determinant - 0.5, (a * y - d * x) / determinant - 0.5
 
     def latlon_from_pixel(self, col: ArrayLike, row: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Latitude and east longitude (rad, of any turn) of fractional columns and rows."""

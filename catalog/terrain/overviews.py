@@ -208,6 +208,8 @@ def _in_order(
 
 def _create(source: DemSource, folder: Path, level: int) -> Any:
     rows, cols = level_shape(source.shape, level)
+    a, b, c, d, e, f = source.place.affine
+    step = 2.0**level
     return rasterio.open(
         level_path(folder, level),
         "w",
@@ -218,7 +220,7 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
         dtype="float32",
         nodata=math.nan,
         crs=rasterio.CRS.from_wkt(source.place.wkt),
-        transform=rasterio.Affine(*source.place.affine) * rasterio.Affine.scale(2.0**level),
+        transform=rasterio.Affine(a * step, b * step, c, d * step, e * step, f),
         tiled=True,
         blockxsize=BLOCK,
         blockysize=BLOCK,

@@ -304,10 +304,10 @@ class DemSource:
         if lowest < lo or highest > hi:
             radius = self.body.radius_m
             remedy = "check `units`, `scale`, `offset` and `nodata` of its [[dem]] section"
-            for unit, factor in METRES.items():
-                ratio = factor / METRES[self.units]
-                if unit != self.units and lo <= lowest * ratio and highest * ratio <= hi:
-                    remedy = f'are these {unit}? set units = "{unit}" in its [[dem]] section'
+            other: Literal["m", "km"] = "m" if self.units == "km" else "km"
+            ratio = METRES[other] / METRES[self.units]
+            if lo <= lowest * ratio and highest * ratio <= hi:
+                remedy = f'are these {other}? set units = "{other}" in its [[dem]] section'
             if lo <= lowest - radius and highest - radius <= hi:
                 remedy = 'these are radii: set heights = "radius" in its [[dem]] section'
             raise DataError(f"{found}; {limits}; {remedy}")
