@@ -41,7 +41,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from optnav_cli.output.replace import check_folder
     from optnav_cli.output.report import write_report
     from optnav_cli.runs.navigate_folder import navigate_folder
-    from optnav_cli.simulation.run import simulate
+    from optnav_cli.runs.simulate_folder import simulate_folder
 
     config = resource("configs/catalogs/tycho.toml")
     scenario = resource("configs/scenarios/demo.toml")
@@ -57,7 +57,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     )
     announce_compilation()
     build.run(config, output=catalog, workers=workers, progress=progress)
-    simulate(scenario, pictures, progress)
+    simulate_folder(scenario, pictures, progress, workers)
     navigate_folder(pictures, catalog, NavigateSettings(), "ncc", run, progress)
     evaluation = evaluate_run(run, pictures / "truth.csv")
     write_evaluation(evaluation, run)

@@ -22,8 +22,8 @@ def command(progress: ConsoleProgress, scenario: Path, output: Path) -> None:
       optnav config template scenario > flight.toml
       optnav simulate flight.toml -o pictures
     """
-    from optnav_cli.simulation.run import simulate
+    from optnav_cli.runs.simulate_folder import simulate_folder
 
     announce_compilation()
-    simulate(scenario, output, progress)
+    simulate_folder(scenario, output, progress)
     click.echo(output)

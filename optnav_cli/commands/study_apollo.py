@@ -16,7 +16,13 @@ from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progr
     show_default=True,
     help="Folder for the catalog, the pictures and the run.",
 )
-@click.option("--matcher", type=click.Choice(["ncc", "surf"]), default="ncc", show_default=True)
+@click.option(
+    "--matcher",
+    type=click.Choice(["ncc", "surf"]),
+    default="ncc",
+    show_default=True,
+    help="How a control point is recognised.",
+)
 @pass_progress
 def command(progress: ConsoleProgress, output: Path, matcher: str) -> None:
     """Build the catalog below Apollo 15 metric frame 0297 and navigate the frame.

@@ -6,8 +6,14 @@ from optnav_cli.console import ConsoleProgress, pass_progress
 
 
 @click.command(short_help="Position errors against number and angle of control points.")
-@click.option("--trials", type=click.IntRange(min=10), default=300, show_default=True)
-@click.option("--seed", type=int, default=1, show_default=True)
+@click.option(
+    "--trials",
+    type=click.IntRange(min=10),
+    default=300,
+    show_default=True,
+    help="Resections of each geometry.",
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="Of the noise.")
 @pass_progress
 def command(progress: ConsoleProgress, trials: int, seed: int) -> None:
     """Solve thousands of resections with noisy points and tabulate the errors.
