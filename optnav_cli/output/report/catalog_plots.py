@@ -16,8 +16,9 @@ FloatArray = NDArray[np.float64]
 MOST_DOTS = 5000  # more points are painted into a picture instead of drawn one by one
 PAINTED_PX = (1500, 1000)
 BINS = 30
-# From good to bad, told apart in light and dark and by most colour-blind people (viridis).
-SCALE = ("#fde725", "#7ad151", "#22a884", "#2a788e", "#414487", "#440154")
+# From good to bad, told apart in light and dark and by most colour-blind people (viridis, its
+# yellow darkened for white paper).
+SCALE = ("#e3b505", "#7ad151", "#22a884", "#2a788e", "#414487", "#440154")
 REJECTED_BGR = (150, 150, 150)
 
 

@@ -18,6 +18,7 @@ FloatArray = NDArray[np.float64]
 LARGEST_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
 STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 LABEL_ROOM_PX = 45.0
+WHOLE_HEIGHT = 496  # makes a degree as high as it is wide, at a plot's full width
 DEGREE = "\N{DEGREE SIGN}"
 
 
@@ -59,7 +60,7 @@ class GroundMap:
         if not self.regional:
             return Plot(
                 (-180.0, 180.0), (-90.0, 90.0), x_label="longitude, deg", y_label="latitude, deg",
-                width=width, height=height, equal=True,
+                width=width, height=WHOLE_HEIGHT, equal=True,
             )  # fmt: skip
         lat0, lon0 = (round(v, 2) for v in self.centre_deg)
         plot = Plot(
