@@ -16,11 +16,18 @@ from catalog.geometry.latlon import xyz_from_latlon
 FloatArray = NDArray[np.float64]
 
 
+RELAXED = 0.5  # of the spacing: what a cell may fall back to that would have no point otherwise
+
+
 class Choice(NamedTuple):
-    """Candidates of one cell in the order in which they should be tried; `crowded` if none is free."""
+    """Candidates of one cell in the order in which they should be tried.
+
+    spacing  the share of the wanted spacing that they keep from other cells' points: 1, RELAXED,
+             or 0 where even that leaves none, and then they are all the cell has
+    """
 
     order: tuple[int, ...]
-    crowded: bool
+    spacing: float
 
 
 def strongest_peaks(
@@ -58,34 +65,34 @@ def choose_spaced(
     Best first over all cells, a candidate is accepted when no accepted candidate of *another* cell
     lies nearer than `spacing_deg`; first one candidate a cell, then the second, and so on. So the
     alternatives of a cell are as free as its first choice, and cells can be checked independently.
-    A cell none of whose candidates is free keeps them all, best first, and is marked crowded.
+    A cell none of whose candidates is free tries again with a part of the spacing.
     Ties go to the lower cell and the earlier candidate. Returns indices into the inputs by cell.
     """
     cell_of = np.asarray(cells, dtype=np.int64)
     places = xyz_from_latlon(np.radians(lat_deg), np.radians(lon_deg), 1.0).reshape(-1, 3)
-    chord = 2.0 * np.sin(np.radians(spacing_deg) / 2.0)
-    near = cKDTree(places).query_ball_point(places, chord) if places.size else []
     order = np.lexsort((np.arange(cell_of.size), cell_of, np.nan_to_num(score, nan=np.inf)))
     accepted = np.zeros(cell_of.size, dtype=bool)
-    taken: dict[int, list[int]] = {int(c): [] for c in cell_of}
-    waiting = [int(i) for i in order]
-    while waiting:
-        served: set[int] = set()
-        later: list[int] = []
-        for i in waiting:
-            cell = int(cell_of[i])
-            if cell in served:
-                later.append(i)
-            elif not any(accepted[j] and cell_of[j] != cell for j in near[i]):
-                accepted[i] = True
-                taken[cell].append(i)
-                served.add(cell)
-            # a candidate that is not free now never will be: accepted ones stay
-        waiting = later
-    choices: dict[int, Choice] = {}
-    ranked: dict[int, list[int]] = {}
+    taken: dict[int, list[int]] = {int(cell): [] for cell in cell_of}
+    spacing: dict[int, float] = dict.fromkeys(taken, 0.0)
+    for share in (1.0, RELAXED):
+        chord = 2.0 * np.sin(np.radians(share * spacing_deg) / 2.0)
+        near = cKDTree(places).query_ball_point(places, chord) if places.size else []
+        waiting = [int(i) for i in order if not taken[int(cell_of[i])]]
+        while waiting:
+            served: set[int] = set()
+            later: list[int] = []
+            for i in waiting:
+                cell = int(cell_of[i])
+                if cell in served:
+                    later.append(i)
+                elif not any(accepted[j] and cell_of[j] != cell for j in near[i]):
+                    accepted[i] = True
+                    taken[cell].append(i)
+                    spacing[cell] = share
+                    served.add(cell)
+                # a candidate that is not free now never will be: accepted ones stay
+            waiting = later
     for i in order:
-        ranked.setdefault(int(cell_of[i]), []).append(int(i))
-    for cell, indices in taken.items():
-        choices[cell] = Choice(tuple(indices or ranked[cell]), not indices)
-    return choices
+        if spacing[int(cell_of[i])] == 0.0:
+            taken[int(cell_of[i])].append(int(i))
+    return {cell: Choice(tuple(taken[cell]), spacing[cell]) for cell in taken}

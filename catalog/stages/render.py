@@ -1,58 +1,229 @@
-"""Render: candidates of each cell, shortlisted by the Hessian's worst-azimuth eigenvalue."""
+"""Render: a shortlist of places in each cell, and how well each could be matched under many Suns.
+
+The Hessian's eigenvalue, worst over the Suns that can occur, is computed at every place of the
+cell's ground; its strongest peaks are rendered by Hapke's law with cast shadows, and the predicted
+error of a match under each Sun is kept.
+"""
 
 from collections.abc import Sequence
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from catalog.selection.localisation import hessian_eigenvalue_map
+from catalog.geometry.latlon import wrap_longitude_deg
+from catalog.geometry.projection import Stereographic
+from catalog.rendering.map_view import render_map
+from catalog.rendering.sun_samples import sun_samples
+from catalog.selection.localisation import (
+    hessian_eigenvalue,
+    hessian_eigenvalue_map,
+    sun_products,
+)
+from catalog.selection.match_error import predicted_error_px
 from catalog.selection.spacing import strongest_peaks
 from catalog.stages.context import StageContext
 
+Grid = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+
+STEPS_PER_WINDOW = 16  # the response hardly changes over a sixteenth of its window
+# A patch of the finest levels may miss this share of its nodes.
+FINE_LEVELS = 3
+MAX_MISSING = 0.03
+COVERAGE_LATTICE = 24
+
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[render]. candidates: places of a cell that go on to selection."""
+    """[render].
 
-    candidates: int = 4
+    candidates       places of a cell that are rendered and go on to selection
+    separation_cell  least distance between them, share of a cell
+    inset_cell       strip along a cell's borders where no candidate is taken, share of a cell
+    window_nodes     side of the square that is scored: the template at the finest level
+    levels           pyramid levels that are rendered, finest first
+    sun_elevations, sun_azimuths, sun_min_deg, sun_max_deg  the Suns, of those that can occur;
+                     below the poles' latitudes an elevation leaves only two narrow bands of azimuth
+    sun_declination_deg  how far from the body's equator the Sun stands
+    law              of the render
+    snr              mean brightness over noise, for the predicted error
+    """
+
+    candidates: Annotated[int, msgspec.Meta(ge=1, le=64)] = 6
+    separation_cell: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.2
+    inset_cell: Annotated[float, msgspec.Meta(ge=0.0, lt=0.5)] = 0.1
+    window_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 64
+    levels: Annotated[int, msgspec.Meta(ge=1, le=10)] = 2
+    sun_elevations: Annotated[int, msgspec.Meta(ge=1, le=32)] = 3
+    sun_azimuths: Annotated[int, msgspec.Meta(ge=2, le=64, multiple_of=2)] = 4
+    sun_min_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 8.0
+    sun_max_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 45.0
+    sun_declination_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 1.54
+    law: Literal["hapke", "lommel_seeliger", "lunar_lambert", "lambert"] = "hapke"
+    snr: Annotated[float, msgspec.Meta(gt=0.0)] = 20.0
+
+
+class Candidate(msgspec.Struct, frozen=True):
+    """A place and what its ground promises.
+
+    lat_deg, lon_deg    planetocentric, east
+    hessian_eigenvalue  worst azimuth, over the window (dimensionless)
+    error_px            (levels, suns) float32, predicted 1-sigma error, nodes of the level
+    missing             share of holes in each of the finest patches
+    """
+
+    lat_deg: float
+    lon_deg: float
+    hessian_eigenvalue: float
+    error_px: np.ndarray
+    missing: tuple[float, ...]
 
 
 class Record(msgspec.Struct, frozen=True):
-    """Candidates of a cell, strongest first."""
+    """Candidates of a cell, in the order of the closed-form response."""
 
     cell: int
-    lat_deg: tuple[float, ...]
-    lon_deg: tuple[float, ...]
-    score: tuple[float, ...]
+    candidates: tuple[Candidate, ...]
 
 
 def render_chunk(context: StageContext, cells: Sequence[int]) -> list[Record]:
-    """Candidates of cells; a cell without whole patches is left out."""
-    records = []
-    for cell in cells:
-        lat_deg, lon_deg = context.grid.centre_deg(cell)
-        projection = context.projection(lat_deg, lon_deg)
-        step_m = np.radians(context.grid.step_deg) * context.body.radius_m
-        side = int(step_m / context.posting_m) + context.size
-        heights = context.mosaic.local_grid(projection, context.posting_m, side)
-        window = context.size
-        scores = hessian_eigenvalue_map(heights, context.posting_m, window, step=4)
-        found = strongest_peaks(scores, 8.0, context.config.render.candidates)
-        if not found:
-            continue
-        rows = np.array([4 * r + (window - 1) / 2.0 for r, _ in found])
-        cols = np.array([4 * c + (window - 1) / 2.0 for _, c in found])
-        x = (cols - (side - 1) / 2.0) * context.posting_m
-        y = ((side - 1) / 2.0 - rows) * context.posting_m
-        lat, lon = projection.latlon(x, y)
-        inside = context.grid.cell_of(np.degrees(lat), np.degrees(lon)) == cell
-        if inside.any():
-            values = [float(scores[r, c]) for r, c in found]
-            records.append(
-                Record(
-                    cell=int(cell),
-                    lat_deg=tuple(float(v) for v in np.degrees(lat)[inside]),
-                    lon_deg=tuple(float(v) for v in np.degrees(lon)[inside]),
-                    score=tuple(np.array(values)[inside].tolist()),
-                )
+    """Candidates of cells; a cell whose ground is all holes is left out."""
+    records = [render_cell(context, int(cell)) for cell in cells]
+    return [record for record in records if record is not None]
+
+
+def render_cell(context: StageContext, cell: int) -> Record | None:
+    """The shortlist of one cell; None where the cell has no ground at all."""
+    settings = context.config.render
+    lat_deg, lon_deg = context.grid.centre_deg(cell)
+    projection = context.projection(lat_deg, lon_deg)
+    suns = suns_of(settings, lat_deg)
+    window = settings.window_nodes
+    side = _ground_side(context, cell, window)
+    heights = context.mosaic.local_grid(projection, context.posting_m, side)
+    if not np.isfinite(heights).any():
+        return None
+    step = max(1, window // STEPS_PER_WINDOW)
+    response = hessian_eigenvalue_map(
+        heights, context.posting_m, window, sun_products(suns), step
+    )
+    offsets = np.arange(response.shape[0]) * step + (window - 1) / 2.0 - (side - 1) / 2.0
+    x, y = np.meshgrid(offsets * context.posting_m, -offsets * context.posting_m)
+    lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y))
+    inside = _inside(context, cell, lat, lon, settings.inset_cell)
+    whole = inside & _fine_patches_whole(context, projection, x, y)
+    radius = settings.separation_cell * _cell_m(context) / (step * context.posting_m)
+    peaks = strongest_peaks(np.where(whole, response, np.nan), radius, settings.candidates)
+    if not peaks:  # holes everywhere, or ground without any relief: kept, for the record
+        known = np.where(inside & np.isfinite(response), response + np.float32(1e-30), np.nan)
+        peaks = strongest_peaks(known, radius, 1) or [(lat.shape[0] // 2, lat.shape[1] // 2)]
+    candidates = [
+        _candidate(context, float(lat[peak]), float(lon[peak]), suns) for peak in peaks
+    ]
+    return Record(cell, tuple(candidates))
+
+
+def suns_of(settings: Settings, lat_deg: float) -> FloatArray:
+    """The Suns (n, 3), east, north, up, under which places at a latitude are rendered."""
+    return sun_samples(
+        np.radians(lat_deg),
+        settings.sun_elevations,
+        settings.sun_azimuths,
+        max_declination=np.radians(settings.sun_declination_deg),
+        lowest=np.radians(settings.sun_min_deg),
+        highest=np.radians(settings.sun_max_deg),
+    )
+
+
+def _candidate(
+    context: StageContext, lat_deg: float, lon_deg: float, suns: FloatArray
+) -> Candidate:
+    settings = context.config.render
+    projection = context.projection(lat_deg, lon_deg)
+    window = settings.window_nodes
+    levels = min(settings.levels, context.levels)
+    grids = [
+        context.mosaic.local_grid(projection, posting, window)
+        for posting in context.postings_m[:levels]
+    ]
+    errors = np.empty((levels, len(suns)), np.float32)
+    for level, grid in enumerate(grids):
+        posting = context.postings_m[level]
+        outer = list(zip(grids[level + 1 :], context.postings_m[level + 1 : levels], strict=True))
+        for k, sun in enumerate(suns):
+            picture = render_map(
+                grid, posting, sun, radius_m=context.body.radius_m, law=settings.law, outer=outer
             )
-    return records
+            errors[level, k] = predicted_error_px(picture, settings.snr)
+    # the whole patches are cut later; their holes are counted on a few nodes
+    missing = tuple(
+        _missing(context, projection, posting) for posting in context.postings_m[:FINE_LEVELS]
+    )
+    value = hessian_eigenvalue(grids[0], context.posting_m)
+    return Candidate(lat_deg, lon_deg, value, errors, missing)
+
+
+def _missing(context: StageContext, projection: Stereographic, posting_m: float) -> float:
+    """Share of a patch without ground, from a lattice over it."""
+    spread = posting_m * (context.size - 1) / (COVERAGE_LATTICE - 1)
+    x, y = np.meshgrid(*(2 * [spread * (np.arange(COVERAGE_LATTICE) - (COVERAGE_LATTICE - 1) / 2)]))
+    lat, lon = projection.latlon(x, y)
+    return float(1.0 - context.mosaic.covers(lat, lon, posting_m).mean())
+
+
+def _cell_m(context: StageContext) -> float:
+    return float(np.radians(context.grid.step_deg) * context.body.radius_m)
+
+
+def _ground_side(context: StageContext, cell: int, window: int) -> int:
+    """Nodes of the square map grid that holds a cell and half a window around it."""
+    west, south, east, north = context.grid.bounds_deg(cell)
+    # a cell is widest at its border nearer to the equator; a cap is as wide as its circle
+    parallel = np.cos(np.radians(min(abs(south), abs(north)) if south * north > 0.0 else 0.0))
+    width = 2.0 * np.sin(np.radians(min(east - west, 180.0)) / 2.0) * parallel
+    metres = max(np.radians(north - south), width) * context.body.radius_m
+    return int(np.ceil(1.02 * metres / context.posting_m)) + window
+
+
+def _inside(
+    context: StageContext, cell: int, lat: FloatArray, lon: FloatArray, inset: float
+) -> NDArray[np.bool_]:
+    """Which places (deg) lie in a cell, away from its borders."""
+    west, south, east, north = context.grid.bounds_deg(cell)
+    margin = inset * (north - south)
+    low = south + margin if south > -90.0 else -90.0
+    high = north - margin if north < 90.0 else 90.0
+    inside = (lat >= low) & (lat <= high)
+    if east - west < 360.0:
+        half = (east - west) / 2.0
+        offset = np.abs(wrap_longitude_deg(lon - (west + half)))
+        inside &= offset <= half * (1.0 - 2.0 * inset)
+    return np.asarray(inside)
+
+
+def _fine_patches_whole(
+    context: StageContext, projection: Stereographic, x: FloatArray, y: FloatArray
+) -> NDArray[np.bool_]:
+    """At which places (map m) the patches of the finest levels would have ground nearly everywhere."""
+    level = min(FINE_LEVELS, context.levels) - 1
+    half = context.postings_m[level] * (context.size - 1) / 2.0
+    reach = float(np.abs(x).max()) + half
+    nodes = COVERAGE_LATTICE * max(1, round(reach / half))
+    spacing = 2.0 * reach / (nodes - 1)
+    lattice = spacing * (np.arange(nodes) - (nodes - 1) / 2.0)
+    lat, lon = projection.latlon(*np.meshgrid(lattice, -lattice))
+    covered = context.mosaic.covers(lat, lon, context.postings_m[level])
+    if covered.all():
+        return np.ones(x.shape, dtype=bool)
+    sums = np.pad(np.cumsum(np.cumsum(covered, axis=0), axis=1), ((1, 0), (1, 0)))
+
+    def index(offset: FloatArray) -> NDArray[np.int64]:
+        at = np.rint(offset / spacing + (nodes - 1) / 2.0)
+        return np.asarray(np.clip(at, 0, nodes - 1), dtype=np.int64)
+
+    top, bottom = index(-y - half), index(-y + half) + 1
+    left, right = index(x - half), index(x + half) + 1
+    total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    area = (bottom - top) * (right - left)
+    return np.asarray(total >= (1.0 - MAX_MISSING) * area)

@@ -1,26 +1,83 @@
-"""Select: the candidate of each cell that goes to the checks."""
+"""Select: order every cell's candidates by predicted error, kept apart from other cells' points."""
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import msgspec
+import numpy as np
 
+from catalog.selection.spacing import choose_spaced
 from catalog.stages import render
 from catalog.stages.context import StageContext
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[select]."""
+    """[select].
+
+    percentile    of the predicted errors over the Suns that counts; 100 is the worst Sun
+    spacing_cell  least distance between points of different cells, share of a cell
+    """
+
+    percentile: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 90.0
+    spacing_cell: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.6
+
+
+class Place(msgspec.Struct, frozen=True):
+    """A candidate that may become a cell's point.
+
+    localisation_px  predicted 1-sigma error: the percentile over Suns, worst over levels, nodes
+    """
+
+    lat_deg: float
+    lon_deg: float
+    localisation_px: float
+    hessian_eigenvalue: float
+    missing: float
 
 
 class Record(msgspec.Struct, frozen=True):
-    """The chosen place of a cell."""
+    """Places of a cell in the order in which they are to be checked; the first that passes is taken.
+
+    spacing  share of the wanted distance that all of them keep from other cells' points
+    """
 
     cell: int
-    lat_deg: float
-    lon_deg: float
-    score: float
+    places: tuple[Place, ...]
+    spacing: float
 
 
 def select(context: StageContext, records: Sequence[render.Record]) -> list[Record]:
-    """One place a cell, in the order of cells."""
-    return [Record(r.cell, r.lat_deg[0], r.lon_deg[0], r.score[0]) for r in records]
+    """Places of every cell, in the order of cells; the answer does not depend on chunks."""
+    settings = context.config.select
+    ordered = sorted(records, key=lambda record: record.cell)
+    cells = [record.cell for record in ordered for _ in record.candidates]
+    places = [_place(c, settings.percentile) for record in ordered for c in record.candidates]
+    choices = choose_spaced(
+        cells,
+        np.array([place.lat_deg for place in places]),
+        np.array([place.lon_deg for place in places]),
+        np.array([_badness(place) for place in places]),
+        settings.spacing_cell * context.grid.step_deg,
+    )
+    return [
+        Record(cell, tuple(places[i] for i in choice.order), choice.spacing)
+        for cell, choice in sorted(choices.items())
+    ]
+
+
+def _place(candidate: render.Candidate, percentile: float) -> Place:
+    # nearest rank, not interpolated: an infinite error beside a finite one has no mean
+    errors = np.percentile(candidate.error_px, percentile, axis=1, method="higher")
+    return Place(
+        lat_deg=candidate.lat_deg,
+        lon_deg=candidate.lon_deg,
+        localisation_px=float(errors.max()),
+        hessian_eigenvalue=candidate.hessian_eigenvalue,
+        missing=max(candidate.missing),
+    )
+
+
+def _badness(place: Place) -> float:
+    """Predicted error; places with holes in their fine patches come after all others."""
+    holes = 1e6 if place.missing > render.MAX_MISSING else 0.0
+    return place.localisation_px + holes
