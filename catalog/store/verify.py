@@ -72,19 +72,13 @@ class Verification:
 def verify(path: str | Path, progress: Progress | None = None) -> Verification:
     """Read everything in a catalog and check every checksum.
 
-    Damage is reported, never raised; a file that is missing or no catalog at all raises DataError.
+    Damage is reported, never raised, but for what leaves nothing to compare with: a file that is
+    missing, cut short or no catalog, or a damaged manifest, raises DataError.
     """
     path = Path(path)
     found = Verification(path)
     with closing(connect(path)) as db:
-        try:
-            meta = read_meta(db, path)
-        except DataError as error:
-            _integrity(db, found)
-            if found.sound or "is not an optnav catalog" in str(error):
-                raise
-            found.add("optnav_meta", error)
-            return found
+        meta = read_meta(db, path)
         found.stated = meta.digest
         _integrity(db, found)
         records = _records(db, meta, found)

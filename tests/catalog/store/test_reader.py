@@ -1,0 +1,196 @@
+"""Opening a catalog and looking points up."""
+
+import logging
+import pickle
+import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from catalog.errors import DataError
+from catalog.geometry.latlon import angular_distance
+from catalog.store.reader import Catalog
+from catalog.store.writer import Written
+
+
+@pytest.fixture(scope="module")
+def catalog(written: Written) -> Any:
+    with Catalog.open(written.path) as opened:
+        yield opened
+
+
+def test_nearest_is_the_point_at_the_least_angle(catalog: Catalog) -> None:
+    rng = np.random.default_rng(2)
+    for lat, lon in zip(rng.uniform(-90, 90, 200), rng.uniform(-400, 400, 200)):
+        angles = angular_distance(
+            np.radians(lat),
+            np.radians(lon),
+            np.radians(catalog.lat_deg),
+            np.radians(catalog.lon_deg),
+        )
+        assert catalog.nearest(lat, lon) == catalog.ids[np.argmin(angles)]
+
+
+@pytest.mark.parametrize("place", [(90.1, 0.0), (float("nan"), 0.0), (0.0, float("inf"))])
+def test_nearest_refuses_what_is_no_place(catalog: Catalog, place: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="not a place"):
+        catalog.nearest(*place)
+
+
+def test_within_agrees_with_angles(catalog: Catalog) -> None:
+    for lat, lon, radius in ((0.0, 180.0, 40.0), (89.0, 10.0, 60.0), (-30.0, 700.0, 1.0)):
+        angles = angular_distance(
+            np.radians(lat),
+            np.radians(lon),
+            np.radians(catalog.lat_deg),
+            np.radians(catalog.lon_deg),
+        )
+        wanted = catalog.ids[np.degrees(angles) <= radius]
+        assert np.array_equal(catalog.within(lat, lon, radius), wanted)
+    assert catalog.within(12.0, 34.0, 180.0).size == len(catalog)
+
+
+def test_a_cell_holds_its_point_or_none(catalog: Catalog) -> None:
+    filled = set(catalog.ids.tolist())
+    for cell in range(catalog.grid.total):
+        assert catalog.in_cell(cell) == ((cell,) if cell in filled else ())
+
+
+def test_arrays_and_points_agree(catalog: Catalog) -> None:
+    for row, point in enumerate(catalog.points()):
+        assert catalog.row_of(point.id) == row
+        assert catalog.usable[row] == point.usable
+        assert np.allclose(catalog.xyz_m[row], point.xyz_m, rtol=0, atol=1e-6)
+
+
+def test_an_id_that_is_not_there_is_told(catalog: Catalog) -> None:
+    missing = next(c for c in range(catalog.grid.total) if c not in catalog.ids)
+    for ask in (catalog.point, catalog.patches):
+        with pytest.raises(DataError, match=f"no control point {missing}"):
+            ask(missing)
+
+
+def test_a_catalog_travels_to_another_process(catalog: Catalog) -> None:
+    other = pickle.loads(pickle.dumps(catalog))
+    number = int(catalog.ids[3])
+    assert other.digest == catalog.digest
+    assert np.array_equal(
+        other.patches(number)[0].heights_m, catalog.patches(number)[0].heights_m, equal_nan=True
+    )
+    other.close()
+
+
+def test_threads_may_share_a_catalog(catalog: Catalog) -> None:
+    ids = [int(i) for i in catalog.ids] * 20
+    with ThreadPoolExecutor(4) as pool:
+        sums = [float(np.nansum(p[0].heights_m)) for p in pool.map(catalog.patches, ids)]
+    assert sums == [float(np.nansum(catalog.patches(i)[0].heights_m)) for i in ids]
+
+
+def change(path: Path, statement: str, *values: object) -> None:
+    """Edit a catalog behind its back."""
+    db = sqlite3.connect(path)
+    db.create_function("ST_IsEmpty", 1, lambda _: 0)
+    for name in ("ST_MinX", "ST_MaxX", "ST_MinY", "ST_MaxY"):
+        db.create_function(name, 1, lambda _: 0.0)
+    db.execute(statement, values)
+    db.commit()
+    db.close()
+
+
+def test_a_damaged_patch_stops_only_its_own_point(catalog_copy: Path) -> None:
+    with Catalog.open(catalog_copy) as catalog:
+        ids = [int(i) for i in catalog.ids]
+    bad = ids[4]
+    db = sqlite3.connect(catalog_copy)
+    where = "WHERE point_id = ? AND level = 1"
+    (blob,) = db.execute(f"SELECT data FROM optnav_patches {where}", (bad,)).fetchone()
+    db.close()
+    flipped = blob[:40] + bytes([blob[40] ^ 4]) + blob[41:]
+    change(catalog_copy, f"UPDATE optnav_patches SET data = ? {where}", flipped, bad)
+    with Catalog.open(catalog_copy) as catalog:
+        with pytest.raises(DataError, match=f"control point {bad} is damaged"):
+            catalog.patches(bad)
+        for number in ids:
+            if number != bad:
+                assert len(catalog.patches(number)) == 3
+
+
+def test_a_missing_level_stops_its_point(catalog_copy: Path) -> None:
+    with Catalog.open(catalog_copy) as catalog:
+        bad = int(catalog.ids[0])
+    change(catalog_copy, "DELETE FROM optnav_patches WHERE point_id = ? AND level = 2", bad)
+    with (
+        Catalog.open(catalog_copy) as catalog,
+        pytest.raises(DataError, match="2 levels of 3"),
+    ):
+        catalog.patches(bad)
+
+
+def test_the_feature_layer_stands_in_for_damaged_packed_points(
+    catalog_copy: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Catalog.open(catalog_copy) as catalog:
+        before = list(catalog.points())
+    change(catalog_copy, "UPDATE optnav_records SET checksum = checksum + 1")
+    change(catalog_copy, "UPDATE control_points SET trials = 77 WHERE id = ?", before[2].id)
+    with caplog.at_level(logging.WARNING), Catalog.open(catalog_copy) as catalog:
+        assert list(catalog.points()) == before[:2] + before[3:]
+    assert f"control_points {before[2].id}" in caplog.text
+
+
+def test_a_file_that_is_no_catalog_is_told(tmp_path: Path) -> None:
+    empty, text, other = tmp_path / "empty", tmp_path / "text", tmp_path / "other.gpkg"
+    empty.write_bytes(b"")
+    text.write_text("latitude, longitude\n" * 20)
+    db = sqlite3.connect(other)
+    db.execute("CREATE TABLE points (x)")
+    db.commit()
+    db.close()
+    for path in (empty, text, other):
+        with pytest.raises(DataError, match="is not an optnav catalog"):
+            Catalog.open(path)
+    with pytest.raises(DataError, match="no such file"):
+        Catalog.open(tmp_path / "nowhere.gpkg")
+    with pytest.raises(DataError, match=r"cannot be read|not an optnav"):
+        Catalog.open(tmp_path)
+
+
+@pytest.mark.parametrize("share", [0.001, 0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_catalog_is_told(catalog_copy: Path, share: float) -> None:
+    data = catalog_copy.read_bytes()
+    catalog_copy.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(DataError, match="cut short") as told:
+        Catalog.open(catalog_copy)
+    assert str(catalog_copy) in str(told.value)
+
+
+def test_an_edited_manifest_is_told(catalog_copy: Path) -> None:
+    change(catalog_copy, "UPDATE optnav_meta SET value = '1737000.0' WHERE key = 'radius_m'")
+    with pytest.raises(DataError, match="manifest"):
+        Catalog.open(catalog_copy)
+
+
+def test_a_newer_format_is_told(catalog_copy: Path) -> None:
+    from catalog.store.manifest import CHECKSUM, _checksum
+
+    db = sqlite3.connect(catalog_copy)
+    rows = dict(db.execute("SELECT key, value FROM optnav_meta"))
+    rows["format_version"] = "2"
+    rows[CHECKSUM] = _checksum(rows)
+    db.executemany("UPDATE optnav_meta SET value = ?2 WHERE key = ?1", rows.items())
+    db.commit()
+    db.close()
+    with pytest.raises(DataError, match=r"format 2.*install a newer optnav"):
+        Catalog.open(catalog_copy)
+
+
+def test_reading_leaves_the_folder_as_it_was(catalog_copy: Path) -> None:
+    before = catalog_copy.read_bytes()
+    with Catalog.open(catalog_copy) as catalog:
+        catalog.patches(int(catalog.ids[0]))
+    assert catalog_copy.read_bytes() == before
+    assert list(catalog_copy.parent.iterdir()) == [catalog_copy]

@@ -1,0 +1,154 @@
+"""Verification finds every damage that changes what a catalog says."""
+
+import shutil
+import sqlite3
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from catalog.errors import DataError
+from catalog.store.reader import Catalog
+from catalog.store.verify import verify
+from catalog.store.writer import Written
+
+FLIPS = 1000
+
+
+def test_a_whole_catalog_is_sound_and_its_digest_true(world: Any, written: Written) -> None:
+    found = verify(written.path)
+    assert found.sound, found.problems
+    assert found.computed == found.stated == written.digest
+    assert (found.points, found.patches) == (len(world.points), 3 * len(world.points))
+
+
+def test_each_of_1000_flipped_bits_is_reported_or_changes_nothing(
+    make: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Anywhere in the file; half of the flips aim at the first 600 bytes of a page, where SQLite
+    keeps its own structure, as most of a small file's pages are empty."""
+    written = make(seed=9, count=20, size=80).write(tmp_path / "c.gpkg")
+    data = bytearray(written.path.read_bytes())
+    rng = np.random.default_rng(20)
+    outcomes = {"reported": 0, "refused": 0, "unchanged": 0}
+    for number in range(FLIPS):
+        place = int(rng.integers(len(data)))
+        if number % 2:
+            place = place // 65536 * 65536 + int(rng.integers(600))
+        bit = 1 << int(rng.integers(8))
+        data[place] ^= bit
+        flipped = tmp_path / "flipped.gpkg"
+        flipped.write_bytes(data)
+        data[place] ^= bit
+        try:
+            found = verify(flipped)
+        except DataError:
+            outcomes["refused"] += 1
+            continue
+        if found.sound:
+            assert found.computed == written.digest, f"bit {bit} of byte {place}"
+            outcomes["unchanged"] += 1
+        else:
+            outcomes["reported"] += 1
+    assert outcomes["reported"] + outcomes["refused"] > FLIPS // 10, outcomes
+
+
+def test_every_flipped_bit_of_patch_data_names_point_and_level(
+    world: Any, written: Written, tmp_path: Path
+) -> None:
+    db = sqlite3.connect(written.path)
+    number, level, blob = db.execute(
+        "SELECT point_id, level, data FROM optnav_patches WHERE level = 1 LIMIT 1"
+    ).fetchone()
+    db.close()
+    whole = written.path.read_bytes()
+    start = whole.index(blob)
+    rng = np.random.default_rng(4)
+    for place in rng.integers(start, start + len(blob), 20):
+        data = bytearray(whole)
+        data[place] ^= 1 << int(rng.integers(8))
+        path = tmp_path / "flipped.gpkg"
+        path.write_bytes(data)
+        found = verify(path)
+        assert f"control point {number}, level {level}" in [p.place for p in found.problems]
+        assert found.computed != written.digest
+
+
+def gis_like_visit(path: Path, journal: str) -> sqlite3.Connection:
+    """What QGIS does to a GeoPackage that it opens: another journal, its own table of styles."""
+    db = sqlite3.connect(path)
+    db.execute(f"PRAGMA journal_mode = {journal}")
+    db.execute("CREATE TABLE layer_styles (id INTEGER PRIMARY KEY, styleQML TEXT)")
+    db.execute("INSERT INTO layer_styles VALUES (1, '<qgis/>')")
+    db.execute("UPDATE gpkg_contents SET last_change = '2030-01-01T00:00:00Z'")
+    db.commit()
+    return db
+
+
+@pytest.mark.parametrize("journal", ["WAL", "DELETE"])
+def test_a_catalog_that_a_gis_program_has_open_still_verifies(
+    catalog_copy: Path, written: Written, journal: str
+) -> None:
+    visitor = gis_like_visit(catalog_copy, journal)
+    try:
+        found = verify(catalog_copy)
+        assert found.sound, found.problems
+        assert found.computed == written.digest
+    finally:
+        visitor.close()
+    assert verify(catalog_copy).sound
+    with Catalog.open(catalog_copy) as catalog:
+        assert len(catalog.patches(int(catalog.ids[0]))) == 3
+
+
+def test_a_catalog_that_gdal_opened_for_update_still_verifies(catalog_copy: Path) -> None:
+    ogrinfo = shutil.which("ogrinfo")
+    if ogrinfo is None:
+        pytest.skip("needs GDAL's ogrinfo")
+    done = subprocess.run(
+        [ogrinfo, "-al", "-so", str(catalog_copy)], capture_output=True, text=True, check=True
+    )
+    assert done.stderr == ""
+    assert verify(catalog_copy).sound
+
+
+EDITS = {
+    "UPDATE control_points SET reasons = 'bright' WHERE id = 22": "control_points 22",
+    "DELETE FROM rtree_control_points_geom": "rtree_control_points_geom 22",
+    "DELETE FROM optnav_records": "optnav_records",
+    "UPDATE optnav_patches SET posting_m = 100.0 WHERE level = 0": "control point 22, level 0",
+    "INSERT INTO optnav_patches SELECT id + 200, point_id, 0, 9, 1, 1, 1, 1, 1, data "
+    "FROM optnav_patches LIMIT 1": "optnav_patches",
+    "UPDATE gpkg_spatial_ref_sys SET definition = 'x' WHERE srs_id = 30100": "gpkg_spatial_ref_sys",
+}
+
+
+@pytest.mark.parametrize(("statement", "place"), EDITS.items())
+def test_an_edit_is_named(catalog_copy: Path, statement: str, place: str) -> None:
+    db = sqlite3.connect(catalog_copy)
+    for trigger in db.execute("SELECT name FROM sqlite_schema WHERE type = 'trigger'").fetchall():
+        db.execute(f"DROP TRIGGER {trigger[0]}")
+    db.execute(statement)
+    db.commit()
+    db.close()
+    found = verify(catalog_copy)
+    assert place in [problem.place for problem in found.problems]
+
+
+def test_a_damaged_manifest_is_named(catalog_copy: Path) -> None:
+    db = sqlite3.connect(catalog_copy)
+    db.execute("UPDATE optnav_meta SET value = '0' WHERE key = 'digest'")
+    db.commit()
+    db.close()
+    with pytest.raises(DataError, match="manifest"):
+        verify(catalog_copy)
+
+
+def test_what_is_no_catalog_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("not a catalog " * 30)
+    with pytest.raises(DataError, match="is not an optnav catalog"):
+        verify(path)
