@@ -48,19 +48,20 @@ def check_chunk(context: StageContext, records: Sequence[select.Record]) -> list
     """Certificates of places."""
     checked = []
     for record in records:
-        lat, lon = np.radians(record.lat_deg), np.radians(record.lon_deg)
+        place = record.places[0]
+        lat, lon = np.radians(place.lat_deg), np.radians(place.lon_deg)
         height = float(context.mosaic.heights(lat, lon, context.posting_m))
         index = int(context.mosaic.source_index(lat, lon))
-        finest = context.patches(record.lat_deg, record.lon_deg)[0]
+        finest = context.patches(place.lat_deg, place.lon_deg)[0]
         whole = bool(np.isfinite(finest.heights_m).all())
         flags = Flag.NONE if whole else Flag.NO_DATA
         checked.append(
             Record(
                 record.cell,
-                record.lat_deg,
-                record.lon_deg,
+                place.lat_deg,
+                place.lon_deg,
                 height,
-                record.score,
+                place.hessian_eigenvalue,
                 int(flags),
                 context.mosaic.names[index] if index >= 0 else "",
             )
