@@ -86,7 +86,8 @@ class CellGrid:
     def within(self, lat_deg: float, lon_deg: float, radius_deg: float) -> IntArray:
         """Numbers of all cells that may hold a point within `radius_deg` (a superset), sorted."""
         south, north = lat_deg - radius_deg, lat_deg + radius_deg
-        first = max(0, int((south + 90.0) / self.step_deg))
+        # the pole itself would fall into a band beyond the last
+        first = min(max(0, int((south + 90.0) / self.step_deg)), self.bands - 1)
         last = min(self.bands - 1, int((north + 90.0) / self.step_deg))
         parts: list[IntArray] = []
         # widest in longitude where the circle touches its meridians: sin(dlon) = sin(r)/cos(lat)

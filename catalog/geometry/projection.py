@@ -54,13 +54,13 @@ class Stereographic:
     def xy_from_xyz(self, xyz: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Map coordinates (m) of body-fixed directions or points (..., 3) of any length.
 
-        The antipode of the centre has no finite place and gives infinities.
+        The antipode of the centre has no finite place: it gives infinities or NaN.
         """
         local = np.asarray(xyz, dtype=np.float64) @ self.body_from_local
         length = np.linalg.norm(local, axis=-1)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             factor = 2.0 * self.radius_m / (length + local[..., 2])
-        return np.asarray(factor * local[..., 0]), np.asarray(factor * local[..., 1])
+            return np.asarray(factor * local[..., 0]), np.asarray(factor * local[..., 1])
 
     def xy_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Map coordinates (m) of latitudes and longitudes (rad)."""
