@@ -1,6 +1,7 @@
 """The build of a catalog, stage by stage on a workspace; what is done is not done again."""
 
 import hashlib
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -230,13 +231,15 @@ class _Build:
         records = read_chunks(self.workspace, "check", self.keys["check"], count, check.Record)
         if records is None:
             raise self._missing("check")
-        if not records:
+        points: list[ControlPoint] = [record.point(context) for record in records]
+        # a cell at a model's edge may have ground, yet none where its place is: no point there
+        points = [point for point in points if math.isfinite(point.radius_m)]
+        if not points:
             raise NothingToDoError(
                 f"{self.config_path}: no cell has room for a control point on the terrain models; "
                 "wanted finest patches that lie on them whole: "
                 "lower [pyramid] size or posting_m, or give more ground"
             )
-        points: list[ControlPoint] = [record.point(context) for record in records]
         written = write.write(
             context,
             points,
