@@ -103,10 +103,14 @@ BITS = 8
 EXPOSURE_PERCENTILE = 99.5
 
 
-def truth_size(search: Search, circumference_factor: float = 1.25) -> int:
+# A window turned by 6 deg and shrunk by 10 % reaches over this much more ground.
+WINDOW_REACH = 1.25
+
+
+def truth_size(search: Search) -> int:
     """Nodes a side of the truth grid that covers a search window whatever its distortion."""
     window = search.template_nodes + 2 * max(search.coarse_nodes, search.fine_nodes)
-    return 2 * int(np.ceil(FINER * window * circumference_factor / 2.0))
+    return 2 * int(np.ceil(FINER * window * WINDOW_REACH / 2.0))
 
 
 def draw_circumstances(
@@ -119,7 +123,7 @@ def draw_circumstances(
     max_off_nadir_deg: float = 25.0,
     max_shift_nodes: float = 5.0,
     snr: tuple[float, float] = (10.0, 50.0),
-    rectified: bool = True,
+    rectified: bool = False,
 ) -> Circumstances:
     """One trial's circumstances; errors uniform within their limits, noise uniform in its logarithm.
 
@@ -203,11 +207,14 @@ def run_trial(
     search: Search = Search(),
     gate: Gate = Gate(),
     matcher: Matcher = match_ncc,
+    outer: Sequence[tuple[Grid, float]] = (),
 ) -> Outcome:
     """Look for a point once.
 
     levels  finest first; the search starts at the last
     seed    of the noise
+    outer   coarser grids (heights, posting_m) that throw shadows in from beyond the last level
+    Raises ValueError without a level.
     """
     if not levels:
         raise ValueError("a trial needs at least one level")
@@ -218,7 +225,7 @@ def run_trial(
     for number in range(len(levels) - 1, -1, -1):
         level = levels[number]
         coarsest = number == len(levels) - 1
-        outer = tuple((o.reference, o.posting_m) for o in levels[number + 1 :])
+        around = [(o.reference, o.posting_m) for o in levels[number + 1 :]] + list(outer)
         template = _centre(
             render_map(
                 level.reference,
@@ -226,7 +233,7 @@ def run_trial(
                 circumstances.sun_local,
                 law="lommel_seeliger",
                 radius_m=radius_m,
-                outer=outer,
+                outer=around,
             ),
             search.template_nodes,
         )
@@ -237,7 +244,7 @@ def run_trial(
             view_local=circumstances.view_local,
             law="hapke",
             radius_m=radius_m,
-            outer=outer,
+            outer=around,
         )
         room = search.coarse_nodes if coarsest else search.fine_nodes
         offset = ground_from_picture @ (place - circumstances.shift_m) / level.posting_m
