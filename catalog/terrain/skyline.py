@@ -171,7 +171,8 @@ def _limit_at(z: FloatArray, postings: FloatArray, east: float, north: float) ->
                 if last < first:
                     break
             else:  # from the first step beyond the finer grid
-                first = max(first, int(np.floor(end / step)) + 1)
+                # 1e-9: a point that both grids share must not, by rounding, be its own horizon
+                first = max(first, int(np.floor(end / step + 1e-9)) + 1)
             _profile(z[level], col, row, d_col, d_row, first, last, heights)
             for k in range(first, last + 1):
                 height = heights[k - first]
