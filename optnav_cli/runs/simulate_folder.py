@@ -1,28 +1,34 @@
 """A scenario to a folder of pictures: everything that `optnav simulate` does, in one step."""
 
+import hashlib
 from datetime import UTC, datetime
 from pathlib import Path
 
 from catalog.progress import Progress
 from optnav_cli.output.manifest import hash_file, write_manifest
 from optnav_cli.output.replace import check_folder, replacing_folder
-from optnav_cli.simulation.run import simulate
-from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.run import scenario_copy, simulate
+from optnav_cli.simulation.scenario import Scenario, load_scenario
 
 KIND = "pictures"
 
 
 def simulate_folder(
-    scenario_path: Path, pictures: Path, progress: Progress, workers: int | None = None
+    scenario: Scenario | Path, pictures: Path, progress: Progress, workers: int | None = None
 ) -> None:
-    """Simulate the pictures of a scenario file and put the folder in place when it is complete.
+    """Simulate the pictures of a scenario and put the folder in place when it is complete.
 
-    workers  threads; all that the process may use if None
+    scenario  a file, or what `load_scenario` gave
+    workers   threads; all that the process may use if None
     Raises ConfigError or DataError for what cannot be simulated, OutputError for the place.
     """
     started = datetime.now(UTC)
     check_folder(pictures, KIND)  # before any work is done for a place that cannot be used
-    scenario = load_scenario(scenario_path)
+    if isinstance(scenario, Path):
+        origin = {"name": scenario.name, "sha256": hash_file(scenario)}
+        scenario = load_scenario(scenario)
+    else:
+        origin = {"sha256": hashlib.sha256(scenario_copy(scenario)).hexdigest()}
     with replacing_folder(pictures, KIND) as place:
         simulate(scenario, place, progress, workers)
         write_manifest(
@@ -31,7 +37,7 @@ def simulate_folder(
             command="simulate",
             options={},
             inputs={
-                "scenario": {"name": scenario_path.name, "sha256": hash_file(scenario_path)},
+                "scenario": origin,
                 "terrain": [Path(dem.path).name for dem in scenario.dem],
             },
             started=started,

@@ -50,7 +50,7 @@ def run(progress: Progress, trials: int = 300, seed: int = 1) -> list[ResectionR
     cases = [(n, a, False) for n, a in product(COUNTS, ANGLES_DEG)]
     cases += [(n, a, True) for n, a in product(COUNTS, ANGLES_DEG) if n >= 4]
     rows = []
-    with progress.stage("resection", len(cases), "geometries") as bar:
+    with progress.stage("resection", len(cases), "geometry") as bar:
         for count, angle, free in cases:
             rows.append(one_geometry(count, angle, free, trials, seed))
             bar.advance()
