@@ -1,0 +1,319 @@
+"""Builds of a few cells of the real Tycho model: the same bytes by every way to them."""
+
+import os
+import random
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalog.errors import ConfigError, DataError, NothingToDoError, OutputError, UsageError
+from catalog.stages import build
+from catalog.stages.build import STAGES, run
+
+# coarse and small, so that a build takes a second or two
+CONFIG = """
+[body]
+name = "moon"
+[[dem]]
+path = "bundled:tycho_gld100_256ppd.tif"
+[pyramid]
+levels = 3
+posting_m = 474.0
+size = 64
+[render]
+candidates = 2
+window_nodes = 32
+sun_elevations = 2
+sun_azimuths = 2
+"""
+BBOX = (-14.0, -45.0, -9.0, -42.0)
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "tycho.toml"
+    path.write_text(CONFIG)
+    return path
+
+
+@pytest.fixture(scope="module")
+def digest(tmp_path_factory):
+    """Content of the undisturbed build by one process."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    (folder / "tycho.toml").write_text(CONFIG)
+    return built(folder / "tycho.toml", folder / "out.gpkg", bbox=BBOX, workers=1).digest
+
+
+def built(config, output, **options):
+    report = run(config, output=output, **options)
+    assert output.is_file()
+    assert report.points > 5
+    assert report.usable > 0
+    return report
+
+
+def test_two_processes_write_what_one_writes(config, digest, tmp_path):
+    assert built(config, tmp_path / "two.gpkg", bbox=BBOX, workers=2).digest == digest
+
+
+def test_the_work_folder_lies_beside_the_output_and_is_used_again(config, digest, tmp_path):
+    output = tmp_path / "c.gpkg"
+    first = built(config, output, bbox=BBOX, workers=1)
+    assert first.work == tmp_path / "c.gpkg.work"
+    again = built(config, output, bbox=BBOX, workers=1)
+    assert again.digest == first.digest == digest
+    done = {account.name: account.done for account in again.accounts}
+    kept = {account.name: account.kept for account in again.accounts}
+    assert done["render"] == done["select"] == done["check"] == 0
+    assert kept["render"] == kept["check"] > 5
+
+
+def test_stages_run_alone_on_one_workspace(config, digest, tmp_path):
+    work = tmp_path / "work"
+    for stage in STAGES[:-1]:
+        run(config, work, stages=[stage], bbox=BBOX, workers=1)
+    report = run(config, work, stages=["write"], output=tmp_path / "c.gpkg", bbox=BBOX, workers=1)
+    assert report.digest == digest
+
+
+@pytest.mark.parametrize(
+    ("stage", "needed"), [("select", "render"), ("check", "select"), ("write", "select")]
+)
+def test_a_stage_whose_forerunner_is_missing_says_which_command_to_run(
+    config, tmp_path, stage, needed
+):
+    with pytest.raises(UsageError, match=f"first run: optnav {needed} .*--work"):
+        run(
+            config,
+            tmp_path / "work",
+            stages=[stage],
+            bbox=BBOX,
+            workers=1,
+            output=tmp_path / "c.gpkg",
+        )
+
+
+def test_a_damaged_result_is_made_again(config, digest, tmp_path):
+    output = tmp_path / "c.gpkg"
+    report = built(config, output, bbox=BBOX, workers=1)
+    for name in ("render", "check"):
+        chunk = sorted(report.work.glob(f"{name}-*/chunk-*.bin"))[3]
+        data = bytearray(chunk.read_bytes())
+        data[len(data) // 2] ^= 1
+        chunk.write_bytes(data)
+    again = built(config, output, bbox=BBOX, workers=1)
+    assert again.digest == digest
+    assert {a.name: a.done for a in again.accounts if a.name in ("render", "check")} == {
+        "render": 1,
+        "check": 1,
+    }
+
+
+def test_changed_settings_make_their_stage_and_the_next_ones_anew(config, tmp_path):
+    output = tmp_path / "c.gpkg"
+    first = built(config, output, bbox=BBOX, workers=1)
+    config.write_text(CONFIG + "\n[select]\npercentile = 50.0\n")
+    second = built(config, output, bbox=BBOX, workers=1)
+    done = {account.name: account.done for account in second.accounts}
+    assert done["render"] == 0
+    assert done["select"] == 1
+    assert done["check"] > 0
+    # what no settings lead to any more is gone
+    for name in ("render", "select", "check"):
+        assert len(list(second.work.glob(f"{name}-*"))) == 1
+    assert first.work == second.work
+
+
+def test_another_bbox_is_another_build(config, tmp_path):
+    output = tmp_path / "c.gpkg"
+    first = built(config, output, bbox=BBOX, workers=1)
+    west, south, east, north = BBOX
+    second = built(config, output, bbox=(west, south, east - 2.0, north), workers=1)
+    assert second.points < first.points
+    assert second.digest != first.digest
+
+
+def test_a_copy_of_the_model_elsewhere_gives_the_same_content(config, digest, tmp_path):
+    from catalog.config import resource
+
+    copy = tmp_path / "elsewhere" / "tycho_gld100_256ppd.tif"
+    copy.parent.mkdir()
+    copy.write_bytes(resource("data/tycho_gld100_256ppd.tif").read_bytes())
+    config.write_text(CONFIG.replace("bundled:", "elsewhere/"))
+    assert built(config, tmp_path / "c.gpkg", bbox=BBOX, workers=1).digest == digest
+
+
+def test_a_bbox_without_ground_is_refused_before_any_work(config, tmp_path):
+    with pytest.raises(DataError, match=r"--bbox 100,0,110,10 .*tycho_gld100_256ppd.tif covers"):
+        run(config, output=tmp_path / "c.gpkg", bbox=(100.0, 0.0, 110.0, 10.0), workers=1)
+    assert not (tmp_path / "c.gpkg").exists()
+
+
+def test_ground_too_small_for_a_patch_ends_with_nothing_done(config, dems, tmp_path):
+    values, affine = dems.rough_region(40)
+    dems.write(tmp_path / "tiny.tif", values, affine=affine)
+    config.write_text('[body]\nname = "moon"\n[[dem]]\npath = "tiny.tif"\n')
+    with pytest.raises(NothingToDoError) as caught:
+        run(config, output=tmp_path / "c.gpkg", workers=1)
+    assert caught.value.exit_code == 4
+
+
+def test_ground_without_relief_gives_no_usable_point(config, dems, tmp_path):
+    affine = dems.rough_region(400)[1]
+    flat = np.full((400, 400), 100.0, dtype=np.float32)
+    dems.write(tmp_path / "flat.tif", flat, affine=affine)
+    config.write_text(
+        CONFIG.replace("bundled:tycho_gld100_256ppd.tif", "flat.tif").replace(
+            "[pyramid]", 'units = "m"\n[pyramid]'
+        )
+    )
+    with pytest.raises(NothingToDoError):
+        run(config, output=tmp_path / "c.gpkg", bbox=(19.0, 9.0, 21.0, 11.0), workers=1)
+
+
+def test_patches_wider_than_the_body_are_refused(config, tmp_path):
+    config.write_text(CONFIG.replace("levels = 3", "levels = 8").replace("474.0", "4740.0"))
+    with pytest.raises(ConfigError, match=r"\[pyramid\] the coarsest patch"):
+        run(config, output=tmp_path / "c.gpkg", bbox=BBOX, workers=1)
+
+
+def test_wrong_calls_are_refused(config, tmp_path):
+    with pytest.raises(UsageError, match="-o"):
+        run(config, tmp_path / "work")
+    with pytest.raises(UsageError, match="--work"):
+        run(config, stages=["render"])
+    with pytest.raises(UsageError, match="--workers 0"):
+        run(config, output=tmp_path / "c.gpkg", workers=0)
+
+
+def test_a_work_folder_of_someone_else_is_refused(config, tmp_path):
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="not a work folder of optnav"):
+        run(config, tmp_path / "work", output=tmp_path / "c.gpkg", bbox=BBOX)
+
+
+class Counting:
+    """Progress that remembers what was shown."""
+
+    def __init__(self):
+        self.shown = {}
+
+    @contextmanager
+    def stage(self, name, total, unit):
+        self.shown[name] = [0, total]
+        yield self
+        self.current = None
+
+    def advance(self, n=1, note=""):
+        list(self.shown.values())[-1][0] += n
+
+
+def test_progress_of_every_stage_reaches_its_total(config, tmp_path):
+    progress = Counting()
+    built(config, tmp_path / "c.gpkg", bbox=BBOX, workers=1, progress=progress)
+    assert set(progress.shown) >= {"render", "select", "check", "write"}
+    for name, (done, total) in progress.shown.items():
+        assert done == total, name
+
+
+def test_keys_change_with_the_code_that_makes_the_results():
+    assert build._code_key() == build._code_key()
+    assert len(build._code_key()) == 64
+
+
+# A build in a process of its own that says how far it is, to be killed at a chosen place.
+BUILD = """
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from catalog.stages.build import run
+
+class Telling:
+    @contextmanager
+    def stage(self, name, total, unit):
+        self.name = name
+        print(name, 0, flush=True)
+        yield self
+    def advance(self, n=1, note=""):
+        print(self.name, n, flush=True)
+
+if __name__ == "__main__":
+    config, output, workers = sys.argv[1:4]
+    bbox = tuple(float(value) for value in sys.argv[4].split(","))
+    report = run(Path(config), output=Path(output), workers=int(workers), bbox=bbox,
+                 progress=Telling())
+    print("digest", report.digest, flush=True)
+"""
+
+
+def start(folder: Path, workers: int) -> "subprocess.Popen[str]":
+    script = folder / "build_it.py"
+    script.write_text(BUILD)
+    (folder / "tycho.toml").write_text(CONFIG)
+    bbox = ",".join(str(value) for value in BBOX)
+    command = [sys.executable, str(script), "tycho.toml", "c.gpkg", str(workers), bbox]
+    return subprocess.Popen(
+        command,
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+
+
+def killed_at(folder: Path, workers: int, stage: str, events: int) -> bool:
+    """Run until a stage has told so many times, then kill -9; whether it was still at work."""
+    process = start(folder, workers)
+    told = 0
+    assert process.stdout is not None
+    for line in process.stdout:
+        told += line.split()[0] == stage
+        if told >= events:
+            process.kill()
+            break
+    process.communicate()
+    return process.returncode == -9
+
+
+def test_a_build_killed_in_every_stage_ends_with_the_same_content(tmp_path, digest):
+    workers = 2
+    places = [("overviews", 1), ("render", 4), ("select", 1), ("check", 4), ("write", 3)]
+    for stage, events in places:
+        assert killed_at(tmp_path, workers, stage, events), stage
+        # half a catalog is never seen
+        assert not (tmp_path / "c.gpkg").exists()
+    process = start(tmp_path, workers)
+    out, _ = process.communicate()
+    assert process.returncode == 0
+    assert out.split()[-1] == digest
+    # nothing that was done before was done again: rendering told only of what it found
+    assert sum(line.startswith("render") for line in out.splitlines()) == 2
+    assert not list(tmp_path.glob("**/*.partial"))
+
+
+@pytest.mark.slow
+def test_a_build_killed_at_25_random_moments_ends_with_the_same_content(tmp_path, digest):
+    rng = random.Random(20)
+    kills, output = 0, ""
+    while kills < 25:
+        process = start(tmp_path, 2)
+        try:
+            output, _ = process.communicate(timeout=rng.uniform(1.0, 6.0))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            kills += 1
+            continue
+        assert process.returncode == 0
+        assert output.split()[-1] == digest
+        # begin again, for the early stages to be hit more than once
+        for path in sorted((tmp_path / "c.gpkg.work").rglob("*"), reverse=True):
+            path.rmdir() if path.is_dir() else path.unlink()
+        (tmp_path / "c.gpkg.work").rmdir()
+    output, _ = start(tmp_path, 2).communicate()
+    assert output.split()[-1] == digest
