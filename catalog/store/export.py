@@ -58,7 +58,7 @@ def point_properties(point: ControlPoint) -> Properties:
         "id": point.id,
         "lon_deg": point.lon_deg,
         "lat_deg": point.lat_deg,
-        "radius_m": point.radius_m,
+        "radius_m": unknown_as_none(point.radius_m),
         "usable": int(point.usable),
         "reasons": reasons_text(point.flags),
         "flags": int(point.flags),

@@ -50,7 +50,7 @@ def feature_row(point: ControlPoint, record: Record, srs_id: int) -> tuple[objec
         point_geometry(point.lon_deg, point.lat_deg, srs_id),
         point.lat_deg,
         point.lon_deg,
-        point.radius_m,
+        unknown_as_none(point.radius_m),
         int(point.usable),
         int(point.flags),
         reasons_text(point.flags),

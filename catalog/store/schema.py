@@ -90,7 +90,7 @@ CREATE TABLE gpkg_extensions (
 _POINT_TABLE = f"""
 CREATE TABLE {POINTS} (
   id INTEGER PRIMARY KEY NOT NULL, {GEOMETRY} POINT NOT NULL,
-  lat_deg DOUBLE NOT NULL, lon_deg DOUBLE NOT NULL, radius_m DOUBLE NOT NULL,
+  lat_deg DOUBLE NOT NULL, lon_deg DOUBLE NOT NULL, radius_m DOUBLE,
   usable BOOLEAN NOT NULL, flags INTEGER NOT NULL, reasons TEXT NOT NULL,
   localisation_px DOUBLE, hessian_eigenvalue DOUBLE, recognition_rate DOUBLE,
   trials INTEGER NOT NULL, uniqueness_min DOUBLE, uniqueness TEXT NOT NULL,

@@ -1,5 +1,6 @@
 """Writing a catalog: a partial file beside its place, made durable, then renamed over it."""
 
+import math
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
@@ -144,6 +145,8 @@ def _check(prepared: PreparedPoint, meta: CatalogMeta, grid: CellGrid, last_id: 
     aside = abs((point.lon_deg - middle + 180.0) % 360.0 - 180.0)
     if not (south - slack <= point.lat_deg <= north + slack and aside <= half + slack):
         raise ValueError(f"point {point.id} at {point.lat_deg}, {point.lon_deg} is not in its cell")
+    if point.usable and not math.isfinite(point.radius_m):
+        raise ValueError(f"point {point.id} is usable but its radius is unknown")
     levels = len(prepared.rows)
     if levels != meta.levels and (levels or point.usable):
         raise ValueError(f"point {point.id} has {levels} patches; wanted {meta.levels}")

@@ -39,6 +39,8 @@ def test_unknown_numbers_come_back_as_unknown(make: Callable[..., Any], tmp_path
     point, patches = world.points[0]
     odd = replace(
         point,
+        radius_m=float("nan"),
+        usable=False,
         recognition_rate=float("nan"),
         localisation_px=float("inf"),
         uniqueness=(float("nan"),) * 3,
@@ -48,6 +50,7 @@ def test_unknown_numbers_come_back_as_unknown(make: Callable[..., Any], tmp_path
     write_catalog(path, world.meta, [(odd, patches)])
     with Catalog.open(path) as catalog:
         back = catalog.point(point.id)
+    assert np.isnan(back.radius_m)
     assert np.isnan([back.recognition_rate, back.localisation_px, *back.uniqueness]).all()
     assert np.isnan(back.shadow_limit_deg).all()
 
@@ -118,6 +121,9 @@ def test_points_out_of_order_or_outside_their_cells_are_refused(world: Any, tmp_
     astray = replace(point, lat_deg=-point.lat_deg)
     with pytest.raises(ValueError, match="not in its cell"):
         write_catalog(path, world.meta, [(astray, patches)])
+    with pytest.raises(ValueError, match="radius is unknown"):
+        nowhere = replace(point, usable=True, radius_m=float("nan"))
+        write_catalog(path, world.meta, [(nowhere, patches)])
     with pytest.raises(ValueError, match="patches"):
         write_catalog(path, world.meta, [(replace(point, usable=True), patches[:2])])
     assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,139 @@
+"""`optnav catalog ...` as a user calls it, on a catalog of the bundled Tycho terrain's middle."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+
+from catalog.config import resource
+from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
+from catalog.geometry.cells import CellGrid
+from catalog.geometry.latlon import angular_distance
+from catalog.store.manifest import CatalogMeta
+from catalog.store.writer import Written, write_catalog
+from optnav_cli.main import run
+
+TYCHO = (-43.3, -11.2)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    with rasterio.open(resource("data/tycho_gld100_256ppd.tif")) as source:
+        ground = source.read(1).astype(np.float32)
+    grid = CellGrid(1.0)
+    points = []
+    for number, cell in enumerate(grid.within(*TYCHO, 2.0).tolist()):
+        lat, lon = grid.centre_deg(cell)
+        row = 700 + 60 * number % 1100
+        heights = ground[row : row + 64, 900:964]
+        flags = Flag.FLAT | Flag.NOT_RECOGNISED if number == 1 else Flag.NONE
+        point = ControlPoint(
+            cell, lat, lon, 1737400.0 + float(heights[32, 32]), 0.1, 0.5, 0.8, 5, (0.5,),
+            (10.0,) * SHADOW_AZIMUTHS, not flags, flags, "tycho",
+        )  # fmt: skip
+        points.append((point, [Patch(118.45, heights)]))
+    meta = CatalogMeta("moon", 1737400.0, 1.0, 1, 64, 118.45, 0.5, {"tycho": "sha256 0"})
+    return write_catalog(tmp_path_factory.mktemp("tycho") / "tycho.gpkg", meta, points)
+
+
+def lines(text: str) -> dict[str, str]:
+    return dict(line.split(": ", 1) for line in text.splitlines())
+
+
+def test_info_prints_keys_and_values(written: Written, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["catalog", "info", str(written.path)]) == 0
+    told = lines(capsys.readouterr().out)
+    assert told["digest"] == written.digest
+    assert told["body"] == "moon"
+    assert told["points"] == str(written.count)
+    assert told["usable"] == str(written.count - 1)
+    assert (told["rejected_flat"], told["rejected_not_recognised"]) == ("1", "1")
+
+
+def test_nearest_takes_negative_numbers(
+    written: Written, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["catalog", "nearest", str(written.path), "-43.3", "-11.2"]) == 0
+    told = lines(capsys.readouterr().out)
+    place = (float(told["lat_deg"]), float(told["lon_deg"]))
+    angle = angular_distance(*np.radians(TYCHO), *np.radians(place))
+    assert float(told["distance_km"]) == pytest.approx(1737.4 * angle, abs=0.001)
+    assert float(told["distance_km"]) < 25.0
+
+
+@pytest.mark.parametrize("words", [["-91", "0"], ["0", "400"], ["north", "0"], ["0"]])
+def test_nearest_refuses_what_is_no_place(
+    written: Written, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["catalog", "nearest", str(written.path), *words]) == 2
+    assert capsys.readouterr().out == ""
+
+
+def test_show_prints_and_draws(
+    written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = int(CellGrid(1.0).cell_of(*TYCHO))
+    place = tmp_path / "point.png"
+    assert run(["catalog", "show", str(written.path), str(cell), "-o", str(place)]) == 0
+    told = lines(capsys.readouterr().out)
+    assert told["id"] == str(cell)
+    assert told["picture"] == str(place)
+    assert cv2.imread(str(place)).shape[2] == 3
+
+
+def test_show_names_its_picture_itself(
+    written: Written, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cell = int(CellGrid(1.0).cell_of(*TYCHO))
+    assert run(["catalog", "show", str(written.path), str(cell)]) == 0
+    assert [p.name for p in tmp_path.iterdir()] == [f"tycho-{cell}.png"]
+
+
+def test_show_tells_of_an_id_that_is_not_there(
+    written: Written, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["catalog", "show", str(written.path), "3"]) == 3
+    assert "no control point 3" in capsys.readouterr().err
+
+
+def test_verify_passes_a_whole_catalog(
+    written: Written, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["catalog", "verify", str(written.path)]) == 0
+    assert lines(capsys.readouterr().out)["digest"] == written.digest
+
+
+def test_verify_names_damage_and_exits_3(
+    written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(written.path.read_bytes())
+    # the first page of patches, whose rows fill it from its end
+    data[2 * 65536 - 1000 :: 65536] = bytes(b ^ 1 for b in data[2 * 65536 - 1000 :: 65536])
+    damaged = tmp_path / "damaged.gpkg"
+    damaged.write_bytes(data)
+    assert run(["catalog", "verify", str(damaged)]) == 3
+    told = capsys.readouterr()
+    assert "damaged: " in told.out
+    assert f"{damaged}: is damaged" in told.err
+
+
+def test_export_writes_a_layer(
+    written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = tmp_path / "points.csv"
+    assert run(["catalog", "export", str(written.path), "-o", str(place)]) == 0
+    assert len(place.read_text().splitlines()) == written.count + 1
+    assert capsys.readouterr().out == f"{place}: {written.count} points\n"
+
+
+@pytest.mark.parametrize("command", [["info"], ["verify"], ["nearest", "1", "2"], ["show", "1"]])
+def test_what_is_no_catalog_is_told_by_each_command(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    notes = tmp_path / "notes.gpkg"
+    notes.write_text("not a catalog " * 30)
+    assert run(["catalog", command[0], str(notes), *command[1:]]) == 3
+    assert f"{notes}: is not an optnav catalog" in capsys.readouterr().err
