@@ -216,7 +216,7 @@ def stamp(
             right = min(cols - 1, int(np.floor(col[k] + reach / dx + 1.0)))
             inverse = 2.0 / table[k, DIAMETER]
             # a bowl needs about four samples across it for the mean over a node to be right
-            n = min(6, max(1, int(np.ceil(4.0 * max(dx, dy) / table[k, DIAMETER]))))
+            n = min(4, max(1, int(np.ceil(4.0 * max(dx, dy) / table[k, DIAMETER]))))
             for i in range(low, high + 1):
                 for j in range(left, right + 1):
                     total = 0.0

@@ -2,8 +2,8 @@
 
 The ray is followed from block to block. A block whose highest node stays below the ray is crossed
 in one step; in the last instance single cells are tested, so no crest is jumped. Places along the
-ray are second-order polynomials (of gnomonic coordinates) about an anchor that moves on every 10 km,
-within 0.2 m of the exact ones, so that a step needs no trigonometry and no division.
+ray are second-order polynomials (of gnomonic coordinates) about an anchor that moves on every 10
+km, within 0.2 m of the exact ones, so that a step needs no trigonometry and no division.
 """
 
 import numpy as np
@@ -106,9 +106,7 @@ def walk(
         clearance = after - bilinear(ground.heights, next_row, next_col)
         if clearance < 0.0:
             if darkness <= 0.0:
-                way = _refine(
-                    ground, step, row, col, height, next_row - row, next_col - col, after
-                )
+                way = _refine(ground, step, row, col, height, next_row - row, next_col - col, after)
                 row, col = row + way * (next_row - row), col + way * (next_col - col)
                 return HIT, anchor + t + way * step, row, col, 0.0
             deepest = max(deepest, -clearance / (anchor + ahead))

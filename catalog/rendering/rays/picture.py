@@ -59,7 +59,7 @@ def first_hits(
         for j in range(kind.shape[1]):
             dx, dy, dz = _ray(corners, i, j, 0.5, 0.5)
             kind[i, j] = SKY
-            if not dx == dx:
+            if dx != dx:
                 hint = 0.0
                 continue
             k, s, r, c = trace(fine, wide, origin[0], origin[1], origin[2], dx, dy, dz, hint)
@@ -74,7 +74,7 @@ def first_hits(
 
 @kernel
 def mark_blocks(which: int, kind: Mask, row: HeightGrid, col: HeightGrid, wanted: Mask) -> None:
-    """Set the blocks that pixels of one kind fall on, and their neighbours, to 1 where they are 0."""
+    """Set the blocks that pixels of a kind fall on, and their neighbours, to 1 where they are 0."""
     seen = np.zeros(wanted.shape, np.uint8)
     for i in range(kind.shape[0]):
         for j in range(kind.shape[1]):
@@ -112,11 +112,12 @@ def _wide_radiance(
     east_rate = bicubic_at(h, row, col + 0.5) - bicubic_at(h, row, col - 0.5)
     lat, lon = wide.north - row * wide.step_lat, wide.west + col * wide.step_lon
     cos_lat, sin_lat, cos_lon, sin_lon = np.cos(lat), np.sin(lat), np.cos(lon), np.sin(lon)
-    value = shade(
+    value: float = shade(
         wide, lat, bicubic_at(h, row, col), (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat),
         (-sin_lon, cos_lon, 0.0), south_rate, east_rate, sun, origin, surface,
     )  # fmt: skip
-    return value * free / 255.0
+    value *= free / 255.0
+    return value
 
 
 @kernel
@@ -137,7 +138,7 @@ def _samples(
 
 @kernel
 def _smooth_at(kind: Mask, row: HeightGrid, col: HeightGrid, i: int, j: int) -> bool:
-    """Whether the hits of a pixel and its eight neighbours lie on the fine ground without a jump."""
+    """Whether a pixel and its eight neighbours see fine ground without a jump between them."""
     if not (0 < i < kind.shape[0] - 1 and 0 < j < kind.shape[1] - 1):
         return False
     for a in range(-1, 2):
@@ -167,9 +168,7 @@ def mean_radiance(
         for j in range(kind.shape[1]):
             if out[i, j] == out[i, j]:
                 continue
-            n = _samples(
-                kind, i, j, distance[i, j], _pixel_angle(corners, i, j), posting, most
-            )
+            n = _samples(kind, i, j, distance[i, j], _pixel_angle(corners, i, j), posting, most)
             smooth = n > 1 and _smooth_at(kind, row, col, i, j)
             total = 0.0
             for a in range(n):
@@ -187,7 +186,7 @@ def mean_radiance(
                             )
                     if k == FINE:
                         value = bilinear(shaded, r, c)
-                        if not value == value:
+                        if value != value:
                             missing[int(r) // BLOCK, int(c) // BLOCK] = 1
                         total += value
                     elif k == WIDE:

@@ -6,7 +6,12 @@ from numpy.typing import ArrayLike, NDArray
 from catalog.photometry.hapke import LUNAR, HapkeParameters
 from catalog.rendering.rays.ground import Ground, surroundings
 from catalog.rendering.rays.light import BLOCK, light_blocks, shade_blocks
-from catalog.rendering.rays.picture import add_with_neighbours, first_hits, mark_blocks, mean_radiance
+from catalog.rendering.rays.picture import (
+    add_with_neighbours,
+    first_hits,
+    mark_blocks,
+    mean_radiance,
+)
 from catalog.rendering.rays.trace import FINE, WIDE
 
 FloatArray = NDArray[np.float64]
@@ -62,9 +67,7 @@ class Scene:
         first_hits(self.fine, self.wide, origin, corners, kind, distance, row, col)
 
         mark_blocks(WIDE, kind, row, col, self._wide_wanted)
-        light_blocks(
-            self.wide, self.wide, self.wide, self.sun, self._wide_wanted, self._wide_lit
-        )
+        light_blocks(self.wide, self.wide, self.wide, self.sun, self._wide_wanted, self._wide_lit)
         wanted = np.zeros_like(self._fine_wanted)
         mark_blocks(FINE, kind, row, col, wanted)
         shaded = np.full(self.fine.heights.shape, np.nan, np.float32)

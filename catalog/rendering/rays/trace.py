@@ -1,4 +1,4 @@
-"""Where rays meet the terrain: a fine grid over a region, the whole body's smooth grid around it."""
+"""Where rays meet the terrain: a fine grid over a region, a smooth grid of the body around it."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ def _to_box(fine: Ground, lat: float, lon: float) -> float:
     """A lower bound of the ground distance (m) from a place to the fine grid's box; 0 inside."""
     rows, cols = fine.heights.shape
     south, width = fine.north - (rows - 1) * fine.step_lat, (cols - 1) * fine.step_lon
-    far = max(0.0, max(lat - fine.north, south - lat))
+    far: float = max(0.0, max(lat - fine.north, south - lat))
     east = lon - fine.west
     east -= 2.0 * np.pi * np.floor(east / (2.0 * np.pi))
     if east > width:
@@ -95,13 +95,14 @@ def trace(
 
 
 @kernel
-def _trace_rays(fine: Ground, wide: Ground, origin: FloatArray, rays: FloatArray) -> FloatArray:
-    out = np.empty((rays.shape[0], 4))
-    for i in range(rays.shape[0]):
-        out[i] = trace(
-            fine, wide, origin[0], origin[1], origin[2], rays[i, 0], rays[i, 1], rays[i, 2], 0.0
-        )
-    return out
+def _trace_rays(
+    fine: Ground, wide: Ground, origin: FloatArray, rays: FloatArray, kind: NDArray[np.int8],
+    distance: FloatArray,
+) -> None:  # fmt: skip
+    for n in range(rays.shape[0]):
+        x, y, z = rays[n, 0], rays[n, 1], rays[n, 2]
+        what, s, _, _ = trace(fine, wide, origin[0], origin[1], origin[2], x, y, z, 0.0)
+        kind[n], distance[n] = what, s
 
 
 def trace_rays(
@@ -112,5 +113,7 @@ def trace_rays(
     Returns (n,) SKY, FINE or WIDE, and (n,) distances in m, infinite for the sky.
     """
     origin = np.ascontiguousarray(origin_m, dtype=np.float64)
-    found = _trace_rays(fine, wide, origin, np.ascontiguousarray(rays, dtype=np.float64))
-    return found[:, 0].astype(np.int8), found[:, 1]
+    kind, distance = np.empty(len(rays), np.int8), np.empty(len(rays))
+    unit = np.ascontiguousarray(rays, dtype=np.float64)
+    _trace_rays(fine, wide, origin, unit, kind, distance)
+    return kind, distance

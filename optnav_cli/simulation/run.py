@@ -1,0 +1,117 @@
+"""A whole scenario into a picture folder."""
+
+from pathlib import Path
+
+import cv2
+import msgspec
+import numba
+import numpy as np
+
+from catalog.bodies.body import Body, load_body
+from catalog.errors import OutputError
+from catalog.progress import Progress, SilentProgress
+from catalog.terrain.detail import Detail
+from catalog.terrain.source import DemSettings, DemSource
+from optnav_cli.imagery.folder import write_folder
+from optnav_cli.imagery.frames import ARCSEC, Frame
+from optnav_cli.imagery.run_settings import RunSettings
+from optnav_cli.imagery.truth import Truth, write_truth
+from optnav_cli.simulation.frame import Renderer
+from optnav_cli.simulation.scenario import Scenario, load_scenario, scenario_camera
+from optnav_cli.simulation.sensor import Counts, expose
+from optnav_cli.simulation.trajectory import Shot, shots
+from optnav_cli.simulation.truth_terrain import TruthTerrain
+
+SENSOR = 17  # stream of random numbers, apart from those of the trajectory
+
+
+def simulate(
+    scenario: Scenario | str | Path,
+    folder: Path,
+    progress: Progress | None = None,
+    workers: int | None = None,
+) -> None:
+    """Write pictures, frames.csv, truth.csv, the camera and the scenario into an empty folder.
+
+    scenario  a file, or what `load_scenario` gave
+    folder    is made where it is missing
+    workers   threads; all that the process may use if None. Their number changes no byte
+    Raises ConfigError or DataError for what cannot be simulated, OutputError for the folder.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
+    if workers is not None:
+        numba.set_num_threads(max(1, min(workers, numba.get_num_threads())))
+    body = load_body(scenario.body)
+    camera = scenario_camera(scenario)
+    flight = shots(scenario, body)
+    renderer = Renderer(truth_terrain(scenario, body), camera, flight)
+    progress = progress or SilentProgress()
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress.stage("simulate", total=len(flight), unit="picture") as stage:
+        for shot in flight:
+            rng = np.random.default_rng([scenario.seed, SENSOR, shot.index])
+            counts = expose(renderer.radiance(shot), scenario.sensor, rng)
+            _write_png(folder / shot.file, counts)
+            stage.advance()
+    settings = RunSettings(body=body.name, attitude="camera_from_body")
+    write_folder(
+        folder, settings, [camera], [_frame(shot, scenario, camera.name) for shot in flight]
+    )
+    truths = [
+        Truth(s.file, s.utc, s.tdb_s, s.position_m, s.camera_from_body) for s in flight
+    ]  # fmt: skip
+    write_truth(folder / "truth.csv", settings, truths)
+    (folder / "scenario.json").write_bytes(scenario_copy(scenario))
+
+
+def truth_terrain(scenario: Scenario, body: Body) -> TruthTerrain:
+    """The ground of a scenario. Raises ConfigError or DataError for terrain that cannot be used."""
+    first = DemSource.open(scenario.dem[0], Path.cwd(), body)
+    settings = scenario.detail
+    details: dict[int | None, Detail | None] = {None: None}
+    for seed in settings.seeds:
+        details[seed] = Detail(
+            seed, first.posting_m, body.radius_m,
+            smallest_m=min(settings.smallest_m, first.posting_m),
+            rms_slope_deg=settings.rms_slope_deg, saturation=settings.saturation,
+        )  # fmt: skip
+    return TruthTerrain(body, scenario.dem, DemSettings(scenario.globe.path), details)
+
+
+def scenario_copy(scenario: Scenario) -> bytes:
+    """All settings of a scenario with their defaults, as JSON; paths shortened to file names."""
+    bare = msgspec.structs.replace(
+        scenario,
+        dem=tuple(msgspec.structs.replace(d, path=Path(d.path).name) for d in scenario.dem),
+        globe=msgspec.structs.replace(scenario.globe, path=Path(scenario.globe.path).name),
+        camera=msgspec.structs.replace(scenario.camera, name=Path(scenario.camera.name).name),
+    )
+    return msgspec.json.format(msgspec.json.encode(bare), indent=2) + b"\n"
+
+
+def _frame(shot: Shot, scenario: Scenario, camera: str) -> Frame:
+    attitude = scenario.attitude
+    return Frame(
+        file=shot.file,
+        utc=shot.utc,
+        camera=camera,
+        tdb_s=shot.tdb_s,
+        camera_from_body=shot.told_camera_from_body,
+        attitude_sigma_rad=None if attitude.free else attitude.sigma_arcsec * ARCSEC,
+        position_m=shot.prior_m,
+        # a prior without error is still a prior; the search needs some room
+        position_sigma_m=max(scenario.prior.position_sigma_m, 1.0),
+        sun_body=shot.sun_body,
+    )
+
+
+def _write_png(path: Path, counts: Counts) -> None:
+    # the strongest compression costs seconds a picture and saves a tenth
+    done, data = cv2.imencode(".png", counts, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    if not done:
+        raise ValueError(f"no PNG of an array {counts.dtype} {counts.shape}")
+    try:
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None

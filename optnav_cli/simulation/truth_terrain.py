@@ -1,0 +1,212 @@
+"""The ground that pictures are taken of: terrain models refined with detail, the globe around them.
+
+The fine ground hangs on one lattice of latitudes and longitudes for a whole scenario and is made in
+tiles, so every picture of a seed shows the same ground. Toward the border of a terrain model it
+runs smoothly into what lies below: the next model, in the end the globe.
+"""
+
+from collections import OrderedDict
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.bodies.body import Body
+from catalog.errors import ConfigError
+from catalog.geometry.grid import sample_bicubic
+from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
+from catalog.terrain.detail import Detail
+from catalog.terrain.source import DemSettings, DemSource
+from optnav_cli.simulation import spline
+
+FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
+Box = tuple[float, float, float, float]  # west, south, east, north, rad
+
+TILE = 1024  # nodes a side
+KEPT_TILES = 120  # 0.5 GB
+FEATHER_M = 8000.0  # about a pixel of the globe
+LARGEST_WINDOW = 100_000_000  # nodes
+POLAR_LATITUDE = np.radians(86.0)  # beyond it a lattice of longitudes is no good
+
+
+class TruthTerrain:
+    """Grounds of one scenario; tiles and windows are kept from picture to picture.
+
+    dems     terrain models in order of priority, with absolute paths
+    globe    a terrain model that goes all round
+    detail   the relief to add by seed
+    """
+
+    def __init__(
+        self, body: Body, dems: tuple[DemSettings, ...], globe: DemSettings,
+        details: dict[int | None, Detail | None],
+    ) -> None:  # fmt: skip
+        self.body, self._details = body, details
+        self._sources = [DemSource.open(dem, Path.cwd(), body) for dem in dems]
+        first = self._sources[0]
+        inset = first.posting_m / body.radius_m
+        west, south, east, north = first.latlon_bounds()
+        self.box: Box = (west + inset, south + inset, east - inset, north - inset)
+        if max(abs(south), abs(north)) > POLAR_LATITUDE:
+            south, north = max(south, -POLAR_LATITUDE), min(north, POLAR_LATITUDE)
+            self.box = (self.box[0], south, self.box[2], north)
+        self.posting_m = first.posting_m
+        self._stretch = 1.0 / float(np.cos(0.5 * (south + north)))
+        self._tiles: OrderedDict[tuple[int | None, int, int, int], HeightGrid] = OrderedDict()
+        self._windows: OrderedDict[tuple[int | None, int, Box], Ground] = OrderedDict()
+        self.wide = self._globe(globe)
+
+    def _globe(self, settings: DemSettings) -> Ground:
+        source = DemSource.open(settings, Path.cwd(), self.body)
+        rows, cols = source.shape
+        if cols != 2 * rows or not source.wraps:
+            raise ConfigError(
+                f"{settings.path}: the [globe] model has {rows} x {cols} pixels and does not cover "
+                "the body in equal steps of latitude and longitude; name one that does"
+            )
+        heights = source.read_window(0, 0, rows, cols)
+        col, _ = source.pixel_from_latlon(np.array([0.0]), np.array([0.0]))
+        heights = np.roll(heights, -round(float(col[0]) + 0.5), axis=1)
+        heights = np.where(np.isfinite(heights), heights, np.nanmean(heights)).astype(np.float32)
+        middle = 0.5 * (self.box[0] + self.box[2])
+        return whole_sphere(heights, self.body.radius_m, middle + np.pi)
+
+    def factor_for(self, gsd_m: float) -> int:
+        """How many times finer than the terrain model the ground of a picture is: 4 or 2.
+
+        Nodes at two thirds of a pixel are enough; relief below them is averaged.
+        """
+        return 4 if self.posting_m / 2.0 > gsd_m / 1.5 else 2
+
+    def window(self, seed: int | None, factor: int, box: Box) -> Ground:
+        """The fine ground over a box, as far as the first terrain model reaches.
+
+        Raises ConfigError when the box holds too much ground at this resolution.
+        """
+        key = (seed, factor, box)
+        if key in self._windows:
+            self._windows.move_to_end(key)
+            return self._windows[key]
+        step_lat, step_lon = self._steps(factor)
+        top, left, rows, cols = self._place(factor, box)
+        if rows * cols > LARGEST_WINDOW:
+            raise ConfigError(
+                f"a picture sees {rows} x {cols} nodes of {self.posting_m / factor:.0f} m of "
+                f"ground; {LARGEST_WINDOW} nodes are possible: name a coarser terrain model"
+            )
+        out = np.empty((rows, cols), np.float32)
+        for tile_row in range(top // TILE, (top + rows - 1) // TILE + 1):
+            for tile_col in range(left // TILE, (left + cols - 1) // TILE + 1):
+                tile = self._tile(seed, factor, tile_row, tile_col)
+                r, c = tile_row * TILE - top, tile_col * TILE - left
+                a, b, d, e = max(r, 0), max(c, 0), min(r + TILE, rows), min(c + TILE, cols)
+                out[a:d, b:e] = tile[a - r : d - r, b - c : e - c]
+        ground = make_ground(
+            out, -top * step_lat, left * step_lon, step_lat, step_lon, self.body.radius_m
+        )
+        self._windows[key] = ground
+        while len(self._windows) > 2:
+            self._windows.popitem(last=False)
+        return ground
+
+    def nodes(self, factor: int, box: Box) -> int:
+        """How many nodes the window of a box has."""
+        _, _, rows, cols = self._place(factor, box)
+        return rows * cols
+
+    def _place(self, factor: int, box: Box) -> tuple[int, int, int, int]:
+        """First row and column on the lattice, rows and columns of a box's window."""
+        step_lat, step_lon = self._steps(factor)
+        west, south, east, north = self._clip(box)
+        top, bottom = int(np.ceil(-north / step_lat)), int(np.floor(-south / step_lat))
+        left, right = int(np.ceil(west / step_lon)), int(np.floor(east / step_lon))
+        return top, left, max(bottom - top + 1, 4), max(right - left + 1, 4)
+
+    def _steps(self, factor: int) -> tuple[float, float]:
+        step = self.posting_m / factor / self.body.radius_m
+        return step, step * self._stretch
+
+    def _clip(self, box: Box) -> Box:
+        """The part of a box within the first model's, on the model's turn of longitude."""
+        west, south, east, north = box
+        own_west, own_south, own_east, own_north = self.box
+        if east - west >= 2.0 * np.pi:
+            west, east = own_west, own_east
+        turn = 2.0 * np.pi * np.round((0.5 * (own_west + own_east - west - east)) / (2.0 * np.pi))
+        west, east = max(west + turn, own_west), min(east + turn, own_east)
+        south, north = max(south, own_south), min(north, own_north)
+        # without common ground any corner of the model will do: no ray of the picture meets it
+        return west, south, max(west, east), max(south, north)
+
+    def _tile(self, seed: int | None, factor: int, tile_row: int, tile_col: int) -> HeightGrid:
+        key = (seed, factor, tile_row, tile_col)
+        if key in self._tiles:
+            self._tiles.move_to_end(key)
+            return self._tiles[key]
+        step_lat, step_lon = self._steps(factor)
+        lat = -(tile_row * TILE + np.arange(TILE, dtype=np.float64)) * step_lat
+        lon = (tile_col * TILE + np.arange(TILE, dtype=np.float64)) * step_lon
+        wide = self.wide
+        east = np.mod(lon - wide.west, 2.0 * np.pi)
+        row, col = np.meshgrid(
+            (wide.north - lat) / wide.step_lat, east / wide.step_lon, indexing="ij"
+        )
+        heights = sample_bicubic(wide.heights, row, col)
+        for number, source in reversed(list(enumerate(self._sources))):
+            share = self._share(source, lat, lon)
+            if not share.any():
+                continue
+            own = self._source_heights(source, lat, lon)
+            # at the model's own posting the relief below it has no place
+            detail = self._details[seed] if number == 0 and factor > 1 else None
+            if detail is not None:
+                own += detail.window(lat[0], lon[0], step_lat, step_lon, TILE, TILE)
+            share[~np.isfinite(own)] = 0.0
+            heights += (share * (np.where(share > 0.0, own, heights) - heights)).astype(np.float32)
+        self._tiles[key] = heights
+        while len(self._tiles) > KEPT_TILES:
+            self._tiles.popitem(last=False)
+        return heights
+
+    def _share(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
+        """(rows, cols) 1 inside a model, 0 outside, rising smoothly over FEATHER_M within."""
+        west, south, east, north = source.latlon_bounds()
+        inset = source.posting_m / self.body.radius_m
+        down = np.minimum(north - lat, lat - south) - inset
+        across = np.full(lon.size, np.inf)
+        if not source.wraps:
+            offset = np.mod(lon - 0.5 * (west + east) + np.pi, 2.0 * np.pi) - np.pi
+            across = (0.5 * (east - west) - np.abs(offset) - inset) / self._stretch
+        metres = np.minimum(down[:, None], across[None, :]) * self.body.radius_m
+        x = np.clip(metres / FEATHER_M, 0.0, 1.0)
+        return np.asarray(x * x * (3.0 - 2.0 * x))
+
+    def _source_heights(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> HeightGrid:
+        """Spline heights of one model at the nodes of a tile, NaN beside holes."""
+        col, row = source.pixel_from_latlon(lat[:, None], lon[None, :])
+        if source.wraps:
+            period = source.shape[1]
+            col = col[:1, :1] + np.mod(col - col[:1, :1] + 0.5 * period, period) - 0.5 * period
+        rows, cols = source.shape
+        margin = spline.MARGIN
+        top = max(int(np.nanmin(row)) - margin, 0)
+        bottom = min(int(np.nanmax(row)) + margin + 1, rows)
+        left, right = int(np.nanmin(col)) - margin, int(np.nanmax(col)) + margin + 1
+        if not source.wraps:
+            left, right = max(left, 0), min(right, cols)
+        if bottom - top < 2 or right - left < 2:
+            return np.full((lat.size, lon.size), np.nan, np.float32)
+        heights = source.read_window(top, left, bottom - top, right - left)
+        holes = ~np.isfinite(heights)
+        inside = (row >= 0) & (row <= rows - 1)
+        if not source.wraps:
+            inside &= (col >= 0) & (col <= cols - 1)
+        # a spline does not bear holes: where the model has some, convolution leaves them out
+        y, x = np.where(inside, row - top, 0.0), np.where(inside, col - left, 0.0)
+        if holes.any():
+            found = sample_bicubic(heights, y, x)
+        else:
+            found = spline.sample(spline.coefficients(heights), y, x)
+        found[~inside] = np.nan
+        return found
