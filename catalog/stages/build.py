@@ -244,7 +244,7 @@ class _Build:
             context,
             points,
             output,
-            sources={dem.name: dem.sha256 for dem in report.dems},
+            sources=_sources(report.dems),
             config_text=self.config_path.read_text(encoding="utf-8-sig"),
             workers=self.workers,
             progress=self.progress,
@@ -262,6 +262,15 @@ class _Build:
             f"{self.workspace.folder}: holds no complete result of `{stage}` for this config; "
             f"first run: optnav {stage} {self.config_path} --work {self.workspace.folder}"
         )
+
+
+def _sources(dems: Sequence[DemRecord]) -> dict[str, str]:
+    """Hashes of the terrain models by name; of two with one name the second tells its priority."""
+    sources: dict[str, str] = {}
+    for dem in dems:
+        name = dem.name if dem.name not in sources else f"{dem.name} ({dem.priority})"
+        sources[name] = dem.sha256
+    return sources
 
 
 def _select_name(key: str) -> str:
