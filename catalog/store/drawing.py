@@ -97,8 +97,9 @@ def _head(picture: Picture, pyramid: Pyramid, azimuth_deg: float, elevation_deg:
         f"control point {point.id}   lat {point.lat_deg:.5f}  lon {point.lon_deg:.5f}   "
         f"{verdict}{': ' + reasons if reasons else ''}"
     )
+    tried = f"recognised in {point.recognition_rate:.0%} of {point.trials} trials"
     second = (
-        f"recognised {point.recognition_rate:.0%} of {point.trials} trials   "
+        f"{tried if point.trials else 'never tried'}   "
         f"localisation {point.localisation_px:.3f} px   north up   "
         f"Sun azimuth {azimuth_deg:.0f}, elevation {elevation_deg:.0f} deg"
     )
