@@ -53,7 +53,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_localisation_px: Positive = 0.5
     search_km: Positive = 10.0
     min_margin: Share = 0.05
-    max_shadowed: Share = 0.5
+    max_shadowed: Share = 0.75
     trials: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 5
     min_recognition: Share = 0.6
     template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256, multiple_of=2)] = 64

@@ -6,7 +6,7 @@ error of a match under each Sun is kept.
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -43,8 +43,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     inset_cell       strip along a cell's borders where no candidate is taken, share of a cell
     window_nodes     side of the square that is scored: the template at the finest level
     levels           pyramid levels that are rendered, finest first
-    sun_elevations, sun_azimuths, sun_min_deg, sun_max_deg  the Suns, of those that can occur;
-                     below the poles' latitudes an elevation leaves only two narrow bands of azimuth
+    sun_elevations, sun_azimuths, sun_min_deg, sun_max_deg  the Suns, of those that can occur:
+                     away from the poles an elevation leaves only two narrow bands of azimuth
     sun_declination_deg  how far from the body's equator the Sun stands
     law              of the render
     snr              mean brightness over noise, for the predicted error
@@ -93,33 +93,66 @@ def render_chunk(context: StageContext, cells: Sequence[int]) -> list[Record]:
     return [record for record in records if record is not None]
 
 
-def render_cell(context: StageContext, cell: int) -> Record | None:
-    """The shortlist of one cell; None where the cell has no ground at all."""
+class Ground(NamedTuple):
+    """The ground of a cell and the places in it.
+
+    projection  about the cell's middle; heights (n, n) m at the finest posting
+    step        nodes between places; place [i, j] is the middle of the window of `window` nodes
+                whose first node is (i step, j step)
+    lat, lon    (m, m) of the places, deg
+    inside      (m, m) whether a place lies in the cell, away from its borders
+    whole       (m, m) whether its finest patches have ground
+    """
+
+    projection: Stereographic
+    heights: Grid
+    window: int
+    step: int
+    lat: FloatArray
+    lon: FloatArray
+    inside: NDArray[np.bool_]
+    whole: NDArray[np.bool_]
+
+
+def cell_ground(context: StageContext, cell: int) -> Ground | None:
+    """The ground of a cell; None where there is none at all."""
     settings = context.config.render
-    lat_deg, lon_deg = context.grid.centre_deg(cell)
-    projection = context.projection(lat_deg, lon_deg)
-    suns = suns_of(settings, lat_deg)
+    projection = context.projection(*context.grid.centre_deg(cell))
     window = settings.window_nodes
     side = _ground_side(context, cell, window)
     heights = context.mosaic.local_grid(projection, context.posting_m, side)
     if not np.isfinite(heights).any():
         return None
     step = max(1, window // STEPS_PER_WINDOW)
-    response = hessian_eigenvalue_map(
-        heights, context.posting_m, window, sun_products(suns), step
-    )
-    offsets = np.arange(response.shape[0]) * step + (window - 1) / 2.0 - (side - 1) / 2.0
-    x, y = np.meshgrid(offsets * context.posting_m, -offsets * context.posting_m)
+    places = np.arange((side - window) // step + 1) * step
+    offsets = (places + (window - 1) / 2.0 - (side - 1) / 2.0) * context.posting_m
+    x, y = np.meshgrid(offsets, -offsets)
     lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y))
     inside = _inside(context, cell, lat, lon, settings.inset_cell)
-    whole = inside & _fine_patches_whole(context, projection, x, y)
-    radius = settings.separation_cell * _cell_m(context) / (step * context.posting_m)
-    peaks = strongest_peaks(np.where(whole, response, np.nan), radius, settings.candidates)
+    whole = _fine_patches_whole(context, projection, x, y)
+    return Ground(projection, heights, window, step, lat, lon, inside, whole)
+
+
+def render_cell(context: StageContext, cell: int) -> Record | None:
+    """The shortlist of one cell; None where the cell has no ground at all."""
+    settings = context.config.render
+    ground = cell_ground(context, cell)
+    if ground is None:
+        return None
+    suns = suns_of(settings, context.grid.centre_deg(cell)[0])
+    response = hessian_eigenvalue_map(
+        ground.heights, context.posting_m, ground.window, sun_products(suns), ground.step
+    )
+    radius = settings.separation_cell * _cell_m(context) / (ground.step * context.posting_m)
+    free = np.where(ground.inside & ground.whole, response, np.nan)
+    peaks = strongest_peaks(free, radius, settings.candidates)
     if not peaks:  # holes everywhere, or ground without any relief: kept, for the record
-        known = np.where(inside & np.isfinite(response), response + np.float32(1e-30), np.nan)
-        peaks = strongest_peaks(known, radius, 1) or [(lat.shape[0] // 2, lat.shape[1] // 2)]
+        known = np.where(ground.inside, response + np.float32(1e-30), np.nan)
+        middle = response.shape[0] // 2
+        peaks = strongest_peaks(known, radius, 1) or [(middle, middle)]
     candidates = [
-        _candidate(context, float(lat[peak]), float(lon[peak]), suns) for peak in peaks
+        _candidate(context, float(ground.lat[peak]), float(ground.lon[peak]), suns)
+        for peak in peaks
     ]
     return Record(cell, tuple(candidates))
 

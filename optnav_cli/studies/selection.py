@@ -1,0 +1,248 @@
+"""What choosing control points gains: chosen against random and one-Sun Harris points.
+
+All strategies pick one place a cell of the bundled Tycho terrain, from the same free places, and
+meet the same trials: ground with relief below the DEM's posting, Hapke against Lommel-Seeliger,
+noise, blur, 8 bits, scale, roll and off-nadir errors, Suns that occur there (catalog.selection.trial).
+*Chosen* is what the build's stages take, usable or not; *random* draws a new place for every round;
+*one-Sun Harris* takes the strongest corner (OpenCV, the same window) of a picture under one Sun,
+another Sun of those that occur for every round, as one happens to have it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.bodies.body import load_body
+from catalog.config import resource
+from catalog.geometry.cells import CellGrid
+from catalog.progress import Progress
+from catalog.rendering.map_view import render_map
+from catalog.selection.trial import Gate, Outcome, Search
+from catalog.stages import check, render, select
+from catalog.stages.context import BodySettings, StageContext
+from catalog.stages.settings import BuildConfig
+from catalog.stages.trials import TRIAL_LEVELS, run_trials, trial_levels
+from catalog.terrain.mosaic import Mosaic
+from catalog.terrain.source import DemSettings
+
+FloatArray = NDArray[np.float64]
+Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
+
+DEM = "data/tycho_gld100_256ppd.tif"
+SUNS = 4  # trials of a round, one for each of so many Sun elevations
+HARRIS_K = 0.04  # of the textbook
+Z95 = 1.959964
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """How often places of a strategy were recognised, and how well.
+
+    rate      of recognition with its 95 % interval (Wilson)
+    error_m   rms distance of recognised places from the truth with its interval, m
+    wrong     share of trials in which a place further than the limit was accepted
+    """
+
+    name: str
+    trials: int
+    recognised: int
+    rate: Interval
+    error_m: Interval
+    wrong: float
+
+
+@dataclass(frozen=True)
+class SelectionRow:
+    """All strategies at one posting, and what chosen points gain over the others (95 %)."""
+
+    posting_m: float
+    cells: int
+    strategies: tuple[Strategy, ...]
+    over_random: Interval
+    over_harris: Interval
+
+
+def run(progress: Progress, trials: int = 1000, seed: int = 1) -> list[SelectionRow]:
+    """Both postings; at least `trials` trials a strategy."""
+    body = load_body("moon")
+    dem = DemSettings(path=str(resource(DEM)))
+    with TemporaryDirectory(prefix="optnav-") as folder:
+        mosaic = Mosaic.from_files([dem], Path(folder), body, Path(folder))
+        config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
+        postings = (mosaic.posting_m, 2.0 * mosaic.posting_m)
+        rows = [
+            one_posting(
+                StageContext(body, mosaic, CellGrid(config.grid.cell_deg), posting, config),
+                progress,
+                trials,
+                seed,
+            )
+            for posting in postings
+        ]
+        mosaic.close()
+    return rows
+
+
+def one_posting(
+    context: StageContext, progress: Progress, trials: int, seed: int
+) -> SelectionRow:
+    """All strategies on all cells whose fine patches fit on the terrain."""
+    grounds = {}
+    for cell in range(context.grid.total):
+        lat_deg, lon_deg = np.radians(context.grid.centre_deg(cell))
+        if context.mosaic.covers(lat_deg, lon_deg, 8.0 * context.posting_m).all():
+            ground = render.cell_ground(context, cell)
+            if ground is not None and (ground.inside & ground.whole).any():
+                grounds[cell] = ground
+    shortlists = render.render_chunk(context, list(grounds))
+    records = check.check_chunk(context, select.select(context, shortlists))
+    chosen = {record.cell: (record.lat_deg, record.lon_deg) for record in records}
+    rounds = -(-trials // (SUNS * len(grounds)))
+    outcomes: dict[str, list[Outcome]] = {"random": [], "one-Sun Harris": [], "chosen": []}
+    name = f"selection {context.posting_m:.0f} m"
+    with progress.stage(name, rounds * len(grounds), "place") as bar:
+        for cell, ground in grounds.items():
+            for turn in range(rounds):
+                places: dict[str, Callable[[], tuple[float, float]]] = {
+                    "random": lambda c=cell, g=ground, t=turn: _random(g, [seed, c, t]),
+                    "one-Sun Harris": lambda g=ground, t=turn: _one_sun_harris(context, g, t),
+                    "chosen": lambda c=cell: chosen[c],
+                }
+                for strategy, place in places.items():
+                    outcomes[strategy] += _trials(context, place(), [seed, cell, turn])
+                bar.advance()
+    limit = context.config.check.max_error_nodes
+    strategies = tuple(
+        summarise(name, results, limit, context.posting_m) for name, results in outcomes.items()
+    )
+    random, harris, best = strategies
+    return SelectionRow(
+        context.posting_m,
+        len(grounds),
+        strategies,
+        difference(best, random),
+        difference(best, harris),
+    )
+
+
+def _random(ground: render.Ground, seed: Sequence[int]) -> tuple[float, float]:
+    places = np.argwhere(ground.inside & ground.whole)
+    row, col = places[np.random.default_rng(seed).integers(len(places))]
+    return float(ground.lat[row, col]), float(ground.lon[row, col])
+
+
+def _one_sun_harris(
+    context: StageContext, ground: render.Ground, turn: int
+) -> tuple[float, float]:
+    suns = render.suns_of(context.config.render, np.degrees(ground.projection.lat))
+    # 7 and the number of Suns have no common divisor: the turns go through all of them
+    sun = suns[(7 * turn + 1) % len(suns)]
+    picture = render_map(
+        ground.heights, context.posting_m, sun, radius_m=context.body.radius_m
+    )
+    filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
+    response = cv2.cornerHarris(filled, ground.window, 3, HARRIS_K)
+    nodes = np.arange(ground.lat.shape[0]) * ground.step + ground.window // 2
+    at_places = response[np.ix_(nodes, nodes)]
+    at_places = np.where(ground.inside & ground.whole, at_places, -np.inf)
+    row, col = np.unravel_index(int(np.argmax(at_places)), at_places.shape)
+    return float(ground.lat[row, col]), float(ground.lon[row, col])
+
+
+def _trials(
+    context: StageContext, place: tuple[float, float], seed: Sequence[int]
+) -> list[Outcome]:
+    """A round of trials at a place, under the circumstances of the check stage."""
+    settings = context.config.check
+    search = Search(template_nodes=min(settings.template_nodes, context.size))
+    patches = context.patches(*place)
+    projection = context.projection(*place)
+    ground = 3 + sum(seed)  # neighbouring rounds see other relief
+    levels = trial_levels(
+        context.mosaic, projection, patches, search, settings.relief_slope_deg, ground
+    )
+    return run_trials(
+        levels,
+        patches[TRIAL_LEVELS:],
+        context.body.radius_m,
+        projection.lat,
+        [*seed, len(seed)],
+        trials=SUNS,
+        search=search,
+        gate=Gate(settings.min_score, settings.rival_ratio),
+        sun_range=(np.radians(settings.sun_min_deg), np.radians(settings.sun_max_deg)),
+        max_declination=np.radians(context.config.render.sun_declination_deg),
+        snr=(settings.snr_min, settings.snr_max),
+        max_scale=settings.scale_error,
+        max_roll_deg=settings.roll_deg,
+        max_off_nadir_deg=settings.off_nadir_deg,
+    )
+
+
+def summarise(
+    name: str, outcomes: Sequence[Outcome], max_error_nodes: float, posting_m: float
+) -> Strategy:
+    """Counts and intervals of a strategy's outcomes."""
+    good = [o.accepted and o.distance <= max_error_nodes for o in outcomes]
+    wrong = [o.accepted and o.distance > max_error_nodes for o in outcomes]
+    squares = np.array([o.distance**2 for o, ok in zip(outcomes, good, strict=True) if ok])
+    mean = float(squares.mean()) if squares.size else float("nan")
+    half = Z95 * float(squares.std()) / np.sqrt(max(squares.size, 1))
+    ends = (mean, max(mean - half, 0.0), mean + half)
+    error = tuple(float(np.sqrt(value)) * posting_m for value in ends)
+    return Strategy(
+        name,
+        len(outcomes),
+        sum(good),
+        wilson(sum(good), len(outcomes)),
+        (error[0], error[1], error[2]),
+        sum(wrong) / max(len(outcomes), 1),
+    )
+
+
+def wilson(successes: int, trials: int) -> Interval:
+    """A share with Wilson's 95 % interval (E. B. Wilson, JASA 22, 1927)."""
+    if trials == 0:
+        return float("nan"), 0.0, 1.0
+    share, z2 = successes / trials, Z95 * Z95
+    middle = (share + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = Z95 / (1 + z2 / trials)
+    half *= float(np.sqrt(share * (1 - share) / trials + z2 / (4 * trials * trials)))
+    return share, max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def difference(better: Strategy, other: Strategy) -> Interval:
+    """Difference of two shares with a 95 % interval from their Wilson intervals.
+
+    Newcombe, Statistics in Medicine 17 (1998): the distances of the ends add in quadrature.
+    """
+    a, a_low, a_high = better.rate
+    b, b_low, b_high = other.rate
+    low = float(np.hypot(a - a_low, b_high - b))
+    high = float(np.hypot(a_high - a, b - b_low))
+    return a - b, a - b - low, a - b + high
+
+
+def format_table(rows: Sequence[SelectionRow]) -> str:
+    """The rows for people to read."""
+    lines = []
+    for row in rows:
+        lines.append(f"posting {row.posting_m:.0f} m, {row.cells} cells, 95 % intervals")
+        lines.append(f"{'strategy':16}{'trials':>7}  {'recognised':24}{'error, m':22}wrong")
+        for one in row.strategies:
+            rate, low, high = (100.0 * value for value in one.rate)
+            share = f"{rate:.1f} % ({low:.1f}..{high:.1f})"
+            error = f"{one.error_m[0]:.0f} ({one.error_m[1]:.0f}..{one.error_m[2]:.0f})"
+            lines.append(
+                f"{one.name:16}{one.trials:7d}  {share:24}{error:22}{100.0 * one.wrong:.1f} %"
+            )
+        for what, gain in (("random", row.over_random), ("one-Sun Harris", row.over_harris)):
+            value, low, high = (100.0 * v for v in gain)
+            lines.append(f"chosen over {what}: {value:+.1f} points ({low:+.1f}..{high:+.1f})")
+        lines.append("")
+    return "\n".join(lines).rstrip()
