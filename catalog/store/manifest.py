@@ -57,12 +57,12 @@ def content_text(meta: CatalogMeta) -> str:
     """The part of the manifest that the content digest covers, as canonical JSON."""
     content = {
         "body": meta.body,
-        "radius_m": round(meta.radius_m, 3),
-        "cell_deg": round(meta.cell_deg, 9),
+        "radius_m": round(float(meta.radius_m), 3),
+        "cell_deg": round(float(meta.cell_deg), 9),
         "levels": meta.levels,
         "size": meta.size,
-        "posting_m": round(meta.posting_m, 6),
-        "height_step_m": round(meta.height_step_m, 9),
+        "posting_m": round(float(meta.posting_m), 6),
+        "height_step_m": round(float(meta.height_step_m), 9),
         "projection": PROJECTION,
         "point_sources": list(meta.point_sources),
         "count": meta.count,

@@ -121,8 +121,8 @@ def test_points_out_of_order_or_outside_their_cells_are_refused(world: Any, tmp_
     astray = replace(point, lat_deg=-point.lat_deg)
     with pytest.raises(ValueError, match="not in its cell"):
         write_catalog(path, world.meta, [(astray, patches)])
+    nowhere = replace(point, usable=True, radius_m=float("nan"))
     with pytest.raises(ValueError, match="radius is unknown"):
-        nowhere = replace(point, usable=True, radius_m=float("nan"))
         write_catalog(path, world.meta, [(nowhere, patches)])
     with pytest.raises(ValueError, match="patches"):
         write_catalog(path, world.meta, [(replace(point, usable=True), patches[:2])])
