@@ -19,12 +19,11 @@ FloatArray = NDArray[np.float64]
 def lunar_weight(cos_phase: float) -> float:
     """Share L of the Lommel-Seeliger term.
 
-    The cubic was fitted to about 140 deg; beyond, where it would go on to -0.7, L is held at the
-    value that it has there (ours).
+    Beyond 103 deg of phase the cubic is negative, and would make ground that faces the Sun dark;
+    there L is held at 0, pure Lambert (ours).
     """
     g = math.degrees(math.acos(min(max(cos_phase, -1.0), 1.0)))
-    g = min(g, 140.0)
-    return 1.0 + g * (-0.019 + g * (0.242e-3 - 1.46e-6 * g))
+    return max(1.0 + g * (-0.019 + g * (0.242e-3 - 1.46e-6 * g)), 0.0) if g < 110.0 else 0.0
 
 
 @kernel
@@ -33,7 +32,7 @@ def reflectance_scalar(mu0: float, mu: float, cos_phase: float, albedo: float) -
     if mu0 <= 0.0 or mu <= 0.0:
         return 0.0
     weight = lunar_weight(cos_phase)
-    return albedo * max(2.0 * weight * mu0 / (mu0 + mu) + (1.0 - weight) * mu0, 0.0)
+    return albedo * (2.0 * weight * mu0 / (mu0 + mu) + (1.0 - weight) * mu0)
 
 
 @kernel

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from catalog.photometry.hapke import LUNAR, HapkeParameters
 from catalog.photometry.laws import law_by_name
 from catalog.photometry.lommel_seeliger import NORMAL_ALBEDO
+from catalog.photometry.lunar_lambert import lunar_weight
 from catalog.rendering import shading
 from catalog.rendering.hapke_table import TABLE_SIZE, shade_hapke
 from catalog.rendering.shadow import lit_mask
@@ -77,11 +78,14 @@ def render_map(
             heights, posting, radius, sun, camera, number, surface, float(albedo), lit
         )
     view = _unit((0.0, 0.0, 1.0) if view_local is None else view_local, "view_local")
-    if law == "lommel_seeliger":
-        return shading.shade_lommel_seeliger(
-            heights, posting, radius, sun, view, float(albedo), lit
+    if law != "hapke":
+        weight = {"lommel_seeliger": 1.0, "lambert": 0.0}.get(law)
+        if weight is None:
+            weight = lunar_weight(float(sun @ view))
+        return shading.shade_two_terms(
+            heights, posting, radius, sun, view, weight, float(albedo), lit
         )
-    if law == "hapke" and heights.size >= TABLE_PAYS_NODES:
+    if heights.size >= TABLE_PAYS_NODES:
         return shade_hapke(heights, posting, radius, sun, view, surface, lit)
     return shading.shade_fixed(
         heights, posting, radius, sun, view, number, surface, float(albedo), lit

@@ -123,18 +123,20 @@ def darken(heights: HeightGrid, lit: BoolGrid, row: int, line: HeightGrid) -> No
 
 
 @kernel
-def shade_lommel_seeliger(
+def shade_two_terms(
     heights: HeightGrid,
     posting: float,
     radius: float,
     sun: FloatArray,
     view: FloatArray,
+    weight: float,
     albedo: float,
     lit: BoolGrid,
 ) -> HeightGrid:
     """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit.
 
-    The law is a ratio of cosines: the normals need no length, the pass no branch.
+    weight  share of the Lommel-Seeliger term, the rest is Lambert's: all three simple laws are so,
+            for one Sun and one view
     """
     size = heights.shape[0]
     out = np.empty((size, size), np.float32)
@@ -142,13 +144,15 @@ def shade_lommel_seeliger(
     nx, ny, nz = normals[0], normals[1], normals[2]
     sx, sy, sz = sun[0], sun[1], sun[2]
     vx, vy, vz = view[0], view[1], view[2]
+    ratio, plain = 2.0 * albedo * weight, albedo * (1.0 - weight)
     for row in range(size):
         row_normals(heights, row, posting, radius, normals)
         line = out[row]
         for c in range(size):
             mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz
             mu = nx[c] * vx + ny[c] * vy + nz[c] * vz
-            value = 2.0 * albedo * mu0 / (mu0 + mu)
+            length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
+            value = mu0 * (ratio / (mu0 + mu) + plain / length)
             line[c] = value if (mu0 > 0.0) & (mu > 0.0) else 0.0
         darken(heights, lit, row, line)
     return out
@@ -166,7 +170,7 @@ def shade_fixed(
     albedo: float,
     lit: BoolGrid,
 ) -> HeightGrid:
-    """As `shade_lommel_seeliger`, by any law, each node evaluated."""
+    """As `shade_two_terms`, by any law, each node evaluated."""
     size = heights.shape[0]
     out = np.zeros((size, size), np.float32)
     normals = np.empty((3, size))
