@@ -30,6 +30,9 @@ MAX_GATE_ROUNDS = 15
 # Weight, in degrees of freedom, of the stated measurement sigmas against the scatter that a
 # frame's own residuals show: a frame with few points leans on the statement.
 STATED_DEGREES_OF_FREEDOM = 10.0
+# Gates follow the scatter up to twice the stated sigmas. Beyond, it is not a larger error but other
+# places, and gates that followed would open for every wrong match and certify them all.
+WIDEST_GATE_FACTOR = 4.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def resect_robustly(
         )
         factor = _variance_factor(solution)
         normalised = _normalised(camera, sightings, solution.pose)
-        inside = normalised < gate * max(factor, 1.0)
+        inside = normalised < gate * min(max(factor, 1.0), WIDEST_GATE_FACTOR)
         if (inside == used).all():
             break
         dropped = used & ~inside
@@ -153,8 +156,10 @@ def _consensus(
         samples = np.array([generator.choice(n, size, replace=False) for _ in range(MAX_PROPOSALS)])
     elif len(samples) > MAX_PROPOSALS:
         samples = generator.permutation(samples)[:MAX_PROPOSALS]
-    # An attitude sigma of arc seconds moves points by less than the gate: here it is exact.
-    sigma = 0.0 if attitude_sigma_rad is not None else None
+    sigma = attitude_sigma_rad
+    if sigma is not None and sigma * _reach_px(sightings) < _smallest_sigma_px(sightings):
+        # A roll of arc seconds moves no point out of the gate, and three unknowns are quicker.
+        sigma = 0.0
     # Proposals rest on two points only, so their own error adds to the residuals of the others.
     wide = 9.0 * gate
     best_count, best_cost = 0, np.inf
@@ -173,8 +178,18 @@ def _consensus(
         if best_count == n:
             break
     if best_count < size:
-        raise NoSolutionError("no two matches agree on a position")
+        raise NoSolutionError(f"no {size} matches agree on a position")
     return best
+
+
+def _reach_px(sightings: Sightings) -> float:
+    """How far the sightings lie from their middle at most."""
+    away = sightings.pixels - sightings.pixels.mean(axis=0)
+    return float(np.linalg.norm(away, axis=1).max())
+
+
+def _smallest_sigma_px(sightings: Sightings) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(sightings.covariances_px2)[:, 0].min()))
 
 
 def _propose(camera: ProjectingCamera, sample: Sightings, start: Pose, sigma: float | None) -> Pose:

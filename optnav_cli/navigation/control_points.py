@@ -5,7 +5,7 @@ pass searches all points at the level that the present pose uncertainty allows, 
 pose before the next pass searches finer.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +20,7 @@ from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import Matcher, MatchGates, PointMatch, match_point
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view
+from optnav_cli.navigation.acceptance import doubt_of_matches, doubt_of_place
 from optnav_cli.navigation.error_model import match_sigma_m
 from optnav_cli.navigation.search_plan import (
     finest_level,
@@ -173,6 +174,11 @@ def navigate(
         step = solution.resection.pose.position_m - pose.position_m
         pose = solution.resection.pose
         position_covariance = solution.resection.position_covariance_m2
+        doubt = doubt_of_place(
+            pose, position_covariance, prior.pose.position_m, prior.position_sigma_m
+        )
+        if doubt:
+            raise UnsolvedFrameError(doubt, _tried(points, view, matches, None, believed))
         covariance = _full_covariance(solution, prior, settings)
         moved = float(np.sqrt(step @ np.linalg.solve(position_covariance, step)))
         if at_finest and ((previous_finest and moved < 1.0) or moved < SETTLED_SIGMAS):
@@ -180,6 +186,11 @@ def navigate(
         previous_finest = at_finest
     if solution is None:
         raise UnsolvedFrameError("no pass was made", tried)
+    scores = [t.match.score for t in tried if t.used and t.match.score is not None]
+    searched = sum(t.match.score is not None for t in tried)
+    doubt = doubt_of_matches(solution, scores, searched, settings.match.template_nodes)
+    if doubt:
+        raise UnsolvedFrameError(doubt, [replace(t, used=False, reason=doubt) for t in tried])
     return ControlPointFix(solution, tried)
 
 
