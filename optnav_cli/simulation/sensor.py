@@ -10,7 +10,9 @@ from optnav_cli.simulation.scenario import SensorSettings
 
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
 
-BRIGHT_SHARE = 0.998  # of the lit pixels stay below the exposure's level
+BRIGHT_SHARE = (
+    0.99  # of the lit pixels stay below the exposure's level; a point of opposition may saturate
+)
 LIT_SHARE = 0.1  # a pixel is lit above this share of the bright level
 BIAS_SHARE = 0.01  # counts of a dark pixel over full scale: noise must be able to go below the mean
 

@@ -55,15 +55,15 @@ def make_ground(
     heights = np.ascontiguousarray(heights, dtype=np.float32)
     if heights.ndim != 2 or min(heights.shape) < 4:
         raise ValueError(f"a ground needs at least 4 x 4 nodes, not {heights.shape}")
-    first = _block_tops(heights)
-    if not np.isfinite(first).all():
+    lowest, highest = float(heights.min()), float(heights.max())
+    if not np.isfinite(highest - lowest):
         raise ValueError("a ground needs a height at every node")
-    tops = [first]
+    tops = [_block_tops(heights)]
     for _ in range(3):
         tops.append(_join_tops(tops[-1]))
     return Ground(
         heights, float(north), float(west), float(step_lat), float(step_lon), float(radius_m),
-        tops[0], tops[1], tops[2], tops[3], float(heights.min()), float(first.max()),
+        tops[0], tops[1], tops[2], tops[3], lowest, highest,
     )  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def _block_tops(heights: HeightGrid) -> HeightGrid:
             for r in range(4 * i, min(4 * i + 5, rows)):
                 for c in range(4 * j, min(4 * j + 5, cols)):
                     value = heights[r, c]
-                    if not value <= top:  # a NaN wins and is found later
+                    if value > top:
                         top = value
             out[i, j] = top
     return out
