@@ -4,6 +4,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.geometry.grid import sample_bicubic
+
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
@@ -36,10 +38,15 @@ class PicturePyramid:
             inside = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
         # the centre of the first block of `factor` pixels lies at (factor - 1) / 2
         shift = (factor - 1) / 2.0
-        map_x = np.where(inside, (x - shift) / factor, -1.0).astype(np.float32)
-        map_y = np.where(inside, (y - shift) / factor, -1.0).astype(np.float32)
-        sampled = cv2.remap(level, map_x, map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        return np.where(inside, sampled, np.float32(np.nan)).astype(np.float32)
+        # Not cv2.remap: its cubic kernel (a = -3/4) does not give a ramp back. It moves a pattern by
+        # up to 0.05 px, alike for all nodes of a grid that happens to step with the pixels.
+        row = np.where(inside, (y - shift) / factor, np.nan)
+        col = np.where(inside, (x - shift) / factor, np.nan)
+        rows, cols = level.shape
+        # the last rows and columns that fill no whole block take the nearest block's value
+        row = np.minimum(row, rows - 0.5)
+        col = np.minimum(col, cols - 0.5)
+        return sample_bicubic(level, row, col)
 
     def _factor(self, pixels_per_node: float) -> int:
         # A block of up to one node; cubic interpolation between blocks does the rest.

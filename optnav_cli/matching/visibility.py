@@ -73,7 +73,8 @@ def expected_in_view(
     limits_ok = (
         (cos_emission > np.cos(np.radians(limits.emission_max_deg)))
         & (sin_sun > np.sin(np.radians(limits.sun_min_deg)))
-        & (sin_sun < np.sin(np.radians(limits.sun_max_deg)))
+        # 90 degrees is no limit, and a sine of the zenith may be a rounding above 1
+        & (sin_sun <= np.sin(np.radians(limits.sun_max_deg)) + 1e-12)
     )
     index = np.flatnonzero(limits_ok)
     if skyline_deg is not None and len(index):
