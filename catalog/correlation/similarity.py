@@ -1,7 +1,7 @@
 """Matching under an unknown roll and scale: the reference is turned and stretched to fit."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -11,7 +11,14 @@ from catalog.correlation.ncc import match_ncc
 from catalog.correlation.peak import Match
 
 Grid = NDArray[np.float32]
-Matcher = Callable[[Grid, Grid], Match]
+
+
+class Matcher(Protocol):
+    """Finds a reference in a search grid; see `catalog.correlation.ncc.match_ncc`."""
+
+    def __call__(self, reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
+        """Both grids carry `margin_nodes` of border that only filters look at."""
+        ...
 
 
 class SimilarityMatch(NamedTuple):
@@ -49,6 +56,7 @@ def match_similarity(
     rolls: Sequence[float],
     scales: Sequence[float],
     matcher: Matcher = match_ncc,
+    margin_nodes: int = 0,
 ) -> SimilarityMatch:
     """Best match over a grid of rolls (rad) and scales; the best pair is refined by parabolas.
 
@@ -58,7 +66,7 @@ def match_similarity(
     scores = np.full((len(rolls), len(scales)), -1.0)
     for row, roll in enumerate(rolls):
         for column, scale in enumerate(scales):
-            match = matcher(turned(reference, roll, scale), search)
+            match = matcher(turned(reference, roll, scale), search, margin_nodes)
             scores[row, column] = match.score
             if best is None or match.score > best.match.score:
                 best = SimilarityMatch(match, roll, scale)
@@ -69,7 +77,7 @@ def match_similarity(
     scale = _parabola_peak(scales, scores[i, :], j)
     if (roll, scale) == (best.roll, best.scale):
         return best
-    refined = matcher(turned(reference, roll, scale), search)
+    refined = matcher(turned(reference, roll, scale), search, margin_nodes)
     return SimilarityMatch(refined, roll, scale) if refined.score >= best.match.score else best
 
 

@@ -192,24 +192,26 @@ def similarity_surface(reference: Image, search: Image) -> NDArray[np.float32]:
     return (there @ own).reshape(rows.shape).astype(np.float32)
 
 
-def match_surf(reference: Image, search: Image) -> Match:
+def match_surf(reference: Image, search: Image, margin_nodes: int = 0) -> Match:
     """Find a reference in a search grid by SURF; its place and score are then correlation's.
 
-    Arguments as `similarity_surface`. The descriptor's own value says little (right 0.98, wrong
+    Arguments as `similarity_surface`, margin_nodes as `match_ncc`: SURF leaves it out. The descriptor's own value says little (right 0.98, wrong
     up to 0.95), so the score is the correlation at the refined peak and the runner-up the
     correlation at the descriptor's best rival: both compare with those of `match_ncc`.
     A peak whose rival is almost as near in descriptor space has an infinite covariance.
     """
-    surface = similarity_surface(reference, search)
+    inner = slice(margin_nodes, reference.shape[0] - margin_nodes)
+    outer = slice(margin_nodes, search.shape[0] - margin_nodes)
+    surface = similarity_surface(reference[inner, inner], search[outer, outer])
     row, col = (int(i) for i in np.unravel_index(int(np.argmax(surface)), surface.shape))
-    refined = _refined(reference, search, row, col)
+    refined = _refined(reference, search, row, col, margin_nodes)
     rivals = surface.copy()
     near = RIVAL_DISTANCE
     rivals[max(row - near, 0) : row + near + 1, max(col - near, 0) : col + near + 1] = -2.0
     if rivals.max() <= -2.0:
         return refined._replace(runner_up=-1.0)
     rival_row, rival_col = (int(i) for i in np.unravel_index(int(np.argmax(rivals)), rivals.shape))
-    rival = _refined(reference, search, rival_row, rival_col)
+    rival = _refined(reference, search, rival_row, rival_col, margin_nodes)
     # unit vectors: squared distance is 2 - 2 cosine
     ratio = np.sqrt(max(1.0 - surface[row, col], 0.0) / max(1.0 - rivals.max(), 1e-9))
     match = refined._replace(runner_up=min(rival.score, refined.score))
@@ -218,13 +220,13 @@ def match_surf(reference: Image, search: Image) -> Match:
     return match
 
 
-def _refined(reference: Image, search: Image, row: int, col: int) -> Match:
+def _refined(reference: Image, search: Image, row: int, col: int, margin_nodes: int) -> Match:
     """Correlation within REFINE_NODES of an offset of the surface."""
     last = search.shape[0] - reference.shape[0]
     reach = min(REFINE_NODES, last // 2)
     row, col = (min(max(i, reach), last - reach) for i in (row, col))
     side = reference.shape[0] + 2 * reach
     window = search[row - reach : row - reach + side, col - reach : col - reach + side]
-    match = match_ncc(reference, window)
+    match = match_ncc(reference, window, margin_nodes)
     half = last // 2
     return match._replace(dx=match.dx + col - half, dy=match.dy + row - half)

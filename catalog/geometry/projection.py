@@ -43,7 +43,9 @@ class Stereographic:
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights above the sphere."""
         directions = self.local_directions(x, y) @ self.body_from_local.T
-        return np.asarray(directions * (self.radius_m + np.asarray(height))[..., None])
+        return np.asarray(
+            directions * (self.radius_m + np.asarray(height, dtype=np.float64))[..., None]
+        )
 
     def latlon(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Latitude and east longitude (rad) of map points x, y (m)."""

@@ -56,11 +56,14 @@ def resect_robustly(
     start: Pose,
     attitude_sigma_rad: float | None,
     *,
+    common_errors_px: FloatArray | None = None,
     gate_probability: float = 0.999,
     seed: int = 0,
 ) -> RobustResection:
     """Solve for the pose with wrong matches among the sightings.
 
+    common_errors_px  (n, 2, k) what one sigma of each of k errors that all sightings share moves
+                      them by; they are not solved for, but their effect is in the covariance
     gate_probability  a sighting is dropped when its normalised residual is rarer than this
     Arguments otherwise as `resect`. Raises NoSolutionError when no two (three with a free
     attitude) sightings agree.
@@ -100,7 +103,13 @@ def resect_robustly(
         measured_attitude=start.camera_from_body,
     )
     factor = _variance_factor(solution)
-    scaled = replace(solution, covariance=_scaled(solution, factor, attitude_sigma_rad))
+    covariance = _scaled(solution, factor, attitude_sigma_rad)
+    if common_errors_px is not None:
+        kept = sightings.subset(used)
+        covariance = covariance + _common_part(
+            camera, kept, solution.pose, covariance / factor, common_errors_px[used]
+        )
+    scaled = replace(solution, covariance=covariance)
     pixels, _ = predict(camera, solution.pose, sightings.points_body_m)
     return RobustResection(scaled, used, factor, sightings.pixels - pixels)
 
@@ -124,6 +133,22 @@ def _scaled(
     prior[3:, 3:] = np.eye(3) / attitude_sigma_rad**2
     sighted = np.linalg.inv(solution.covariance) - prior
     return np.asarray(np.linalg.inv(sighted / factor + prior))
+
+
+def _common_part(
+    camera: ProjectingCamera,
+    sightings: Sightings,
+    pose: Pose,
+    covariance: FloatArray,
+    errors_px: FloatArray,
+) -> FloatArray:
+    """What errors that all sightings share do to the solution: considered, not estimated."""
+    _, jacobian = predict(camera, pose, sightings.points_body_m)
+    weighted = np.einsum(
+        "nik,nij->nkj", jacobian[:, :, : len(covariance)], np.linalg.inv(sightings.covariances_px2)
+    )
+    moved = covariance @ np.einsum("nkj,njc->kc", weighted, errors_px)
+    return np.asarray(moved @ moved.T)
 
 
 def _normalised(camera: ProjectingCamera, sightings: Sightings, pose: Pose) -> FloatArray:

@@ -1,13 +1,12 @@
 """One control point searched in a picture: window into map projection, reference, correlation."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from catalog.correlation.peak import Match
-from catalog.correlation.similarity import match_similarity
+from catalog.correlation.similarity import Matcher, match_similarity
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -15,11 +14,12 @@ from optnav_cli.matching.reference import Reference
 
 FloatArray = NDArray[np.float64]
 Grid = NDArray[np.float32]
-Matcher = Callable[[Grid, Grid], Match]
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 LEAST_VALID_SHARE = 0.6
 LEAST_LIT_SHARE = 0.1
+# Rendered beyond the template on every side, so that the high-pass does not end at its border.
+MARGIN_NODES = 8
 
 
 @dataclass(frozen=True)
@@ -84,23 +84,24 @@ def match_point(
     distortion      rolls and scales to try, where the pose may be off by so much that it shows
     """
     posting = reference.patches[level].posting_m
-    template = reference.render(level, template_nodes, sun_body, pose.position_m)
+    template = reference.render(level, template_nodes + 2 * MARGIN_NODES, sun_body, pose.position_m)
     refusal = _unfit(template)
     if refusal:
         return PointMatch(level, None, None, None, None, None, refusal)
-    size = template_nodes + 2 * search_nodes
+    border = search_nodes + MARGIN_NODES
+    size = template_nodes + 2 * border
     surface = reference.surface(level, size)
     turn = pose.camera_from_body.as_matrix()
     pixels = camera.project_from_body(surface, pose.position_m, turn)
     window = picture.sample(pixels, posting / metres_per_pixel)
-    middle = window[search_nodes : size - search_nodes, search_nodes : size - search_nodes]
+    middle = window[border : size - border, border : size - border]
     if np.isfinite(middle).mean() < LEAST_VALID_SHARE:
         return PointMatch(level, None, None, None, None, None, "outside the frame")
     if distortion == NO_DISTORTION:
-        match = matcher(template, window)
+        match = matcher(template, window, MARGIN_NODES)
     else:
         match = match_similarity(
-            template, window, distortion.rolls, distortion.scales, matcher
+            template, window, distortion.rolls, distortion.scales, matcher, MARGIN_NODES
         ).match
     place, jacobian = _pixel_at(surface, pixels, match, posting)
     offset = np.array([match.dx, -match.dy]) * posting

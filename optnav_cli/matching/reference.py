@@ -80,7 +80,10 @@ class Reference:
     def render(
         self, level: int, size: int, sun_body: FloatArray, camera_position_m: FloatArray
     ) -> Grid:
-        """Lommel-Seeliger brightness of a window with cast shadows, (size, size), 0 in shadow.
+        """Lunar-Lambert brightness of a window with cast shadows, (size, size), 0 in shadow.
+
+        Lommel-Seeliger, which Zhukov (2025) takes, is farther from Hapke at oblique views:
+        correlation 0.98 against 0.998 (study photometry).
 
         sun_body           (3,) unit vector to the Sun, body frame
         camera_position_m  (3,) body frame
@@ -93,7 +96,7 @@ class Reference:
             self.patches[level].posting_m,
             sun_body @ turn,
             camera_local=camera_position_m @ turn - foot,
-            law="lommel_seeliger",
+            law="lunar_lambert",
             radius_m=self.radius_m,
             outer=outer,
         )

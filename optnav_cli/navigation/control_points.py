@@ -21,7 +21,7 @@ from optnav_cli.matching.point_match import Matcher, MatchGates, PointMatch, mat
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view
 from optnav_cli.navigation.acceptance import doubt_of_matches, doubt_of_place
-from optnav_cli.navigation.error_model import match_sigma_m
+from optnav_cli.navigation.error_model import common_errors_px, own_sigma_m
 from optnav_cli.navigation.search_plan import (
     finest_level,
     ground_uncertainty_m,
@@ -374,11 +374,7 @@ def _solve(
         match = matches[k]
         if match.pixel is None or match.covariance_px2 is None:
             continue
-        sigma = match_sigma_m(
-            float(points.postings_m[match.level]),
-            float(view.sun_elevation_deg[k]),
-            points.points[int(view.index[k])].hessian_eigenvalue,
-        )
+        sigma = own_sigma_m(float(points.postings_m[match.level]), float(points.postings_m[0]))
         own = (sigma / view.metres_per_pixel[k]) ** 2
         pixels.append(match.pixel)
         covariances.append(match.covariance_px2 + own * np.eye(2))
@@ -387,6 +383,11 @@ def _solve(
         np.array(pixels).reshape(-1, 2),
         np.array(covariances).reshape(-1, 2, 2),
     )
+    common = None
+    if believed:
+        samples = view.metres_per_pixel[believed]
+        scores = np.array([matches[k].score or 0.0 for k in believed])
+        common = common_errors_px(sightings.pixels, samples, scores, float(points.postings_m[0]))
     free = prior.attitude_sigma_rad is None
     attitude = (pose if free else prior.pose).camera_from_body
     return resect_robustly(
@@ -394,6 +395,7 @@ def _solve(
         sightings,
         Pose(pose.position_m, attitude),
         prior.attitude_sigma_rad,
+        common_errors_px=common,
         gate_probability=settings.solve.gate_probability,
     )
 

@@ -33,7 +33,7 @@ class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How matches become a position."""
 
     max_passes: Annotated[int, msgspec.Meta(ge=1, le=20)] = 6
-    gate_probability: Share = 0.999
+    gate_probability: Share = 0.9999
     # how far a free attitude's first guess may be off, 1 sigma an axis
     free_attitude_deg: Positive = 1.0
     max_first_pass_points: Annotated[int, msgspec.Meta(ge=4)] = 24

@@ -50,7 +50,7 @@ def test_stated_covariance_is_of_the_size_of_the_scatter():
     errors, stated = [], []
     for seed in range(60):
         field = texture(100 + seed)
-        noise = ndimage.gaussian_filter(rng.normal(size=field.shape), 1.5)
+        noise = ndimage.gaussian_filter(rng.normal(size=field.shape), 0.7)
         noise *= 0.6 / noise.std()
         match = match_ncc(cut(field, 64), cut(field + noise, 80))
         errors.append([match.dx, match.dy])
