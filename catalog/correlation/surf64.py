@@ -195,9 +195,10 @@ def similarity_surface(reference: Image, search: Image) -> NDArray[np.float32]:
 def match_surf(reference: Image, search: Image, margin_nodes: int = 0) -> Match:
     """Find a reference in a search grid by SURF; its place and score are then correlation's.
 
-    Arguments as `similarity_surface`, margin_nodes as `match_ncc`: SURF leaves it out. The descriptor's own value says little (right 0.98, wrong
-    up to 0.95), so the score is the correlation at the refined peak and the runner-up the
-    correlation at the descriptor's best rival: both compare with those of `match_ncc`.
+    Arguments as `similarity_surface`, margin_nodes as `match_ncc`: the descriptor leaves it out.
+    The descriptor's own value says little (right 0.98, wrong up to 0.95), so the score is the
+    correlation at the refined peak and the runner-up the correlation at the descriptor's best
+    rival: both compare with those of `match_ncc`.
     A peak whose rival is almost as near in descriptor space has an infinite covariance.
     """
     inner = slice(margin_nodes, reference.shape[0] - margin_nodes)

@@ -38,8 +38,8 @@ class PicturePyramid:
             inside = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
         # the centre of the first block of `factor` pixels lies at (factor - 1) / 2
         shift = (factor - 1) / 2.0
-        # Not cv2.remap: its cubic kernel (a = -3/4) does not give a ramp back. It moves a pattern by
-        # up to 0.05 px, alike for all nodes of a grid that happens to step with the pixels.
+        # Not cv2.remap: its cubic kernel (a = -3/4) does not give a ramp back. It moves a pattern
+        # by up to 0.05 px, alike for all nodes of a grid that happens to step with the pixels.
         row = np.where(inside, (y - shift) / factor, np.nan)
         col = np.where(inside, (x - shift) / factor, np.nan)
         rows, cols = level.shape

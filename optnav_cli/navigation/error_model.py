@@ -26,7 +26,7 @@ COMMON_PER_UNEXPLAINED = 0.08
 
 
 def own_sigma_m(posting_m: float, finest_posting_m: float) -> float:
-    """One-sigma ground error per axis, m, that is a point's own and not in its peak's covariance."""
+    """One-sigma ground error per axis, m, of a point's own that its peak does not show."""
     return float(np.hypot(OWN_LEVEL_NODES * posting_m, OWN_FINEST_NODES * finest_posting_m))
 
 
@@ -38,8 +38,8 @@ def common_errors_px(
 ) -> FloatArray:
     """What one sigma of each error common to a frame moves every point by, (n, 2, 3), px.
 
-    pixels (n, 2), metres_per_pixel (n,), scores (n,) of the correlation peaks. The three errors are independent: shift along x, shift
-    along y, stretch.
+    pixels (n, 2), metres_per_pixel (n,), scores (n,) of the correlation peaks.
+    The three errors are independent: shift along x, shift along y, stretch.
     """
     nodes = COMMON_FINEST_NODES + COMMON_PER_UNEXPLAINED * (1.0 - scores)
     shift = nodes * finest_posting_m / metres_per_pixel
