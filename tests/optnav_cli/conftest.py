@@ -16,6 +16,7 @@ from catalog.geometry.projection import Stereographic, node_grid
 from catalog.rendering.map_view import render_map
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
+from optnav_cli.navigation.control_points import ControlPointField
 
 RADIUS_M = 1737400.0
 LAT, LON = np.radians(-43.0), np.radians(-11.0)
@@ -171,3 +172,24 @@ def rough_world():
 def other_world():
     """Ground of the same kind and quite another shape."""
     return RoughWorld(seed=2)
+
+
+class PatchStore:
+    """The patches of a world in memory, as a catalog would give them."""
+
+    def __init__(self, world):
+        self.by_id = {point.id: patches for point, patches in world.control_points}
+
+    def patches(self, cp_id):
+        return self.by_id[cp_id]
+
+
+@pytest.fixture
+def field_of():
+    """Makes the field of a world's control points, of some of them when asked."""
+
+    def make(world, keep=slice(None)):
+        points = [point for point, _ in world.control_points][keep]
+        return ControlPointField(PatchStore(world), points, world.postings(), world.radius_m)
+
+    return make
