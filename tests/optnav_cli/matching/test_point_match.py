@@ -1,9 +1,13 @@
 """One point searched in pictures whose answer is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
+from catalog.control_point import Patch
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
@@ -43,8 +47,6 @@ def picture_of(reference, pose, sun, level=0, size=200):
     rays = CAMERA.unproject(CAMERA.pixel_grid()) @ pose.camera_from_body.as_matrix()
     heights = np.nan_to_num(reference.heights(level, size))
     ground = np.zeros(rays.shape[:2])
-    from scipy.ndimage import map_coordinates
-
     for _ in range(8):
         along = rays @ pose.position_m
         radius = reference.radius_m + ground
@@ -143,10 +145,6 @@ def test_a_place_at_the_border_of_the_search_is_not_believed(rough_world, refere
 
 
 def test_holes_without_terrain_are_no_reference(rough_world, reference, sun):
-    from dataclasses import replace
-
-    from catalog.control_point import Patch
-
     empty = tuple(Patch(p.posting_m, np.full_like(p.heights_m, np.nan)) for p in reference.patches)
     bare = replace(reference, patches=empty)
     picture = np.ones((300, 300), np.float32)

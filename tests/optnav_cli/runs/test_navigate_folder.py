@@ -1,0 +1,250 @@
+"""A folder of good and bad pictures: one row each, in order, and nothing stops the others."""
+
+import csv
+import logging
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from catalog.errors import DataError, NothingToDoError
+from catalog.progress import SilentProgress
+from catalog.store.manifest import CatalogMeta
+from catalog.store.reader import Catalog
+from catalog.store.writer import write_catalog
+from optnav_cli.imagery.folder import read_folder, write_folder
+from optnav_cli.imagery.frames import Frame
+from optnav_cli.imagery.run_settings import RunSettings
+from optnav_cli.navigation.settings import MatchSettings, NavigateSettings
+from optnav_cli.runs.navigate_folder import navigate_folder, open_field
+
+SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))
+UTC = "2024-05-01T12:00:00Z"
+
+
+@pytest.fixture(scope="session")
+def catalog_path(rough_world, tmp_path_factory):
+    path = tmp_path_factory.mktemp("catalog") / "rough.gpkg"
+    write_rough(rough_world, path, "moon")
+    return path
+
+
+def write_rough(world, path, body):
+    meta = CatalogMeta(
+        body=body,
+        radius_m=world.radius_m,
+        cell_deg=world.cell_deg,
+        levels=world.levels,
+        size=world.nodes,
+        posting_m=float(world.postings()[0]),
+        height_step_m=0.5,
+    )
+    write_catalog(path, meta, world.control_points)
+
+
+@pytest.fixture(scope="session")
+def taken(rough_world):
+    """A picture with its pose and Sun."""
+    pose, sun = rough_world.pose(100e3, roll=0.1), rough_world.sun(30.0, 200.0)
+    return rough_world.picture(pose, sun, noise_seed=7), pose, sun
+
+
+def good_frame(name, taken, **changes):
+    _, pose, sun = taken
+    known = {
+        "file": name,
+        "utc": UTC,
+        "camera": "cam",
+        "tdb_s": 0.0,
+        "camera_from_body": pose.camera_from_body,
+        "attitude_sigma_rad": 0.0,
+        "position_m": pose.position_m + [400.0, -700.0, 500.0],
+        "position_sigma_m": 1000.0,
+        "sun_body": sun,
+    }
+    return Frame(**(known | changes))
+
+
+def folder_with(place, world, frames):
+    place.mkdir(exist_ok=True)
+    write_folder(place, RunSettings("moon", "camera_from_body"), [world.camera], frames)
+    return place
+
+
+def rows_of(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+BAD = {
+    "missing.png": "there is no such picture",
+    "short.png": "the picture is broken",
+    "empty.png": "empty file",
+    "small.png": "256 x 512",
+    "black.png": "all black",
+    "white.png": "all white",
+    "colour.png": "in colour",
+    "turned.png": "quaternion",
+    "unturned.png": "no attitude: the quaternion is empty",
+    "nowhere.png": "no prior: the position is empty",
+    "farside.png": "no control point of the catalog in the frame",
+    "night.png": "lit well",
+    "noise.png": "control points",
+}
+
+
+@pytest.fixture(scope="session")
+def mixed(rough_world, taken, tmp_path_factory):
+    """A folder whose first and last frames are good and all between them are not."""
+    picture, pose, sun = taken
+    changes = {
+        "unturned.png": {"camera_from_body": None},
+        "nowhere.png": {"position_m": None, "position_sigma_m": None},
+        "farside.png": {"position_m": -pose.position_m},
+        "night.png": {"sun_body": -sun},
+    }
+    frames = [good_frame("first.png", taken)]
+    frames += [good_frame(name, taken, **changes.get(name, {})) for name in BAD]
+    frames += [good_frame("last.png", taken)]
+    place = folder_with(tmp_path_factory.mktemp("pictures"), rough_world, frames)
+    counts = picture.astype(np.uint8)
+    for name in ("first", "last", "short", "turned", "unturned", "nowhere", "farside", "night"):
+        cv2.imwrite(str(place / f"{name}.png"), counts)
+    whole = (place / "short.png").read_bytes()
+    (place / "short.png").write_bytes(whole[: len(whole) // 2])
+    (place / "empty.png").write_bytes(b"")
+    cv2.imwrite(str(place / "small.png"), counts[:, :256])
+    cv2.imwrite(str(place / "black.png"), np.zeros_like(counts))
+    cv2.imwrite(str(place / "white.png"), np.full_like(counts, 255))
+    cv2.imwrite(str(place / "colour.png"), np.dstack([counts, counts // 2, counts]))
+    noise = np.random.default_rng(8).integers(0, 256, counts.shape, dtype=np.uint8)
+    cv2.imwrite(str(place / "noise.png"), noise)
+    lines = (place / "frames.csv").read_text().splitlines()
+    for k, line in enumerate(lines):
+        if line.startswith("turned.png,"):
+            cells = line.split(",")
+            cells[3:7] = ["0", "0", "0", "0"]
+            lines[k] = ",".join(cells)
+    (place / "frames.csv").write_text("\n".join(lines) + "\n")
+    return place
+
+
+@pytest.fixture(scope="session")
+def mixed_run(mixed, catalog_path, tmp_path_factory):
+    run = tmp_path_factory.mktemp("runs") / "run"
+    return navigate_folder(mixed, catalog_path, SETTINGS, "ncc", run, SilentProgress()), run
+
+
+def test_every_frame_has_its_row_in_the_order_of_the_folder(mixed_run):
+    solutions, run = mixed_run
+    wanted = ["first.png", *BAD, "last.png"]
+    assert [solution.file for solution in solutions] == wanted
+    assert [row["file"] for row in rows_of(run / "solution.csv")] == wanted
+
+
+@pytest.mark.parametrize("name", list(BAD))
+def test_a_frame_that_cannot_be_used_says_why(mixed_run, name):
+    _, run = mixed_run
+    (row,) = [row for row in rows_of(run / "solution.csv") if row["file"] == name]
+    assert row["status"] == "unsolved"
+    assert BAD[name] in row["reason"]
+    for column in ("x_m", "cov_xx_m2", "qw", "lat_deg", "residual_rms_px"):
+        assert row[column] == ""
+
+
+def test_the_frames_before_and_after_the_bad_ones_are_solved(mixed_run, taken):
+    _, pose, _ = taken
+    solutions, _ = mixed_run
+    assert solutions[0].solved
+    assert solutions[-1].solved
+    for solution in (solutions[0], solutions[-1]):
+        error = solution.position_m - pose.position_m
+        assert error @ np.linalg.solve(solution.covariance_m2, error) < 16.0
+        assert solution.residual_rms_px < 0.2
+        assert solution.n_predicted >= solution.n_matched >= solution.n_used >= 10
+    assert np.array_equal(solutions[0].position_m, solutions[-1].position_m)
+
+
+def test_matches_are_written_for_the_frames_that_were_searched(mixed_run):
+    solutions, run = mixed_run
+    rows = rows_of(run / "matches.csv")
+    used = [row for row in rows if row["file"] == "first.png" and row["used"] == "1"]
+    assert len(used) == solutions[0].n_used
+    noise = [row for row in rows if row["file"] == "noise.png"]
+    assert noise
+    assert all(row["used"] == "0" for row in noise)
+    assert not [row for row in rows if row["file"] == "missing.png"]
+
+
+def test_the_run_folder_is_whole(mixed_run):
+    _, run = mixed_run
+    for name in ("run.toml", "frames.csv", "manifest.json", "run.mcap", "cameras/cam.toml"):
+        assert (run / name).is_file()
+    assert (run / "overlays").is_dir()
+
+
+def test_the_same_folder_gives_the_same_bytes(mixed, mixed_run, catalog_path, tmp_path):
+    _, run = mixed_run
+    again = tmp_path / "again"
+    navigate_folder(mixed, catalog_path, SETTINGS, "ncc", again, SilentProgress())
+    for name in ("solution.csv", "matches.csv"):
+        assert (again / name).read_bytes() == (run / name).read_bytes()
+
+
+def test_when_no_frame_is_solved_the_folder_is_written_and_then_said(
+    rough_world, taken, catalog_path, tmp_path
+):
+    frames = [good_frame("a.png", taken), good_frame("b.png", taken)]
+    pictures = folder_with(tmp_path / "pictures", rough_world, frames)
+    with pytest.raises(NothingToDoError, match=r"none of 2 frames was solved.*no such picture"):
+        navigate_folder(pictures, catalog_path, SETTINGS, "ncc", tmp_path / "run", SilentProgress())
+    rows = rows_of(tmp_path / "run" / "solution.csv")
+    assert [row["status"] for row in rows] == ["unsolved", "unsolved"]
+
+
+def test_a_damaged_control_point_is_skipped_with_a_warning(
+    mixed, rough_world, taken, catalog_path, tmp_path, monkeypatch, caplog
+):
+    pictures = folder_with(tmp_path / "pictures", rough_world, [good_frame("first.png", taken)])
+    shutil.copy(mixed / "first.png", pictures / "first.png")
+    bad = rough_world.control_points[len(rough_world.control_points) // 2][0].id
+    whole = Catalog.patches
+
+    def patches(self, point_id):
+        if point_id == bad:
+            raise DataError(f"control point {point_id} is damaged")
+        return whole(self, point_id)
+
+    monkeypatch.setattr(Catalog, "patches", patches)
+    with caplog.at_level(logging.WARNING):
+        (solution,) = navigate_folder(
+            pictures, catalog_path, SETTINGS, "ncc", tmp_path / "run", SilentProgress()
+        )
+    assert solution.solved
+    assert f"control point {bad} is left out" in caplog.text
+    rows = rows_of(tmp_path / "run" / "matches.csv")
+    (row,) = [row for row in rows if row["id"] == str(bad)]
+    assert "damaged" in row["reason"]
+
+
+def test_a_catalog_of_another_body_is_refused(mixed, rough_world, tmp_path):
+    path = tmp_path / "phobos.gpkg"
+    write_rough(rough_world, path, "phobos")
+    with Catalog.open(path) as catalog, pytest.raises(DataError, match="is a catalog of phobos"):
+        open_field(catalog, read_folder(mixed))
+    with pytest.raises(DataError):
+        navigate_folder(mixed, path, SETTINGS, "ncc", tmp_path / "run", SilentProgress())
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_catalog_without_usable_points_is_refused(mixed, rough_world, tmp_path):
+    path = tmp_path / "unusable.gpkg"
+    world = replace(rough_world)
+    world.control_points = [
+        (replace(point, usable=False), patches) for point, patches in rough_world.control_points
+    ]
+    write_rough(world, path, "moon")
+    with Catalog.open(path) as catalog, pytest.raises(DataError, match=r"none of its .* usable"):
+        open_field(catalog, read_folder(mixed))
