@@ -1,4 +1,4 @@
-"""What one frame gave: a row of solution.csv, and the control points tried for it, rows of matches.csv."""
+"""What one frame gave: a row of solution.csv, and the points tried for it, of matches.csv."""
 
 from dataclasses import dataclass
 from typing import Literal

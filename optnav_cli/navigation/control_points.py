@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.control_point import ControlPoint, Patch
+from catalog.correlation.similarity import Matcher
 from catalog.errors import DataError, NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose, Sightings, predict
 from optnav_cli.estimation.robust import RobustResection, resect_robustly
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import Matcher, MatchGates, PointMatch, match_point
+from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view
 from optnav_cli.navigation.acceptance import doubt_of_matches, doubt_of_place

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.correlation.ncc import match_ncc
+from catalog.correlation.similarity import Matcher
 from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError, NoSolutionError
 from optnav_cli.camera.camera import Camera
@@ -14,7 +15,6 @@ from optnav_cli.imagery.folder import Folder
 from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.picture import read_picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import Matcher
 from optnav_cli.navigation.control_points import (
     ControlPointField,
     ControlPointFix,

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from catalog.errors import DataError, NothingToDoError
 from catalog.progress import Progress
 from catalog.store.reader import Catalog
+from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import Folder, read_folder
 from optnav_cli.navigation.control_points import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
@@ -24,6 +26,11 @@ from optnav_cli.runs.frame_job import MATCHERS, FrameResult, solve_frame
 from optnav_cli.solution import MatchRow, Solution
 
 log = logging.getLogger(__name__)
+
+FloatArray = NDArray[np.float64]
+
+# A patch that takes up more of the picture's width than this is not outlined.
+WIDEST_OUTLINE = 0.2
 
 
 def navigate_folder(
@@ -122,6 +129,19 @@ def _navigate_frames(
     return solutions, matches
 
 
+def _drawn_sizes(
+    points: ControlPointField,
+    level: int,
+    camera: Camera,
+    position_m: FloatArray,
+    point_m: FloatArray,
+) -> list[float]:
+    """Half sides of the matched patch and of the coarser ones that do not swamp the picture."""
+    across = float(np.linalg.norm(point_m - position_m)) / camera.focal_length_px * camera.width_px
+    sizes = points.half_sizes_m(level)
+    return [s for s in sizes if 2.0 * s <= WIDEST_OUTLINE * across]
+
+
 def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:
     if result.picture is None:
         return
@@ -138,7 +158,7 @@ def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:
             outlines[match.cp_id] = patch_outlines(
                 point.projection(points.radius_m),
                 point.radius_m - points.radius_m,
-                points.half_sizes_m(match.level),
+                _drawn_sizes(points, match.level, result.camera, solution.position_m, point.xyz_m),
                 result.camera,
                 solution.position_m,
                 solution.camera_from_body,
