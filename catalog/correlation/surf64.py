@@ -183,13 +183,15 @@ def similarity_surface(reference: Image, search: Image) -> NDArray[np.float32]:
     middle = (n - 1 - cells * cell_px) // 2 + before
     room = np.arange(m - n + 1) + middle
     rows, cols = np.meshgrid(room, room, indexing="ij")
-    template, image = (
-        cv2.GaussianBlur(grid.astype(np.float32, copy=False), (0, 0), MATCH_SMOOTHING_NODES)
-        for grid in (reference, search)
-    )
+    template, image = _smoothed(reference), _smoothed(search)
     own = descriptors(template, np.array([middle]), np.array([middle]), cell_px, cells)[0]
     there = descriptors(image, rows, cols, cell_px, cells)
-    return (there @ own).reshape(rows.shape).astype(np.float32)
+    return np.asarray((there @ own).reshape(rows.shape), dtype=np.float32)
+
+
+def _smoothed(grid: Image) -> Image:
+    single = grid.astype(np.float32, copy=False)
+    return np.asarray(cv2.GaussianBlur(single, (0, 0), MATCH_SMOOTHING_NODES), dtype=np.float32)
 
 
 def match_surf(reference: Image, search: Image, margin_nodes: int = 0) -> Match:
