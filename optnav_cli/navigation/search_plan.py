@@ -15,6 +15,10 @@ MARGIN_NODES = 2.0
 RIM_NODES = 1.0
 # Steps to either side at most: more would take longer than a search without a prior should.
 MOST_STEPS = 3
+# A template wider than this share of the frame finds no place whole in it.
+WIDEST_TEMPLATE = 0.45
+# Fewer nodes hold too little to be told from chance.
+LEAST_TEMPLATE_NODES = 32
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,15 @@ def finest_level(
     """The finest level that the picture still resolves."""
     fit = np.flatnonzero(postings_m >= finest_posting_per_gsd * metres_per_pixel)
     return int(fit[0]) if len(fit) else len(postings_m) - 1
+
+
+def template_nodes(posting_m: float, frame_width_m: float, most: int) -> int:
+    """Side of a template, nodes, even: `most`, or fewer where the frame is not much wider.
+
+    frame_width_m  ground that the frame's shorter side covers
+    """
+    fit = int(WIDEST_TEMPLATE * frame_width_m / posting_m) // 2 * 2
+    return min(most, max(fit, LEAST_TEMPLATE_NODES))
 
 
 def plan_search(

@@ -16,13 +16,13 @@ from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.picture import read_picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.navigation.control_points import (
-    ControlPointField,
     ControlPointFix,
-    Prior,
     TriedPoint,
     UnsolvedFrameError,
     navigate,
 )
+from optnav_cli.navigation.frame_match import Prior
+from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.solution import MatchRow, Solution, solved, unsolved
 

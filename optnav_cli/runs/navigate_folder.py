@@ -13,7 +13,7 @@ from catalog.progress import Progress
 from catalog.store.reader import Catalog
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import Folder, read_folder
-from optnav_cli.navigation.control_points import ControlPointField
+from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.attitude import FileAttitude
 from optnav_cli.output.manifest import hash_files, write_manifest

@@ -15,7 +15,8 @@ from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.navigation.control_points import Prior, UnsolvedFrameError, navigate
+from optnav_cli.navigation.control_points import UnsolvedFrameError, navigate
+from optnav_cli.navigation.frame_match import Prior
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, SolveSettings
 
 SETTINGS = NavigateSettings(

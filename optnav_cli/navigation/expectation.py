@@ -1,0 +1,114 @@
+"""Which control points a frame should show at a pose, and why it may show none."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.correlation.similarity import Matcher
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.resection import Pose
+from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view
+from optnav_cli.navigation.point_field import ControlPointField
+from optnav_cli.navigation.search_plan import finest_level, template_nodes
+from optnav_cli.navigation.settings import NavigateSettings
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrameContext:
+    """What stays the same while a frame is navigated; sun_body (3,) unit vector, body frame."""
+
+    picture: PicturePyramid
+    camera: Camera
+    sun_body: FloatArray
+    points: ControlPointField
+    settings: NavigateSettings
+    matcher: Matcher
+
+    def finest_level(self, metres_per_pixel: float) -> int:
+        """The finest level worth matching at a ground sample distance."""
+        share = self.settings.match.finest_posting_per_gsd
+        return finest_level(self.points.postings_m, metres_per_pixel, share)
+
+    def template_nodes(self, level: int, metres_per_pixel: float) -> int:
+        """Side of the template at a level, nodes."""
+        width_m = metres_per_pixel * min(self.camera.width_px, self.camera.height_px)
+        posting = float(self.points.postings_m[level])
+        return template_nodes(posting, width_m, self.settings.match.template_nodes)
+
+
+def expected(frame: FrameContext, pose: Pose, whole: bool) -> View:
+    """Points expected in the frame, whole with their finest template or with their centre only."""
+    points, camera, view = frame.points, frame.camera, frame.settings.view
+    half = np.zeros(len(points.points))
+    if whole:
+        distances = np.linalg.norm(points.xyz_m - pose.position_m, axis=1)
+        samples = distances / camera.focal_length_px
+        # far fewer distinct answers than points: steps of a tenth are finer than any level needs
+        steps = np.floor(np.log(np.maximum(samples, 1e-3)) / np.log(1.1))
+        for step in np.unique(steps):
+            sample = float(1.1 ** (step + 0.5))
+            level = frame.finest_level(sample)
+            side = frame.template_nodes(level, sample) * float(points.postings_m[level])
+            half[steps == step] = side / 2.0
+    return expected_in_view(
+        points.xyz_m,
+        half,
+        camera,
+        (camera.width_px, camera.height_px),
+        pose,
+        frame.sun_body,
+        ViewLimits(view.sun_min_deg, view.sun_max_deg, view.emission_max_deg),
+        points.skyline_deg,
+    )
+
+
+def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
+    """Say which condition emptied the view."""
+    points, camera, sun_body = frame.points, frame.camera, frame.sun_body
+    settings = frame.settings
+    up = points.xyz_m / np.linalg.norm(points.xyz_m, axis=1, keepdims=True)
+    sun = np.degrees(np.arcsin(np.clip(up @ sun_body, -1.0, 1.0)))
+    height = float(np.linalg.norm(pose.position_m)) - points.radius_m
+    if height <= 0.0:
+        return "the prior position is inside the body"
+    seen = expected_in_view(
+        points.xyz_m,
+        np.zeros(len(points.points)),
+        camera,
+        (camera.width_px, camera.height_px),
+        pose,
+        pose.position_m / np.linalg.norm(pose.position_m),
+        ViewLimits(-90.0, 90.0, settings.view.emission_max_deg),
+    )
+    if len(seen) == 0:
+        return "no control point of the catalog in the frame at the prior pose"
+    lit = sun[seen.index]
+    return (
+        f"none of the {len(seen)} control points in the frame is lit well: Sun elevation "
+        f"{lit.min():.1f} to {lit.max():.1f} deg, wanted {settings.view.sun_min_deg:.0f} to "
+        f"{settings.view.sun_max_deg:.0f}"
+    )
+
+
+def spread(view: View, most: int) -> View:
+    """At most `most` points, evenly over the frame: each next is the farthest from all so far."""
+    if len(view) <= most:
+        return view
+    chosen = [int(np.argmin(np.linalg.norm(view.pixels - view.pixels.mean(axis=0), axis=1)))]
+    gap = np.linalg.norm(view.pixels - view.pixels[chosen[0]], axis=1)
+    while len(chosen) < most:
+        nearest = int(np.argmax(gap))
+        chosen.append(nearest)
+        gap = np.minimum(gap, np.linalg.norm(view.pixels - view.pixels[nearest], axis=1))
+    keep = np.sort(np.array(chosen))
+    return View(
+        view.index[keep],
+        view.pixels[keep],
+        view.metres_per_pixel[keep],
+        view.sun_elevation_deg[keep],
+        view.emission_deg[keep],
+    )

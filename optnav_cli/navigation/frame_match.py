@@ -1,0 +1,128 @@
+"""All control points of a frame searched from one pose, and the pose that their places give."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optnav_cli.estimation.resection import Pose, Sightings, predict
+from optnav_cli.estimation.robust import RobustResection, resect_robustly
+from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
+from optnav_cli.matching.visibility import View
+from optnav_cli.navigation.error_model import common_errors_px, own_sigma_m
+from optnav_cli.navigation.expectation import FrameContext
+from optnav_cli.navigation.search_plan import ground_uncertainty_m, plan_distortion, plan_search
+
+FloatArray = NDArray[np.float64]
+
+# Rolls and scales are tried this far; beyond it the search in place would miss the point too.
+DISTORTION_SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed before the picture: pose, its sigmas a component and an axis.
+
+    attitude_sigma_rad  0 exact, None free
+    """
+
+    pose: Pose
+    position_sigma_m: float
+    attitude_sigma_rad: float | None
+
+
+def match_all(
+    frame: FrameContext, view: View, pose: Pose, covariance: FloatArray
+) -> tuple[list[PointMatch], bool]:
+    """Match every point of a view; also whether all were searched at their finest level.
+
+    covariance (6, 6) of the pose that the search starts from: position m, rotation rad
+    """
+    points, camera, settings = frame.points, frame.camera, frame.settings
+    _, jacobian = predict(camera, pose, points.xyz_m[view.index])
+    uncertainty = ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
+    gates = MatchGates(settings.match.min_score, settings.match.rival_ratio)
+    boresight = pose.camera_from_body.as_matrix()[2]
+    height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
+    roll_sigma = float(np.sqrt(covariance[5, 5]))
+    ranges = np.linalg.norm(points.xyz_m[view.index] - pose.position_m, axis=1)
+    matches = []
+    at_finest = True
+    for k, index in enumerate(view.index):
+        reference = points.reference(int(index))
+        if reference is None:
+            reason = "patch damaged in the catalog"
+            matches.append(PointMatch(0, None, None, None, None, None, reason))
+            continue
+        sample = float(view.metres_per_pixel[k])
+        finest = frame.finest_level(sample)
+        plan = plan_search(
+            points.postings_m,
+            finest,
+            float(uncertainty[k]),
+            settings.match.search_sigmas,
+            settings.match.max_search_nodes,
+        )
+        at_finest = at_finest and plan.level == finest
+        template = frame.template_nodes(plan.level, sample)
+        distortion = plan_distortion(
+            template, roll_sigma, height_sigma / float(ranges[k]), DISTORTION_SIGMAS
+        )
+        matches.append(
+            match_point(
+                reference,
+                plan.level,
+                template,
+                plan.search_nodes,
+                frame.picture,
+                camera,
+                pose,
+                frame.sun_body,
+                sample,
+                frame.matcher,
+                gates,
+                distortion,
+            )
+        )
+    return matches, at_finest
+
+
+def solve(
+    frame: FrameContext,
+    view: View,
+    matches: list[PointMatch],
+    believed: list[int],
+    pose: Pose,
+    prior: Prior,
+) -> RobustResection:
+    """Resect from the believed matches, from a pose. Raises NoSolutionError."""
+    points = frame.points
+    pixels, covariances = [], []
+    for k in believed:
+        match = matches[k]
+        if match.pixel is None or match.covariance_px2 is None:
+            continue
+        sigma = own_sigma_m(float(points.postings_m[match.level]), float(points.postings_m[0]))
+        own = (sigma / view.metres_per_pixel[k]) ** 2
+        pixels.append(match.pixel)
+        covariances.append(match.covariance_px2 + own * np.eye(2))
+    sightings = Sightings(
+        points.xyz_m[view.index[believed]],
+        np.array(pixels).reshape(-1, 2),
+        np.array(covariances).reshape(-1, 2, 2),
+    )
+    common = None
+    if believed:
+        samples = view.metres_per_pixel[believed]
+        scores = np.array([matches[k].score or 0.0 for k in believed])
+        common = common_errors_px(sightings.pixels, samples, scores, float(points.postings_m[0]))
+    free = prior.attitude_sigma_rad is None
+    attitude = (pose if free else prior.pose).camera_from_body
+    return resect_robustly(
+        frame.camera,
+        sightings,
+        Pose(pose.position_m, attitude),
+        prior.attitude_sigma_rad,
+        common_errors_px=common,
+        gate_probability=frame.settings.solve.gate_probability,
+    )
