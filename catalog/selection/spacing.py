@@ -62,37 +62,45 @@ def choose_spaced(
 
     cells      (n,)  cell of each candidate; lat_deg, lon_deg (n,) its place
     score      (n,)  smaller is better; infinite scores come last
-    Best first over all cells, a candidate is accepted when no accepted candidate of *another* cell
-    lies nearer than `spacing_deg`; first one candidate a cell, then the second, and so on. So the
-    alternatives of a cell are as free as its first choice, and cells can be checked independently.
-    A cell none of whose candidates is free tries again with a part of the spacing.
-    Ties go to the lower cell and the earlier candidate. Returns indices into the inputs by cell.
+    Cells take turns, the ones with the worst best candidate first, for they lose most by a
+    neighbour's choice (cells without a finite score come last). A cell takes its best candidate
+    that has no accepted candidate of *another* cell nearer than `spacing_deg`; when all had their
+    turn, they take a second one, and so on. So the alternatives of a cell are as free as its first
+    choice, and cells can be checked independently. A cell none of whose candidates is free tries
+    again with a part of the spacing. Ties go to the lower cell and the earlier candidate.
+    Returns indices into the inputs by cell.
     """
     cell_of = np.asarray(cells, dtype=np.int64)
     places = xyz_from_latlon(np.radians(lat_deg), np.radians(lon_deg), 1.0).reshape(-1, 3)
-    order = np.lexsort((np.arange(cell_of.size), cell_of, np.nan_to_num(score, nan=np.inf)))
+    ranked: dict[int, list[int]] = {}
+    worth = np.nan_to_num(np.asarray(score, dtype=np.float64), nan=np.inf)
+    for i in np.lexsort((np.arange(cell_of.size), worth)):
+        ranked.setdefault(int(cell_of[i]), []).append(int(i))
+
+    def turn(cell: int) -> tuple[bool, float, int]:
+        best = float(worth[ranked[cell][0]])
+        return not np.isfinite(best), -best, cell
+
+    turns = sorted(ranked, key=turn)
     accepted = np.zeros(cell_of.size, dtype=bool)
-    taken: dict[int, list[int]] = {int(cell): [] for cell in cell_of}
-    spacing: dict[int, float] = dict.fromkeys(taken, 0.0)
+    taken: dict[int, list[int]] = {cell: [] for cell in turns}
+    spacing: dict[int, float] = dict.fromkeys(turns, 0.0)
     for share in (1.0, RELAXED):
         chord = 2.0 * np.sin(np.radians(share * spacing_deg) / 2.0)
         near = cKDTree(places).query_ball_point(places, chord) if places.size else []
-        waiting = [int(i) for i in order if not taken[int(cell_of[i])]]
+        waiting = {cell: list(ranked[cell]) for cell in turns if not taken[cell]}
         while waiting:
-            served: set[int] = set()
-            later: list[int] = []
-            for i in waiting:
-                cell = int(cell_of[i])
-                if cell in served:
-                    later.append(i)
-                elif not any(accepted[j] and cell_of[j] != cell for j in near[i]):
-                    accepted[i] = True
-                    taken[cell].append(i)
-                    spacing[cell] = share
-                    served.add(cell)
+            for cell in list(waiting):
                 # a candidate that is not free now never will be: accepted ones stay
-            waiting = later
-    for i in order:
-        if spacing[int(cell_of[i])] == 0.0:
-            taken[int(cell_of[i])].append(int(i))
-    return {cell: Choice(tuple(taken[cell]), spacing[cell]) for cell in taken}
+                while waiting[cell]:
+                    i = waiting[cell].pop(0)
+                    if not any(accepted[j] and cell_of[j] != cell for j in near[i]):
+                        accepted[i] = True
+                        taken[cell].append(i)
+                        spacing[cell] = share
+                        break
+                if not waiting[cell]:
+                    del waiting[cell]
+    return {
+        cell: Choice(tuple(taken[cell] or ranked[cell]), spacing[cell]) for cell in sorted(turns)
+    }

@@ -40,6 +40,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_shadowed         share of Suns under which foreign shadows may reach the patch
     trials               recognition trials of a place
     min_recognition      share of them that must succeed
+    good_recognition     share with which a place is taken without trying the cell's next one
     template_nodes       side of the square that is matched in a trial
     max_error_nodes      a match further from the truth has failed
     min_score, rival_ratio            gate of a match, as navigation has it
@@ -50,12 +51,13 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     places: Annotated[int, msgspec.Meta(ge=1)] = 3
-    max_localisation_px: Positive = 0.5
+    max_localisation_px: Positive = 3.0
     search_km: Positive = 10.0
     min_margin: Share = 0.05
     max_shadowed: Share = 0.75
     trials: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 5
     min_recognition: Share = 0.6
+    good_recognition: Share = 0.8
     template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256, multiple_of=2)] = 64
     max_error_nodes: Positive = 1.5
     min_score: Share = 0.5
@@ -112,17 +114,25 @@ def check_chunk(context: StageContext, records: Sequence[select.Record]) -> list
 
 
 def check_cell(context: StageContext, record: select.Record) -> Record:
-    """The first place that passes every check; else the one recognised most often, flags down."""
+    """The first place that passes well; else the one recognised most often, usable or not.
+
+    Earlier places win ties: they have the smaller predicted error.
+    """
+    settings = context.config.check
     best: Record | None = None
-    for number, place in enumerate(record.places[: context.config.check.places]):
+    for number, place in enumerate(record.places[: settings.places]):
         found = _certificate(context, record, place, number)
-        if found.usable:
+        if found.usable and found.recognition_rate >= settings.good_recognition:
             return found
-        if best is None or found.recognition_rate > best.recognition_rate:
+        if best is None or _merit(found) > _merit(best):
             best = found
     if best is None:
         raise ValueError(f"cell {record.cell}: no place to check")
     return best
+
+
+def _merit(record: Record) -> tuple[bool, float]:
+    return record.usable, record.recognition_rate
 
 
 def _certificate(
@@ -174,9 +184,7 @@ def _certificate(
     )
 
 
-def _uniqueness(
-    context: StageContext, patches: Sequence[Patch], lat: float
-) -> tuple[float, ...]:
+def _uniqueness(context: StageContext, patches: Sequence[Patch], lat: float) -> tuple[float, ...]:
     """Margins by level, worse of a morning and an afternoon Sun."""
     settings = context.config.check
     room = min(UNIQUENESS_ROOM, context.size // 4)

@@ -8,6 +8,7 @@ error of a match under each Sun is kept.
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple
 
+import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from catalog.selection.localisation import (
     hessian_eigenvalue_map,
     sun_products,
 )
-from catalog.selection.match_error import predicted_error_px
+from catalog.selection.match_error import predicted_correlation, predicted_error_px
 from catalog.selection.spacing import strongest_peaks
 from catalog.stages.context import StageContext
 
@@ -29,10 +30,13 @@ Grid = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 
 STEPS_PER_WINDOW = 16  # the response hardly changes over a sixteenth of its window
+BLUR_NODES = 1.0  # optics of 0.7 px, the pixel itself and resampling
 # A patch of the finest levels may miss this share of its nodes.
 FINE_LEVELS = 3
 MAX_MISSING = 0.03
 COVERAGE_LATTICE = 24
+POLAR_DEG = 75.0
+POLAR_AZIMUTHS = 8
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -44,24 +48,25 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     window_nodes     side of the square that is scored: the template at the finest level
     levels           pyramid levels that are rendered, finest first
     sun_elevations, sun_azimuths, sun_min_deg, sun_max_deg  the Suns, of those that can occur:
-                     away from the poles an elevation leaves only two narrow bands of azimuth
+                     away from the poles (75 deg) an elevation leaves two narrow bands of azimuth; nearer
+                     to them at least eight azimuths are taken
     sun_declination_deg  how far from the body's equator the Sun stands
     law              of the render
     snr              mean brightness over noise, for the predicted error
     """
 
-    candidates: Annotated[int, msgspec.Meta(ge=1, le=64)] = 6
-    separation_cell: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.2
+    candidates: Annotated[int, msgspec.Meta(ge=1, le=64)] = 12
+    separation_cell: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.12
     inset_cell: Annotated[float, msgspec.Meta(ge=0.0, lt=0.5)] = 0.1
     window_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 64
     levels: Annotated[int, msgspec.Meta(ge=1, le=10)] = 2
     sun_elevations: Annotated[int, msgspec.Meta(ge=1, le=32)] = 3
-    sun_azimuths: Annotated[int, msgspec.Meta(ge=2, le=64, multiple_of=2)] = 4
+    sun_azimuths: Annotated[int, msgspec.Meta(ge=2, le=64, multiple_of=2)] = 2
     sun_min_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 8.0
     sun_max_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 45.0
     sun_declination_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 1.54
     law: Literal["hapke", "lommel_seeliger", "lunar_lambert", "lambert"] = "hapke"
-    snr: Annotated[float, msgspec.Meta(gt=0.0)] = 20.0
+    snr: Annotated[float, msgspec.Meta(gt=0.0)] = 10.0
 
 
 class Candidate(msgspec.Struct, frozen=True):
@@ -69,7 +74,7 @@ class Candidate(msgspec.Struct, frozen=True):
 
     lat_deg, lon_deg    planetocentric, east
     hessian_eigenvalue  worst azimuth, over the window (dimensionless)
-    error_px            (levels, suns) float32, predicted 1-sigma error, nodes of the level
+    error_px            (levels, suns) float32, predicted 1-sigma error over predicted correlation, nodes
     missing             share of holes in each of the finest patches
     """
 
@@ -141,9 +146,13 @@ def render_cell(context: StageContext, cell: int) -> Record | None:
         return None
     suns = suns_of(settings, context.grid.centre_deg(cell)[0])
     response = hessian_eigenvalue_map(
-        ground.heights, context.posting_m, ground.window, sun_products(suns), ground.step
+        blurred(ground.heights),
+        context.posting_m,
+        ground.window,
+        sun_products(suns),
+        ground.step,
     )
-    radius = settings.separation_cell * _cell_m(context) / (ground.step * context.posting_m)
+    radius = separation_places(context, ground)
     free = np.where(ground.inside & ground.whole, response, np.nan)
     peaks = strongest_peaks(free, radius, settings.candidates)
     if not peaks:  # holes everywhere, or ground without any relief: kept, for the record
@@ -157,12 +166,19 @@ def render_cell(context: StageContext, cell: int) -> Record | None:
     return Record(cell, tuple(candidates))
 
 
+def blurred(grid: Grid) -> Grid:
+    """A grid as a camera's optics and pixels leave it: detail finer than that helps no match."""
+    return np.asarray(cv2.GaussianBlur(grid, (0, 0), BLUR_NODES), dtype=np.float32)
+
+
 def suns_of(settings: Settings, lat_deg: float) -> FloatArray:
     """The Suns (n, 3), east, north, up, under which places at a latitude are rendered."""
+    # near a pole an elevation leaves azimuths all around
+    polar = abs(lat_deg) > POLAR_DEG
     return sun_samples(
         np.radians(lat_deg),
         settings.sun_elevations,
-        settings.sun_azimuths,
+        max(settings.sun_azimuths, POLAR_AZIMUTHS) if polar else settings.sun_azimuths,
         max_declination=np.radians(settings.sun_declination_deg),
         lowest=np.radians(settings.sun_min_deg),
         highest=np.radians(settings.sun_max_deg),
@@ -188,7 +204,10 @@ def _candidate(
             picture = render_map(
                 grid, posting, sun, radius_m=context.body.radius_m, law=settings.law, outer=outer
             )
-            errors[level, k] = predicted_error_px(picture, settings.snr)
+            picture = blurred(picture)
+            score = predicted_correlation(picture, settings.snr)
+            error = predicted_error_px(picture, settings.snr)
+            errors[level, k] = error / score if score > 0.0 else np.inf
     # the whole patches are cut later; their holes are counted on a few nodes
     missing = tuple(
         _missing(context, projection, posting) for posting in context.postings_m[:FINE_LEVELS]
@@ -205,8 +224,11 @@ def _missing(context: StageContext, projection: Stereographic, posting_m: float)
     return float(1.0 - context.mosaic.covers(lat, lon, posting_m).mean())
 
 
-def _cell_m(context: StageContext) -> float:
-    return float(np.radians(context.grid.step_deg) * context.body.radius_m)
+def separation_places(context: StageContext, ground: Ground) -> float:
+    """Least distance between the candidates of a cell, in places of its ground."""
+    cell_m = np.radians(context.grid.step_deg) * context.body.radius_m
+    share = context.config.render.separation_cell
+    return float(share * cell_m / (ground.step * context.posting_m))
 
 
 def _ground_side(context: StageContext, cell: int, window: int) -> int:

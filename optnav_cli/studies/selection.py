@@ -5,10 +5,11 @@ meet the same trials: ground with relief below the DEM's posting, Hapke against 
 noise, blur, 8 bits, scale, roll and off-nadir errors, Suns that occur there (catalog.selection.trial).
 *Chosen* is what the build's stages take, usable or not; *random* draws a new place for every round;
 *one-Sun Harris* takes the strongest corner (OpenCV, the same window) of a picture under one Sun,
-another Sun of those that occur for every round, as one happens to have it.
+another Sun of those that occur for every round, as one happens to have it; its points keep the
+same distance from other cells' points as the chosen ones do.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,6 +23,7 @@ from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
+from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Gate, Outcome, Search
 from catalog.stages import check, render, select
 from catalog.stages.context import BodySettings, StageContext
@@ -88,9 +90,7 @@ def run(progress: Progress, trials: int = 1000, seed: int = 1) -> list[Selection
     return rows
 
 
-def one_posting(
-    context: StageContext, progress: Progress, trials: int, seed: int
-) -> SelectionRow:
+def one_posting(context: StageContext, progress: Progress, trials: int, seed: int) -> SelectionRow:
     """All strategies on all cells whose fine patches fit on the terrain."""
     grounds = {}
     for cell in range(context.grid.total):
@@ -106,27 +106,24 @@ def one_posting(
     outcomes: dict[str, list[Outcome]] = {"random": [], "one-Sun Harris": [], "chosen": []}
     name = f"selection {context.posting_m:.0f} m"
     with progress.stage(name, rounds * len(grounds), "place") as bar:
-        for cell, ground in grounds.items():
-            for turn in range(rounds):
-                places: dict[str, Callable[[], tuple[float, float]]] = {
-                    "random": lambda c=cell, g=ground, t=turn: _random(g, [seed, c, t]),
-                    "one-Sun Harris": lambda g=ground, t=turn: _one_sun_harris(context, g, t),
-                    "chosen": lambda c=cell: chosen[c],
-                }
-                for strategy, place in places.items():
-                    outcomes[strategy] += _trials(context, place(), [seed, cell, turn])
+        for turn in range(rounds):
+            harris = _one_sun_harris(context, grounds, turn)
+            for cell, ground in grounds.items():
+                places = (_random(ground, [seed, cell, turn]), harris[cell], chosen[cell])
+                for results, place in zip(outcomes.values(), places, strict=True):
+                    results += _trials(context, place, [seed, cell, turn])
                 bar.advance()
     limit = context.config.check.max_error_nodes
     strategies = tuple(
         summarise(name, results, limit, context.posting_m) for name, results in outcomes.items()
     )
-    random, harris, best = strategies
+    random, corners, best = strategies
     return SelectionRow(
         context.posting_m,
         len(grounds),
         strategies,
         difference(best, random),
-        difference(best, harris),
+        difference(best, corners),
     )
 
 
@@ -137,21 +134,33 @@ def _random(ground: render.Ground, seed: Sequence[int]) -> tuple[float, float]:
 
 
 def _one_sun_harris(
-    context: StageContext, ground: render.Ground, turn: int
-) -> tuple[float, float]:
-    suns = render.suns_of(context.config.render, np.degrees(ground.projection.lat))
-    # 7 and the number of Suns have no common divisor: the turns go through all of them
-    sun = suns[(7 * turn + 1) % len(suns)]
-    picture = render_map(
-        ground.heights, context.posting_m, sun, radius_m=context.body.radius_m
-    )
-    filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
-    response = cv2.cornerHarris(filled, ground.window, 3, HARRIS_K)
-    nodes = np.arange(ground.lat.shape[0]) * ground.step + ground.window // 2
-    at_places = response[np.ix_(nodes, nodes)]
-    at_places = np.where(ground.inside & ground.whole, at_places, -np.inf)
-    row, col = np.unravel_index(int(np.argmax(at_places)), at_places.shape)
-    return float(ground.lat[row, col]), float(ground.lon[row, col])
+    context: StageContext, grounds: dict[int, render.Ground], turn: int
+) -> dict[int, tuple[float, float]]:
+    """The strongest corners of pictures under one Sun, a place a cell, spaced as the build does."""
+    settings = context.config.render
+    cells, places, scores = [], [], []
+    for cell, ground in grounds.items():
+        suns = render.suns_of(settings, np.degrees(ground.projection.lat))
+        picture = render_map(
+            ground.heights,
+            context.posting_m,
+            suns[turn % len(suns)],
+            radius_m=context.body.radius_m,
+        )
+        filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
+        response = cv2.cornerHarris(filled, ground.window, 3, HARRIS_K)
+        nodes = np.arange(ground.lat.shape[0]) * ground.step + ground.window // 2
+        at_places = response[np.ix_(nodes, nodes)]
+        free = np.where(ground.inside & ground.whole, at_places, np.nan).astype(np.float32)
+        radius = render.separation_places(context, ground)
+        for peak in strongest_peaks(free - np.nanmin(free), radius, settings.candidates):
+            cells.append(cell)
+            places.append((float(ground.lat[peak]), float(ground.lon[peak])))
+            scores.append(-float(at_places[peak]))
+    lat, lon = np.array(places).T
+    spacing = context.config.select.spacing_cell * context.grid.step_deg
+    choices = choose_spaced(cells, lat, lon, np.array(scores), spacing)
+    return {cell: places[choice.order[0]] for cell, choice in choices.items()}
 
 
 def _trials(
