@@ -103,7 +103,9 @@ def match_point(
         match = match_similarity(
             template, window, distortion.rolls, distortion.scales, matcher, MARGIN_NODES
         ).match
-    place, jacobian = _pixel_at(surface, pixels, match, posting)
+    shift, jacobian = _displacement(pixels, match, template_nodes)
+    expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, turn)
+    place = expected + shift
     offset = np.array([match.dx, -match.dy]) * posting
     reason = _doubt(match, gates)
     if not np.isfinite(match.covariance).all():
@@ -131,23 +133,27 @@ def _doubt(match: Match, gates: MatchGates) -> str:
     return ""
 
 
-def _pixel_at(
-    surface: FloatArray, pixels: FloatArray, match: Match, posting: float
+def _displacement(
+    pixels: FloatArray, match: Match, template_nodes: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixel of the matched place, and its derivative (2, 2) by dx, dy in nodes."""
-    size = pixels.shape[0]
-    centre = (size - 1) / 2.0
-    col = float(np.clip(centre + match.dx, 0.0, size - 1.001))
-    row = float(np.clip(centre + match.dy, 0.0, size - 1.001))
+    """How far (2,) px the match lies from the expected place, and the derivative (2, 2) by nodes.
+
+    pixels (size, size, 2) of the window's nodes. A match is the agreement of a whole template, so
+    its displacement is that of the template's mean place: the height of the one node in the middle
+    must not matter, least of all at coarse levels, which flatten a crest.
+    """
+    border = (pixels.shape[0] - template_nodes) // 2
+    col = float(np.clip(border + match.dx, 0.0, 2.0 * border - 1e-9))
+    row = float(np.clip(border + match.dy, 0.0, 2.0 * border - 1e-9))
     c, r = int(col), int(row)
     u, v = col - c, row - r
-    p00, p01 = pixels[r, c], pixels[r, c + 1]
-    p10, p11 = pixels[r + 1, c], pixels[r + 1, c + 1]
-    place = (1 - v) * ((1 - u) * p00 + u * p01) + v * ((1 - u) * p10 + u * p11)
-    # across the window's middle, where relief between neighbouring nodes does not matter
-    reach = max(2, size // 8)
-    low, high = max(r - reach, 0), min(r + reach, size - 1)
-    left, right = max(c - reach, 0), min(c + reach, size - 1)
-    by_x = (pixels[r, right] - pixels[r, left]) / (right - left)
-    by_y = (pixels[high, c] - pixels[low, c]) / (high - low)
-    return np.asarray(place), np.stack([by_x, by_y], axis=-1)
+
+    def mean(down: int, right: int) -> FloatArray:
+        block = pixels[down : down + template_nodes, right : right + template_nodes]
+        return np.asarray(np.nanmean(block, axis=(0, 1)))
+
+    here = (1 - v) * ((1 - u) * mean(r, c) + u * mean(r, c + 1))
+    here = here + v * ((1 - u) * mean(r + 1, c) + u * mean(r + 1, c + 1))
+    by_x = (mean(border, border + 1) - mean(border, border - 1)) / 2.0
+    by_y = (mean(border + 1, border) - mean(border - 1, border)) / 2.0
+    return here - mean(border, border), np.stack([by_x, by_y], axis=-1)

@@ -1,10 +1,12 @@
 """How far a matched control point may be from its true place, beyond what its peak shows.
 
 The curvature of the correlation peak tells of noise and of relief that the reference lacks. What
-stays is small and does not average out as noise does: the terrain model's own interpolation, the
-shading law, the averaging of coarse levels. A part of it is each point's own; a part is common to
-a frame, because all points stand under one Sun: a shift, and a stretch about the frame's middle.
-Without the common part the covariance of many points together would come out too small.
+stays is small and does not average out as noise does. A part of it is each point's own: the
+terrain model's interpolation, the averaging of coarse levels. A part is common to a frame, because
+all points stand under one Sun: relief that the catalog lacks lengthens shadows, which moves every
+pattern away from a low Sun; shading and sampling leave a small shift across it and a stretch about
+the frame's middle. Without the common part the covariance of many points together would come out
+too small.
 
 The numbers are fitted to simulated frames over ground richer than the catalog's (study navigation).
 """
@@ -14,15 +16,19 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-# 1 sigma an axis, in nodes of the catalog's finest level.
+# 1 sigma an axis of a point's own, in nodes of the catalog's finest level ...
 OWN_FINEST_NODES = 0.03
-# The same in nodes of the level that was matched.
+# ... and in nodes of the level that was matched.
 OWN_LEVEL_NODES = 0.012
-# Common to all points of a frame, in nodes of the finest level: what a perfect score leaves, and
-# what unexplained relief adds (shading biases all points alike, along the Sun). The stretch is
-# that at the points' rms distance from their middle.
-COMMON_FINEST_NODES = 0.01
-COMMON_PER_UNEXPLAINED = 0.08
+# Common to a frame, in nodes of the finest level: shift along the Sun for a cotangent of 1 of its
+# elevation, shift in any direction, stretch at the points' rms distance from their middle.
+SHADOW_NODES = 0.015
+SHIFT_NODES = 0.01
+STRETCH_NODES = 0.03
+# What relief that the reference does not explain adds to the shift, for a score of 0.
+UNEXPLAINED_NODES = 0.08
+# Below it shadows fill the picture and the cotangent would run away.
+LOWEST_SUN = np.radians(3.0)
 
 
 def own_sigma_m(posting_m: float, finest_posting_m: float) -> float:
@@ -31,21 +37,39 @@ def own_sigma_m(posting_m: float, finest_posting_m: float) -> float:
 
 
 def common_errors_px(
-    pixels: FloatArray,
-    metres_per_pixel: FloatArray,
+    points_m: FloatArray,
+    by_ground: FloatArray,
     scores: FloatArray,
+    sun_body: FloatArray,
     finest_posting_m: float,
 ) -> FloatArray:
-    """What one sigma of each error common to a frame moves every point by, (n, 2, 3), px.
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 4), px.
 
-    pixels (n, 2), metres_per_pixel (n,), scores (n,) of the correlation peaks.
-    The three errors are independent: shift along x, shift along y, stretch.
+    points_m  (n, 3)     the points, body frame
+    by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
+    scores    (n,)       of the correlation peaks
+    sun_body  (3,)       unit vector to the Sun
+    The four errors are independent: along the Sun, shifts along and across it, stretch.
     """
-    nodes = COMMON_FINEST_NODES + COMMON_PER_UNEXPLAINED * (1.0 - scores)
-    shift = nodes * finest_posting_m / metres_per_pixel
-    zero = np.zeros_like(shift)
-    from_middle = pixels - pixels.mean(axis=0)
-    reach = float(np.sqrt((from_middle**2).sum(axis=1).mean()))
-    outward = from_middle / max(reach, 1e-9) * shift[:, None]
-    along_x, along_y = np.stack([shift, zero], axis=1), np.stack([zero, shift], axis=1)
-    return np.stack([along_x, along_y, outward], axis=2)
+    middle = points_m.mean(axis=0)
+    up = middle / np.linalg.norm(middle)
+    level = sun_body - (sun_body @ up) * up
+    length = float(np.linalg.norm(level))
+    # under a Sun overhead no direction is the Sun's, and its shadows are short
+    along = level / length if length > 1e-6 else np.linalg.svd(up[None])[2][1]
+    across = np.cross(up, along)
+    elevation = max(float(np.arcsin(np.clip(sun_body @ up, -1.0, 1.0))), LOWEST_SUN)
+    unexplained = float(1.0 - np.clip(scores, 0.0, 1.0).mean())
+    shift = SHIFT_NODES + UNEXPLAINED_NODES * unexplained
+    outward = points_m - middle
+    outward = outward - (outward @ up)[:, None] * up
+    reach = max(float(np.sqrt((outward**2).sum(axis=1).mean())), 1.0)
+    one = np.ones((len(points_m), 1))
+    fields = [
+        one * along * (SHADOW_NODES / np.tan(elevation)),
+        one * along * shift,
+        one * across * shift,
+        outward / reach * STRETCH_NODES,
+    ]
+    moved = [np.einsum("nij,nj->ni", by_ground, f * finest_posting_m) for f in fields]
+    return np.stack(moved, axis=2)

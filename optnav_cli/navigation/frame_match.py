@@ -113,9 +113,16 @@ def solve(
     )
     common = None
     if believed:
-        samples = view.metres_per_pixel[believed]
+        _, jacobian = predict(frame.camera, pose, sightings.points_body_m)
         scores = np.array([matches[k].score or 0.0 for k in believed])
-        common = common_errors_px(sightings.pixels, samples, scores, float(points.postings_m[0]))
+        # a point that moves one way looks as if the camera moved the other
+        common = common_errors_px(
+            sightings.points_body_m,
+            -jacobian[:, :, :3],
+            scores,
+            frame.sun_body,
+            float(points.postings_m[0]),
+        )
     free = prior.attitude_sigma_rad is None
     attitude = (pose if free else prior.pose).camera_from_body
     return resect_robustly(

@@ -1,39 +1,73 @@
-"""The stated errors of matches: positive, and larger where a match is coarser or poorer."""
+"""The errors that a correlation peak does not show: their sizes, directions and limits."""
 
 import numpy as np
+import pytest
 
+from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.navigation.error_model import common_errors_px, own_sigma_m
 
-PIXELS = np.random.default_rng(1).uniform(0.0, 2000.0, (20, 2))
-GSD = np.full(20, 50.0)
+RADIUS_M, POSTING_M = 1_737_400.0, 118.45
+ENU = body_from_local(-0.75, -0.2)
+FOOT = xyz_from_latlon(-0.75, -0.2, RADIUS_M)
+# one pixel a metre, looking straight down: x east, y south
+BY_GROUND = np.stack([ENU[:, 0], -ENU[:, 1]])
 
 
-def test_a_coarser_level_errs_more():
-    sigmas = [own_sigma_m(118.0 * 2**level, 118.0) for level in range(5)]
-    assert sigmas[0] > 0.0
-    assert sigmas == sorted(sigmas)
-    assert own_sigma_m(474.0, 474.0) > own_sigma_m(474.0, 118.0)
+def points(offsets):
+    return FOOT + np.asarray(offsets, dtype=float) @ ENU[:, :2].T
 
 
-def test_a_better_score_leaves_a_smaller_common_error():
-    good = common_errors_px(PIXELS, GSD, np.full(20, 0.95), 118.0)
-    poor = common_errors_px(PIXELS, GSD, np.full(20, 0.5), 118.0)
-    assert good.shape == (20, 2, 3)
-    assert (np.abs(good[:, :, :2]).sum(axis=1) > 0.0).all()
-    assert np.linalg.norm(good) < np.linalg.norm(poor)
+def sun(elevation_deg, azimuth_deg=90.0):
+    e, a = np.radians([elevation_deg, azimuth_deg])
+    return ENU @ np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
 
 
-def test_a_common_error_is_a_shift_or_a_stretch_about_the_middle():
-    along_x, along_y, stretch = np.moveaxis(
-        common_errors_px(PIXELS, GSD, np.full(20, 0.8), 118.0), 2, 0
+def errors(offsets, elevation_deg=30.0, score=1.0):
+    place = points(offsets)
+    n = len(place)
+    return common_errors_px(
+        place, np.tile(BY_GROUND, (n, 1, 1)), np.full(n, score), sun(elevation_deg), POSTING_M
     )
-    assert np.ptp(along_x, axis=0).max() == 0.0
-    assert np.ptp(along_y, axis=0).max() == 0.0
-    assert abs(along_x[0] @ along_y[0]) == 0.0
-    assert np.abs(stretch.mean(axis=0)).max() < 1e-12
-    outward = PIXELS - PIXELS.mean(axis=0)
-    assert np.allclose(stretch[:, 0] * outward[:, 1], stretch[:, 1] * outward[:, 0])
+
+
+SQUARE = [(-2e4, -2e4), (2e4, -2e4), (2e4, 2e4), (-2e4, 2e4)]
+
+
+def test_a_coarser_level_has_a_larger_error_of_its_own():
+    sigmas = [own_sigma_m(POSTING_M * 2**level, POSTING_M) for level in range(5)]
+    assert sigmas == sorted(sigmas)
+    assert own_sigma_m(0.0, POSTING_M) > 0.0
+
+
+def test_long_shadows_move_all_points_along_the_sun_and_the_lower_the_more():
+    low, high = errors(SQUARE, 10.0)[:, :, 0], errors(SQUARE, 40.0)[:, :, 0]
+    assert np.allclose(low, low[0])
+    assert abs(low[0, 1]) < 1e-2 * abs(low[0, 0])  # the Sun stands in the east
+    ratio = np.tan(np.radians(40.0)) / np.tan(np.radians(10.0))
+    assert low[0, 0] / high[0, 0] == pytest.approx(ratio, rel=1e-3)
+
+
+def test_a_sun_on_the_horizon_has_a_finite_error():
+    assert np.isfinite(errors(SQUARE, 0.0)).all()
+
+
+def test_a_sun_overhead_has_a_finite_error():
+    assert np.isfinite(errors(SQUARE, 90.0)).all()
+
+
+def test_a_worse_score_leaves_a_larger_shift_along_and_across_the_sun():
+    good, poor = errors(SQUARE, score=1.0), errors(SQUARE, score=0.5)
+    for k in (1, 2):
+        assert np.linalg.norm(poor[0, :, k]) > 2.0 * np.linalg.norm(good[0, :, k])
+    assert abs(good[0, :, 1] @ good[0, :, 2]) < 1e-9
+
+
+def test_the_stretch_points_outward_and_has_no_net_shift():
+    stretch = errors(SQUARE)[:, :, 3]
+    assert np.allclose(stretch.mean(axis=0), 0.0, atol=1e-6)
+    outward = np.asarray(SQUARE) * [1.0, -1.0]
+    assert (np.einsum("ni,ni->n", stretch, outward) > 0.0).all()
 
 
 def test_a_single_point_has_finite_errors():
-    assert np.isfinite(common_errors_px(PIXELS[:1], GSD[:1], np.array([0.9]), 118.0)).all()
+    assert np.isfinite(errors([(0.0, 0.0)])).all()
