@@ -37,6 +37,7 @@ Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
 
 DEM = "data/tycho_gld100_256ppd.tif"
 SUNS = 4  # trials of a round, one for each of so many Sun elevations
+LEAST_FREE = 0.5  # of a cell's places must have whole patches for the cell to take part
 HARRIS_K = 0.04  # of the textbook
 Z95 = 1.959964
 
@@ -91,13 +92,13 @@ def run(progress: Progress, trials: int = 1000, seed: int = 1) -> list[Selection
 
 
 def one_posting(context: StageContext, progress: Progress, trials: int, seed: int) -> SelectionRow:
-    """All strategies on all cells whose fine patches fit on the terrain."""
+    """All strategies on all cells that lie on the terrain with their fine patches."""
     grounds = {}
     for cell in range(context.grid.total):
         lat_deg, lon_deg = np.radians(context.grid.centre_deg(cell))
         if context.mosaic.covers(lat_deg, lon_deg, 8.0 * context.posting_m).all():
             ground = render.cell_ground(context, cell)
-            if ground is not None and (ground.inside & ground.whole).any():
+            if ground is not None and _mostly_free(ground):
                 grounds[cell] = ground
     shortlists = render.render_chunk(context, list(grounds))
     records = check.check_chunk(context, select.select(context, shortlists))
@@ -125,6 +126,11 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
         difference(best, random),
         difference(best, corners),
     )
+
+
+def _mostly_free(ground: render.Ground) -> bool:
+    """Whether there is a choice: cells on the terrain's edge leave the same few places to all."""
+    return bool((ground.inside & ground.whole).sum() >= LEAST_FREE * ground.inside.sum())
 
 
 def _random(ground: render.Ground, seed: Sequence[int]) -> tuple[float, float]:
