@@ -1,0 +1,184 @@
+"""The README's pictures, made anew from the bundled terrain and the real frame."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.bodies.body import load_body
+from catalog.geometry.latlon import wrap_longitude_deg
+from catalog.geometry.projection import Stereographic
+from catalog.rendering.map_view import render_map
+from catalog.stages.settings import load_build_config
+from catalog.store.drawing import draw_pyramid
+from catalog.store.reader import Catalog
+from catalog.terrain.mosaic import Mosaic
+from optnav_cli.imagery.folder import read_folder
+from optnav_cli.imagery.picture import read_picture
+from optnav_cli.imagery.truth import read_truth
+from optnav_cli.output.overlay import draw_overlay, patch_outlines
+from optnav_cli.output.run_folder import RunFolder, read_run
+from tests.golden import sketch
+from tests.golden.sketch import Picture
+
+FloatArray = NDArray[np.float64]
+
+# From good to bad, as in the reports (viridis), blue green red.
+CLASSES = ((5, 181, 227), (81, 209, 122), (132, 168, 34), (142, 120, 42))
+FOUND, OUTLINE, REFUSED = (90, 240, 110), (210, 170, 80), (150, 150, 150)
+MAP_SUN = (-0.72, 0.62, 0.40)  # east, north, up: from the north-west, 23 degrees high
+MAP_PX, MAP_NODES = 860, 1032
+FRAME_PX, WIDE_PX, HALF_PX = 800, 1000, 500
+
+
+def catalog_map(catalog_path: Path, config: Path, work: Path) -> Picture:
+    """The ground of a catalog under one Sun, its cells, its points by expected match error."""
+    settings = load_build_config(config)
+    body = load_body(settings.body.name)
+    ground = Mosaic.from_files(settings.dem, config.parent, body, work / "overviews")
+    with Catalog.open(catalog_path) as catalog:
+        west, east, south, north = _extent(catalog)
+        middle = np.radians([(south + north) / 2.0, (west + east) / 2.0])
+        projection = Stereographic(*middle, body.radius_m)
+        across = np.radians(max(north - south, (east - west) * np.cos(middle[0]))) * body.radius_m
+        posting = across / (MAP_NODES - 1)
+        heights = ground.local_grid(projection, posting, MAP_NODES)
+        shade = render_map(heights, posting, MAP_SUN, radius_m=body.radius_m)
+        shade = shade[np.isfinite(shade).any(axis=1)]
+        image = sketch.gray_picture(shade, MAP_PX, gamma=1.1)
+
+        def place(lat_deg: FloatArray, lon_deg: FloatArray) -> FloatArray:
+            x, y = projection.xy_from_latlon(np.radians(lat_deg), np.radians(lon_deg))
+            at = np.stack([np.asarray(x), -np.asarray(y)], axis=-1) / posting * MAP_PX / MAP_NODES
+            return at + (MAP_PX / 2.0, image.shape[0] / 2.0)
+
+        for cell in catalog.ids:
+            bounds = catalog.grid.bounds_deg(int(cell))
+            sketch.line(image, place(*_border(bounds)), (130, 110, 70))
+        limits = np.quantile(catalog.records["localisation_px"][catalog.usable], (0.25, 0.5, 0.75))
+        places = place(catalog.lat_deg, catalog.lon_deg)
+        for at in places[~catalog.usable]:
+            sketch.cross(image, at, 4.0, REFUSED)
+        for at, error in zip(
+            places[catalog.usable], catalog.records["localisation_px"][catalog.usable], strict=True
+        ):
+            sketch.dot(image, at, 5.0, CLASSES[int(np.searchsorted(limits, error))])
+        legend = _map_legend(catalog, limits)
+    ground.close()
+    return np.vstack([image, legend])
+
+
+def _extent(catalog: Catalog) -> tuple[float, float, float, float]:
+    bounds = np.array([catalog.grid.bounds_deg(int(cell)) for cell in catalog.ids])
+    west, south, east, north = bounds[:, 0].min(), bounds[:, 1].min(), bounds[:, 2], bounds[:, 3]
+    return float(west), float(east.max()), float(south), float(north.max())
+
+
+def _border(bounds: tuple[float, float, float, float]) -> tuple[FloatArray, FloatArray]:
+    west, south, east, north = bounds
+    along = np.linspace(0.0, 1.0, 9)
+    lon = np.concatenate([west + (east - west) * along, np.full(9, east)])
+    lat = np.concatenate([np.full(9, north), north + (south - north) * along])
+    return lat, np.asarray(wrap_longitude_deg(lon))
+
+
+def _map_legend(catalog: Catalog, limits: NDArray[np.floating]) -> Picture:
+    legend = sketch.strip(MAP_PX, 34)
+    x = 14
+    edges = [f"< {limits[0]:.2f}", *(f"{a:.2f}-{b:.2f}" for a, b in pairwise(limits))]
+    sketch.words(legend, "match error, nodes:", x, 22)
+    x += sketch.text_width("match error, nodes:") + 22
+    for colour, text in zip(CLASSES, [*edges, f"> {limits[-1]:.2f}"], strict=True):
+        sketch.dot(legend, (x, 17), 5.0, colour)
+        sketch.words(legend, text, x + 12, 22)
+        x += sketch.text_width(text) + 38
+    refused = f"not usable ({int((~catalog.usable).sum())} of {len(catalog)})"
+    sketch.cross(legend, (x, 17), 4.0, REFUSED)
+    sketch.words(legend, refused, x + 12, 22)
+    return legend
+
+
+def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> Picture:
+    """The levels of the usable point nearest to a place."""
+    with Catalog.open(catalog_path) as catalog:
+        usable = catalog.ids[catalog.usable]
+        near = [p for p in catalog.within(lat_deg, lon_deg, 2.0) if p in usable]
+        gap = [
+            abs(catalog.point(int(p)).lat_deg - lat_deg)
+            + abs(catalog.point(int(p)).lon_deg - lon_deg)
+            for p in near
+        ]
+        picture = draw_pyramid(
+            catalog.pyramid(int(near[int(np.argmin(gap))])), catalog.meta.radius_m
+        )
+    height = round(picture.shape[0] * WIDE_PX / picture.shape[1])
+    return np.asarray(
+        cv2.resize(picture, (WIDE_PX, height), interpolation=cv2.INTER_AREA), np.uint8
+    )
+
+
+def _patch_outlines(run: RunFolder, file: str, catalog_path: Path) -> dict[int, list[FloatArray]]:
+    """The border of each used point's matched patch, px, by id."""
+    solution = next(s for s in run.solutions if s.file == file)
+    if solution.position_m is None or solution.camera_from_body is None:
+        raise ValueError(f"{run.path}: {file} is not solved: {solution.reason}")
+    outlines = {}
+    with Catalog.open(catalog_path) as catalog:
+        meta = catalog.meta
+        for match in (m for m in run.matches if m.file == file and m.used):
+            point = catalog.point(match.cp_id)
+            half = (meta.size - 1) / 2.0 * meta.posting_m * 2.0**match.level
+            outlines[match.cp_id] = patch_outlines(
+                point.projection(meta.radius_m), point.radius_m - meta.radius_m, [half],
+                run.cameras[file], solution.position_m, solution.camera_from_body,
+            )  # fmt: skip
+    return outlines
+
+
+def frame_overlay(run: Path, pictures: Path, file: str, catalog_path: Path | None) -> Picture:
+    """A navigated frame as `optnav navigate` draws it, smaller; with a catalog, patches too."""
+    found = read_run(run)
+    solution = next(s for s in found.solutions if s.file == file)
+    matches = [m for m in found.matches if m.file == file]
+    outlines = _patch_outlines(found, file, catalog_path) if catalog_path else {}
+    picture = read_picture(pictures / file, found.cameras[file])
+    return draw_overlay(picture, solution, matches, outlines, FRAME_PX)
+
+
+def opening(run: Path, pictures: Path, catalog_path: Path) -> Picture:
+    """The fisheye picture as it came, and with what was found in it."""
+    found = read_run(run)
+    solution, camera = found.solutions[0], found.cameras[found.solutions[0].file]
+    picture = read_picture(pictures / solution.file, camera)
+    rows, cols = (np.flatnonzero((picture > 40).any(axis=axis)) for axis in (1, 0))
+    half = max(np.ptp(rows), np.ptp(cols)) // 2 + 20
+    row, col = (int(edges[0] + edges[-1]) // 2 for edges in (rows, cols))
+    part = picture[row - half : row + half, col - half : col + half]
+    left = sketch.gray_picture(part, HALF_PX)
+    right = np.asarray(left * 0.8, np.uint8)
+    scale = HALF_PX / (2.0 * half)
+
+    def shown(pixels: FloatArray) -> FloatArray:
+        return (np.asarray(pixels) - (col - half, row - half) + 0.5) * scale - 0.5
+
+    used = [m for m in found.matches if m.used and m.measured_px is not None]
+    for outlines in _patch_outlines(found, solution.file, catalog_path).values():
+        for outline in outlines:
+            sketch.line(right, shown(np.vstack([outline, outline[:1]])), OUTLINE)
+    for match in used:
+        sketch.dot(right, shown(match.measured_px), 2.5, FOUND)
+    truth = read_truth(pictures / "truth.csv", found.settings)[0]
+    error = float(np.linalg.norm(solution.position_m - truth.position_m))
+    legend = sketch.strip(2 * HALF_PX, 34)
+    prior = read_folder(pictures).frames[0].position_m
+    guess = float(np.linalg.norm(prior - truth.position_m)) / 1e3
+    sketch.words(
+        legend, f"in: a picture (simulated, fisheye, 200 km), a guess {guess:.1f} km off", 14, 22
+    )
+    sketch.words(
+        legend, f"out: {len(used)} control points, position {error:.0f} m from truth",
+        HALF_PX + 14, 22,
+    )  # fmt: skip
+    return np.vstack([np.hstack([left, right]), legend])

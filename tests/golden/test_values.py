@@ -1,0 +1,70 @@
+"""Renders and descriptors are what they were when they were last looked at."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.golden.values import LAWS, NODES, SUNS, frozen, golden_values
+
+README = Path(__file__).with_name("readme")
+ANEW = "if the change is meant, run `make golden` and look at what it changed"
+RENDERS = [f"{law}_{sun}" for law in LAWS for sun in SUNS]
+
+
+@pytest.fixture(scope="module")
+def now():
+    return golden_values()
+
+
+@pytest.mark.parametrize("name", RENDERS)
+def test_a_render_is_as_it_was(now, name):
+    """Equal to 1e-4 of the brightness where both are lit.
+
+    Renders are float32 with transcendental functions from the platform's libm or the compiler's
+    vector library: a few units in the last place, about 1e-6, and the Hapke roughness terms lose
+    one more digit at grazing light. A change of a law or a slope is larger than 1e-4 by far. The
+    border of a shadow may move by rounding: two of a thousand nodes may be lit in one alone.
+    """
+    then = frozen()[name]
+    assert now[name].shape == then.shape == (NODES, NODES)
+    differently_lit = (now[name] > 0.0) != (then > 0.0)
+    assert differently_lit.mean() <= 0.002, f"{name}: shadows moved; {ANEW}"
+    lit = (now[name] > 0.0) & (then > 0.0)
+    worst = np.abs(now[name][lit] / then[lit] - 1.0).max()
+    assert worst < 1e-4, f"{name}: {worst:.1e} of the brightness differs; {ANEW}"
+
+
+def test_descriptors_are_as_they_were(now):
+    """Equal to 2e-3 in numbers of a unit vector.
+
+    Descriptors are sums of differences of a render, so a node that rounding moves out of shadow
+    counts: one step from black to lit changes one of 64 sums of 64 nodes each by about 1e-3.
+    """
+    then = frozen()["surf"]
+    worst = np.abs(now["surf"] - then).max()
+    assert worst < 2e-3, f"descriptors differ by {worst:.1e}; {ANEW}"
+
+
+def test_the_frozen_window_has_light_and_shadow():
+    """A window without shadow, or black, would freeze nothing worth it."""
+    held = frozen()
+    for law in LAWS:
+        assert 0.05 < (held[f"{law}_low"] == 0.0).mean() < 0.7
+        assert held[f"{law}_high"].std() > 0.005
+
+
+def test_descriptors_have_unit_length():
+    np.testing.assert_allclose(np.linalg.norm(frozen()["surf"], axis=1), 1.0, atol=1e-6)
+
+
+def test_the_pictures_of_the_readme_are_small_and_can_be_read():
+    paths = sorted(README.glob("*.png"))
+    assert {"opening", "catalog", "point", "frame", "apollo"} <= {path.stem for path in paths}
+    for path in paths:
+        picture = cv2.imread(str(path))
+        assert picture is not None, f"{path.name} cannot be read"
+        assert picture.shape[1] <= 1000
+        assert path.stat().st_size <= 500_000
+        assert picture.std() > 20.0, f"{path.name} is nearly empty"
