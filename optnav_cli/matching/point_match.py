@@ -147,10 +147,13 @@ def _displacement(
     row = float(np.clip(border + match.dy, 0.0, 2.0 * border - 1e-9))
     c, r = int(col), int(row)
     u, v = col - c, row - r
+    # x and y apart, and no nanmean without need: it and sums over pairs take as long as a search
+    planes = np.ascontiguousarray(np.moveaxis(pixels, -1, 0))
+    average = np.mean if np.isfinite(planes).all() else np.nanmean
 
     def mean(down: int, right: int) -> FloatArray:
-        block = pixels[down : down + template_nodes, right : right + template_nodes]
-        return np.asarray(np.nanmean(block, axis=(0, 1)))
+        block = planes[:, down : down + template_nodes, right : right + template_nodes]
+        return np.asarray(average(block, axis=(1, 2)))
 
     here = (1 - v) * ((1 - u) * mean(r, c) + u * mean(r, c + 1))
     here = here + v * ((1 - u) * mean(r + 1, c) + u * mean(r + 1, c + 1))

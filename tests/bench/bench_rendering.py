@@ -2,8 +2,6 @@
 
 import shutil
 import subprocess
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,23 +14,13 @@ from catalog.geometry.grid import halve
 from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import lit_mask
 from catalog.terrain.skyline import skyline_limits_deg
+from tests.bench.timing import best
 
 pytestmark = pytest.mark.bench
 
 MOON_M, POSTING_M, SIZE = 1_737_400.0, 118.45, 2048
 SUN = np.array([0.6, -0.5, 0.25])
 REFERENCE_MS, SKYLINE_MS = 5.0, 5.0  # what the figures ask for
-
-
-def best(call: Callable[[], object], repeats: int) -> float:
-    """Shortest time (s) of a call, after one that compiles."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 """The catalog file at full size: 41 252 points of five levels of 80 nodes of real terrain."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
 from catalog.store.writer import write_catalog
+from tests.bench.timing import best
 
 LEVELS, SIZE, POSTING_M = 5, 80, 118.45
 SITES = 60  # different places that the points' patches are taken from
@@ -67,16 +68,6 @@ def points() -> Iterator[tuple[ControlPoint, list[Patch]]]:
         yield point, patches
 
 
-def best_of(times: int, work: Callable[[], object]) -> float:
-    """Seconds of the quickest of some runs."""
-    taken = []
-    for _ in range(times):
-        started = time.perf_counter()
-        work()
-        taken.append(time.perf_counter() - started)
-    return min(taken)
-
-
 @pytest.mark.bench
 def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
     path = tmp_path / "moon.gpkg"
@@ -84,22 +75,22 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
     started = time.perf_counter()
     written = write_catalog(path, meta, points())
     write_s = time.perf_counter() - started
-    open_ms = 1e3 * best_of(5, lambda: Catalog.open(path).close())
+    open_ms = 1e3 * best(lambda: Catalog.open(path).close(), 5)
     with Catalog.open(path) as catalog:
         rng = np.random.default_rng(3)
         lat = np.degrees(np.arcsin(rng.uniform(-1, 1, 5000))).tolist()
         lon = rng.uniform(-180, 180, 5000).tolist()
         catalog.nearest(0.0, 0.0)  # compiles
-        near = best_of(3, lambda: [catalog.nearest(a, b) for a, b in zip(lat, lon)]) / 5000 * 1e6
+        near = best(lambda: [catalog.nearest(a, b) for a, b in zip(lat, lon)], 3) / 5000 * 1e6
         tree = cKDTree(catalog.direction)
         places = [xyz_from_latlon(*np.radians((a, b)), 1.0) for a, b in zip(lat, lon)]
-        by_tree = best_of(3, lambda: [tree.query(place) for place in places]) / 5000 * 1e6
+        by_tree = best(lambda: [tree.query(place) for place in places], 3) / 5000 * 1e6
         ids = [int(i) for i in rng.choice(catalog.ids, 400, replace=False)]
-        cell = best_of(3, lambda: [catalog.in_cell(i) for i in ids]) / 400 * 1e6
-        load = best_of(5, lambda: [catalog.patches(i) for i in ids]) / 400 * 1e3
+        cell = best(lambda: [catalog.in_cell(i) for i in ids], 3) / 400 * 1e6
+        load = best(lambda: [catalog.patches(i) for i in ids], 5) / 400 * 1e3
         data = b"".join(catalog.patches(i)[0].heights_m.tobytes() for i in ids)
     raw = 4.0 * LEVELS * SIZE * SIZE * written.count
-    copy_ms = 1e3 * best_of(5, lambda: bytearray(data)) / 400 * LEVELS
+    copy_ms = 1e3 * best(lambda: bytearray(data), 5) / 400 * LEVELS
     size = written.size_bytes / GIGABYTE
     print(
         f"\ncatalog of {written.count} points, {LEVELS} levels of {SIZE} nodes"
