@@ -126,7 +126,7 @@ def _eigenvalue_map(
 
 
 def azimuth_products(azimuths: int = AZIMUTHS) -> Grid:
-    """(azimuths, 3): e², e n, n² of azimuths evenly over half a turn; e, n the Sun's east, north."""
+    """(azimuths, 3): e², e n, n² of azimuths over half a turn; e, n the Sun's east and north."""
     angle = np.pi * np.arange(azimuths) / azimuths
     return sun_products(np.stack([np.sin(angle), np.cos(angle), np.ones(azimuths)], axis=1))
 

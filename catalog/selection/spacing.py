@@ -58,7 +58,7 @@ def choose_spaced(
     score: FloatArray,
     spacing_deg: float,
 ) -> dict[int, Choice]:
-    """Order every cell's candidates so that any of them may be taken without crowding another cell's.
+    """Order every cell's candidates so that any may be taken without crowding another cell's.
 
     cells      (n,)  cell of each candidate; lat_deg, lon_deg (n,) its place
     score      (n,)  smaller is better; infinite scores come last

@@ -2,9 +2,10 @@
 
 The picture's side is another ground and another law than the reference's: the DEM with relief
 below its posting added, rendered by Hapke on a grid twice as fine, seen from off nadir through a
-point-spread function, with noise and 8 bits, and resampled with a wrong scale, roll and place. The
-reference is the catalog's patch rendered by Lommel-Seeliger. Both cast shadows. The search goes as
-the navigator's does: roll and scale over a small grid at a coarse level, then tracked to the finest.
+point-spread function, with noise and 8 bits, and resampled with a wrong scale, roll and place.
+The reference is the catalog's patch rendered by Lommel-Seeliger. Both cast shadows. The search
+goes as the navigator's does: roll and scale over a small grid at a coarse level, then tracked to
+the finest.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.correlation.ncc import match_ncc
-from catalog.correlation.peak import Match
 from catalog.correlation.similarity import Matcher, match_similarity
 from catalog.rendering.map_view import render_map
 
@@ -61,7 +61,7 @@ class Circumstances(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came of a trial: the error of the place (finest nodes, x and y) and whether to trust it."""
+    """What came of a trial: the error of the place (finest nodes), and whether to trust it."""
 
     error: tuple[float, float]
     score: float
@@ -125,7 +125,7 @@ def draw_circumstances(
     snr: tuple[float, float] = (10.0, 50.0),
     rectified: bool = False,
 ) -> Circumstances:
-    """One trial's circumstances; errors uniform within their limits, noise uniform in its logarithm.
+    """One trial's circumstances; errors uniform within limits, noise uniform in its logarithm.
 
     suns       (n, 3)  Sun directions to choose from
     rectified          the resampling knows the view: foreshortening is taken out, what remains of
@@ -191,7 +191,7 @@ def picture_of(
     if not valid.any():
         return np.asarray(sampled, dtype=np.float32)
     noise = rng.standard_normal((size, size), dtype=np.float32)
-    sampled += noise * np.float32(float(sampled[valid].mean()) / (snr * averaging))
+    sampled = sampled + noise * np.float32(float(sampled[valid].mean()) / (snr * averaging))
     white = max(float(np.percentile(sampled[valid], EXPOSURE_PERCENTILE)), 1e-6)
     counts = 2**BITS - 1
     return np.asarray(np.clip(np.rint(sampled * (counts / white)), 0, counts), dtype=np.float32)

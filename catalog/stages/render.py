@@ -48,8 +48,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     window_nodes     side of the square that is scored: the template at the finest level
     levels           pyramid levels that are rendered, finest first
     sun_elevations, sun_azimuths, sun_min_deg, sun_max_deg  the Suns, of those that can occur:
-                     away from the poles (75 deg) an elevation leaves two narrow bands of azimuth; nearer
-                     to them at least eight azimuths are taken
+                     away from the poles (75 deg) an elevation leaves two narrow bands of azimuth;
+                     nearer to them at least eight azimuths are taken
     sun_declination_deg  how far from the body's equator the Sun stands
     law              of the render
     snr              mean brightness over noise, for the predicted error
@@ -74,7 +74,7 @@ class Candidate(msgspec.Struct, frozen=True):
 
     lat_deg, lon_deg    planetocentric, east
     hessian_eigenvalue  worst azimuth, over the window (dimensionless)
-    error_px            (levels, suns) float32, predicted 1-sigma error over predicted correlation, nodes
+    error_px            (levels, suns) float32, predicted 1-sigma error, nodes, over correlation
     missing             share of holes in each of the finest patches
     """
 
@@ -260,7 +260,7 @@ def _inside(
 def _fine_patches_whole(
     context: StageContext, projection: Stereographic, x: FloatArray, y: FloatArray
 ) -> NDArray[np.bool_]:
-    """At which places (map m) the patches of the finest levels would have ground nearly everywhere."""
+    """At which places (map m) the patches of the finest levels would have hardly a hole."""
     level = min(FINE_LEVELS, context.levels) - 1
     half = context.postings_m[level] * (context.size - 1) / 2.0
     reach = float(np.abs(x).max()) + half

@@ -36,7 +36,7 @@ class Place(msgspec.Struct, frozen=True):
 
 
 class Record(msgspec.Struct, frozen=True):
-    """Places of a cell in the order in which they are to be checked; the first that passes is taken.
+    """Places of a cell in the order in which they are to be checked.
 
     spacing  share of the wanted distance that all of them keep from other cells' points
     """

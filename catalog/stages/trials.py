@@ -33,7 +33,12 @@ SUN_AZIMUTHS = 4
 
 @lru_cache(maxsize=64)
 def _relief(
-    ground: int, posting_m: float, dem_posting_m: float, size: int, radius_m: float, slope_deg: float
+    ground: int,
+    posting_m: float,
+    dem_posting_m: float,
+    size: int,
+    radius_m: float,
+    slope_deg: float,
 ) -> Grid:
     """Relief below a DEM's posting on a map grid of `posting_m`, ready to be added."""
     detail = Detail(

@@ -2,7 +2,7 @@
 
 All strategies pick one place a cell of the bundled Tycho terrain, from the same free places, and
 meet the same trials: ground with relief below the DEM's posting, Hapke against Lommel-Seeliger,
-noise, blur, 8 bits, scale, roll and off-nadir errors, Suns that occur there (catalog.selection.trial).
+noise, blur, 8 bits, scale, roll and off-nadir errors, Suns that occur (catalog.selection.trial).
 *Chosen* is what the build's stages take, usable or not; *random* draws a new place for every round;
 *one-Sun Harris* takes the strongest corner (OpenCV, the same window) of a picture under one Sun,
 another Sun of those that occur for every round, as one happens to have it; its points keep the

@@ -62,7 +62,9 @@ def test_flat_ground_has_a_zero_descriptor_and_holes_do_not_spread():
     holed[5, 5] = np.nan
     far = descriptors(holed, np.array([50]), np.array([50]), 8)
     holed[5, 5] = 0.0
-    np.testing.assert_allclose(far, descriptors(holed, np.array([50]), np.array([50]), 8), atol=1e-6)
+    np.testing.assert_allclose(
+        far, descriptors(holed, np.array([50]), np.array([50]), 8), atol=1e-6
+    )
     assert np.isfinite(far).all()
 
 

@@ -63,7 +63,8 @@ def test_the_cell_with_the_worse_best_choice_goes_first():
     cells = [0, 0, 1]
     lat, lon = np.array([0.0, 0.0, 0.0]), np.array([0.9, 0.1, 1.1])
     choices = choose_spaced(cells, lat, lon, np.array([0.2, 0.3, 0.8]), 0.6)
-    assert choices[1].order == (2,) and choices[1].spacing == 1.0
+    assert choices[1].order == (2,)
+    assert choices[1].spacing == 1.0
     assert choices[0].order == (1,)
 
 

@@ -71,17 +71,15 @@ def test_a_shifted_place_is_found_where_it_is(shift_m):
 
 @pytest.mark.parametrize(("roll_deg", "scale"), [(6.0, 1.0), (-6.0, 1.1), (3.0, 0.9)])
 def test_roll_and_scale_within_the_limits_are_tracked(roll_deg, scale):
-    turned = circumstances(
-        roll=np.radians(roll_deg), scale=scale, shift_m=np.array([150.0, 260.0])
-    )
+    turned = circumstances(roll=np.radians(roll_deg), scale=scale, shift_m=np.array([150.0, 260.0]))
     outcome = run_trial(levels(), turned, [2], MOON_M, SEARCH)
-    assert outcome.accepted and outcome.distance < 0.5
+    assert outcome.accepted
+    assert outcome.distance < 0.5
 
 
 def test_another_ground_is_refused():
     mixed = [
-        Level(a.reference, b.truth, a.posting_m)
-        for a, b in zip(levels(1), levels(2), strict=True)
+        Level(a.reference, b.truth, a.posting_m) for a, b in zip(levels(1), levels(2), strict=True)
     ]
     outcomes = [run_trial(mixed, circumstances(), [k], MOON_M, SEARCH) for k in range(5)]
     assert not any(outcome.accepted for outcome in outcomes)
@@ -129,11 +127,13 @@ def test_drawn_circumstances_stay_within_their_limits():
     rng = np.random.default_rng(8)
     drawn = [draw_circumstances(rng, suns, POSTING_M) for _ in range(400)]
     assert max(abs(c.roll) for c in drawn) <= np.radians(6.0)
-    assert 0.9 <= min(c.scale for c in drawn) < 0.92 and 1.08 < max(c.scale for c in drawn) <= 1.1
+    assert 0.9 <= min(c.scale for c in drawn) < 0.92
+    assert 1.08 < max(c.scale for c in drawn) <= 1.1
     off = [np.degrees(np.arccos(c.view_local[2])) for c in drawn]
     assert 23.0 < max(off) <= 25.0
     assert all(c.stretch == pytest.approx(c.view_local[2]) for c in drawn)
-    assert 10.0 <= min(c.snr for c in drawn) and max(c.snr for c in drawn) <= 50.0
+    assert min(c.snr for c in drawn) >= 10.0
+    assert max(c.snr for c in drawn) <= 50.0
 
 
 def test_a_picture_has_the_stated_noise_and_whole_counts():
@@ -143,7 +143,8 @@ def test_a_picture_has_the_stated_noise_and_whole_counts():
     rng = np.random.default_rng(9)
     clean = picture_of(bright, np.eye(2) * FINER, centre, 64, 1, 1e9, rng)
     noisy = picture_of(bright, np.eye(2) * FINER, centre, 64, 1, 20.0, rng)
-    assert np.array_equal(noisy, np.rint(noisy)) and noisy.max() <= 255
+    assert np.array_equal(noisy, np.rint(noisy))
+    assert noisy.max() <= 255
     scale = 1.0 / np.percentile(bright, 99.5) * 255
     relative = (noisy - clean).std() / clean.mean()
     # exposure follows the noise too: a tenth
@@ -158,8 +159,6 @@ def test_the_truth_covers_every_window_that_can_be_asked_for():
     window = SEARCH.template_nodes + 2 * SEARCH.coarse_nodes
     inverse = np.linalg.inv(distortion(worst))
     centre = np.full(2, (size - 1) / 2.0)
-    picture = picture_of(
-        bright, FINER * inverse, centre, window, 1, 1e9, np.random.default_rng(2)
-    )
+    picture = picture_of(bright, FINER * inverse, centre, window, 1, 1e9, np.random.default_rng(2))
     assert np.isfinite(picture).all()
     assert cv2.countNonZero(picture) == picture.size

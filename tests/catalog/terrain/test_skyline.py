@@ -101,3 +101,9 @@ def test_the_coarsest_level_knows_nothing_outside():
     assert (skyline_limits_deg(levels, 2, MOON_M) == 0.0).all()
     with pytest.raises(ValueError, match="not a level 3"):
         skyline_limits_deg(levels, 3, MOON_M)
+
+
+def test_points_that_two_grids_share_make_no_wall():
+    # at some postings, rounding once put the last point inside and the first outside at one place
+    for posting in (118.45058759433391, 99.9, 237.1):
+        assert skyline_limits_deg(flat_levels(80, 4, posting), 0, MOON_M).max() < 1.0

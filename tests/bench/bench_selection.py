@@ -1,0 +1,75 @@
+"""The localisation score against OpenCV's Harris, descriptors a second, a cell by stages."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+
+from catalog.bodies.body import load_body
+from catalog.config import resource
+from catalog.correlation.surf64 import dense_descriptors, match_surf
+from catalog.geometry.cells import CellGrid
+from catalog.selection.localisation import hessian_eigenvalue_map
+from catalog.stages import check, render, select
+from catalog.stages.context import BodySettings, StageContext
+from catalog.stages.settings import BuildConfig
+from catalog.terrain.mosaic import Mosaic
+from catalog.terrain.source import DemSettings
+from tests.bench.timing import best, one_core
+
+pytestmark = pytest.mark.bench
+
+POSTING_M, SIZE, WINDOW = 118.45, 1024, 64
+DESCRIPTORS = 100_000  # a second on one core: what the figures ask for
+MEGA = 1e6
+
+
+@pytest.fixture(scope="module")
+def tile():
+    with rasterio.open(resource("data/tycho_gld100_256ppd.tif")) as source:
+        return source.read(1)[:SIZE, :SIZE].astype(np.float32)
+
+
+def test_the_score_against_opencv_s_harris(tile):
+    with one_core():
+        theirs = best(lambda: cv2.cornerHarris(tile, WINDOW - 1, 3, 0.04), 5)
+        small = best(lambda: cv2.cornerHarris(tile, 3, 3, 0.04), 5)
+        print(f"\nlocalisation score, all azimuths, {WINDOW} nodes wide, one core, ms/Mpx")
+        for step in (1, 4):
+            ours = best(lambda s=step: hessian_eigenvalue_map(tile, POSTING_M, WINDOW, step=s), 5)
+            print(
+                f"  every {step}. node {1e3 * ours * MEGA / tile.size:6.1f}   {ours / theirs:5.2f} "
+                f"of one cv2.cornerHarris of that width, {ours / small:5.2f} of one 3 wide"
+            )
+
+
+def test_descriptors_a_second(tile):
+    part = tile[:512, :512]
+    with one_core():
+        rates = {
+            "64 numbers, cells of 8 nodes": (480**2, best(lambda: dense_descriptors(part, 8), 5)),
+            "256 numbers, 8 x 8 cells": (448**2, best(lambda: dense_descriptors(part, 8, 8), 5)),
+        }
+        match = best(lambda: match_surf(tile[20:84, 20:84], tile[8:96, 8:96]), 20)
+    print("\nSURF, one core")
+    for name, (count, seconds) in rates.items():
+        print(f"  {name:30}{count / seconds / MEGA:6.2f} million a second")
+        assert count / seconds >= DESCRIPTORS
+    print(f"  a match of 64 nodes, 12 around   {1e3 * match:6.2f} ms")
+
+
+def test_a_cell_through_render_and_check(tmp_path: Path):
+    dem = DemSettings(path=str(resource("data/tycho_gld100_256ppd.tif")))
+    config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
+    mosaic = Mosaic.from_files([dem], tmp_path, load_body("moon"), tmp_path)
+    context = StageContext(mosaic.body, mosaic, CellGrid(1.0), mosaic.posting_m, config)
+    cells = [int(cell) for cell in context.grid.in_bbox(-14.0, -45.0, -8.0, -41.0)]
+    with one_core():
+        rendering = best(lambda: render.render_chunk(context, cells), 1)
+        places = select.select(context, render.render_chunk(context, cells))
+        checking = best(lambda: check.check_chunk(context, places), 1)
+    print(f"\na cell of 1 deg at {mosaic.posting_m:.0f} m, one core")
+    print(f"  render {1e3 * rendering / len(cells):7.1f} ms")
+    print(f"  check  {1e3 * checking / len(cells):7.1f} ms")

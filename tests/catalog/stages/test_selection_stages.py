@@ -1,0 +1,169 @@
+"""Render, select and check on real terrain: candidates, order, certificates, holes."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from catalog.bodies.body import load_body
+from catalog.config import resource
+from catalog.control_point import Flag
+from catalog.geometry.cells import CellGrid
+from catalog.geometry.latlon import angular_distance
+from catalog.stages import check, render, select
+from catalog.stages.context import BodySettings, PyramidSettings, StageContext
+from catalog.stages.records import decode_records, encode_records
+from catalog.stages.settings import BuildConfig
+from catalog.terrain.mosaic import Mosaic
+from catalog.terrain.source import DemSettings
+
+BBOX = (-13.0, -44.0, -9.0, -41.0)
+
+
+@pytest.fixture(scope="module")
+def mosaic(tmp_path_factory):
+    dem = DemSettings(path=str(resource("data/tycho_gld100_256ppd.tif")))
+    folder = tmp_path_factory.mktemp("overviews")
+    return Mosaic.from_files([dem], Path(folder), load_body("moon"), folder)
+
+
+def context_of(mosaic, posting_m=237.0, **sections):
+    config = BuildConfig(
+        body=BodySettings("moon"),
+        dem=(DemSettings(path="tycho"),),
+        pyramid=PyramidSettings(levels=3, size=80),
+        **{"render": render.Settings(candidates=4), **sections},
+    )
+    return StageContext(mosaic.body, mosaic, CellGrid(1.0), posting_m, config)
+
+
+@pytest.fixture(scope="module")
+def context(mosaic):
+    return context_of(mosaic)
+
+
+@pytest.fixture(scope="module")
+def cells(context):
+    return [int(cell) for cell in context.grid.in_bbox(*BBOX)]
+
+
+@pytest.fixture(scope="module")
+def rendered(context, cells):
+    return render.render_chunk(context, cells)
+
+
+@pytest.fixture(scope="module")
+def selected(context, rendered):
+    return select.select(context, rendered)
+
+
+@pytest.fixture(scope="module")
+def checked(context, selected):
+    return check.check_chunk(context, selected)
+
+
+def test_candidates_lie_in_their_cells_and_apart(context, rendered, cells):
+    assert [record.cell for record in rendered] == cells
+    least = 0.99 * context.config.render.separation_cell
+    for record in rendered:
+        assert 1 <= len(record.candidates) <= 4
+        for k, one in enumerate(record.candidates):
+            assert context.grid.cell_of(one.lat_deg, one.lon_deg) == record.cell
+            assert one.error_px.shape == (2, 6)
+            assert one.hessian_eigenvalue > 0.0
+            for other in record.candidates[:k]:
+                place = np.radians([one.lat_deg, one.lon_deg, other.lat_deg, other.lon_deg])
+                assert np.degrees(angular_distance(*place)) >= least
+
+
+def test_a_lower_sun_promises_a_better_match_on_open_ground(rendered):
+    # no shadows cover whole templates here; contrast goes with the cotangent of the elevation
+    errors = np.stack([c.error_px[0] for record in rendered for c in record.candidates])
+    middle, high = np.median(errors[:, 2:4]), np.median(errors[:, 4:6])
+    assert middle < high
+
+
+def test_chunks_do_not_matter_and_records_travel(context, cells, rendered, selected, checked):
+    alone = [record for cell in reversed(cells) for record in render.render_chunk(context, [cell])]
+    again = select.select(context, alone)
+    assert encode_records(again) == encode_records(selected)
+    whole = decode_records(encode_records(rendered), render.Record)
+    assert encode_records(select.select(context, whole)) == encode_records(selected)
+    back = decode_records(encode_records(checked), check.Record)
+    assert back == checked
+    assert check.check_chunk(context, again[3:4]) == checked[3:4]
+
+
+def test_places_of_other_cells_keep_their_distance(context, selected):
+    for record in selected:
+        for other in selected:
+            if record.cell >= other.cell or min(record.spacing, other.spacing) < 1.0:
+                continue
+            for a in record.places:
+                for b in other.places:
+                    place = np.radians([a.lat_deg, a.lon_deg, b.lat_deg, b.lon_deg])
+                    assert np.degrees(angular_distance(*place)) >= 0.6 - 1e-6
+
+
+def test_every_usable_point_carries_its_certificate(context, checked, cells):
+    assert [record.cell for record in checked] == cells
+    usable = [record for record in checked if record.usable]
+    # highland ground at twice the DEM's posting: nearly all cells have a good point
+    assert len(usable) >= 0.8 * len(checked)
+    for record in usable:
+        point = record.point(context)
+        assert point.trials >= 5
+        assert point.recognition_rate >= context.config.check.min_recognition
+        assert point.hessian_eigenvalue > 0.0
+        assert len(point.uniqueness) == context.levels
+        assert min(point.uniqueness) >= context.config.check.min_margin
+        assert len(point.shadow_limit_deg) == 36
+        assert 0.0 <= min(point.shadow_limit_deg) <= max(point.shadow_limit_deg) < 60.0
+        assert not point.flags & check.FATAL
+        assert point.source == "tycho_gld100_256ppd.tif"
+        at = np.radians([point.lat_deg, point.lon_deg])
+        height = float(context.mosaic.heights(at[0], at[1], context.posting_m))
+        assert point.radius_m == pytest.approx(context.body.radius_m + height, abs=0.01)
+
+
+def test_a_check_that_none_can_pass_leaves_points_with_their_flags_up(mosaic, selected):
+    for settings, flag in (
+        (check.Settings(max_localisation_px=1e-6), Flag.FLAT),
+        (check.Settings(min_margin=1.0, places=1), Flag.NOT_UNIQUE),
+        (check.Settings(min_score=1.0, places=1, trials=5), Flag.NOT_RECOGNISED),
+    ):
+        found = check.check_chunk(context_of(mosaic, check=settings), selected[:2])
+        assert [record.usable for record in found] == [False, False]
+        assert all(record.flags & flag for record in found)
+
+
+def test_a_place_beside_the_terrain_s_edge_says_that_it_lacks_data(context, selected):
+    place = msgspec.structs.replace(selected[0].places[0], lat_deg=-38.02, lon_deg=-11.0)
+    record = select.Record(selected[0].cell, (place,), 1.0)
+    found = check.check_cell(context, record)
+    assert not found.usable
+    assert found.flags & Flag.NO_DATA
+    assert found.trials == 0
+
+
+def test_a_cell_at_the_edge_takes_places_whose_fine_patches_are_whole(context):
+    # a patch of the third level reaches 38 km, 1.25 deg, from its point
+    cell = int(context.grid.cell_of(-46.5, -11.0))
+    for candidate in render.render_cell(context, cell).candidates:
+        assert max(candidate.missing) <= render.MAX_MISSING
+        assert candidate.lat_deg > -46.9
+
+
+def test_a_cell_without_ground_is_left_out(context):
+    far = int(context.grid.cell_of(20.0, 100.0))
+    assert render.render_chunk(context, [far]) == []
+
+
+def test_near_a_pole_suns_come_from_all_around():
+    settings = render.Settings()
+    assert len(render.suns_of(settings, 45.0)) == 6
+    polar = render.suns_of(settings, 89.0)
+    assert len(polar) == 24
+    azimuth = np.degrees(np.arctan2(polar[:, 0], polar[:, 1]))
+    assert np.ptp(azimuth) > 250.0
