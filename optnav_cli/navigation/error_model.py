@@ -16,26 +16,34 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-# 1 sigma an axis of a point's own, in nodes of the catalog's finest level ...
-OWN_FINEST_NODES = 0.03
-# ... and in nodes of the level that was matched.
-OWN_LEVEL_NODES = 0.012
+# A point's own, 1 sigma an axis: in nodes of the level that was matched, and, m for a terrain model
+# of REFERENCE_M, at any Sun and for a cotangent of 1 of the Sun's elevation: grows with its square.
+OWN_LEVEL_NODES = 0.005
+OWN_M = 0.3
+OWN_SHADOW_M = 0.4
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
-# of its elevation, shift in any direction, stretch at the points' rms distance from their middle,
-# and what relief that the reference does not explain adds to the shift, for a score of 0. Catalogs
-# of 118 m and 474 m on the same pictures show that they grow as the root of the posting.
+# of its elevation, shift in any direction, and what relief that the reference does not explain adds
+# to the shift, for a score of 0. Catalogs of 118 m and 474 m on the same pictures show that they
+# grow as the root of the posting.
 REFERENCE_M = 118.45
-SHADOW_M = 1.8
-SHIFT_M = 1.2
-STRETCH_M = 3.2
+SHADOW_M = 1.6
+SHIFT_M = 0.8
 UNEXPLAINED_M = 9.5
-# Below it shadows fill the picture and the cotangent would run away.
-LOWEST_SUN = np.radians(3.0)
+# Stretch about the points' middle, m a metre: wide fields see it, whatever the height.
+STRETCH = 4e-5
+# Below it shadows fill the picture and the cotangent runs away.
+LOWEST_SUN = np.radians(8.0)
 
 
-def own_sigma_m(posting_m: float, finest_posting_m: float) -> float:
-    """One-sigma ground error per axis, m, of a point's own that its peak does not show."""
-    return float(np.hypot(OWN_LEVEL_NODES * posting_m, OWN_FINEST_NODES * finest_posting_m))
+def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: float) -> float:
+    """One-sigma ground error per axis, m, of a point's own that its peak does not show.
+
+    posting_m  of the level that was matched; sun_elevation_deg at the point
+    """
+    elevation = max(np.radians(sun_elevation_deg), LOWEST_SUN)
+    shadow = OWN_SHADOW_M / np.tan(min(elevation, np.pi / 2.0)) ** 2
+    own = (OWN_M + shadow) * _scale(finest_posting_m)
+    return float(np.hypot(OWN_LEVEL_NODES * posting_m, own))
 
 
 def common_errors_px(
@@ -65,14 +73,17 @@ def common_errors_px(
     shift = SHIFT_M + UNEXPLAINED_M * unexplained
     outward = points_m - middle
     outward = outward - (outward @ up)[:, None] * up
-    reach = max(float(np.sqrt((outward**2).sum(axis=1).mean())), 1.0)
     one = np.ones((len(points_m), 1))
+    scale = _scale(finest_posting_m)
     fields = [
-        one * along * (SHADOW_M / np.tan(elevation)),
-        one * along * shift,
-        one * across * shift,
-        outward / reach * STRETCH_M,
+        one * along * (scale * SHADOW_M / np.tan(elevation)),
+        one * along * (scale * shift),
+        one * across * (scale * shift),
+        outward * STRETCH,
     ]
-    scale = float(np.sqrt(finest_posting_m / REFERENCE_M))
-    moved = [np.einsum("nij,nj->ni", by_ground, f * scale) for f in fields]
+    moved = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
     return np.stack(moved, axis=2)
+
+
+def _scale(finest_posting_m: float) -> float:
+    return float(np.sqrt(finest_posting_m / REFERENCE_M))

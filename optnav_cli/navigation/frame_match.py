@@ -102,7 +102,11 @@ def solve(
         match = matches[k]
         if match.pixel is None or match.covariance_px2 is None:
             continue
-        sigma = own_sigma_m(float(points.postings_m[match.level]), float(points.postings_m[0]))
+        sigma = own_sigma_m(
+            float(points.postings_m[match.level]),
+            float(points.postings_m[0]),
+            float(view.sun_elevation_deg[k]),
+        )
         own = (sigma / view.metres_per_pixel[k]) ** 2
         pixels.append(match.pixel)
         covariances.append(match.covariance_px2 + own * np.eye(2))

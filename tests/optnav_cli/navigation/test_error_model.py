@@ -34,9 +34,15 @@ SQUARE = [(-2e4, -2e4), (2e4, -2e4), (2e4, 2e4), (-2e4, 2e4)]
 
 
 def test_a_coarser_level_has_a_larger_error_of_its_own():
-    sigmas = [own_sigma_m(POSTING_M * 2**level, POSTING_M) for level in range(5)]
+    sigmas = [own_sigma_m(POSTING_M * 2**level, POSTING_M, 30.0) for level in range(5)]
     assert sigmas == sorted(sigmas)
-    assert own_sigma_m(0.0, POSTING_M) > 0.0
+    assert own_sigma_m(0.0, POSTING_M, 30.0) > 0.0
+
+
+def test_a_lower_sun_leaves_a_larger_error_of_a_points_own():
+    sigmas = [own_sigma_m(POSTING_M, POSTING_M, elevation) for elevation in (0, 5, 10, 30, 90)]
+    assert sigmas == sorted(sigmas, reverse=True)
+    assert np.isfinite(sigmas).all()
 
 
 def test_long_shadows_move_all_points_along_the_sun_and_the_lower_the_more():
