@@ -21,6 +21,9 @@ BoolGrid = NDArray[np.bool_]
 
 TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated
 TABLE_SIZE = 129
+# For grids too small to pay for that table, a fifteenth of its cost: to 25 deg off nadir the
+# brightness is wrong by 5e-4 rms of its mean (2e-3 at most), a tenth of an 8-bit count.
+SMALL_TABLE_SIZE = 33
 # Below this cosine of incidence the ratio is held; the brightness itself goes to zero.
 GRAZING = 1e-3
 
@@ -38,13 +41,13 @@ def _ratio(
 
 @kernel
 def slope_table(
-    sun: FloatArray, view: FloatArray, cos_g: float, surface: HapkeParameters
+    sun: FloatArray, view: FloatArray, cos_g: float, surface: HapkeParameters, size: int
 ) -> FloatArray:
-    """(n, n) ratios of Hapke's law to mu0 / (mu0 + mu), b along the rows, a along the columns."""
-    table = np.empty((TABLE_SIZE, TABLE_SIZE))
-    step = 2.0 * TABLE_SLOPE / (TABLE_SIZE - 1)
-    for i in range(TABLE_SIZE):
-        for j in range(TABLE_SIZE):
+    """(size, size) ratios of Hapke's law to mu0 / (mu0 + mu), b along the rows, a along the columns."""
+    table = np.empty((size, size))
+    step = 2.0 * TABLE_SLOPE / (size - 1)
+    for i in range(size):
+        for j in range(size):
             table[i, j] = _ratio(
                 j * step - TABLE_SLOPE, i * step - TABLE_SLOPE, sun, view, cos_g, surface
             )
@@ -60,6 +63,7 @@ def shade_hapke(
     view: FloatArray,
     surface: HapkeParameters,
     lit: BoolGrid,
+    table_size: int,
 ) -> HeightGrid:
     """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit."""
     size = heights.shape[0]
@@ -67,9 +71,9 @@ def shade_hapke(
     normals = np.empty((3, size))
     nx, ny, nz = normals[0], normals[1], normals[2]
     cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
-    table = slope_table(sun, view, cos_g, surface)
-    per_step = (TABLE_SIZE - 1) / (2.0 * TABLE_SLOPE)
-    last = TABLE_SIZE - 1.0
+    table = slope_table(sun, view, cos_g, surface, table_size)
+    per_step = (table_size - 1) / (2.0 * TABLE_SLOPE)
+    last = table_size - 1.0
     for row in range(size):
         row_normals(heights, row, posting, radius, normals)
         line = out[row]

@@ -10,7 +10,7 @@ from catalog.photometry.laws import law_by_name
 from catalog.photometry.lommel_seeliger import NORMAL_ALBEDO
 from catalog.photometry.lunar_lambert import lunar_weight
 from catalog.rendering import shading
-from catalog.rendering.hapke_table import TABLE_SIZE, shade_hapke
+from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE, shade_hapke
 from catalog.rendering.shadow import lit_mask
 
 HeightGrid = NDArray[np.float32]
@@ -22,7 +22,9 @@ LAW_NUMBERS = {
     "lunar_lambert": shading.LUNAR_LAMBERT,
     "lambert": shading.LAMBERT,
 }
-TABLE_PAYS_NODES = 3 * TABLE_SIZE**2  # smaller grids are evaluated node by node
+# A table pays from three nodes to an entry on; still smaller grids are evaluated node by node.
+TABLE_PAYS_NODES = 3 * TABLE_SIZE**2
+SMALL_TABLE_PAYS_NODES = 3 * SMALL_TABLE_SIZE**2
 ALL_LIT: BoolGrid = np.empty((0, 0), dtype=np.bool_)
 
 
@@ -47,6 +49,7 @@ def render_map(
     shadows: bool = True,
     surface: HapkeParameters = LUNAR,
     albedo: float = NORMAL_ALBEDO,
+    quick: bool = False,
 ) -> HeightGrid:
     """Radiance factor of every node of a map grid, zero in shadow, NaN where there is no data.
 
@@ -61,6 +64,8 @@ def render_map(
     shadows       cast shadows; without them only what faces away from the Sun is dark
     surface       parameters of the Hapke law
     albedo        normal albedo of the other laws
+    quick         Hapke's law from a coarse table on small grids under a fixed view: several times
+                  faster, wrong by 5e-4 of the mean (rms) to 25 deg off nadir
     Returns (n, n) float32. Terrain is not hidden by terrain: a node that faces the camera is drawn.
     Raises ConfigError for an unknown law, ValueError for vectors without a direction.
     """
@@ -86,7 +91,9 @@ def render_map(
             heights, posting, radius, sun, view, weight, float(albedo), lit
         )
     if heights.size >= TABLE_PAYS_NODES:
-        return shade_hapke(heights, posting, radius, sun, view, surface, lit)
+        return shade_hapke(heights, posting, radius, sun, view, surface, lit, TABLE_SIZE)
+    if quick and heights.size >= SMALL_TABLE_PAYS_NODES:
+        return shade_hapke(heights, posting, radius, sun, view, surface, lit, SMALL_TABLE_SIZE)
     return shading.shade_fixed(
         heights, posting, radius, sun, view, number, surface, float(albedo), lit
     )

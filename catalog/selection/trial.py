@@ -242,6 +242,7 @@ def run_trial(
             view_local=circumstances.view_local,
             law="hapke",
             radius_m=radius_m,
+            quick=True,
             outer=around,
         )
         room = search.coarse_nodes if coarsest else search.fine_nodes

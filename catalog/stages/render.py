@@ -202,7 +202,13 @@ def _candidate(
         outer = list(zip(grids[level + 1 :], context.postings_m[level + 1 : levels], strict=True))
         for k, sun in enumerate(suns):
             picture = render_map(
-                grid, posting, sun, radius_m=context.body.radius_m, law=settings.law, outer=outer
+                grid,
+                posting,
+                sun,
+                radius_m=context.body.radius_m,
+                law=settings.law,
+                outer=outer,
+                quick=True,
             )
             picture = blurred(picture)
             score = predicted_correlation(picture, settings.snr)
