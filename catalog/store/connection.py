@@ -1,5 +1,6 @@
 """Opening a catalog file for reading, and nothing but reading."""
 
+import os
 import sqlite3
 from pathlib import Path
 from urllib.parse import quote
@@ -23,16 +24,20 @@ def connect(path: Path) -> sqlite3.Connection:
             header = file.read(100)
     except FileNotFoundError:
         raise DataError(f"{path}: there is no such file; check the path") from None
+    except IsADirectoryError:
+        raise DataError(f"{path}: is a folder; name a catalog file") from None
     except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror}); check the path and its permissions"
+        ) from None
     if len(header) < 100 or not header.startswith(SQLITE_MAGIC):
         raise DataError(f"{path}: is not an optnav catalog; make one with `optnav build`")
-    live = _has_live_log(path)
+    live = has_live_log(path)
     if not live:
         _check_length(path, header, size)
     # Without a log beside it nobody is writing, and `immutable` spares locks and works on
     # read-only media; with one (a GIS program has the file open) SQLite must read both.
-    uri = f"file:{quote(str(path.absolute()))}?mode=ro" + ("" if live else "&immutable=1")
+    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro" + ("" if live else "&immutable=1")
     try:
         # SQLite serialises calls itself, so that threads may share a catalog
         db = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
@@ -58,7 +63,8 @@ def read_meta(db: sqlite3.Connection, path: Path) -> CatalogMeta:
     return meta_from_rows(rows, str(path))
 
 
-def _has_live_log(path: Path) -> bool:
+def has_live_log(path: Path) -> bool:
+    """Whether another program has changes to the file beside it."""
     for suffix in ("-wal", "-journal"):
         log = path.with_name(path.name + suffix)
         if log.exists() and log.stat().st_size > 0:

@@ -1,7 +1,7 @@
 """What a catalog says about itself: the `optnav_meta` table, one key and value a row.
 
-The row `checksum` is the SHA-256 of all other rows, in the order of their keys, each written as
-key, newline, value, newline (UTF-8).
+The row `checksum` is the SHA-256 of all other rows but `seal`, in the order of their keys, each
+written as key, newline, value, newline (UTF-8).
 """
 
 import hashlib
@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from catalog.errors import DataError
+from catalog.store.seal import OPEN_SEAL, SEAL
 
 FORMAT = "optnav catalog"
 FORMAT_VERSION = 1
@@ -33,6 +34,7 @@ class CatalogMeta:
     created_utc    ISO time; no part of the content digest
     point_sources  which texts the points' `source` takes, in the order of first use
     count, usable, digest  filled in by the writer
+    seal           of the file that it was read from (see `catalog.store.seal`); "" for none
     """
 
     body: str
@@ -51,6 +53,7 @@ class CatalogMeta:
     usable: int = 0
     digest: str = ""
     format_version: int = FORMAT_VERSION
+    seal: str = field(default="", compare=False)
 
 
 def content_text(meta: CatalogMeta) -> str:
@@ -93,11 +96,12 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         "digest": meta.digest,
     }
     rows = dict(sorted(rows.items()))
-    return {**rows, CHECKSUM: _checksum(rows)}
+    return {**rows, CHECKSUM: _checksum(rows), SEAL: OPEN_SEAL}
 
 
-def _checksum(rows: Mapping[str, str]) -> str:
-    text = "".join(f"{key}\n{value}\n" for key, value in sorted(rows.items()) if key != CHECKSUM)
+def _checksum(texts: Mapping[str, str]) -> str:
+    rows = sorted((k, v) for k, v in texts.items() if k not in (CHECKSUM, SEAL))
+    text = "".join(f"{key}\n{value}\n" for key, value in rows)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
@@ -111,7 +115,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
     texts = {str(key): str(value) for key, value in rows.items()}
     version = texts.get("format_version", "")
     # a newer format may sum its manifest up in another way, so its number is read first
-    if version.isdigit() and int(version) > FORMAT_VERSION and _checksum_fits(texts):
+    if version.isdigit() and int(version) > FORMAT_VERSION:
         raise DataError(
             f"{where}: is of catalog format {version}; this optnav reads up to {FORMAT_VERSION}; "
             "install a newer optnav"
@@ -138,6 +142,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
             count=int(texts["count"]),
             usable=int(texts["usable"]),
             digest=texts["digest"],
+            seal=texts.get(SEAL, ""),
             format_version=int(version),
         )
     except (KeyError, ValueError) as error:

@@ -25,7 +25,7 @@ def is_catalog_file(path: Path) -> bool:
 
 def is_points_file(path: Path) -> bool:
     """Whether a file is an exported layer of ours: our points without a catalog around them."""
-    uri = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
+    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro&immutable=1"
     try:
         with closing(sqlite3.connect(uri, uri=True)) as db:
             points = db.execute(f"SELECT name FROM pragma_table_info('{POINTS}')").fetchall()
@@ -44,9 +44,11 @@ def replacing(path: Path, may_replace: Callable[[Path], bool] = is_catalog_file)
     Raises OutputError for all that the place can do wrong: a folder, someone else's file, no
     permission, a full disk (of SQLite in the body, too).
     """
-    partial = path.with_name(path.name + ".partial")
+    path = Path(os.path.realpath(path)) if path.name else path  # a link stays, its file is replaced
+    partial = path.with_name(path.name + ".partial") if path.name else path
+    check_place(path, may_replace)
     try:
-        _prepare(path, partial, may_replace)
+        _prepare(path, partial)
         try:
             yield partial
         except sqlite3.Error as error:
@@ -61,20 +63,35 @@ def replacing(path: Path, may_replace: Callable[[Path], bool] = is_catalog_file)
             _remove_with_sidecars(partial)
 
 
-def _prepare(path: Path, partial: Path, may_replace: Callable[[Path], bool]) -> None:
+def check_place(path: Path, may_replace: Callable[[Path], bool] = is_catalog_file) -> None:
+    """Raise OutputError for a place where `replacing` could not put a file; nothing is touched.
+
+    Long work asks before it begins.
+    """
+    if not path.name:
+        raise OutputError(f"{str(path)!r}: is not a name for a file; name one")
     try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; name a file in it")
-        if not path.parent.is_dir():
-            raise OutputError(f"{path}: there is no folder {path.parent}; create it first")
         if path.exists() and path.stat().st_size > 0 and not may_replace(path):
             raise OutputError(
                 f"{path}: exists and was not made by optnav; move it away or name another file"
             )
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror}); name another place"
+        ) from None
+
+
+def _prepare(path: Path, partial: Path) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         _remove_with_sidecars(partial)
         partial.touch(exist_ok=False)
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror}); name another place"
+        ) from None
 
 
 def _publish(partial: Path, path: Path) -> None:
@@ -86,7 +103,9 @@ def _publish(partial: Path, path: Path) -> None:
         os.replace(partial, path)
         _sync(path.parent)
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror}); free some space or name another place"
+        ) from error
 
 
 def _sync(path: Path) -> None:

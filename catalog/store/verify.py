@@ -8,7 +8,7 @@ from pathlib import Path
 
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
-from catalog.store.connection import connect, read_meta
+from catalog.store.connection import connect, has_live_log, read_meta
 from catalog.store.digest import CatalogDigest, patches_digest, point_digest
 from catalog.store.features import record_from_row
 from catalog.store.listing import read_records
@@ -27,6 +27,7 @@ from catalog.store.schema import (
     service_rows,
     srs_of,
 )
+from catalog.store.seal import broken_seal
 
 # an R-tree keeps float32 corners, rounded outward
 RTREE_TOLERANCE_DEG = 4e-5
@@ -88,6 +89,10 @@ def verify(path: str | Path, progress: Progress | None = None) -> Verification:
             with stages.stage("verify", len(records), "point") as stage:
                 _contents(db, meta, records, found, stage)
         _service(db, meta, found)
+    if found.sound and meta.seal and not has_live_log(path):
+        broken = broken_seal(path, meta.seal)
+        if broken:
+            found.add("file", broken)
     return found
 
 

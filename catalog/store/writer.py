@@ -37,6 +37,7 @@ from catalog.store.schema import (
     insert_service_rows,
     srs_of,
 )
+from catalog.store.seal import put_seal
 
 
 @dataclass(frozen=True)
@@ -75,10 +76,12 @@ def write_prepared(
 ) -> Written:
     """As `write_catalog`, for points that were prepared elsewhere."""
     path = Path(path)
-    with replacing(path) as partial, closing(_connect_new(partial)) as db:
-        create_tables(db)
-        meta = _fill(db, meta, points, progress)
-        db.execute("COMMIT")
+    with replacing(path) as partial:
+        with closing(_connect_new(partial)) as db:
+            create_tables(db)
+            meta = _fill(db, meta, points, progress)
+            db.execute("COMMIT")
+        put_seal(partial)
     return Written(path, meta.count, meta.usable, meta.digest, path.stat().st_size)
 
 

@@ -33,8 +33,13 @@ def heights_of(row: Row) -> tuple[NDArray[np.int16], NDArray[np.float64]]:
 def test_records_patches_and_digest_follow_from_the_description(written: Written) -> None:
     db = sqlite3.connect(written.path)
     meta = dict(db.execute("SELECT key, value FROM optnav_meta"))
-    text = "".join(f"{key}\n{meta[key]}\n" for key in sorted(meta) if key != "checksum")
+    covered = sorted(set(meta) - {"checksum", "seal"})
+    text = "".join(f"{key}\n{meta[key]}\n" for key in covered)
     assert hashlib.sha256(text.encode()).hexdigest() == meta["checksum"]
+    data = written.path.read_bytes()
+    counter, stated = meta["seal"].split(":")
+    open_file = data.replace(meta["seal"].encode(), b"0" * 8 + b":" + b"0" * 64)
+    assert (data[24:28].hex(), hashlib.sha256(open_file).hexdigest()) == (counter, stated)
     levels = int(meta["levels"])
     record = struct.Struct(f"<q6d5i{levels}f36f")
     sources = json.loads(meta["point_sources"])

@@ -155,7 +155,7 @@ def test_a_file_that_is_no_catalog_is_told(tmp_path: Path) -> None:
             Catalog.open(path)
     with pytest.raises(DataError, match="no such file"):
         Catalog.open(tmp_path / "nowhere.gpkg")
-    with pytest.raises(DataError, match=r"cannot be read|not an optnav"):
+    with pytest.raises(DataError, match=r"is a folder"):
         Catalog.open(tmp_path)
 
 
@@ -175,15 +175,8 @@ def test_an_edited_manifest_is_told(catalog_copy: Path) -> None:
 
 
 def test_a_newer_format_is_told(catalog_copy: Path) -> None:
-    from catalog.store.manifest import CHECKSUM, _checksum
-
-    db = sqlite3.connect(catalog_copy)
-    rows = dict(db.execute("SELECT key, value FROM optnav_meta"))
-    rows["format_version"] = "2"
-    rows[CHECKSUM] = _checksum(rows)
-    db.executemany("UPDATE optnav_meta SET value = ?2 WHERE key = ?1", rows.items())
-    db.commit()
-    db.close()
+    """Whatever its checksum covers: a newer format may sum its manifest up in another way."""
+    change(catalog_copy, "UPDATE optnav_meta SET value = '2' WHERE key = 'format_version'")
     with pytest.raises(DataError, match=r"format 2.*install a newer optnav"):
         Catalog.open(catalog_copy)
 

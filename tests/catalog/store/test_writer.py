@@ -186,11 +186,23 @@ def test_files_of_others_are_left_alone(world: Any, tmp_path: Path) -> None:
 
 
 def test_an_impossible_place_is_told(world: Any, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="no folder"):
-        world.write(tmp_path / "missing" / "c.gpkg")
     (tmp_path / "file").write_text("x")
     with pytest.raises(OutputError, match=r"c\.gpkg"):
         world.write(tmp_path / "file" / "c.gpkg")
+    with pytest.raises(OutputError, match="not a name"):
+        world.write(Path("/"))
+
+
+def test_a_missing_folder_is_made(world: Any, tmp_path: Path) -> None:
+    world.write(tmp_path / "missing" / "c.gpkg")
+    assert [p.name for p in (tmp_path / "missing").iterdir()] == ["c.gpkg"]
+
+
+def test_a_link_stays_and_the_file_that_it_names_is_replaced(world: Any, tmp_path: Path) -> None:
+    (tmp_path / "link.gpkg").symlink_to("real.gpkg")
+    world.write(tmp_path / "link.gpkg")
+    assert (tmp_path / "link.gpkg").is_symlink()
+    assert not (tmp_path / "real.gpkg").is_symlink()
 
 
 FULL_DISK = """

@@ -1,0 +1,57 @@
+"""The seal of a catalog file: a hash of all its bytes, those that nobody reads among them.
+
+SQLite leaves room in its pages, most of a small file. A bit that flips there harms nothing, yet the
+medium that flipped it is not to be trusted. The seal is a row of the manifest, `COUNTER:SHA-256`,
+both in hexadecimal: the change counter of SQLite's header and the hash of the file with the
+seal's own characters taken as zeros. It holds until another program, such as a GIS that keeps its
+styles in the file, writes to it through SQLite, which moves the counter on.
+"""
+
+import hashlib
+import mmap
+from pathlib import Path
+
+SEAL = "seal"
+COUNTER_DIGITS, HASH_DIGITS = 8, 64
+OPEN_SEAL = "0" * COUNTER_DIGITS + ":" + "0" * HASH_DIGITS
+# Where SQLite's header keeps its change counter, and the counter that its page count goes with.
+COUNTER, COUNTER_AGAIN = slice(24, 28), slice(92, 96)
+PIECE = 1 << 20
+
+
+def put_seal(path: Path) -> None:
+    """Write the seal into a closed catalog file whose manifest has OPEN_SEAL in its place."""
+    with path.open("r+b") as file, mmap.mmap(file.fileno(), 0) as data:
+        place = data.find(f"{SEAL}{OPEN_SEAL}".encode("ascii"))
+        if place < 0:
+            raise ValueError(f"{path}: its manifest has no place for a seal")
+        place += len(SEAL)
+        seal = f"{data[COUNTER].hex()}:{_hash(data, place)}".encode("ascii")
+        data[place : place + len(seal)] = seal
+
+
+def broken_seal(path: Path, seal: str) -> str | None:
+    """What is wrong with the bytes of a file that states a seal; None for nothing.
+
+    A file that another program has written to since has no seal any more: None, too.
+    """
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        place = data.find(f"{SEAL}{seal}".encode("utf-8", "surrogatepass"))
+        whole = place >= 0 and _hash(data, place + len(SEAL)) == seal[COUNTER_DIGITS + 1 :]
+        counter, again = data[COUNTER].hex(), data[COUNTER_AGAIN].hex()
+    same = counter == seal[:COUNTER_DIGITS]
+    if whole == same and (whole or counter == again):
+        return None
+    return "bytes between the data are not as they were written; its medium may be failing"
+
+
+def _hash(data: mmap.mmap, place: int) -> str:
+    """SHA-256 of a file with the seal at `place` taken as open."""
+    end = place + len(OPEN_SEAL)
+    whole = hashlib.sha256()
+    for first, last in ((0, place), (end, len(data))):
+        if first == end:
+            whole.update(OPEN_SEAL.encode("ascii"))
+        for start in range(first, last, PIECE):
+            whole.update(data[start : min(start + PIECE, last)])
+    return whole.hexdigest()
