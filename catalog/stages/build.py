@@ -3,6 +3,7 @@
 import hashlib
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -27,9 +28,13 @@ from catalog.stages.records import encode_records
 from catalog.stages.settings import BuildConfig, load_build_config
 from catalog.stages.workers import available_cores, workers_of
 from catalog.stages.workspace import Workspace, stage_key
+from catalog.store.features import reasons_text
+from catalog.store.partial import check_place
 
 STAGES = ("ingest", "render", "select", "check", "write")
 MANIFEST = "manifest.json"
+MOST_OVERSAMPLING = 4.0  # a posting finer than the terrain model by more shows nothing new
+MOST_NODES_ACROSS = 8192  # of a cell: a grid of 268 MB, of which a worker holds several
 
 
 @dataclass
@@ -80,6 +85,8 @@ def run(
         raise UsageError("the write stage needs a place for the catalog; name it with -o")
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}: wanted 1 or more")
+    if output is not None:
+        check_place(output)  # before hours of work for a place that cannot be used
     if work is None:
         if output is None:
             raise UsageError("name a work folder with --work")
@@ -148,6 +155,7 @@ class _Build:
         )
         grid = CellGrid(self.config.grid.cell_deg)
         posting = self.config.pyramid.posting_m or mosaic.posting_m
+        self._check_posting(posting, mosaic.posting_m)
         reach = posting * self.config.pyramid.size * 2 ** (self.config.pyramid.levels - 1)
         if reach > self.body.radius_m:
             raise ConfigError(
@@ -170,6 +178,22 @@ class _Build:
             self.keys[stage] = key
         self.workspace.put(MANIFEST, msgspec.json.format(self._manifest(report), indent=2))
         return StageContext(self.body, mosaic, grid, posting, self.config), chunks_of(grid, cells)
+
+    def _check_posting(self, posting_m: float, finest_m: float) -> None:
+        """Refuse a posting that shows nothing more, or more nodes in a cell than memory holds."""
+        if posting_m < finest_m / MOST_OVERSAMPLING:
+            raise ConfigError(
+                f"{self.config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
+                f"model has {finest_m:.6g} m; wanted at least {finest_m / MOST_OVERSAMPLING:.6g}, "
+                "or leave it out"
+            )
+        across = math.radians(self.config.grid.cell_deg) * self.body.radius_m / posting_m
+        if across > MOST_NODES_ACROSS:
+            raise ConfigError(
+                f"{self.config_path}: a cell of {self.config.grid.cell_deg:g} deg is {across:.0f} "
+                f"nodes of {posting_m:g} m wide; wanted at most {MOST_NODES_ACROSS}: set a smaller "
+                "[grid] cell_deg or a coarser [pyramid] posting_m"
+            )
 
     def _manifest(self, report: BuildReport) -> bytes:
         return msgspec.json.encode(
@@ -253,8 +277,9 @@ class _Build:
         report.usable, report.digest = written.usable, written.digest
         if written.usable == 0:
             raise NothingToDoError(
-                f"{output}: written, but none of its {written.count} control points is usable; "
-                "their flags say why (optnav catalog info)"
+                f"{output}: written, but none of its {written.count} control points is usable "
+                f"({_reasons(points)}); no data wants more ground around the cells or smaller "
+                "patches ([pyramid] levels, size), the rest is judged by [check]"
             )
 
     def _missing(self, stage: str) -> UsageError:
@@ -271,6 +296,12 @@ def _sources(dems: Sequence[DemRecord]) -> dict[str, str]:
         name = dem.name if dem.name not in sources else f"{dem.name} ({dem.priority})"
         sources[name] = dem.sha256
     return sources
+
+
+def _reasons(points: Sequence[ControlPoint]) -> str:
+    """What keeps points from use, the most frequent first: "3 no data, 1 flat"."""
+    counts = Counter(reasons_text(flag) for point in points for flag in point.flags)
+    return ", ".join(f"{count} {reason}" for reason, count in counts.most_common())
 
 
 def _select_name(key: str) -> str:

@@ -41,6 +41,7 @@ class Workspace:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._made_now = not folder.exists()
         try:
             if folder.exists() and not folder.is_dir():
                 raise OutputError(f"{folder}: is a file; name a folder to work in")
@@ -91,9 +92,18 @@ class Workspace:
                 ) from None
             os.ftruncate(handle, 0)
             os.pwrite(handle, f"{os.getpid()}\n".encode("ascii"), 0)
-            yield
+            try:
+                yield
+            except BaseException:
+                self._leave_no_trace()
+                raise
         finally:
             os.close(handle)
+
+    def _leave_no_trace(self) -> None:
+        """Remove a folder that this run made and that holds no result: results lie in folders."""
+        if self._made_now and not any(path.is_dir() for path in self.folder.iterdir()):
+            shutil.rmtree(self.folder, ignore_errors=True)
 
     def path(self, *names: str) -> Path:
         """A place in the folder."""
