@@ -43,7 +43,7 @@ def _ratio(
 def slope_table(
     sun: FloatArray, view: FloatArray, cos_g: float, surface: HapkeParameters, size: int
 ) -> FloatArray:
-    """(size, size) ratios of Hapke's law to mu0 / (mu0 + mu), b along the rows, a along the columns."""
+    """(size, size) ratios of Hapke's law to mu0 / (mu0 + mu), b along rows, a along columns."""
     table = np.empty((size, size))
     step = 2.0 * TABLE_SLOPE / (size - 1)
     for i in range(size):
