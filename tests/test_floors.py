@@ -23,7 +23,6 @@ FLOORS = (
     {"optnav_cli.matching", "optnav_cli.measurements", "optnav_cli.stars", "optnav_cli.simulation"},
     {"optnav_cli.navigation", "optnav_cli.hazard", "optnav_cli.output"},
     {"optnav_cli.runs"},
-    {"optnav_cli.runs"},
     {"optnav_cli.studies", "optnav_cli.options", "optnav_cli.lazy_group", "optnav_cli.console"},
     {"optnav_cli.commands"},
     {"optnav_cli.main"},
