@@ -15,6 +15,13 @@ from catalog.terrain.georeference import Georeference, georeference
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.
 RADIUS_TOLERANCE = 0.01
 
+Units = Literal["m", "km", "dm", "cm"]
+STATED_UNITS: dict[Units, tuple[str, ...]] = {
+    "m": ("m", "meter", "metre", "meters", "metres"),
+    "km": ("km", "kilometer", "kilometre", "kilometers", "kilometres"),
+    "dm": ("dm", "decimeter", "decimetre", "decimeters", "decimetres"),
+    "cm": ("cm", "centimeter", "centimetre", "centimeters", "centimetres"),
+}
 
 BUNDLED = "bundled:"  # a path that begins so names a file of the package's own data
 
@@ -63,12 +70,18 @@ def gdal_reason(error: BaseException) -> str:
     return str(deepest).strip().rstrip(".")
 
 
-def file_units(dataset: Any) -> Literal["m", "km", "dm", "cm"]:
-    """Units that the band states, metres when it states none that is known."""
-    stated = (dataset.units[0] or "").strip().lower()
-    if stated in ("km", "kilometer", "kilometre", "kilometers", "kilometres"):
-        return "km"
-    return "m"
+def file_units(path: Path, dataset: Any) -> Units:
+    """Units that the band states, metres when it states none. Raises DataError for foreign ones."""
+    stated = (dataset.units[0] or "").strip()
+    if not stated:
+        return "m"
+    for units, names in STATED_UNITS.items():
+        if stated.lower() in names:
+            return units
+    raise DataError(
+        f"{path}: its values are in '{stated}'; wanted one of {', '.join(STATED_UNITS)}: convert "
+        "it, or set `units` in its [[dem]] section if the file is wrong"
+    )
 
 
 def place_of(

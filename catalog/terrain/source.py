@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import rasterio
 from numpy.typing import ArrayLike, NDArray
+from rasterio.enums import ColorInterp
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
@@ -130,10 +131,12 @@ class DemSource:
         if dataset.count < 1 or min(dataset.shape) < 4:
             raise DataError(f"{path}: {dataset.shape[0]} x {dataset.shape[1]} pixels; not a DEM")
         dtype = str(dataset.dtypes[0])
+        if dataset.colorinterp[0] in (ColorInterp.red, ColorInterp.palette):
+            raise DataError(f"{path}: is a colour picture, not a DEM; name a raster of heights")
         if np.dtype(dtype).kind not in "iuf":
             raise DataError(f"{path}: pixels are {dtype}; wanted whole or real numbers")
         place = place_of(path, settings.crs, settings.longitude, body, dataset)
-        units = settings.units or file_units(dataset)
+        units = settings.units or file_units(path, dataset)
         factor = METRES[units]
         scale = settings.scale if settings.scale is not None else float(dataset.scales[0])
         offset = settings.offset if settings.offset is not None else float(dataset.offsets[0])

@@ -4,6 +4,8 @@ import shutil
 
 import numpy as np
 import pytest
+import rasterio
+from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
@@ -148,6 +150,21 @@ def test_one_absurd_value_is_told_with_the_ranges(tmp_path, dems, moon):
     values[17, 90] = 1e6
     path = dems.write(tmp_path / "spike.tif", values)
     refused(path, moon, "1e+06", "nodata")
+
+
+def test_values_in_feet_are_not_taken_for_metres(tmp_path, dems, moon):
+    path = dems.write(tmp_path / "ft.tif", dems.smooth_grid(64).astype(np.float32))
+    with rasterio.open(path, "r+") as file:
+        file.units = ["ft"]
+    refused(path, moon, "'ft'", "`units`")
+    assert ingest(path, moon, units="m").record.highest_m > 2000.0
+
+
+def test_a_colour_picture_is_no_terrain(tmp_path, dems, moon):
+    path = dems.write(tmp_path / "c.tif", dems.smooth_grid(64).astype(np.uint8))
+    with rasterio.open(path, "r+") as file:
+        file.colorinterp = [ColorInterp.red]
+    refused(path, moon, "colour picture")
 
 
 def test_holes_are_no_error(tmp_path, dems, moon):
