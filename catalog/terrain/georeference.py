@@ -47,6 +47,7 @@ class Georeference:
     parameters: tuple[float, ...]
     row_angle: float  # rad of ground between neighbouring rows
     column_angle: float  # the same between columns, at the equator for a cylindrical raster
+    turn: float = 0.0  # a full turn of longitude in x; 0 where x does not count longitude
 
     @property
     def period(self) -> float:
@@ -122,6 +123,10 @@ class Georeference:
         shown = np.isfinite(x) & np.isfinite(y)
         a, b, c, d, e, f = self.affine
         x, y = np.where(shown, x, np.nan) - c, np.where(shown, y, np.nan) - f
+        if self.turn:
+            # PROJ keeps longitudes within half a turn; a raster may lie a turn further on
+            middle = (a * self.shape[1] + b * self.shape[0]) / 2.0
+            x = x - np.round((x - middle) / self.turn) * self.turn
         determinant = a * e - b * d
         return (e * x - b * y) / determinant - 0.5, (a * y - d * x) / determinant - 0.5
 
@@ -160,8 +165,9 @@ def georeference(
         per = 1.0 if crs.is_geographic else radius_m
         column_angle = float(np.hypot(affine[0], affine[3])) * unit / per
         row_angle = float(np.hypot(affine[1], affine[4])) * unit / per
+    turn = _turn_in_x(crs)
     made = Georeference(
-        wkt, affine, shape, longitude_sign, kind, parameters, row_angle, column_angle
+        wkt, affine, shape, longitude_sign, kind, parameters, row_angle, column_angle, turn
     )
     if kind != OTHER and not _agrees(made):
         return georeference_through_proj(made)
@@ -179,7 +185,23 @@ def georeference_through_proj(closed: Georeference) -> Georeference:
         (),
         closed.row_angle,
         closed.column_angle,
+        closed.turn,
     )
+
+
+def _turn_in_x(crs: pyproj.CRS) -> float:
+    """How far x runs in a full turn of longitude, CRS units; 0 for other than plate carree maps."""
+    unit = float(crs.axis_info[0].unit_conversion_factor)
+    if crs.is_geographic:
+        return 2.0 * np.pi / unit
+    operation, ellipsoid = crs.coordinate_operation, crs.ellipsoid
+    if operation is None or ellipsoid is None:
+        return 0.0
+    if not operation.method_name.startswith("Equidistant Cylindrical"):
+        return 0.0
+    values = {p.name: float(p.value) * p.unit_conversion_factor for p in operation.params}
+    lat_ts = values.get("Latitude of 1st standard parallel", 0.0)
+    return float(2.0 * np.pi * ellipsoid.semi_major_metre * np.cos(lat_ts) / unit)
 
 
 def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]] | None:

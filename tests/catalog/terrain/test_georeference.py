@@ -137,3 +137,18 @@ def test_points_that_a_projection_cannot_show_have_no_pixel():
     assert np.isfinite(col[0])
     assert np.isnan(col[1])
     assert np.isnan(row[1])
+
+
+@pytest.mark.parametrize("turns", [-1, 0, 1])
+def test_a_rotated_raster_that_lies_turns_away_shows_the_same_places(turns):
+    """A map at 349 E may begin at x of 349 deg or of -11: PROJ gives the second."""
+    crs = pyproj.CRS.from_proj4(f"+proj=eqc +R={RADIUS_M} +no_defs")
+    x0 = RADIUS_M * np.radians(-11.0 + 360.0 * turns)
+    steps = (400.0, 150.0, x0, 150.0, -400.0, -1.3e6)
+    made = georeference(crs.to_wkt(), steps, (300, 300), 1.0, RADIUS_M)
+    assert made.kind == OTHER
+    x, y = steps[0] * 40.5 + steps[1] * 70.5, steps[3] * 40.5 + steps[4] * 70.5 - 1.3e6
+    lon = np.radians(-11.0) + x / RADIUS_M
+    for turn in (0.0, 2.0 * np.pi):
+        col, row = made.pixel_from_latlon(y / RADIUS_M, lon + turn)
+        assert (col, row) == (pytest.approx(40.0, abs=1e-6), pytest.approx(70.0, abs=1e-6))
