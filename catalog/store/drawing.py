@@ -1,5 +1,7 @@
 """A control point as a picture: its heights and its brightness at every level."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -10,12 +12,15 @@ from catalog.control_point import Patch, Pyramid
 from catalog.errors import OutputError
 from catalog.rendering.map_view import render_map
 from catalog.store.features import reasons_text
-from catalog.store.partial import replacing
+from catalog.store.partial import check_place, replacing
 
 Picture = NDArray[np.uint8]  # (h, w, 3), blue green red as OpenCV has them
 HeightGrid = NDArray[np.float32]
 
-PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+HEADER_BYTES = 33  # of a PNG: its magic number and its first chunk
+# A text chunk by which we know a picture of ours again: length, type, text, CRC-32 of both.
+_TEXT = b"tEXtSoftware\0optnav catalog show"
+OUR_MARK = struct.pack(">I", len(_TEXT) - 4) + _TEXT + struct.pack(">I", zlib.crc32(_TEXT))
 TILE_PX = 256
 GAP_PX = 12
 HEAD_PX = 62
@@ -72,21 +77,31 @@ def draw_pyramid(
 
 def write_png(picture: Picture, path: Path) -> None:
     """Write a picture. Raises OutputError for another ending than .png or an unusable place."""
-    if path.suffix.lower() != ".png":
-        raise OutputError(f"{path}: the picture is a PNG; choose a name that ends in .png")
+    check_png_place(path)
     done, data = cv2.imencode(".png", picture)
     if not done:
         raise OutputError(f"{path}: a picture of {picture.shape} pixels cannot be coded")
-    with replacing(path, _is_png) as partial:
+    coded = data.tobytes()
+    with replacing(path, _is_ours) as partial:
         try:
-            partial.write_bytes(data.tobytes())
+            partial.write_bytes(coded[:HEADER_BYTES] + OUR_MARK + coded[HEADER_BYTES:])
         except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+            raise OutputError(
+                f"{path}: cannot be written ({error.strerror}); free some space or name another "
+                "place"
+            ) from error
 
 
-def _is_png(path: Path) -> bool:
+def check_png_place(path: Path) -> None:
+    """Raise OutputError for another ending than .png, or a place where no picture can be put."""
+    if path.suffix.lower() != ".png":
+        raise OutputError(f"{str(path)!r}: the picture is a PNG; choose a name that ends in .png")
+    check_place(path, _is_ours)
+
+
+def _is_ours(path: Path) -> bool:
     with path.open("rb") as file:
-        return file.read(8) == PNG_MAGIC
+        return file.read(HEADER_BYTES + len(OUR_MARK))[HEADER_BYTES:] == OUR_MARK
 
 
 def _head(picture: Picture, pyramid: Pyramid, azimuth_deg: float, elevation_deg: float) -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 import click
 
 from optnav_cli.console import announce_compilation
-from optnav_cli.options import output_option, path_argument
+from optnav_cli.options import NumberArguments, output_option, path_argument
 
 
-@click.command(short_help="A control point's attributes and a picture of it.")
+@click.command(cls=NumberArguments, short_help="A control point's attributes and a picture of it.")
 @path_argument("catalog")
 @click.argument("point_id", metavar="ID", type=int)
 @output_option("The picture (PNG); CATALOG-ID.png in this folder by default.", required=False)
@@ -20,14 +20,15 @@ def command(catalog: Path, point_id: int, output: Path | None) -> None:
 
     \b
     Example:
-      optnav catalog show tycho.gpkg 6512 -o point.png
+      optnav catalog show tycho.gpkg 6420 -o point.png
     """
-    from catalog.store.drawing import draw_pyramid, write_png
+    from catalog.store.drawing import check_png_place, draw_pyramid, write_png
     from catalog.store.reader import Catalog
     from catalog.store.summary import describe_point
 
     announce_compilation()
     place = output or Path(f"{catalog.stem}-{point_id}.png")
+    check_png_place(place)
     with Catalog.open(catalog) as opened:
         pyramid = opened.pyramid(point_id)
         for key, value in describe_point(pyramid.point).items():

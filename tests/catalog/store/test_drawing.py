@@ -62,3 +62,6 @@ def test_pictures_go_to_png_files_only(tmp_path: Path) -> None:
         write_png(picture, notes)
     write_png(picture, tmp_path / "q.png")
     write_png(picture, tmp_path / "q.png")
+    cv2.imwrite(str(tmp_path / "holiday.png"), picture)
+    with pytest.raises(OutputError, match="not made by optnav"):
+        write_png(picture, tmp_path / "holiday.png")
