@@ -53,7 +53,9 @@ def load_toml(path: str | Path, type_: type[T]) -> T:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
-        raise ConfigError(f"{path}: line {line} is not UTF-8 text; save it as UTF-8") from None
+        raise ConfigError(
+            f"{path}: line {line} is not UTF-8 text; wanted a TOML file, saved as UTF-8"
+        ) from None
     return parse_toml(text, type_, path)
 
 
@@ -213,6 +215,9 @@ def _explain(message: str, info: inspect.Type, data: Any) -> str:
     found = "" if value is None or isinstance(value, dict | list) else f" = {_toml(value)}"
     place = f"{_place(steps)}{found}"
     expected = _EXPECTED.match(text)
+    if expected and expected[1] == "array" and isinstance(value, dict):
+        name = _section(steps)
+        return f"{name} is one section; wanted a list of them: write [{name}] for each"
     if expected:
         kinds = [_KINDS.get(kind, kind) for kind in expected[1].split(" | ") if kind != "null"]
         wanted = " or ".join(kinds) + (f" {expected[2]}" if expected[2] else "")
@@ -232,7 +237,9 @@ def _missing_message(key: str, info: inspect.Type, steps: Steps) -> str:
     type_ = _type_at(info, (*steps, key))
     if isinstance(type_, inspect.StructType):
         return f"it has no section {_section((*steps, key))}; add it"
-    if isinstance(type_, inspect.ListType) and isinstance(type_.item_type, inspect.StructType):
+    if isinstance(type_, inspect.ListType | inspect.VarTupleType) and isinstance(
+        type_.item_type, inspect.StructType
+    ):
         return f"it has no section [{_section((*steps, key))}]; add at least one"
     return f"{_section(steps)} needs the setting {key!r}; add it".lstrip()
 

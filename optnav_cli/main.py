@@ -66,7 +66,7 @@ COMMANDS = {
 @click.option("-v", "--verbose", is_flag=True, help="Show details.")
 @click.option(
     "--log-file",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=click.Path(path_type=Path),
     help="Also write all messages to this file, one JSON object a line.",
 )
 @click.version_option(catalog.__version__, message="optnav %(version)s")

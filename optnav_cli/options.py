@@ -93,7 +93,7 @@ def work_option(*, required: bool) -> Callable[[F], F]:
     """`--work DIR`: the workspace of a build, from which a stopped one goes on."""
     return click.option(
         "--work",
-        type=click.Path(path_type=Path, file_okay=False),
+        type=click.Path(path_type=Path),
         required=required,
         help="Folder for what the stages hand on; a stopped run goes on from it."
         + ("" if required else " By default OUTPUT.work."),

@@ -92,7 +92,10 @@ def run(
             raise UsageError("name a work folder with --work")
         work = output.with_name(output.name + ".work")
     config = load_build_config(config_path)
-    body = load_body(config.body.name)
+    try:
+        body = load_body(config.body.name)
+    except ConfigError as error:
+        raise ConfigError(f"{config_path}: [body] name: {error}") from None
     workspace = Workspace(work)
     with workspace.locked():
         build = _Build(workspace, config, config_path, body, workers, progress or SilentProgress())

@@ -158,12 +158,15 @@ def covered_cells(mosaic: Mosaic, grid: CellGrid, bbox: Bbox | None) -> IntArray
         lat, lon = _lattice(grid, part)
         covered[first : first + 4096] = mosaic.covers(lat, lon, posting).any(axis=1)
     if not covered.any():
-        where = f"--bbox {_text(bbox)} " if bbox is not None else "the terrain models "
+        where = f"--bbox {_text(bbox)}: none of its" if bbox is not None else "none of the body's"
         extents = "; ".join(
             f"{p.source.path.name} covers {_text(np.degrees(p.source.latlon_bounds()))}"
             for p in mosaic.pyramids
         )
-        raise DataError(f"{where}holds the middle of no cell with ground ({extents}, W,S,E,N)")
+        raise DataError(
+            f"{where} {cells.size} cells of {grid.step_deg:g} deg has ground ({extents}, W,S,E,N); "
+            "give a box or terrain models that meet"
+        )
     return cells[covered]
 
 

@@ -78,6 +78,8 @@ def _check_header(path: Path, header: list[str], columns: Sequence[str]) -> None
         extra = [name for name in header if name not in columns]
         near = nearest_name(missing[0], extra)
         hint = f"is '{near}' meant?" if near else f"wanted {','.join(columns)}"
+        if len(header) == 1:
+            hint = f"columns are to be set apart by commas: {','.join(columns)}"
         raise DataError(f"{path}: has no column '{missing[0]}'; {hint}")
     twice = sorted({name for name in header if name and header.count(name) > 1})
     if twice:

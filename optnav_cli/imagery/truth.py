@@ -41,6 +41,10 @@ def read_truth(path: str | Path, settings: RunSettings) -> list[Truth]:
     path, body = Path(path), load_body(settings.body)
     truths: dict[str, Truth] = {}
     for index, row in enumerate(read_rows(path, COLUMNS)):
+        if "position_sigma_m" in row:
+            raise DataError(
+                f"{path}: is a frames.csv, what was believed of the camera; wanted the truth.csv"
+            )
         where = f"{path}: row {index + 1} ({row['file']}): "
         if row[""]:
             raise DataError(f"{where}{row['']}")

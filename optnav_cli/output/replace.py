@@ -23,7 +23,7 @@ MANIFEST = "manifest.json"
 MADE_BY = "optnav"
 NEW, OLD = "optnav-new-", "optnav-old"
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
-DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
 
 
 def made_by_optnav(folder: Path, kind: str) -> bool:
@@ -47,7 +47,7 @@ def check_folder(path: Path, kind: str) -> None:
         raise OutputError(f"{path}: a file is in the way of an output folder; name another place")
     if any(path.iterdir()) and not made_by_optnav(path, kind):
         raise OutputError(
-            f"{path}: the folder is not empty and not a {kind} that optnav made, so it is left "
+            f"{path}: the folder is not empty and holds no {kind} that optnav made, so it is left "
             "alone; name another place, or remove it yourself"
         )
 

@@ -25,8 +25,8 @@ def simulate_folder(
     started = datetime.now(UTC)
     check_folder(pictures, KIND)  # before any work is done for a place that cannot be used
     if isinstance(scenario, Path):
-        origin = {"name": scenario.name, "sha256": hash_file(scenario)}
-        scenario = load_scenario(scenario)
+        path, scenario = scenario, load_scenario(scenario)
+        origin = {"name": path.name, "sha256": hash_file(path)}
     else:
         origin = {"sha256": hashlib.sha256(scenario_copy(scenario)).hexdigest()}
     with replacing_folder(pictures, KIND) as place:

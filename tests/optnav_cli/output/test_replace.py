@@ -69,7 +69,7 @@ def test_a_foreign_folder_a_file_and_an_output_of_another_kind_are_refused(tmp_p
     foreign.mkdir()
     (foreign / "to_mum.txt").touch()
     with (
-        pytest.raises(OutputError, match=r"letters: the folder is not empty and not a run"),
+        pytest.raises(OutputError, match=r"letters: the folder is not empty and holds no run"),
         replacing_folder(foreign, "run"),
     ):
         pass
@@ -79,7 +79,7 @@ def test_a_foreign_folder_a_file_and_an_output_of_another_kind_are_refused(tmp_p
     pictures = tmp_path / "pictures"
     pictures.mkdir()
     fill(pictures, "frames", kind="pictures")
-    with pytest.raises(OutputError, match="not a run that optnav made"):
+    with pytest.raises(OutputError, match="holds no run that optnav made"):
         replacing_folder(pictures, "run").__enter__()
     assert (pictures / "word.txt").read_text() == "frames"
 
