@@ -19,18 +19,20 @@ FloatArray = NDArray[np.float64]
 # A point's own, 1 sigma an axis: in nodes of the level that was matched, and, m for a terrain model
 # of REFERENCE_M, at any Sun and for a cotangent of 1 of the Sun's elevation: grows with its square.
 OWN_LEVEL_NODES = 0.005
-OWN_M = 0.3
-OWN_SHADOW_M = 0.4
+OWN_M = 0.5
+OWN_SHADOW_M = 0.1
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
 # of its elevation, shift in any direction, and what relief that the reference does not explain adds
 # to the shift, for a score of 0. Catalogs of 118 m and 474 m on the same pictures show that they
 # grow as the root of the posting.
 REFERENCE_M = 118.45
-SHADOW_M = 1.6
-SHIFT_M = 0.8
+SHADOW_M = 0.8
+SHIFT_M = 0.5
 UNEXPLAINED_M = 9.5
 # Stretch about the points' middle, m a metre: wide fields see it, whatever the height.
-STRETCH = 4e-5
+STRETCH = 2.2e-5
+# Shift common to a frame, px an axis: what sampling at the pixels leaves.
+SHIFT_PX = 0.006
 # Below it shadows fill the picture and the cotangent runs away.
 LOWEST_SUN = np.radians(8.0)
 
@@ -53,13 +55,14 @@ def common_errors_px(
     sun_body: FloatArray,
     finest_posting_m: float,
 ) -> FloatArray:
-    """What one sigma of each error common to a frame moves every point by, (n, 2, 4), px.
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 6), px.
 
     points_m  (n, 3)     the points, body frame
     by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
     scores    (n,)       of the correlation peaks
     sun_body  (3,)       unit vector to the Sun
-    The four errors are independent: along the Sun, shifts along and across it, stretch.
+    The errors are independent: shadows along the Sun, shifts along and across it, stretch, shifts
+    along the picture's axes.
     """
     middle = points_m.mean(axis=0)
     up = middle / np.linalg.norm(middle)
@@ -82,6 +85,7 @@ def common_errors_px(
         outward * STRETCH,
     ]
     moved = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
+    moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
     return np.stack(moved, axis=2)
 
 
