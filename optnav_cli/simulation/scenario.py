@@ -8,6 +8,7 @@ from msgspec import Meta
 
 from catalog.config import load_toml, resource
 from catalog.errors import ConfigError
+from catalog.terrain.dem_file import BUNDLED
 from catalog.terrain.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
@@ -155,8 +156,10 @@ def scenario_camera(scenario: Scenario) -> Camera:
 
 
 def _data_file(name: str, base: Path, where: Path) -> Path:
+    # written as in a build config, too
+    name, bundled = name.removeprefix(BUNDLED), name.startswith(BUNDLED)
     beside = base / name
-    if beside.exists():
+    if beside.exists() and not bundled:
         return beside
     try:
         return resource(f"data/{name}")
