@@ -5,8 +5,9 @@ meet the same trials: ground with relief below the DEM's posting, Hapke against 
 noise, blur, 8 bits, scale, roll and off-nadir errors, Suns that occur (catalog.selection.trial).
 *Chosen* is what the build's stages take, usable or not; *random* draws a new place for every round;
 *one-Sun Harris* takes the strongest corner (OpenCV, the same window) of a picture under one Sun,
-another Sun of those that occur for every round, as one happens to have it; its points keep the
-same distance from other cells' points as the chosen ones do.
+another Sun of those that occur for every round, as one happens to have it; *one-Sun corner* does
+so with the few nodes of a textbook's corner. Both keep the same distance from other cells' points
+as the chosen ones do.
 """
 
 from collections.abc import Sequence
@@ -39,6 +40,7 @@ DEM = "data/tycho_gld100_256ppd.tif"
 SUNS = 4  # trials of a round, one for each of so many Sun elevations
 LEAST_FREE = 0.5  # of a cell's places must have whole patches for the cell to take part
 HARRIS_K = 0.04  # of the textbook
+CORNER_NODES = 3  # side of the square that a textbook's corner is summed over
 Z95 = 1.959964
 
 
@@ -68,6 +70,7 @@ class SelectionRow:
     strategies: tuple[Strategy, ...]
     over_random: Interval
     over_harris: Interval
+    over_corner: Interval
 
 
 def run(progress: Progress, trials: int = 1000, seed: int = 1) -> list[SelectionRow]:
@@ -104,13 +107,17 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     records = check.check_chunk(context, select.select(context, shortlists))
     chosen = {record.cell: (record.lat_deg, record.lon_deg) for record in records}
     rounds = -(-trials // (SUNS * len(grounds)))
-    outcomes: dict[str, list[Outcome]] = {"random": [], "one-Sun Harris": [], "chosen": []}
+    outcomes: dict[str, list[Outcome]] = {
+        name: [] for name in ("random", "one-Sun corner", "one-Sun Harris", "chosen")
+    }
     name = f"selection {context.posting_m:.0f} m"
     with progress.stage(name, rounds * len(grounds), "place") as bar:
         for turn in range(rounds):
+            corner = _one_sun_harris(context, grounds, turn, CORNER_NODES)
             harris = _one_sun_harris(context, grounds, turn)
             for cell, ground in grounds.items():
-                places = (_random(ground, [seed, cell, turn]), harris[cell], chosen[cell])
+                drawn = _random(ground, [seed, cell, turn])
+                places = (drawn, corner[cell], harris[cell], chosen[cell])
                 for results, place in zip(outcomes.values(), places, strict=True):
                     results += _trials(context, place, [seed, cell, turn])
                 bar.advance()
@@ -118,12 +125,13 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     strategies = tuple(
         summarise(name, results, limit, context.posting_m) for name, results in outcomes.items()
     )
-    random, corners, best = strategies
+    random, corners, harris_points, best = strategies
     return SelectionRow(
         context.posting_m,
         len(grounds),
         strategies,
         difference(best, random),
+        difference(best, harris_points),
         difference(best, corners),
     )
 
@@ -140,9 +148,15 @@ def _random(ground: render.Ground, seed: Sequence[int]) -> tuple[float, float]:
 
 
 def _one_sun_harris(
-    context: StageContext, grounds: dict[int, render.Ground], turn: int
+    context: StageContext,
+    grounds: dict[int, render.Ground],
+    turn: int,
+    window: int | None = None,
 ) -> dict[int, tuple[float, float]]:
-    """The strongest corners of pictures under one Sun, a place a cell, spaced as the build does."""
+    """The strongest corners of pictures under one Sun, a place a cell, spaced as the build does.
+
+    window  side of the summed square, nodes; the template's when None
+    """
     settings = context.config.render
     cells, places, scores = [], [], []
     for cell, ground in grounds.items():
@@ -154,7 +168,7 @@ def _one_sun_harris(
             radius_m=context.body.radius_m,
         )
         filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
-        response = cv2.cornerHarris(filled, ground.window, 3, HARRIS_K)
+        response = cv2.cornerHarris(filled, window or ground.window, 3, HARRIS_K)
         nodes = np.arange(ground.lat.shape[0]) * ground.step + ground.window // 2
         at_places = response[np.ix_(nodes, nodes)]
         free = np.where(ground.inside & ground.whole, at_places, np.nan).astype(np.float32)
@@ -256,7 +270,12 @@ def format_table(rows: Sequence[SelectionRow]) -> str:
             lines.append(
                 f"{one.name:16}{one.trials:7d}  {share:24}{error:22}{100.0 * one.wrong:.1f} %"
             )
-        for what, gain in (("random", row.over_random), ("one-Sun Harris", row.over_harris)):
+        gains = (
+            ("random", row.over_random),
+            ("one-Sun corner", row.over_corner),
+            ("one-Sun Harris", row.over_harris),
+        )
+        for what, gain in gains:
             value, low, high = (100.0 * v for v in gain)
             lines.append(f"chosen over {what}: {value:+.1f} points ({low:+.1f}..{high:+.1f})")
         lines.append("")

@@ -42,7 +42,7 @@ def test_the_table_names_strategies_gains_and_intervals():
     one = summarise("chosen", outcomes(90, 10), 1.5, 118.0)
     other = summarise("random", outcomes(70, 30), 1.5, 118.0)
     gain = difference(one, other)
-    text = format_table([SelectionRow(118.0, 7, (other, one), gain, gain)])
+    text = format_table([SelectionRow(118.0, 7, (other, one), gain, gain, gain)])
     assert "posting 118 m, 7 cells" in text
     assert "chosen over random: +20.0 points" in text
 
