@@ -158,14 +158,14 @@ def covered_cells(mosaic: Mosaic, grid: CellGrid, bbox: Bbox | None) -> IntArray
         lat, lon = _lattice(grid, part)
         covered[first : first + 4096] = mosaic.covers(lat, lon, posting).any(axis=1)
     if not covered.any():
-        where = f"--bbox {_text(bbox)}: none of its" if bbox is not None else "none of the body's"
+        where = f"--bbox {_text(bbox)} holds" if bbox is not None else "the body has"
         extents = "; ".join(
             f"{p.source.path.name} covers {_text(np.degrees(p.source.latlon_bounds()))}"
             for p in mosaic.pyramids
         )
         raise DataError(
-            f"{where} {cells.size} cells of {grid.step_deg:g} deg has ground ({extents}, W,S,E,N); "
-            "give a box or terrain models that meet"
+            f"{where} no cell with ground, of {cells.size} of {grid.step_deg:g} deg "
+            f"({extents}, W,S,E,N); give a box or terrain models that meet"
         )
     return cells[covered]
 

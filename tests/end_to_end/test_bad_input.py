@@ -1,13 +1,8 @@
 """What a user can do wrong, through the command line: a word about it, an exit code, no litter."""
 
 import logging
-import os
 import shutil
-import signal
 import sqlite3
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -20,8 +15,6 @@ from rasterio.transform import Affine
 
 from optnav_cli.main import run
 
-CHECKOUT = Path(__file__).resolve().parents[2]
-OPTNAV = [sys.executable, "-m", "optnav_cli.main"]
 CONFIG = '[body]\nname = "moon"\n[[dem]]\npath = "{dem}"\n[pyramid]\nlevels = 2\nsize = 48\n'
 BOX = ("--bbox", "10,20,12,21")  # two cells
 SIZE, PER_DEG = 256, 64.0
@@ -159,7 +152,6 @@ def test_a_bad_terrain_model_is_told_and_leaves_nothing(
         (CONFIG.replace("moon", "mon"), ("[body] name", "did you mean 'moon'?")),
         (CONFIG + "[select]\nspacng_cell = 0.5\n", ("[select]", "did you mean 'spacing_cell'?")),
         (CONFIG + '[grid]\ncell_deg = "one"\n', ("[grid] cell_deg", "must be a number")),
-        (CONFIG + "[grid]\ncell_deg = 0\n", ("[grid] cell_deg is 0", "wanted between")),
         (CONFIG.replace("[[dem]]", "[dem]"), ("write [[dem]]",)),
         ('[body]\nname = "moon"\n', ("no section [[dem]]",)),
         ("hello", ("not valid TOML",)),
@@ -342,23 +334,6 @@ def test_a_run_without_a_solved_frame_is_written_and_ends_with_4(
     one_line(optnav("-q", "evaluate", run_folder, "--truth", world / "no.csv"), 3, "no.csv")
 
 
-@pytest.mark.parametrize(
-    ("header", "words"),
-    [
-        (FRAMES.replace("camera", "kamera"), "no column 'camera'; is 'kamera' meant?"),
-        (FRAMES.replace(",", ";"), "set apart by commas"),
-        ("", "no column 'file'"),
-    ],
-)
-def test_a_bad_header_of_frames_is_told(
-    header: str, words: str, world: Path, pictures: Path, optnav: Optnav
-) -> None:
-    (pictures / "frames.csv").write_text(f"{header}good.png,{GOOD}\n")
-    said = optnav("-q", "navigate", pictures, "--catalog", world / "moon.gpkg", "-o", world / "run")
-    one_line(said, 3, "frames.csv", words)
-    assert not (world / "run").exists()
-
-
 def test_numbers_of_points_and_places_may_be_negative(world: Path, optnav: Optnav) -> None:
     catalog = world / "moon.gpkg"
     one_line(optnav("catalog", "show", catalog, -5), 3, "has no control point -5")
@@ -373,63 +348,3 @@ def test_one_worker_at_least(world: Path, optnav: Optnav) -> None:
     said = optnav("build", world / "moon.toml", "-o", world / "new.gpkg", "--workers", 0)
     assert said.code == 2
     assert "--workers" in said.err
-
-
-@pytest.fixture
-def started(world: Path) -> Callable[[str], subprocess.Popen[str]]:
-    """Starts a build with two workers and waits until its messages come to a stage."""
-
-    def start(stage: str) -> subprocess.Popen[str]:
-        args = ["build", "moon.toml", "-o", "new.gpkg", "--workers", "2", *BOX]
-        process = subprocess.Popen(
-            [*OPTNAV, *args], cwd=world, env={**os.environ, "PYTHONPATH": str(CHECKOUT)},
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
-        assert process.stderr is not None
-        for line in process.stderr:
-            if stage in line:
-                return process
-        raise AssertionError(f"the build never came to {stage}")
-
-    return start
-
-
-def alive(session: int) -> bool:
-    """Whether any process of a session is left."""
-    try:
-        os.killpg(session, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_build_ends_at_once_with_its_workers(
-    number: signal.Signals, started: Callable[[str], subprocess.Popen[str]], world: Path
-) -> None:
-    with started("render: 2 cells") as process:
-        process.send_signal(number)
-        _, err = process.communicate(timeout=15)
-    assert (process.returncode, "Traceback" in err) == (130, False)
-    assert err.endswith("optnav: interrupted\n")
-    assert not (world / "new.gpkg").exists()
-    for _ in range(50):
-        if not alive(process.pid):
-            return
-        time.sleep(0.1)
-    raise AssertionError("workers outlived the build")
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_a_killed_build_goes_on_to_the_same_catalog(
-    started: Callable[[str], subprocess.Popen[str]], world: Path, optnav: Optnav
-) -> None:
-    undisturbed = digest(optnav("catalog", "info", world / "moon.gpkg"))
-    for stage in ("overviews", "render: 2 cells", "check: 2 cells"):
-        with started(stage) as process:
-            process.kill()
-        assert not (world / "new.gpkg").exists()
-    again = optnav("-q", "build", world / "moon.toml", "-o", world / "new.gpkg",
-                   "--workers", 1, *BOX)  # fmt: skip
-    assert (again.code, digest(again)) == (0, undisturbed)

@@ -123,6 +123,7 @@ def test_a_wrong_row_is_its_frames_problem_and_the_others_go_on(
         (HEADER.replace(",qz", ""), [ROW], "no column 'qz'"),
         (HEADER.replace("sun_x", "sunx"), [ROW], "no column 'sun_x'; is 'sunx' meant"),
         (HEADER + ",qw", [ROW + ",1"], "'qw' twice"),
+        (HEADER.replace(",", ";"), [ROW], "set apart by commas"),
         (HEADER, [], "no rows"),
         ("", [], "is empty"),
         (HEADER, [ROW, ROW], "'a.png' stands in rows 1 and 2"),

@@ -1,0 +1,89 @@
+"""A build that is stopped: it ends at once, leaves nothing half, and goes on when given again."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from catalog.config import resource
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
+# four cells of the bundled terrain, two workers
+BUILD = (
+    sys.executable, "-m", "optnav_cli.main", "build",
+    str(resource("configs/catalogs/tycho.toml")), "-o", "new.gpkg",
+    "--workers", "2", "--bbox", "-13,-45,-11,-43",
+)  # fmt: skip
+Start = Callable[[str], "subprocess.Popen[str]"]
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Start:
+    """Starts a build and waits until its messages come to a stage."""
+
+    def start(stage: str) -> "subprocess.Popen[str]":
+        process = subprocess.Popen(
+            BUILD, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True, start_new_session=True,
+        )  # fmt: skip
+        assert process.stderr is not None
+        for line in process.stderr:
+            if stage in line:
+                return process
+        raise AssertionError(f"the build never came to {stage}")
+
+    return start
+
+
+def wait_for_the_end_of(session: int) -> None:
+    """No process of a session may be left after five seconds."""
+    for _ in range(50):
+        try:
+            os.killpg(session, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    raise AssertionError("workers outlived the build")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_build_ends_at_once_with_its_workers(
+    number: signal.Signals, started: Start, tmp_path: Path
+) -> None:
+    with started("render: 4 cells") as process:
+        process.send_signal(number)
+        _, err = process.communicate(timeout=15)
+    assert (process.returncode, "Traceback" in err) == (130, False)
+    assert err.endswith("optnav: interrupted\n")
+    assert not (tmp_path / "new.gpkg").exists()
+    wait_for_the_end_of(process.pid)
+
+
+def test_a_build_killed_again_and_again_goes_on_to_the_same_catalog(
+    started: Start, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    undisturbed = _digest(tmp_path_factory.mktemp("undisturbed"))
+    for stage in ("overviews", "render: 4 cells", "check: 4 cells", "write: 4"):
+        with started(stage) as process:
+            process.kill()
+        wait_for_the_end_of(process.pid)
+        if (tmp_path / "new.gpkg").exists():  # the kill came too late for the last stage
+            (tmp_path / "new.gpkg").unlink()
+    assert _digest(tmp_path) == undisturbed
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new.gpkg", "new.gpkg.work"]
+
+
+def _digest(folder: Path) -> str:
+    done = subprocess.run(
+        BUILD, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=True
+    )
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("digest: ")]
+    return line
