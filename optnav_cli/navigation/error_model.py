@@ -19,20 +19,22 @@ FloatArray = NDArray[np.float64]
 # A point's own, 1 sigma an axis: in nodes of the level that was matched, and, m for a terrain model
 # of REFERENCE_M, at any Sun and for a cotangent of 1 of the Sun's elevation: grows with its square.
 OWN_LEVEL_NODES = 0.005
-OWN_M = 0.5
-OWN_SHADOW_M = 0.1
+OWN_M = 1.0
+OWN_SHADOW_M = 0.15
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
 # of its elevation, shift in any direction, and what relief that the reference does not explain adds
 # to the shift, for a score of 0. Catalogs of 118 m and 474 m on the same pictures show that they
 # grow as the root of the posting.
 REFERENCE_M = 118.45
-SHADOW_M = 0.8
+SHADOW_M = 0.85
 SHIFT_M = 0.5
-UNEXPLAINED_M = 9.5
-# Stretch about the points' middle, m a metre: wide fields see it, whatever the height.
-STRETCH = 2.2e-5
-# Shift common to a frame, px an axis: what sampling at the pixels leaves.
-SHIFT_PX = 0.006
+UNEXPLAINED_M = 8.0
+# They are common to the ground about them: points that lie further apart average them.
+REGION_M = 32e3
+# What sampling at the pixels leaves, px: shift an axis, stretch at the points' rms distance from
+# their middle.
+SHIFT_PX = 0.0045
+STRETCH_PX = 0.006
 # Below it shadows fill the picture and the cotangent runs away.
 LOWEST_SUN = np.radians(8.0)
 
@@ -76,15 +78,18 @@ def common_errors_px(
     shift = SHIFT_M + UNEXPLAINED_M * unexplained
     outward = points_m - middle
     outward = outward - (outward @ up)[:, None] * up
+    reach = float(np.sqrt((outward**2).sum(axis=1).mean()))
+    region = _scale(finest_posting_m) / float(np.hypot(1.0, reach / REGION_M))
     one = np.ones((len(points_m), 1))
-    scale = _scale(finest_posting_m)
     fields = [
-        one * along * (scale * SHADOW_M / np.tan(elevation)),
-        one * along * (scale * shift),
-        one * across * (scale * shift),
-        outward * STRETCH,
+        one * along * (region * SHADOW_M / np.tan(elevation)),
+        one * along * (region * shift),
+        one * across * (region * shift),
+        outward,
     ]
-    moved = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
+    *shifts, stretch = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
+    widest = max(float(np.sqrt((stretch**2).sum(axis=1).mean())), 1e-9)
+    moved = [*shifts, stretch * (STRETCH_PX / widest)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
     return np.stack(moved, axis=2)
 
