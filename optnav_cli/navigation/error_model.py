@@ -31,10 +31,12 @@ SHIFT_M = 0.5
 UNEXPLAINED_M = 8.0
 # They are common to the ground about them: points that lie further apart average them.
 REGION_M = 32e3
-# What sampling at the pixels leaves, px: shift an axis, stretch at the points' rms distance from
-# their middle.
+# What sampling at the pixels and oblique views leave, px: shift an axis; stretch, and stretch that
+# changes from side to side, at the points' rms distance from their middle. The last looks like a
+# tilt of the camera, so it decides what a picture may say about a star sensor's attitude.
 SHIFT_PX = 0.0045
 STRETCH_PX = 0.006
+KEYSTONE_PX = 0.004
 # Below it shadows fill the picture and the cotangent runs away.
 LOWEST_SUN = np.radians(8.0)
 
@@ -57,14 +59,14 @@ def common_errors_px(
     sun_body: FloatArray,
     finest_posting_m: float,
 ) -> FloatArray:
-    """What one sigma of each error common to a frame moves every point by, (n, 2, 6), px.
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 8), px.
 
     points_m  (n, 3)     the points, body frame
     by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
     scores    (n,)       of the correlation peaks
     sun_body  (3,)       unit vector to the Sun
-    The errors are independent: shadows along the Sun, shifts along and across it, stretch, shifts
-    along the picture's axes.
+    The errors are independent: shadows along the Sun, shifts along and across it, stretch, two
+    changing stretches, shifts along the picture's axes.
     """
     middle = points_m.mean(axis=0)
     up = middle / np.linalg.norm(middle)
@@ -87,11 +89,19 @@ def common_errors_px(
         one * across * (region * shift),
         outward,
     ]
-    *shifts, stretch = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
-    widest = max(float(np.sqrt((stretch**2).sum(axis=1).mean())), 1e-9)
-    moved = [*shifts, stretch * (STRETCH_PX / widest)]
+    for axis in (along, across):
+        fields.append(outward * ((outward @ axis) / max(reach, 1.0))[:, None])
+    *shifts, stretch, one_way, other_way = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
+    moved = [*shifts, _of_size(stretch, STRETCH_PX)]
+    moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
     return np.stack(moved, axis=2)
+
+
+def _of_size(field_px: FloatArray, rms_px: float) -> FloatArray:
+    """A field scaled to an rms length."""
+    size = float(np.sqrt((field_px**2).sum(axis=1).mean()))
+    return np.asarray(field_px * (rms_px / max(size, 1e-9)))
 
 
 def _scale(finest_posting_m: float) -> float:

@@ -134,7 +134,10 @@ def _catalog(output: Path, cell_deg: float, progress: Progress) -> Path:
     """The catalog of the bundled Tycho terrain at a cell size."""
     config = output / f"tycho-{cell_deg:g}deg.toml"
     text = resource("configs/catalogs/tycho.toml").read_text(encoding="utf-8")
-    config.write_text(f"{text}\n[grid]\ncell_deg = {cell_deg}\n", encoding="utf-8")
+    text += f"\n[grid]\ncell_deg = {cell_deg}\n"
+    # left alone when it is right, so that rows can run side by side in one folder
+    if not (config.is_file() and config.read_text(encoding="utf-8") == text):
+        config.write_text(text, encoding="utf-8")
     catalog = config.with_suffix(".gpkg")
     build.run(config, output=catalog, progress=progress)
     return catalog
