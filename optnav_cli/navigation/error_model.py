@@ -22,20 +22,21 @@ OWN_LEVEL_NODES = 0.005
 OWN_M = 1.0
 OWN_SHADOW_M = 0.15
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
-# of its elevation, shift in any direction, and what relief that the reference does not explain adds
-# to the shift, for a score of 0. Catalogs of 118 m and 474 m on the same pictures show that they
-# grow as the root of the posting.
+# of its elevation, shift in any direction, what relief that the reference does not explain adds to
+# the shift, for a score of 0, and stretch at the points' rms distance from their middle. Catalogs
+# of 118 m and 474 m on the same pictures show that they grow as the root of the posting.
 REFERENCE_M = 118.45
 SHADOW_M = 0.85
 SHIFT_M = 0.5
 UNEXPLAINED_M = 8.0
+STRETCH_M = 1.1
 # They are common to the ground about them: points that lie further apart average them.
 REGION_M = 32e3
 # What sampling at the pixels and oblique views leave, px: shift an axis; stretch, and stretch that
 # changes from side to side, at the points' rms distance from their middle. The last looks like a
 # tilt of the camera, so it decides what a picture may say about a star sensor's attitude.
 SHIFT_PX = 0.0045
-STRETCH_PX = 0.006
+STRETCH_PX = 0.005
 KEYSTONE_PX = 0.004
 # Below it shadows fill the picture and the cotangent runs away.
 LOWEST_SUN = np.radians(8.0)
@@ -59,14 +60,14 @@ def common_errors_px(
     sun_body: FloatArray,
     finest_posting_m: float,
 ) -> FloatArray:
-    """What one sigma of each error common to a frame moves every point by, (n, 2, 8), px.
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 9), px.
 
     points_m  (n, 3)     the points, body frame
     by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
     scores    (n,)       of the correlation peaks
     sun_body  (3,)       unit vector to the Sun
-    The errors are independent: shadows along the Sun, shifts along and across it, stretch, two
-    changing stretches, shifts along the picture's axes.
+    The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
+    ground and of the picture, two changing stretches, shifts along the picture's axes.
     """
     middle = points_m.mean(axis=0)
     up = middle / np.linalg.norm(middle)
@@ -92,7 +93,8 @@ def common_errors_px(
     for axis in (along, across):
         fields.append(outward * ((outward @ axis) / max(reach, 1.0))[:, None])
     *shifts, stretch, one_way, other_way = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
-    moved = [*shifts, _of_size(stretch, STRETCH_PX)]
+    moved = [*shifts, stretch * (region * STRETCH_M / max(reach, 1.0))]
+    moved.append(_of_size(stretch, STRETCH_PX))
     moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
     return np.stack(moved, axis=2)
