@@ -10,7 +10,7 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.shadow_limits import shadowed_share
-from catalog.selection.trial import Gate, Search
+from catalog.selection.trial import Gate, Outcome, Search
 from catalog.selection.uniqueness import uniqueness_margin
 from catalog.stages import render, select
 from catalog.stages.context import StageContext
@@ -219,6 +219,45 @@ def _uniqueness(context: StageContext, patches: Sequence[Patch], lat: float) -> 
     return tuple(margins)
 
 
+def trials_at(
+    context: StageContext,
+    patches: Sequence[Patch],
+    lat_deg: float,
+    lon_deg: float,
+    *,
+    seed: Sequence[int],
+    relief_seed: int,
+    trials: int,
+) -> list[Outcome]:
+    """Recognition trials of a place under the circumstances that [check] sets.
+
+    patches      of the place, finest first
+    seed         of what is drawn for each trial; relief_seed of the ground beyond the DEM's
+    """
+    settings = context.config.check
+    search = Search(template_nodes=min(settings.template_nodes, context.size))
+    projection = context.projection(lat_deg, lon_deg)
+    levels = trial_levels(
+        context.mosaic, projection, patches, search, settings.relief_slope_deg, relief_seed
+    )
+    return run_trials(
+        levels,
+        patches[TRIAL_LEVELS:],
+        context.body.radius_m,
+        projection.lat,
+        seed,
+        trials=trials,
+        search=search,
+        gate=Gate(settings.min_score, settings.rival_ratio),
+        sun_range=(np.radians(settings.sun_min_deg), np.radians(settings.sun_max_deg)),
+        max_declination=np.radians(context.config.render.sun_declination_deg),
+        snr=(settings.snr_min, settings.snr_max),
+        max_scale=settings.scale_error,
+        max_roll_deg=settings.roll_deg,
+        max_off_nadir_deg=settings.off_nadir_deg,
+    )
+
+
 def _recognised(
     context: StageContext,
     patches: Sequence[Patch],
@@ -228,26 +267,14 @@ def _recognised(
 ) -> tuple[int, int]:
     """Successful and all trials of a place; the seeds are the cell and the place's number."""
     settings = context.config.check
-    search = Search(template_nodes=min(settings.template_nodes, context.size))
-    projection = context.projection(place.lat_deg, place.lon_deg)
-    levels = trial_levels(
-        context.mosaic, projection, patches, search, settings.relief_slope_deg, cell
-    )
-    outcomes = run_trials(
-        levels,
-        patches[TRIAL_LEVELS:],
-        context.body.radius_m,
-        projection.lat,
-        [cell, number],
+    outcomes = trials_at(
+        context,
+        patches,
+        place.lat_deg,
+        place.lon_deg,
+        seed=[cell, number],
+        relief_seed=cell,
         trials=settings.trials,
-        search=search,
-        gate=Gate(settings.min_score, settings.rival_ratio),
-        sun_range=(np.radians(settings.sun_min_deg), np.radians(settings.sun_max_deg)),
-        max_declination=np.radians(context.config.render.sun_declination_deg),
-        snr=(settings.snr_min, settings.snr_max),
-        max_scale=settings.scale_error,
-        max_roll_deg=settings.roll_deg,
-        max_off_nadir_deg=settings.off_nadir_deg,
     )
     passed = sum(o.accepted and o.distance <= settings.max_error_nodes for o in outcomes)
     return passed, len(outcomes)

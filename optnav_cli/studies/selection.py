@@ -25,11 +25,10 @@ from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.selection.spacing import choose_spaced, strongest_peaks
-from catalog.selection.trial import Gate, Outcome, Search
+from catalog.selection.trial import Outcome
 from catalog.stages import check, render, select
 from catalog.stages.context import BodySettings, StageContext
 from catalog.stages.settings import BuildConfig
-from catalog.stages.trials import TRIAL_LEVELS, run_trials, trial_levels
 from catalog.terrain.mosaic import Mosaic
 from catalog.terrain.source import DemSettings
 
@@ -187,29 +186,13 @@ def _trials(
     context: StageContext, place: tuple[float, float], seed: Sequence[int]
 ) -> list[Outcome]:
     """A round of trials at a place, under the circumstances of the check stage."""
-    settings = context.config.check
-    search = Search(template_nodes=min(settings.template_nodes, context.size))
-    patches = context.patches(*place)
-    projection = context.projection(*place)
-    ground = 3 + sum(seed)  # neighbouring rounds see other relief
-    levels = trial_levels(
-        context.mosaic, projection, patches, search, settings.relief_slope_deg, ground
-    )
-    return run_trials(
-        levels,
-        patches[TRIAL_LEVELS:],
-        context.body.radius_m,
-        projection.lat,
-        [*seed, len(seed)],
+    return check.trials_at(
+        context,
+        context.patches(*place),
+        *place,
+        seed=[*seed, len(seed)],
+        relief_seed=3 + sum(seed),  # neighbouring rounds see other relief
         trials=SUNS,
-        search=search,
-        gate=Gate(settings.min_score, settings.rival_ratio),
-        sun_range=(np.radians(settings.sun_min_deg), np.radians(settings.sun_max_deg)),
-        max_declination=np.radians(context.config.render.sun_declination_deg),
-        snr=(settings.snr_min, settings.snr_max),
-        max_scale=settings.scale_error,
-        max_roll_deg=settings.roll_deg,
-        max_off_nadir_deg=settings.off_nadir_deg,
     )
 
 
