@@ -1,14 +1,11 @@
 """The build of a catalog, stage by stage on a workspace; what is done is not done again."""
 
-import hashlib
 import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +19,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, SilentProgress
 from catalog.stages import check, render, select, write
 from catalog.stages.chunked import read_chunks, run_chunks
+from catalog.stages.code_key import code_key
 from catalog.stages.context import StageContext
 from catalog.stages.ingest import Bbox, DemRecord, chunks_of, covered_cells, ingest
 from catalog.stages.records import encode_records
@@ -170,7 +168,7 @@ class _Build:
         report.cells = int(cells.size)
         # paths and ranks do not matter by themselves: what was read, and in which order, does
         read = [(dem.sha256, dem.folder) for dem in report.dems]
-        key = stage_key(_code_key(), self.body.name, read, cells.tolist())
+        key = stage_key(code_key(), self.body.name, read, cells.tolist())
         self.keys = {"ingest": key}
         for stage, parts in (
             ("render", (self.config.grid, self.config.pyramid, posting, self.config.render)),
@@ -327,14 +325,3 @@ def _timed(report: BuildReport, name: str) -> Iterator[StageAccount]:
     yield account
     account.seconds = time.monotonic() - started
     report.accounts.append(account)
-
-
-@cache
-def _code_key() -> str:
-    """Hash of the package's own code: results of other code are not taken for ours."""
-    whole = hashlib.sha256(catalog.__version__.encode())
-    package = Path(str(files("catalog")))
-    for path in sorted(package.rglob("*.py")):
-        whole.update(path.relative_to(package).as_posix().encode())
-        whole.update(path.read_bytes())
-    return whole.hexdigest()
