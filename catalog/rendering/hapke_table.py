@@ -7,6 +7,7 @@ A table over (cos i, cos e) instead would make steps in a view from above, where
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +40,33 @@ def _ratio(
     return ratio
 
 
-@kernel
 def slope_table(
-    sun: FloatArray, view: FloatArray, cos_g: float, surface: HapkeParameters, size: int
+    sun: FloatArray, view: FloatArray, surface: HapkeParameters, size: int
 ) -> FloatArray:
-    """(size, size) ratios of Hapke's law to mu0 / (mu0 + mu), b along rows, a along columns."""
+    """(size, size) ratios of Hapke's law to mu0 / (mu0 + mu), b along rows, a along columns.
+
+    sun, view (3,) unit. Those used last are kept: cells of a band of latitude share their Suns.
+    """
+    return _kept_table(tuple(sun.tolist()), tuple(view.tolist()), surface, size)
+
+
+@lru_cache(maxsize=64)  # of 130 kB at most
+def _kept_table(
+    sun: tuple[float, float, float],
+    view: tuple[float, float, float],
+    surface: HapkeParameters,
+    size: int,
+) -> FloatArray:
+    table: FloatArray = _fill_table(np.array(sun), np.array(view), surface, size)
+    table.setflags(write=False)
+    return table
+
+
+@kernel
+def _fill_table(
+    sun: FloatArray, view: FloatArray, surface: HapkeParameters, size: int
+) -> FloatArray:
+    cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
     table = np.empty((size, size))
     step = 2.0 * TABLE_SLOPE / (size - 1)
     for i in range(size):
@@ -63,17 +86,19 @@ def shade_hapke(
     view: FloatArray,
     surface: HapkeParameters,
     lit: BoolGrid,
-    table_size: int,
+    table: FloatArray,
 ) -> HeightGrid:
-    """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit."""
+    """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit.
+
+    table  of this Sun, view and surface, see `slope_table`
+    """
     size = heights.shape[0]
     out = np.zeros((size, size), np.float32)
     normals = np.empty((3, size))
     nx, ny, nz = normals[0], normals[1], normals[2]
     cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
-    table = slope_table(sun, view, cos_g, surface, table_size)
-    per_step = (table_size - 1) / (2.0 * TABLE_SLOPE)
-    last = table_size - 1.0
+    per_step = (table.shape[0] - 1) / (2.0 * TABLE_SLOPE)
+    last = table.shape[0] - 1.0
     for row in range(size):
         row_normals(heights, row, posting, radius, normals)
         line = out[row]

@@ -10,7 +10,7 @@ from catalog.photometry.laws import law_by_name
 from catalog.photometry.lommel_seeliger import NORMAL_ALBEDO
 from catalog.photometry.lunar_lambert import lunar_weight
 from catalog.rendering import shading
-from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE, shade_hapke
+from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE, shade_hapke, slope_table
 from catalog.rendering.shadow import lit_mask
 
 HeightGrid = NDArray[np.float32]
@@ -64,8 +64,8 @@ def render_map(
     shadows       cast shadows; without them only what faces away from the Sun is dark
     surface       parameters of the Hapke law
     albedo        normal albedo of the other laws
-    quick         Hapke's law from a coarse table on small grids under a fixed view: several times
-                  faster, wrong by 5e-4 of the mean (rms) to 25 deg off nadir
+    quick         Hapke's law from a coarse table under a fixed view: faster, on small grids several
+                  times, wrong by 5e-4 of the mean (rms) to 25 deg off nadir
     Returns (n, n) float32. Terrain is not hidden by terrain: a node that faces the camera is drawn.
     Raises ConfigError for an unknown law, ValueError for vectors without a direction.
     """
@@ -90,10 +90,12 @@ def render_map(
         return shading.shade_two_terms(
             heights, posting, radius, sun, view, weight, float(albedo), lit
         )
-    if heights.size >= TABLE_PAYS_NODES:
-        return shade_hapke(heights, posting, radius, sun, view, surface, lit, TABLE_SIZE)
     if quick and heights.size >= SMALL_TABLE_PAYS_NODES:
-        return shade_hapke(heights, posting, radius, sun, view, surface, lit, SMALL_TABLE_SIZE)
+        table = slope_table(sun, view, surface, SMALL_TABLE_SIZE)
+        return shade_hapke(heights, posting, radius, sun, view, surface, lit, table)
+    if heights.size >= TABLE_PAYS_NODES:
+        table = slope_table(sun, view, surface, TABLE_SIZE)
+        return shade_hapke(heights, posting, radius, sun, view, surface, lit, table)
     return shading.shade_fixed(
         heights, posting, radius, sun, view, number, surface, float(albedo), lit
     )

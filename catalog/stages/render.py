@@ -22,7 +22,7 @@ from catalog.selection.localisation import (
     hessian_eigenvalue_map,
     sun_products,
 )
-from catalog.selection.match_error import predicted_correlation, predicted_error_px
+from catalog.selection.match_error import predicted_error_over_correlation
 from catalog.selection.spacing import strongest_peaks
 from catalog.stages.context import StageContext
 
@@ -53,14 +53,17 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sun_declination_deg  how far from the body's equator the Sun stands
     law              of the render
     snr              mean brightness over noise, for the predicted error
+
+    The defaults are the cheapest that lose nothing: with 24 candidates, two levels and 32 Suns
+    the places were recognised as often (0.8 ± 1.0 points less), at seven times the cost.
     """
 
-    candidates: Annotated[int, msgspec.Meta(ge=1, le=64)] = 12
+    candidates: Annotated[int, msgspec.Meta(ge=1, le=64)] = 8
     separation_cell: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.12
     inset_cell: Annotated[float, msgspec.Meta(ge=0.0, lt=0.5)] = 0.1
     window_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 64
-    levels: Annotated[int, msgspec.Meta(ge=1, le=10)] = 2
-    sun_elevations: Annotated[int, msgspec.Meta(ge=1, le=32)] = 3
+    levels: Annotated[int, msgspec.Meta(ge=1, le=10)] = 1
+    sun_elevations: Annotated[int, msgspec.Meta(ge=1, le=32)] = 2
     sun_azimuths: Annotated[int, msgspec.Meta(ge=2, le=64, multiple_of=2)] = 2
     sun_min_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 8.0
     sun_max_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 45.0
@@ -107,6 +110,7 @@ class Ground(NamedTuple):
     lat, lon    (m, m) of the places, deg
     inside      (m, m) whether a place lies in the cell, away from its borders
     whole       (m, m) whether its finest patches have ground
+    complete    whether the patches of all places have
     """
 
     projection: Stereographic
@@ -117,6 +121,7 @@ class Ground(NamedTuple):
     lon: FloatArray
     inside: NDArray[np.bool_]
     whole: NDArray[np.bool_]
+    complete: bool
 
 
 def cell_ground(context: StageContext, cell: int) -> Ground | None:
@@ -134,8 +139,11 @@ def cell_ground(context: StageContext, cell: int) -> Ground | None:
     x, y = np.meshgrid(offsets, -offsets)
     lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y))
     inside = _inside(context, cell, lat, lon, settings.inset_cell)
-    whole = _fine_patches_whole(context, projection, x, y)
-    return Ground(projection, heights, window, step, lat, lon, inside, whole)
+    missing = _fine_patches_missing(context, projection, x, y)
+    return Ground(
+        projection, heights, window, step, lat, lon, inside,
+        whole=missing <= MAX_MISSING, complete=not missing.any(),
+    )  # fmt: skip
 
 
 def render_cell(context: StageContext, cell: int) -> Record | None:
@@ -145,6 +153,16 @@ def render_cell(context: StageContext, cell: int) -> Record | None:
     if ground is None:
         return None
     suns = suns_of(settings, context.grid.centre_deg(cell)[0])
+    peaks = shortlist(context, ground, suns)
+    errors = predicted_errors(context, ground, suns, peaks)
+    candidates = [
+        _candidate(context, ground, peak, error) for peak, error in zip(peaks, errors, strict=True)
+    ]
+    return Record(cell, tuple(candidates))
+
+
+def shortlist(context: StageContext, ground: Ground, suns: FloatArray) -> list[tuple[int, int]]:
+    """Places of a cell's ground with the strongest response under its worst Sun, best first."""
     response = hessian_eigenvalue_map(
         blurred(ground.heights),
         context.posting_m,
@@ -154,16 +172,59 @@ def render_cell(context: StageContext, cell: int) -> Record | None:
     )
     radius = separation_places(context, ground)
     free = np.where(ground.inside & ground.whole, response, np.nan)
-    peaks = strongest_peaks(free, radius, settings.candidates)
+    peaks = strongest_peaks(free, radius, context.config.render.candidates)
     if not peaks:  # holes everywhere, or ground without any relief: kept, for the record
         known = np.where(ground.inside, response + np.float32(1e-30), np.nan)
         middle = response.shape[0] // 2
         peaks = strongest_peaks(known, radius, 1) or [(middle, middle)]
-    candidates = [
-        _candidate(context, float(ground.lat[peak]), float(ground.lon[peak]), suns)
-        for peak in peaks
-    ]
-    return Record(cell, tuple(candidates))
+    return peaks
+
+
+def predicted_errors(
+    context: StageContext, ground: Ground, suns: FloatArray, peaks: Sequence[tuple[int, int]]
+) -> NDArray[np.float32]:
+    """Predicted 1-sigma error over correlation (places, levels, suns) of places of a ground, nodes.
+
+    The ground is rendered whole, once a level and Sun, so that every place has its neighbours'
+    shadows in it.
+    """
+    settings = context.config.render
+    postings = context.postings_m[: settings.levels]
+    grids = [ground.heights]
+    # of a coarser level as much more ground as its window is wider
+    spread = ground.heights.shape[0] - ground.window
+    for level, posting in enumerate(postings[1:], start=1):
+        side = -(-spread // 2**level) + ground.window
+        grids.append(context.mosaic.local_grid(ground.projection, posting, side))
+    errors = np.empty((len(peaks), len(postings), len(suns)), np.float32)
+    for level, (grid, posting) in enumerate(zip(grids, postings, strict=True)):
+        corners = _corners(ground, peaks, 2**level, grid.shape[0])
+        outer = list(zip(grids[level + 1 :], postings[level + 1 :], strict=True))
+        for k, sun in enumerate(suns):
+            picture = blurred(
+                render_map(
+                    grid,
+                    posting,
+                    sun,
+                    radius_m=context.body.radius_m,
+                    law=settings.law,
+                    outer=outer,
+                    quick=True,
+                )
+            )
+            for i, (row, col) in enumerate(corners):
+                template = picture[row : row + ground.window, col : col + ground.window]
+                errors[i, level, k] = predicted_error_over_correlation(template, settings.snr)
+    return errors
+
+
+def _corners(
+    ground: Ground, peaks: Sequence[tuple[int, int]], scale: int, side: int
+) -> NDArray[np.int64]:
+    """First row and column of the windows of places in a grid of `scale` times the posting."""
+    from_middle = np.array(peaks) * ground.step - (ground.heights.shape[0] - ground.window) / 2.0
+    corners = np.rint(from_middle / scale + (side - ground.window) / 2.0)
+    return np.asarray(np.clip(corners, 0, side - ground.window), dtype=np.int64)
 
 
 def blurred(grid: Grid) -> Grid:
@@ -186,40 +247,22 @@ def suns_of(settings: Settings, lat_deg: float) -> FloatArray:
 
 
 def _candidate(
-    context: StageContext, lat_deg: float, lon_deg: float, suns: FloatArray
+    context: StageContext,
+    ground: Ground,
+    peak: tuple[int, int],
+    error_px: NDArray[np.float32],
 ) -> Candidate:
-    settings = context.config.render
-    projection = context.projection(lat_deg, lon_deg)
-    window = settings.window_nodes
-    levels = min(settings.levels, context.levels)
-    grids = [
-        context.mosaic.local_grid(projection, posting, window)
-        for posting in context.postings_m[:levels]
-    ]
-    errors = np.empty((levels, len(suns)), np.float32)
-    for level, grid in enumerate(grids):
-        posting = context.postings_m[level]
-        outer = list(zip(grids[level + 1 :], context.postings_m[level + 1 : levels], strict=True))
-        for k, sun in enumerate(suns):
-            picture = render_map(
-                grid,
-                posting,
-                sun,
-                radius_m=context.body.radius_m,
-                law=settings.law,
-                outer=outer,
-                quick=True,
-            )
-            picture = blurred(picture)
-            score = predicted_correlation(picture, settings.snr)
-            error = predicted_error_px(picture, settings.snr)
-            errors[level, k] = error / score if score > 0.0 else np.inf
-    # the whole patches are cut later; their holes are counted on a few nodes
-    missing = tuple(
-        _missing(context, projection, posting) for posting in context.postings_m[:FINE_LEVELS]
-    )
-    value = hessian_eigenvalue(grids[0], context.posting_m)
-    return Candidate(lat_deg, lon_deg, value, errors, missing)
+    lat_deg, lon_deg = float(ground.lat[peak]), float(ground.lon[peak])
+    row, col = peak[0] * ground.step, peak[1] * ground.step
+    window = ground.heights[row : row + ground.window, col : col + ground.window]
+    value = hessian_eigenvalue(window, context.posting_m)
+    postings = context.postings_m[:FINE_LEVELS]
+    if ground.complete:
+        missing = (0.0,) * len(postings)
+    else:  # the whole patches are cut later; their holes are counted on a few nodes
+        projection = context.projection(lat_deg, lon_deg)
+        missing = tuple(_missing(context, projection, posting) for posting in postings)
+    return Candidate(lat_deg, lon_deg, value, error_px, missing)
 
 
 def _missing(context: StageContext, projection: Stereographic, posting_m: float) -> float:
@@ -263,10 +306,10 @@ def _inside(
     return np.asarray(inside)
 
 
-def _fine_patches_whole(
+def _fine_patches_missing(
     context: StageContext, projection: Stereographic, x: FloatArray, y: FloatArray
-) -> NDArray[np.bool_]:
-    """At which places (map m) the patches of the finest levels would have hardly a hole."""
+) -> FloatArray:
+    """Share of the patch of the coarsest of the finest levels, at places (map m), that is holes."""
     level = min(FINE_LEVELS, context.levels) - 1
     half = context.postings_m[level] * (context.size - 1) / 2.0
     reach = float(np.abs(x).max()) + half
@@ -276,7 +319,7 @@ def _fine_patches_whole(
     lat, lon = projection.latlon(*np.meshgrid(lattice, -lattice))
     covered = context.mosaic.covers(lat, lon, context.postings_m[level])
     if covered.all():
-        return np.ones(x.shape, dtype=bool)
+        return np.zeros(x.shape)
     sums = np.pad(np.cumsum(np.cumsum(covered, axis=0), axis=1), ((1, 0), (1, 0)))
 
     def index(offset: FloatArray) -> NDArray[np.int64]:
@@ -287,4 +330,4 @@ def _fine_patches_whole(
     left, right = index(x - half), index(x + half) + 1
     total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
     area = (bottom - top) * (right - left)
-    return np.asarray(total >= (1.0 - MAX_MISSING) * area)
+    return np.asarray(1.0 - total / area)

@@ -13,7 +13,7 @@ from catalog.geometry.projection import Stereographic, node_grid
 from catalog.photometry import hapke
 from catalog.photometry.hapke import LUNAR
 from catalog.rendering import shading
-from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE, shade_hapke
+from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE, shade_hapke, slope_table
 from catalog.rendering.map_view import ALL_LIT, render_map
 
 MOON_M = 1_737_400.0
@@ -128,7 +128,8 @@ def test_the_slope_table_is_as_good_as_hapke_node_by_node(
     exact = shading.shade_fixed(
         tycho, POSTING_M, MOON_M, towards, view, shading.HAPKE, LUNAR, 0.12, ALL_LIT
     )
-    read = shade_hapke(tycho, POSTING_M, MOON_M, towards, view, LUNAR, ALL_LIT, size)
+    table = slope_table(towards, view, LUNAR, size)
+    read = shade_hapke(tycho, POSTING_M, MOON_M, towards, view, LUNAR, ALL_LIT, table)
     error = read - exact
     assert np.sqrt((error**2).mean()) < factor * 1e-3 * exact.std()
     assert np.abs(error).max() < factor * 1e-3
