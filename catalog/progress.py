@@ -11,6 +11,9 @@ class Stage(Protocol):
     def advance(self, n: int = 1, note: str = "") -> None:
         """Say that n more units are done; the note is shown beside the count."""
 
+    def keep(self, n: int) -> None:
+        """Say that n units were done before this run: they count, but not as speed."""
+
 
 class Progress(Protocol):
     """Receives the stages of a run, one after the other.
@@ -27,6 +30,9 @@ class Progress(Protocol):
 
 class _SilentStage:
     def advance(self, n: int = 1, note: str = "") -> None:
+        return None
+
+    def keep(self, n: int) -> None:
         return None
 
 

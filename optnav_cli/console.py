@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 PACKAGES = ("catalog", "optnav_cli")
-FIRST_LINE_S = 10.0  # plain progress lines: the first wait, doubled up to the longest
-LONGEST_LINE_S = 60.0
+LINE_S = 60.0  # between plain progress lines
 
 _log = logging.getLogger(__name__)
 
@@ -93,34 +92,36 @@ class _LineStage:
 
     def __init__(self, name: str, total: int, unit: str) -> None:
         self.name, self.total, self.unit = name, total, unit
-        self.done = 0
+        self.done = self.kept = 0
         self.started = self._told = time.monotonic()
         self._told_done = 0
-        self._wait_s = FIRST_LINE_S
+
+    def keep(self, n: int) -> None:
+        self.kept += n
 
     def advance(self, n: int = 1, note: str = "") -> None:
         self.done += n
         now = time.monotonic()
-        if now - self._told < self._wait_s or self.done >= self.total:
+        there = self.kept + self.done
+        if now - self._told < LINE_S or there >= self.total:
             return
-        # The rate since the last line, not since the start: a resumed stage begins with a leap.
         rate = (self.done - self._told_done) / (now - self._told)
-        left = f", {duration((self.total - self.done) / rate)} left" if rate > 0 else ""
-        share = 100 * self.done // max(self.total, 1)
+        left = f", {duration((self.total - there) / rate)} left" if rate > 0 else ""
+        share = 100 * there // max(self.total, 1)
         _log.info(
             "%s: %d of %d %s (%d %%), %s%s%s",
-            self.name, self.done, self.total, plural(self.unit, self.total), share,
+            self.name, there, self.total, plural(self.unit, self.total), share,
             speed(rate, self.unit), left, f"; {note}" if note else "",
         )  # fmt: skip
         self._told, self._told_done = now, self.done
-        self._wait_s = min(2.0 * self._wait_s, LONGEST_LINE_S)
 
     def close(self) -> None:
         took = time.monotonic() - self.started
-        rate = f" ({speed(self.done / took, self.unit)})" if took >= 1.0 else ""
+        rate = f" ({speed(self.done / took, self.unit)})" if took >= 1.0 and self.done else ""
+        kept = f"; {self.kept} more from an earlier run" if self.kept else ""
         _log.info(
-            "%s: %d %s in %s%s",
-            self.name, self.done, plural(self.unit, self.done), duration(took), rate,
+            "%s: %d %s in %s%s%s",
+            self.name, self.done, plural(self.unit, self.done), duration(took), rate, kept,
         )  # fmt: skip
 
 
@@ -130,6 +131,13 @@ class _BarStage(_LineStage):
     def __init__(self, name: str, total: int, unit: str, bar: "tqdm[Any]") -> None:
         super().__init__(name, total, unit)
         self.bar = bar
+
+    def keep(self, n: int) -> None:
+        super().keep(n)
+        # the bar's own speed is of what was done since its beginning
+        self.bar.initial += n
+        self.bar.n += n
+        self.bar.refresh()
 
     def advance(self, n: int = 1, note: str = "") -> None:
         self.done += n

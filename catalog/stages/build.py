@@ -1,8 +1,6 @@
 """The build of a catalog, stage by stage on a workspace; what is done is not done again."""
 
 import math
-import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -13,46 +11,31 @@ import msgspec
 
 import catalog
 from catalog.bodies.body import Body, load_body
-from catalog.control_point import ControlPoint
+from catalog.control_point import ControlPoint, Flag
 from catalog.errors import ConfigError, NothingToDoError, UsageError
-from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, SilentProgress
-from catalog.stages import check, render, select, write
-from catalog.stages.chunked import read_chunks, run_chunks
-from catalog.stages.code_key import code_key
-from catalog.stages.context import StageContext
-from catalog.stages.ingest import Bbox, DemRecord, chunks_of, covered_cells, ingest
+from catalog.stages import account, check, render, select, write
+from catalog.stages.account import Account, StageAccount
+from catalog.stages.chunked import ChunkResults
+from catalog.stages.ingest import Bbox, DemRecord
 from catalog.stages.records import encode_records
 from catalog.stages.settings import BuildConfig, load_build_config
 from catalog.stages.workers import available_cores, workers_of
-from catalog.stages.workspace import Workspace, stage_key
-from catalog.store.features import reasons_text
+from catalog.stages.workspace import Workspace
+from catalog.stages.world import World, settle_world
 from catalog.store.partial import check_place
+from catalog.store.patches import PreparedPoint
 
 STAGES = ("ingest", "render", "select", "check", "write")
-MANIFEST = "manifest.json"
-MOST_OVERSAMPLING = 4.0  # a posting finer than the terrain model by more shows nothing new
-MOST_NODES_ACROSS = 8192  # of a cell: a grid of 268 MB, of which a worker holds several
-
-
-@dataclass
-class StageAccount:
-    """What a stage did: pieces done now, pieces found done, seconds."""
-
-    name: str
-    done: int = 0
-    kept: int = 0
-    seconds: float = 0.0
 
 
 @dataclass
 class BuildReport:
-    """What came of a run; points, usable and digest are there once the catalog is written."""
+    """What came of a run; output and digest are there once the catalog is written."""
 
     work: Path
-    dems: list[DemRecord]
-    cells: int
-    accounts: list[StageAccount] = field(default_factory=list)
+    account: Account
+    dems: list[DemRecord] = field(default_factory=list)
     output: Path | None = None
     points: int = 0
     usable: int = 0
@@ -119,146 +102,113 @@ class _Build:
         self.body, self.progress = body, progress
         self.count = workers or available_cores()
         self.workers = workers_of(self.count)
-        self.keys: dict[str, str] = {}
+        self.account = Account(f"optnav {catalog.__version__}", self.count)
 
     def run(self, wanted: Sequence[str], bbox: Bbox | None, output: Path | None) -> BuildReport:
         """All wanted stages in order; a stage whose forerunner is not done is refused."""
-        report = BuildReport(self.workspace.folder, [], 0)
-        with _timed(report, "ingest"):
-            context, chunks = self._ingest(bbox, report)
+        report = BuildReport(self.workspace.folder, self.account)
+        with self._stage("ingest") as stage:  # every run begins with it
+            world = settle_world(
+                self.workspace,
+                self.config,
+                self.config_path,
+                self.body,
+                bbox,
+                self.count,
+                self.progress,
+                stage,
+            )
+            report.dems, self.account.cells = world.dems, world.cells
+        rendered = self._results(world, "render", render.Record)
+        checked = self._results(world, "check", check.Record)
         if "render" in wanted:
-            with _timed(report, "render") as account:
-                self._run_chunks(render.render_chunk, render.Record, context, chunks, account)
+            with self._stage("render") as stage:
+                self._run_chunks(rendered, render.render_chunk, world, world.chunks, stage)
         if "select" in wanted:
-            with _timed(report, "select") as account:
-                self._select(context, len(chunks), account)
+            with self._stage("select") as stage:
+                self._select(world, rendered, stage)
         if "check" in wanted:
-            with _timed(report, "check") as account:
-                chosen = _pieces(self._chosen(), chunks)
-                self._run_chunks(check.check_chunk, check.Record, context, chosen, account)
+            with self._stage("check") as stage:
+                chosen = self._chosen(world)
+                self._run_chunks(checked, check.check_chunk, world, chosen, stage)
+                self._points(world, checked)
         if "write" in wanted and output is not None:
-            with _timed(report, "write"):
-                chosen = _pieces(self._chosen(), chunks)
-                self._write(context, len(chosen), output, report)
+            with self._stage("write") as stage:
+                self._write(world, self._points(world, checked), output, report, stage)
+            if report.usable == 0:
+                raise self._nothing_usable(output)
         return report
 
-    def _ingest(
-        self, bbox: Bbox | None, report: BuildReport
-    ) -> tuple[StageContext, list[list[int]]]:
-        """The settled world; cheap when the overviews are there, so every stage begins with it."""
-        mosaic, report.dems = ingest(
-            self.workspace,
-            self.config.dem,
-            self.config_path.parent,
-            self.body,
-            self.count,
-            self.progress,
-        )
-        grid = CellGrid(self.config.grid.cell_deg)
-        posting = self.config.pyramid.posting_m or mosaic.posting_m
-        self._check_posting(posting, mosaic.posting_m)
-        reach = posting * self.config.pyramid.size * 2 ** (self.config.pyramid.levels - 1)
-        if reach > self.body.radius_m:
-            raise ConfigError(
-                f"{self.config_path}: [pyramid] the coarsest patch would be {reach / 1e3:.0f} km "
-                f"wide on a body of {self.body.radius_m / 1e3:.0f} km radius; "
-                "wanted fewer levels, a smaller size or a finer posting_m"
-            )
-        cells = covered_cells(mosaic, grid, bbox)
-        report.cells = int(cells.size)
-        # paths and ranks do not matter by themselves: what was read, and in which order, does
-        read = [(dem.sha256, dem.folder) for dem in report.dems]
-        key = stage_key(code_key(), self.body.name, read, cells.tolist())
-        self.keys = {"ingest": key}
-        for stage, parts in (
-            ("render", (self.config.grid, self.config.pyramid, posting, self.config.render)),
-            ("select", (self.config.select,)),
-            ("check", (self.config.check,)),
-        ):
-            key = stage_key(key, stage, parts)
-            self.keys[stage] = key
-        self.workspace.put(MANIFEST, msgspec.json.format(self._manifest(report), indent=2))
-        return StageContext(self.body, mosaic, grid, posting, self.config), chunks_of(grid, cells)
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[StageAccount]:
+        """Measure a stage; its account is on the disk before the next one begins."""
+        stage = StageAccount(name)
+        with stage.measured():
+            yield stage
+        self.account.stages.append(stage)
+        data = msgspec.json.format(msgspec.json.encode(self.account), indent=2)
+        self.workspace.put(account.FILE, data)
 
-    def _check_posting(self, posting_m: float, finest_m: float) -> None:
-        """Refuse a posting that shows nothing more, or more nodes in a cell than memory holds."""
-        if posting_m < finest_m / MOST_OVERSAMPLING:
-            raise ConfigError(
-                f"{self.config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
-                f"model has {finest_m:.6g} m; wanted at least {finest_m / MOST_OVERSAMPLING:.6g}, "
-                "or leave it out"
-            )
-        across = math.radians(self.config.grid.cell_deg) * self.body.radius_m / posting_m
-        if across > MOST_NODES_ACROSS:
-            raise ConfigError(
-                f"{self.config_path}: a cell of {self.config.grid.cell_deg:g} deg is {across:.0f} "
-                f"nodes of {posting_m:g} m wide; wanted at most {MOST_NODES_ACROSS}: set a smaller "
-                "[grid] cell_deg or a coarser [pyramid] posting_m"
-            )
-
-    def _manifest(self, report: BuildReport) -> bytes:
-        return msgspec.json.encode(
-            {
-                "software": f"optnav {catalog.__version__}",
-                "body": self.body.name,
-                "dems": report.dems,
-                "cells": report.cells,
-                "keys": self.keys,
-                "config": self.config,
-            }
-        )
+    def _results(self, world: World, stage: str, type_: type[Any]) -> ChunkResults:
+        return ChunkResults(self.workspace, stage, world.keys[stage], type_)
 
     def _run_chunks(
         self,
+        results: ChunkResults,
         function: Callable[[Any, Any], Sequence[msgspec.Struct]],
-        type_: type[Any],
-        context: StageContext,
+        world: World,
         chunks: Sequence[Sequence[Any]],
-        account: StageAccount,
+        stage: StageAccount,
     ) -> None:
-        stage, key = account.name, self.keys[account.name]
-        account.done, account.kept = run_chunks(
-            self.workspace,
-            stage,
-            key,
-            function,
-            type_,
-            context,
-            chunks,
-            self.workers,
-            self.progress,
-        )
-        self.workspace.keep_only(stage, {key})
+        with self.progress.stage(stage.name, sum(map(len, chunks)), "cell") as shown:
+            for _ in results.make(function, world.context, chunks, self.workers, stage, shown):
+                pass
+        self.workspace.keep_only(stage.name, {results.key})
 
-    def _select(self, context: StageContext, count: int, account: StageAccount) -> None:
-        key = self.keys["select"]
+    def _select(self, world: World, rendered: ChunkResults, stage: StageAccount) -> None:
+        key = world.keys["select"]
         if self.workspace.records(_select_name(key), select.Record) is not None:
-            account.kept = 1
+            stage.kept = 1
             return
-        records = read_chunks(self.workspace, "render", self.keys["render"], count, render.Record)
+        records = rendered.all_records(len(world.chunks))
         if records is None:
             raise self._missing("render")
-        records.sort(key=lambda record: record.cell)
         with self.progress.stage("select", total=len(records), unit="cell") as shown:
-            chosen = select.select(context, records)
+            chosen = select.select(world.context, records)
             self.workspace.put(_select_name(key), encode_records(chosen))
             shown.advance(len(records))
-        account.done = 1
+        stage.done = 1
         self.workspace.keep_only("select", {key})
 
-    def _chosen(self) -> list[select.Record]:
-        records = self.workspace.records(_select_name(self.keys["select"]), select.Record)
+    def _chosen(self, world: World) -> list[list[select.Record]]:
+        """Selected records cut as their cells were cut for rendering; empty pieces left out."""
+        name = _select_name(world.keys["select"])
+        records = self.workspace.records(name, select.Record)
         if records is None:
             raise self._missing("select")
-        return records
+        by_cell = {record.cell: record for record in records}
+        pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in world.chunks]
+        return [piece for piece in pieces if piece]
 
-    def _write(self, context: StageContext, count: int, output: Path, report: BuildReport) -> None:
-        records = read_chunks(self.workspace, "check", self.keys["check"], count, check.Record)
+    def _points(self, world: World, checked: ChunkResults) -> list[ControlPoint]:
+        """The checked points, judged in the account."""
+        records = checked.all_records(len(self._chosen(world)))
         if records is None:
             raise self._missing("check")
-        points: list[ControlPoint] = [record.point(context) for record in records]
+        points: list[ControlPoint] = [record.point(world.context) for record in records]
         # a cell at a model's edge may have ground, yet none where its place is: no point there
         points = [point for point in points if math.isfinite(point.radius_m)]
+        self.account.judge((point.usable, Flag(point.flags)) for point in points)
+        return points
+
+    def _write(
+        self,
+        world: World,
+        points: Sequence[ControlPoint],
+        output: Path,
+        report: BuildReport,
+        stage: StageAccount,
+    ) -> None:
         if not points:
             raise NothingToDoError(
                 f"{self.config_path}: no cell has room for a control point on the terrain models; "
@@ -266,22 +216,28 @@ class _Build:
                 "lower [pyramid] size or posting_m, or give more ground"
             )
         written = write.write(
-            context,
+            world.context,
             points,
             output,
-            sources=_sources(report.dems),
+            sources=world.sources(),
             config_text=self.config_path.read_text(encoding="utf-8-sig"),
+            results=self._results(world, "write", PreparedPoint),
             workers=self.workers,
             progress=self.progress,
+            account=stage,
         )
+        self.workspace.keep_only("write", set())  # the catalog has it all now
         report.output, report.points = written.path, written.count
         report.usable, report.digest = written.usable, written.digest
-        if written.usable == 0:
-            raise NothingToDoError(
-                f"{output}: written, but none of its {written.count} control points is usable "
-                f"({_reasons(points)}); no data wants more ground around the cells or smaller "
-                "patches ([pyramid] levels, size), the rest is judged by [check]"
-            )
+
+    def _nothing_usable(self, output: Path) -> NothingToDoError:
+        judged = self.account
+        reasons = ", ".join(f"{count} {reason}" for reason, count in judged.reasons.items())
+        return NothingToDoError(
+            f"{output}: written, but none of its {judged.points} control points is usable "
+            f"({reasons}); no data wants more ground around the cells or smaller "
+            "patches ([pyramid] levels, size), the rest is judged by [check]"
+        )
 
     def _missing(self, stage: str) -> UsageError:
         return UsageError(
@@ -290,38 +246,5 @@ class _Build:
         )
 
 
-def _sources(dems: Sequence[DemRecord]) -> dict[str, str]:
-    """Hashes of the terrain models by name; of two with one name the second tells its priority."""
-    sources: dict[str, str] = {}
-    for dem in dems:
-        name = dem.name if dem.name not in sources else f"{dem.name} ({dem.priority})"
-        sources[name] = dem.sha256
-    return sources
-
-
-def _reasons(points: Sequence[ControlPoint]) -> str:
-    """What keeps points from use, the most frequent first: "3 no data, 1 flat"."""
-    counts = Counter(reasons_text(flag) for point in points for flag in point.flags)
-    return ", ".join(f"{count} {reason}" for reason, count in counts.most_common())
-
-
 def _select_name(key: str) -> str:
     return f"select-{key}/records.bin"
-
-
-def _pieces(
-    records: Sequence[select.Record], chunks: Sequence[Sequence[int]]
-) -> list[list[select.Record]]:
-    """Selected records cut as their cells were cut for rendering; empty pieces left out."""
-    by_cell = {record.cell: record for record in records}
-    pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in chunks]
-    return [piece for piece in pieces if piece]
-
-
-@contextmanager
-def _timed(report: BuildReport, name: str) -> Iterator[StageAccount]:
-    account = StageAccount(name)
-    started = time.monotonic()
-    yield account
-    account.seconds = time.monotonic() - started
-    report.accounts.append(account)

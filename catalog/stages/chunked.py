@@ -1,68 +1,77 @@
 """Stages whose work is cut into chunks: each result file is made once and stays."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
-import msgspec
-
-from catalog.progress import Progress
+from catalog.progress import Stage
+from catalog.stages.account import StageAccount, Usage, metered
 from catalog.stages.records import encode_records
 from catalog.stages.workers import Workers
 from catalog.stages.workspace import Workspace
 
-T = TypeVar("T")
 
+@dataclass(frozen=True)
+class ChunkResults:
+    """The result files of a stage's chunks.
 
-def chunk_name(stage: str, key: str, position: int) -> str:
-    """The result file of a chunk."""
-    return f"{stage}-{key}/chunk-{position:05d}.bin"
-
-
-def run_chunks(
-    workspace: Workspace,
-    stage: str,
-    key: str,
-    function: Callable[[Any, Any], Sequence[msgspec.Struct]],
-    type_: type[Any],
-    context: Any,
-    chunks: Sequence[Sequence[Any]],
-    workers: Workers,
-    progress: Progress,
-) -> tuple[int, int]:
-    """Run the chunks that have no result yet; returns how many were done now and were found done.
-
-    function(context, chunk) -> records of `type_`; it must be importable by a worker.
+    key    hash of all that the results depend on
+    type_  of the records in them
     """
-    missing = [
-        position
-        for position in range(len(chunks))
-        if workspace.records(chunk_name(stage, key, position), type_) is None
-    ]
-    kept = len(chunks) - len(missing)
-    with progress.stage(stage, total=sum(map(len, chunks)), unit="cell") as shown:
-        shown.advance(sum(map(len, chunks)) - sum(len(chunks[p]) for p in missing))
+
+    workspace: Workspace
+    stage: str
+    key: str
+    type_: type[Any]
+
+    def name(self, position: int) -> str:
+        """The result file of a chunk."""
+        return f"{self.stage}-{self.key}/chunk-{position:05d}.bin"
+
+    def records(self, position: int) -> list[Any] | None:
+        """The records of a chunk; None where they are missing or damaged."""
+        return self.workspace.records(self.name(position), self.type_)
+
+    def all_records(self, count: int) -> list[Any] | None:
+        """The records of all chunks, one after the other; None where a chunk has none."""
+        records: list[Any] = []
+        for position in range(count):
+            part = self.records(position)
+            if part is None:
+                return None
+            records.extend(part)
+        return records
+
+    def make(
+        self,
+        function: Callable[[Any, Any], Sequence[Any]],
+        context: Any,
+        chunks: Sequence[Sequence[Any]],
+        workers: Workers,
+        account: StageAccount,
+        shown: Stage,
+    ) -> Iterator[int]:
+        """Run the chunks that have no result yet; yields each position as its file is there.
+
+        function(context, chunk) -> records of `type_`; it must be importable by a worker. First
+        come the results of earlier runs, then the others in any order.
+        """
+        missing = [p for p in range(len(chunks)) if not self.workspace.whole(self.name(p))]
+        found = sorted(set(range(len(chunks))).difference(missing))
+        account.kept = len(found)
+        shown.keep(sum(len(chunks[position]) for position in found))
+        yield from found
         work = [chunks[position] for position in missing]
-        for at, data in workers.run(partial(_encoded, function), context, work):
-            workspace.put(chunk_name(stage, key, missing[at]), data)
+        for at, (data, usage) in workers.run(partial(_encoded, function), context, work):
+            self.workspace.put(self.name(missing[at]), data)
+            account.done += 1
+            account.add(usage)
             shown.advance(len(work[at]))
-    return len(missing), kept
-
-
-def read_chunks(
-    workspace: Workspace, stage: str, key: str, count: int, type_: type[Any]
-) -> list[Any] | None:
-    """All records of a stage, chunk after chunk; None where a chunk is missing or damaged."""
-    records: list[Any] = []
-    for position in range(count):
-        part = workspace.records(chunk_name(stage, key, position), type_)
-        if part is None:
-            return None
-        records.extend(part)
-    return records
+            yield missing[at]
 
 
 def _encoded(
-    function: Callable[[Any, Any], Sequence[msgspec.Struct]], context: Any, chunk: Sequence[Any]
-) -> bytes:
-    return encode_records(function(context, chunk))
+    function: Callable[[Any, Any], Sequence[Any]], context: Any, chunk: Sequence[Any]
+) -> tuple[bytes, Usage]:
+    return metered(lambda: encode_records(function(context, chunk)))

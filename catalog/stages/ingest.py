@@ -12,6 +12,7 @@ from catalog.bodies.body import Body
 from catalog.errors import DataError, UsageError
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress
+from catalog.stages.account import StageAccount
 from catalog.stages.workspace import Workspace, stage_key
 from catalog.terrain.mosaic import Mosaic
 from catalog.terrain.overviews import FORMAT
@@ -59,6 +60,7 @@ def ingest(
     body: Body,
     workers: int,
     progress: Progress,
+    account: StageAccount,
 ) -> tuple[Mosaic, list[DemRecord]]:
     """The mosaic of a config's [[dem]] sections; what the workspace holds already is kept.
 
@@ -75,9 +77,12 @@ def ingest(
         plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in _UNIMPORTANT}
         folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
         place = workspace.path(folder)
-        pyramid = HeightPyramid.load(source, place) or HeightPyramid.build(
-            source, place, workers, progress
-        )
+        pyramid = HeightPyramid.load(source, place)
+        if pyramid is None:
+            pyramid = HeightPyramid.build(source, place, workers, progress)
+            account.done += 1
+        else:
+            account.kept += 1
         pyramids.append(pyramid)
         records.append(_record(pyramid, digest, folder))
     workspace.keep_only("dem", {record.folder.removeprefix("dem-") for record in records})

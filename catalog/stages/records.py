@@ -18,21 +18,28 @@ class DamagedRecordsError(ValueError):
     """Bytes that were cut short or changed."""
 
 
-def encode_records(records: Sequence[msgspec.Struct]) -> bytes:
-    """The same records give the same bytes."""
+def encode_records(records: Sequence[Any]) -> bytes:
+    """Structs or dataclasses as bytes; the same records give the same bytes."""
     payload = zstandard.ZstdCompressor(level=1).compress(
         msgspec.msgpack.encode(records, enc_hook=_plain)
     )
     return MAGIC + hashlib.sha256(payload).digest()[:HASH_BYTES] + payload
 
 
+def are_whole(data: bytes) -> bool:
+    """Whether bytes of `encode_records` are as they were made."""
+    head = len(MAGIC) + HASH_BYTES
+    stated = data[len(MAGIC) : head]
+    return data.startswith(MAGIC) and (
+        hashlib.sha256(memoryview(data)[head:]).digest()[:HASH_BYTES] == stated
+    )
+
+
 def decode_records(data: bytes, type_: type[T]) -> list[T]:
     """The records of a type. Raises DamagedRecordsError."""
-    head = len(MAGIC) + HASH_BYTES
-    payload = data[head:]
-    same = hashlib.sha256(payload).digest()[:HASH_BYTES] == data[len(MAGIC) : head]
-    if not data.startswith(MAGIC) or not same:
+    if not are_whole(data):
         raise DamagedRecordsError("checksum differs")
+    payload = memoryview(data)[len(MAGIC) + HASH_BYTES :]
     plain = zstandard.ZstdDecompressor().decompress(payload)
     try:
         return msgspec.msgpack.decode(plain, type=list[type_], dec_hook=_array)  # type: ignore[valid-type]

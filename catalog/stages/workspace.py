@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from catalog.errors import OutputError
-from catalog.stages.records import DamagedRecordsError, decode_records
+from catalog.stages.records import DamagedRecordsError, are_whole, decode_records
 
 MARK = "optnav-workspace.json"
 LOCK = "lock"
@@ -131,9 +131,13 @@ class Workspace:
         except FileNotFoundError:
             return None
 
-    def has(self, name: str) -> bool:
-        """Whether a result is there."""
-        return (self.folder / name).is_file()
+    def whole(self, name: str) -> bool:
+        """Whether a result file is there, undamaged; a damaged one is removed."""
+        data = self.get(name)
+        if data is None or are_whole(data):
+            return data is not None
+        (self.folder / name).unlink(missing_ok=True)
+        return False
 
     def records(self, name: str, type_: type[Any]) -> list[Any] | None:
         """The records of a result file; None, and the file gone, where it is missing or damaged."""

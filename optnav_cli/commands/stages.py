@@ -42,7 +42,7 @@ def _stage(name: str) -> click.Command:
 
         announce_compilation()
         report = run(config, work, stages=(name,), workers=workers, bbox=bbox, progress=progress)
-        click.echo(f"{work}: {name} is done for {report.cells} cells")
+        click.echo(f"{work}: {name} is done for {report.account.cells} cells")
 
     return command
 

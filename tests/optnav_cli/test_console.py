@@ -90,28 +90,54 @@ def test_plain_lines_come_first_now_and_then_and_last_with_rate_and_time_left(
     set_up_logging(quiet=False, verbose=False, log_file=None)
     with ConsoleProgress(io.StringIO()).stage("render", total=100, unit="cell") as stage:
         for _ in range(100):
-            clock[0] += 0.5
+            clock[0] += 1.5
             stage.advance()
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
         "optnav: render: 100 cells",
-        "optnav: render: 20 of 100 cells (20 %), 2.0 cells/s, 40 s left",
-        "optnav: render: 60 of 100 cells (60 %), 2.0 cells/s, 20 s left",
-        "optnav: render: 100 cells in 50 s (2.0 cells/s)",
+        "optnav: render: 40 of 100 cells (40 %), 1.5 s a cell, 1 min 30 s left",
+        "optnav: render: 80 of 100 cells (80 %), 1.5 s a cell, 30 s left",
+        "optnav: render: 100 cells in 2 min 30 s (1.5 s a cell)",
     ]
 
 
-def test_what_was_done_in_an_earlier_run_does_not_count_as_speed_for_long(
+def test_a_stage_of_hours_tells_one_line_a_minute(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    set_up_logging(quiet=False, verbose=False, log_file=None)
+    with ConsoleProgress(io.StringIO()).stage("check", total=36_000, unit="cell") as stage:
+        for _ in range(36_000):
+            clock[0] += 0.5
+            stage.advance()
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 + 5 * 60 - 1 + 1
+    assert lines[60] == ("optnav: check: 7200 of 36000 cells (20 %), 2.0 cells/s, 4 h 00 min left")
+
+
+def test_what_was_done_in_an_earlier_run_does_not_count_as_speed(
     clock: list[float], capsys: pytest.CaptureFixture[str]
 ) -> None:
     set_up_logging(quiet=False, verbose=False, log_file=None)
     with ConsoleProgress(io.StringIO()).stage("check", total=1000, unit="cell") as stage:
-        stage.advance(900)
-        for _ in range(60):
+        stage.keep(900)
+        for _ in range(100):
             clock[0] += 1.0
             stage.advance()
     lines = capsys.readouterr().err.splitlines()
-    assert "1.0 cells/s, 1 min 10 s left" in lines[2]
+    assert lines[1:] == [
+        "optnav: check: 960 of 1000 cells (96 %), 1.0 cells/s, 40 s left",
+        "optnav: check: 100 cells in 1 min 40 s (1.0 cells/s); 900 more from an earlier run",
+    ]
+
+
+def test_a_bar_begins_where_an_earlier_run_ended() -> None:
+    terminal = Terminal()
+    with ConsoleProgress(terminal).stage("render", total=400, unit="cell") as stage:
+        stage.keep(100)
+        assert "25%" in terminal.getvalue()
+        assert "100/400" in terminal.getvalue()
+        # what was kept is no speed: nothing is known of the time left
+        assert "?cell/s" in terminal.getvalue().rpartition("\r")[2]
 
 
 def test_a_terminal_gets_a_bar_and_a_last_line(capsys: pytest.CaptureFixture[str]) -> None:

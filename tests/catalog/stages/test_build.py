@@ -66,8 +66,8 @@ def test_the_work_folder_lies_beside_the_output_and_is_used_again(config, digest
     assert first.work == tmp_path / "c.gpkg.work"
     again = built(config, output, bbox=BBOX, workers=1)
     assert again.digest == first.digest == digest
-    done = {account.name: account.done for account in again.accounts}
-    kept = {account.name: account.kept for account in again.accounts}
+    done = {account.name: account.done for account in again.account.stages}
+    kept = {account.name: account.kept for account in again.account.stages}
     assert done["render"] == done["select"] == done["check"] == 0
     assert kept["render"] == kept["check"] > 5
 
@@ -107,7 +107,7 @@ def test_a_damaged_result_is_made_again(config, digest, tmp_path):
         chunk.write_bytes(data)
     again = built(config, output, bbox=BBOX, workers=1)
     assert again.digest == digest
-    assert {a.name: a.done for a in again.accounts if a.name in ("render", "check")} == {
+    assert {a.name: a.done for a in again.account.stages if a.name in ("render", "check")} == {
         "render": 1,
         "check": 1,
     }
@@ -118,7 +118,7 @@ def test_changed_settings_make_their_stage_and_the_next_ones_anew(config, tmp_pa
     first = built(config, output, bbox=BBOX, workers=1)
     config.write_text(CONFIG + "\n[select]\npercentile = 50.0\n")
     second = built(config, output, bbox=BBOX, workers=1)
-    done = {account.name: account.done for account in second.accounts}
+    done = {account.name: account.done for account in second.account.stages}
     assert done["render"] == 0
     assert done["select"] == 1
     assert done["check"] > 0
@@ -212,6 +212,8 @@ class Counting:
     def advance(self, n=1, note=""):
         list(self.shown.values())[-1][0] += n
 
+    keep = advance
+
 
 def test_progress_of_every_stage_reaches_its_total(config, tmp_path):
     progress = Counting()
@@ -241,6 +243,8 @@ class Telling:
         yield self
     def advance(self, n=1, note=""):
         print(self.name, n, flush=True)
+    def keep(self, n):
+        print(self.name, "kept", n, flush=True)
 
 if __name__ == "__main__":
     config, output, workers = sys.argv[1:4]

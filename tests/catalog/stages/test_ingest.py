@@ -7,6 +7,7 @@ from rasterio.transform import Affine
 from catalog.errors import DataError, UsageError
 from catalog.geometry.cells import CellGrid
 from catalog.progress import SilentProgress
+from catalog.stages.account import StageAccount
 from catalog.stages.ingest import BLOCK_CELLS, chunks_of, covered_cells, ingest
 from catalog.stages.workspace import Workspace
 from catalog.terrain.mosaic import Mosaic
@@ -91,7 +92,7 @@ def test_few_cells_make_many_small_chunks():
 
 def ingested(workspace, path, moon, **settings):
     one = DemSettings(path=path.name, **settings)
-    return ingest(workspace, [one], path.parent, moon, 1, SilentProgress())
+    return ingest(workspace, [one], path.parent, moon, 1, SilentProgress(), StageAccount("ingest"))
 
 
 def test_the_record_of_a_model_says_what_was_read(tmp_path, dems, moon):

@@ -76,7 +76,7 @@ def test_damaged_results_count_as_missing(tmp_path):
     assert [r.cell for r in workspace.records("s/good.bin", Thing)] == [5]
     assert workspace.records("s/bad.bin", Thing) is None
     assert workspace.records("s/none.bin", Thing) is None
-    assert not workspace.has("s/bad.bin")
+    assert not workspace.path("s/bad.bin").exists()
 
 
 HOLD = """

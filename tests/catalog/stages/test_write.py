@@ -14,8 +14,12 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
 from catalog.progress import SilentProgress
+from catalog.stages.account import StageAccount
+from catalog.stages.chunked import ChunkResults
 from catalog.stages.workers import SerialWorkers
+from catalog.stages.workspace import Workspace
 from catalog.stages.write import CHUNK_POINTS, Settings, write
+from catalog.store.patches import PreparedPoint
 from catalog.store.reader import Catalog
 from catalog.store.records import rounded_point
 
@@ -58,6 +62,10 @@ class BackwardWorkers:
         return iter(done[::-1])
 
 
+def results_beside(path: Path) -> ChunkResults:
+    return ChunkResults(Workspace(path.with_suffix(".work")), "write", "key", PreparedPoint)
+
+
 def written_with(workers: Any, path: Path, given: Sequence[ControlPoint], world: World) -> Any:
     return write(
         world,  # type: ignore[arg-type]
@@ -65,8 +73,10 @@ def written_with(workers: Any, path: Path, given: Sequence[ControlPoint], world:
         path,
         sources={"dem.tif": "sha256 0"},
         config_text="[body]",
+        results=results_beside(path),
         workers=workers,
         progress=SilentProgress(),
+        account=StageAccount("write"),
     )
 
 

@@ -1,0 +1,213 @@
+"""What a build used and what came of it: by stage, for people, benchmarks and `account.json`.
+
+Memory is the high-water mark that the system keeps of a process's life. It is not reset for each
+stage, though Linux can do that: whoever watches the process from outside would be told the reset
+mark. So a stage's own peak is known where it raised the mark, else it is at most the mark.
+
+Bytes are those of a process's read and write calls, from the page cache and through pipes between
+processes too; mapped files are not among them. Systems other than Linux do not tell.
+"""
+
+import os
+import resource
+import socket
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from catalog.control_point import Flag
+from catalog.store.features import reasons_text
+
+R = TypeVar("R")
+
+FILE = "account.json"
+MAXRSS_UNIT = 1 if sys.platform == "darwin" else 1024  # getrusage(2) of each system
+
+
+class Peak(msgspec.Struct, frozen=True):
+    """Greatest memory of a process (bytes); not `own`: at most so much, reached before the work."""
+
+    bytes: int
+    own: bool
+
+
+class Usage(msgspec.Struct, frozen=True):
+    """What a process used for a piece of work; bytes are None where the system does not tell."""
+
+    process: str
+    cpu_s: float
+    peak: Peak
+    read_bytes: int | None
+    written_bytes: int | None
+
+
+class StageAccount(msgspec.Struct):
+    """What a stage did and used.
+
+    done, kept        pieces of work done now, and found done by earlier runs
+    seconds           by the clock
+    cpu_s             processor time of all processes; workers_cpu_s: of it, the workers' share
+    peak              memory of the coordinating process; worker_peak: of the greatest worker
+    read_bytes, written_bytes  of all processes
+    """
+
+    name: str
+    done: int = 0
+    kept: int = 0
+    seconds: float = 0.0
+    cpu_s: float = 0.0
+    workers_cpu_s: float = 0.0
+    peak: Peak = Peak(0, True)
+    worker_peak: Peak | None = None
+    read_bytes: int | None = 0
+    written_bytes: int | None = 0
+
+    def add(self, usage: Usage) -> None:
+        """Count a worker's piece of work; one of this process is counted with the stage itself."""
+        if usage.process == _process():
+            return
+        self.workers_cpu_s += usage.cpu_s
+        self.worker_peak = _greater(self.worker_peak, usage.peak)
+        self._add_all(usage)
+
+    @contextmanager
+    def measured(self) -> Iterator[None]:
+        """Count what this process uses meanwhile, and the time."""
+        before, started = _state(), time.monotonic()
+        yield
+        usage = _between(before, _state())
+        self.seconds += time.monotonic() - started
+        self.peak = usage.peak
+        self._add_all(usage)
+
+    def _add_all(self, usage: Usage) -> None:
+        self.cpu_s += usage.cpu_s
+        self.read_bytes = _sum(self.read_bytes, usage.read_bytes)
+        self.written_bytes = _sum(self.written_bytes, usage.written_bytes)
+
+
+class Account(msgspec.Struct):
+    """What came of a run and what it used.
+
+    cells           that have ground
+    points, usable  of the checked points; None as long as they are not checked
+    reasons         points that are not usable, by reason; a point can have several
+    stages          those of this run; what earlier runs used is not known any more
+    """
+
+    software: str
+    workers: int
+    cells: int = 0
+    points: int | None = None
+    usable: int | None = None
+    reasons: dict[str, int] = {}
+    stages: list[StageAccount] = []
+
+    def judge(self, points: Iterable[tuple[bool, Flag]]) -> None:
+        """Count points (usable, flags) and what keeps them from use, the most frequent first."""
+        total = usable = 0
+        reasons: Counter[str] = Counter()
+        for good, flags in points:
+            total, usable = total + 1, usable + good
+            if not good:
+                reasons.update(reasons_text(flag) for flag in flags)
+        self.points, self.usable = total, usable
+        self.reasons = dict(reasons.most_common())
+
+    def total(self) -> StageAccount:
+        """All stages together; pieces of different stages are not added up."""
+        whole = StageAccount("total")
+        for stage in self.stages:
+            whole.seconds += stage.seconds
+            whole.cpu_s += stage.cpu_s
+            whole.workers_cpu_s += stage.workers_cpu_s
+            whole.peak = _greater(whole.peak, stage.peak)
+            if stage.worker_peak is not None:
+                whole.worker_peak = _greater(whole.worker_peak, stage.worker_peak)
+            whole.read_bytes = _sum(whole.read_bytes, stage.read_bytes)
+            whole.written_bytes = _sum(whole.written_bytes, stage.written_bytes)
+        return whole
+
+
+def _sum(a: int | None, b: int | None) -> int | None:
+    return None if a is None or b is None else a + b
+
+
+def _greater(a: Peak | None, b: Peak) -> Peak:
+    # of equal marks the one that is known to be the work's own
+    return b if a is None or (b.bytes, b.own) > (a.bytes, a.own) else a
+
+
+class _State(msgspec.Struct, frozen=True):
+    """What this process has used since it began."""
+
+    cpu_s: float
+    mark_bytes: int
+    read_bytes: int | None
+    written_bytes: int | None
+
+
+def _state() -> _State:
+    mark = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT
+    return _State(time.process_time(), mark, *_bytes_moved())
+
+
+def _bytes_moved() -> tuple[int | None, int | None]:
+    """Bytes that this process read and wrote, as Linux counts them."""
+    try:
+        lines = Path("/proc/self/io").read_text(encoding="ascii").splitlines()
+        counts = dict(line.split(": ") for line in lines)
+        return int(counts["rchar"]), int(counts["wchar"])
+    except (OSError, ValueError, KeyError):
+        return None, None
+
+
+def _between(before: _State, after: _State) -> Usage:
+    def more(a: int | None, b: int | None) -> int | None:
+        return None if a is None or b is None else b - a
+
+    return Usage(
+        process=_process(),
+        cpu_s=after.cpu_s - before.cpu_s,
+        peak=Peak(after.mark_bytes, after.mark_bytes > before.mark_bytes),
+        read_bytes=more(before.read_bytes, after.read_bytes),
+        written_bytes=more(before.written_bytes, after.written_bytes),
+    )
+
+
+def _process() -> str:
+    """Name of this process among those of all machines of a cluster."""
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+_lock = threading.Lock()
+_under_way = 0
+_told = _State(0.0, 0, None, None)  # what was reported already, while work is under way
+
+
+def metered(work: Callable[[], R]) -> tuple[R, Usage]:
+    """Do work and tell what it used.
+
+    A process counts as a whole. Where threads of it work at the same time, each reports what was
+    used since the last report, so that their sum is right.
+    """
+    global _under_way, _told
+    with _lock:
+        if _under_way == 0:
+            _told = _state()
+        _under_way += 1
+    try:
+        result = work()
+    finally:
+        with _lock:
+            _under_way -= 1
+            before, _told = _told, _state()
+            usage = _between(before, _told)
+    return result, usage

@@ -1,0 +1,138 @@
+"""What a build works on: terrain models read, posting settled, cells found and cut into chunks."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import catalog
+from catalog.bodies.body import Body
+from catalog.errors import ConfigError
+from catalog.geometry.cells import CellGrid
+from catalog.progress import Progress
+from catalog.stages.account import StageAccount
+from catalog.stages.code_key import code_key
+from catalog.stages.context import StageContext
+from catalog.stages.ingest import Bbox, DemRecord, chunks_of, covered_cells, ingest
+from catalog.stages.settings import BuildConfig
+from catalog.stages.workspace import Workspace, stage_key
+
+MANIFEST = "manifest.json"
+MOST_OVERSAMPLING = 4.0  # a posting finer than the terrain model by more shows nothing new
+MOST_NODES_ACROSS = 8192  # of a cell: a grid of 268 MB, of which a worker holds several
+
+
+@dataclass(frozen=True)
+class World:
+    """The ground of a build.
+
+    chunks  cells, cut into pieces of work
+    keys    by stage: hash of all that its results depend on
+    """
+
+    context: StageContext
+    dems: list[DemRecord]
+    chunks: list[list[int]]
+    keys: dict[str, str]
+
+    @property
+    def cells(self) -> int:
+        """Number of cells that have ground."""
+        return sum(map(len, self.chunks))
+
+    def sources(self) -> dict[str, str]:
+        """Hashes of the terrain models by name; of two with one name the second tells its rank."""
+        sources: dict[str, str] = {}
+        for dem in self.dems:
+            name = dem.name if dem.name not in sources else f"{dem.name} ({dem.priority})"
+            sources[name] = dem.sha256
+        return sources
+
+
+def settle_world(
+    workspace: Workspace,
+    config: BuildConfig,
+    config_path: Path,
+    body: Body,
+    bbox: Bbox | None,
+    workers: int,
+    progress: Progress,
+    account: StageAccount,
+) -> World:
+    """Read the terrain models and settle what all stages need; cheap where overviews are there.
+
+    Raises DataError, ConfigError or UsageError for what cannot be built from.
+    """
+    mosaic, dems = ingest(
+        workspace, config.dem, config_path.parent, body, workers, progress, account
+    )
+    grid = CellGrid(config.grid.cell_deg)
+    posting = config.pyramid.posting_m or mosaic.posting_m
+    _check_posting(config, config_path, body, posting, mosaic.posting_m)
+    cells = covered_cells(mosaic, grid, bbox)
+    # paths and ranks do not matter by themselves: what was read, and in which order, does
+    read = [(dem.sha256, dem.folder) for dem in dems]
+    keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
+    world = World(
+        StageContext(body, mosaic, grid, posting, config), dems, chunks_of(grid, cells), keys
+    )
+    workspace.put(MANIFEST, msgspec.json.format(_manifest(world), indent=2))
+    return world
+
+
+def _keys(first: str, config: BuildConfig, posting_m: float) -> dict[str, str]:
+    """Keys of the stages; each depends on the one before and on the stage's own settings."""
+    keys = {"ingest": first}
+    parts: Sequence[tuple[str, tuple[Any, ...]]] = (
+        ("render", (config.grid, config.pyramid, posting_m, config.render)),
+        ("select", (config.select,)),
+        ("check", (config.check,)),
+        ("write", (config.write,)),
+    )
+    key = first
+    for stage, settings in parts:
+        key = stage_key(key, stage, settings)
+        keys[stage] = key
+    return keys
+
+
+def _check_posting(
+    config: BuildConfig, config_path: Path, body: Body, posting_m: float, finest_m: float
+) -> None:
+    """Refuse patches wider than the body, a posting that shows nothing more, and huge cells."""
+    if posting_m < finest_m / MOST_OVERSAMPLING:
+        raise ConfigError(
+            f"{config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
+            f"model has {finest_m:.6g} m; wanted at least {finest_m / MOST_OVERSAMPLING:.6g}, "
+            "or leave it out"
+        )
+    across = math.radians(config.grid.cell_deg) * body.radius_m / posting_m
+    if across > MOST_NODES_ACROSS:
+        raise ConfigError(
+            f"{config_path}: a cell of {config.grid.cell_deg:g} deg is {across:.0f} "
+            f"nodes of {posting_m:g} m wide; wanted at most {MOST_NODES_ACROSS}: set a smaller "
+            "[grid] cell_deg or a coarser [pyramid] posting_m"
+        )
+    reach = posting_m * config.pyramid.size * 2 ** (config.pyramid.levels - 1)
+    if reach > body.radius_m:
+        raise ConfigError(
+            f"{config_path}: [pyramid] the coarsest patch would be {reach / 1e3:.0f} km "
+            f"wide on a body of {body.radius_m / 1e3:.0f} km radius; "
+            "wanted fewer levels, a smaller size or a finer posting_m"
+        )
+
+
+def _manifest(world: World) -> bytes:
+    return msgspec.json.encode(
+        {
+            "software": f"optnav {catalog.__version__}",
+            "body": world.context.body.name,
+            "dems": world.dems,
+            "cells": world.cells,
+            "keys": world.keys,
+            "config": world.context.config,
+        }
+    )
