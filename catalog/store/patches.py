@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,14 @@ class PreparedPoint:
     point: ControlPoint
     rows: tuple[PatchRow, ...]
     patches_digest: bytes
+
+
+class StoredPatch(NamedTuple):
+    """A patch as the file holds it; `header` is what checksum and digest cover beside its data."""
+
+    posting_m: float
+    encoded: Encoded
+    header: bytes
 
 
 def prepare_point(
@@ -60,8 +69,8 @@ def prepare_point(
     return PreparedPoint(rounded, tuple(rows), patches_digest(contents))
 
 
-def _checked(row: Sequence[object], point_id: int, level: int) -> tuple[float, Encoded, bytes]:
-    """Posting, encoded grid and header of a row. Raises DataError unless its checksum fits."""
+def stored_patch_from_row(row: Sequence[object], point_id: int, level: int) -> StoredPatch:
+    """A row (columns as PATCH_COLUMNS) as it is. Raises DataError unless its checksum fits."""
     key, owner, layer, number, posting, size, step, offset, stored, data = row
     if (
         key != patch_key(point_id, HEIGHT_LAYER, level)
@@ -79,18 +88,18 @@ def _checked(row: Sequence[object], point_id: int, level: int) -> tuple[float, E
     header = patch_header(point_id, HEIGHT_LAYER, level, size, posting, step, offset)
     if stored != checksum(header, data):
         raise DataError("row of optnav_patches does not fit its checksum")
-    return posting, Encoded(size, step, offset, data), header
+    return StoredPatch(posting, Encoded(size, step, offset, data), header)
 
 
 def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
     """The patch of a row (columns as PATCH_COLUMNS). Raises DataError for a damaged one."""
-    posting, encoded, _ = _checked(row, point_id, level)
-    return Patch(posting, decode(encoded))
+    patch = stored_patch_from_row(row, point_id, level)
+    return Patch(patch.posting_m, decode(patch.encoded))
 
 
 def content_from_row(
     row: Sequence[object], point_id: int, level: int
 ) -> tuple[bytes, NDArray[np.int16]]:
     """Header and counts of a row, for the digest. Raises DataError for a damaged one."""
-    _, encoded, header = _checked(row, point_id, level)
-    return header, decode_counts(encoded.data, encoded.size)
+    patch = stored_patch_from_row(row, point_id, level)
+    return patch.header, decode_counts(patch.encoded.data, patch.encoded.size)

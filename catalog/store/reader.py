@@ -3,9 +3,10 @@
 import logging
 import math
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from catalog.store.connection import connect, read_meta
 from catalog.store.index import CellIndex
 from catalog.store.listing import read_records
 from catalog.store.manifest import CatalogMeta
-from catalog.store.patches import patch_from_row
+from catalog.store.patches import StoredPatch, patch_from_row, stored_patch_from_row
 from catalog.store.records import Records, point_from_record
 from catalog.store.schema import HEIGHT_LAYER, PATCH_COLUMNS, PATCHES, patch_key
 
@@ -26,6 +27,7 @@ log = logging.getLogger(__name__)
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+T = TypeVar("T")
 
 SELECT_PATCHES = (
     f"SELECT {', '.join(PATCH_COLUMNS)} FROM {PATCHES} WHERE id BETWEEN ? AND ? ORDER BY id"
@@ -57,17 +59,18 @@ class Catalog:
         self._db = db
 
     @classmethod
-    def open(cls, path: str | Path) -> "Catalog":
+    def open(cls, path: str | Path, *, strict: bool = False) -> "Catalog":
         """Open a catalog file.
 
         Raises DataError for a file that is missing, cut short, of a newer format, no catalog, or
-        so damaged that its points cannot be listed. A damaged point is left out with a warning.
+        so damaged that its points cannot be listed. A damaged list of points is replaced by the
+        feature layer and a damaged point of this left out, with warnings; strict: DataError.
         """
         path = Path(path)
         db = connect(path)
         try:
             meta = read_meta(db, path)
-            records = read_records(db, meta, _warn_about(path))
+            records = read_records(db, meta, _refuse if strict else _warn_about(path))
         except DataError as error:
             db.close()
             where = "" if str(error).startswith(str(path)) else f"{path}: "
@@ -160,13 +163,25 @@ class Catalog:
 
         Raises DataError when one is missing or damaged: then the point must not be used.
         """
+        return self._read_patches(point_id, patch_from_row)
+
+    def stored_patches(self, point_id: int) -> tuple[StoredPatch, ...]:
+        """The patches of a point as they are stored, their checksums checked.
+
+        Raises DataError when one is missing or damaged.
+        """
+        return self._read_patches(point_id, stored_patch_from_row)
+
+    def _read_patches(
+        self, point_id: int, read: Callable[[Sequence[object], int, int], T]
+    ) -> tuple[T, ...]:
         stored = int(self.records["levels"][self.row_of(point_id)])
         first = patch_key(point_id, HEIGHT_LAYER, 0)
         try:
             rows = self._db.execute(SELECT_PATCHES, (first, first + 15)).fetchall()
             if len(rows) != stored:
                 raise DataError(f"{len(rows)} levels of {stored} are there")
-            return tuple(patch_from_row(row, point_id, level) for level, row in enumerate(rows))
+            return tuple(read(row, point_id, level) for level, row in enumerate(rows))
         except (sqlite3.Error, DataError) as error:
             raise DataError(
                 f"{self.path}: control point {point_id} is damaged: {error}; run "
@@ -176,6 +191,10 @@ class Catalog:
     def pyramid(self, point_id: int) -> Pyramid:
         """A point together with its patches. Raises DataError as `patches` does."""
         return Pyramid(self.point(point_id), self.patches(point_id))
+
+
+def _refuse(place: str, what: object) -> None:
+    raise DataError(f"{place}: {what}")
 
 
 def _warn_about(path: Path) -> Callable[[str, object], None]:

@@ -21,6 +21,12 @@ from optnav_cli.options import (
 @work_option(required=False)
 @workers_option
 @bbox_option
+@click.option(
+    "--check",
+    metavar="CATALOG",
+    type=click.Path(path_type=Path),
+    help="Compare the new catalog with this one; exit code 5 if its content differs.",
+)
 @pass_progress
 def command(
     progress: ConsoleProgress,
@@ -29,20 +35,30 @@ def command(
     work: Path | None,
     workers: int | None,
     bbox: BoundingBox | None,
+    check: Path | None,
 ) -> None:
     """Build a control-point catalog from the terrain models that CONFIG names.
 
     All stages: ingest, render, select, check, write. A stopped build goes on where it was when the
     same command is given again. Ends with exit code 4 when no point is usable.
 
+    With --check the new catalog is written, then compared with an older one as `optnav catalog
+    compare` does; a pipeline guards a release so.
+
     \b
     Example:
       optnav build moon.toml -o moon.gpkg
       optnav build moon.toml -o south.gpkg --bbox -180,-90,180,-60
+      optnav build moon.toml -o moon.gpkg --check release.gpkg
     """
     from catalog.stages.build import run
+    from optnav_cli.commands.catalog_compare import compare_and_tell, require_reference
 
     announce_compilation()
+    if check is not None:
+        require_reference(check, output)  # before hours of work
     report = run(config, work, output=output, workers=workers, bbox=bbox, progress=progress)
     click.echo(f"{output}: {report.points} control points, {report.usable} usable")
     click.echo(f"digest: {report.digest}")
+    if check is not None:
+        compare_and_tell(check, output, progress)

@@ -1,0 +1,180 @@
+"""Differences of two catalogs in words, for people and the logs of pipelines."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.control_point import Flag
+from catalog.store.compare import CERTIFICATE, Comparison, Side
+from catalog.store.features import reasons_text
+from catalog.store.records import Record
+
+SHOWN = 10  # lines a kind; the table (`difference_table`) has all
+
+
+def summary(found: Comparison) -> str:
+    """What differs, in one line; "" for nothing."""
+    moved, usable = found.moved_m > 0.0, found.field_changed("usable")
+    reasons = found.field_changed("flags") & ~usable
+    certificate = np.zeros(len(moved), dtype=np.bool_)
+    for name in CERTIFICATE:
+        certificate |= found.field_changed(name)
+    counts = (
+        ("settings", len(found.settings)),
+        (f"points only in {found.first.path.name}", len(found.first.only)),
+        (f"points only in {found.second.path.name}", len(found.second.only)),
+        ("moved", moved.sum()),
+        ("usable or no longer", usable.sum()),
+        ("other reasons", reasons.sum()),
+        ("other radius in place", (found.field_changed("radius_m") & ~moved).sum()),
+        ("other heights in place", (found.patches & ~moved).sum()),
+        ("other certificate", certificate.sum()),
+        ("other terrain model", found.field_changed("source").sum()),
+    )
+    return ", ".join(f"{what}: {number}" for what, number in counts if number)
+
+
+def lines(found: Comparison) -> Iterator[str]:
+    """The differences, a kind after the other, the greatest of each first."""
+    for name, side in (("first", found.first), ("second", found.second)):
+        meta = side.meta
+        yield f"{name}: {side.path}: {meta.count} control points, {meta.usable} usable"
+        yield f"{name}_digest: {meta.digest}"
+    for change in found.provenance:
+        yield f"not content: {change.name}: {change.first} -> {change.second}"
+    for change in found.settings:
+        yield f"setting: {change.name}: {change.first} -> {change.second}"
+    if not found.comparable:
+        yield "points: not compared: their ids are cells of other grids"
+    for side in (found.first, found.second):
+        yield from _alone(side)
+    yield from _places(found)
+    yield from _use(found)
+    yield from _heights(found)
+    yield from _certificates(found)
+
+
+def _alone(side: Side) -> Iterator[str]:
+    if not len(side.only):
+        return
+    yield f"only in {side.path}: {_points(len(side.only))}"
+    yield from _shortened(
+        [f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}" for r in side.only[: SHOWN + 1]],
+        len(side.only),
+    )
+
+
+def _places(found: Comparison) -> Iterator[str]:
+    moved = found.moved_m[found.moved_m > 0.0]
+    if len(moved):
+        yield (
+            f"moved: {_points(len(moved))}, median {np.median(moved):.3f} m, max {moved.max():.3f} m"
+        )
+        yield from _greatest(found, found.moved_m, found.moved_m > 0.0, "{:.3f} m")
+    radius = found.after["radius_m"] - found.before["radius_m"]
+    still = found.field_changed("radius_m") & (found.moved_m == 0.0)
+    if still.any():
+        yield f"radius of points in place: {_points(still.sum())}, {_largest(radius[still])} m"
+        yield from _greatest(found, radius, still, "{:+.3f} m")
+
+
+def _use(found: Comparison) -> Iterator[str]:
+    before, after = found.before["usable"] != 0, found.after["usable"] != 0
+    reasons = found.field_changed("flags") & (before == after)
+    for name, chosen in (
+        ("no longer usable", before & ~after),
+        ("newly usable", after & ~before),
+        ("other reasons", reasons),
+    ):
+        rows = np.flatnonzero(chosen)
+        if rows.size:
+            yield f"{name}: {_points(rows.size)}"
+            told = (
+                f"{found.ids[row]}: {_state(found.before[row])} -> {_state(found.after[row])}"
+                for row in rows[: SHOWN + 1]
+            )
+            yield from _shortened(list(told), rows.size)
+    source = np.flatnonzero(found.field_changed("source"))
+    if source.size:
+        yield f"other terrain model: {_points(source.size)}"
+        told = (
+            f"{found.ids[row]}: {_source(found.first, found.before[row])} -> "
+            f"{_source(found.second, found.after[row])}"
+            for row in source[: SHOWN + 1]
+        )
+        yield from _shortened(list(told), source.size)
+
+
+def _heights(found: Comparison) -> Iterator[str]:
+    changed = found.patches & (found.moved_m == 0.0)
+    if not changed.any():
+        return
+    largest = found.height_max_m[changed]
+    known = np.isfinite(largest)
+    text = f"heights of points in place: {_points(changed.sum())}"
+    if known.any():
+        squares = np.square(found.height_rms_m[changed][known])
+        text += f", max {largest[known].max():.3f} m, rms {np.sqrt(squares.mean()):.3f} m"
+    if not known.all():
+        text += f", {np.count_nonzero(~known)} of another shape or without common nodes"
+    if found.holes[changed].any():
+        text += f", {found.holes[changed].sum()} nodes with a height in one only"
+    yield text
+    rows = np.flatnonzero(changed)
+    rows = rows[np.argsort(-np.nan_to_num(found.height_max_m[rows], nan=np.inf), kind="stable")]
+    told = (
+        f"{found.ids[row]}: max {found.height_max_m[row]:.3f} m, "
+        f"rms {found.height_rms_m[row]:.3f} m"
+        for row in rows[: SHOWN + 1]
+    )
+    yield from _shortened(list(told), rows.size)
+
+
+def _certificates(found: Comparison) -> Iterator[str]:
+    for name in CERTIFICATE:
+        chosen = found.field_changed(name)
+        if chosen.any():
+            change = found.field_change(name)
+            yield f"{name}: {_points(chosen.sum())}, {_largest(change[chosen])}"
+            yield from _greatest(found, change, chosen, "by {:.4g}")
+
+
+def _largest(changes: NDArray[np.float64]) -> str:
+    """The median and the largest of some changes, those from or to unknown aside."""
+    sizes = np.abs(changes[np.isfinite(changes)])
+    unknown = len(changes) - len(sizes)
+    parts = [f"median {np.median(sizes):.4g}, max {sizes.max():.4g}"] if len(sizes) else []
+    return ", ".join(parts + ([f"{unknown} known in one only"] if unknown else []))
+
+
+def _greatest(
+    found: Comparison, sizes: NDArray[np.float64], chosen: NDArray[np.bool_], form: str
+) -> Iterator[str]:
+    """Lines of the chosen points with the largest sizes."""
+    rows = np.flatnonzero(chosen)
+    known = np.nan_to_num(np.abs(sizes[rows]), nan=np.inf)
+    rows = rows[np.argsort(-known, kind="stable")]
+    told = [f"{found.ids[row]}: " + form.format(sizes[row]) for row in rows[: SHOWN + 1]]
+    yield from _shortened(told, rows.size)
+
+
+def _points(number: int | np.integer[Any]) -> str:
+    return f"{number} point" if number == 1 else f"{number} points"
+
+
+def _shortened(told: list[str], total: int) -> Iterator[str]:
+    yield from (f"  {line}" for line in told[:SHOWN])
+    if total > SHOWN:
+        yield f"  and {total - SHOWN} more"
+
+
+def _state(record: Record) -> str:
+    reasons = reasons_text(Flag(int(record["flags"])))
+    state = "usable" if record["usable"] else "not usable"
+    return f"{state} ({reasons})" if reasons else state
+
+
+def _source(side: Side, record: Record) -> str:
+    return side.meta.point_sources[int(record["source"])] or "none"
