@@ -4,11 +4,14 @@ The high-pass takes out albedo, slope trends and the slow change of illumination
 rendered reference does not know (Zhukov 2025, ch. 3, uses plain correlation).
 """
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from catalog.correlation.peak import Match, locate_peak
+from catalog.geometry.kernel import kernel
 
 Grid = NDArray[np.float32]
 
@@ -32,6 +35,23 @@ def high_pass(grid: Grid, sigma_nodes: float = HIGH_PASS_NODES) -> Grid:
     return np.where(valid, filled - mean, np.float32(0.0)).astype(np.float32)
 
 
+class Filtered(NamedTuple):
+    """A grid made ready to be correlated, perhaps with many others.
+
+    values  high-passed, without the margin; finite
+    floor   contrast below this is rounding
+    """
+
+    values: Grid
+    floor: float
+
+
+def filtered(grid: Grid, sigma_nodes: float = HIGH_PASS_NODES, margin_nodes: int = 0) -> Filtered:
+    """High-pass a grid and take off a margin that only the high-pass sees."""
+    floor = LEAST_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0))
+    return Filtered(cropped(high_pass(grid, sigma_nodes), margin_nodes), floor)
+
+
 def correlation_surface(
     reference: Grid,
     search: Grid,
@@ -47,29 +67,57 @@ def correlation_surface(
     Returns (m - n + 1, m - n + 1); the middle element is the centred place.
     Raises ValueError for sizes that cannot be centred on each other.
     """
-    room = (search.shape[0] - reference.shape[0], search.shape[1] - reference.shape[1])
+    return correlated(
+        filtered(reference, sigma_nodes, margin_nodes), filtered(search, sigma_nodes, margin_nodes)
+    )
+
+
+def correlated(template: Filtered, image: Filtered) -> Grid:
+    """`correlation_surface` of grids that are filtered already."""
+    (height, width), (rows, cols) = template.values.shape, image.values.shape
+    room = (rows - height, cols - width)
     if min(room) < 0 or room[0] % 2 or room[1] % 2:
-        raise ValueError(f"reference {reference.shape} cannot be centred in search {search.shape}")
-    template = _cropped(high_pass(reference, sigma_nodes), margin_nodes)
-    image = _cropped(high_pass(search, sigma_nodes), margin_nodes)
-    surface = np.asarray(cv2.matchTemplate(image, template, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
+        raise ValueError(
+            f"reference ({height}, {width}) cannot be centred in search {(rows, cols)}"
+        )
+    surface = np.asarray(
+        cv2.matchTemplate(image.values, template.values, cv2.TM_CCOEFF_NORMED), dtype=np.float32
+    )
     # A side without contrast has no correlation; OpenCV then returns ones, rounding noise decides.
-    if float(template.std()) <= LEAST_CONTRAST * _largest(reference):
+    if float(cv2.meanStdDev(template.values)[1][0, 0]) <= template.floor:
         return np.full_like(surface, -1.0)
-    power = cv2.boxFilter(image * image, -1, template.shape[::-1], borderType=cv2.BORDER_CONSTANT)
-    rows, cols = surface.shape
-    top, left = template.shape[0] // 2, template.shape[1] // 2
-    power = power[top : top + rows, left : left + cols]
-    surface[power <= (LEAST_CONTRAST * _largest(search)) ** 2] = -1.0
+    _void_flat_windows(image.values, height, width, image.floor, surface)
     return surface
 
 
-def _largest(grid: Grid) -> float:
-    finite = grid[np.isfinite(grid)]
-    return float(np.abs(finite).max()) if finite.size else 0.0
+@kernel
+def _void_flat_windows(
+    image: Grid, height: int, width: int, least_rms: float, surface: Grid
+) -> None:
+    """Put -1 where the rms of the (height, width) window under a score is least_rms or less."""
+    rows, cols = image.shape
+    columns = np.zeros(cols)
+    for row in range(rows):
+        for c in range(cols):
+            columns[c] += image[row, c] * image[row, c]
+        first = row - height + 1
+        if first < 0:
+            continue
+        total = 0.0
+        for c in range(cols):
+            total += columns[c]
+            if c >= width - 1:
+                # running sums leave rounding of the largest term behind: far below a floor of
+                # 1e-10 of the brightness squared in double precision
+                if total <= least_rms * least_rms * height * width:
+                    surface[first, c - width + 1] = -1.0
+                total -= columns[c - width + 1]
+        for c in range(cols):
+            columns[c] -= image[first, c] * image[first, c]
 
 
-def _cropped(grid: Grid, margin: int) -> Grid:
+def cropped(grid: Grid, margin: int) -> Grid:
+    """A grid without its outer `margin` nodes, contiguous."""
     return np.ascontiguousarray(
         grid[margin : grid.shape[0] - margin, margin : grid.shape[1] - margin]
     )
@@ -77,5 +125,11 @@ def _cropped(grid: Grid, margin: int) -> Grid:
 
 def match_ncc(reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
     """Find a reference in a search grid by correlation; arguments as `correlation_surface`."""
-    surface = correlation_surface(reference, search, margin_nodes=margin_nodes)
-    return locate_peak(surface, int(np.isfinite(_cropped(reference, margin_nodes)).sum()))
+    return match_in(reference, filtered(search, margin_nodes=margin_nodes), margin_nodes)
+
+
+def match_in(reference: Grid, image: Filtered, margin_nodes: int = 0) -> Match:
+    """`match_ncc` in a search grid that is filtered already."""
+    nodes = int(np.isfinite(cropped(reference, margin_nodes)).sum())
+    template = filtered(reference, margin_nodes=margin_nodes)
+    return locate_peak(correlated(template, image), nodes)

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.geometry.kernel import kernel
+
 FloatArray = NDArray[np.float64]
 
 # Nodes of high-passed lunar relief that share one independent brightness error: fitted to the
@@ -76,21 +78,21 @@ def locate_peak(surface: NDArray[np.float32], nodes: int) -> Match:
     return Match(dx + step[0], dy + step[1], best, runner_up, noise * np.linalg.inv(curvature))
 
 
+@kernel
 def _runner_up(surface: NDArray[np.float32], row: int, col: int) -> float:
     """Highest local maximum at least RIVAL_DISTANCE nodes from the peak; its slope is no rival."""
     rows, cols = surface.shape
-    if min(rows, cols) < 3:
-        return -1.0
-    inner = surface[1:-1, 1:-1]
-    is_peak = (
-        (inner >= surface[:-2, 1:-1])
-        & (inner >= surface[2:, 1:-1])
-        & (inner >= surface[1:-1, :-2])
-        & (inner >= surface[1:-1, 2:])
-    )
-    r0, c0 = row - 1, col - 1
-    near = RIVAL_DISTANCE
-    is_peak[max(r0 - near, 0) : r0 + near + 1, max(c0 - near, 0) : c0 + near + 1] = False
-    if not is_peak.any():
-        return -1.0
-    return float(inner[is_peak].max())
+    best = -1.0
+    for r in range(1, rows - 1):
+        for c in range(1, cols - 1):
+            here = surface[r, c]
+            if (
+                here > best
+                and max(abs(r - row), abs(c - col)) > RIVAL_DISTANCE
+                and here >= surface[r - 1, c]
+                and here >= surface[r + 1, c]
+                and here >= surface[r, c - 1]
+                and here >= surface[r, c + 1]
+            ):
+                best = float(here)
+    return best

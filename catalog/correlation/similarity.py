@@ -1,16 +1,26 @@
 """Matching under an unknown roll and scale: the reference is turned and stretched to fit."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.correlation.ncc import match_ncc
+from catalog.correlation.ncc import (
+    cropped,
+    filtered,
+    high_pass,
+    match_in,
+    match_ncc,
+)
 from catalog.correlation.peak import Match
 
 Grid = NDArray[np.float32]
+
+# Roll and scale are told apart on grids of half as many nodes a side, from this side on.
+HALVED_FROM_NODES = 48
 
 
 class Matcher(Protocol):
@@ -29,10 +39,10 @@ class SimilarityMatch(NamedTuple):
     scale: float
 
 
-def turned(reference: Grid, roll: float, scale: float) -> Grid:
+def turned(reference: Grid, roll: float, scale: float, beyond: float = np.nan) -> Grid:
     """A square grid turned by `roll` (rad) and stretched by `scale` about its centre.
 
-    Nodes that the stretched grid does not reach are NaN, so that they take no part in a match.
+    Nodes that the stretched grid does not reach are `beyond`; as NaN they take no part in a match.
     """
     size = reference.shape[0]
     centre = (size - 1) / 2.0
@@ -44,7 +54,7 @@ def turned(reference: Grid, roll: float, scale: float) -> Grid:
             (size, size),
             flags=cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float("nan"),
+            borderValue=beyond,
         ),
         dtype=np.float32,
     )
@@ -61,24 +71,49 @@ def match_similarity(
     """Best match over a grid of rolls (rad) and scales; the best pair is refined by parabolas.
 
     reference, search as `match_ncc` takes them. Evenly spaced rolls and scales are expected.
+    Raises ValueError for no roll or no scale.
     """
-    best: SimilarityMatch | None = None
-    scores = np.full((len(rolls), len(scales)), -1.0)
-    for row, roll in enumerate(rolls):
-        for column, scale in enumerate(scales):
-            match = matcher(turned(reference, roll, scale), search, margin_nodes)
-            scores[row, column] = match.score
-            if best is None or match.score > best.match.score:
-                best = SimilarityMatch(match, roll, scale)
-    if best is None:
+    if not rolls or not scales:
         raise ValueError("no roll or no scale to try")
+    pairs = [(roll, scale) for roll in rolls for scale in scales]
+    if matcher is match_ncc:
+        image = filtered(search, margin_nodes=margin_nodes)
+        scored = _correlation_scores(reference, image.values, pairs, margin_nodes)
+        find: Callable[[Grid], Match] = partial(match_in, image=image, margin_nodes=margin_nodes)
+    else:
+        find = partial(matcher, search=search, margin_nodes=margin_nodes)
+        scored = [find(turned(reference, *pair)).score for pair in pairs]
+    scores = np.reshape(scored, (len(rolls), len(scales)))
     i, j = divmod(int(np.argmax(scores)), len(scales))
+    # a parabola's peak is less than half a step from the best pair: as good, or better
     roll = _parabola_peak(rolls, scores[:, j], i)
     scale = _parabola_peak(scales, scores[i, :], j)
-    if (roll, scale) == (best.roll, best.scale):
-        return best
-    refined = matcher(turned(reference, roll, scale), search, margin_nodes)
-    return SimilarityMatch(refined, roll, scale) if refined.score >= best.match.score else best
+    return SimilarityMatch(find(turned(reference, roll, scale)), roll, scale)
+
+
+def _correlation_scores(
+    reference: Grid, image: Grid, pairs: Sequence[tuple[float, float]], margin_nodes: int
+) -> list[float]:
+    """How well the reference correlates with a high-passed image at its best place, by pair.
+
+    Good enough to tell pairs apart, at a fifth of the cost of `match_ncc`: the reference is
+    high-passed once and turned after that, and both are averaged to half as many nodes a side
+    (unless the reference is small), which a wrong roll or scale moves by more than a node still.
+    """
+    template = high_pass(reference)
+    if min(template.shape) - 2 * margin_nodes >= HALVED_FROM_NODES:
+        template, image, margin_nodes = _halved(template), _halved(image), margin_nodes // 2
+    scores = []
+    for roll, scale in pairs:
+        part = cropped(turned(template, roll, scale, beyond=0.0), margin_nodes)
+        scores.append(float(cv2.matchTemplate(image, part, cv2.TM_CCOEFF_NORMED).max()))
+    return scores
+
+
+def _halved(grid: Grid) -> Grid:
+    half = (grid.shape[1] // 2, grid.shape[0] // 2)
+    even = grid[: 2 * half[1], : 2 * half[0]]
+    return np.asarray(cv2.resize(even, half, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def _parabola_peak(places: Sequence[float], values: NDArray[np.float64], index: int) -> float:
