@@ -9,7 +9,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import import_module
@@ -20,6 +20,7 @@ import click
 
 from catalog.errors import OutputError
 from catalog.progress import Stage
+from optnav_cli.output.wording import duration, plural, speed
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -118,7 +119,7 @@ class _LineStage:
     def close(self) -> None:
         took = time.monotonic() - self.started
         rate = f" ({speed(self.done / took, self.unit)})" if took >= 1.0 and self.done else ""
-        kept = f"; {self.kept} more from an earlier run" if self.kept else ""
+        kept = f"; {self.kept} kept from earlier runs" if self.kept else ""
         _log.info(
             "%s: %d %s in %s%s%s",
             self.name, self.done, plural(self.unit, self.done), duration(took), rate, kept,
@@ -181,6 +182,12 @@ class ConsoleProgress:
         stage.close()
 
 
+def tell(lines: Iterable[str]) -> None:
+    """Lines for people, such as a table; they are in the log file too."""
+    for line in lines:
+        _log.info("%s", line)
+
+
 # Hands a command the group's progress; a command that is run alone, as in a test, makes its own.
 pass_progress = click.make_pass_decorator(ConsoleProgress, ensure=True)
 
@@ -231,31 +238,3 @@ def _tell_compilation() -> None:
     if not _told_compilation:
         _told_compilation = True
         _log.info("compiling numerical kernels, once on this machine; later runs start at once")
-
-
-def duration(seconds: float) -> str:
-    """Seconds as people say them: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
-    if seconds < 9.95:
-        return f"{seconds:.1f} s"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
-
-
-def speed(rate: float, unit: str) -> str:
-    """A rate as people say it: 12.3 cells/s, or 4.0 s a cell when it is slow."""
-    if rate <= 0.0:
-        return f"no {unit} done yet"
-    return f"{rate:.1f} {plural(unit, 2)}/s" if rate >= 1.0 else f"{1.0 / rate:.1f} s a {unit}"
-
-
-def plural(unit: str, count: int) -> str:
-    """The English plural of a unit of work: cells, geometries, pictures."""
-    if count == 1:
-        return unit
-    if unit.endswith("y"):
-        return f"{unit[:-1]}ies"
-    return f"{unit}s"

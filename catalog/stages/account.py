@@ -155,8 +155,17 @@ class _State(msgspec.Struct, frozen=True):
 
 
 def _state() -> _State:
-    mark = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT
-    return _State(time.process_time(), mark, *_bytes_moved())
+    return _State(time.process_time(), _memory_mark(), *_bytes_moved())
+
+
+def _memory_mark() -> int:
+    """Greatest memory in this process's life, bytes."""
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+        return 1024 * int(status.partition("VmHWM:")[2].split(maxsplit=1)[0])
+    except (OSError, ValueError, IndexError):
+        # only here: on Linux a new process begins with its parent's mark
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT
 
 
 def _bytes_moved() -> tuple[int | None, int | None]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import (
     BoundingBox,
     bbox_option,
@@ -53,11 +53,13 @@ def command(
     """
     from catalog.stages.build import run
     from optnav_cli.commands.catalog_compare import compare_and_tell, require_reference
+    from optnav_cli.output.account_table import account_lines
 
     announce_compilation()
     if check is not None:
         require_reference(check, output)  # before hours of work
     report = run(config, work, output=output, workers=workers, bbox=bbox, progress=progress)
+    tell(account_lines(report.account))
     click.echo(f"{output}: {report.points} control points, {report.usable} usable")
     click.echo(f"digest: {report.digest}")
     if check is not None:

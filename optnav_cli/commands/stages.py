@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import (
     BoundingBox,
     bbox_option,
@@ -39,9 +39,11 @@ def _stage(name: str) -> click.Command:
         bbox: BoundingBox | None,
     ) -> None:
         from catalog.stages.build import run
+        from optnav_cli.output.account_table import account_lines
 
         announce_compilation()
         report = run(config, work, stages=(name,), workers=workers, bbox=bbox, progress=progress)
+        tell(account_lines(report.account))
         click.echo(f"{work}: {name} is done for {report.account.cells} cells")
 
     return command
@@ -78,10 +80,12 @@ def write(
 ) -> None:
     """Write the catalog file (its help is given above)."""
     from catalog.stages.build import run
+    from optnav_cli.output.account_table import account_lines
 
     report = run(
         config, work, stages=("write",), output=output, workers=workers, bbox=bbox,
         progress=progress,
     )  # fmt: skip
+    tell(account_lines(report.account))
     click.echo(f"{output}: {report.points} control points, {report.usable} usable")
     click.echo(f"digest: {report.digest}")
