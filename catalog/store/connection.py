@@ -32,18 +32,26 @@ def connect(path: Path) -> sqlite3.Connection:
         ) from None
     if len(header) < 100 or not header.startswith(SQLITE_MAGIC):
         raise DataError(f"{path}: is not an optnav catalog; make one with `optnav build`")
-    live = has_live_log(path)
-    if not live:
+    log = live_log(path)
+    if log is None:
         _check_length(path, header, size)
     # Without a log beside it nobody is writing, and `immutable` spares locks and works on
     # read-only media; with one (a GIS program has the file open) SQLite must read both.
-    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro" + ("" if live else "&immutable=1")
+    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro" + (
+        "&immutable=1" if log is None else ""
+    )
     try:
         # SQLite serialises calls itself, so that threads may share a catalog
         db = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
         db.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
     except sqlite3.Error as error:
-        raise DataError(f"{path}: cannot be opened: {error}") from None
+        left = (
+            f"; a program was stopped while it wrote to it and left {log.name}: open and close the "
+            "catalog once with that program, where it can be written"
+            if log is not None
+            else "; restore it or build it again"
+        )
+        raise DataError(f"{path}: cannot be opened: {error}{left}") from None
     return db
 
 
@@ -63,13 +71,13 @@ def read_meta(db: sqlite3.Connection, path: Path) -> CatalogMeta:
     return meta_from_rows(rows, str(path))
 
 
-def has_live_log(path: Path) -> bool:
-    """Whether another program has changes to the file beside it."""
+def live_log(path: Path) -> Path | None:
+    """The log in which another program has changes to the file, beside it; None for none."""
     for suffix in ("-wal", "-journal"):
         log = path.with_name(path.name + suffix)
         if log.exists() and log.stat().st_size > 0:
-            return True
-    return False
+            return log
+    return None
 
 
 def _check_length(path: Path, header: bytes, size: int) -> None:

@@ -69,9 +69,8 @@ def _alone(side: Side) -> Iterator[str]:
 def _places(found: Comparison) -> Iterator[str]:
     moved = found.moved_m[found.moved_m > 0.0]
     if len(moved):
-        yield (
-            f"moved: {_points(len(moved))}, median {np.median(moved):.3f} m, max {moved.max():.3f} m"
-        )
+        spread = f"median {np.median(moved):.3f} m, max {moved.max():.3f} m"
+        yield f"moved: {_points(len(moved))}, {spread}"
         yield from _greatest(found, found.moved_m, found.moved_m > 0.0, "{:.3f} m")
     radius = found.after["radius_m"] - found.before["radius_m"]
     still = found.field_changed("radius_m") & (found.moved_m == 0.0)

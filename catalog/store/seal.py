@@ -4,11 +4,13 @@ SQLite leaves room in its pages, most of a small file. A bit that flips there ha
 medium that flipped it is not to be trusted. The seal is a row of the manifest, `COUNTER:SHA-256`,
 both in hexadecimal: the change counter of SQLite's header and the hash of the file with the
 seal's own characters taken as zeros. It holds until another program, such as a GIS that keeps its
-styles in the file, writes to it through SQLite, which moves the counter on.
+styles in the file, writes to it through SQLite, which moves the counter on. SQLite keeps the
+counter twice, so that one flipped bit never looks like such a visit.
 """
 
 import hashlib
 import mmap
+from enum import Enum
 from pathlib import Path
 
 SEAL = "seal"
@@ -30,19 +32,27 @@ def put_seal(path: Path) -> None:
         data[place : place + len(seal)] = seal
 
 
-def broken_seal(path: Path, seal: str) -> str | None:
-    """What is wrong with the bytes of a file that states a seal; None for nothing.
+class SealState(Enum):
+    """What a seal says about the bytes of its file."""
 
-    A file that another program has written to since has no seal any more: None, too.
-    """
+    NONE = "the file carries no seal"
+    WHOLE = "as it was written, byte for byte"
+    OPENED = "whole in content; another program, such as a GIS, wrote to the file since"
+    BROKEN = "bytes between the data are not as they were written; its medium may be failing"
+
+
+def seal_state(path: Path, seal: str) -> SealState:
+    """Compare a closed file with the seal that its manifest states; "" is no seal."""
+    if not seal:
+        return SealState.NONE
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         place = data.find(f"{SEAL}{seal}".encode("utf-8", "surrogatepass"))
         whole = place >= 0 and _hash(data, place + len(SEAL)) == seal[COUNTER_DIGITS + 1 :]
         counter, again = data[COUNTER].hex(), data[COUNTER_AGAIN].hex()
-    same = counter == seal[:COUNTER_DIGITS]
-    if whole == same and (whole or counter == again):
-        return None
-    return "bytes between the data are not as they were written; its medium may be failing"
+    moved = counter != seal[:COUNTER_DIGITS]
+    if whole and not moved:
+        return SealState.WHOLE
+    return SealState.OPENED if moved and not whole and counter == again else SealState.BROKEN
 
 
 def _hash(data: mmap.mmap, place: int) -> str:

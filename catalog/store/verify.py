@@ -8,7 +8,7 @@ from pathlib import Path
 
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
-from catalog.store.connection import connect, has_live_log, read_meta
+from catalog.store.connection import connect, live_log, read_meta
 from catalog.store.digest import CatalogDigest, patches_digest, point_digest
 from catalog.store.features import record_from_row
 from catalog.store.listing import read_records
@@ -27,7 +27,7 @@ from catalog.store.schema import (
     service_rows,
     srs_of,
 )
-from catalog.store.seal import broken_seal
+from catalog.store.seal import SealState, seal_state
 
 # an R-tree keeps float32 corners, rounded outward
 RTREE_TOLERANCE_DEG = 4e-5
@@ -51,6 +51,7 @@ class Verification:
 
     stated, computed  the digest in the manifest and that of what was read ("" if unreadable)
     points, patches   read and whole
+    seal              of the file's bytes; None where it could not be asked
     """
 
     path: Path
@@ -58,6 +59,7 @@ class Verification:
     computed: str = ""
     points: int = 0
     patches: int = 0
+    seal: SealState | None = None
     problems: list[Problem] = field(default_factory=list)
 
     @property
@@ -89,10 +91,11 @@ def verify(path: str | Path, progress: Progress | None = None) -> Verification:
             with stages.stage("verify", len(records), "point") as stage:
                 _contents(db, meta, records, found, stage)
         _service(db, meta, found)
-    if found.sound and meta.seal and not has_live_log(path):
-        broken = broken_seal(path, meta.seal)
-        if broken:
-            found.add("file", broken)
+    if found.sound:
+        # with a log beside it the file is not all there is: another program is at work on it
+        found.seal = SealState.OPENED if live_log(path) else seal_state(path, meta.seal)
+        if found.seal is SealState.BROKEN:
+            found.add("file", found.seal.value)
     return found
 
 
@@ -215,6 +218,8 @@ def _service(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> 
         except sqlite3.Error as error:
             found.add(table, error)
             continue
+        # other programs may have added columns behind ours, as for another form of the WKT
+        known = {row[: len(wanted[0])] for row in rows}
         for row in wanted:
-            if row not in rows:
+            if row not in known:
                 found.add(table, f"the row of {row[0]!r} is missing or was changed")

@@ -17,7 +17,8 @@ SHOWN = 50
 def command(progress: ConsoleProgress, catalog: Path) -> None:
     """Read all of CATALOG, check every checksum and compute its content digest anew.
 
-    Prints what is damaged, by table, point and level, and ends with exit code 3 if anything is.
+    Prints what is damaged, by table, point and level, and ends with exit code 3 if anything is. A
+    catalog that a GIS program wrote its styles to is whole as long as its own content is.
 
     \b
     Example:
@@ -34,6 +35,8 @@ def command(progress: ConsoleProgress, catalog: Path) -> None:
     click.echo(f"points: {found.points}")
     click.echo(f"patches: {found.patches}")
     click.echo(f"digest: {found.computed or 'unknown'}")
+    if found.seal is not None:
+        click.echo(f"file: {found.seal.value}")
     if not found.sound:
         raise DataError(
             f"{catalog}: is damaged ({len(found.problems)} findings); restore it or build it again"

@@ -1,4 +1,4 @@
-"""`optnav catalog compare` and `optnav build --check`, as a pipeline that guards a release calls."""
+"""`optnav catalog compare` and `optnav build --check`: how a pipeline guards a release."""
 
 import logging
 from collections.abc import Iterator
