@@ -36,49 +36,48 @@ MAX_DISTANCE_RATIO = 0.9
 
 @kernel
 def _cell_sums(image: Image, cell_px: int) -> NDArray[np.float32]:
-    """Sums of dx, dy, |dx|, |dy| over the cell whose first node is (row, col): (rows, cols, 4).
+    """Sums of dx, dy, |dx|, |dy| over the cell whose first node is (row, col): (rows, 4, cols).
 
     The Haar wavelet spans 2 x 2 nodes: its response belongs to the corner shared by them. The
     last rows and columns, where a cell does not fit, stay zero. NaN counts as no response.
     """
     rows, cols = image.shape
-    out = np.zeros((rows, cols, 4), np.float32)
-    columns = np.zeros((cols, 4), np.float64)
+    out = np.zeros((rows, 4, cols), np.float32)
+    haar = np.zeros((rows, 4, cols), np.float32)
+    columns = np.zeros(4 * cols)  # running sums over cell_px rows
+    total = np.empty(cols - cell_px, np.float32)
+    half, none = np.float32(0.5), np.float32(0.0)
+    # single loops over slices, so that each is compiled to vector instructions
     for row in range(rows - 1):
-        for entering in range(2):
-            r = row if entering == 0 else row - cell_px
-            if r < 0:
-                continue
-            sign = 1.0 if entering == 0 else -1.0
-            for c in range(cols - 1):
-                a, b = image[r, c], image[r, c + 1]
-                d, e = image[r + 1, c], image[r + 1, c + 1]
-                dx = np.float64(0.5 * ((b + e) - (a + d)))
-                dy = np.float64(0.5 * ((d + e) - (a + b)))
-                if dx == dx and dy == dy:
-                    columns[c, 0] += sign * dx
-                    columns[c, 1] += sign * dy
-                    columns[c, 2] += sign * abs(dx)
-                    columns[c, 3] += sign * abs(dy)
+        a, b = image[row, : cols - 1], image[row, 1:]
+        d, e = image[row + 1, : cols - 1], image[row + 1, 1:]
+        dx, dy, size_x, size_y = haar[row, 0], haar[row, 1], haar[row, 2], haar[row, 3]
+        for c in range(cols - 1):
+            value = half * ((b[c] + e[c]) - (a[c] + d[c]))
+            dx[c] = value if value == value else none
+        for c in range(cols - 1):
+            value = half * ((d[c] + e[c]) - (a[c] + b[c]))
+            dy[c] = value if value == value else none
+        for c in range(cols - 1):
+            size_x[c] = abs(dx[c])
+            size_y[c] = abs(dy[c])
+        entering = haar[row].reshape(-1)
+        for c in range(columns.size):
+            columns[c] += entering[c]
         first = row - cell_px + 1
         if first < 0:
             continue
-        s0 = s1 = s2 = s3 = 0.0
-        for c in range(cols - 1):
-            s0 += columns[c, 0]
-            s1 += columns[c, 1]
-            s2 += columns[c, 2]
-            s3 += columns[c, 3]
-            start = c - cell_px + 1
-            if start >= 0:
-                out[first, start, 0] = s0
-                out[first, start, 1] = s1
-                out[first, start, 2] = s2
-                out[first, start, 3] = s3
-                s0 -= columns[start, 0]
-                s1 -= columns[start, 1]
-                s2 -= columns[start, 2]
-                s3 -= columns[start, 3]
+        for k in range(4):
+            # so many additions side by side beat a running sum, in which each waits for the last
+            total[:] = none
+            for shift in range(cell_px):
+                column = columns[k * cols + shift : k * cols + shift + total.size]
+                for c in range(total.size):
+                    total[c] += np.float32(column[c])
+            out[first, k, : total.size] = total
+        leaving = haar[first].reshape(-1)
+        for c in range(columns.size):
+            columns[c] -= leaving[c]
     return out
 
 
@@ -103,13 +102,53 @@ def _gather(
                 c = cols[n] - half + j * cell_px
                 weight = weights[i, j]
                 for channel in range(4):
-                    value = weight * sums[r, c, channel]
+                    value = weight * sums[r, channel, c]
                     out[n, k] = value
                     squared += value * value
                     k += 1
         scale = np.float32(1.0 / np.sqrt(squared)) if squared > 1e-20 else np.float32(0.0)
         for k in range(out.shape[1]):
             out[n, k] *= scale
+    return out
+
+
+@kernel
+def _similarities(
+    sums: NDArray[np.float32],
+    own: NDArray[np.float32],
+    first: int,
+    positions: int,
+    cell_px: int,
+    weights: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Cosines (positions, positions) of `own` and the descriptors that `_gather` would give.
+
+    sums   (m, 4, m) cell sums; first: row and column of the first cell at the first position
+    own    (4 cells²,) of unit length
+    """
+    cells = weights.shape[0]
+    products, squares = np.empty(positions, np.float32), np.empty(positions, np.float32)
+    out = np.empty((positions, positions), np.float32)
+    for p in range(positions):
+        products[:] = 0.0
+        squares[:] = 0.0
+        at = 0
+        for i in range(cells):
+            row = sums[first + p + i * cell_px]
+            for j in range(cells):
+                weight = weights[i, j]
+                start = first + j * cell_px
+                for channel in range(4):
+                    mine = own[at]
+                    at += 1
+                    line = row[channel, start : start + positions]
+                    for q in range(positions):
+                        value = weight * line[q]
+                        products[q] += mine * value
+                        squares[q] += value * value
+        for q in range(positions):
+            squared = squares[q]
+            out[p, q] = products[q] / np.sqrt(squared) if squared > 1e-20 else 0.0
     return out
 
 
@@ -177,16 +216,33 @@ def similarity_surface(reference: Image, search: Image) -> NDArray[np.float32]:
     n, m = reference.shape[0], search.shape[0]
     if reference.shape != (n, n) or search.shape != (m, m) or m < n or (m - n) % 2 or n < 17:
         raise ValueError(f"reference {reference.shape} cannot be centred in search {search.shape}")
-    cells = max(CELLS, round((n - 1) / MATCH_CELL_PX))
-    cell_px = (n - 1) // cells
-    before, _ = reach_px(cell_px, cells)
-    middle = (n - 1 - cells * cell_px) // 2 + before
-    room = np.arange(m - n + 1) + middle
-    rows, cols = np.meshgrid(room, room, indexing="ij")
-    template, image = _smoothed(reference), _smoothed(search)
-    own = descriptors(template, np.array([middle]), np.array([middle]), cell_px, cells)[0]
-    there = descriptors(image, rows, cols, cell_px, cells)
-    return np.asarray((there @ own).reshape(rows.shape), dtype=np.float32)
+    cells, cell_px, margin = _layout(n)
+    at = np.array([margin + cells * cell_px // 2])
+    own = descriptors(_smoothed(reference), at, at, cell_px, cells)[0]
+    sums = _cell_sums(_smoothed(search), cell_px)
+    return _similarities(sums, own, margin, m - n + 1, cell_px, cell_weights(cells))
+
+
+def own_similarity_surface(search: Image, side: int) -> NDArray[np.float32]:
+    """`similarity_surface` of a grid's middle square of `side` nodes; the middle element is 1.
+
+    Raises ValueError as `similarity_surface` does.
+    """
+    m = search.shape[0]
+    if search.shape != (m, m) or m < side or (m - side) % 2 or side < 17:
+        raise ValueError(f"a square of {side} cannot be centred in search {search.shape}")
+    cells, cell_px, margin = _layout(side)
+    sums, weights = _cell_sums(_smoothed(search), cell_px), cell_weights(cells)
+    at = np.array([(m - side) // 2 + margin + cells * cell_px // 2])
+    own = _gather(sums, at, at, cell_px, weights)[0]
+    return _similarities(sums, own, margin, m - side + 1, cell_px, weights)
+
+
+def _layout(side: int) -> tuple[int, int, int]:
+    """Cells a side, their nodes, and the nodes left over before the first, of a matched square."""
+    cells = max(CELLS, round((side - 1) / MATCH_CELL_PX))
+    cell_px = (side - 1) // cells
+    return cells, cell_px, (side - 1 - cells * cell_px) // 2
 
 
 def _smoothed(grid: Image) -> Image:

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.correlation.surf64 import similarity_surface
+from catalog.correlation.surf64 import own_similarity_surface
+from catalog.geometry.kernel import kernel
 
 Grid = NDArray[np.float32]
 
@@ -11,6 +12,7 @@ Grid = NDArray[np.float32]
 LOBE_NODES = 3
 
 
+@kernel
 def best_rival(surface: Grid, search_nodes: float) -> float:
     """Highest local maximum of a similarity surface away from its middle, -1 when there is none.
 
@@ -19,18 +21,19 @@ def best_rival(surface: Grid, search_nodes: float) -> float:
     The slope of the true peak is no rival, so only local maxima count; on the outermost nodes a
     maximum is one among the neighbours that exist.
     """
-    middle = surface.shape[0] // 2
-    padded = np.pad(surface, 1, constant_values=-np.inf)
     rows, cols = surface.shape
-    is_peak = np.ones(surface.shape, dtype=bool)
-    for dr in (-1, 0, 1):
-        for dc in (-1, 0, 1):
-            if dr or dc:
-                is_peak &= surface >= padded[1 + dr : 1 + dr + rows, 1 + dc : 1 + dc + cols]
-    offsets = np.abs(np.arange(rows) - middle)
-    distance = np.maximum(offsets[:, None], offsets[None, :])
-    is_peak &= (distance > LOBE_NODES) & (distance <= search_nodes)
-    return float(surface[is_peak].max()) if is_peak.any() else -1.0
+    middle = rows // 2
+    best = -1.0
+    for r in range(rows):
+        for c in range(cols):
+            distance = max(abs(r - middle), abs(c - middle))
+            here = surface[r, c]
+            if not (LOBE_NODES < distance <= search_nodes and here > best):
+                continue
+            neighbours = surface[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
+            if here >= neighbours.max():
+                best = float(here)
+    return best
 
 
 def uniqueness_margin(brightness: Grid, template_nodes: int, search_nodes: float) -> float:
@@ -41,8 +44,5 @@ def uniqueness_margin(brightness: Grid, template_nodes: int, search_nodes: float
     search_nodes            how far the search goes, nodes; capped by the room that n leaves
     Raises ValueError when the template cannot be centred in the brightness.
     """
-    size = brightness.shape[0]
-    first = (size - template_nodes) // 2
-    template = brightness[first : first + template_nodes, first : first + template_nodes]
-    rival = best_rival(similarity_surface(template, brightness), search_nodes)
+    rival = best_rival(own_similarity_surface(brightness, template_nodes), search_nodes)
     return float(min(1.0 - rival, 1.0))

@@ -10,6 +10,7 @@ from catalog.correlation.surf64 import (
     dense_descriptors,
     descriptors,
     match_surf,
+    own_similarity_surface,
     similarity_surface,
 )
 
@@ -122,8 +123,31 @@ def test_the_similarity_of_the_true_place_is_one():
     assert surface[8, 8] == surface.max() > 0.999
 
 
+@pytest.mark.parametrize(("size", "side"), [(80, 64), (81, 33), (40, 24)])
+def test_a_surface_holds_the_cosines_of_the_descriptors_it_stands_for(size, side):
+    ground = relief(size, 10)
+    ground[3, 4] = np.nan
+    first = (size - side) // 2
+    middle = ground[first : first + side, first : first + side]
+    cells = max(4, round((side - 1) / 8))
+    cell_px = (side - 1) // cells
+    smooth = cv2.GaussianBlur(ground, (0, 0), 1.0)
+    at = np.arange(size - side + 1) + (side - 1 - cells * cell_px) // 2 + cells * cell_px // 2
+    rows, cols = np.meshgrid(at, at, indexing="ij")
+    there = descriptors(smooth, rows, cols, cell_px, cells)
+    wanted = (there @ there[there.shape[0] // 2]).reshape(rows.shape)
+    np.testing.assert_allclose(own_similarity_surface(ground, side), wanted, atol=2e-6)
+    own = cv2.GaussianBlur(middle, (0, 0), 1.0)
+    middles = np.array([(at.size // 2)])
+    own = descriptors(own, at[middles] - first, at[middles] - first, cell_px, cells)[0]
+    wanted = (there @ own).reshape(rows.shape)
+    np.testing.assert_allclose(similarity_surface(middle, ground), wanted, atol=2e-6)
+
+
 def test_sizes_that_cannot_be_centred_are_refused():
     with pytest.raises(ValueError, match="cannot be centred"):
         similarity_surface(relief(33, 9), relief(80, 9))
     with pytest.raises(ValueError, match="cannot be centred"):
         similarity_surface(relief(80, 9), relief(64, 9))
+    with pytest.raises(ValueError, match="cannot be centred"):
+        own_similarity_surface(relief(80, 9), 33)

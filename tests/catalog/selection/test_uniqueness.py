@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from catalog.selection.shadow_limits import shadowed_share
 from catalog.selection.uniqueness import best_rival, uniqueness_margin
@@ -33,6 +34,16 @@ def test_the_slope_of_the_true_peak_is_no_rival():
     cone[2, 3] = 0.9
     assert best_rival(cone, 8.0) == pytest.approx(0.9)
     assert best_rival(cone, 5.0) == -1.0
+
+
+def test_the_best_rival_is_the_highest_of_scipy_s_local_maxima_in_reach():
+    rng = np.random.default_rng(3)
+    away = np.maximum(*np.abs(np.mgrid[-8:9, -8:9]))
+    for reach in (5.0, 6.5, 100.0):
+        surface = rng.random((17, 17), dtype=np.float32)
+        local = surface == ndimage.maximum_filter(surface, 3, mode="constant", cval=-1.0)
+        wanted = surface[local & (away > 3) & (away <= reach)].max()
+        assert best_rival(surface, reach) == wanted
 
 
 def sun(azimuth_deg, elevation_deg):
