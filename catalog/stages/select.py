@@ -1,5 +1,6 @@
 """Select: order every cell's candidates by predicted error, kept apart from other cells' points."""
 
+import math
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -51,7 +52,7 @@ def select(context: StageContext, records: Sequence[render.Record]) -> list[Reco
     settings = context.config.select
     ordered = sorted(records, key=lambda record: record.cell)
     cells = [record.cell for record in ordered for _ in record.candidates]
-    places = [_place(c, settings.percentile) for record in ordered for c in record.candidates]
+    places = [place for record in ordered for place in _places(record, settings.percentile)]
     choices = choose_spaced(
         cells,
         np.array([place.lat_deg for place in places]),
@@ -65,16 +66,25 @@ def select(context: StageContext, records: Sequence[render.Record]) -> list[Reco
     ]
 
 
-def _place(candidate: render.Candidate, percentile: float) -> Place:
+def _places(record: render.Record, percentile: float) -> list[Place]:
+    """A cell's candidates, each with the percentile of its errors over Suns, at its worst level."""
+    if not record.candidates:
+        return []
+    errors = np.sort([candidate.error_px for candidate in record.candidates], axis=2)
     # nearest rank, not interpolated: an infinite error beside a finite one has no mean
-    errors = np.percentile(candidate.error_px, percentile, axis=1, method="higher")
-    return Place(
-        lat_deg=candidate.lat_deg,
-        lon_deg=candidate.lon_deg,
-        localisation_px=float(errors.max()),
-        hessian_eigenvalue=candidate.hessian_eigenvalue,
-        missing=max(candidate.missing),
-    )
+    rank = math.ceil((errors.shape[2] - 1) * (percentile / 100.0))
+    return [
+        Place(
+            lat_deg=candidate.lat_deg,
+            lon_deg=candidate.lon_deg,
+            localisation_px=error,
+            hessian_eigenvalue=candidate.hessian_eigenvalue,
+            missing=max(candidate.missing),
+        )
+        for candidate, error in zip(
+            record.candidates, errors[:, :, rank].max(axis=1).tolist(), strict=True
+        )
+    ]
 
 
 def _badness(place: Place) -> float:

@@ -1,5 +1,6 @@
 """Render, select and check on real terrain: candidates, order, certificates, holes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -122,6 +123,30 @@ def test_chunks_do_not_matter_and_records_travel(context, cells, rendered, selec
     back = decode_records(encode_records(checked), check.Record)
     assert back == checked
     assert check.check_chunk(context, again[3:4]) == checked[3:4]
+
+
+@pytest.mark.parametrize("percentile", [0.0, 50.0, 90.0, 99.0, 100.0])
+def test_the_predicted_error_is_a_percentile_that_numpy_finds_too(context, percentile):
+    rng = np.random.default_rng(3)
+    records = []
+    for cell, suns in ((100, 1), (101, 4), (102, 11)):  # few Suns come up near a pole
+        errors = rng.uniform(0.1, 3.0, (2, 2, suns)).astype(np.float32)
+        errors[1, 1, 0] = np.inf
+        lat, lon = context.grid.centre_deg(cell)
+        candidates = [
+            render.Candidate(lat + 0.1 * k, lon, 1.0, errors[k], (0.0,)) for k in range(2)
+        ]
+        records.append(render.Record(cell, tuple(candidates)))
+    config = msgspec.structs.replace(
+        context.config, select=select.Settings(percentile=percentile, spacing_cell=0.0)
+    )
+    chosen = select.select(replace(context, config=config), records)
+    for record, found in zip(records, chosen, strict=True):
+        wanted = [
+            np.percentile(c.error_px, percentile, axis=1, method="higher").max()
+            for c in record.candidates
+        ]
+        assert [place.localisation_px for place in found.places] == sorted(wanted)
 
 
 def test_places_of_other_cells_keep_their_distance(context, selected):
