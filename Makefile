@@ -10,7 +10,7 @@ READY := .venv/.ready
 OUT ?= optnav-demo
 ARGS ?=
 
-.PHONY: help setup demo test check lint types tests bench golden lock clean
+.PHONY: help setup demo test check lint types tests bench bench-global golden lock clean
 
 help: ## print this list
 	@echo "optnav: control-point catalogs from terrain, camera positions from pictures"
@@ -53,6 +53,11 @@ study-%: $(READY) ## one long experiment behind the figures, such as study-selec
 
 bench: $(READY) ## speed, as ratios to well-known tools on this machine
 	$(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)
+
+bench-global: $(if $(DIR),$(READY)) ## a catalog of the whole Moon at full size (DIR=/some/folder, 19 GB; an hour)
+	@[ -n "$(DIR)" ] || \
+	  { echo "make: name a folder to work in, on a disk with 19 GB free: make bench-global DIR=/some/folder" >&2; exit 2; }
+	$(BIN)/python -m tests.bench.global_moon "$(DIR)" $(ARGS)
 
 golden: $(READY) ## make the golden values and the README's pictures anew; look at the difference
 	$(BIN)/python -m tests.golden $(ARGS)
