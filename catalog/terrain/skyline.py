@@ -3,8 +3,9 @@
 Of every vertical plane through the patch two profiles are taken: the ground inside the patch, and
 the ground outside towards the azimuth, from the coarser grids about the same centre, each from
 where the finer one ends. The limit of the plane is the steepest line from a point inside to a point
-outside; only points of the upper convex hull of the outside can touch it, so it costs a walk along
-that hull instead of all pairs. Heights are those over the centre's tangent plane: curvature is in.
+outside. It is raised from plane to plane: most planes hold no steeper one, which one look at each
+of their points tells, and ground that is too low for it is not even looked at. Heights are those
+over the centre's tangent plane: curvature is in.
 Coarse grids hold area means: a peak narrower than their posting is lowered. The planes stand three
 nodes apart, the bins are sampled every 5 deg: on steep ground across the border of the patch the
 limit is up to 0.5 deg low (measured on Tycho's wall).
@@ -29,10 +30,10 @@ INNER_STEP_NODES = 2.0  # between points of the inside profile
 
 
 @kernel
-def _tangent_heights(grids: HeightGrid, postings: FloatArray, radius: float) -> FloatArray:
+def _tangent_heights(grids: HeightGrid, postings: FloatArray, radius: float) -> HeightGrid:
     """Heights over the tangent plane at the centre, of nodes whose heights are over the sphere."""
     levels, size = grids.shape[0], grids.shape[1]
-    out = np.empty(grids.shape)
+    out = np.empty(grids.shape, np.float32)
     middle = (size - 1) / 2.0
     for level in range(levels):
         scale = postings[level] / (2.0 * radius)
@@ -47,7 +48,7 @@ def _tangent_heights(grids: HeightGrid, postings: FloatArray, radius: float) -> 
 
 @kernel
 def _profile(
-    grid: FloatArray,
+    grid: HeightGrid,
     x: float,
     y: float,
     dx: float,
@@ -80,48 +81,47 @@ def _inside(origin: float, step: float, top: float) -> tuple[float, float]:
 
 
 @kernel
-def _steepest(
+def _lowest(s: FloatArray, z: FloatArray, count: int, slope: float) -> int:
+    """Which of `count` points (way, height) lies lowest against a line of a slope."""
+    lowest, which = np.inf, 0
+    for k in range(count):
+        over = z[k] - slope * s[k]
+        if over < lowest:
+            lowest, which = over, k
+    return which
+
+
+@kernel
+def _steeper(
     near_s: FloatArray,
     near_z: FloatArray,
     near: int,
     far_s: FloatArray,
     far_z: FloatArray,
     far: int,
-) -> float:
-    """Greatest slope from one of `near` points up to one of `far` points, which lie ahead.
+    slope: float,
+    foot: int,
+) -> tuple[float, int]:
+    """Greatest slope from one of `near` points up to one of `far` points ahead, or `slope`.
 
-    far_s rises. Points are (way, height); returns -inf when a set is empty.
+    Points are (way, height); foot is the near point that lies lowest against lines of the slope.
+    Returns the slope and its foot. If a steeper line exists, then one from the foot to the far
+    point that lies highest; taken as the new slope until none is steeper, it grows to the greatest
+    in a few steps (Dinkelbach's method for a ratio).
     """
-    if near == 0 or far == 0:
-        return -np.inf
-    # upper hull of the far points, from the farthest back to the nearest, on a stack
-    hull = np.empty(far, np.int64)
-    count = 0
-    for k in range(far - 1, -1, -1):
-        while count >= 2:
-            a, b = hull[count - 1], hull[count - 2]
-            # drop a when it lies on or under the line from k to b
-            if (far_z[a] - far_z[k]) * (far_s[b] - far_s[k]) <= (far_z[b] - far_z[k]) * (
-                far_s[a] - far_s[k]
-            ):
-                count -= 1
-            else:
-                break
-        hull[count] = k
-        count += 1
-    best = -np.inf
-    for p in range(near):
-        # along an upper hull the slope from a point before it rises, then falls
-        k = hull[count - 1]
-        slope = (far_z[k] - near_z[p]) / (far_s[k] - near_s[p])
-        for m in range(count - 2, -1, -1):
-            k = hull[m]
-            further = (far_z[k] - near_z[p]) / (far_s[k] - near_s[p])
-            if further < slope:
-                break
-            slope = further
-        best = max(best, slope)
-    return best
+    while True:
+        highest, head = near_z[foot] - slope * near_s[foot], -1
+        for k in range(far):
+            over = far_z[k] - slope * far_s[k]
+            if over > highest:
+                highest, head = over, k
+        if head < 0:
+            return slope, foot
+        steeper = (far_z[head] - near_z[foot]) / (far_s[head] - near_s[foot])
+        if not steeper > slope:  # but for rounding
+            return slope, foot
+        slope = steeper
+        foot = _lowest(near_s, near_z, near, slope)
 
 
 @kernel
@@ -143,58 +143,117 @@ def _crossing(
 
 
 @kernel
-def _limit_at(z: FloatArray, postings: FloatArray, east: float, north: float) -> float:
-    """Tangent of the greatest elevation of outside ground towards (east, north), over the patch.
-
-    z (levels, n, n) heights over the tangent plane, the patch's own first; postings (levels,).
-    """
-    levels, size = z.shape[0], z.shape[1]
-    posting = postings[0]
-    corner = (size - 1) / 2.0 * posting * (abs(east) + abs(north))
-    spacing = LINE_SPACING_NODES * posting
-    room = 2 * size + 4
-    near_s, near_z = np.empty(room), np.empty(room)
-    far_s, far_z = np.empty(levels * room), np.empty(levels * room)
-    heights = np.empty(room)
-    best = -np.inf
-    lines = int(2.0 * corner / spacing) + 1
-    for line in range(lines):
-        across = (line - (lines - 1) / 2.0) * spacing
-        near = far = 0
-        end = 0.0
-        for level in range(levels):
-            step = INNER_STEP_NODES * posting if level == 0 else postings[level]
-            col, row, d_col, d_row, first, last = _crossing(
-                size, postings[level], step, across, east, north
-            )
-            if level == 0:
-                if last < first:
-                    break
-            else:  # from the first step beyond the finer grid
-                # 1e-9: a point that both grids share must not, by rounding, be its own horizon
-                first = max(first, int(np.floor(end / step + 1e-9)) + 1)
-            _profile(z[level], col, row, d_col, d_row, first, last, heights)
-            for k in range(first, last + 1):
-                height = heights[k - first]
-                if height == height and level == 0:
-                    near_s[near], near_z[near] = k * step, height
-                    near += 1
-                elif height == height:
-                    far_s[far], far_z[far] = k * step, height
-                    far += 1
-            end = max(end, last * step) if level > 0 else last * step
-        best = max(best, _steepest(near_s, near_z, near, far_s, far_z, far))
-    return best
+def _known_profile(
+    grid: HeightGrid,
+    crossing: tuple[float, float, float, float],
+    step: float,
+    first: int,
+    last: int,
+    s: FloatArray,
+    z: FloatArray,
+) -> int:
+    """Fill s, z with way and height of the points k step, k = first..last, that have ground."""
+    col, row, d_col, d_row = crossing
+    _profile(grid, col, row, d_col, d_row, first, last, z)
+    count = 0
+    for k in range(first, last + 1):
+        height = z[k - first]
+        if height == height:
+            s[count], z[count] = k * step, height
+            count += 1
+    return count
 
 
 @kernel
-def _limits(grids: HeightGrid, postings: FloatArray, radius: float, per_bin: int) -> FloatArray:
-    z = _tangent_heights(grids, postings, radius)
-    count = AZIMUTHS * per_bin
-    tangents = np.empty(count)
-    for k in range(count):
-        azimuth = 2.0 * math.pi * k / count
-        tangents[k] = _limit_at(z, postings, math.sin(azimuth), math.cos(azimuth))
+def _steepest_outside(
+    grids: HeightGrid,
+    tops: FloatArray,
+    postings: FloatArray,
+    across: float,
+    east: float,
+    north: float,
+    inside: tuple[FloatArray, FloatArray, int],
+    outside: tuple[FloatArray, FloatArray],
+    slope: float,
+) -> float:
+    """Greatest slope in one plane from the points inside up to ground outside, or `slope` (>= 0).
+
+    inside   ways, heights and number of the points of the patch; outside: room for those of a grid
+    """
+    size = grids.shape[1]
+    near_s, near_z, near = inside
+    far_s, far_z = outside
+    foot = _lowest(near_s, near_z, near, slope)
+    step = INNER_STEP_NODES * postings[0]
+    end = step * _crossing(size, postings[0], step, across, east, north)[5]
+    for level in range(1, grids.shape[0]):
+        step = postings[level]
+        col, row, d_col, d_row, first, last = _crossing(size, step, step, across, east, north)
+        # from the first step beyond the finer grid
+        # 1e-9: a point that both grids share must not, by rounding, be its own horizon
+        first = max(first, int(np.floor(end / step + 1e-9)) + 1)
+        end = max(end, last * step)
+        # where even the grid's top stays under a line of that slope, there is nothing to look for
+        room = tops[level] - (near_z[foot] - slope * near_s[foot])
+        if room <= slope * first * step:
+            continue
+        if slope > 0.0:
+            last = min(last, int(min(room / (slope * step), 1e6)))
+        far = _known_profile(
+            grids[level], (col, row, d_col, d_row), step, first, last, far_s, far_z
+        )
+        slope, foot = _steeper(near_s, near_z, near, far_s, far_z, far, slope, foot)
+    return slope
+
+
+@kernel
+def _limits_along(
+    grids: HeightGrid, tops: FloatArray, postings: FloatArray, east: float, north: float
+) -> tuple[float, float]:
+    """Tangents of the greatest elevation of outside ground towards (east, north) and away from it.
+
+    grids (levels, n, n) heights over the tangent plane, the patch's own first; tops (levels,)
+    their maxima; postings (levels,). Zero where nothing stands above the horizontal.
+    """
+    size, posting = grids.shape[1], postings[0]
+    corner = (size - 1) / 2.0 * posting * (abs(east) + abs(north))
+    spacing, step = LINE_SPACING_NODES * posting, INNER_STEP_NODES * posting
+    near_s, near_z = np.empty(2 * size), np.empty(2 * size)
+    outside = np.empty(2 * size), np.empty(2 * size)
+    towards = away = 0.0
+    lines = int(2.0 * corner / spacing) + 1
+    for line in range(lines):
+        across = (line - (lines - 1) / 2.0) * spacing
+        col, row, d_col, d_row, first, last = _crossing(size, posting, step, across, east, north)
+        near = _known_profile(grids[0], (col, row, d_col, d_row), step, first, last, near_s, near_z)
+        if near == 0:
+            continue
+        towards = _steepest_outside(
+            grids, tops, postings, across, east, north, (near_s, near_z, near), outside, towards
+        )
+        # the same plane, seen the other way
+        near_s[:near] *= -1.0
+        away = _steepest_outside(
+            grids, tops, postings, -across, -east, -north, (near_s, near_z, near), outside, away
+        )
+    return towards, away
+
+
+@kernel
+def _limits(heights: HeightGrid, postings: FloatArray, radius: float, per_bin: int) -> FloatArray:
+    grids = _tangent_heights(heights, postings, radius)
+    tops = np.empty(postings.size)
+    for level in range(postings.size):
+        tops[level] = -np.inf
+        for height in grids[level].flat:
+            tops[level] = max(tops[level], height) if height == height else tops[level]
+    half = AZIMUTHS * per_bin // 2
+    tangents = np.empty(2 * half)
+    for k in range(half):
+        azimuth = math.pi * k / half
+        tangents[k], tangents[k + half] = _limits_along(
+            grids, tops, postings, math.sin(azimuth), math.cos(azimuth)
+        )
     return tangents
 
 

@@ -9,7 +9,7 @@ import rasterio
 from catalog.config import resource
 from catalog.geometry.grid import halve
 from catalog.rendering.shadow import lit_mask
-from catalog.terrain.skyline import skyline_limits_deg
+from catalog.terrain.skyline import _lowest, _steeper, skyline_limits_deg
 
 MOON_M = 1_737_400.0
 POSTING_M = 118.45
@@ -101,6 +101,28 @@ def test_the_coarsest_level_knows_nothing_outside():
     assert (skyline_limits_deg(levels, 2, MOON_M) == 0.0).all()
     with pytest.raises(ValueError, match="not a level 3"):
         skyline_limits_deg(levels, 3, MOON_M)
+
+
+@pytest.mark.parametrize("start", [0.0, 0.05, 0.3])
+def test_the_steepest_line_is_that_of_all_pairs(start):
+    rng = np.random.default_rng(11)
+    for _ in range(200):
+        near_s, far_s = rng.uniform(-50.0, 0.0, 30), rng.uniform(0.1, 300.0, 40)
+        near_z, far_z = rng.normal(0.0, 5.0, 30), rng.normal(0.0, rng.uniform(1.0, 20.0), 40)
+        foot = _lowest(near_s, near_z, 30, start)
+        found, foot = _steeper(near_s, near_z, 30, far_s, far_z, 40, start, foot)
+        slopes = (far_z - near_z[:, None]) / (far_s - near_s[:, None])
+        assert found == max(slopes.max(), start)
+        assert foot == np.argmin(near_z - found * near_s)
+
+
+def test_a_level_without_ground_hides_nothing_and_a_patch_without_ground_sees_nothing():
+    levels = tycho_levels(1080, 1500, count=4)
+    known = skyline_limits_deg(levels[:3], 0, MOON_M)
+    levels[3][0][:] = np.nan
+    np.testing.assert_array_equal(skyline_limits_deg(levels, 0, MOON_M), known)
+    levels[0][0][:] = np.nan
+    assert not skyline_limits_deg(levels, 0, MOON_M).any()
 
 
 def test_points_that_two_grids_share_make_no_wall():
