@@ -34,6 +34,12 @@ class OutputError(OptnavError):
     exit_code = 3
 
 
+class WorkersError(OptnavError):
+    """The processes or machines that were to do the work cannot."""
+
+    exit_code = 3
+
+
 class NothingToDoError(OptnavError):
     """The command ran but nothing could be solved or selected."""
 

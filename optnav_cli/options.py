@@ -80,6 +80,16 @@ def workers_option(command: F) -> F:
     )(command)
 
 
+def scheduler_option(command: F) -> F:
+    """`--scheduler ADDRESS`: a cluster's workers instead of processes of this machine."""
+    return click.option(
+        "--scheduler",
+        metavar="tcp://HOST:PORT",
+        help="Work on the workers of this dask scheduler; they must see the terrain models and "
+        "the work folder under the same paths. Ingest stays here, with --workers threads.",
+    )(command)
+
+
 def bbox_option(command: F) -> F:
     """`--bbox W,S,E,N`: only cells with their middle in this box."""
     return click.option(

@@ -17,14 +17,16 @@ from catalog.progress import Progress, SilentProgress
 from catalog.stages import account, check, render, select, write
 from catalog.stages.account import Account, StageAccount
 from catalog.stages.chunked import ChunkResults
+from catalog.stages.cluster import check_address, cluster_workers
 from catalog.stages.ingest import Bbox, DemRecord
 from catalog.stages.records import encode_records
 from catalog.stages.settings import BuildConfig, load_build_config
 from catalog.stages.workers import available_cores, workers_of
-from catalog.stages.workspace import Workspace
+from catalog.stages.workspace import MARK, Workspace
 from catalog.stages.world import World, settle_world
 from catalog.store.partial import check_place
 from catalog.store.patches import PreparedPoint
+from catalog.terrain.dem_file import path_of
 
 STAGES = ("ingest", "render", "select", "check", "write")
 
@@ -49,6 +51,7 @@ def run(
     stages: Sequence[str] = STAGES,
     output: Path | None = None,
     workers: int | None = None,
+    scheduler: str | None = None,
     bbox: Bbox | None = None,
     progress: Progress | None = None,
 ) -> BuildReport:
@@ -58,6 +61,8 @@ def run(
     stages   some of STAGES, run in their order
     output   the catalog, for the write stage
     workers  processes; 1 works in this one, None takes all cores
+    scheduler  tcp://HOST:PORT of a dask cluster, whose workers do the work instead of processes
+             here; the terrain models and the work folder have the same paths there
     bbox     west, south, east, north (deg): only cells whose middle lies inside
     Raises an OptnavError; NothingToDoError when the catalog, though written, has no usable point.
     """
@@ -72,6 +77,10 @@ def run(
         if output is None:
             raise UsageError("name a work folder with --work")
         work = output.with_name(output.name + ".work")
+    if scheduler is not None:
+        check_address(scheduler)
+        # workers elsewhere have another working folder
+        config_path, work = config_path.absolute(), work.absolute()
     config = load_build_config(config_path)
     try:
         body = load_body(config.body.name)
@@ -79,7 +88,9 @@ def run(
         raise ConfigError(f"{config_path}: [body] name: {error}") from None
     workspace = Workspace(work)
     with workspace.locked():
-        build = _Build(workspace, config, config_path, body, workers, progress or SilentProgress())
+        build = _Build(
+            workspace, config, config_path, body, workers, scheduler, progress or SilentProgress()
+        )
         try:
             return build.run(wanted, bbox, output)
         finally:
@@ -96,13 +107,18 @@ class _Build:
         config_path: Path,
         body: Body,
         workers: int | None,
+        scheduler: str | None,
         progress: Progress,
     ) -> None:
         self.workspace, self.config, self.config_path = workspace, config, config_path
         self.body, self.progress = body, progress
         self.count = workers or available_cores()
-        self.workers = workers_of(self.count)
-        self.account = Account(f"optnav {catalog.__version__}", self.count)
+        if scheduler is None:
+            self.workers = workers_of(self.count)
+        else:  # self.count threads read terrain models, here
+            named = [path_of(dem.path, config_path.parent) for dem in config.dem]
+            self.workers = cluster_workers(scheduler, [workspace.path(MARK), *named])
+        self.account = Account(f"optnav {catalog.__version__}", self.workers.count)
 
     def run(self, wanted: Sequence[str], bbox: Bbox | None, output: Path | None) -> BuildReport:
         """All wanted stages in order; a stage whose forerunner is not done is refused."""

@@ -16,7 +16,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExe
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol, TypeVar
 
-from catalog.errors import OptnavError
+from catalog.errors import WorkersError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -30,7 +30,9 @@ THREAD_LIMITS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS",
 class Workers(Protocol):
     """Runs a function on chunks in any order."""
 
-    count: int
+    @property
+    def count(self) -> int:
+        """Chunks that can be worked on at once."""
 
     def run(
         self, function: Callable[[Any, T], R], context: Any, chunks: Sequence[T]
@@ -57,69 +59,152 @@ class SerialWorkers:
         """See Workers."""
 
 
+class Pool(Protocol):
+    """Where an ExecutorWorkers gets its executor from, and what it does when workers die.
+
+    lost        what a future raises whose worker, not whose work, failed
+    patience_s  seconds to wait for a result before a look; None for as long as it takes
+    call        call(packed context, function, chunk) in a worker
+    """
+
+    lost: tuple[type[Exception], ...]
+    patience_s: float | None
+    call: Callable[..., Any]
+
+    @property
+    def count(self) -> int:
+        """Chunks that can be worked on at once; may change while work goes on."""
+
+    def pack(self, context: Any) -> bytes:
+        """The context as it travels with each chunk: kilobytes, for it holds paths and numbers."""
+
+    def executor(self) -> Executor:
+        """The executor, made when there is none."""
+
+    def look(self) -> None:
+        """See whether results can still come. Raises OptnavError, or one of `lost`, if not."""
+
+    def survive(self, loss: Exception, losses: int) -> None:
+        """Go on after a loss, so many without a result between; raises OptnavError if not."""
+
+    def abandon(self) -> None:
+        """End the executor at once: an interrupt or an error wants no chunk any more."""
+
+    def close(self) -> None:
+        """Let the workers go."""
+
+
 class ExecutorWorkers:
-    """Work sent to a concurrent.futures.Executor; `make` gives a new one after a worker died.
+    """Work sent to the concurrent.futures.Executor of a pool.
 
     The executor lives from the first run to `close`, so that workers load their libraries once.
     """
 
-    def __init__(self, make: Callable[[], Executor], count: int) -> None:
-        self.count = count
-        self._make = make
-        self._executor: Executor | None = None
-        self._others: set[int | None] = set()  # child processes that are not this one's workers
+    def __init__(self, pool: Pool) -> None:
+        self._pool = pool
+
+    @property
+    def count(self) -> int:
+        """See Workers."""
+        return self._pool.count
 
     def run(
         self, function: Callable[[Any, T], R], context: Any, chunks: Sequence[T]
     ) -> Iterator[tuple[int, R]]:
         """See Workers. Raises OptnavError when workers die again and again."""
         todo = list(range(len(chunks)))
-        blob = pickle.dumps(context)
-        deaths = 0
+        packed = self._pool.pack(context)
+        losses = 0
         while todo:
             try:
-                for position, result in self._once(function, blob, chunks, todo):
-                    deaths = 0
+                for position, result in self._once(function, packed, chunks, todo):
+                    losses = 0
                     todo.remove(position)
                     yield position, result
-            except BrokenProcessPool:
-                deaths += 1
-                if deaths > DEATHS_WITHOUT_PROGRESS:
-                    raise OptnavError(
-                        f"worker processes died {deaths} times without finishing a piece of work "
-                        "(out of memory?); what is done is kept: try again with fewer --workers"
-                    ) from None
+            except self._pool.lost as loss:
+                losses += 1
+                self._pool.survive(loss, losses)
 
     def _once(
-        self, function: Callable[[Any, T], R], blob: bytes, chunks: Sequence[T], todo: list[int]
+        self, function: Callable[[Any, T], R], packed: bytes, chunks: Sequence[T], todo: list[int]
     ) -> Iterator[tuple[int, R]]:
-        if self._executor is None:
-            self._others = {child.pid for child in multiprocessing.active_children()}
-            self._executor = self._make()
+        pool = self._pool
         waiting = iter(list(todo))
         under_way: dict[Future[R], int] = {}
         finished = False
         try:
+            executor = pool.executor()
             while True:
-                while len(under_way) < AHEAD * self.count:
+                while len(under_way) < AHEAD * pool.count:
                     position = next(waiting, None)
                     if position is None:
                         break
-                    future = self._executor.submit(call_in_worker, blob, function, chunks[position])
+                    future = executor.submit(pool.call, packed, function, chunks[position])
                     under_way[future] = position
                 if not under_way:
                     break
-                done, _ = wait(under_way, return_when=FIRST_COMPLETED)
+                done, _ = wait(under_way, pool.patience_s, return_when=FIRST_COMPLETED)
+                pool.look()
                 # sorted: a death must not hide results that came with it
-                for future in sorted(done, key=lambda f: f.exception() is not None):
-                    yield under_way.pop(future), future.result()
+                for future in sorted(done, key=_failed):
+                    position = under_way.pop(future)
+                    if _failed(future):  # next time last: it may be what kills
+                        todo.append(todo.pop(todo.index(position)))
+                    yield position, future.result()
             finished = True
         finally:
             if not finished:
-                self._abandon()
+                pool.abandon()
 
-    def _abandon(self) -> None:
-        """End the workers at once: an interrupt or an error wants no chunk any more."""
+    def close(self) -> None:
+        """See Workers."""
+        self._pool.close()
+
+
+def _failed(future: "Future[Any]") -> bool:
+    return future.cancelled() or future.exception() is not None
+
+
+class LocalPool:
+    """Worker processes on this machine; new ones are started after one died."""
+
+    lost: tuple[type[Exception], ...] = (BrokenProcessPool,)
+    patience_s: float | None = None
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.call: Callable[..., Any] = call_in_worker
+        self._executor: Executor | None = None
+        self._others: set[int | None] = set()  # child processes that are not this one's workers
+
+    def pack(self, context: Any) -> bytes:
+        """See Pool."""
+        return pickle.dumps(context)
+
+    def executor(self) -> Executor:
+        """See Pool."""
+        if self._executor is None:
+            self._others = {child.pid for child in multiprocessing.active_children()}
+            # spawned, not forked: a fork copies locks and threads of the numeric libraries
+            spawn = multiprocessing.get_context("spawn")
+            self._executor = ProcessPoolExecutor(
+                self.count, mp_context=spawn, initializer=start_worker
+            )
+        return self._executor
+
+    def look(self) -> None:
+        """See Pool. A dead process is told by its futures."""
+
+    def survive(self, loss: Exception, losses: int) -> None:
+        """See Pool."""
+        if losses > DEATHS_WITHOUT_PROGRESS:
+            raise WorkersError(
+                f"worker processes died {losses} times without finishing a piece of work "
+                "(out of memory?); what is done is kept: try again with fewer --workers"
+            ) from None
+
+    def abandon(self) -> None:
+        """See Pool."""
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
             self._executor = None
@@ -128,7 +213,7 @@ class ExecutorWorkers:
                 child.terminate()
 
     def close(self) -> None:
-        """See Workers."""
+        """See Pool."""
         if self._executor is not None:
             self._executor.shutdown()
             self._executor = None
@@ -137,16 +222,7 @@ class ExecutorWorkers:
 def workers_of(count: int | None) -> Workers:
     """One process for 1; so many worker processes otherwise; None means one for each core."""
     wanted = count if count is not None else available_cores()
-    if wanted <= 1:
-        return SerialWorkers()
-
-    def make() -> Executor:
-        # spawned, not forked: a fork copies locks and threads of the numeric libraries
-        return ProcessPoolExecutor(
-            wanted, mp_context=multiprocessing.get_context("spawn"), initializer=start_worker
-        )
-
-    return ExecutorWorkers(make, wanted)
+    return SerialWorkers() if wanted <= 1 else ExecutorWorkers(LocalPool(wanted))
 
 
 def available_cores() -> int:

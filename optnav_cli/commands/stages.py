@@ -7,9 +7,11 @@ import click
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import (
     BoundingBox,
+    F,
     bbox_option,
     output_option,
     path_argument,
+    scheduler_option,
     work_option,
     workers_option,
 )
@@ -20,15 +22,22 @@ WHAT = {
     "select": "Choose among each cell's shortlist the points to check.",
     "check": "Check the chosen points: uniqueness, foreign shadows, recognition trials.",
 }
+ON_WORKERS = ("render", "check")
+
+
+def _same(command: F) -> F:
+    return command
 
 
 def _stage(name: str) -> click.Command:
     """The command of one stage, with the options that all of them take."""
+    elsewhere = scheduler_option if name in ON_WORKERS else _same
 
     @click.command(name, help=f"{WHAT[name]}\n\n{_example(name)}")
     @path_argument("config")
     @work_option(required=True)
     @workers_option
+    @elsewhere
     @bbox_option
     @pass_progress
     def command(
@@ -37,12 +46,16 @@ def _stage(name: str) -> click.Command:
         work: Path,
         workers: int | None,
         bbox: BoundingBox | None,
+        scheduler: str | None = None,
     ) -> None:
         from catalog.stages.build import run
         from optnav_cli.output.account_table import account_lines
 
         announce_compilation()
-        report = run(config, work, stages=(name,), workers=workers, bbox=bbox, progress=progress)
+        report = run(
+            config, work, stages=(name,), workers=workers, scheduler=scheduler, bbox=bbox,
+            progress=progress,
+        )  # fmt: skip
         tell(account_lines(report.account))
         click.echo(f"{work}: {name} is done for {report.account.cells} cells")
 
@@ -68,6 +81,7 @@ check = _stage("check")
 @output_option("The catalog file (GeoPackage); an earlier catalog is replaced.")
 @work_option(required=True)
 @workers_option
+@scheduler_option
 @bbox_option
 @pass_progress
 def write(
@@ -76,6 +90,7 @@ def write(
     output: Path,
     work: Path,
     workers: int | None,
+    scheduler: str | None,
     bbox: BoundingBox | None,
 ) -> None:
     """Write the catalog file (its help is given above)."""
@@ -83,8 +98,8 @@ def write(
     from optnav_cli.output.account_table import account_lines
 
     report = run(
-        config, work, stages=("write",), output=output, workers=workers, bbox=bbox,
-        progress=progress,
+        config, work, stages=("write",), output=output, workers=workers,
+        scheduler=scheduler, bbox=bbox, progress=progress,
     )  # fmt: skip
     tell(account_lines(report.account))
     click.echo(f"{output}: {report.points} control points, {report.usable} usable")
