@@ -95,13 +95,7 @@ def run(progress: Progress, trials: int = 1000, seed: int = 1) -> list[Selection
 
 def one_posting(context: StageContext, progress: Progress, trials: int, seed: int) -> SelectionRow:
     """All strategies on all cells that lie on the terrain with their fine patches."""
-    grounds = {}
-    for cell in range(context.grid.total):
-        lat_deg, lon_deg = np.radians(context.grid.centre_deg(cell))
-        if context.mosaic.covers(lat_deg, lon_deg, 8.0 * context.posting_m).all():
-            ground = render.cell_ground(context, cell)
-            if ground is not None and _mostly_free(ground):
-                grounds[cell] = ground
+    grounds = free_grounds(context)
     shortlists = render.render_chunk(context, list(grounds))
     records = check.check_chunk(context, select.select(context, shortlists))
     chosen = {record.cell: (record.lat_deg, record.lon_deg) for record in records}
@@ -133,6 +127,18 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
         difference(best, harris_points),
         difference(best, corners),
     )
+
+
+def free_grounds(context: StageContext) -> dict[int, render.Ground]:
+    """Grounds by cell, of all cells that lie on the terrain with most of their places' patches."""
+    grounds = {}
+    for cell in range(context.grid.total):
+        lat, lon = np.radians(context.grid.centre_deg(cell))
+        if context.mosaic.covers(lat, lon, 8.0 * context.posting_m).all():
+            ground = render.cell_ground(context, cell)
+            if ground is not None and _mostly_free(ground):
+                grounds[cell] = ground
+    return grounds
 
 
 def _mostly_free(ground: render.Ground) -> bool:

@@ -1,0 +1,209 @@
+"""What the build's economies cost: its settings against slower ones, on the same terrain.
+
+The build renders a few candidates a cell under a few Suns at the finest level, and tries three of
+them at most. Here that is held against *all Suns*, every candidate that fits into the cell, each
+rendered under 32 Suns at two levels, and against *all tried*, where each of these goes through the
+recognition trials as well and the best one wins; *fewer* goes the other way. Every policy's points
+then meet new trials, the same for the same place (catalog.selection.trial). Differences are paired
+by cell, so that cells where both take the same place add no scatter.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import msgspec
+import numpy as np
+
+from catalog.bodies.body import load_body
+from catalog.config import resource
+from catalog.geometry.cells import CellGrid
+from catalog.progress import Progress, Stage
+from catalog.stages import check, render, select
+from catalog.stages.context import BodySettings, StageContext
+from catalog.stages.settings import BuildConfig
+from catalog.terrain.mosaic import Mosaic
+from catalog.terrain.source import DemSettings
+from optnav_cli.studies.selection import DEM, SUNS, Z95, free_grounds
+
+ALL = 24  # candidates: the spacing between them leaves no room for more
+ALL_SPACED = 0.08  # of a cell between candidates
+ALL_LEVELS, ALL_ELEVATIONS, ALL_AZIMUTHS = 2, 4, 8
+FEW = 4
+SEED_OF_TRIALS = 20_000  # far from the seeds of the build's own trials
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A way to choose points: what differs from the default settings of a build."""
+
+    name: str
+    render: render.Settings
+    check: check.Settings
+
+
+@dataclass(frozen=True)
+class EconomyRow:
+    """One policy on one size of cell.
+
+    milliseconds    of one core a cell, for render and check
+    usable          share of cells with a usable point
+    rate            of recognition in new trials
+    against         difference to the build's own rate, and half of its 95 % interval
+    same            share of cells in which the build takes the same place
+    """
+
+    policy: str
+    cell_deg: float
+    cells: int
+    trials: int
+    milliseconds: tuple[float, float]
+    usable: float
+    rate: float
+    against: tuple[float, float]
+    same: float
+
+
+def policies() -> tuple[Policy, ...]:
+    """The build's own first; then slower and quicker ones."""
+    own, tests = render.Settings(), check.Settings()
+    every = msgspec.structs.replace(
+        own,
+        candidates=ALL,
+        separation_cell=ALL_SPACED,
+        levels=ALL_LEVELS,
+        sun_elevations=ALL_ELEVATIONS,
+        sun_azimuths=ALL_AZIMUTHS,
+    )
+    # a place that is always recognised ends the search: a later one can only tie with it
+    tried = msgspec.structs.replace(tests, places=ALL, good_recognition=1.0)
+    return (
+        Policy("build", own, tests),
+        Policy("all Suns", every, tests),
+        Policy("all tried", every, tried),
+        Policy("fewer", msgspec.structs.replace(own, candidates=FEW), tests),
+    )
+
+
+def run(
+    progress: Progress, cells_deg: Sequence[float] = (1.0, 0.5), trials: int = 24, seed: int = 1
+) -> list[EconomyRow]:
+    """All policies on cells of each size; `trials` new trials a place, at least."""
+    body = load_body("moon")
+    dem = DemSettings(path=str(resource(DEM)))
+    rows = []
+    with TemporaryDirectory(prefix="optnav-") as folder:
+        mosaic = Mosaic.from_files([dem], Path(folder), body, Path(folder))
+        config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
+        for cell_deg in cells_deg:
+            context = StageContext(body, mosaic, CellGrid(cell_deg), mosaic.posting_m, config)
+            rows += one_size(context, progress, trials, seed)
+        mosaic.close()
+    return rows
+
+
+def one_size(context: StageContext, progress: Progress, trials: int, seed: int) -> list[EconomyRow]:
+    """All policies on the cells of a context that lie on the terrain."""
+    cells = list(free_grounds(context))
+    known: dict[tuple[float, float], float] = {}
+    rows: list[EconomyRow] = []
+    own_rates, own_places = np.empty(0), []
+    name = f"economy {context.grid.step_deg:g} deg"
+    with progress.stage(name, 2 * len(cells) * len(policies()), "cell") as bar:
+        for policy in policies():
+            records, spent = _built(context, policy, cells)
+            bar.advance(len(cells), policy.name)
+            places = [(record.lat_deg, record.lon_deg) for record in records]
+            rates = np.array([_rate(context, place, trials, seed, known, bar) for place in places])
+            if not rows:
+                own_rates, own_places = rates, places
+            gain = rates - own_rates
+            half = Z95 * float(gain.std(ddof=1)) / np.sqrt(gain.size)
+            rows.append(
+                EconomyRow(
+                    policy.name,
+                    context.grid.step_deg,
+                    len(cells),
+                    _rounds(trials) * SUNS,
+                    (spent[0] / len(cells) * 1e3, spent[1] / len(cells) * 1e3),
+                    sum(record.usable for record in records) / len(records),
+                    float(rates.mean()),
+                    (float(gain.mean()), half),
+                    float(np.mean([a == b for a, b in zip(places, own_places, strict=True)])),
+                )
+            )
+    return rows
+
+
+def _built(
+    context: StageContext, policy: Policy, cells: Sequence[int]
+) -> tuple[list[check.Record], tuple[float, float]]:
+    """The points that a policy chooses, and the seconds that render and check took."""
+    config = msgspec.structs.replace(context.config, render=policy.render, check=policy.check)
+    own = replace(context, config=config)
+    render.render_chunk(own, cells[:1])  # compiled, tables and files open: not the policy's cost
+    started = time.process_time()
+    shortlists = render.render_chunk(own, cells)
+    rendered = time.process_time()
+    selected = select.select(own, shortlists)
+    selected_at = time.process_time()
+    records = check.check_chunk(own, selected)
+    return records, (rendered - started, time.process_time() - selected_at)
+
+
+def _rounds(trials: int) -> int:
+    return -(-trials // SUNS)
+
+
+def _rate(
+    context: StageContext,
+    place: tuple[float, float],
+    trials: int,
+    seed: int,
+    known: dict[tuple[float, float], float],
+    bar: Stage,
+) -> float:
+    """Recognition rate of a place in trials that no policy has seen, the same for each policy."""
+    bar.advance()
+    if place not in known:
+        patches = context.patches(*place)
+        limit = context.config.check.max_error_nodes
+        successes = 0
+        for turn in range(_rounds(trials)):
+            outcomes = check.trials_at(
+                context,
+                patches,
+                *place,
+                seed=[SEED_OF_TRIALS + seed, turn, round((place[0] + 90.0) * 1e6)],
+                relief_seed=turn,
+                trials=SUNS,
+            )
+            successes += sum(o.accepted and o.distance <= limit for o in outcomes)
+        known[place] = successes / (_rounds(trials) * SUNS)
+    return known[place]
+
+
+def format_table(rows: Sequence[EconomyRow]) -> str:
+    """The rows for people to read."""
+    lines = []
+    for row in rows:
+        if row.policy == rows[0].policy:
+            lines.append(
+                f"cells of {row.cell_deg:g} deg: {row.cells}, {row.trials} new trials a place"
+            )
+            lines.append(
+                f"{'policy':12}{'render, ms':>11}{'check, ms':>11}{'usable':>9}{'recognised':>12}"
+                f"{'against build (95 %)':>24}{'same place':>12}"
+            )
+        difference, half = (100.0 * value for value in row.against)
+        against = f"{difference:+.1f} ± {half:.1f} points" if row.policy != rows[0].policy else ""
+        lines.append(
+            f"{row.policy:12}{row.milliseconds[0]:11.1f}{row.milliseconds[1]:11.1f}"
+            f"{100.0 * row.usable:8.1f}%{100.0 * row.rate:11.1f}%{against:>24}"
+            f"{100.0 * row.same:11.0f}%"
+        )
+        if row.policy == policies()[-1].name:
+            lines.append("")
+    return "\n".join(lines).rstrip()

@@ -1,0 +1,48 @@
+"""The economy study: its policies, a small run of it, and its table."""
+
+from pathlib import Path
+
+import pytest
+
+from catalog.bodies.body import load_body
+from catalog.config import resource
+from catalog.geometry.cells import CellGrid
+from catalog.progress import SilentProgress
+from catalog.stages import check, render
+from catalog.stages.context import BodySettings, StageContext
+from catalog.stages.settings import BuildConfig
+from catalog.terrain.mosaic import Mosaic
+from catalog.terrain.source import DemSettings
+from optnav_cli.studies import economy
+
+
+@pytest.fixture
+def context(tmp_path):
+    body = load_body("moon")
+    dem = DemSettings(path=str(resource(economy.DEM)))
+    mosaic = Mosaic.from_files([dem], Path(tmp_path), body, tmp_path)
+    config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
+    return StageContext(body, mosaic, CellGrid(1.0), 2.0 * mosaic.posting_m, config)
+
+
+def test_the_first_policy_is_what_a_build_does():
+    own, *others = economy.policies()
+    assert own.render == render.Settings()
+    assert own.check == check.Settings()
+    assert {policy.name for policy in others} == {"all Suns", "all tried", "fewer"}
+    assert all((policy.render, policy.check) != (own.render, own.check) for policy in others)
+
+
+def test_policies_meet_the_same_trials(context, monkeypatch):
+    cells = [int(context.grid.cell_of(lat, -11.0)) for lat in (-42.5, -43.5)]
+    own = economy.policies()[0]
+    same = economy.Policy("same", own.render, own.check)
+    monkeypatch.setattr(economy, "policies", lambda: (own, same))
+    monkeypatch.setattr(economy, "free_grounds", lambda context: dict.fromkeys(cells))
+    build, again = economy.one_size(context, SilentProgress(), 8, 1)
+    assert (again.against, again.same, again.rate) == ((0.0, 0.0), 1.0, build.rate)
+    assert build.trials == 8
+    assert 0.5 < build.rate <= 1.0  # highlands at twice the posting are recognised
+    text = economy.format_table([build, again])
+    assert "cells of 1 deg: 2, 8 new trials a place" in text
+    assert "+0.0 ± 0.0 points" in text
