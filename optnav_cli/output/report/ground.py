@@ -55,6 +55,15 @@ class GroundMap:
         x, y = Stereographic(lat0, lon0, self.radius_m).xy_from_xyz(directions)
         return x / 1e3, y / 1e3
 
+    def latlon(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude (deg) of map coordinates x, y (...)."""
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        if not self.regional:
+            return y, x
+        lat0, lon0 = np.radians(self.centre_deg)
+        lat, lon = Stereographic(lat0, lon0, self.radius_m).latlon(1e3 * x, 1e3 * y)
+        return np.degrees(lat), np.degrees(lon)
+
     def plot(self, x: ArrayLike, y: ArrayLike, width: int = WIDE, height: int = 600) -> Plot:
         """An empty map that holds the map coordinates x, y (n,), with its graticule."""
         if not self.regional:

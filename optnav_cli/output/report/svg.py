@@ -30,38 +30,50 @@ class Plot:
         height: int = 260,
         equal: bool = False,
         axes: bool = True,
+        margins: tuple[int, int, int, int] = (LEFT, RIGHT, TOP, BOTTOM),
     ) -> None:
         """Axes over the ranges x and y; `equal` widens one of them until both scales agree.
 
-        axes  False leaves out grid lines and their numbers, for maps that draw their own
+        axes     False leaves out grid lines and their numbers, for maps that draw their own
+        margins  room around the axes, px: left, right, top, bottom; 0 at the left leaves out the
+                 frame as well, for maps that have an outline of their own
         """
         self.width, self.height = width, height
+        self._left, self._right, self._top, self._bottom = margins
         self.x, self.y = _opened(x), _opened(y)
         if equal:
             self._equalise()
         self._axes = axes
         self._labels = (x_label, y_label)
+        self._ground: list[str] = []
         self._body: list[str] = []
 
     def _equalise(self) -> None:
-        across, up = self.width - LEFT - RIGHT, self.height - TOP - BOTTOM
+        across, up = self.inner
         unit = max((self.x[1] - self.x[0]) / across, (self.y[1] - self.y[0]) / up)
         for name, pixels in (("x", across), ("y", up)):
             low, high = getattr(self, name)
             middle, half = (low + high) / 2.0, unit * pixels / 2.0
             setattr(self, name, (middle - half, middle + half))
 
+    @property
+    def inner(self) -> tuple[int, int]:
+        """Width and height of what the axes enclose, px."""
+        return self.width - self._left - self._right, self.height - self._top - self._bottom
+
     def px(self, x: ArrayLike) -> FloatArray:
         """Picture x of data x."""
         low, high = self.x
-        scale = (self.width - LEFT - RIGHT) / (high - low)
-        return np.asarray(LEFT + (np.asarray(x, dtype=np.float64) - low) * scale)
+        scale = self.inner[0] / (high - low)
+        return np.asarray(self._left + (np.asarray(x, dtype=np.float64) - low) * scale)
 
     def py(self, y: ArrayLike) -> FloatArray:
         """Picture y of data y, which grows upwards."""
         low, high = self.y
-        scale = (self.height - TOP - BOTTOM) / (high - low)
-        return np.asarray(self.height - BOTTOM - (np.asarray(y, dtype=np.float64) - low) * scale)
+        scale = self.inner[1] / (high - low)
+        return np.asarray(
+            self.height - self._bottom - (np.asarray(y, dtype=np.float64) - low) * scale
+        )
 
     def line(self, x: ArrayLike, y: ArrayLike, series: str, closed: bool = False) -> None:
         """A polyline, broken where a point is not finite (`closed` only when all are)."""
@@ -107,73 +119,95 @@ class Plot:
                 f"{name}</circle>"
             )
 
-    def bars(self, edges: ArrayLike, counts: ArrayLike, series: str, base: ArrayLike = 0.0) -> None:
-        """A histogram of `counts` between `edges`, standing on `base`."""
+    def area(self, x: ArrayLike, y: ArrayLike, series: str) -> None:
+        """The inside of a closed outline; it lies below lines, dots and words."""
+        points = np.column_stack([self.px(x), self.py(y)])
+        self._ground.append(f'<polygon class="area {series}" points="{_points(points)}"/>')
+
+    def bars(
+        self,
+        edges: ArrayLike,
+        counts: ArrayLike,
+        series: str,
+        base: ArrayLike = 0.0,
+        colours: Sequence[str] | None = None,
+        titles: Sequence[str] | None = None,
+    ) -> None:
+        """A histogram of `counts` between `edges`, standing on `base`; see `dots` for the rest."""
         edges, counts = np.asarray(edges, dtype=np.float64), np.asarray(counts, dtype=np.float64)
         base = np.broadcast_to(np.asarray(base, dtype=np.float64), counts.shape)
         x, low, high = self.px(edges), self.py(base), self.py(base + counts)
-        for left, right, bottom, top in zip(x[:-1], x[1:], low, high, strict=True):
+        for index, (bottom, top) in enumerate(zip(low, high, strict=True)):
             if bottom - top > 0.0:
+                left, right = x[index], x[index + 1]
+                gap, seam = (0.0, 0.6) if series == "seamless" else (0.5, 0.0)
+                style = f' style="fill:{colours[index]}"' if colours else ""
+                name = f"<title>{escape(titles[index])}</title>" if titles else ""
                 self._body.append(
-                    f'<rect class="bar {series}" x="{left + 0.5:.1f}" y="{top:.1f}" '
-                    f'width="{max(right - left - 1.0, 0.5):.1f}" height="{bottom - top:.1f}"/>'
+                    f'<rect class="bar {series}" x="{left + gap:.1f}" y="{top:.1f}" '
+                    f'width="{max(right - left - 2.0 * gap, 0.5) + seam:.1f}" '
+                    f'height="{bottom - top:.1f}"'
+                    f"{style}>{name}</rect>"
                 )
 
     def level(self, y: float, series: str = "muted") -> None:
         """A line across at height y."""
         self.line(self.x, (y, y), f"{series} thin")
 
-    def picture(self, data_uri: str, x: tuple[float, float], y: tuple[float, float]) -> None:
-        """A picture stretched over a rectangle of data units."""
-        (left, right), (bottom, top) = self.px(x), self.py(y)
-        self._body.append(
-            f'<image x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" '
-            f'height="{bottom - top:.1f}" preserveAspectRatio="none" href="{data_uri}"/>'
+    def picture(self, data_uri: str) -> None:
+        """A picture stretched over all that the axes enclose, below lines, dots and words."""
+        self._ground.append(
+            f'<image x="{self._left}" y="{self._top}" width="{self.inner[0]}" '
+            f'height="{self.inner[1]}" preserveAspectRatio="none" href="{data_uri}"/>'
         )
 
-    def text(self, x: float, y: float, words: str) -> None:
-        """Small words beginning at a place in data units."""
+    def text(self, x: float, y: float, words: str, kind: str = "", anchor: str = "start") -> None:
+        """Small words at a place in data units, which is their start, middle or end."""
         self._body.append(
-            f'<text class="tick" x="{float(self.px(x)):.1f}" y="{float(self.py(y)):.1f}">'
-            f"{escape(words)}</text>"
+            f'<text class="tick {kind}" text-anchor="{anchor}" x="{float(self.px(x)):.1f}" '
+            f'y="{float(self.py(y)):.1f}">{escape(words)}</text>'
         )
 
     def svg(self, description: str) -> str:
         """The plot; `description` is read to people who cannot see it."""
         clip = f"c{abs(hash_of(description + self._labels[0] + self._labels[1])):x}"
-        inner = self.width - LEFT - RIGHT, self.height - TOP - BOTTOM
+        inner, left, top = self.inner, self._left, self._top
+        wide = ' class="wide"' if self.width > HALF else ""
         parts = [
-            f'<svg viewBox="0 0 {self.width} {self.height}" role="img" '
+            f'<svg viewBox="0 0 {self.width} {self.height}" role="img"{wide} '
             f'aria-label="{escape(description, quote=True)}">',
-            f'<clipPath id="{clip}"><rect x="{LEFT}" y="{TOP}" width="{inner[0]}" '
+            f'<clipPath id="{clip}"><rect x="{left}" y="{top}" width="{inner[0]}" '
             f'height="{inner[1]}"/></clipPath>',
             *(self._ticks() if self._axes else ()),
             f'<g clip-path="url(#{clip})">',
+            *self._ground,
             *self._body,
             "</g>",
-            f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{inner[0]}" height="{inner[1]}"/>',
-            f'<text class="label" text-anchor="middle" x="{LEFT + inner[0] / 2:.0f}" '
+            f'<rect class="frame" x="{left}" y="{top}" width="{inner[0]}" height="{inner[1]}"/>'
+            if left
+            else "",
+            f'<text class="label" text-anchor="middle" x="{left + inner[0] / 2:.0f}" '
             f'y="{self.height - 6}">{escape(self._labels[0])}</text>',
             f'<text class="label" text-anchor="middle" transform="translate(13 '
-            f'{TOP + inner[1] / 2:.0f}) rotate(-90)">{escape(self._labels[1])}</text>',
+            f'{top + inner[1] / 2:.0f}) rotate(-90)">{escape(self._labels[1])}</text>',
             "</svg>",
         ]
         return "\n".join(parts)
 
     def _ticks(self) -> Iterable[str]:
-        bottom, right = self.height - BOTTOM, self.width - RIGHT
-        for value in ticks(*self.x, count=max(3, (right - LEFT) // 90)):
+        bottom, right = self.height - self._bottom, self.width - self._right
+        for value in ticks(*self.x, count=max(3, self.inner[0] // 70)):
             x = float(self.px(value))
-            yield f'<line class="grid" x1="{x:.1f}" y1="{TOP}" x2="{x:.1f}" y2="{bottom}"/>'
+            yield f'<line class="grid" x1="{x:.1f}" y1="{self._top}" x2="{x:.1f}" y2="{bottom}"/>'
             yield (
                 f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 15}">'
                 f"{number_text(value)}</text>"
             )
-        for value in ticks(*self.y, count=max(4, (bottom - TOP) // 45)):
+        for value in ticks(*self.y, count=max(4, self.inner[1] // 45)):
             y = float(self.py(value))
-            yield f'<line class="grid" x1="{LEFT}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
+            yield f'<line class="grid" x1="{self._left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
             yield (
-                f'<text class="tick" text-anchor="end" x="{LEFT - 5}" y="{y + 4:.1f}">'
+                f'<text class="tick" text-anchor="end" x="{self._left - 5}" y="{y + 4:.1f}">'
                 f"{number_text(value)}</text>"
             )
 

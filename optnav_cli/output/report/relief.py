@@ -1,0 +1,175 @@
+"""Shaded relief under a map: from the bundled Moon, or from the catalog's own height grids."""
+
+import logging
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
+
+from catalog.config import resource
+from catalog.control_point import Patch
+from catalog.errors import DataError
+from catalog.geometry.cells import CellGrid
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.geometry.projection import Stereographic
+from catalog.store.reader import Catalog
+
+log = logging.getLogger(__name__)
+
+FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
+
+MOON_FILE, MOON_RADIUS_M = "data/moon_gld100_4ppd.tif", 1737400.0
+MOON_WORDS = "Relief: LROC WAC GLD100 at 4 px/deg, bundled."
+OWN_WORDS = "Relief: the catalog's own height grids."
+# Below this size of a map's pixel the bundled Moon, of 7.6 km, would look blurred.
+LEAST_MOON_PIXEL_M = 3000.0
+MOST_PATCHES = 4000  # that are read for a relief: a second or two
+LEAST_COVERED = 0.6  # share of the map's ground that its patches must cover
+STEEP = 0.55  # of the shading, for the slope that one pixel in ten exceeds
+GRAY, DEPTH = 150.0, 95.0  # level ground, and how much light and shade differ from it
+
+
+def relief(
+    catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_], str] | None:
+    """Gray picture (h, w) of the ground under a map's pixels, lit from the map's upper left.
+
+    lat_deg, lon_deg  (h, w)  places of the pixels, not finite off the body
+
+    Returns the picture, where its ground is known (h, w), and whose heights they are; None where
+    the catalog holds too little ground and its body is not the Moon.
+    """
+    pixel_m = _pixel_m(lat_deg, lon_deg, catalog.meta.radius_m)
+    is_moon = catalog.meta.body == "moon" and catalog.meta.radius_m == MOON_RADIUS_M
+    if is_moon and pixel_m >= LEAST_MOON_PIXEL_M:
+        heights, words = _moon_heights(lat_deg, lon_deg), MOON_WORDS
+    else:
+        own = _own_heights(catalog, lat_deg, lon_deg, pixel_m)
+        if own is None:
+            return None
+        heights, words = own, OWN_WORDS
+    return shaded(heights, pixel_m), np.isfinite(heights), words
+
+
+def shaded(heights_m: HeightGrid, posting_m: float) -> NDArray[np.uint8]:
+    """Heights (h, w) as relief in gray, lit from the upper left; NaN is level.
+
+    Exaggerated until slopes read well, whatever the terrain's: this is a map, not a view.
+    """
+    southward, eastward = np.gradient(heights_m.astype(np.float64), posting_m)
+    facing = np.nan_to_num((eastward + southward) / np.sqrt(2.0))
+    rough = np.abs(facing[facing != 0.0])
+    steep = float(np.percentile(rough, 90.0)) if rough.size else 1.0
+    light = np.tanh(STEEP * facing / max(steep, 1e-9))
+    return np.asarray(np.clip(np.rint(GRAY + DEPTH * light), 0.0, 255.0), np.uint8)
+
+
+def _pixel_m(lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float) -> float:
+    """Distance of two neighbouring pixels in the middle of a map."""
+    row, column = (side // 2 for side in lat_deg.shape)
+    lat, lon = (np.radians(v[row, column : column + 2]) for v in (lat_deg, lon_deg))
+    first, second = xyz_from_latlon(lat, lon, radius_m)
+    return float(np.linalg.norm(second - first))
+
+
+def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> HeightGrid:
+    with rasterio.open(resource(MOON_FILE)) as source:
+        heights = source.read(1).astype(np.float32)
+    rows, columns = heights.shape
+    # a column more at either end, so that nothing is special at the seam
+    heights = np.concatenate([heights[:, -1:], heights, heights[:, :1]], axis=1)
+    known = np.isfinite(lat_deg)
+    # the file's first column begins at longitude 0
+    x = np.mod(np.where(known, lon_deg, 0.0), 360.0) / 360.0 * columns + 0.5
+    y = (90.0 - np.where(known, lat_deg, 0.0)) / 180.0 * rows - 0.5
+    sampled = cv2.remap(
+        heights, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )  # fmt: skip
+    return np.where(known, sampled, np.nan).astype(np.float32)
+
+
+def _own_heights(
+    catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray, pixel_m: float
+) -> HeightGrid | None:
+    """Heights of the pixels from the patches of the nearest points, as far as those reach."""
+    known = np.isfinite(lat_deg)
+    chosen = _spread(catalog)
+    if len(chosen) == 0 or not known.any():
+        return None
+    lat, lon = np.radians(lat_deg[known]), np.radians(lon_deg[known])
+    directions = xyz_from_latlon(lat, lon, 1.0)
+    chord, nearest = cKDTree(catalog.direction[chosen]).query(directions)
+    radius_m, half = catalog.meta.radius_m, (catalog.meta.size - 1) / 2.0
+    # The finest level that reaches as far as most pixels of a gapless catalog are from a point.
+    reach_m = np.radians(catalog.meta.cell_deg) * radius_m
+    if len(chosen) < len(catalog):
+        reach_m *= np.sqrt(len(catalog) / len(chosen))
+    level = int(np.ceil(np.log2(max(reach_m / (half * catalog.meta.posting_m), 1.0))))
+    level = min(level, catalog.meta.levels - 1)
+    heights = np.full(len(lat), np.nan, np.float32)
+    order = np.argsort(nearest, kind="stable")
+    bounds = np.searchsorted(nearest[order], np.arange(len(chosen) + 1))
+    for number, row in enumerate(chosen):
+        pixels = order[bounds[number] : bounds[number + 1]]
+        pixels = pixels[
+            chord[pixels] * radius_m <= 1.5 * 2.0**level * catalog.meta.posting_m * half
+        ]
+        if len(pixels) == 0:
+            continue
+        patch = _patch(catalog, int(row), level)
+        if patch is None:
+            continue
+        lat0, lon0 = np.radians((catalog.lat_deg[row], catalog.lon_deg[row]))
+        projection = Stereographic(lat0, lon0, radius_m)
+        x, y = projection.xy_from_xyz(directions[pixels])
+        heights[pixels] = _sampled(patch, x, y, pixel_m)
+    covered = np.count_nonzero(np.isfinite(heights)) / max(_covered_by_cells(catalog, lat, lon), 1)
+    if covered < LEAST_COVERED:
+        return None
+    picture = np.full(lat_deg.shape, np.nan, np.float32)
+    picture[known] = heights
+    return picture
+
+
+def _spread(catalog: Catalog) -> NDArray[np.int64]:
+    """Rows of points that hold patches, thinned evenly over the body to a bearable number."""
+    rows = np.flatnonzero(catalog.records["levels"] > 0)
+    step = catalog.meta.cell_deg
+    while len(rows) > MOST_PATCHES:
+        step = min(1.5 * step, 90.0)
+        cells = CellGrid(step).cell_of(catalog.lat_deg[rows], catalog.lon_deg[rows])
+        rows = rows[np.unique(cells, return_index=True)[1]]
+    return rows
+
+
+def _patch(catalog: Catalog, row: int, level: int) -> Patch | None:
+    try:
+        levels: Sequence[Patch] = catalog.patches(int(catalog.ids[row]))
+    except DataError as error:  # the page is about the rest; `verify` lists the damage
+        log.warning("%s", error)
+        return None
+    return levels[min(level, len(levels) - 1)]
+
+
+def _sampled(patch: Patch, x: FloatArray, y: FloatArray, pixel_m: float) -> HeightGrid:
+    """Heights at map places (n,) of a patch, smoothed to the map's pixel; NaN outside."""
+    heights = patch.heights_m
+    sigma = 0.4 * pixel_m / patch.posting_m
+    if sigma > 0.5:
+        heights = np.asarray(cv2.GaussianBlur(heights, (0, 0), sigma), np.float32)
+    half = (patch.size - 1) / 2.0
+    places = np.stack([half - y / patch.posting_m, x / patch.posting_m + half])
+    sampled = map_coordinates(heights, places, order=1, cval=np.nan)
+    return np.asarray(sampled, np.float32)
+
+
+def _covered_by_cells(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> int:
+    """How many of the places (rad) lie in a cell of the catalog."""
+    cells = catalog.grid.cell_of(np.degrees(lat), np.degrees(lon))
+    return int(np.count_nonzero(np.isin(cells, catalog.ids)))

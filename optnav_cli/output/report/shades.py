@@ -1,0 +1,62 @@
+"""Colours of maps and their legends; all can be told apart by colour-blind people.
+
+Values: viridis, bright for good. Reasons: the palette of Okabe and Ito.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+USABLE = "#0072b2"
+REASON_COLOURS = ("#ffffff", "#d55e00", "#cc79a7", "#000000", "#f0e442", "#009e73")
+SOURCE_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#f0e442")
+OTHER = "#8a8f98"
+OUTER_PERCENT = 0.5  # of the values at either end that may share the last colour
+STEPS = 64  # colours of a map: as many as eyes tell apart, few enough for small pictures
+LEAST_RELATIVE_SPAN = 1e-6
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Colours of values from `low` to `high`; `good` says whether more is better."""
+
+    low: float
+    high: float
+    more_is_better: bool
+
+    @classmethod
+    def of(cls, values: FloatArray, more_is_better: bool) -> "Scale":
+        """A scale for finite values (n,), at least one; the outermost values may lie beyond."""
+        low, high = (float(v) for v in np.percentile(values, [OUTER_PERCENT, 100 - OUTER_PERCENT]))
+        if high - low <= LEAST_RELATIVE_SPAN * max(abs(high), 1.0):
+            margin = max(0.1 * abs(high), 0.05)
+            low, high = low - margin, high + margin
+        return cls(low, high, more_is_better)
+
+    def bgr(self, values: FloatArray) -> NDArray[np.uint8]:
+        """Colours (n, 3) of finite values (n,)."""
+        share = np.clip((np.asarray(values) - self.low) / (self.high - self.low), 0.0, 1.0)
+        share = share if self.more_is_better else 1.0 - share
+        step = np.minimum((share * STEPS).astype(np.int64), STEPS - 1)
+        places = np.rint((step + 0.5) / STEPS * 255.0).astype(np.uint8)
+        coloured = cv2.applyColorMap(places.reshape(-1, 1), cv2.COLORMAP_VIRIDIS)
+        return np.asarray(coloured.reshape(-1, 3), np.uint8)
+
+    def css(self, values: FloatArray) -> list[str]:
+        """The same as CSS colours."""
+        return [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in self.bgr(values).tolist()]
+
+
+def blended(css: str, share: float, gray: float) -> str:
+    """A colour as it looks over a gray (0..255) that it covers by a share."""
+    mixed = (round(share * channel + (1.0 - share) * gray) for channel in reversed(bgr_of(css)))
+    return "#" + "".join(f"{channel:02x}" for channel in mixed)
+
+
+def bgr_of(css: str) -> tuple[int, int, int]:
+    """Blue, green, red of "#rrggbb"."""
+    red, green, blue = (int(css[i : i + 2], 16) for i in (1, 3, 5))
+    return blue, green, red
