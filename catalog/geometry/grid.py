@@ -10,7 +10,7 @@ HeightGrid = NDArray[np.float32]
 
 
 @kernel
-def _cubic_weights(t: float) -> tuple[float, float, float, float]:
+def cubic_weights(t: float) -> tuple[float, float, float, float]:
     """Weights of the four neighbours for cubic convolution with a = -1/2 (Keys 1981)."""
     t2 = t * t
     t3 = t2 * t
@@ -57,8 +57,8 @@ def bicubic_at(grid: HeightGrid, row: float, col: float) -> float:
     if not (1.0 <= row < rows - 2.0 and 1.0 <= col < cols - 2.0):
         return _bilinear_at(grid, row, col)
     r, c = int(row), int(col)
-    wr = _cubic_weights(row - r)
-    wc = _cubic_weights(col - c)
+    wr = cubic_weights(row - r)
+    wc = cubic_weights(col - c)
     total = 0.0
     for i in range(4):
         line = 0.0

@@ -1,17 +1,20 @@
 """Windows of a pyramid level that go on across ±180° and the poles; tiles in a bounded cache."""
 
 from collections import OrderedDict
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.terrain.pyramid import HeightPyramid
+from catalog.geometry.kernel import kernel
+from catalog.terrain.pyramid import POLE_TOLERANCE, HeightPyramid
 
 HeightGrid = NDArray[np.float32]
 
 TILE = 256  # pixels a side; whole tiles of the overviews
-CACHE_BYTES = 128 << 20  # 512 tiles: a ring of a 92 160-column raster about a pole, and some more
-POLE_TOLERANCE = 0.02  # rows by which a raster's edge may miss the pole and still be mirrored there
+CACHE_BYTES = 128 << 20  # 512 tiles: the ground of some 60 cells of 1° at 118 m, all levels
+READ_COLUMNS = 4096  # read at once when columns are averaged
+FEWEST_COLUMNS = 16  # left of a level whose columns are averaged
 
 
 class TileCache:
@@ -20,20 +23,15 @@ class TileCache:
     def __init__(self, limit_bytes: int = CACHE_BYTES) -> None:
         self.limit_bytes = limit_bytes
         self.held_bytes = 0
-        self._tiles: OrderedDict[tuple[int, int, int, int], HeightGrid] = OrderedDict()
+        self._tiles: OrderedDict[tuple[int, ...], HeightGrid] = OrderedDict()
 
-    def tile(
-        self, index: int, pyramid: HeightPyramid, level: int, down: int, along: int
-    ) -> HeightGrid:
-        """Tile (down, along) of a level; shorter at the raster's far edges."""
-        key = (index, level, down, along)
+    def tile(self, key: tuple[int, ...], make: Callable[[], HeightGrid]) -> HeightGrid:
+        """The tile of a key, made if it is not held."""
         found = self._tiles.get(key)
         if found is not None:
             self._tiles.move_to_end(key)
             return found
-        rows, cols = pyramid.shape(level)
-        row, col = down * TILE, along * TILE
-        made = pyramid.read(level, row, col, min(TILE, rows - row), min(TILE, cols - col))
+        made = make()
         self._tiles[key] = made
         self.held_bytes += made.nbytes
         while self.held_bytes > self.limit_bytes and len(self._tiles) > 1:
@@ -43,21 +41,51 @@ class TileCache:
 
 
 class LevelWindows:
-    """One level of a pyramid as an endless sheet."""
+    """One level of a pyramid as an endless sheet, its columns averaged 2^halvings at a time."""
 
-    def __init__(self, index: int, pyramid: HeightPyramid, level: int, cache: TileCache) -> None:
+    def __init__(
+        self,
+        index: int,
+        pyramid: HeightPyramid,
+        level: int,
+        cache: TileCache,
+        base: "LevelWindows | None" = None,
+        halvings: int = 0,
+    ) -> None:
         self.index, self.pyramid, self.level, self.cache = index, pyramid, level, cache
-        self.shape = pyramid.shape(level)
+        self.halvings = halvings
+        self._base = base or self
+        self._halved = {0: self} if base is None else {}
         place = pyramid.source.place
-        self.scale = 2.0**level
-        self.period = place.period / self.scale
-        rows, cols = self.shape
+        self.raster_shape = place.shape
+        rows, cols = pyramid.shape(level)
         whole = place.wraps and cols << level == place.shape[1]
+        cols = -(-cols >> halvings)
+        self.shape = rows, cols
+        self.scale = 2.0**level
+        self.squeeze = 2.0**halvings
+        self.period = place.period / (self.scale * self.squeeze)
         # mirroring needs an edge exactly at the pole and a column half a turn away
         even = whole and cols % 2 == 0 and rows << level == place.shape[0]
         self.wraps = whole
         self.mirrors_top = even and place.reaches_pole(-0.5, POLE_TOLERANCE) != 0
         self.mirrors_bottom = even and place.reaches_pole(place.shape[0] - 0.5, POLE_TOLERANCE) != 0
+        self.most_halvings = self._count_halvings() if base is None else 0
+
+    def _count_halvings(self) -> int:
+        """Halvings that leave some columns, and an even number of whole ones in a ring."""
+        cols, count = self.shape[1], 0
+        while cols >= 2 * FEWEST_COLUMNS and not (self.wraps and cols % 4):
+            cols, count = -(-cols // 2), count + 1
+        return count
+
+    def halved(self, halvings: int) -> "LevelWindows":
+        """The same level with columns averaged 2^halvings at a time."""
+        if halvings not in self._halved:
+            self._halved[halvings] = LevelWindows(
+                self.index, self.pyramid, self.level, self.cache, self, halvings
+            )
+        return self._halved[halvings]
 
     def window(self, row0: int, col0: int, height: int, width: int) -> HeightGrid:
         """Heights (height, width); NaN where the sheet has none.
@@ -101,9 +129,78 @@ class LevelWindows:
             while row < min(row0 + height, rows):
                 down, inner_row = divmod(row, TILE)
                 lines = min(row0 + height - row, TILE - inner_row, rows - row)
-                tile = self.cache.tile(self.index, self.pyramid, self.level, down, along)
+                tile = self._tile(down, along)
                 out[row - row0 : row - row0 + lines, at : at + count] = tile[
                     inner_row : inner_row + lines, inner : inner + count
                 ]
                 row += lines
             at += count
+
+    def _tile(self, down: int, along: int) -> HeightGrid:
+        """Tile (down, along); shorter at the raster's far edges."""
+        key = (self.index, self.level, self.halvings, down, along)
+        return self.cache.tile(key, lambda: self._make(down, along))
+
+    def _make(self, down: int, along: int) -> HeightGrid:
+        rows, cols = self.shape
+        row, col = down * TILE, along * TILE
+        height, width = min(TILE, rows - row), min(TILE, cols - col)
+        if self.halvings == 0:
+            return self.pyramid.read(self.level, row, col, height, width)
+        out = np.empty((height, width), np.float32)
+        if self.halvings > self._base.least_halvings(down):
+            finer = self._base.halved(self.halvings - 1)
+            for part in range(2 * along, min(2 * along + 2, -(-finer.shape[1] // TILE))):
+                at = (part - 2 * along) * (TILE // 2)
+                average_columns(finer._tile(down, part), 2, out[:, at : at + TILE // 2])
+            return out
+        # straight from the level: what lies between is nowhere asked for
+        many = 1 << self.halvings
+        step = max(1, READ_COLUMNS >> self.halvings)
+        last = self._base.shape[1]
+        for at in range(0, width, step):
+            first = (col + at) * many
+            count = min(min(step, width - at) * many, last - first)
+            read = self.pyramid.read(self.level, row, first, height, count)
+            average_columns(read, many, out[:, at : at + step])
+        return out
+
+    def least_halvings(self, down: int) -> int:
+        """The fewest halvings that any footprint in a row of tiles asks for, but for rare ones.
+
+        Footprints are about as high as the level's rows, half as high at the finest level.
+        """
+        place = self.pyramid.source.place
+        edges = np.array([down * TILE, min((down + 1) * TILE, self.shape[0])]) * self.scale - 0.5
+        lat, _ = place.latlon_from_pixel(np.zeros(2), edges)
+        share = 1.0 if self.level else 0.5
+        wide = share * float(place.columns_per_posting(1.0, lat).min())
+        return int(halvings_for(wide, self.most_halvings))
+
+
+@kernel
+def halvings_for(wide: float, most: int) -> int:
+    """How often columns are halved under a footprint `wide` columns wide: 1.5 to 3 are left."""
+    count = 0
+    while wide >= 3.0 and count < most:
+        wide, count = wide * 0.5, count + 1
+    return count
+
+
+@kernel
+def average_columns(grid: HeightGrid, many: int, out: HeightGrid) -> None:
+    """Means over `many` columns; a mean needs at least half of its values, NaN otherwise.
+
+    grid (rows, at most many n columns), out (rows, at least n columns)
+    """
+    cols = grid.shape[1]
+    for i in range(grid.shape[0]):
+        for k in range((cols + many - 1) // many):
+            total, valid = 0.0, 0
+            end = min((k + 1) * many, cols)
+            for j in range(k * many, end):
+                value = grid[i, j]
+                if value == value:
+                    total += value
+                    valid += 1
+            out[i, k] = total / valid if valid > 0 and 2 * valid >= end - k * many else np.nan

@@ -22,7 +22,8 @@ from rasterio.windows import Window
 from catalog.errors import DataError, OutputError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
-from catalog.terrain.source import Conversion, DemSettings, DemSource
+from catalog.terrain.conversion import Conversion, is_height
+from catalog.terrain.source import DemSettings, DemSource
 
 FORMAT = 1  # of the overview folder; another number means: make it again
 BLOCK = 256  # pixels a side of the overviews' tiles
@@ -155,8 +156,7 @@ def _cascade(
             with rasterio.open(path) as dataset:
                 row, col, height, width = window
                 raw = dataset.read(1, window=Window(col, row, width, height))
-        nodata = math.nan if convert.nodata is None else convert.nodata
-        limits = (convert.lowest_valid, nodata, float(np.float32(nodata)))
+        limits = convert.limits
         part = _extremes(raw, convert.scale_m, convert.offset_m, *limits)
         grids = []
         if made > 0:
@@ -277,7 +277,7 @@ def _extremes(
     for i in range(raw.shape[0]):
         for j in range(raw.shape[1]):
             value = float(raw[i, j])
-            if value >= lowest_valid and value != nodata and value != nodata32 and value < np.inf:
+            if is_height(value, lowest_valid, nodata, nodata32):
                 height = value * scale + offset
                 lowest, highest = min(lowest, height), max(highest, height)
                 valid += 1
@@ -307,12 +307,7 @@ def _halve_raw(
                 for c in range(2 * j, min(2 * j + 2, cols)):
                     value = float(raw[r, c])
                     there += 1
-                    if (
-                        value >= lowest_valid
-                        and value != nodata
-                        and value != nodata32
-                        and value < np.inf
-                    ):
+                    if is_height(value, lowest_valid, nodata, nodata32):
                         total += value
                         valid += 1
             if 2 * valid >= there and valid > 0:

@@ -31,6 +31,8 @@ from catalog.terrain.source import GDAL_CACHE_BYTES, DemSettings, DemSource
 
 HeightGrid = NDArray[np.float32]
 
+POLE_TOLERANCE = 0.02  # rows by which a raster's edge may miss a pole that it is meant to reach
+
 
 @dataclass
 class HeightPyramid:
@@ -49,6 +51,14 @@ class HeightPyramid:
     def shape(self, level: int) -> tuple[int, int]:
         """Rows and columns of a level."""
         return level_shape(self.source.shape, level)
+
+    @property
+    def covers_the_body(self) -> bool:
+        """Whether every place has a height: pole to pole, all round, no holes."""
+        place = self.source.place
+        rows = place.shape[0]
+        ends = [place.reaches_pole(edge, POLE_TOLERANCE) for edge in (-0.5, rows - 0.5)]
+        return self.record.valid_share == 1.0 and sorted(ends) == [-1, 1]
 
     def level_for(self, posting_m: float) -> int:
         """The coarsest level whose posting is at most 1.05 times the wanted one; 0 if none is."""

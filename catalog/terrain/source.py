@@ -20,6 +20,7 @@ from rasterio.windows import Window
 
 from catalog.bodies.body import Body
 from catalog.errors import DataError
+from catalog.terrain.conversion import Conversion
 from catalog.terrain.dem_file import (
     RADIUS_TOLERANCE,
     file_units,
@@ -69,29 +70,6 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     units: Literal["m", "km", "dm", "cm"] | None = None
     longitude: Literal["east", "west"] = "east"
     crs: str | None = None
-
-
-@dataclass(frozen=True)
-class Conversion:
-    """Raw counts to metres above the reference sphere: count * scale_m + offset_m."""
-
-    scale_m: float
-    offset_m: float
-    nodata: float | None
-    lowest_valid: float
-
-    def __call__(self, raw: NDArray[Any]) -> HeightGrid:
-        values = raw.astype(np.float64)
-        bad = ~np.isfinite(values) | (values < self.lowest_valid)
-        if self.nodata is not None:
-            # a float file's no-data tag may have lost digits on its way through text
-            same = raw == self.nodata
-            if raw.dtype.kind == "f":
-                same |= values == float(np.float32(self.nodata))
-            bad |= same
-        heights = values * self.scale_m + self.offset_m
-        heights[bad] = np.nan
-        return heights.astype(np.float32)
 
 
 @dataclass

@@ -278,7 +278,7 @@ def test_scattered_points_do_not_pull_the_whole_raster_into_memory(
     rng = np.random.default_rng(9)
     lat, lon = on_the_sphere(rng, 500)
     at_once = mosaic.heights(lat, lon, mosaic.posting_m)
-    monkeypatch.setattr("catalog.terrain.mosaic.LARGEST_WINDOW", 1000)
+    monkeypatch.setattr("catalog.terrain.footprint.LARGEST_WINDOW", 1000)
     in_pieces = mosaic.heights(lat, lon, mosaic.posting_m)
     # the offset inside a window takes the last bits of the coordinates
     np.testing.assert_allclose(at_once, in_pieces, atol=0.01)
@@ -299,20 +299,20 @@ def test_the_tile_cache_stays_within_its_bound(tmp_path, dems, moon, monkeypatch
     mosaic = mosaic_of(moon, tmp_path, path)
     mosaic._cache.limit_bytes = 1 << 20
     lat, lon = on_the_sphere(np.random.default_rng(11), 300)
-    monkeypatch.setattr("catalog.terrain.mosaic.LARGEST_WINDOW", 1 << 16)
+    monkeypatch.setattr("catalog.terrain.footprint.LARGEST_WINDOW", 1 << 16)
     whole = mosaic.heights(lat, lon, mosaic.posting_m)
     assert mosaic._cache.held_bytes <= 1 << 20
     np.testing.assert_allclose(whole, dems.smooth_heights(lat, lon), atol=2.0)
 
 
 @pytest.mark.bench
-def test_a_patch_is_cut_in_less_than_1_5_ms(shared_data, tmp_path, moon):
+def test_a_patch_is_cut_in_less_than_a_millisecond(shared_data, tmp_path, moon):
     mosaic = mosaic_of(moon, tmp_path, shared_data("moon/moon_gld100_32ppd.tif"))
     projection = Stereographic(np.radians(-43.0), np.radians(-11.0), moon.radius_m)
     for level in range(5):
         posting = mosaic.posting_m * 2**level
         mosaic.local_grid(projection, posting, 80)
-        started = time.perf_counter()
+        started = time.process_time()
         for _ in range(20):
             mosaic.local_grid(projection, posting, 80)
-        assert (time.perf_counter() - started) / 20 < 1.5e-3
+        assert (time.process_time() - started) / 20 < 1.0e-3
