@@ -56,26 +56,45 @@ def locate_peak(surface: NDArray[np.float32], nodes: int) -> Match:
     Returns the match; a peak on the surface's border has an infinite covariance, for it is no
     peak: the true place may lie outside.
     """
+    row, col = (int(i) for i in np.unravel_index(int(np.argmax(surface)), surface.shape))
+    dx, dy, best, runner_up, xx, xy, yy = _shape(np.ascontiguousarray(surface), row, col)
+    covariance = np.array([[xx, xy], [xy, yy]])
+    if np.isfinite(xx):
+        samples = max(nodes / NODES_PER_SAMPLE, 1.0)
+        covariance *= max(1.0 - best * best, 0.0) / (max(best, 0.05) * samples)
     rows, cols = surface.shape
-    row, col = np.unravel_index(int(np.argmax(surface)), surface.shape)
+    return Match(dx - cols // 2, dy - rows // 2, best, runner_up, covariance)
+
+
+@kernel
+def _shape(
+    surface: NDArray[np.float32], row: int, col: int
+) -> tuple[float, float, float, float, float, float, float]:
+    """Sub-node place (x, y) of the peak at (row, col), its score, the runner-up, H^-1 (xx, xy, yy).
+
+    H^-1 is that of `locate_peak`'s model; diagonal and infinite where the peak is none.
+    """
+    rows, cols = surface.shape
     best = float(surface[row, col])
-    runner_up = _runner_up(surface, int(row), int(col))
-    dx, dy = float(col - cols // 2), float(row - rows // 2)
-    infinite = np.diag([np.inf, np.inf])
+    runner_up = _runner_up(surface, row, col)
+    none = float(col), float(row), best, runner_up, np.inf, 0.0, np.inf
     if not (0 < row < rows - 1 and 0 < col < cols - 1):
-        return Match(dx, dy, best, runner_up, infinite)
-    patch = surface[row - 1 : row + 2, col - 1 : col + 2].astype(np.float64)
-    _, gx, gy, hxx, hxy, hyy = _QUADRATIC @ patch.ravel()
-    curvature = -np.array([[2.0 * hxx, hxy], [hxy, 2.0 * hyy]])
-    determinant = curvature[0, 0] * curvature[1, 1] - curvature[0, 1] ** 2
-    if curvature[0, 0] <= 0.0 or determinant <= 1e-12:
-        return Match(dx, dy, best, runner_up, infinite)
-    step = np.linalg.solve(curvature, [gx, gy])
+        return none
+    fit = np.zeros(6)
+    for k in range(9):
+        score = float(surface[row - 1 + k // 3, col - 1 + k % 3])
+        for i in range(6):
+            fit[i] += _QUADRATIC[i, k] * score
+    gx, gy = fit[1], fit[2]
+    xx, xy, yy = -2.0 * fit[3], -fit[4], -2.0 * fit[5]
+    determinant = xx * yy - xy * xy
+    if xx <= 0.0 or determinant <= 1e-12:
+        return none
+    xx, xy, yy = yy / determinant, -xy / determinant, xx / determinant
     # the true peak of a sampled surface lies within a node of its largest sample
-    step = np.clip(step, -0.75, 0.75)
-    samples = max(nodes / NODES_PER_SAMPLE, 1.0)
-    noise = max(1.0 - best * best, 0.0) / (max(best, 0.05) * samples)
-    return Match(dx + step[0], dy + step[1], best, runner_up, noise * np.linalg.inv(curvature))
+    x = min(max(xx * gx + xy * gy, -0.75), 0.75)
+    y = min(max(xy * gx + yy * gy, -0.75), 0.75)
+    return col + x, row + y, best, runner_up, xx, xy, yy
 
 
 @kernel

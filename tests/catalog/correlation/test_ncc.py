@@ -112,6 +112,19 @@ def test_the_runner_up_is_the_highest_local_maximum_away_from_the_peak():
         assert match.runner_up == surface[1:-1, 1:-1][local[1:-1, 1:-1]].max()
 
 
+def test_the_peak_of_a_paraboloid_is_its_own_and_its_covariance_the_inverse_of_its_bend():
+    bend = np.array([[0.02, 0.006], [0.006, 0.01]])
+    y, x = np.mgrid[-6:7, -6:7].astype(float)
+    offset = np.stack([x - 1.3, y + 2.4], axis=-1)
+    surface = 0.8 - 0.5 * np.einsum("...i,ij,...j", offset, bend, offset)
+    match = locate_peak(surface.astype(np.float32), 1600)
+    assert (match.dx, match.dy) == pytest.approx((1.3, -2.4), abs=1e-4)
+    expected = (1.0 - match.score**2) / (match.score * 1000.0) * np.linalg.inv(bend)
+    np.testing.assert_allclose(match.covariance, expected, rtol=1e-3)
+    border = locate_peak(surface[:, :8].astype(np.float32), 1600)
+    assert np.isinf(np.diag(border.covariance)).all()
+
+
 def test_a_filtered_search_grid_gives_the_same_match():
     field = texture(11)
     reference, search = cut(field, 48), cut(shifted(field, 2.2, 1.1), 64)
