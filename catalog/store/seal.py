@@ -9,9 +9,9 @@ counter twice, so that one flipped bit never looks like such a visit.
 """
 
 import hashlib
-import mmap
 from enum import Enum
 from pathlib import Path
+from typing import BinaryIO
 
 SEAL = "seal"
 COUNTER_DIGITS, HASH_DIGITS = 8, 64
@@ -23,13 +23,15 @@ PIECE = 1 << 20
 
 def put_seal(path: Path) -> None:
     """Write the seal into a closed catalog file whose manifest has OPEN_SEAL in its place."""
-    with path.open("r+b") as file, mmap.mmap(file.fileno(), 0) as data:
-        place = data.find(f"{SEAL}{OPEN_SEAL}".encode("ascii"))
+    with path.open("r+b") as file:
+        place = _find(file, f"{SEAL}{OPEN_SEAL}".encode("ascii"))
         if place < 0:
             raise ValueError(f"{path}: its manifest has no place for a seal")
         place += len(SEAL)
-        seal = f"{data[COUNTER].hex()}:{_hash(data, place)}".encode("ascii")
-        data[place : place + len(seal)] = seal
+        counter, _ = _counters(file)
+        seal = f"{counter}:{_hash(file, place)}".encode("ascii")
+        file.seek(place)
+        file.write(seal)
 
 
 class SealState(Enum):
@@ -45,23 +47,48 @@ def seal_state(path: Path, seal: str) -> SealState:
     """Compare a closed file with the seal that its manifest states; "" is no seal."""
     if not seal:
         return SealState.NONE
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        place = data.find(f"{SEAL}{seal}".encode("utf-8", "surrogatepass"))
-        whole = place >= 0 and _hash(data, place + len(SEAL)) == seal[COUNTER_DIGITS + 1 :]
-        counter, again = data[COUNTER].hex(), data[COUNTER_AGAIN].hex()
+    with path.open("rb") as file:
+        place = _find(file, f"{SEAL}{seal}".encode("utf-8", "surrogatepass"))
+        whole = place >= 0 and _hash(file, place + len(SEAL)) == seal[COUNTER_DIGITS + 1 :]
+        counter, again = _counters(file)
     moved = counter != seal[:COUNTER_DIGITS]
     if whole and not moved:
         return SealState.WHOLE
     return SealState.OPENED if moved and not whole and counter == again else SealState.BROKEN
 
 
-def _hash(data: mmap.mmap, place: int) -> str:
+def _counters(file: BinaryIO) -> tuple[str, str]:
+    """Both change counters of the header, hexadecimal."""
+    file.seek(0)
+    header = file.read(COUNTER_AGAIN.stop)
+    return header[COUNTER].hex(), header[COUNTER_AGAIN].hex()
+
+
+# Read piece by piece: a mapped file would count as memory of the process, all of it.
+def _find(file: BinaryIO, text: bytes) -> int:
+    """Where a text first stands in a file; -1 for nowhere."""
+    file.seek(0)
+    start, data = 0, b""
+    while piece := file.read(PIECE):
+        data += piece
+        found = data.find(text)
+        if found >= 0:
+            return start + found
+        kept = min(len(text) - 1, len(data))
+        start, data = start + len(data) - kept, data[len(data) - kept :]
+    return -1
+
+
+def _hash(file: BinaryIO, place: int) -> str:
     """SHA-256 of a file with the seal at `place` taken as open."""
-    end = place + len(OPEN_SEAL)
     whole = hashlib.sha256()
-    for first, last in ((0, place), (end, len(data))):
-        if first == end:
-            whole.update(OPEN_SEAL.encode("ascii"))
-        for start in range(first, last, PIECE):
-            whole.update(data[start : min(start + PIECE, last)])
+    file.seek(0)
+    left = place
+    while piece := file.read(min(PIECE, left)):
+        whole.update(piece)
+        left -= len(piece)
+    whole.update(OPEN_SEAL.encode("ascii"))
+    file.seek(place + len(OPEN_SEAL))
+    while piece := file.read(PIECE):
+        whole.update(piece)
     return whole.hexdigest()
