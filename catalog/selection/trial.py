@@ -11,18 +11,16 @@ the finest.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher, match_similarity
 from catalog.rendering.map_view import render_map
+from catalog.selection.trial_picture import FINER, picture_of, side_under
 
 Grid = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
-
-FINER = 2  # the picture's ground has this many nodes to one of the reference
 
 
 class Level(NamedTuple):
@@ -97,12 +95,6 @@ class Search(NamedTuple):
     scales: tuple[float, ...] = (0.92, 1.0, 1.08)
 
 
-PSF_SIGMA_PX = 0.7
-BITS = 8
-# the brightest percent of a picture may saturate: exposure is set by what is seen
-EXPOSURE_PERCENTILE = 99.5
-
-
 # A window turned by 6 deg and shrunk by 10 % reaches over this much more ground.
 WINDOW_REACH = 1.25
 
@@ -157,46 +149,6 @@ def distortion(circumstances: Circumstances) -> FloatArray:
     return np.asarray(turn @ squeeze)
 
 
-def picture_of(
-    brightness: Grid,
-    ground_from_picture: FloatArray,
-    origin: FloatArray,
-    size: int,
-    averaging: int,
-    snr: float,
-    rng: np.random.Generator,
-) -> Grid:
-    """The resampled picture (size, size): blurred, sampled, noisy, in 8 bits.
-
-    brightness           (t, t)  on the truth grid
-    ground_from_picture  (2, 2)  offsets in the picture to offsets on the truth grid, node to node,
-                                 x along columns, y along rows
-    origin               (2,)    truth column and row under the picture's centre
-    averaging                    picture pixels averaged into one node, each way: lowers the noise
-    """
-    # a pixel integrates over its own area: a box of one node has sigma 1/sqrt(12)
-    sigma = FINER * np.hypot(PSF_SIGMA_PX / averaging, 1.0 / np.sqrt(12.0))
-    blurred = cv2.GaussianBlur(brightness, (0, 0), float(sigma))
-    centre = np.full(2, (size - 1) / 2.0)
-    matrix = np.column_stack([ground_from_picture, origin - ground_from_picture @ centre])
-    sampled = cv2.warpAffine(
-        blurred,
-        matrix,
-        (size, size),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=float("nan"),
-    )
-    valid = np.isfinite(sampled)
-    if not valid.any():
-        return np.asarray(sampled, dtype=np.float32)
-    noise = rng.standard_normal((size, size), dtype=np.float32)
-    sampled = sampled + noise * np.float32(float(sampled[valid].mean()) / (snr * averaging))
-    white = max(float(np.percentile(sampled[valid], EXPOSURE_PERCENTILE)), 1e-6)
-    counts = 2**BITS - 1
-    return np.asarray(np.clip(np.rint(sampled * (counts / white)), 0, counts), dtype=np.float32)
-
-
 def run_trial(
     levels: Sequence[Level],
     circumstances: Circumstances,
@@ -235,8 +187,14 @@ def run_trial(
             ),
             search.template_nodes,
         )
+        room = search.coarse_nodes if coarsest else search.fine_nodes
+        window = search.template_nodes + 2 * room
+        offset = ground_from_picture @ (place - circumstances.shift_m) / level.posting_m
+        offset = FINER * _FLIP @ offset
+        truth_from_picture = FINER * _FLIP @ ground_from_picture @ believed @ _FLIP
+        side = side_under(truth_from_picture, offset, window, level.truth.shape[0])
         seen = render_map(
-            level.truth,
+            _centre(level.truth, side),
             level.posting_m / FINER,
             circumstances.sun_local,
             view_local=circumstances.view_local,
@@ -245,14 +203,11 @@ def run_trial(
             quick=True,
             outer=around,
         )
-        room = search.coarse_nodes if coarsest else search.fine_nodes
-        offset = ground_from_picture @ (place - circumstances.shift_m) / level.posting_m
-        middle = (seen.shape[0] - 1) / 2.0
         picture = picture_of(
             seen,
-            FINER * _FLIP @ ground_from_picture @ believed @ _FLIP,
-            middle + FINER * _FLIP @ offset,
-            search.template_nodes + 2 * room,
+            truth_from_picture,
+            offset + (side - 1) / 2.0,
+            window,
             round(level.posting_m / levels[0].posting_m),
             circumstances.snr,
             rng,

@@ -10,7 +10,6 @@ from catalog.control_point import Patch
 from catalog.geometry.projection import Stereographic
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.trial import (
-    FINER,
     Gate,
     Level,
     Outcome,
@@ -19,6 +18,7 @@ from catalog.selection.trial import (
     run_trial,
     truth_size,
 )
+from catalog.selection.trial_picture import FINER
 from catalog.terrain.detail import Detail
 from catalog.terrain.mosaic import Mosaic
 

@@ -5,17 +5,16 @@ import numpy as np
 import pytest
 
 from catalog.selection.trial import (
-    FINER,
     Circumstances,
     Gate,
     Level,
     Search,
     distortion,
     draw_circumstances,
-    picture_of,
     run_trial,
     truth_size,
 )
+from catalog.selection.trial_picture import FINER, exposed, picture_of, side_under
 
 MOON_M = 1_737_400.0
 POSTING_M = 100.0
@@ -162,3 +161,39 @@ def test_the_truth_covers_every_window_that_can_be_asked_for():
     picture = picture_of(bright, FINER * inverse, centre, window, 1, 1e9, np.random.default_rng(2))
     assert np.isfinite(picture).all()
     assert cv2.countNonZero(picture) == picture.size
+
+
+def test_exposure_is_numpy_s_percentile_of_the_noisy_picture():
+    rng = np.random.default_rng(3)
+    for shape in ((80, 80), (37, 51), (3, 3)):
+        sampled = rng.uniform(0.05, 0.2, shape).astype(np.float32)
+        sampled[0, :2] = np.nan
+        noise = rng.standard_normal(shape, dtype=np.float32)
+        noisy = sampled + noise * np.float32(np.nanmean(sampled) * 0.08)
+        white = np.nanpercentile(noisy, 99.5)
+        wanted = np.clip(np.rint(noisy * (255.0 / white)), 0, 255)
+        found = exposed(sampled, noise, 0.08)
+        assert np.array_equal(np.isnan(found), np.isnan(sampled))
+        # a count may fall to the other side of a half
+        assert np.nanmax(np.abs(found - wanted)) <= 1.0
+        assert ((found != wanted) & ~np.isnan(wanted)).sum() <= 1 + sampled.size // 100
+    assert np.isnan(exposed(np.full((4, 4), np.nan, np.float32), noise[:1, :1], 0.1)).all()
+
+
+def test_the_part_of_the_truth_under_a_picture_gives_the_same_picture():
+    rng = np.random.default_rng(4)
+    truth = rng.uniform(0.1, 0.2, (200, 200)).astype(np.float32)
+    for _ in range(10):
+        matrix = FINER * np.linalg.inv(
+            distortion(circumstances(roll=rng.uniform(-0.1, 0.1), scale=rng.uniform(0.95, 1.1)))
+        )
+        offset = rng.uniform(-5.0, 5.0, 2)
+        side = side_under(matrix, offset, 64, 200)
+        assert side < 200
+        cut = slice(100 - side // 2, 100 + side // 2)
+        seed = np.random.default_rng(5), np.random.default_rng(5)
+        whole = picture_of(truth, matrix, 99.5 + offset, 64, 1, 1e9, seed[0])
+        part = picture_of(truth[cut, cut], matrix, (side - 1) / 2 + offset, 64, 1, 1e9, seed[1])
+        # warpAffine rounds its coordinates: a count here and there
+        np.testing.assert_allclose(part, whole, atol=1.0)
+        assert (part == whole).mean() > 0.95
