@@ -42,8 +42,10 @@ def lines(found: Comparison) -> Iterator[str]:
         meta = side.meta
         yield f"{name}: {side.path}: {meta.count} control points, {meta.usable} usable"
         yield f"{name}_digest: {meta.digest}"
-    for change in found.provenance:
+    for change in found.provenance[:SHOWN]:
         yield f"not content: {change.name}: {change.first} -> {change.second}"
+    if len(found.provenance) > SHOWN:
+        yield f"not content: and {len(found.provenance) - SHOWN} more"
     for change in found.settings:
         yield f"setting: {change.name}: {change.first} -> {change.second}"
     if not found.comparable:

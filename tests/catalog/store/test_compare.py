@@ -65,6 +65,13 @@ def test_time_program_config_and_hashes_are_told_but_are_no_content(
     assert "zweite" not in told
 
 
+def test_a_config_that_is_quite_another_is_cut_short(against: Callable[..., Comparison]) -> None:
+    found = against(config="".join(f"key_{n} = {n}\n" for n in range(30)))
+    told = [line for line in lines(found) if line.startswith("not content: ")]
+    assert len(told) == SHOWN + 1
+    assert told[-1] == f"not content: and {31 - SHOWN} more"  # and [body] name, which is gone
+
+
 def test_points_in_one_catalog_only_are_named(
     world: Any, against: Callable[..., Comparison]
 ) -> None:
