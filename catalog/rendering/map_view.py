@@ -1,7 +1,5 @@
 """A map grid rendered in its own projection: each node's brightness under a Sun and a view."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,7 +9,7 @@ from catalog.photometry.lommel_seeliger import NORMAL_ALBEDO
 from catalog.photometry.lunar_lambert import lunar_weight
 from catalog.rendering import shading
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE, shade_hapke, slope_table
-from catalog.rendering.shadow import lit_mask
+from catalog.rendering.shadow import Outer, lit_mask
 
 HeightGrid = NDArray[np.float32]
 BoolGrid = NDArray[np.bool_]
@@ -45,7 +43,7 @@ def render_map(
     view_local: ArrayLike | None = None,
     camera_local: ArrayLike | None = None,
     law: str = "hapke",
-    outer: Sequence[tuple[HeightGrid, float]] = (),
+    outer: Outer = (),
     shadows: bool = True,
     surface: HapkeParameters = LUNAR,
     albedo: float = NORMAL_ALBEDO,
@@ -60,7 +58,8 @@ def render_map(
     view_local    (3,)  direction to a far camera; without it and a camera, straight up
     camera_local  (3,)  place of a near camera, m from the centre's foot on the reference sphere
     law           "hapke", "lommel_seeliger", "lunar_lambert" or "lambert"
-    outer         coarser grids about the same centre that throw shadows in, as for `lit_mask`
+    outer         coarser grids about the same centre that throw shadows in, or their field, as for
+                  `lit_mask`
     shadows       cast shadows; without them only what faces away from the Sun is dark
     surface       parameters of the Hapke law
     albedo        normal albedo of the other laws

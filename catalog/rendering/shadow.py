@@ -12,6 +12,7 @@ thousandth at the rim of a 100 km tile on the Moon). The Sun is a point (its dis
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -135,12 +136,37 @@ def _sweep(
         near[0] -= rise
 
 
+class ShadowField(NamedTuple):
+    """What terrain on coarser grids throws over a point, for one Sun; see `shadow_field`.
+
+    heights    (m, m)  height that ground must pass to see the Sun, in the order of the sweep;
+               (0, 0) when nothing throws shadows
+    posting_m  m between its nodes
+    """
+
+    heights: FloatArray
+    posting_m: float
+
+
+Outer = Sequence[tuple[HeightGrid, float]] | ShadowField
+
+
+class _Sweep(NamedTuple):
+    """How grids are swept under a Sun; see `_sweep`. swap: columns stand for rows."""
+
+    swap: bool
+    flip_t: bool
+    flip_c: bool
+    shear: float
+    climb: float
+
+
 def lit_mask(
     heights: HeightGrid,
     posting_m: float,
     sun_local: ArrayLike,
     radius_m: float,
-    outer: Sequence[tuple[HeightGrid, float]] = (),
+    outer: Outer = (),
 ) -> BoolGrid:
     """Which nodes of a map grid see the Sun over the ground between.
 
@@ -149,50 +175,92 @@ def lit_mask(
     sun_local  (3,)   direction to the Sun, any length, east, north, up at the grid's centre
     radius_m   radius of the reference sphere
     outer      (heights, posting_m) of coarser grids about the same centre, finer first: what lies
-               beyond the grid before them and throws its shadow into it
+               beyond the grid before them and throws its shadow into it; or their `shadow_field`
+               under this Sun
     Returns (n, n) bool; nodes without data are False. All False for a Sun at or below the
     horizon of the centre.
     Raises ValueError for a grid that is not square or a Sun of no length.
     """
-    sun = np.asarray(sun_local, dtype=np.float64)
-    length = float(np.linalg.norm(sun))
-    if heights.ndim != 2 or heights.shape[0] != heights.shape[1] or heights.shape[0] < 2:
-        raise ValueError(f"lit_mask: a map grid is square, at least 2 x 2, not {heights.shape}")
-    if not length > 0.0:
-        raise ValueError("lit_mask: the Sun's direction has no length")
-    east, north, up = (float(value) for value in sun / length)
+    _refuse_shape(heights, "a map grid")
+    up, sweep = _sweep_of(sun_local)
     valid = ~np.isnan(heights)
     if up <= 0.0:
         return np.zeros(heights.shape, dtype=np.bool_)
+    if sweep is None:
+        return valid
+    field = outer if isinstance(outer, ShadowField) else shadow_field(outer, sun_local, radius_m)
+    lit = np.empty(heights.shape, dtype=np.bool_)
+    _swept(heights, posting_m, radius_m, sweep, field, NO_FIELD, lit)
+    if sweep.swap:
+        lit = cv2.transpose(lit.view(np.uint8)).view(np.bool_)
+    return np.asarray(lit & valid)
+
+
+def shadow_field(
+    grids: Sequence[tuple[HeightGrid, float]],
+    sun_local: ArrayLike,
+    radius_m: float,
+    beyond: ShadowField | None = None,
+) -> ShadowField:
+    """The shadows that coarser grids throw, for several finer grids under the same Sun.
+
+    grids   (heights, posting_m) about the same centre, finer first, as `lit_mask` takes them
+    beyond  the field of still coarser ones
+    Raises ValueError for a grid that is not square or a Sun of no length.
+    """
+    up, sweep = _sweep_of(sun_local)
+    field = beyond or ShadowField(NO_FIELD, 1.0)
+    for grid, posting in reversed(grids):
+        _refuse_shape(grid, "an outer map grid")
+        if up <= 0.0 or sweep is None:
+            continue
+        finer = np.empty(grid.shape)
+        _swept(grid, posting, radius_m, sweep, field, finer, NO_MASK)
+        field = ShadowField(finer, float(posting))
+    return field
+
+
+def _sweep_of(sun_local: ArrayLike) -> tuple[float, _Sweep | None]:
+    """Sine of the Sun's elevation, and the way to sweep; None for a Sun overhead."""
+    sun = np.asarray(sun_local, dtype=np.float64)
+    length = float(np.linalg.norm(sun))
+    if not length > 0.0:
+        raise ValueError("lit_mask: the Sun's direction has no length")
+    east, north, up = (float(value) for value in sun / length)
     swap = abs(east) > abs(north)
     # row 0 is north, column 0 west: rows are swept from the Sun's side
     along, across = (east, north) if swap else (north, east)
-    if max(abs(along), abs(across)) < 1e-9 * up:
-        return valid  # overhead
-    flip_t = along > 0.0 if swap else along < 0.0
-    # a line runs away from the Sun; mirrored so that it runs to higher columns
-    flip_c = across < 0.0 if swap else across > 0.0
-    shear = abs(across) / abs(along)
-    climb = up / abs(along)  # m a metre along the swept axis
+    if max(abs(along), abs(across)) < 1e-9 * abs(up):
+        return up, None
+    return up, _Sweep(
+        swap=swap,
+        flip_t=along > 0.0 if swap else along < 0.0,
+        # a line runs away from the Sun; mirrored so that it runs to higher columns
+        flip_c=across < 0.0 if swap else across > 0.0,
+        shear=abs(across) / abs(along),
+        climb=up / abs(along),  # m a metre along the swept axis
+    )
 
-    field, outer_posting = NO_FIELD, 1.0
-    for grid, posting in reversed(outer):
-        if grid.ndim != 2 or grid.shape[0] != grid.shape[1] or grid.shape[0] < 2:
-            raise ValueError(f"lit_mask: an outer map grid is square, not {grid.shape}")
-        finer = np.empty(grid.shape)
-        _sweep(
-            _rows_along(grid, swap), float(posting), float(radius_m), flip_t, flip_c, shear, climb,
-            field, posting / outer_posting, finer, NO_MASK,
-        )  # fmt: skip
-        field, outer_posting = finer, float(posting)
-    lit = np.empty(heights.shape, dtype=np.bool_)
+
+def _swept(
+    grid: HeightGrid,
+    posting_m: float,
+    radius_m: float,
+    sweep: _Sweep,
+    outer: ShadowField,
+    field: FloatArray,
+    lit: BoolGrid,
+) -> None:
     _sweep(
-        _rows_along(heights, swap), float(posting_m), float(radius_m), flip_t, flip_c, shear, climb,
-        field, posting_m / outer_posting, NO_FIELD, lit,
+        _rows_along(grid, sweep.swap), float(posting_m), float(radius_m), sweep.flip_t,
+        sweep.flip_c, sweep.shear, sweep.climb, outer.heights, posting_m / outer.posting_m, field,
+        lit,
     )  # fmt: skip
-    if swap:
-        lit = cv2.transpose(lit.view(np.uint8)).view(np.bool_)
-    return np.asarray(lit & valid)
+
+
+def _refuse_shape(grid: HeightGrid, what: str) -> None:
+    if grid.ndim != 2 or grid.shape[0] != grid.shape[1] or grid.shape[0] < 2:
+        raise ValueError(f"lit_mask: {what} is square, at least 2 x 2, not {grid.shape}")
 
 
 def _rows_along(grid: HeightGrid, swap: bool) -> HeightGrid:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher, match_similarity
 from catalog.rendering.map_view import render_map
+from catalog.rendering.shadow import shadow_field
 from catalog.selection.trial_picture import FINER, picture_of, side_under
 
 Grid = NDArray[np.float32]
@@ -172,15 +173,19 @@ def run_trial(
     ground_from_picture = np.linalg.inv(distortion(circumstances))
     believed = np.eye(2)  # picture from ground, as far as the search knows
     place = np.zeros(2)  # where the point is believed to lie in the picture, m east and north
+    sun = circumstances.sun_local
+    around = shadow_field(outer, sun, radius_m)
     for number in range(len(levels) - 1, -1, -1):
         level = levels[number]
         coarsest = number == len(levels) - 1
-        around = [(o.reference, o.posting_m) for o in levels[number + 1 :]] + list(outer)
+        if not coarsest:  # one grid further than the level before it
+            above = levels[number + 1]
+            around = shadow_field([(above.reference, above.posting_m)], sun, radius_m, around)
         template = _centre(
             render_map(
                 level.reference,
                 level.posting_m,
-                circumstances.sun_local,
+                sun,
                 law="lommel_seeliger",
                 radius_m=radius_m,
                 outer=around,
@@ -196,7 +201,7 @@ def run_trial(
         seen = render_map(
             _centre(level.truth, side),
             level.posting_m / FINER,
-            circumstances.sun_local,
+            sun,
             view_local=circumstances.view_local,
             law="hapke",
             radius_m=radius_m,

@@ -9,7 +9,7 @@ import rasterio
 from catalog.config import resource
 from catalog.geometry.grid import halve
 from catalog.geometry.projection import Stereographic, node_grid
-from catalog.rendering.shadow import halo, lit_mask
+from catalog.rendering.shadow import halo, lit_mask, shadow_field
 from catalog.terrain.raycast import sees
 
 MOON_M = 1_737_400.0
@@ -89,6 +89,13 @@ def test_ground_beyond_the_tile_throws_its_shadow_in(elevation, azimuth):
     assert (joined == truth).mean() > 0.97
     assert (joined == truth).mean() >= (alone == truth).mean()
     assert not (joined & ~alone).any()
+    # the field of the outer grids, made once or grid by grid, throws the same shadows
+    towards = sun(elevation, azimuth)
+    field = shadow_field(outer[:1], towards, MOON_M, shadow_field(outer[1:], towards, MOON_M))
+    np.testing.assert_array_equal(lit_mask(patch, POSTING_M, towards, MOON_M, field), joined)
+    for high in (sun(90.0, 0.0), sun(-5.0, 30.0)):  # overhead, below the horizon
+        field = shadow_field(outer, high, MOON_M)
+        assert (lit_mask(patch, POSTING_M, high, MOON_M, field) == (high[2] > 0.0)).all()
 
 
 def test_no_data_is_dark_and_throws_no_shadow():
