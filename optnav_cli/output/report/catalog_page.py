@@ -31,6 +31,7 @@ from optnav_cli.output.report.catalog_plots import (
 )
 from optnav_cli.output.report.gallery import gallery
 from optnav_cli.output.report.page import (
+    counted,
     folded,
     grouped,
     listing,
@@ -79,7 +80,7 @@ def catalog_page(catalog: Catalog) -> str:
         sections.append(gallery(catalog))
     sections.append(_made_from(catalog))
     subtitle = (
-        f"{grouped(len(catalog))} control points, {grouped(_usable(catalog))} usable; "
+        f"{counted(len(catalog), 'control point')}, {grouped(_usable(catalog))} usable; "
         f"{meta.levels} levels of {meta.size} nodes, {meta.posting_m:.6g} m between the finest."
     )
     title = f"{meta.body.capitalize()}: catalog {catalog.path.name}"
@@ -209,7 +210,7 @@ def _reasons(catalog: Catalog) -> str:
         rows.append((UNTOLD, grouped(int(firsts[-1])), "", "", grouped(int(firsts[-1]))))
     header = ("why points are not usable", "points", "of all", "for this alone", "so on the map")
     return paragraph(
-        f"{grouped(flags.size)} points are not usable; one may have several reasons."
+        f"{counted(flags.size, 'point')} not usable; one may have several reasons."
     ) + table(header, rows)
 
 

@@ -15,6 +15,7 @@ from optnav_cli.output.report.views import THIRD
 FloatArray = NDArray[np.float64]
 BINS = 32
 BAND_DEG = 10.0
+LEAST_TOP = 5.0  # of a histogram, so that its ticks are whole numbers
 HALF_HEIGHT = 330
 STRIP = 0.05  # height of the colour bar, share of the histogram's
 MOST_EXACT_TRIALS = 24  # rates of so many trials have a bar each
@@ -39,7 +40,7 @@ def histogram(
     known = np.isfinite(values)
     inside = np.clip(values, edges[0], edges[-1])
     good, bad = (np.histogram(inside[known & choice], edges)[0] for choice in (usable, ~usable))
-    top = 1.08 * max(float((good + bad).max()), 1.0)
+    top = 1.08 * max(float((good + bad).max()), LEAST_TOP)
     width, height = (THIRD, THIRD) if wide else (HALF, HALF_HEIGHT)
     plot = Plot(
         (float(edges[0]), float(edges[-1])), (-STRIP * top, top), x_label=label, y_label="points",

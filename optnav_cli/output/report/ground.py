@@ -71,10 +71,10 @@ class GroundMap:
                 (-180.0, 180.0), (-90.0, 90.0), x_label="longitude, deg", y_label="latitude, deg",
                 width=width, height=WHOLE_HEIGHT, equal=True,
             )  # fmt: skip
-        lat0, lon0 = (round(v, 2) for v in self.centre_deg)
+        lat0, lon0 = (number_text(round(v, 2)) + DEGREE for v in self.centre_deg)
         plot = Plot(
             span(x, 0.04), span(y, 0.04), width=width, height=height, equal=True, axes=False,
-            x_label=f"stereographic about {lat0:g}{DEGREE}, {lon0:g}{DEGREE}; "
+            x_label=f"stereographic about {lat0}, {lon0}; "
             f"the map is {self._across_km(x, y, width, height):.0f} km wide",
         )  # fmt: skip
         self._graticule(plot)
@@ -119,7 +119,7 @@ class GroundMap:
         at = np.array([float(plot.px(place[0])), float(plot.py(place[1]))])
         if all(np.linalg.norm(at - other) > LABEL_ROOM_PX for other in taken):
             taken.append(at)
-            plot.text(*place, number_text(round(value, 3)) + DEGREE)
+            plot.text(*place, number_text(round(value, 3)) + DEGREE, "place")
 
 
 def _entry(plot: Plot, x: FloatArray, y: FloatArray) -> tuple[float, float] | None:

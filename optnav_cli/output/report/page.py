@@ -60,10 +60,6 @@ figure { margin: .8rem 0; } figcaption { color: var(--soft); font-size: .86rem; 
   gap: .1rem 1.1rem; } .legend .key { margin-left: 0; border: 1px solid var(--soft); }
 .note { border-left: 4px solid var(--c2); padding: .1rem .8rem; }
 svg { width: 100%; height: auto; display: block; }
-@media (max-width: 40rem) { body { padding: 1rem .7rem 3rem; } svg.wide text { font-size: 22px; }
-  .triple { grid-template-columns: repeat(2, minmax(0, 1fr)); }
-  .triple > :last-child { grid-column: 1 / -1; }
-  .patches { grid-template-columns: repeat(3, minmax(0, 1fr)); } }
 svg text { fill: var(--ink); font: 12px system-ui, "DejaVu Sans", sans-serif; }
 svg text.tick { fill: var(--soft); font-size: 11px; }
 svg .grid { stroke: var(--rule); stroke-width: 1; }
@@ -88,6 +84,11 @@ svg .s4 { fill: var(--c4); } svg .muted { fill: var(--soft); } svg .line { fill:
 details { margin: .5rem 0; } summary { cursor: pointer; }
 pre { background: var(--tile); border-radius: 8px; padding: .8rem; font-size: .8rem;
   white-space: pre-wrap; overflow-wrap: anywhere; }
+@media (max-width: 40rem) { body { padding: 1rem .7rem 3rem; }
+  svg.wide text.halo, svg.wide text.place, svg.wide text.label { font-size: 24px; }
+  .triple { grid-template-columns: repeat(2, minmax(0, 1fr)); }
+  .triple > :last-child { grid-column: 1 / -1; }
+  .patches { grid-template-columns: repeat(3, minmax(0, 1fr)); } }
 """
 
 
@@ -164,8 +165,13 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], text_columns: in
 
 
 def grouped(number: int) -> str:
-    """A whole number with thin spaces between its thousands."""
-    return f"{number:,}".replace(",", "\N{THIN SPACE}" if number >= 10000 else "")
+    """A whole number with narrow spaces, where no line breaks, between its thousands."""
+    return f"{number:,}".replace(",", "\N{NARROW NO-BREAK SPACE}" if number >= 10000 else "")
+
+
+def counted(number: int, thing: str) -> str:
+    """How many of a thing there are: "1 point", "2 points"."""
+    return f"{grouped(number)} {thing}{'' if number == 1 else 's'}"
 
 
 def percent(part: int, total: int) -> str:

@@ -72,6 +72,7 @@ def test_poles_and_the_date_line_and_single_cells_are_drawn(tmp_path, lat, lon, 
     page = report_of(path, tmp_path)
     assert "Usable control points" in page.text
     assert "not known" not in page.text
+    assert page.text.count("1 control point,") == (count == 1)
 
 
 def test_a_catalog_without_a_usable_point_says_so(tmp_path):
