@@ -37,6 +37,17 @@ class Conversion:
         _convert(np.ascontiguousarray(raw), self.scale_m, self.offset_m, *self.limits, out)
         return out
 
+    def average_columns(self, raw: NDArray[Any], many: int, out: HeightGrid) -> None:
+        """Mean heights over `many` counts of a row; at least half of them must be valid.
+
+        raw (rows, cols); out (rows, at least cols / many rounded up)
+        """
+        _average(np.ascontiguousarray(raw), many, self.scale_m, self.offset_m, *self.limits, out)
+
+
+# of overviews, which hold heights
+HEIGHTS = Conversion(1.0, 0.0, None, -math.inf)
+
 
 @kernel
 def is_height(value: float, lowest_valid: float, nodata: float, nodata32: float) -> bool:
@@ -61,3 +72,28 @@ def _convert(
                 out[i, j] = value * scale + offset
             else:
                 out[i, j] = np.nan
+
+
+@kernel
+def _average(
+    raw: NDArray[Any],
+    many: int,
+    scale: float,
+    offset: float,
+    lowest_valid: float,
+    nodata: float,
+    nodata32: float,
+    out: HeightGrid,
+) -> None:
+    cols = raw.shape[1]
+    for i in range(raw.shape[0]):
+        for k in range((cols + many - 1) // many):
+            total, valid = 0.0, 0
+            end = min((k + 1) * many, cols)
+            for j in range(k * many, end):
+                value = float(raw[i, j])
+                if is_height(value, lowest_valid, nodata, nodata32):
+                    total += value
+                    valid += 1
+            enough = valid > 0 and 2 * valid >= end - k * many
+            out[i, k] = total / valid * scale + offset if enough else np.nan

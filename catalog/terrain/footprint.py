@@ -14,6 +14,7 @@ from catalog.terrain.level_window import LevelWindows, halvings_for
 from catalog.terrain.map_nodes import Pixels
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 HeightGrid = NDArray[np.float32]
 
 # A window larger than this (pixels, 64 MB) is cut into pieces: scattered points must not pull the
@@ -33,48 +34,31 @@ def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> Height
     rows_wide  rows of the level that a footprint is high
     """
     out = np.full(pixels.row.size, np.nan, dtype=np.float32)
-    if not pixels.row.size:
-        return out
-    extent = _extent(*pixels)
-    chosen = None
-    if not _inside(base, *extent, rows_wide):
+    chosen = np.arange(pixels.row.size)
+    if chosen.size and not _inside(base, _extent(*pixels, chosen)):
         chosen = np.flatnonzero(_inside_each(base, pixels, rows_wide))
-        if not chosen.size:
-            return out
-        pixels = pixels.part(chosen)
-        extent = _extent(*pixels)
-    fewest = halvings_for(extent[4] * rows_wide, base.most_halvings)
-    most = halvings_for(extent[5] * rows_wide, base.most_halvings)
+    if not chosen.size:
+        return out
+    extent = _extent(*pixels, chosen)
+    fewest, most = (halvings_for(wide * rows_wide, base.most_halvings) for wide in extent[4:])
     if fewest == most:
-        found = _in_pieces(base.halved(fewest), pixels, rows_wide, extent)
-    else:
-        found = np.empty(pixels.row.size, dtype=np.float32)
-        halvings = _halvings(pixels.crowding, rows_wide, most)
-        for count in range(fewest, most + 1):
-            those = np.flatnonzero(halvings == count)
-            if those.size:
-                part = pixels.part(those)
-                found[those] = _in_pieces(base.halved(count), part, rows_wide, _extent(*part))
-    if chosen is None:
-        return found
-    out[chosen] = found
+        _in_pieces(base.halved(fewest), pixels, chosen, rows_wide, out)
+        return out
+    halvings = _halvings(pixels.crowding, rows_wide, base.most_halvings)
+    for count in range(fewest, most + 1):
+        those = chosen[halvings[chosen] == count]
+        if those.size:
+            _in_pieces(base.halved(count), pixels, those, rows_wide, out)
     return out
 
 
 Extent = tuple[float, float, float, float, float, float]
 
 
-def _inside(
-    base: LevelWindows,
-    top: float,
-    bottom: float,
-    left: float,
-    right: float,
-    narrow: float,
-    wide: float,
-    rows_wide: float,
-) -> bool:
+def _inside(base: LevelWindows, extent: Extent) -> bool:
+    """Whether all points lie in the raster."""
     rows, cols = base.raster_shape
+    top, bottom, left, right, _, _ = extent
     if not (top >= -0.5 and bottom <= rows - 0.5):
         return False
     return base.wraps or (left >= -0.5 and right <= cols - 0.5)
@@ -89,23 +73,20 @@ def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> NDArra
     return np.asarray(inside)
 
 
-def _in_pieces(sheet: LevelWindows, pixels: Pixels, rows_wide: float, extent: Extent) -> HeightGrid:
+def _in_pieces(
+    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: HeightGrid
+) -> None:
     """Sample through one window, or through one for each part of the raster that is touched."""
-    out = np.empty(pixels.row.size, dtype=np.float32)
-    _, _, height, width = _bounds(sheet, rows_wide, extent)
+    _, _, height, width = _bounds(sheet, rows_wide, _extent(*pixels, chosen))
     if height * width <= LARGEST_WINDOW:
-        _through_window(sheet, pixels, rows_wide, extent, out)
-        return out
-    row = pixels.row / (PIECE * sheet.scale)
-    col = pixels.col / (PIECE * sheet.scale * sheet.squeeze)
+        _through_window(sheet, pixels, chosen, rows_wide, out)
+        return
+    row = pixels.row[chosen] / (PIECE * sheet.scale)
+    col = pixels.col[chosen] / (PIECE * sheet.scale * sheet.squeeze)
     key = np.floor(row) * 1e6 + np.floor(col)
     order = np.argsort(key, kind="stable")
     for those in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        part = pixels.part(those)
-        piece = np.empty(those.size, dtype=np.float32)
-        _through_window(sheet, part, rows_wide, _extent(*part), piece)
-        out[those] = piece
-    return out
+        _through_window(sheet, pixels, chosen[those], rows_wide, out)
 
 
 def _bounds(sheet: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int, int, int, int]:
@@ -122,14 +103,15 @@ def _bounds(sheet: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int,
 
 
 def _through_window(
-    sheet: LevelWindows, pixels: Pixels, rows_wide: float, extent: Extent, out: HeightGrid
+    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: HeightGrid
 ) -> None:
-    row0, col0, height, width = _bounds(sheet, rows_wide, extent)
+    row0, col0, height, width = _bounds(sheet, rows_wide, _extent(*pixels, chosen))
     _means(
         sheet.window(row0, col0, height, width),
         pixels.row,
         pixels.col,
         pixels.crowding,
+        chosen,
         1.0 / sheet.scale,
         1.0 / (sheet.scale * sheet.squeeze),
         row0,
@@ -142,12 +124,13 @@ def _through_window(
 
 
 @kernel
-def _extent(row: FloatArray, col: FloatArray, crowding: FloatArray) -> Extent:
-    """Least and largest row, column and crowding."""
-    top, bottom = row[0], row[0]
-    left, right = col[0], col[0]
-    narrow, wide = crowding[0], crowding[0]
-    for i in range(row.size):
+def _extent(row: FloatArray, col: FloatArray, crowding: FloatArray, chosen: IntArray) -> Extent:
+    """Least and largest row, column and crowding of the chosen points."""
+    i = chosen[0]
+    top, bottom = row[i], row[i]
+    left, right = col[i], col[i]
+    narrow, wide = crowding[i], crowding[i]
+    for i in chosen:
         top, bottom = min(top, row[i]), max(bottom, row[i])
         left, right = min(left, col[i]), max(right, col[i])
         narrow, wide = min(narrow, crowding[i]), max(wide, crowding[i])
@@ -169,6 +152,7 @@ def _means(
     rows: FloatArray,
     cols: FloatArray,
     crowding: FloatArray,
+    chosen: IntArray,
     per_row: float,
     per_col: float,
     row0: int,
@@ -185,7 +169,7 @@ def _means(
     down = _samples(rows_wide, MOST_ROWS)
     inner_rows, inner_cols = window.shape[0] - 2.0, window.shape[1] - 2.0
     row_weights, col_weights = np.zeros(2 * MOST_ROWS + 8), np.zeros(2 * MOST_COLUMNS + 8)
-    for i in range(rows.size):
+    for i in chosen:
         row = (rows[i] + 0.5) * per_row - 0.5 - row0
         col = (cols[i] + 0.5) * per_col - 0.5 - col0
         wide = min(crowding[i] * crowding_wide, widest)

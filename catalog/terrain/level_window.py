@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.geometry.kernel import kernel
+from catalog.terrain.conversion import HEIGHTS
 from catalog.terrain.pyramid import POLE_TOLERANCE, HeightPyramid
 
 HeightGrid = NDArray[np.float32]
@@ -152,7 +153,7 @@ class LevelWindows:
             finer = self._base.halved(self.halvings - 1)
             for part in range(2 * along, min(2 * along + 2, -(-finer.shape[1] // TILE))):
                 at = (part - 2 * along) * (TILE // 2)
-                average_columns(finer._tile(down, part), 2, out[:, at : at + TILE // 2])
+                HEIGHTS.average_columns(finer._tile(down, part), 2, out[:, at : at + TILE // 2])
             return out
         # straight from the level: what lies between is nowhere asked for
         many = 1 << self.halvings
@@ -161,8 +162,8 @@ class LevelWindows:
         for at in range(0, width, step):
             first = (col + at) * many
             count = min(min(step, width - at) * many, last - first)
-            read = self.pyramid.read(self.level, row, first, height, count)
-            average_columns(read, many, out[:, at : at + step])
+            raw, convert = self.pyramid.read_raw(self.level, row, first, height, count)
+            convert.average_columns(raw, many, out[:, at : at + step])
         return out
 
     def least_halvings(self, down: int) -> int:
@@ -185,22 +186,3 @@ def halvings_for(wide: float, most: int) -> int:
     while wide >= 3.0 and count < most:
         wide, count = wide * 0.5, count + 1
     return count
-
-
-@kernel
-def average_columns(grid: HeightGrid, many: int, out: HeightGrid) -> None:
-    """Means over `many` columns; a mean needs at least half of its values, NaN otherwise.
-
-    grid (rows, at most many n columns), out (rows, at least n columns)
-    """
-    cols = grid.shape[1]
-    for i in range(grid.shape[0]):
-        for k in range((cols + many - 1) // many):
-            total, valid = 0.0, 0
-            end = min((k + 1) * many, cols)
-            for j in range(k * many, end):
-                value = grid[i, j]
-                if value == value:
-                    total += value
-                    valid += 1
-            out[i, k] = total / valid if valid > 0 and 2 * valid >= end - k * many else np.nan

@@ -22,7 +22,7 @@ from rasterio.windows import Window
 from catalog.errors import DataError, OutputError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
-from catalog.terrain.conversion import Conversion, is_height
+from catalog.terrain.conversion import HEIGHTS, is_height
 from catalog.terrain.source import DemSettings, DemSource
 
 FORMAT = 1  # of the overview folder; another number means: make it again
@@ -137,8 +137,7 @@ def _cascade(
     """Make `made` levels above level `first` in one pass over it; statistics come from level 0."""
     shape = level_shape(source.shape, first)
     step = 2.0 ** math.floor(math.log2(source.posting_m * ROUNDING))
-    identity = Conversion(1.0, 0.0, None, -math.inf)
-    convert = source.convert if first == 0 else identity
+    convert = source.convert if first == 0 else HEIGHTS
     path = level_path(folder, first) if first > 0 or copied else None
     windows = [
         (row, col, min(WINDOW, shape[0] - row), min(WINDOW, shape[1] - col))

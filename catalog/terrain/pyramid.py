@@ -20,6 +20,7 @@ from rasterio.windows import Window
 from catalog.bodies.body import Body
 from catalog.errors import DataError, OutputError
 from catalog.progress import Progress, SilentProgress
+from catalog.terrain.conversion import HEIGHTS, Conversion
 from catalog.terrain.overviews import (
     FORMAT,
     PyramidRecord,
@@ -67,8 +68,15 @@ class HeightPyramid:
 
     def read(self, level: int, row: int, col: int, height: int, width: int) -> HeightGrid:
         """Heights of a window that lies inside a level. Raises DataError for a damaged file."""
+        raw, convert = self.read_raw(level, row, col, height, width)
+        return raw if convert is HEIGHTS else convert(raw)
+
+    def read_raw(
+        self, level: int, row: int, col: int, height: int, width: int
+    ) -> tuple[NDArray[Any], Conversion]:
+        """Counts of a window that lies inside a level, and what makes heights of them."""
         if level == 0 and not self.record.tiled_copy:
-            return self.source.convert(self.source.read_raw(row, col, height, width))
+            return self.source.read_raw(row, col, height, width), self.source.convert
         path = level_path(self.folder, level)
         try:
             with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES):
@@ -79,8 +87,7 @@ class HeightPyramid:
             raise DataError(
                 f"{path}: cannot be read; remove the folder {self.folder} to have it made again"
             ) from None
-        heights: HeightGrid = self.source.convert(raw) if level == 0 else raw
-        return heights
+        return raw, HEIGHTS if level else self.source.convert
 
     def close(self) -> None:
         """Let go of all files; they open again when read."""
