@@ -17,9 +17,10 @@ from catalog.progress import Progress, SilentProgress
 from catalog.stages import account, check, render, select, write
 from catalog.stages.account import Account, StageAccount
 from catalog.stages.chunked import ChunkResults
-from catalog.stages.cluster import check_address, cluster_workers
+from catalog.stages.cluster import cluster_workers
 from catalog.stages.ingest import Bbox, DemRecord
 from catalog.stages.records import encode_records
+from catalog.stages.scheduler import check_address
 from catalog.stages.settings import BuildConfig, load_build_config
 from catalog.stages.workers import available_cores, workers_of
 from catalog.stages.workspace import MARK, Workspace

@@ -4,26 +4,30 @@ The build itself, its workspace and its results stay on this machine: workers re
 and overviews by their paths and send records back.
 """
 
-import asyncio
 import logging
 import pickle
-import socket
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Executor
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
-from catalog.errors import UsageError, WorkersError
+from catalog.errors import WorkersError
 from catalog.stages.cluster_node import Needs, call_on_node, files_of, needs_of, unfit
 from catalog.stages.code_key import code_key
+from catalog.stages.scheduler import (
+    ANSWER_S,
+    Silence,
+    check_address,
+    find_scheduler,
+    load_distributed,
+    unreachable,
+)
 from catalog.stages.workers import ExecutorWorkers, Workers
 
 log = logging.getLogger(__name__)
 
-CONNECT_S = 5.0  # for a scheduler to answer
 ARRIVE_S = 10.0  # for a first worker to be there at the start
 RETURN_S = 60.0  # for a worker to come back when all have gone: a nanny starts new ones in seconds
 LOOK_S = 2.0  # between two looks at the cluster
@@ -31,8 +35,6 @@ LOOK_S = 2.0  # between two looks at the cluster
 # tried once more, last, for they may have died of something else.
 LOSSES_WITHOUT_PROGRESS = 1
 KEPT = "what is done is kept: give the same command again"
-# What they would say on stderr is said here in a message of our own.
-NOISY = ("distributed", "tornado", "asyncio")
 
 
 class _SchedulerLostError(Exception):
@@ -50,33 +52,12 @@ def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
     """
     check_address(address)
     pool = ClusterPool(address)
-    pool.need(needs_of(path for path in files if path.is_file()))
+    try:
+        pool.need(needs_of(path for path in files if path.is_file()))
+    except BaseException:
+        pool.close()
+        raise
     return ExecutorWorkers(pool)
-
-
-def check_address(address: str) -> None:
-    """Raise UsageError unless this is tcp://HOST:PORT."""
-    try:
-        parts = urlsplit(address)
-        good = parts.scheme == "tcp" and bool(parts.hostname) and bool(parts.port)
-        good = good and address.lower() == f"tcp://{parts.netloc}".lower() and "@" not in address
-    except ValueError:  # a port that is no number, or half an IPv6 address
-        good = False
-    if not good:
-        raise UsageError(
-            f"--scheduler {address!r}: wanted tcp://HOST:PORT, such as tcp://host:8786"
-        )
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"--scheduler needs the package {error.name!r}, which is not installed; "
-            "install it with: pip install 'optnav[dist]'"
-        ) from None
-    return distributed
 
 
 class ClusterPool:
@@ -87,7 +68,7 @@ class ClusterPool:
     def __init__(self, address: str) -> None:
         self.address = address
         self.call: Callable[..., Any] = call_on_node
-        self._distributed = _distributed()
+        self._distributed = load_distributed()
         from distributed.scheduler import KilledWorker
 
         self.lost: tuple[type[Exception], ...] = (
@@ -101,7 +82,7 @@ class ClusterPool:
         self._needs: Needs = {}
         self._workers: set[str] = set()
         self._looked = self._seen_workers = 0.0
-        self._quiet = _Quiet()
+        self._silence = Silence()
 
     @property
     def count(self) -> int:
@@ -169,69 +150,34 @@ class ClusterPool:
 
     def abandon(self) -> None:
         """See Pool. A scheduler forgets the work of a client that leaves."""
-        self.close()
+        client, self._client, self._executor = self._client, None, None
+        if client is not None:
+            client.close(timeout=ANSWER_S)
 
     def close(self) -> None:
         """See Pool."""
-        client, self._client, self._executor = self._client, None, None
-        if client is not None:
-            client.close(timeout=CONNECT_S)
-        self._quiet.end()
+        self.abandon()
+        self._silence.end()
 
     def _connect(self) -> None:
-        self._quiet.begin()
+        self._silence.begin()
         try:
-            self._find_scheduler()
+            find_scheduler(self.address)
             with warnings.catch_warnings():
                 # of versions that differ: those that matter are compared by `unfit`
                 warnings.simplefilter("ignore")
                 self._client = self._distributed.Client(
-                    self.address, timeout=CONNECT_S, set_as_default=False, name="optnav"
+                    self.address, timeout=ANSWER_S, set_as_default=False, name="optnav"
                 )
             self._wait_for_workers()
             self._ask_scheduler()
             self._ask_all()
         except _SchedulerLostError:
-            self.close()
-            raise self._unreachable("it stopped answering") from None
+            self.abandon()
+            raise unreachable(self.address, "it stopped answering") from None
         except BaseException:
-            self.close()
+            self.abandon()
             raise
-
-    def _find_scheduler(self) -> None:
-        """Raise WorkersError unless a scheduler answers.
-
-        Asked before there is a Client, which would wait for ever for what is no scheduler.
-        """
-
-        parts = urlsplit(self.address)
-        try:
-            socket.create_connection((parts.hostname, parts.port), timeout=CONNECT_S).close()
-        except OSError as error:
-            reason = str(error) if isinstance(error, TimeoutError) else error.strerror
-            raise self._unreachable((reason or str(error)).lower()) from None
-
-        async def identity() -> Any:
-            async with self._distributed.rpc(self.address, timeout=CONNECT_S) as scheduler:
-                return await scheduler.identity()
-
-        async def within_time() -> "asyncio.Task[Any]":
-            task = asyncio.ensure_future(identity())
-            done, _ = await asyncio.wait({task}, timeout=CONNECT_S)
-            if not done:
-                task.cancel()
-                await asyncio.wait({task}, timeout=1.0)
-            return task
-
-        task = asyncio.run(within_time())
-        if task.cancelled() or task.exception() or task.result().get("type") != "Scheduler":
-            raise self._unreachable("what answers there is no dask scheduler")
-
-    def _unreachable(self, reason: str) -> WorkersError:
-        return WorkersError(
-            f"{self.address}: no scheduler can be reached ({reason}); "
-            "check the address and that `dask scheduler` runs there"
-        )
 
     def _wait_for_workers(self) -> None:
         until = time.monotonic() + ARRIVE_S
@@ -258,9 +204,7 @@ class ClusterPool:
     def _listed(self) -> dict[str, Any]:
         """The workers that the scheduler knows. Raises _SchedulerLostError."""
         try:
-            identity = self._client.sync(
-                self._client.scheduler.identity, callback_timeout=CONNECT_S
-            )
+            identity = self._client.sync(self._client.scheduler.identity, callback_timeout=ANSWER_S)
         except (OSError, RuntimeError) as error:  # RuntimeError: the client has closed itself
             raise _SchedulerLostError from error
         found: dict[str, Any] = identity["workers"]
@@ -293,25 +237,3 @@ class ClusterPool:
                 reply = f"cannot load optnav ({reply}); install the same version there"
             others = f" (and {len(bad) - 1} more of {len(there)} workers)" if len(bad) > 1 else ""
             raise WorkersError(f"worker {bad[0]}: {reply}{others}")
-
-
-class _Quiet:
-    """Keeps distributed's log off stderr while a cluster is in use."""
-
-    def __init__(self) -> None:
-        self._levels: dict[str, int] = {}
-
-    def begin(self) -> None:
-        if log.isEnabledFor(logging.DEBUG) or self._levels:
-            return
-        known = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in NOISY]
-        for name in {*NOISY, *known}:
-            logger = logging.getLogger(name)
-            if name in NOISY or logger.level != logging.NOTSET:
-                self._levels[name] = logger.level
-                logger.setLevel(logging.CRITICAL + 1)
-
-    def end(self) -> None:
-        for name, level in self._levels.items():
-            logging.getLogger(name).setLevel(level)
-        self._levels = {}

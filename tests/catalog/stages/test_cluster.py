@@ -16,19 +16,21 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from catalog.config import resource
 from catalog.errors import DataError, UsageError, WorkersError
-from catalog.stages import cluster
+from catalog.stages import cluster, scheduler
 from catalog.stages.build import run
-from catalog.stages.cluster import check_address, cluster_workers
+from catalog.stages.cluster import cluster_workers
 from catalog.stages.cluster_node import needs_of, unfit
+from catalog.stages.scheduler import check_address
 
 needs_distributed = pytest.mark.skipif(
-    not (Path(sys.prefix) / "bin" / "dask").exists(), reason="needs distributed (optnav[dist])"
+    find_spec("distributed") is None, reason="needs distributed (optnav[dist])"
 )
 
 # coarse and small, so that a build takes a second or two
@@ -261,9 +263,15 @@ def test_a_scheduler_that_is_not_there_is_told_at_once():
 
 
 @needs_distributed
-@pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n" * 9])
-def test_what_answers_but_is_no_scheduler_is_told_in_seconds(monkeypatch, answer):
-    monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (b"", "no word within 1 s"),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n" * 9, "what answers there is no scheduler"),
+    ],
+)
+def test_what_answers_but_is_no_scheduler_is_told_in_seconds(monkeypatch, answer, reason):
+    monkeypatch.setattr(scheduler, "ANSWER_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as threads:
 
         def serve() -> None:
@@ -276,7 +284,7 @@ def test_what_answers_but_is_no_scheduler_is_told_in_seconds(monkeypatch, answer
 
         stop = threading.Event()
         served = threads.submit(serve)
-        with pytest.raises(WorkersError, match="what answers there is no dask scheduler"):
+        with pytest.raises(WorkersError, match=reason):
             cluster_workers(f"tcp://127.0.0.1:{server.getsockname()[1]}")
         stop.set()
         served.result(timeout=10.0)
@@ -343,6 +351,22 @@ def test_a_worker_that_is_not_fit_is_named_at_the_start(two, monkeypatch):
     monkeypatch.setattr(cluster, "needs_of", lambda files: {**needs_of(files), "code": "0" * 64})
     with pytest.raises(WorkersError, match=r"worker tcp://127.*: runs other code.*\(and 1 more of"):
         cluster_workers(two.address)
+
+
+@needs_distributed
+def test_a_file_that_workers_cannot_read_is_named_at_the_start(two, tmp_path, monkeypatch):
+    path = tmp_path / "dem.tif"
+    path.write_bytes(b"here alone")
+
+    def needs_of_what_goes(files):
+        needs = needs_of(files)
+        path.unlink()
+        return needs
+
+    monkeypatch.setattr(cluster, "needs_of", needs_of_what_goes)
+    told = rf"worker tcp://127.*: {path}: cannot be read there \(No such file or directory\)"
+    with pytest.raises(WorkersError, match=told):
+        cluster_workers(two.address, [path])
 
 
 @needs_distributed
