@@ -102,39 +102,45 @@ def _own_heights(
     chosen = _spread(catalog)
     if len(chosen) == 0 or not known.any():
         return None
-    lat, lon = np.radians(lat_deg[known]), np.radians(lon_deg[known])
-    directions = xyz_from_latlon(lat, lon, 1.0)
+    lat, lon = lat_deg[known], lon_deg[known]
+    directions = xyz_from_latlon(np.radians(lat), np.radians(lon), 1.0)
     chord, nearest = cKDTree(catalog.direction[chosen]).query(directions)
-    radius_m, half = catalog.meta.radius_m, (catalog.meta.size - 1) / 2.0
-    # The finest level that reaches as far as most pixels of a gapless catalog are from a point.
-    reach_m = np.radians(catalog.meta.cell_deg) * radius_m
-    if len(chosen) < len(catalog):
-        reach_m *= np.sqrt(len(catalog) / len(chosen))
-    level = int(np.ceil(np.log2(max(reach_m / (half * catalog.meta.posting_m), 1.0))))
-    level = min(level, catalog.meta.levels - 1)
+    level, reach_m = _level(catalog, len(chosen))
+    near = np.flatnonzero(chord * catalog.meta.radius_m <= reach_m)
+    near = near[np.argsort(nearest[near], kind="stable")]
+    bounds = np.searchsorted(nearest[near], np.arange(len(chosen) + 1))
     heights = np.full(len(lat), np.nan, np.float32)
-    order = np.argsort(nearest, kind="stable")
-    bounds = np.searchsorted(nearest[order], np.arange(len(chosen) + 1))
-    for number, row in enumerate(chosen):
-        pixels = order[bounds[number] : bounds[number + 1]]
-        pixels = pixels[
-            chord[pixels] * radius_m <= 1.5 * 2.0**level * catalog.meta.posting_m * half
-        ]
-        if len(pixels) == 0:
-            continue
-        patch = _patch(catalog, int(row), level)
+    damaged = 0
+    for number in np.flatnonzero(np.diff(bounds)):
+        row, pixels = int(chosen[number]), near[bounds[number] : bounds[number + 1]]
+        patch = _patch(catalog, row, level)
         if patch is None:
+            damaged += 1
             continue
         lat0, lon0 = np.radians((catalog.lat_deg[row], catalog.lon_deg[row]))
-        projection = Stereographic(lat0, lon0, radius_m)
-        x, y = projection.xy_from_xyz(directions[pixels])
-        heights[pixels] = _sampled(patch, x, y, pixel_m)
-    covered = np.count_nonzero(np.isfinite(heights)) / max(_covered_by_cells(catalog, lat, lon), 1)
-    if covered < LEAST_COVERED:
+        projection = Stereographic(lat0, lon0, catalog.meta.radius_m)
+        heights[pixels] = _sampled(patch, *projection.xy_from_xyz(directions[pixels]), pixel_m)
+    if damaged:  # the page is about the rest; `verify` lists the damage
+        words = "%s: %d damaged control points are missing in the relief; run `catalog verify`"
+        log.warning(words, catalog.path, damaged)
+    inside = np.isin(catalog.grid.cell_of(lat, lon), catalog.ids)
+    if not inside.any() or np.isfinite(heights[inside]).mean() < LEAST_COVERED:
         return None
     picture = np.full(lat_deg.shape, np.nan, np.float32)
     picture[known] = heights
     return picture
+
+
+def _level(catalog: Catalog, chosen: int) -> tuple[int, float]:
+    """The finest level that reaches into all of a cell, and the farthest that it reaches (m).
+
+    chosen  points that are drawn; fewer than there are stand for more ground each
+    """
+    meta = catalog.meta
+    half_m = (meta.size - 1) / 2.0 * meta.posting_m
+    wanted_m = np.radians(meta.cell_deg) * meta.radius_m * np.sqrt(len(catalog) / chosen)
+    level = min(max(int(np.ceil(np.log2(wanted_m / half_m))), 0), meta.levels - 1)
+    return level, float(np.sqrt(2.0) * 2.0**level * half_m)
 
 
 def _spread(catalog: Catalog) -> NDArray[np.int64]:
@@ -151,8 +157,7 @@ def _spread(catalog: Catalog) -> NDArray[np.int64]:
 def _patch(catalog: Catalog, row: int, level: int) -> Patch | None:
     try:
         levels: Sequence[Patch] = catalog.patches(int(catalog.ids[row]))
-    except DataError as error:  # the page is about the rest; `verify` lists the damage
-        log.warning("%s", error)
+    except DataError:
         return None
     return levels[min(level, len(levels) - 1)]
 
@@ -167,9 +172,3 @@ def _sampled(patch: Patch, x: FloatArray, y: FloatArray, pixel_m: float) -> Heig
     places = np.stack([half - y / patch.posting_m, x / patch.posting_m + half])
     sampled = map_coordinates(heights, places, order=1, cval=np.nan)
     return np.asarray(sampled, np.float32)
-
-
-def _covered_by_cells(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> int:
-    """How many of the places (rad) lie in a cell of the catalog."""
-    cells = catalog.grid.cell_of(np.degrees(lat), np.degrees(lon))
-    return int(np.count_nonzero(np.isin(cells, catalog.ids)))

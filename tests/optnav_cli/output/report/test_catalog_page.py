@@ -17,7 +17,7 @@ from catalog.store.writer import write_catalog
 from optnav_cli.main import run
 from optnav_cli.output.report import write_report
 from optnav_cli.output.report.catalog_maps import first_reasons
-from optnav_cli.output.report.catalog_page import quantities
+from optnav_cli.output.report.catalog_page import catalog_page, quantities
 from tests.optnav_cli.output.report.pages import RADIUS_M, a_catalog, report_of
 
 WHOLE = {"lat": (-90.0, 90.0), "lon": (-180.0, 180.0)}
@@ -216,8 +216,6 @@ def test_a_page_about_all_cells_of_one_degree_stays_small_and_quick(tmp_path):
         records["lat_deg"], records["lon_deg"] = centres.T
         records["localisation_px"] = np.random.default_rng(3).uniform(0.1, 0.5, count)
         whole = Catalog(path, catalog._db, replace(catalog.meta, count=count), records)
-        from optnav_cli.output.report.catalog_page import catalog_page
-
         started = time.process_time()
         text = catalog_page(whole)
         seconds = time.process_time() - started

@@ -1,5 +1,7 @@
 """Maps: every pixel knows its place and its cell, as another library says; relief is lit right."""
 
+import sqlite3
+
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer
@@ -146,3 +148,23 @@ def test_one_value_everywhere_still_has_a_scale():
 
 def test_a_tint_looks_in_the_legend_as_on_the_map():
     assert blended("#ff0000", 0.5, 100.0) == "#b23232"
+
+
+def test_damaged_patches_leave_holes_in_the_relief_and_one_warning(tmp_path, caplog):
+    path = a_catalog(tmp_path / "c.gpkg", 25, (10.0, 10.5), (20.0, 20.5), 0.1)
+
+    def seen():
+        with Catalog.open(path) as catalog:
+            view = views(
+                catalog.grid, catalog.ids, catalog.lat_deg, catalog.lon_deg, RADIUS_M
+            )[0]  # fmt: skip
+            return relief(catalog, *view.pixels())[1].sum(), catalog.ids[:2].tolist()
+
+    whole, ids = seen()
+    assert caplog.messages == []
+    with sqlite3.connect(path) as db:
+        db.execute("UPDATE optnav_patches SET data = x'00' WHERE point_id IN (?, ?)", ids)
+    db.close()
+    assert seen()[0] < 0.97 * whole
+    assert len(caplog.messages) == 1
+    assert "2 damaged control points are missing in the relief" in caplog.text
