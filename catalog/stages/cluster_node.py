@@ -40,7 +40,7 @@ def files_of(context: Any) -> list[Path]:
     found: set[Path] = set()
     for pyramid in context.mosaic.pyramids:
         found.update(pyramid.source.files)
-        found.update(pyramid.folder.glob("level-*.tif"))
+        found.update(path for path in pyramid.folder.iterdir() if path.is_file())
     return sorted(found)
 
 
