@@ -1,33 +1,22 @@
 """Check: certify the places of each cell and take the best one that passes."""
 
+import math
 from collections.abc import Sequence
 from typing import Annotated
 
 import msgspec
 import numpy as np
 
-from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
-from catalog.rendering.map_view import render_map
-from catalog.rendering.sun_samples import sun_samples
-from catalog.selection.shadow_limits import shadowed_share
-from catalog.selection.trial import Gate, Outcome, Search
-from catalog.selection.uniqueness import uniqueness_margin
-from catalog.stages import render, select
+from catalog.control_point import ControlPoint, Flag, Patch
+from catalog.selection.trial import Outcome
+from catalog.stages import select
+from catalog.stages.certificate import Certificate, outcomes_at
 from catalog.stages.context import StageContext
-from catalog.stages.trials import TRIAL_LEVELS, run_trials, trial_levels
-from catalog.terrain.skyline import skyline_limits_deg
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Elevation = Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)]
-
-# Room on every side of the square that uniqueness describes, nodes of its level.
-UNIQUENESS_ROOM = 8
-UNIQUENESS_SUN = np.radians(25.0)
-# What the level before leaves to search, nodes: rivals further away are out of reach.
-FINE_SEARCH_NODES = 6.0
-FATAL = Flag.NO_DATA | Flag.FLAT | Flag.NOT_UNIQUE | Flag.NOT_RECOGNISED | Flag.SHADOWED
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -116,107 +105,44 @@ def check_chunk(context: StageContext, records: Sequence[select.Record]) -> list
 def check_cell(context: StageContext, record: select.Record) -> Record:
     """The first place that passes well; else the one recognised most often, usable or not.
 
-    Earlier places win ties: they have the smaller predicted error.
+    Earlier places win ties: they have the smaller predicted error. A place meets no more trials
+    than it takes to see that it is out, or no better than one before it; the one that is kept
+    meets them all.
     """
     settings = context.config.check
-    best: Record | None = None
+    best: Certificate | None = None
     for number, place in enumerate(record.places[: settings.places]):
-        found = _certificate(context, record, place, number)
+        found = Certificate(context, record, place, number)
+        found.try_for(best.successes + 1 if best is not None and best.usable else 0)
         if found.usable and found.recognition_rate >= settings.good_recognition:
-            return found
-        if best is None or _merit(found) > _merit(best):
+            return _record(context, found)
+        if best is None or found.merit > best.merit:
             best = found
     if best is None:
         raise ValueError(f"cell {record.cell}: no place to check")
-    return best
+    best.finish()
+    return _record(context, best)
 
 
-def _merit(record: Record) -> tuple[bool, float]:
-    return record.usable, record.recognition_rate
-
-
-def _certificate(
-    context: StageContext, record: select.Record, place: select.Place, number: int
-) -> Record:
-    settings = context.config.check
-    lat, lon = np.radians(place.lat_deg), np.radians(place.lon_deg)
-    patches = context.patches(place.lat_deg, place.lon_deg)
-    fine = [np.isnan(patch.heights_m).mean() for patch in patches[: render.FINE_LEVELS]]
-    flags = Flag.NONE
-    if max(fine) > render.MAX_MISSING:
-        flags |= Flag.NO_DATA
-    if not place.localisation_px <= settings.max_localisation_px:
-        flags |= Flag.FLAT
-    if record.spacing < 1.0:
-        flags |= Flag.CROWDED
-    uniqueness = (0.0,) * context.levels
-    limits = np.zeros(SHADOW_AZIMUTHS)
-    successes = trials = 0
-    if not flags & FATAL:  # a certificate costs: only places that may pass get one
-        uniqueness = _uniqueness(context, patches, lat)
-        limits = skyline_limits_deg(
-            [(patch.heights_m, patch.posting_m) for patch in patches], 0, context.body.radius_m
-        )
-        if min(uniqueness) < settings.min_margin:
-            flags |= Flag.NOT_UNIQUE
-        if shadowed_share(limits, render.suns_of(context.config.render, place.lat_deg)) > (
-            settings.max_shadowed
-        ):
-            flags |= Flag.SHADOWED
-        successes, trials = _recognised(context, patches, record.cell, number, place)
-        if successes < settings.min_recognition * trials - 1e-9:
-            flags |= Flag.NOT_RECOGNISED
+def _record(context: StageContext, found: Certificate) -> Record:
+    place = found.place
+    lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
     index = int(context.mosaic.source_index(lat, lon))
     return Record(
-        cell=record.cell,
+        cell=found.cell,
         lat_deg=place.lat_deg,
         lon_deg=place.lon_deg,
         height_m=float(np.nan_to_num(context.mosaic.heights(lat, lon, context.posting_m))),
         localisation_px=place.localisation_px,
         hessian_eigenvalue=place.hessian_eigenvalue,
-        recognition_rate=successes / trials if trials else 0.0,
-        trials=trials,
-        uniqueness=uniqueness,
-        shadow_limit_deg=tuple(float(limit) for limit in limits),
-        usable=not flags & FATAL and record.spacing > 0.0,
-        flags=int(flags),
+        recognition_rate=found.recognition_rate,
+        trials=found.trials,
+        uniqueness=found.uniqueness,
+        shadow_limit_deg=tuple(float(limit) for limit in found.shadow_limits_deg),
+        usable=found.usable,
+        flags=int(found.flags),
         source=context.mosaic.names[index] if index >= 0 else "",
     )
-
-
-def _uniqueness(context: StageContext, patches: Sequence[Patch], lat: float) -> tuple[float, ...]:
-    """Margins by level, worse of a morning and an afternoon Sun."""
-    settings = context.config.check
-    room = min(UNIQUENESS_ROOM, context.size // 4)
-    suns = sun_samples(
-        lat,
-        1,
-        2,
-        max_declination=np.radians(context.config.render.sun_declination_deg),
-        lowest=UNIQUENESS_SUN,
-        highest=UNIQUENESS_SUN,
-    )
-    margins = []
-    for level, patch in enumerate(patches):
-        coarsest = level == len(patches) - 1
-        reach = settings.search_km * 1e3 / patch.posting_m if coarsest else FINE_SEARCH_NODES
-        margins.append(
-            min(
-                uniqueness_margin(
-                    render_map(
-                        patch.heights_m,
-                        patch.posting_m,
-                        sun,
-                        radius_m=context.body.radius_m,
-                        law="lommel_seeliger",
-                    ),
-                    context.size - 2 * room,
-                    reach,
-                )
-                for sun in suns
-            )
-        )
-    return tuple(margins)
 
 
 def trials_at(
@@ -234,47 +160,14 @@ def trials_at(
     patches      of the place, finest first
     seed         of what is drawn for each trial; relief_seed of the ground beyond the DEM's
     """
-    settings = context.config.check
-    search = Search(template_nodes=min(settings.template_nodes, context.size))
-    projection = context.projection(lat_deg, lon_deg)
-    levels = trial_levels(
-        context.mosaic, projection, patches, search, settings.relief_slope_deg, relief_seed
+    return list(
+        outcomes_at(
+            context,
+            patches,
+            lat_deg,
+            lon_deg,
+            seed=seed,
+            relief_seed=relief_seed,
+            trials=trials,
+        )
     )
-    return run_trials(
-        levels,
-        patches[TRIAL_LEVELS:],
-        context.body.radius_m,
-        projection.lat,
-        seed,
-        trials=trials,
-        search=search,
-        gate=Gate(settings.min_score, settings.rival_ratio),
-        sun_range=(np.radians(settings.sun_min_deg), np.radians(settings.sun_max_deg)),
-        max_declination=np.radians(context.config.render.sun_declination_deg),
-        snr=(settings.snr_min, settings.snr_max),
-        max_scale=settings.scale_error,
-        max_roll_deg=settings.roll_deg,
-        max_off_nadir_deg=settings.off_nadir_deg,
-    )
-
-
-def _recognised(
-    context: StageContext,
-    patches: Sequence[Patch],
-    cell: int,
-    number: int,
-    place: select.Place,
-) -> tuple[int, int]:
-    """Successful and all trials of a place; the seeds are the cell and the place's number."""
-    settings = context.config.check
-    outcomes = trials_at(
-        context,
-        patches,
-        place.lat_deg,
-        place.lon_deg,
-        seed=[cell, number],
-        relief_seed=cell,
-        trials=settings.trials,
-    )
-    passed = sum(o.accepted and o.distance <= settings.max_error_nodes for o in outcomes)
-    return passed, len(outcomes)

@@ -1,6 +1,6 @@
 """Recognition trials of a place of the catalog: the ground that is seen, the Suns, the rate."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -91,8 +91,8 @@ def run_trials(
     max_scale: float,
     max_roll_deg: float,
     max_off_nadir_deg: float,
-) -> list[Outcome]:
-    """Outcomes of independent trials, one for each of evenly spaced Sun elevations.
+) -> Iterator[Outcome]:
+    """Outcomes of independent trials, one for each of evenly spaced Sun elevations, in turn.
 
     outer      coarser patches beyond the trial's levels, which throw shadows in
     lat        rad; with max_declination (rad) it says which Suns can occur
@@ -106,7 +106,6 @@ def run_trials(
         lowest=sun_range[0],
         highest=sun_range[1],
     ).reshape(trials, SUN_AZIMUTHS, 3)
-    outcomes = []
     for number in range(trials):
         rng = np.random.default_rng([*seed, number])
         circumstances = draw_circumstances(
@@ -118,15 +117,12 @@ def run_trials(
             max_off_nadir_deg=max_off_nadir_deg,
             snr=snr,
         )
-        outcomes.append(
-            run_trial(
-                levels,
-                circumstances,
-                [*seed, number, 1],
-                radius_m,
-                search,
-                gate,
-                outer=[(patch.heights_m, patch.posting_m) for patch in outer],
-            )
+        yield run_trial(
+            levels,
+            circumstances,
+            [*seed, number, 1],
+            radius_m,
+            search,
+            gate,
+            outer=[(patch.heights_m, patch.posting_m) for patch in outer],
         )
-    return outcomes

@@ -14,7 +14,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
 from catalog.rendering.map_view import render_map
 from catalog.selection.match_error import predicted_correlation, predicted_error_px
-from catalog.stages import check, render, select
+from catalog.stages import certificate, check, render, select
 from catalog.stages.context import BodySettings, PyramidSettings, StageContext
 from catalog.stages.records import decode_records, encode_records
 from catalog.stages.settings import BuildConfig
@@ -174,11 +174,56 @@ def test_every_usable_point_carries_its_certificate(context, checked, cells):
         assert min(point.uniqueness) >= context.config.check.min_margin
         assert len(point.shadow_limit_deg) == 36
         assert 0.0 <= min(point.shadow_limit_deg) <= max(point.shadow_limit_deg) < 60.0
-        assert not point.flags & check.FATAL
+        assert not point.flags & certificate.FATAL
         assert point.source == "tycho_gld100_256ppd.tif"
         at = np.radians([point.lat_deg, point.lon_deg])
         height = float(context.mosaic.heights(at[0], at[1], context.posting_m))
         assert point.radius_m == pytest.approx(context.body.radius_m + height, abs=0.01)
+
+
+def test_trials_that_are_not_run_would_not_have_changed_the_choice(mosaic, selected, monkeypatch):
+    """Against all trials at all places; a small error is asked for, so that many trials fail."""
+    strict = check.Settings(places=4, trials=8, good_recognition=1.0, max_error_nodes=0.25)
+    hard = context_of(mosaic, check=strict)
+    run = []
+    of_trials = certificate.run_trials
+    monkeypatch.setattr(
+        certificate, "run_trials", lambda *a, **k: (run.append(1) or o for o in of_trials(*a, **k))
+    )
+    found = check.check_chunk(hard, selected)
+    early, run[:] = len(run), []
+    kinds = set()
+    for record, kept in zip(selected, found, strict=True):
+        places = [
+            certificate.Certificate(hard, record, place, number)
+            for number, place in enumerate(record.places[:4])
+        ]
+        for place in places:
+            place.finish()
+        best = max(places, key=lambda place: place.merit)  # the first of equals
+        assert kept.usable == best.usable
+        assert kept.trials == 8 or Flag(kept.flags) & certificate.NOT_TRIED
+        if kept.usable:
+            assert (kept.lat_deg, kept.lon_deg) == (best.place.lat_deg, best.place.lon_deg)
+            assert kept.recognition_rate == best.recognition_rate
+        kinds.add((kept.usable, kept.recognition_rate == 1.0))
+    assert len(kinds) == 3  # passed well, passed, failed
+    assert early < 0.8 * len(run)
+
+
+def test_a_place_in_foreign_shadow_meets_trials_only_when_it_is_kept(mosaic, selected):
+    dark = context_of(mosaic, check=check.Settings(max_shadowed=0.0, trials=2))
+    record = next(
+        record
+        for record in selected
+        if certificate.Certificate(dark, record, record.places[0], 0).flags & Flag.SHADOWED
+    )
+    place = certificate.Certificate(dark, record, record.places[0], 0)
+    place.try_for(0)
+    assert (place.trials, place.usable) == (0, False)
+    alone = check.check_cell(dark, msgspec.structs.replace(record, places=record.places[:1]))
+    assert alone.trials == 2
+    assert not alone.usable
 
 
 def test_a_check_that_none_can_pass_leaves_points_with_their_flags_up(mosaic, selected):

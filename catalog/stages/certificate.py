@@ -1,0 +1,196 @@
+"""The certificate of one place of a cell: what is known of it without trials, then the trials."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from catalog.control_point import SHADOW_AZIMUTHS, Flag, Patch
+from catalog.rendering.map_view import render_map
+from catalog.rendering.sun_samples import sun_samples
+from catalog.selection.shadow_limits import shadowed_share
+from catalog.selection.trial import Gate, Outcome, Search
+from catalog.selection.uniqueness import uniqueness_margin
+from catalog.stages import render, select
+from catalog.stages.context import StageContext
+from catalog.stages.trials import TRIAL_LEVELS, run_trials, trial_levels
+from catalog.terrain.skyline import skyline_limits_deg
+
+# Room on every side of the square that uniqueness describes, nodes of its level.
+UNIQUENESS_ROOM = 8
+UNIQUENESS_SUN = np.radians(25.0)
+# What the level before leaves to search, nodes: rivals further away are out of reach.
+FINE_SEARCH_NODES = 6.0
+NOT_TRIED = Flag.NO_DATA | Flag.FLAT  # there is nothing to look at, or nothing to be seen
+FATAL = NOT_TRIED | Flag.NOT_UNIQUE | Flag.NOT_RECOGNISED | Flag.SHADOWED
+
+
+class Certificate:
+    """What is found out about a place; its trials are run as far as they are asked for.
+
+    successes, trials  of the recognition trials that were run
+    uniqueness         margins by level, finest first
+    shadow_limits_deg  (36,) by azimuth
+    """
+
+    def __init__(
+        self, context: StageContext, record: select.Record, place: select.Place, number: int
+    ) -> None:
+        """Examine a place without trials; number: which of the cell's places, seeds its trials."""
+        self.cell, self.place, self.spacing = record.cell, place, record.spacing
+        self.settings = context.config.check
+        self.successes = self.trials = 0
+        self.uniqueness = (0.0,) * context.levels
+        self.shadow_limits_deg = np.zeros(SHADOW_AZIMUTHS)
+        patches = context.patches(place.lat_deg, place.lon_deg)
+        self._outcomes = outcomes_at(
+            context,
+            patches,
+            place.lat_deg,
+            place.lon_deg,
+            seed=[record.cell, number],
+            relief_seed=record.cell,
+            trials=self.settings.trials,
+        )
+        self._known = self._examined(context, patches)
+
+    def _examined(self, context: StageContext, patches: Sequence[Patch]) -> Flag:
+        settings, place = self.settings, self.place
+        flags = Flag.NONE
+        fine = [np.isnan(patch.heights_m).mean() for patch in patches[: render.FINE_LEVELS]]
+        if max(fine) > render.MAX_MISSING:
+            flags |= Flag.NO_DATA
+        if not place.localisation_px <= settings.max_localisation_px:
+            flags |= Flag.FLAT
+        if self.spacing < 1.0:
+            flags |= Flag.CROWDED
+        if flags & FATAL:
+            return flags
+        self.uniqueness = _uniqueness(context, patches, math.radians(place.lat_deg))
+        self.shadow_limits_deg = skyline_limits_deg(
+            [(patch.heights_m, patch.posting_m) for patch in patches], 0, context.body.radius_m
+        )
+        if min(self.uniqueness) < settings.min_margin:
+            flags |= Flag.NOT_UNIQUE
+        suns = render.suns_of(context.config.render, place.lat_deg)
+        if shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
+            flags |= Flag.SHADOWED
+        return flags
+
+    @property
+    def flags(self) -> Flag:
+        """Reasons so far."""
+        failed = self.trials > 0 and self.successes < self._least
+        return self._known | Flag.NOT_RECOGNISED if failed else self._known
+
+    @property
+    def usable(self) -> bool:
+        """Whether the place passes, as far as it has been tried."""
+        return not self.flags & FATAL and self.spacing > 0.0
+
+    @property
+    def recognition_rate(self) -> float:
+        """Share of the trials so far that succeeded, 0 without trials."""
+        return self.successes / self.trials if self.trials else 0.0
+
+    @property
+    def merit(self) -> tuple[bool, float]:
+        """By which places of a cell are compared."""
+        return self.usable, self.recognition_rate
+
+    @property
+    def _least(self) -> float:
+        """Successes that the place must have."""
+        return self.settings.min_recognition * self.settings.trials - 1e-9
+
+    def try_for(self, successes: int) -> None:
+        """Run trials until all are done, or so many successes or a pass are out of reach.
+
+        A place that is out already meets none.
+        """
+        if not self._known & FATAL:
+            self._run(max(self._least, successes))
+
+    def finish(self) -> None:
+        """Run the trials that are left, also of a place that is out, if there is ground to see."""
+        if not self._known & NOT_TRIED:
+            self._run(0.0)
+
+    def _run(self, wanted: float) -> None:
+        settings = self.settings
+        while self.trials < settings.trials:
+            if self.successes + settings.trials - self.trials < wanted:
+                return
+            outcome = next(self._outcomes)
+            self.trials += 1
+            self.successes += outcome.accepted and outcome.distance <= settings.max_error_nodes
+
+
+def _uniqueness(context: StageContext, patches: Sequence[Patch], lat: float) -> tuple[float, ...]:
+    """Margins by level, worse of a morning and an afternoon Sun."""
+    settings = context.config.check
+    room = min(UNIQUENESS_ROOM, context.size // 4)
+    suns = sun_samples(
+        lat,
+        1,
+        2,
+        max_declination=np.radians(context.config.render.sun_declination_deg),
+        lowest=UNIQUENESS_SUN,
+        highest=UNIQUENESS_SUN,
+    )
+    margins = []
+    for level, patch in enumerate(patches):
+        coarsest = level == len(patches) - 1
+        reach = settings.search_km * 1e3 / patch.posting_m if coarsest else FINE_SEARCH_NODES
+        margins.append(
+            min(
+                uniqueness_margin(
+                    render_map(
+                        patch.heights_m,
+                        patch.posting_m,
+                        sun,
+                        radius_m=context.body.radius_m,
+                        law="lommel_seeliger",
+                    ),
+                    context.size - 2 * room,
+                    reach,
+                )
+                for sun in suns
+            )
+        )
+    return tuple(margins)
+
+
+def outcomes_at(
+    context: StageContext,
+    patches: Sequence[Patch],
+    lat_deg: float,
+    lon_deg: float,
+    *,
+    seed: Sequence[int],
+    relief_seed: int,
+    trials: int,
+) -> Iterator[Outcome]:
+    """`check.trials_at`, one after the other as they are asked for."""
+    settings = context.config.check
+    search = Search(template_nodes=min(settings.template_nodes, context.size))
+    projection = context.projection(lat_deg, lon_deg)
+    levels = trial_levels(
+        context.mosaic, projection, patches, search, settings.relief_slope_deg, relief_seed
+    )
+    yield from run_trials(
+        levels,
+        patches[TRIAL_LEVELS:],
+        context.body.radius_m,
+        projection.lat,
+        seed,
+        trials=trials,
+        search=search,
+        gate=Gate(settings.min_score, settings.rival_ratio),
+        sun_range=(np.radians(settings.sun_min_deg), np.radians(settings.sun_max_deg)),
+        max_declination=np.radians(context.config.render.sun_declination_deg),
+        snr=(settings.snr_min, settings.snr_max),
+        max_scale=settings.scale_error,
+        max_roll_deg=settings.roll_deg,
+        max_off_nadir_deg=settings.off_nadir_deg,
+    )
