@@ -1,5 +1,8 @@
 """Stages whose work is cut into chunks: each result file is made once and stays."""
 
+import multiprocessing
+import os
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -62,16 +65,44 @@ class ChunkResults:
         account.kept = len(found)
         shown.keep(sum(len(chunks[position]) for position in found))
         yield from found
-        work = [chunks[position] for position in missing]
-        for at, (data, usage) in workers.run(partial(_encoded, function), context, work):
-            self.workspace.put(self.name(missing[at]), data)
+        work = [(self.name(position), chunks[position]) for position in missing]
+        make_one = partial(_made, function, self.workspace, _process())
+        for at, (data, usage) in workers.run(make_one, context, work):
+            if data is not None:
+                self.workspace.put(work[at][0], data)
             account.done += 1
             account.add(usage)
-            shown.advance(len(work[at]))
+            shown.advance(len(work[at][1]))
             yield missing[at]
 
 
-def _encoded(
-    function: Callable[[Any, Any], Sequence[Any]], context: Any, chunk: Sequence[Any]
-) -> tuple[bytes, Usage]:
-    return metered(lambda: encode_records(function(context, chunk)))
+def _made(
+    function: Callable[[Any, Any], Sequence[Any]],
+    workspace: Workspace,
+    coordinator: tuple[str, int],
+    context: Any,
+    work: tuple[str, Sequence[Any]],
+) -> tuple[bytes | None, Usage]:
+    """The result of a chunk as bytes, or None if its file is in the workspace already.
+
+    A worker process of this machine puts the file itself and answers in a few hundred bytes, which
+    a pipe takes whole or not at all. Killed within an answer longer than a page of 4 kB, it would
+    leave the coordinator waiting for the rest for ever: other workers hold the same pipe open.
+    A worker elsewhere answers with the bytes: its view of the folder may lag, or forbid writing.
+    """
+    name, chunk = work
+    parent = multiprocessing.parent_process()
+    here = parent is not None and (socket.gethostname(), parent.pid) == coordinator
+
+    def make() -> bytes | None:
+        data = encode_records(function(context, chunk))
+        if not here:
+            return data
+        workspace.put(name, data)
+        return None
+
+    return metered(make)
+
+
+def _process() -> tuple[str, int]:
+    return socket.gethostname(), os.getpid()

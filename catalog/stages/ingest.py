@@ -1,4 +1,7 @@
-"""Ingest: read every terrain model whole, average it, and find the cells that have ground."""
+"""Ingest: read every terrain model whole, average it, and find the cells that have ground.
+
+A kill costs the reading of the terrain model in work, minutes for gigabytes; those before it stay.
+"""
 
 import hashlib
 from collections.abc import Sequence
@@ -23,6 +26,7 @@ Bbox = tuple[float, float, float, float]
 IntArray = NDArray[np.int64]
 
 HASHES = "dem-hashes.json"
+MEGABYTE = 1_000_000
 LATTICE = 5  # points a side at which a cell is asked for ground
 BLOCK_CELLS = 8  # cells a side of a block whose terrain is read together
 LARGEST_CHUNK = 64  # cells in work at once: what a kill can lose
@@ -71,7 +75,7 @@ def ingest(
     records: list[DemRecord] = []
     for one in sorted(settings, key=lambda s: s.priority):
         source = DemSource.open(one, base_dir, body)
-        digest = _content_hash(source, hashes)
+        digest = _content_hash(source, hashes, progress)
         workspace.put(HASHES, msgspec.json.encode(hashes))
         # where the file lies and how it ranks do not change its overviews
         plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in _UNIMPORTANT}
@@ -120,7 +124,7 @@ def _known_hashes(workspace: Workspace) -> dict[str, str]:
         return {}
 
 
-def _content_hash(source: DemSource, known: dict[str, str]) -> str:
+def _content_hash(source: DemSource, known: dict[str, str], progress: Progress) -> str:
     """SHA-256 over the files of a source; a file of the same size and date is not read again."""
     whole = hashlib.sha256()
     for path in source.files:
@@ -128,13 +132,24 @@ def _content_hash(source: DemSource, known: dict[str, str]) -> str:
             state = path.stat()
             name = f"{path.resolve()} {state.st_size} {state.st_mtime_ns}"
             if name not in known:
-                with path.open("rb") as file:
-                    known[name] = hashlib.file_digest(file, "sha256").hexdigest()
+                known[name] = _file_hash(path, state.st_size, progress)
         except OSError as error:
             raise DataError(
                 f"{path}: cannot be read ({error.strerror or error}); check its permissions"
             ) from None
         whole.update(bytes.fromhex(known[name]))
+    return whole.hexdigest()
+
+
+def _file_hash(path: Path, size: int, progress: Progress) -> str:
+    whole = hashlib.sha256()
+    with (
+        path.open("rb") as file,
+        progress.stage("checksum", total=-(-size // MEGABYTE), unit="MB") as shown,
+    ):
+        while data := file.read(MEGABYTE):
+            whole.update(data)
+            shown.advance()
     return whole.hexdigest()
 
 

@@ -92,6 +92,7 @@ class Workspace:
                 ) from None
             os.ftruncate(handle, 0)
             os.pwrite(handle, f"{os.getpid()}\n".encode("ascii"), 0)
+            self._clear_remains()
             try:
                 yield
             except BaseException:
@@ -99,6 +100,12 @@ class Workspace:
                 raise
         finally:
             os.close(handle)
+
+    def _clear_remains(self) -> None:
+        """Remove what killed processes were writing."""
+        for path in self.folder.rglob("*.partial"):
+            if path.is_file():
+                path.unlink(missing_ok=True)
 
     def _leave_no_trace(self) -> None:
         """Remove a folder that this run made and that holds no result: results lie in folders."""
@@ -112,7 +119,7 @@ class Workspace:
     def put(self, name: str, data: bytes) -> None:
         """Write a file so that it is there whole or not at all, also after a loss of power."""
         path = self.folder / name
-        partial = path.with_name(path.name + ".partial")
+        partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with partial.open("wb") as file:

@@ -21,8 +21,8 @@ def speed(rate: float, unit: str) -> str:
 
 
 def plural(unit: str, count: int) -> str:
-    """The English plural of a unit of work: cells, geometries, pictures."""
-    if count == 1:
+    """The English plural of a unit of work: cells, geometries, pictures; MB stays."""
+    if count == 1 or unit.isupper():
         return unit
     if unit.endswith("y"):
         return f"{unit[:-1]}ies"

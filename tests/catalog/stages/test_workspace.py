@@ -68,6 +68,14 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_remains(tmp_path, monkeyp
     assert not list(tmp_path.glob("*.partial"))
 
 
+def test_what_a_killed_process_was_writing_goes_when_the_next_one_begins(tmp_path):
+    workspace = Workspace(tmp_path)
+    workspace.put("s/whole.bin", b"all of it")
+    (tmp_path / "s" / "torn.bin.4711.partial").write_bytes(b"half of")
+    with workspace.locked():
+        assert [path.name for path in (tmp_path / "s").iterdir()] == ["whole.bin"]
+
+
 def test_damaged_results_count_as_missing(tmp_path):
     workspace = Workspace(tmp_path)
     data = encode_records([Thing(5)])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from optnav_cli.output.wording import amount, duration, speed
+from optnav_cli.output.wording import amount, duration, plural, speed
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,7 @@ def test_a_slow_rate_is_told_the_other_way_round() -> None:
 )  # fmt: skip
 def test_bytes_read_as_people_say_them(count: int, text: str) -> None:
     assert amount(count) == text
+
+
+def test_a_symbol_of_a_unit_has_no_plural() -> None:
+    assert (plural("cell", 2), plural("cell", 1), plural("MB", 2)) == ("cells", "cell", "MB")
