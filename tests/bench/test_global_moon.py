@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 import rasterio
 
-from tests.bench.global_moon import likeness, place, terrain
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.stages.account import Account, StageAccount
+from tests.bench.global_moon import figures, hillshade, likeness, place, terrain
 from tests.bench.global_moon.__main__ import main
+from tests.bench.global_moon.builds import CELLS, Build
+from tests.bench.global_moon.clock import Used
 from tests.bench.global_moon.terrain import Ground
 
 ROWS, FACTOR = 360, 4  # of a small model, and pixels to one of it
@@ -215,3 +219,57 @@ def test_wrong_words_are_refused(words, capsys):
         main(words)
     assert stopped.value.code == 2
     assert "wanted" in capsys.readouterr().err or not words
+
+
+def test_a_strip_s_time_is_scaled_up_by_its_cells_but_for_reading_the_terrain():
+    names = ("ingest", "render", "select", "check", "write")
+    stages = [StageAccount(name, seconds=10.0, cpu_s=15.0) for name in names]
+    account = Account("optnav", 2, cells=CELLS // 4, stages=stages)
+    build = Build(Path("moon.gpkg"), account, Used(52.0, 80.0))
+    # ten seconds of ingest and two of starting stay as they are; of processors 15 and 5
+    assert build.whole_moon == pytest.approx((12.0 + 4 * 40.0, 20.0 + 4 * 60.0))
+
+
+@pytest.mark.skipif(shutil.which("gdaldem") is None, reason="needs gdaldem")
+def test_one_hillshade_pass_is_timed_and_leaves_nothing(model, tmp_path):
+    used = hillshade.one_pass(model, tmp_path)
+    assert used is not None
+    assert used.cpu_s > 0.0
+    assert used.wall_s > 0.0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_gdaldem_there_is_no_hillshade(model, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert hillshade.one_pass(model, tmp_path) is None
+
+
+class Listed:
+    """A catalog of given directions; `nearest` is right but for one point that it never finds."""
+
+    def __init__(self, direction, missed=None):
+        self.direction, self.missed = direction, missed
+        self.ids = np.arange(10, 10 + len(direction))
+
+    def __len__(self):
+        return len(self.ids)
+
+    def nearest(self, lat_deg, lon_deg):
+        place = xyz_from_latlon(np.radians(lat_deg), np.radians(lon_deg), 1.0)
+        distance = np.linalg.norm(self.direction - place, axis=1)
+        if self.missed is not None:
+            distance[self.missed] = 9.0
+        return int(self.ids[np.argmin(distance)])
+
+
+def test_a_wrong_nearest_point_is_noticed():
+    rng = np.random.default_rng(5)
+    lat, lon = figures.places(rng, 400)
+    assert {90.0, -90.0} <= set(lat)
+    assert {180.0, -180.0} <= set(lon)
+    assert ((lat >= -90.0) & (lat <= 90.0)).all()
+    direction = xyz_from_latlon(*np.radians(figures.places(rng, 60)), 1.0)
+    right = Listed(direction)
+    assert figures.disagreements(right, lat, lon) == 0
+    closest = int(right.ids.searchsorted(right.nearest(float(lat[300]), float(lon[300]))))
+    assert figures.disagreements(Listed(direction, closest), lat, lon) > 0

@@ -2,17 +2,16 @@
 
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 
 from catalog.stages.account import FILE, Account, StageAccount
+from tests.bench.global_moon.clock import Used, run
 from tests.bench.global_moon.place import CHECKOUT
 
 CELLS = 41_252  # of 1 degree on a sphere
@@ -21,29 +20,27 @@ PER_CELL = ("render", "select", "check", "write")  # stages whose work grows wit
 
 
 class Build(NamedTuple):
-    """A build that was done.
-
-    wall_s, cpu_s  of the command, start and libraries included; processor time of all processes
-    """
+    """A build that was done; `used` counts the whole command, with its start and libraries."""
 
     catalog: Path
     account: Account
-    wall_s: float
-    cpu_s: float
+    used: Used
 
     def stage(self, name: str) -> StageAccount:
         """What one stage used."""
         return next(stage for stage in self.account.stages if stage.name == name)
 
     @property
-    def cells_s(self) -> float:
-        """Time of the stages that grow with the cells."""
-        return sum(self.stage(name).seconds for name in PER_CELL)
+    def per_cell(self) -> Used:
+        """Of the stages whose work grows with the cells."""
+        stages = [self.stage(name) for name in PER_CELL]
+        return Used(sum(s.seconds for s in stages), sum(s.cpu_s for s in stages))
 
     @property
-    def whole_moon_s(self) -> float:
-        """The time scaled to all cells, for a build of a strip."""
-        return self.wall_s + self.cells_s * (CELLS / self.account.cells - 1.0)
+    def whole_moon(self) -> Used:
+        """What a build of all cells would use, scaled up from a strip's."""
+        more = CELLS / self.account.cells - 1.0
+        return Used(*(a + more * b for a, b in zip(self.used, self.per_cell)))
 
     @property
     def peak_bytes(self) -> tuple[int, int]:
@@ -76,20 +73,13 @@ def build(
     words += ["--workers", str(workers)]
     if strip_deg < 360.0:
         words += ["--bbox", f"0,-90,{strip_deg:g},90"]
-    wall_s, cpu_s = run_optnav(*words)
-    return Build(catalog, read_account(folder, name), wall_s, cpu_s)
+    used = run_optnav(*words)
+    return Build(catalog, read_account(folder, name), used)
 
 
-def run_optnav(*words: str) -> tuple[float, float]:
-    """Run the command; clock and processor seconds. Raises SystemExit when it fails."""
-    before, started = _children_s(), time.monotonic()
-    done = subprocess.run(
-        [sys.executable, "-m", "optnav_cli.main", *words], cwd=CHECKOUT, stdout=subprocess.DEVNULL
-    )
-    wall_s = time.monotonic() - started
-    if done.returncode:
-        raise SystemExit(f"optnav {' '.join(words)}: ended with exit code {done.returncode}")
-    return wall_s, _children_s() - before
+def run_optnav(*words: str) -> Used:
+    """Run the command. Raises SystemExit when it fails."""
+    return run([sys.executable, "-m", "optnav_cli.main", *words], stdout=subprocess.DEVNULL)
 
 
 def warm_up(folder: Path) -> None:
@@ -130,8 +120,3 @@ def _share_overviews(source: Path, work: Path) -> None:
         return {name for name in names if top and not name.startswith(("dem-", "optnav-"))}
 
     shutil.copytree(source, work, ignore=others, copy_function=os.link)
-
-
-def _children_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime

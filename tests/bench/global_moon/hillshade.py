@@ -2,8 +2,9 @@
 
 import shutil
 import subprocess
-import time
 from pathlib import Path
+
+from tests.bench.global_moon.clock import Used, run
 
 OPTIONS = ("-co", "TILED=YES", "-co", "BIGTIFF=YES")  # bytes, tiled, not compressed
 
@@ -13,14 +14,15 @@ def command(raster: Path, output: Path) -> list[str]:
     return ["gdaldem", "hillshade", "-q", *OPTIONS, str(raster), str(output)]
 
 
-def seconds(raster: Path) -> float | None:
-    """Clock time of one pass, written beside the raster and removed; None without gdaldem."""
+def one_pass(raster: Path, folder: Path) -> Used | None:
+    """Time of one pass, written into a folder and removed; None without gdaldem.
+
+    Raises SystemExit when it fails.
+    """
     if shutil.which("gdaldem") is None:
         return None
-    output = raster.with_name("moon_hillshade.tif")
+    output = folder / "bench_hillshade.tif"
     try:
-        started = time.monotonic()
-        subprocess.run(command(raster, output), check=True)
-        return time.monotonic() - started
+        return run(command(raster, output), stdout=subprocess.DEVNULL)
     finally:
         output.unlink(missing_ok=True)

@@ -11,6 +11,7 @@ from typing import ParamSpec, TypeVar
 from catalog.stages.workers import available_cores
 from optnav_cli.output.account_table import account_lines
 from tests.bench.global_moon import builds, hillshade
+from tests.bench.global_moon.clock import Used
 from tests.bench.global_moon.place import MODEL_PPD, raster_path, size_of
 
 P = ParamSpec("P")
@@ -28,7 +29,7 @@ class Bench:
     def __init__(self, folder: Path, model: Path, ppd: int, strip_deg: float) -> None:
         self.folder, self.model, self.ppd, self.strip_deg = folder, model, ppd, strip_deg
         self.raster = raster_path(folder, ppd)
-        self.shade_s: float | None = None
+        self.shade: Used | None = None
         self.peaks: dict[int, tuple[int, int]] = {}
 
     def ground(self) -> None:
@@ -39,13 +40,13 @@ class Bench:
 
     def hillshade(self) -> None:
         """The yardstick."""
-        self.shade_s = hillshade.seconds(self.raster)
-        if self.shade_s is None:
+        self.shade = hillshade.one_pass(self.raster, self.folder)
+        if self.shade is None:
             print("hillshade: gdaldem is not installed, so there are no ratios to it")
             return
-        pixels = size_of(self.raster) / 2.0
+        rate = size_of(self.raster) / 2e6 / self.shade.wall_s
         words = " ".join(hillshade.command(Path(self.raster.name), Path("out.tif")))
-        print(f"hillshade: {self.shade_s:.1f} s, {pixels / self.shade_s / 1e6:.0f} Mpx/s: {words}")
+        print(f"hillshade: {_seconds(self.shade)}, {rate:.0f} Mpx/s: {words}")
 
     def build(self) -> None:
         """The catalog, from the raster."""
@@ -73,10 +74,11 @@ class Bench:
                 workers=count, strip_deg=STRIP_DEG, overviews_of=base,
             )  # fmt: skip
         one, two = made[1], made[2]
-        gain = one.cells_s / two.cells_s
+        gain = one.per_cell.wall_s / two.per_cell.wall_s
         print(
-            f"workers: {one.account.cells} cells, render to write: 1 worker {one.cells_s:.1f} s, "
-            f"2 workers {two.cells_s:.1f} s: {gain:.2f} times as fast (wanted {SPEED_UP:g})"
+            f"workers: {one.account.cells} cells, render to write: 1 worker "
+            f"{one.per_cell.wall_s:.1f} s, 2 workers {two.per_cell.wall_s:.1f} s: "
+            f"{gain:.2f} times as fast (wanted {SPEED_UP:g})"
         )
         for stage in builds.PER_CELL:
             a, b = one.stage(stage), two.stage(stage)
@@ -103,27 +105,32 @@ class Bench:
         for line in apart(_ground_lines, self.model, finer, SHORTLIST_PPD // MODEL_PPD):
             print(line)
         for raster in (self.model, finer):
-            place = self.folder / f"bench_overviews_{raster.stem}"
-            for line in apart(_shortlist_lines, raster, place):
+            for line in apart(_shortlist_lines, raster, self.folder):
                 print(line)
 
     def _whole_build(self, name: str, raster: Path, ppd: int) -> None:
         builds.warm_up(self.folder)
         made = builds.build(self.folder, name, raster, workers=WORKERS, strip_deg=self.strip_deg)
-        whole = self.strip_deg >= 360.0
+        what = ""
+        if self.strip_deg < 360.0:
+            what = f", scaled up from {made.account.cells}"
         print(
             f"build at {ppd} px/deg, {WORKERS} workers of {available_cores()} cores: "
-            f"{made.wall_s:.1f} s, processor {made.cpu_s:.1f} s"
+            f"{_seconds(made.used)}"
         )
         for line in account_lines(made.account):
             print(f"  {line}")
-        wall_s, what = made.wall_s, ""
-        if not whole:
-            wall_s, what = made.whole_moon_s, f", scaled from {made.account.cells} cells"
-        print(f"  {builds.CELLS} cells{what}: {wall_s / 60:.1f} min (wanted {BUILD_S / 60:.0f})")
-        if self.shade_s is not None and raster == self.raster:
-            ratio = wall_s / self.shade_s
-            print(f"  {ratio:.1f} passes of hillshade (wanted {PASSES:g})")
+        moon = made.whole_moon
+        wanted = f" (wanted {BUILD_S / 60.0:.0f})" if raster == self.raster else ""
+        print(
+            f"  {builds.CELLS} cells{what}: {moon.wall_s / 60.0:.1f} min{wanted}, "
+            f"processors {moon.cpu_s / 60.0:.1f} min"
+        )
+        if self.shade is not None and raster == self.raster:
+            print(
+                f"  {moon.wall_s / self.shade.wall_s:.1f} passes of hillshade by the clock "
+                f"(wanted {PASSES:g}), {moon.cpu_s / self.shade.cpu_s:.1f} by processor time"
+            )
         self.peaks[ppd] = made.peak_bytes
         for at, (own, worker) in sorted(self.peaks.items()):
             print(
@@ -140,6 +147,10 @@ class Bench:
         if not work.is_dir():
             builds.build(self.folder, "full", self.raster, workers=WORKERS, strip_deg=1.0)
         return "full"
+
+
+def _seconds(used: Used) -> str:
+    return f"{used.wall_s:.1f} s by the clock, {used.cpu_s:.1f} s of processors"
 
 
 def apart(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
@@ -183,10 +194,10 @@ def _digests(paths: list[Path]) -> list[str]:
     return [digest_of(path) for path in paths]
 
 
-def _shortlist_lines(raster: Path, overviews: Path) -> list[str]:
+def _shortlist_lines(raster: Path, folder: Path) -> list[str]:
     from tests.bench.global_moon.shortlist import shortlist_lines
 
-    return list(shortlist_lines(raster, overviews))
+    return list(shortlist_lines(raster, folder))
 
 
 PARTS: dict[str, Callable[[Bench], None]] = {
