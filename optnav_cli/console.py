@@ -138,6 +138,7 @@ class _BarStage(_LineStage):
         # the bar's own speed is of what was done since its beginning
         self.bar.initial += n
         self.bar.n += n
+        self.bar.last_print_n += n
         self.bar.refresh()
 
     def advance(self, n: int = 1, note: str = "") -> None:

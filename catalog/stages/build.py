@@ -232,13 +232,15 @@ class _Build:
                 "wanted finest patches that lie on them whole: "
                 "lower [pyramid] size or posting_m, or give more ground"
             )
+        results = self._results(world, "write", PreparedPoint)
+        self.workspace.keep_only("write", {results.key})  # first, for they are as large as it
         written = write.write(
             world.context,
             points,
             output,
             sources=world.sources(),
             config_text=self.config_path.read_text(encoding="utf-8-sig"),
-            results=self._results(world, "write", PreparedPoint),
+            results=results,
             workers=self.workers,
             progress=self.progress,
             account=stage,

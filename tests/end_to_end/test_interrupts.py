@@ -1,11 +1,13 @@
 """A build that is stopped: it ends at once, leaves nothing half, and goes on when given again."""
 
 import os
+import random
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -79,6 +81,47 @@ def test_a_build_killed_again_and_again_goes_on_to_the_same_catalog(
             (tmp_path / "new.gpkg").unlink()
     assert _digest(tmp_path) == undisturbed
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new.gpkg", "new.gpkg.work"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds workers in /proc")
+def test_builds_and_workers_killed_at_any_moment_end_with_the_same_catalog(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The command as people give it, killed by the clock; a quicker test kills forked builds."""
+    undisturbed = _digest(tmp_path_factory.mktemp("undisturbed"))
+    rng = random.Random(20)
+    kills = rounds = 0
+    while kills < 25:
+        folder = tmp_path / str(rounds)
+        folder.mkdir(exist_ok=True)
+        with subprocess.Popen(
+            BUILD, cwd=folder, env=ENVIRONMENT, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL, start_new_session=True,
+        ) as process:  # fmt: skip
+            while process.poll() is None:
+                time.sleep(rng.uniform(0.0, 6.0))
+                victim = rng.choice([process.pid, *_children(process.pid)])
+                with suppress(ProcessLookupError):
+                    os.kill(victim, signal.SIGKILL)
+                    kills += 1
+        wait_for_the_end_of(process.pid)
+        if (folder / "new.gpkg").exists():
+            assert _digest(folder) == undisturbed
+            rounds += 1
+    (tmp_path / str(rounds)).mkdir(exist_ok=True)
+    assert _digest(tmp_path / str(rounds)) == undisturbed
+
+
+def _children(parent: int) -> list[int]:
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            # the name, in brackets, may hold anything; state and parent follow it
+            state, above = stat.read_text().rpartition(")")[2].split()[:2]
+            if int(above) == parent and state != "Z":
+                found.append(int(stat.parent.name))
+    return found
 
 
 def _digest(folder: Path) -> str:

@@ -3,8 +3,10 @@
 import io
 import json
 import logging
+import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -138,6 +140,11 @@ def test_a_bar_begins_where_an_earlier_run_ended() -> None:
         assert "100/400" in terminal.getvalue()
         # what was kept is no speed: nothing is known of the time left
         assert "?cell/s" in terminal.getvalue().rpartition("\r")[2]
+        time.sleep(0.2)
+        stage.advance()
+        shown = terminal.getvalue().rpartition("\r")[2]
+        assert "101/400" in shown
+        assert float(re.search(r"([\d.]+)cell/s", shown).group(1)) <= 5.0
 
 
 def test_a_terminal_gets_a_bar_and_a_last_line(capsys: pytest.CaptureFixture[str]) -> None:
