@@ -96,28 +96,38 @@ def shade_hapke(
     out = np.zeros((size, size), np.float32)
     normals = np.empty((3, size))
     nx, ny, nz = normals[0], normals[1], normals[2]
-    cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
-    per_step = (table.shape[0] - 1) / (2.0 * TABLE_SLOPE)
-    last = table.shape[0] - 1.0
+    sx, sy, sz = sun[0], sun[1], sun[2]
+    vx, vy, vz = view[0], view[1], view[2]
+    cos_g = sx * vx + sy * vy + sz * vz
+    steps = table.shape[0] - 1
+    per_step = steps / (2.0 * TABLE_SLOPE)
+    ratios, width = table.reshape(-1), np.uint64(table.shape[0])
+    geometric, x, y = np.empty(size), np.empty(size), np.empty(size)
     for row in range(size):
         row_normals(heights, row, posting, radius, normals)
         line = out[row]
+        # apart from the table, so that it is compiled to vector instructions
         for c in range(size):
-            mu0 = nx[c] * sun[0] + ny[c] * sun[1] + nz[c] * sun[2]
-            mu = nx[c] * view[0] + ny[c] * view[1] + nz[c] * view[2]
-            if not (mu0 > 0.0 and mu > 0.0):
+            mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz
+            mu = nx[c] * vx + ny[c] * vy + nz[c] * vz
+            geometric[c] = mu0 / (mu0 + mu) if (mu0 > 0.0) & (mu > 0.0) else 0.0
+            x[c] = (TABLE_SLOPE - nx[c] / nz[c]) * per_step
+            y[c] = (TABLE_SLOPE - ny[c] / nz[c]) * per_step
+        for c in range(size):
+            if not geometric[c] > 0.0:
                 continue
-            a, b = -nx[c] / nz[c], -ny[c] / nz[c]
-            x = (a + TABLE_SLOPE) * per_step
-            y = (b + TABLE_SLOPE) * per_step
-            if nz[c] > 0.0 and 0.0 <= x < last and 0.0 <= y < last:
-                j, i = int(x), int(y)
-                dx, dy = x - j, y - i
-                ratio = (1.0 - dy) * ((1.0 - dx) * table[i, j] + dx * table[i, j + 1]) + dy * (
-                    (1.0 - dx) * table[i + 1, j] + dx * table[i + 1, j + 1]
-                )
-                line[c] = ratio * mu0 / (mu0 + mu)
+            if nz[c] > 0.0 and 0.0 <= x[c] < steps and 0.0 <= y[c] < steps:
+                j, i = np.uint64(x[c]), np.uint64(y[c])
+                dx, dy = x[c] - j, y[c] - i
+                at = i * width + j
+                below = at + width
+                ratio = (1.0 - dy) * (
+                    (1.0 - dx) * ratios[at] + dx * ratios[at + np.uint64(1)]
+                ) + dy * ((1.0 - dx) * ratios[below] + dx * ratios[below + np.uint64(1)])
+                line[c] = ratio * geometric[c]
             else:
+                mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz
+                mu = nx[c] * vx + ny[c] * vy + nz[c] * vz
                 length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
                 line[c] = reflectance_scalar(mu0 / length, mu / length, cos_g, surface)
         darken(heights, lit, row, line)
