@@ -59,6 +59,7 @@ class Quantity:
     more_is_better: bool
     form: str
     edges: FloatArray | None = None
+    log: bool = False  # allowed, where the values span much
 
 
 def catalog_page(catalog: Catalog) -> str:
@@ -100,7 +101,7 @@ def quantities(catalog: Catalog) -> list[Quantity]:
             "Localisation", "predicted match error, nodes",
             "Predicted match error, 1 sigma in the worst direction, in nodes of the finest level; "
             "less is better.",
-            _finite(records["localisation_px"]), False, ".3g",
+            _finite(records["localisation_px"]), False, ".3g", log=True,
         ),
         Quantity(
             "Recognition", "recognised share of the trials",
@@ -112,7 +113,7 @@ def quantities(catalog: Catalog) -> list[Quantity]:
             "Uniqueness", "uniqueness margin, least of the levels",
             "How much better the true place looks than its best rival in the search region, at "
             "the level where that is least; more is better.",
-            np.where(certified, _extreme(margins, np.fmin), np.nan), True, ".3g",
+            np.where(certified, _extreme(margins, np.fmin), np.nan), True, ".3g", log=True,
         ),
         Quantity(
             "Shadow limits", "highest shadow limit, deg",
@@ -129,7 +130,7 @@ def _quantity(catalog: Catalog, maps: Sequence[Panel], quantity: Quantity) -> st
     if known.size == 0:
         missing = f"The catalog does not tell it ({quantity.label}) of any point."
         return section(quantity.heading, paragraph(missing))
-    scale = Scale.of(known, quantity.more_is_better)
+    scale = Scale.of(known, quantity.more_is_better, quantity.log)
     edges = quantity.edges
     if edges is None:
         edges = edges_of(scale)

@@ -42,21 +42,23 @@ def histogram(
     good, bad = (np.histogram(inside[known & choice], edges)[0] for choice in (usable, ~usable))
     top = 1.08 * max(float((good + bad).max()), LEAST_TOP)
     width, height = (THIRD, THIRD) if wide else (HALF, HALF_HEIGHT)
+    along = scale.along(edges)
     plot = Plot(
-        (float(edges[0]), float(edges[-1])), (-STRIP * top, top), x_label=label, y_label="points",
-        width=width, height=height,
+        (float(along[0]), float(along[-1])), (-STRIP * top, top), x_label=label, y_label="points",
+        width=width, height=height, log_x=scale.log,
     )  # fmt: skip
-    colours = scale.css((edges[:-1] + edges[1:]) / 2.0)
+    colours = scale.css((along[:-1] + along[1:]) / 2.0)
     spans = [f"{low:.3g} to {high:.3g}" for low, high in pairwise(edges.tolist())]
-    plot.bars(edges, good, "full", 0.0, colours, _titles(spans, good, "usable"))
-    plot.bars(edges, bad, "muted", good, None, _titles(spans, bad, "not usable"))
-    bar = np.linspace(edges[0], edges[-1], 65)
+    plot.bars(along, good, "full", 0.0, colours, _titles(spans, good, "usable"))
+    plot.bars(along, bad, "muted", good, None, _titles(spans, bad, "not usable"))
+    bar = np.linspace(along[0], along[-1], 65)
     strip = np.full(64, STRIP * top)
     plot.bars(bar, strip, "seamless", -STRIP * top, scale.css((bar[:-1] + bar[1:]) / 2.0))
     if (known & usable).any():
         middle = float(np.median(values[known & usable]))
         if edges[0] <= middle <= edges[-1]:
-            plot.line((middle, middle), (0.0, top), "median")
+            place = float(scale.along(np.array(middle)))
+            plot.line((place, place), (0.0, top), "median")
     return plot.svg(f"Histogram of {name}")
 
 
@@ -79,7 +81,8 @@ def latitude_plot(catalog: Catalog) -> str:
 
 def edges_of(scale: Scale) -> FloatArray:
     """Bars over the range of a scale."""
-    return np.linspace(scale.low, scale.high, BINS + 1)
+    space = np.geomspace if scale.log else np.linspace
+    return np.asarray(space(scale.low, scale.high, BINS + 1))
 
 
 def rate_edges(trials: NDArray[np.int64]) -> FloatArray:

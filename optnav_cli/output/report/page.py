@@ -15,13 +15,13 @@ BEGINNING = "<!doctype html>\n<!-- optnav report -->\n"
 
 STYLE = """
 :root { color-scheme: light dark; --paper: #ffffff; --ink: #1b2330; --soft: #5b6675;
-  --rule: #d8dee6; --tile: #f3f6f9; --none: #c4cad2;
+  --rule: #d8dee6; --tile: #f3f6f9; --none: #c4cad2; --edge: transparent;
   --c1: #1f6fb2; --c2: #c2571a; --c3: #23824e; --c4: #b3273f; }
 @media (prefers-color-scheme: dark) { :root { --paper: #12161c; --ink: #e4e9f0; --soft: #98a4b3;
-  --rule: #2c3541; --tile: #1b222b; --none: #39424e;
+  --rule: #2c3541; --tile: #1b222b; --none: #39424e; --edge: #98a4b399;
   --c1: #5eb0f0; --c2: #f29a5c; --c3: #5fc98c; --c4: #f2708a; } }
 @media print { :root { color-scheme: light; --paper: #ffffff; --ink: #000000; --soft: #444444;
-  --rule: #cccccc; --tile: #f3f3f3; --none: #cccccc;
+  --rule: #cccccc; --tile: #f3f3f3; --none: #cccccc; --edge: transparent;
   --c1: #1f6fb2; --c2: #c2571a; --c3: #23824e; --c4: #b3273f; }
   section, figure, tr { break-inside: avoid; } body { max-width: none; padding: 0; } }
 * { box-sizing: border-box; }
@@ -67,6 +67,7 @@ svg .frame { fill: none; stroke: var(--soft); stroke-width: 1; }
 svg .line { fill: none; stroke-width: 1.6; stroke: var(--ink); } svg .thin { stroke-width: .8; }
 svg .band { stroke: none; fill-opacity: .16; }
 svg .bar { fill-opacity: .8; } svg .bar.full, svg .bar.seamless { fill-opacity: 1; }
+svg .bar.full { stroke: var(--edge); stroke-width: .6; }
 svg .bar.seamless { shape-rendering: crispEdges; }
 svg .line.median { stroke: var(--ink); stroke-dasharray: 4 3; stroke-width: 1.2; }
 svg .line.s1 { stroke: var(--c1); } svg .line.s2 { stroke: var(--c2); }

@@ -31,12 +31,14 @@ class Plot:
         equal: bool = False,
         axes: bool = True,
         margins: tuple[int, int, int, int] = (LEFT, RIGHT, TOP, BOTTOM),
+        log_x: bool = False,
     ) -> None:
         """Axes over the ranges x and y; `equal` widens one of them until both scales agree.
 
         axes     False leaves out grid lines and their numbers, for maps that draw their own
         margins  room around the axes, px: left, right, top, bottom; 0 at the left leaves out the
                  frame as well, for maps that have an outline of their own
+        log_x    x are common logarithms; their numbers are written as what they stand for
         """
         self.width, self.height = width, height
         self._left, self._right, self._top, self._bottom = margins
@@ -44,6 +46,7 @@ class Plot:
         if equal:
             self._equalise()
         self._axes = axes
+        self._log_x = log_x
         self._labels = (x_label, y_label)
         self._ground: list[str] = []
         self._body: list[str] = []
@@ -196,8 +199,12 @@ class Plot:
 
     def _ticks(self) -> Iterable[str]:
         bottom, right = self.height - self._bottom, self.width - self._right
-        for value in ticks(*self.x, count=max(3, self.inner[0] // 70)):
-            x = float(self.px(value))
+        if self._log_x:
+            numbers = log_ticks(*self.x)
+        else:
+            numbers = [(v, v) for v in ticks(*self.x, count=max(3, self.inner[0] // 70))]
+        for place, value in numbers:
+            x = float(self.px(place))
             yield f'<line class="grid" x1="{x:.1f}" y1="{self._top}" x2="{x:.1f}" y2="{bottom}"/>'
             yield (
                 f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 15}">'
@@ -219,6 +226,17 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= 0.75 * raw)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [round(n * step, 12) for n in range(first, last + 1)]
+
+
+def log_ticks(low: float, high: float) -> list[tuple[float, float]]:
+    """Places, which are common logarithms, and numbers of ticks: 1, 2 and 5 of every power of ten.
+
+    Over more than two powers the powers alone.
+    """
+    digits = (1.0, 2.0, 5.0) if high - low <= 2.0 else (1.0,)
+    powers = range(math.floor(low), math.ceil(high) + 1)
+    found = [(power + math.log10(d), float(f"{d:g}e{power}")) for power in powers for d in digits]
+    return [(place, number) for place, number in found if low - 1e-9 <= place <= high + 1e-9]
 
 
 def number_text(value: float) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from optnav_cli.output.report.ground import GroundMap
-from optnav_cli.output.report.svg import Plot, number_text, span, ticks
+from optnav_cli.output.report.svg import Plot, log_ticks, number_text, span, ticks
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,15 @@ from optnav_cli.output.report.svg import Plot, number_text, span, ticks
 )
 def test_ticks_are_round_numbers_inside_the_range(low, high, expected):
     assert ticks(low, high) == pytest.approx(expected)
+
+
+def test_ticks_of_logarithms_say_what_they_stand_for():
+    places, numbers = zip(*log_ticks(-1.1, 0.4), strict=True)
+    assert numbers == (0.1, 0.2, 0.5, 1.0, 2.0)
+    assert places == pytest.approx(np.log10(numbers))
+    assert [number for _, number in log_ticks(-2.5, 1.5)] == [0.01, 0.1, 1.0, 10.0]
+    drawing = Plot((-1.1, 0.4), (0.0, 1.0), log_x=True).svg("counts")
+    assert ">0.2</text>" in drawing
 
 
 def test_a_tick_says_minus_and_no_trailing_digits():

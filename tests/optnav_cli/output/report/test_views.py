@@ -146,6 +146,21 @@ def test_one_value_everywhere_still_has_a_scale():
     assert scale.low < 0.3 < scale.high
 
 
+def test_values_that_span_much_get_a_logarithmic_scale_and_others_do_not():
+    values = np.concatenate([np.geomspace(0.01, 10.0, 500), [-1.0, 0.0]])
+    scale = Scale.of(values, True, log=True)
+    assert scale.log
+    places = scale.along(np.array([-1.0, 0.0, 0.1, 1.0]))
+    assert places[0] == places[1] == np.log10(scale.low)
+    assert places[3] - places[2] == pytest.approx(1.0)
+    thirds = scale.bgr(np.geomspace(scale.low, scale.high, 4)).tolist()
+    even = Scale(0.0, 3.0, True).bgr(np.arange(4.0)).tolist()
+    assert thirds[0] == even[0]
+    assert thirds[3] == even[3]
+    assert not Scale.of(np.linspace(1.0, 2.0, 50), True, log=True).log
+    assert not Scale.of(np.zeros(5), True, log=True).log
+
+
 def test_a_tint_looks_in_the_legend_as_on_the_map():
     assert blended("#ff0000", 0.5, 100.0) == "#b23232"
 
