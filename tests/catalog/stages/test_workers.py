@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from catalog.errors import DataError, OptnavError
+from catalog.errors import DataError, WorkersError
 from catalog.stages.workers import SerialWorkers, available_cores, workers_of
 
 WORK = """
@@ -78,7 +78,9 @@ def test_every_chunk_comes_back_once_with_its_position(work, two):
 
 
 def test_workers_stay_between_runs_and_use_one_thread_each(work, two):
-    first = {pid for _, (pid, _) in two.run(work.process, {}, range(20))}
+    first: set[int] = set()
+    while len(first) < 2:  # on a busy machine one worker may do all before the other is there
+        first |= {pid for _, (pid, _) in two.run(work.process, {}, range(20))}
     second = {pid for _, (pid, _) in two.run(work.process, {}, range(20))}
     assert os.getpid() not in first
     assert second <= first
@@ -99,7 +101,7 @@ def test_a_worker_that_dies_is_replaced_and_nothing_is_lost(work, two, tmp_path)
 
 
 def test_workers_that_die_again_and_again_are_a_clear_error(work, two):
-    with pytest.raises(OptnavError, match="fewer --workers"):
+    with pytest.raises(WorkersError, match="fewer --workers"):
         list(two.run(work.die, {}, [1, 2]))
 
 
