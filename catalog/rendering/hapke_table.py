@@ -45,7 +45,8 @@ def slope_table(
 ) -> FloatArray:
     """(size, size) ratios of Hapke's law to mu0 / (mu0 + mu), b along rows, a along columns.
 
-    sun, view (3,) unit. Those used last are kept: cells of a band of latitude share their Suns.
+    sun, view (3,) unit. `shade_hapke` fills in what it needs, the rest is NaN: smooth ground has
+    few slopes. Tables used last are kept: cells of a band of latitude share their Suns.
     """
     return _kept_table(tuple(sun.tolist()), tuple(view.tolist()), surface, size)
 
@@ -57,24 +58,36 @@ def _kept_table(
     surface: HapkeParameters,
     size: int,
 ) -> FloatArray:
-    table: FloatArray = _fill_table(np.array(sun), np.array(view), surface, size)
-    table.setflags(write=False)
-    return table
+    return np.full((size, size), np.nan)
 
 
 @kernel
-def _fill_table(
-    sun: FloatArray, view: FloatArray, surface: HapkeParameters, size: int
-) -> FloatArray:
-    cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
-    table = np.empty((size, size))
-    step = 2.0 * TABLE_SLOPE / (size - 1)
-    for i in range(size):
-        for j in range(size):
-            table[i, j] = _ratio(
-                j * step - TABLE_SLOPE, i * step - TABLE_SLOPE, sun, view, cos_g, surface
-            )
-    return table
+def _between(table: FloatArray, i: np.uint64, j: np.uint64, dy: float, dx: float) -> float:
+    """The table's value dy rows and dx columns (0..1) after element [i, j]."""
+    i1, j1 = i + np.uint64(1), j + np.uint64(1)
+    value: float = (1.0 - dy) * ((1.0 - dx) * table[i, j] + dx * table[i, j1]) + dy * (
+        (1.0 - dx) * table[i1, j] + dx * table[i1, j1]
+    )
+    return value
+
+
+@kernel
+def _fill(
+    table: FloatArray,
+    i: int,
+    j: int,
+    sun: FloatArray,
+    view: FloatArray,
+    cos_g: float,
+    surface: HapkeParameters,
+) -> None:
+    """Compute the four elements from [i, j] on that are not known yet."""
+    step = 2.0 * TABLE_SLOPE / (table.shape[0] - 1)
+    for row in range(i, i + 2):
+        for col in range(j, j + 2):
+            if table[row, col] != table[row, col]:
+                a, b = col * step - TABLE_SLOPE, row * step - TABLE_SLOPE
+                table[row, col] = _ratio(a, b, sun, view, cos_g, surface)
 
 
 @kernel
@@ -90,7 +103,7 @@ def shade_hapke(
 ) -> HeightGrid:
     """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit.
 
-    table  of this Sun, view and surface, see `slope_table`
+    table  of this Sun, view and surface, see `slope_table`; what is needed is filled in
     """
     size = heights.shape[0]
     out = np.zeros((size, size), np.float32)
@@ -101,7 +114,6 @@ def shade_hapke(
     cos_g = sx * vx + sy * vy + sz * vz
     steps = table.shape[0] - 1
     per_step = steps / (2.0 * TABLE_SLOPE)
-    ratios, width = table.reshape(-1), np.uint64(table.shape[0])
     geometric, x, y = np.empty(size), np.empty(size), np.empty(size)
     for row in range(size):
         row_normals(heights, row, posting, radius, normals)
@@ -119,11 +131,10 @@ def shade_hapke(
             if nz[c] > 0.0 and 0.0 <= x[c] < steps and 0.0 <= y[c] < steps:
                 j, i = np.uint64(x[c]), np.uint64(y[c])
                 dx, dy = x[c] - j, y[c] - i
-                at = i * width + j
-                below = at + width
-                ratio = (1.0 - dy) * (
-                    (1.0 - dx) * ratios[at] + dx * ratios[at + np.uint64(1)]
-                ) + dy * ((1.0 - dx) * ratios[below] + dx * ratios[below + np.uint64(1)])
+                ratio = _between(table, i, j, dy, dx)
+                if ratio != ratio:
+                    _fill(table, int(i), int(j), sun, view, cos_g, surface)
+                    ratio = _between(table, i, j, dy, dx)
                 line[c] = ratio * geometric[c]
             else:
                 mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz

@@ -135,6 +135,21 @@ def test_the_slope_table_is_as_good_as_hapke_node_by_node(
     assert np.abs(error).max() < factor * 1e-3
 
 
+def test_a_table_filled_for_one_ground_serves_another(tycho):
+    towards, view = sun(25.0, 70.0), sun(80.0, 200.0)
+    table = np.full((SMALL_TABLE_SIZE, SMALL_TABLE_SIZE), np.nan)
+
+    def shaded(heights, table):
+        return shade_hapke(heights, POSTING_M, MOON_M, towards, view, LUNAR, ALL_LIT, table)
+
+    gentle = shaded((0.05 * tycho).astype(np.float32), table)
+    assert 0 < np.isfinite(table).sum() < 0.2 * table.size
+    fresh = np.full_like(table, np.nan)
+    np.testing.assert_array_equal(shaded(tycho, table), shaded(tycho, fresh))
+    full = shaded((0.05 * tycho).astype(np.float32), fresh)
+    np.testing.assert_array_equal(full, gentle)
+
+
 def test_slopes_facing_the_sun_are_the_brighter_ones():
     ramp = np.tile(np.linspace(0.0, 900.0, 31, dtype=np.float32), (31, 1))  # rises to the east
     for law in LAWS:
