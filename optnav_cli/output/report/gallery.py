@@ -82,9 +82,14 @@ def _level(patch: Patch, number: int, point: int) -> str:
     width_km = patch.posting_m * patch.size / 1e3
     known = patch.heights_m[np.isfinite(patch.heights_m)]
     relief = f"{float(np.ptp(known)):.0f} m of relief" if known.size else "no data"
-    words = f"{patch.posting_m:.4g} m a node, {width_km:.3g} km wide, {relief}"
+    words = f"{_short(patch.posting_m)} m a node, {_short(width_km)} km wide, {relief}"
     picture = image(data_uri(coloured(patch)), f"heights about point {point}, level {number}")
     return captioned(picture, words, "box inner" if number else "box")
+
+
+def _short(value: float) -> str:
+    """Three digits at least, and never a power of ten."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def coloured(patch: Patch) -> NDArray[np.uint8]:
