@@ -69,7 +69,7 @@ def pixels_of_grid(
         pole = (np.pi / 2.0 - abs(projection.lat)) / angle - (size / 2.0 + 2 * STEP) * np.sqrt(2.0)
         smooth = pole > POLE_NODES and STEP * angle < LONGEST_STEP and size > STEP
         first, stride = (-STEP, STEP) if smooth else (0, 1)
-        n = -(-(size - 1) // STEP) + 3 if smooth else size
+        n = (size - 1) // STEP + 4 if smooth else size  # one before, two beyond the last
         nodes = np.empty((3, n, n))
         _cylindrical(m, size, spacing, first, stride, middle, cols_per_rad, row0, rows_per_rad,
                      ratio, nodes)  # fmt: skip
