@@ -53,7 +53,8 @@ class ControlPoint:
     uniqueness           (levels,) margin between the true place and its best rival
     shadow_limit_deg     (36,) Sun elevation by azimuth above which no foreign shadow reaches
                          the patch
-    source               which DEM the point comes from
+    source               which DEMs its finest patch comes from, joined by " + ": the one that
+                         counts most at the point first
     """
 
     id: int

@@ -120,14 +120,14 @@ def check_cell(context: StageContext, record: select.Record) -> Record:
             best = found
     if best is None:
         raise ValueError(f"cell {record.cell}: no place to check")
-    best.finish()
+    if not best.usable:
+        best.finish()
     return _record(context, best)
 
 
 def _record(context: StageContext, found: Certificate) -> Record:
     place = found.place
     lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
-    index = int(context.mosaic.source_index(lat, lon))
     return Record(
         cell=found.cell,
         lat_deg=place.lat_deg,
@@ -141,7 +141,9 @@ def _record(context: StageContext, found: Certificate) -> Record:
         shadow_limit_deg=tuple(float(limit) for limit in found.shadow_limits_deg),
         usable=found.usable,
         flags=int(found.flags),
-        source=context.mosaic.names[index] if index >= 0 else "",
+        source=context.mosaic.provenance(
+            context.projection(place.lat_deg, place.lon_deg), context.posting_m, context.size
+        ),
     )
 
 

@@ -45,6 +45,7 @@ class DemRecord(msgspec.Struct, frozen=True):
     name: str
     sha256: str
     priority: int
+    feather_km: float
     folder: str
     rows: int
     cols: int
@@ -77,7 +78,7 @@ def ingest(
         source = DemSource.open(one, base_dir, body)
         digest = _content_hash(source, hashes, progress)
         workspace.put(HASHES, msgspec.json.encode(hashes))
-        # where the file lies and how it ranks do not change its overviews
+        # where the file lies, how it ranks and how it ends do not change its overviews
         plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in _UNIMPORTANT}
         folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
         place = workspace.path(folder)
@@ -93,7 +94,7 @@ def ingest(
     return Mosaic(pyramids), records
 
 
-_UNIMPORTANT = ("path", "priority")
+_UNIMPORTANT = ("path", "priority", "feather_km")
 
 
 def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
@@ -103,6 +104,7 @@ def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
         name=source.path.name,
         sha256=digest,
         priority=source.settings.priority,
+        feather_km=source.settings.feather_km,
         folder=folder,
         rows=source.shape[0],
         cols=source.shape[1],

@@ -74,7 +74,7 @@ def settle_world(
     _check_posting(config, config_path, body, posting, mosaic.posting_m)
     cells = covered_cells(mosaic, grid, bbox)
     # paths and ranks do not matter by themselves: what was read, and in which order, does
-    read = [(dem.sha256, dem.folder) for dem in dems]
+    read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
     keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
     world = World(
         StageContext(body, mosaic, grid, posting, config), dems, chunks_of(grid, cells), keys

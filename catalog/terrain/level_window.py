@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from catalog.geometry.kernel import kernel
 from catalog.terrain.conversion import HEIGHTS
+from catalog.terrain.georeference import Georeference
 from catalog.terrain.pyramid import POLE_TOLERANCE, HeightPyramid
 
 HeightGrid = NDArray[np.float32]
@@ -41,6 +42,13 @@ class TileCache:
         return made
 
 
+def mirrored_poles(place: Georeference) -> tuple[bool, bool]:
+    """Whether a raster's upper and lower edge are a pole, beyond which it goes on."""
+    edges = (-0.5, place.shape[0] - 0.5)
+    top, bottom = (place.reaches_pole(edge, POLE_TOLERANCE) != 0 for edge in edges)
+    return top, bottom
+
+
 class LevelWindows:
     """One level of a pyramid as an endless sheet, its columns averaged 2^halvings at a time."""
 
@@ -69,8 +77,8 @@ class LevelWindows:
         # mirroring needs an edge exactly at the pole and a column half a turn away
         even = whole and cols % 2 == 0 and rows << level == place.shape[0]
         self.wraps = whole
-        self.mirrors_top = even and place.reaches_pole(-0.5, POLE_TOLERANCE) != 0
-        self.mirrors_bottom = even and place.reaches_pole(place.shape[0] - 0.5, POLE_TOLERANCE) != 0
+        top, bottom = mirrored_poles(place)
+        self.mirrors_top, self.mirrors_bottom = even and top, even and bottom
         self.most_halvings = self._count_halvings() if base is None else 0
 
     def _count_halvings(self) -> int:

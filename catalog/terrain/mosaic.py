@@ -1,5 +1,7 @@
 """Several terrain models as one surface: the first by priority that knows a place gives its height.
 
+A source may fade into those below it toward its edge and its holes (catalog.terrain.feather).
+
 A height is an area mean about as wide as the posting asked for: it is read from the overview that
 fits, with columns averaged where they crowd (toward the poles of a cylindrical map); a footprint
 that is wider still is averaged from several samples, never one picked.
@@ -7,7 +9,7 @@ that is wider still is averaged from several samples, never one picked.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from catalog.bodies.body import Body
 from catalog.geometry.projection import Stereographic
 from catalog.progress import Progress
+from catalog.terrain.feather import Feather
 from catalog.terrain.footprint import sample_level
 from catalog.terrain.georeference import Georeference
 from catalog.terrain.level_window import LevelWindows, TileCache
@@ -22,7 +25,22 @@ from catalog.terrain.map_nodes import Pixels, pixels_of_grid, pixels_of_points
 from catalog.terrain.pyramid import HeightPyramid
 from catalog.terrain.source import DemSettings
 
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 HeightGrid = NDArray[np.float32]
+
+
+class Sampled(NamedTuple):
+    """Points read from a mosaic.
+
+    heights  (n) float32, NaN for none
+    source   (n) the source that counts most, -1 for none
+    used     (sources that were asked, n) whether a source counts at all
+    """
+
+    heights: HeightGrid
+    source: NDArray[np.int8]
+    used: NDArray[np.bool_]
 
 
 class Mosaic:
@@ -40,6 +58,7 @@ class Mosaic:
     def _reset(self) -> None:
         self._cache = TileCache()
         self._sheets: dict[tuple[int, int], LevelWindows] = {}
+        self._feathers: dict[int, Feather | None] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         return {"pyramids": self.pyramids, "body": self.body, "_whole": self._whole}
@@ -79,8 +98,15 @@ class Mosaic:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """File names in order of priority, as `source_index` counts them."""
-        return tuple(p.source.path.name for p in self.pyramids)
+        """File names in order of priority, as `source_index` counts them.
+
+        Of two with one name the second tells its priority.
+        """
+        names: list[str] = []
+        for source in (pyramid.source for pyramid in self.pyramids):
+            name = source.path.name
+            names.append(name if name not in names else f"{name} ({source.settings.priority})")
+        return tuple(names)
 
     def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> HeightGrid:
         """Heights (float32, m above the reference sphere, NaN for none) of points (rad).
@@ -88,11 +114,13 @@ class Mosaic:
         lat, lon   (...)  planetocentric latitude, east longitude of any turn
         posting_m  the spacing these points stand for: what is finer is averaged
         """
-        return self._at(lat, lon, posting_m)[0]
+        sampled, shape = self._at(lat, lon, posting_m)
+        return sampled.heights.reshape(shape)
 
     def source_index(self, lat: ArrayLike, lon: ArrayLike) -> NDArray[np.int8]:
-        """Which source (from 0, by priority) gives the height of points (rad); -1 for none."""
-        return self._at(lat, lon, self.posting_m)[1]
+        """Which source (from 0, by priority) counts most at points (rad); -1 for none."""
+        sampled, shape = self._at(lat, lon, self.posting_m)
+        return sampled.source.reshape(shape)
 
     def covers(
         self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None
@@ -100,25 +128,41 @@ class Mosaic:
         """Whether points (rad) have a height; a coarser posting answers from overviews, quicker."""
         if self._whole:
             return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
-        return np.isfinite(self.heights(lat, lon, posting_m or self.posting_m))
+        sampled, shape = self._at(lat, lon, posting_m or self.posting_m)
+        return np.asarray(sampled.source.reshape(shape) >= 0)
 
     def local_grid(self, projection: Stereographic, posting_m: float, size: int) -> HeightGrid:
         """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
+        return self._sample_grid(projection, posting_m, size).heights.reshape(size, size)
 
+    def provenance(self, projection: Stereographic, posting_m: float, size: int) -> str:
+        """Names of the sources that a centred map grid is read from, joined by " + ".
+
+        The one that counts most at its middle comes first, the others by priority; empty where
+        there is no ground.
+        """
+        if len(self.pyramids) == 1:
+            found = self.covers(projection.lat, projection.lon, posting_m)
+            return self.names[0] if found else ""
+        sampled = self._sample_grid(projection, posting_m, size)
+        numbers = np.flatnonzero(sampled.used.any(axis=1)).tolist()
+        middle = int(self.source_index(projection.lat, projection.lon))
+        return " + ".join(self.names[i] for i in sorted(numbers, key=lambda i: (i != middle, i)))
+
+    def _sample_grid(self, projection: Stereographic, posting_m: float, size: int) -> Sampled:
         def nodes(place: Georeference) -> Pixels:
             return pixels_of_grid(place, projection, posting_m, size)
 
-        return self._sample(nodes, size * size, posting_m)[0].reshape(size, size)
+        return self._sample(nodes, size * size, posting_m)
 
     def _at(
         self, lat: ArrayLike, lon: ArrayLike, posting_m: float
-    ) -> tuple[HeightGrid, NDArray[np.int8]]:
+    ) -> tuple[Sampled, tuple[int, ...]]:
         lat, lon = np.broadcast_arrays(
             np.asarray(lat, dtype=np.float64), np.asarray(lon, dtype=np.float64)
         )
         flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
-        heights, index = self._sample(lambda p: pixels_of_points(p, *flat), lat.size, posting_m)
-        return heights.reshape(lat.shape), index.reshape(lat.shape)
+        return self._sample(lambda p: pixels_of_points(p, *flat), lat.size, posting_m), lat.shape
 
     def close(self) -> None:
         """Let go of files and cached tiles."""
@@ -127,29 +171,68 @@ class Mosaic:
         self._reset()
 
     def _sample(
-        self, places: Callable[[Georeference], Pixels], count: int, posting_m: float
-    ) -> tuple[HeightGrid, NDArray[np.int8]]:
-        """Heights of `count` points, and the source of each; `places` finds them in a raster."""
-        out = np.full(count, np.nan, dtype=np.float32)
-        index = np.full(count, -1, dtype=np.int8)
+        self,
+        places: Callable[[Georeference], Pixels],
+        count: int,
+        posting_m: float,
+    ) -> Sampled:
+        """Heights of `count` points; `places` finds them in a raster."""
+        layers = []
+        wanted = np.arange(count)
         for i, pyramid in enumerate(self.pyramids):
             pixels = places(pyramid.source.place)
+            if wanted.size < count:
+                pixels = pixels.part(wanted)
             level = pyramid.level_for(posting_m)
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-            sheet = self._sheet(i, pyramid, level)
-            if i == 0:
-                out = sample_level(sheet, pixels, rows_wide)
-                index[:] = np.where(np.isnan(out), -1, 0)
-            else:
-                missing = np.flatnonzero(np.isnan(out))
-                found = sample_level(sheet, pixels.part(missing), rows_wide)
-                out[missing] = found
-                index[missing] = np.where(np.isnan(found), -1, i)
-            if not np.isnan(out).any():
+            found = sample_level(self._sheet(i, pyramid, level), pixels, rows_wide)
+            known = ~np.isnan(found)
+            weight = known.astype(np.float64)
+            feather = self._feather(i)
+            if feather is not None and known.any():
+                inside = np.flatnonzero(known)
+                weight[inside] = feather.weights(pixels.part(inside))
+            layers.append((wanted, found, weight))
+            wanted = wanted[weight < 1.0]
+            if not wanted.size:
                 break
-        return out, index
+        return _composed(layers, count)
+
+    def _feather(self, i: int) -> Feather | None:
+        """The seam of a source; None for a hard edge, one without any and the lowest source."""
+        if i not in self._feathers:
+            pyramid = self.pyramids[i]
+            hard = pyramid.source.settings.feather_km == 0.0 or pyramid.covers_the_body
+            last = i == len(self.pyramids) - 1
+            self._feathers[i] = None if hard or last else Feather(i, pyramid, self._cache)
+        return self._feathers[i]
 
     def _sheet(self, i: int, pyramid: HeightPyramid, level: int) -> LevelWindows:
         if (i, level) not in self._sheets:
             self._sheets[i, level] = LevelWindows(i, pyramid, level, self._cache)
         return self._sheets[i, level]
+
+
+def _composed(layers: Sequence[tuple[IntArray, HeightGrid, FloatArray]], count: int) -> Sampled:
+    """One height a point from those of the sources: point numbers, heights, weights, in order.
+
+    Each source is laid over what those below it give; where they give nothing it counts wholly.
+    """
+    heights = np.full(count, np.nan, dtype=np.float32)
+    source = np.full(count, -1, dtype=np.int8)
+    used = np.zeros((len(layers), count), dtype=bool)
+    for i in reversed(range(len(layers))):
+        wanted, found, weight = layers[i]
+        below = heights[wanted]
+        known = ~np.isnan(found)
+        alone = known & (np.isnan(below) | (weight >= 1.0))
+        mixed = known & ~alone
+        heights[wanted[alone]] = found[alone]
+        share = weight[mixed]
+        # from below upward, so that a weight of 0 leaves exactly what lies below
+        upper, lower = found[mixed].astype(np.float64), below[mixed].astype(np.float64)
+        heights[wanted[mixed]] = lower + share * (upper - lower)
+        source[wanted[alone | (mixed & (weight >= 0.5))]] = i
+        used[i + 1 :, wanted[alone]] = False
+        used[i, wanted[alone | (mixed & (weight > 0.0))]] = True
+    return Sampled(heights, source, used)

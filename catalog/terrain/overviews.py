@@ -25,7 +25,7 @@ from catalog.progress import Progress
 from catalog.terrain.conversion import HEIGHTS, is_height
 from catalog.terrain.source import DemSettings, DemSource
 
-FORMAT = 1  # of the overview folder; another number means: make it again
+FORMAT = 2  # of the overview folder; another number means: make it again
 BLOCK = 256  # pixels a side of the overviews' tiles
 WINDOW = 4096  # pixels of the source read at once, a side: 32 MB of int16
 CASCADE = 4  # levels made from one window: 4096 halves to a whole tile of 256
@@ -36,6 +36,8 @@ ROUNDING = 1.0 / 1500.0
 # A source with blocks longer than this and no thicker than 16 rows is copied into tiles first:
 # a square window would decode whole strips.
 LONGEST_STRIP = 4096
+
+WHOLE_BLOCK = 8  # pixels a side of the blocks that are known to be without holes or not
 
 HeightGrid = NDArray[np.float32]
 Box = tuple[int, int, int, int]  # first row, first column, height, width
@@ -82,6 +84,11 @@ def level_path(folder: Path, level: int) -> Path:
     return folder / f"level-{level:02d}.tif"
 
 
+def whole_blocks_path(folder: Path) -> Path:
+    """Which blocks of the source have all their pixels; only for a source with holes."""
+    return folder / "whole-blocks.npy"
+
+
 def level_count(shape: tuple[int, int]) -> int:
     """Levels down to a side of about SMALLEST, the source's own included."""
     return max(1, 1 + math.floor(math.log2(max(1.0, min(shape) / SMALLEST))))
@@ -101,12 +108,15 @@ def write_levels(
     if copied:
         _copy_into_tiles(source, folder, progress)
     statistics = _Statistics()
+    whole = np.ones(tuple(-(-side // WHOLE_BLOCK) for side in source.shape), dtype=bool)
     for first in range(0, max(1, levels - 1), CASCADE):
         made = min(CASCADE, levels - 1 - first)
-        _cascade(source, folder, first, made, copied, statistics, workers, progress)
+        _cascade(source, folder, first, made, copied, statistics, whole, workers, progress)
     if statistics.valid == 0:
         raise DataError(f"{source.path}: has no data at all; check `nodata` and the file")
     source.check_heights(statistics.lowest, statistics.highest)
+    if statistics.valid < statistics.total:
+        np.save(whole_blocks_path(folder), whole)
     return PyramidRecord(
         format=FORMAT,
         settings=source.settings,
@@ -131,6 +141,7 @@ def _cascade(
     made: int,
     copied: bool,
     statistics: _Statistics,
+    whole: NDArray[np.bool_],
     workers: int,
     progress: Progress,
 ) -> None:
@@ -157,6 +168,10 @@ def _cascade(
                 raw = dataset.read(1, window=Window(col, row, width, height))
         limits = convert.limits
         part = _extremes(raw, convert.scale_m, convert.offset_m, *limits)
+        if first == 0 and part[2] < part[3]:
+            # windows begin at whole blocks: each writes its own part
+            at = window[0] // WHOLE_BLOCK, window[1] // WHOLE_BLOCK
+            _mark_holes(raw, *limits, WHOLE_BLOCK, whole[at[0] :, at[1] :])
         grids = []
         if made > 0:
             grids.append(_halve_raw(raw, convert.scale_m, convert.offset_m, *limits, step))
@@ -281,6 +296,22 @@ def _extremes(
                 lowest, highest = min(lowest, height), max(highest, height)
                 valid += 1
     return lowest, highest, valid, raw.size
+
+
+@kernel
+def _mark_holes(
+    raw: NDArray[Any],
+    lowest_valid: float,
+    nodata: float,
+    nodata32: float,
+    block: int,
+    whole: NDArray[np.bool_],
+) -> None:
+    """Clear the blocks that have a pixel without data."""
+    for i in range(raw.shape[0]):
+        for j in range(raw.shape[1]):
+            if not is_height(float(raw[i, j]), lowest_valid, nodata, nodata32):
+                whole[i // block, j // block] = False
 
 
 @kernel

@@ -23,9 +23,11 @@ from catalog.progress import Progress, SilentProgress
 from catalog.terrain.conversion import HEIGHTS, Conversion
 from catalog.terrain.overviews import (
     FORMAT,
+    WHOLE_BLOCK,
     PyramidRecord,
     level_path,
     level_shape,
+    whole_blocks_path,
     write_levels,
 )
 from catalog.terrain.source import GDAL_CACHE_BYTES, DemSettings, DemSource
@@ -61,6 +63,17 @@ class HeightPyramid:
         ends = [place.reaches_pole(edge, POLE_TOLERANCE) for edge in (-0.5, rows - 0.5)]
         return self.record.valid_share == 1.0 and sorted(ends) == [-1, 1]
 
+    def whole_blocks(self) -> NDArray[np.bool_]:
+        """Which blocks of WHOLE_BLOCK pixels a side (fewer in the last ones) have no hole."""
+        if self.record.valid_share == 1.0:
+            return np.ones(tuple(-(-side // WHOLE_BLOCK) for side in self.source.shape), dtype=bool)
+        path = whole_blocks_path(self.folder)
+        try:
+            found: NDArray[np.bool_] = np.load(path)
+        except (OSError, ValueError):
+            raise DataError(_torn(path, self.folder)) from None
+        return found
+
     def level_for(self, posting_m: float) -> int:
         """The coarsest level whose posting is at most 1.05 times the wanted one; 0 if none is."""
         ratio = 1.05 * posting_m / self.source.posting_m
@@ -84,9 +97,7 @@ class HeightPyramid:
                     self._open[level] = rasterio.open(path)
                 raw = self._open[level].read(1, window=Window(col, row, width, height))
         except RasterioError:
-            raise DataError(
-                f"{path}: cannot be read; remove the folder {self.folder} to have it made again"
-            ) from None
+            raise DataError(_torn(path, self.folder)) from None
         return raw, HEIGHTS if level else self.source.convert
 
     def close(self) -> None:
@@ -109,7 +120,7 @@ class HeightPyramid:
         state = source.path.stat()
         same = (
             record.format == FORMAT
-            and record.settings == source.settings
+            and _reading(record.settings) == _reading(source.settings)
             and record.shape == source.shape
             and record.source_bytes == state.st_size
             and record.source_mtime_ns == state.st_mtime_ns
@@ -159,3 +170,12 @@ class HeightPyramid:
         """The pyramid of a [[dem]] section, made if the folder does not hold it yet."""
         source = DemSource.open(settings, base_dir, body)
         return cls.load(source, folder) or cls.build(source, folder, workers, progress)
+
+
+def _reading(settings: DemSettings) -> DemSettings:
+    """Settings without those that do not change what is read from a file."""
+    return msgspec.structs.replace(settings, priority=1, feather_km=0.0)
+
+
+def _torn(path: Path, folder: Path) -> str:
+    return f"{path}: cannot be read; remove the folder {folder} to have it made again"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -53,6 +53,8 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     path       relative to the config file; "bundled:NAME" is a file that travels with optnav
     priority   1 is used first; higher numbers fill what it leaves empty
+    feather_km over which it fades into those below, inside its edge and about its holes; 0: it ends
+               in a hard edge
     heights    "height" above the reference sphere or "radius" from the body's centre; without it
                values near the body's radius are taken as radii
     scale, offset, nodata  override the file's own; height = value * scale + offset, in `units`
@@ -63,6 +65,7 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     path: str
     priority: int = 1
+    feather_km: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
     heights: Literal["height", "radius"] | None = None
     scale: float | None = None
     offset: float | None = None

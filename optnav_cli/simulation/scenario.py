@@ -172,6 +172,12 @@ def _data_file(name: str, base: Path, where: Path) -> Path:
 def _check(scenario: Scenario, where: Path) -> None:
     if not scenario.dem:
         raise ConfigError(f"{where}: [[dem]] is empty; name at least one terrain model")
+    for dem in scenario.dem:
+        if dem.feather_km:
+            raise ConfigError(
+                f"{where}: [[dem]] feather_km is {dem.feather_km:g}; wanted 0: "
+                "simulated ground has hard edges, only builds blend"
+            )
     low, high = scenario.sun.elevation_deg
     if low > high:
         raise ConfigError(f"{where}: [sun] elevation_deg is {low}..{high}; put the lower one first")

@@ -146,3 +146,16 @@ def test_a_polar_tile_covers_the_pole(tmp_path, dems, moon):
     cells = covered_cells(mosaic_of(moon, tmp_path, path), grid, None)
     assert 0 in cells  # the first cells lie about the south pole
     assert max(grid.bounds_deg(int(cell))[1] for cell in cells) <= -80.0
+
+
+def test_how_a_model_ranks_and_ends_does_not_make_its_overviews_again(tmp_path, dems, moon):
+    values, affine = dems.rough_region(100)
+    values[10, 10] = np.nan
+    path = dems.write(tmp_path / "r.tif", values, affine=affine)
+    workspace = Workspace(tmp_path / "work")
+    _, (plain,) = ingested(workspace, path, moon)
+    place = tmp_path / "work" / plain.folder / "pyramid.json"
+    made = place.stat().st_mtime_ns
+    _, (other,) = ingested(workspace, path, moon, priority=3, feather_km=2.0)
+    assert (other.folder, other.feather_km) == (plain.folder, 2.0)
+    assert place.stat().st_mtime_ns == made

@@ -25,7 +25,7 @@ def at_distance(nodes: float, size: int, posting_m: float, radius_m: float) -> f
 
 @pytest.mark.parametrize("lat_deg", [0.0, -43.3, 71.0, 86.0, None, 89.0, -90.0])
 @pytest.mark.parametrize("lon_deg", [0.0, 179.9, -97.0])
-@pytest.mark.parametrize("size", [5, 80, 331])
+@pytest.mark.parametrize("size", [5, 9, 80, 81, 331])
 def test_nodes_fall_where_their_latitude_and_longitude_say(
     tmp_path, dems, moon, lat_deg, lon_deg, size
 ):

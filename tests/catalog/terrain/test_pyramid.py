@@ -154,3 +154,14 @@ def test_sources_can_be_read_by_threads_with_handles_of_their_own(tmp_path, dems
     other = source.reopen()
     source.close()
     np.testing.assert_array_equal(other.read_window(0, 0, 4, 4), source.read_window(0, 0, 4, 4))
+
+
+def test_blocks_with_a_hole_are_known_whatever_the_windows(tmp_path, dems, moon, monkeypatch):
+    values = dems.smooth_grid(150).astype(np.float32)
+    holes = np.random.default_rng(6).integers(0, (150, 300), (30, 2))
+    values[holes[:, 0], holes[:, 1]] = np.nan
+    monkeypatch.setattr("catalog.terrain.overviews.WINDOW", 64)
+    pyramid = pyramid_of(dems.write(tmp_path / "globe.tif", values), moon, workers=2)
+    expected = np.ones((19, 38), dtype=bool)
+    expected[holes[:, 0] // 8, holes[:, 1] // 8] = False
+    np.testing.assert_array_equal(pyramid.whole_blocks(), expected)

@@ -73,6 +73,7 @@ def test_a_misspelt_key_is_refused_with_the_right_one(scenario_file: Path):
     [
         ("-43.5, -10.5, -42.5", "-42.5, -10.5, -43.5", "south"),
         ("tycho_gld100_256ppd.tif", "nowhere.tif", "nowhere.tif"),
+        ("[[dem]]", "[[dem]]\nfeather_km = 5.0", "feather_km is 5; wanted 0"),
         ("seed = 3", "seed = 3\nsun = { elevation_deg = [40.0, 10.0] }", "lower one first"),
     ],
 )
