@@ -19,7 +19,7 @@ def place(tmp_path_factory):
 @pytest.mark.parametrize("size", [*range(2, 5 * STEP + 3), 80, 81, 330, 401])
 @pytest.mark.parametrize("lat_deg", [-44.0, 70.0, 89.5])
 def test_nodes_of_grids_of_any_size_are_where_their_points_are(place, size, lat_deg):
-    """Within a hundredth of a posting; sizes of 8 n + 1 once lacked a row of what is interpolated."""
+    """Within a hundredth of a posting; the last nodes of 8 n + 1 need a row more to interpolate."""
     projection = Stereographic(np.radians(lat_deg), np.radians(179.9), 1_737_400.0)
     posting = 948.0
     offsets = (np.arange(size) - (size - 1) / 2.0) * posting
