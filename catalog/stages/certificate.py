@@ -42,20 +42,22 @@ class Certificate:
         self.successes = self.trials = 0
         self.uniqueness = (0.0,) * context.levels
         self.shadow_limits_deg = np.zeros(SHADOW_AZIMUTHS)
-        patches = context.patches(place.lat_deg, place.lon_deg)
+        self._context = context
+        self._patches = context.patches(place.lat_deg, place.lon_deg)
         self._outcomes = outcomes_at(
             context,
-            patches,
+            self._patches,
             place.lat_deg,
             place.lon_deg,
             seed=[record.cell, number],
             relief_seed=record.cell,
             trials=self.settings.trials,
         )
-        self._known = self._examined(context, patches)
+        self._known = self._examined()
 
-    def _examined(self, context: StageContext, patches: Sequence[Patch]) -> Flag:
-        settings, place = self.settings, self.place
+    def _examined(self) -> Flag:
+        """What the patches tell by themselves; sets the shadow limits."""
+        settings, place, patches = self.settings, self.place, self._patches
         flags = Flag.NONE
         fine = [np.isnan(patch.heights_m).mean() for patch in patches[: render.FINE_LEVELS]]
         if max(fine) > render.MAX_MISSING:
@@ -66,13 +68,12 @@ class Certificate:
             flags |= Flag.CROWDED
         if flags & FATAL:
             return flags
-        self.uniqueness = _uniqueness(context, patches, math.radians(place.lat_deg))
         self.shadow_limits_deg = skyline_limits_deg(
-            [(patch.heights_m, patch.posting_m) for patch in patches], 0, context.body.radius_m
+            [(patch.heights_m, patch.posting_m) for patch in patches],
+            0,
+            self._context.body.radius_m,
         )
-        if min(self.uniqueness) < settings.min_margin:
-            flags |= Flag.NOT_UNIQUE
-        suns = render.suns_of(context.config.render, place.lat_deg)
+        suns = render.suns_of(self._context.config.render, place.lat_deg)
         if shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
             flags |= Flag.SHADOWED
         return flags
@@ -106,15 +107,25 @@ class Certificate:
     def try_for(self, successes: int) -> None:
         """Run trials until all are done, or so many successes or a pass are out of reach.
 
-        A place that is out already meets none.
+        A place that is out already meets none. Of one that passes, rivals are looked for: they are
+        rarer than failures, so that trials come first.
         """
-        if not self._known & FATAL:
+        if not self.flags & FATAL:
             self._run(max(self._least, successes))
+        if not self.flags & FATAL:
+            self._look_for_rivals()
 
     def finish(self) -> None:
-        """Run the trials that are left, also of a place that is out, if there is ground to see."""
+        """Find out what is missing, also of a place that is out, if there is ground to see."""
         if not self._known & NOT_TRIED:
             self._run(0.0)
+            self._look_for_rivals()
+
+    def _look_for_rivals(self) -> None:
+        lat = math.radians(self.place.lat_deg)
+        self.uniqueness = _uniqueness(self._context, self._patches, lat)
+        if min(self.uniqueness) < self.settings.min_margin:
+            self._known |= Flag.NOT_UNIQUE
 
     def _run(self, wanted: float) -> None:
         settings = self.settings
