@@ -27,7 +27,7 @@ class CatalogMeta:
     cell_deg       step of the grid of cells (see `catalog.geometry.cells`); ids are cell numbers
     levels, size   grids a point, nodes a side
     posting_m      node distance of level 0; level l has posting_m * 2**l
-    height_step_m  wanted quantisation step of heights; a patch states its own
+    height_step_m  wanted quantisation step of the finest heights; a patch states its own
     sources        DEM name -> its hash or description
     config         the build config's text
     software       program and version

@@ -38,14 +38,14 @@ class StoredPatch(NamedTuple):
 
 
 def prepare_point(
-    point: ControlPoint, patches: Sequence[Patch], height_step_m: float
+    point: ControlPoint, patches: Sequence[Patch], steps_m: Sequence[float]
 ) -> PreparedPoint:
-    """Round a point's numbers and compress its patches, finest first."""
+    """Round a point's numbers and compress its patches, finest first, each with its height step."""
     rounded = rounded_point(point)
     rows: list[PatchRow] = []
     contents: list[tuple[bytes, NDArray[np.int16]]] = []
-    for level, patch in enumerate(patches):
-        encoded, counts = encode(patch.heights_m, height_step_m)
+    for level, (patch, step) in enumerate(zip(patches, steps_m, strict=True)):
+        encoded, counts = encode(patch.heights_m, step)
         posting = round(float(patch.posting_m), POSTING_DECIMALS)
         header = patch_header(
             rounded.id, HEIGHT_LAYER, level, encoded.size, posting, encoded.step, encoded.offset

@@ -64,7 +64,9 @@ def write_catalog(
     Raises OutputError for a place that cannot be written, a full disk, or a file at `path` that
     is no optnav catalog; ValueError for points out of order or outside their cells.
     """
-    prepared = (prepare_point(p, patches, meta.height_step_m) for p, patches in points)
+    prepared = (
+        prepare_point(p, patches, (meta.height_step_m,) * len(patches)) for p, patches in points
+    )
     return write_prepared(path, meta, prepared, progress)
 
 

@@ -33,6 +33,7 @@ class World:
         self.body = SimpleNamespace(name="moon", radius_m=1737400.0)
         self.grid = CellGrid(5.0)
         self.levels, self.size, self.posting_m = 2, 16, 200.0
+        self.postings_m = (200.0, 400.0)
         self.config = SimpleNamespace(write=Settings())
         self.asked: list[tuple[float, float]] = []
 
@@ -99,6 +100,12 @@ def test_patches_are_cut_about_the_place_that_the_catalog_states(tmp_path: Path)
     stated = [(rounded_point(p).lat_deg, rounded_point(p).lon_deg) for p in given]
     assert world.asked == stated
     assert world.asked[0][0] != given[0].lat_deg
+
+
+def test_heights_are_rounded_by_the_posting_of_their_level_unless_a_step_is_set() -> None:
+    postings = (118.5, 237.0, 474.0, 948.0, 1896.0)
+    assert Settings().steps_m(postings) == (0.5, 1.0, 2.0, 4.0, 4.0)
+    assert Settings(height_step_m=0.25).steps_m(postings) == (0.25,) * 5
 
 
 @pytest.mark.parametrize("step", ["0.0", "-1.0"])
