@@ -14,7 +14,7 @@ from catalog.bodies.body import Body, load_body
 from catalog.control_point import ControlPoint, Flag
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.progress import Progress, SilentProgress
-from catalog.stages import account, check, render, select, write
+from catalog.stages import account, check, published, render, select, write
 from catalog.stages.account import Account, StageAccount
 from catalog.stages.chunked import ChunkResults
 from catalog.stages.cluster import cluster_workers
@@ -23,7 +23,7 @@ from catalog.stages.records import encode_records
 from catalog.stages.scheduler import check_address
 from catalog.stages.settings import BuildConfig, load_build_config
 from catalog.stages.workers import available_cores, workers_of
-from catalog.stages.workspace import MARK, Workspace
+from catalog.stages.workspace import MARK, Workspace, stage_key
 from catalog.stages.world import World, settle_world
 from catalog.store.partial import check_place
 from catalog.store.patches import PreparedPoint
@@ -232,19 +232,26 @@ class _Build:
                 "wanted finest patches that lie on them whole: "
                 "lower [pyramid] size or posting_m, or give more ground"
             )
-        results = self._results(world, "write", PreparedPoint)
-        self.workspace.keep_only("write", {results.key})  # first, for they are as large as it
-        written = write.write(
-            world.context,
-            points,
-            output,
-            sources=world.sources(),
-            config_text=self.config_path.read_text(encoding="utf-8-sig"),
-            results=results,
-            workers=self.workers,
-            progress=self.progress,
-            account=stage,
-        )
+        config_text = self.config_path.read_text(encoding="utf-8-sig")
+        key = stage_key(world.keys["write"], world.sources(), config_text)
+        written = published.find(self.workspace, key, output)
+        if written is not None:
+            stage.kept = math.ceil(len(points) / write.CHUNK_POINTS)
+        else:
+            results = self._results(world, "write", PreparedPoint)
+            self.workspace.keep_only("write", {results.key})  # first, for they are as large as it
+            written = write.write(
+                world.context,
+                points,
+                output,
+                sources=world.sources(),
+                config_text=config_text,
+                results=results,
+                workers=self.workers,
+                progress=self.progress,
+                account=stage,
+            )
+            published.remember(self.workspace, key, written.path)
         self.workspace.keep_only("write", set())  # the catalog has it all now
         report.output, report.points = written.path, written.count
         report.usable, report.digest = written.usable, written.digest

@@ -8,6 +8,7 @@ import pytest
 from catalog.errors import ConfigError, DataError, NothingToDoError, OutputError, UsageError
 from catalog.stages.build import STAGES, run
 from catalog.stages.code_key import code_key
+from catalog.store.verify import verify
 
 # coarse and small, so that a build takes a second or two
 CONFIG = """
@@ -65,6 +66,39 @@ def test_the_work_folder_lies_beside_the_output_and_is_used_again(config, digest
     kept = {account.name: account.kept for account in again.account.stages}
     assert done["render"] == done["select"] == done["check"] == 0
     assert kept["render"] == kept["check"] > 5
+
+
+def test_a_catalog_that_is_there_is_not_written_twice(config, digest, tmp_path):
+    output = tmp_path / "c.gpkg"
+    first = built(config, output, bbox=BBOX, workers=1)
+    before = output.read_bytes()
+    again = built(config, output, bbox=BBOX, workers=1)
+    assert (again.points, again.usable, again.digest) == (first.points, first.usable, digest)
+    assert {s.name: (s.done, s.kept) for s in again.account.stages}["write"] == (0, 1)
+    assert output.read_bytes() == before
+
+
+def test_a_damaged_catalog_is_written_again(config, digest, tmp_path):
+    output = tmp_path / "c.gpkg"
+    built(config, output, bbox=BBOX, workers=1)
+    whole = output.read_bytes()
+    for place in (40, len(whole) // 2, len(whole) - 1):
+        damaged = bytearray(whole)
+        damaged[place] ^= 4
+        output.write_bytes(damaged)
+        again = built(config, output, bbox=BBOX, workers=1)
+        assert {s.name: s.done for s in again.account.stages}["write"] == 1, place
+        assert verify(output).sound, place
+
+
+def test_a_catalog_of_other_words_or_elsewhere_is_written(config, digest, tmp_path):
+    output, work = tmp_path / "c.gpkg", tmp_path / "work"
+    built(config, output, work=work, bbox=BBOX, workers=1)
+    config.write_text(CONFIG + "# the manifest holds this comment\n")
+    again = built(config, output, work=work, bbox=BBOX, workers=1)
+    assert {s.name: s.done for s in again.account.stages}["write"] == 1
+    other = tmp_path / "d.gpkg"
+    assert built(config, other, work=work, bbox=BBOX, workers=1).output == other
 
 
 def test_stages_run_alone_on_one_workspace(config, digest, tmp_path):
