@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from catalog.correlation.ncc import correlation_surface, filtered, high_pass, match_in, match_ncc
 from catalog.correlation.peak import RIVAL_DISTANCE, locate_peak
-from catalog.correlation.similarity import match_similarity, turned
+from catalog.correlation.similarity import match_similarity, pair_scores, turned
 
 
 def texture(seed: int, size: int = 256, smooth: float = 1.5) -> np.ndarray:
@@ -161,12 +161,14 @@ def test_roll_and_scale_are_found_together_with_the_shift():
     assert abs(found.match.dy) < 0.5
 
 
+@pytest.mark.parametrize("margin", [0, 5])
 @pytest.mark.parametrize("size", [32, 48, 65])
-def test_the_pair_is_chosen_as_by_matching_every_pair_at_full_resolution(size):
+def test_pairs_are_scored_as_opencv_does_and_the_best_is_as_good_as_any(size, margin):
     """Noise as strong as the ground; turned references have holes, so scores differ a little."""
     rolls, scales = list(np.radians([-5.0, 0.0, 5.0])), [0.92, 1.0, 1.08]
+    pairs = [(roll, scale) for roll in rolls for scale in scales]
     rng = np.random.default_rng(12)
-    worst = []
+    missed = []
     for seed in range(12):
         field = texture(40 + seed, smooth=2.0)
         roll, scale = rng.uniform(-0.1, 0.1), rng.uniform(0.9, 1.1)
@@ -174,9 +176,28 @@ def test_the_pair_is_chosen_as_by_matching_every_pair_at_full_resolution(size):
         middle = slice(90 - size // 2 - 8, 90 - size // 2 + size + 8)
         search = turned(cut(noisy, 180), roll, scale)[middle, middle]
         reference = cut(field, 180)[middle, middle][8:-8, 8:-8]
-        found = match_similarity(reference, search, rolls, scales)
-        each = [match_ncc(turned(reference, r, s), search).score for r in rolls for s in scales]
-        worst.append(max(each) - found.match.score)
+        inner = slice(margin, size - margin)
+        image = filtered(search, margin_nodes=margin)
+        wanted = [
+            cv2.matchTemplate(
+                image.values,
+                np.ascontiguousarray(turned(high_pass(reference), *pair, 0.0)[inner, inner]),
+                cv2.TM_CCOEFF_NORMED,
+            ).max()
+            for pair in pairs
+        ]
+        scores = pair_scores(reference, image, pairs, margin)
+        np.testing.assert_allclose(scores, wanted, atol=1e-5)
+        found = match_similarity(reference, search, rolls, scales, margin_nodes=margin)
+        each = [match_ncc(turned(reference, *pair), search, margin).score for pair in pairs]
+        missed.append(max(each) - found.match.score)
     # no worse than the best of all pairs, but for what a parabola may miss
-    assert max(worst) < 0.03
-    assert np.mean(worst) < 0.0
+    assert max(missed) < 0.03
+    assert np.mean(missed) < 0.0
+
+
+def test_no_pair_scores_on_flat_parts_of_a_search():
+    search = np.full((96, 96), 0.5, np.float32)
+    search[:, 80:] += cut(texture(13), 96)[:, 80:]
+    scores = pair_scores(cut(texture(14), 32), filtered(search), [(0.0, 1.0), (0.1, 1.05)], 0)
+    assert max(scores) < 0.9
