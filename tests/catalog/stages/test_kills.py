@@ -10,7 +10,10 @@ from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
+import msgspec
 import pytest
+
+from catalog.stages.account import Account
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="builds are forked")
 
@@ -32,6 +35,7 @@ window_nodes = 32
 sun_elevations = 2
 sun_azimuths = 2
 """
+CELLS = 11
 STAGES = ("overviews", "render", "select", "check", "write", "digest")
 ENDS = ("digest", "refused")  # refused: workers died again and again, all is kept
 # Who is killed in a round, and in which stage; about when in it is drawn.
@@ -143,13 +147,32 @@ class Killer:
         wait_for_the_end_of(session)
         self.look()
         if words[0] == "digest":  # prepared patches are not kept beside the catalog
+            self.compare_account()
             self.known = {path: state for path, state in self.known.items() if path.exists()}
+
+    def start(self):
+        """The process of a new build; remembers how many results it finds."""
+        self.found = Counter(
+            path.parent.name.partition("-")[0]
+            for path in results(self.folder)
+            if path.name.startswith("chunk-")
+        )
+        return self.builds.start(self.folder)
+
+    def compare_account(self):
+        """What a build says that it kept is what it found."""
+        data = (self.folder / "c.gpkg.work" / "account.json").read_bytes()
+        stages = {stage.name: stage for stage in msgspec.json.decode(data, type=Account).stages}
+        for name, pieces in (("render", CELLS), ("check", CELLS)):
+            stage = stages[name]
+            assert (stage.kept, stage.done) == (self.found[name], pieces - self.found[name]), name
+        assert stages["write"].kept >= self.found["write"]
 
     def round(self):
         """One kill after the other, then the end of the build; returns what it said last."""
         session = None
         for victim, stage in PLAN:
-            session = session or self.builds.start(self.folder)
+            session = session or self.start()
             words = self.wait_for(victim, stage)
             if victim == "worker" and words[0] not in ENDS:
                 self.kill(victim, int(self.rng.choice(words[2:])))
@@ -160,7 +183,7 @@ class Killer:
             session = None
         words = []
         while words[:1] != ["digest"]:
-            session = session or self.builds.start(self.folder)
+            session = session or self.start()
             words = self.wait_for("nobody", "digest")
             self.after(session, words)
             session = None
