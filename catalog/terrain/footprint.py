@@ -105,7 +105,8 @@ def _bounds(sheet: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int,
 def _through_window(
     sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: HeightGrid
 ) -> None:
-    row0, col0, height, width = _bounds(sheet, rows_wide, _extent(*pixels, chosen))
+    extent = _extent(*pixels, chosen)
+    row0, col0, height, width = _bounds(sheet, rows_wide, extent)
     _means(
         sheet.window(row0, col0, height, width),
         pixels.row,
@@ -119,6 +120,7 @@ def _through_window(
         rows_wide,
         rows_wide / sheet.squeeze,
         sheet.period or np.inf,
+        extent[5],
         out,
     )
 
@@ -160,6 +162,7 @@ def _means(
     rows_wide: float,
     crowding_wide: float,
     widest: float,
+    most_crowding: float,
     out: HeightGrid,
 ) -> None:
     """Means of cubic samples over footprints of `rows_wide` rows and crowding-wide columns.
@@ -167,7 +170,15 @@ def _means(
     A footprint below 1.5 pixels is one sample: the level was chosen to fit.
     """
     down = _samples(rows_wide, MOST_ROWS)
-    inner_rows, inner_cols = window.shape[0] - 2.0, window.shape[1] - 2.0
+    single = down == 1 and _samples(min(most_crowding * crowding_wide, widest), MOST_COLUMNS) == 1
+    if single:
+        for i in chosen:
+            row = (rows[i] + 0.5) * per_row - 0.5 - row0
+            col = (cols[i] + 0.5) * per_col - 0.5 - col0
+            # a place that the raster's projection cannot show is NaN; others lie well inside
+            value = _cubic(window, row, col) if row == row and col == col else np.nan
+            out[i] = value if value == value else bicubic_at(window, row, col)
+        return
     row_weights, col_weights = np.zeros(2 * MOST_ROWS + 8), np.zeros(2 * MOST_COLUMNS + 8)
     for i in chosen:
         row = (rows[i] + 0.5) * per_row - 0.5 - row0
@@ -175,11 +186,10 @@ def _means(
         wide = min(crowding[i] * crowding_wide, widest)
         along = _samples(wide, MOST_COLUMNS)
         if down == 1 and along == 1:
-            value = np.nan
-            if 1.0 <= row < inner_rows and 1.0 <= col < inner_cols:
-                value = _cubic(window, row, col)
-            # beside holes and borders
-            out[i] = value if value == value else bicubic_at(window, row, col)
+            out[i] = _single(window, row, col)
+            continue
+        if not (row == row and col == col):  # a place that the raster's projection cannot show
+            out[i] = np.nan
             continue
         # cubic weights of all samples of the footprint, added up: it is separable
         first_row, rows_used = _add_weights(row, rows_wide, down, row_weights)
@@ -206,6 +216,16 @@ def _means(
 def _samples(wide: float, most: int) -> int:
     """Samples over a footprint some pixels wide."""
     return int(min(max(1.0, np.floor(wide + 0.5)), most))
+
+
+@kernel
+def _single(window: HeightGrid, row: float, col: float) -> float:
+    """One cubic sample; bilinear beside holes and borders, NaN outside."""
+    if 1.0 <= row < window.shape[0] - 2.0 and 1.0 <= col < window.shape[1] - 2.0:
+        value = _cubic(window, row, col)
+        if value == value:
+            return value
+    return bicubic_at(window, row, col)
 
 
 @kernel

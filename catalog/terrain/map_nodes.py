@@ -2,7 +2,8 @@
 
 Trigonometry of every node would cost more than reading its height. On a polar stereographic raster
 the place of a node is rational. On a cylindrical one it is worked out on every eighth node and
-interpolated between by cubics, except about a pole, where longitudes bend too much for that.
+interpolated between by cubics; on more of them, at last on all, toward a pole, where longitudes
+bend more and more.
 """
 
 from typing import NamedTuple
@@ -17,11 +18,11 @@ from catalog.terrain.georeference import CYLINDRICAL, POLAR, Georeference
 
 FloatArray = NDArray[np.float64]
 
-STEP = 8  # nodes between those whose place is worked out
-# Cubics over STEP nodes miss the longitude by at most 0.14 STEP (STEP / d)^3 nodes at d nodes from
-# a pole (0.023 h^4 times the fourth derivative of the arctangent): 6e-4 nodes at this distance.
-POLE_NODES = 100
-# The same for the map's own curvature: 1e-5 nodes when STEP nodes are no longer than this (rad).
+STEPS = (8, 4, 2)  # nodes between those whose place is worked out, the fewer the nearer a pole
+# Cubics over s nodes miss the longitude by at most 0.14 s (s / d)^3 nodes at d nodes from a pole
+# (0.023 h^4 times the fourth derivative of the arctangent): 6e-4 nodes where d is so many steps.
+POLE_STEPS = 12.5
+# The same for the map's own curvature: 1e-5 nodes when a step is no longer than this (rad).
 LONGEST_STEP = 0.05
 
 
@@ -65,16 +66,14 @@ def pixels_of_grid(
         col0, cols_per_rad, row0, rows_per_rad, _ = place.parameters
         cols_per_rad *= place.longitude_sign
         middle = col0 + cols_per_rad * projection.lon
-        angle = posting_m / projection.radius_m
-        pole = (np.pi / 2.0 - abs(projection.lat)) / angle - (size / 2.0 + 2 * STEP) * np.sqrt(2.0)
-        smooth = pole > POLE_NODES and STEP * angle < LONGEST_STEP and size > STEP
-        first, stride = (-STEP, STEP) if smooth else (0, 1)
-        n = (size - 1) // STEP + 4 if smooth else size  # one before, two beyond the last
+        step = _step(projection, posting_m, size)
+        # one before the first node, two beyond the last
+        first, n = (-step, (size - 1) // step + 4) if step > 1 else (0, size)
         nodes = np.empty((3, n, n))
-        _cylindrical(m, size, spacing, first, stride, middle, cols_per_rad, row0, rows_per_rad,
+        _cylindrical(m, size, spacing, first, step, middle, cols_per_rad, row0, rows_per_rad,
                      ratio, nodes)  # fmt: skip
-        if smooth:
-            _between(nodes, size, _cubic_weights(), row, col, crowding)
+        if step > 1:
+            _between(nodes, size, _cubic_weights(step), row, col, crowding)
         else:
             row, col, crowding = nodes.reshape(3, -1)
     elif place.kind == POLAR:
@@ -101,9 +100,20 @@ def _about_the_raster(place: Georeference, pixels: Pixels) -> Pixels:
     return pixels._replace(col=col)
 
 
-def _cubic_weights() -> FloatArray:
-    """Weights (STEP, 4) of four equidistant values for places between the middle two (Lagrange)."""
-    t = np.arange(STEP) / STEP
+def _step(projection: Stereographic, posting_m: float, size: int) -> int:
+    """Nodes from one whose place is worked out to the next; 1 about a pole and for small grids."""
+    angle = posting_m / projection.radius_m
+    pole = (np.pi / 2.0 - abs(projection.lat)) / angle
+    for step in STEPS:
+        corner = (size / 2.0 + 2 * step) * np.sqrt(2.0)
+        if pole - corner > POLE_STEPS * step and step * angle < LONGEST_STEP and size > step:
+            return step
+    return 1
+
+
+def _cubic_weights(step: int) -> FloatArray:
+    """Weights (step, 4) of four equidistant values for places between the middle two (Lagrange)."""
+    t = np.arange(step) / step
     return np.stack(
         [
             -t * (t - 1.0) * (t - 2.0) / 6.0,

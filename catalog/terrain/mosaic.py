@@ -52,7 +52,7 @@ class Mosaic:
         self.pyramids = tuple(pyramids)
         self.body = pyramids[0].source.body
         # one that shows all of the body without a hole: whatever is asked for has ground
-        self._whole = any(p.covers_the_body for p in pyramids)
+        self.whole = any(p.covers_the_body for p in pyramids)
         self._reset()
 
     def _reset(self) -> None:
@@ -61,7 +61,7 @@ class Mosaic:
         self._feathers: dict[int, Feather | None] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"pyramids": self.pyramids, "body": self.body, "_whole": self._whole}
+        return {"pyramids": self.pyramids, "body": self.body, "whole": self.whole}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -126,7 +126,7 @@ class Mosaic:
         self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None
     ) -> NDArray[np.bool_]:
         """Whether points (rad) have a height; a coarser posting answers from overviews, quicker."""
-        if self._whole:
+        if self.whole:
             return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
         sampled, shape = self._at(lat, lon, posting_m or self.posting_m)
         return np.asarray(sampled.source.reshape(shape) >= 0)
@@ -185,10 +185,13 @@ class Mosaic:
                 pixels = pixels.part(wanted)
             level = pyramid.level_for(posting_m)
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-            found = sample_level(self._sheet(i, pyramid, level), pixels, rows_wide)
-            known = ~np.isnan(found)
-            weight = known.astype(np.float64)
+            found = sample_level(self.sheet(i, level), pixels, rows_wide)
             feather = self._feather(i)
+            known = ~np.isnan(found)
+            if i == 0 and feather is None and (known.all() or len(self.pyramids) == 1):
+                # nothing to compose: the usual case, and it is on the hot path of a build
+                return Sampled(found, known.astype(np.int8) - np.int8(1), known[None])
+            weight = known.astype(np.float64)
             if feather is not None and known.any():
                 inside = np.flatnonzero(known)
                 weight[inside] = feather.weights(pixels.part(inside))
@@ -207,9 +210,10 @@ class Mosaic:
             self._feathers[i] = None if hard or last else Feather(i, pyramid, self._cache)
         return self._feathers[i]
 
-    def _sheet(self, i: int, pyramid: HeightPyramid, level: int) -> LevelWindows:
+    def sheet(self, i: int, level: int) -> LevelWindows:
+        """One level of a source, by its number."""
         if (i, level) not in self._sheets:
-            self._sheets[i, level] = LevelWindows(i, pyramid, level, self._cache)
+            self._sheets[i, level] = LevelWindows(i, self.pyramids[i], level, self._cache)
         return self._sheets[i, level]
 
 

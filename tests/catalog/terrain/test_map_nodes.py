@@ -6,7 +6,7 @@ import pytest
 from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.geometry.projection import Stereographic
-from catalog.terrain.map_nodes import STEP, pixels_of_grid, pixels_of_points
+from catalog.terrain.map_nodes import STEPS, pixels_of_grid, pixels_of_points
 from catalog.terrain.source import DemSettings, DemSource
 
 
@@ -16,7 +16,7 @@ def place(tmp_path_factory):
     return DemSource.open(dem, tmp_path_factory.mktemp("base"), load_body("moon")).place
 
 
-@pytest.mark.parametrize("size", [*range(2, 5 * STEP + 3), 80, 81, 330, 401])
+@pytest.mark.parametrize("size", [*range(2, 5 * STEPS[0] + 3), 80, 81, 330, 401])
 @pytest.mark.parametrize("lat_deg", [-44.0, 70.0, 89.5])
 def test_nodes_of_grids_of_any_size_are_where_their_points_are(place, size, lat_deg):
     """Within a hundredth of a posting; the last nodes of 8 n + 1 need a row more to interpolate."""
