@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 TILE = 64  # blocks a side
+FEW_TILES = 16  # so many are looked at whole before points are sorted by them
 BLOCKS_ACROSS = 32  # blocks grow until a feather is no more of them wide
 
 
@@ -60,25 +61,30 @@ class Feather:
         return whole
 
     def weights(self, pixels: Pixels) -> FloatArray:
-        """Weights (n), 0 to 1, of places inside the raster."""
+        """Weights (n), 0 to 1, of places (at least one) inside the raster."""
         row = (pixels.row + 0.5) / self.block - 0.5
         col = (pixels.col + 0.5) / self.block - 0.5
         if self.turn:
             col = col - np.floor((col + 0.5) / self.turn) * self.turn
-        down, along = np.floor(row / TILE), np.floor(col / TILE)
+        down, along = row // TILE, col // TILE
+        span = [int(end) for line in (down, along) for end in (line.min(), line.max() + 1)]
+        tiles = [(i, j) for i in range(*span[:2]) for j in range(*span[2:])]
+        # far inside, where most of a model lies, nothing is to be looked up point by point
+        full = self.wide_m + self.block_m
+        if len(tiles) <= FEW_TILES and all(self._tile(*at).min() >= full for at in tiles):
+            return np.ones(row.size)
         key = down * 1e6 + along
         order = np.argsort(key, kind="stable")
         out = np.empty(row.size)
         for those in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-            if those.size:
-                at = int(down[those[0]]), int(along[those[0]])
-                tile = self.cache.tile(
-                    (self.index, -1, *at),
-                    lambda at=at: self._distances(*at),  # type: ignore[misc]
-                )
-                inner = row[those] - at[0] * TILE, col[those] - at[1] * TILE
-                out[those] = _linear(tile, *inner)
+            at = int(down[those[0]]), int(along[those[0]])
+            inner = row[those] - at[0] * TILE, col[those] - at[1] * TILE
+            out[those] = _linear(self._tile(*at), *inner)
         return np.clip((out - self.block_m) / self.wide_m, 0.0, 1.0)
+
+    def _tile(self, down: int, along: int) -> NDArray[np.float32]:
+        key = self.index, -1, down, along
+        return self.cache.tile(key, lambda: self._distances(down, along))
 
     def _distances(self, down: int, along: int) -> NDArray[np.float32]:
         """Distances (TILE + 1, TILE + 1), m, to the next block that is not whole, to the reach."""

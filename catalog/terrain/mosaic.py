@@ -186,15 +186,15 @@ class Mosaic:
             level = pyramid.level_for(posting_m)
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
             found = sample_level(self.sheet(i, level), pixels, rows_wide)
-            feather = self._feather(i)
             known = ~np.isnan(found)
-            if i == 0 and feather is None and (known.all() or len(self.pyramids) == 1):
-                # nothing to compose: the usual case, and it is on the hot path of a build
-                return Sampled(found, known.astype(np.int8) - np.int8(1), known[None])
             weight = known.astype(np.float64)
+            feather = self._feather(i)
             if feather is not None and known.any():
                 inside = np.flatnonzero(known)
                 weight[inside] = feather.weights(pixels.part(inside))
+            if i == 0 and (len(self.pyramids) == 1 or weight.min(initial=1.0) >= 1.0):
+                # nothing to compose: the usual case, and it is on the hot path of a build
+                return Sampled(found, known.astype(np.int8) - np.int8(1), known[None])
             layers.append((wanted, found, weight))
             wanted = wanted[weight < 1.0]
             if not wanted.size:
@@ -222,6 +222,10 @@ def _composed(layers: Sequence[tuple[IntArray, HeightGrid, FloatArray]], count: 
 
     Each source is laid over what those below it give; where they give nothing it counts wholly.
     """
+    if len(layers) == 1:  # all points are its own
+        _, found, weight = layers[0]
+        known = ~np.isnan(found)
+        return Sampled(found, np.where(known, 0, -1).astype(np.int8), known[None])
     heights = np.full(count, np.nan, dtype=np.float32)
     source = np.full(count, -1, dtype=np.int8)
     used = np.zeros((len(layers), count), dtype=bool)
