@@ -34,6 +34,10 @@ def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> Height
     rows_wide  rows of the level that a footprint is high
     """
     out = np.full(pixels.row.size, np.nan, dtype=np.float32)
+    if base.pyramid.source.wraps and not base.wraps:
+        # a level of a raster whose columns cannot be halved evenly ends where the raster does
+        period = base.period * base.scale
+        pixels = pixels._replace(col=pixels.col - np.floor((pixels.col + 0.5) / period) * period)
     chosen = np.arange(pixels.row.size)
     if chosen.size and not _inside(base, _extent(*pixels, chosen)):
         chosen = np.flatnonzero(_inside_each(base, pixels, rows_wide))
@@ -190,6 +194,10 @@ def _means(
             continue
         if not (row == row and col == col):  # a place that the raster's projection cannot show
             out[i] = np.nan
+            continue
+        # samples further apart than two pixels leave pixels between them: nothing to add up
+        if rows_wide > 2.0 * MOST_ROWS or wide > 2.0 * MOST_COLUMNS:
+            out[i] = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
             continue
         # cubic weights of all samples of the footprint, added up: it is separable
         first_row, rows_used = _add_weights(row, rows_wide, down, row_weights)

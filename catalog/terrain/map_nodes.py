@@ -88,12 +88,9 @@ def pixels_of_grid(
 
 
 def _about_the_raster(place: Georeference, pixels: Pixels) -> Pixels:
-    """Columns of that turn which a raster shows; continuous about the points if it shows all."""
+    """Columns of that turn which a raster shows, of a raster that does not show all of one."""
     period = place.period
-    if not period or not pixels.col.size:
-        return pixels
-    if place.wraps:
-        # any turn is right: the sheet goes on without end
+    if not period or place.wraps:  # any turn is right where columns go on without end
         return pixels
     middle = (place.shape[1] - 1) / 2.0
     col = pixels.col - np.floor((pixels.col - middle) / period + 0.5) * period

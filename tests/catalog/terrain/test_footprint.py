@@ -167,6 +167,24 @@ def test_a_whole_body_without_holes_is_covered_everywhere(tmp_path, dems, moon):
     assert 0 < np.count_nonzero(~holed.covers(lat, lon)) < 40
 
 
+@pytest.mark.parametrize("factor", [1.0, 20.0, 60.0])
+def test_footprints_of_very_many_pixels_are_spread_over(tmp_path, dems, moon, factor):
+    """An odd number of columns, never halved, up to all of a ring; postings far beyond the levels.
+
+    The means of a linear surface are its values at the middle, so nothing of it may get lost.
+    """
+    values = np.empty((361, 721), np.float32)
+    values[:] = 10.0 * (90.0 - (np.arange(361) + 0.5) * 180.0 / 361)[:, None]
+    mosaic = mosaic_of(moon, tmp_path, dems.write(tmp_path / "odd.tif", values))
+    assert mosaic.sheet(0, 0).most_halvings == 0
+    lat_deg = np.linspace(-90.0, 90.0, 400) if factor == 1.0 else np.linspace(-30.0, 30.0, 400)
+    heights = mosaic.heights(
+        np.radians(lat_deg), np.linspace(-3.0, 3.0, 400), mosaic.posting_m * factor
+    )
+    # a pole's last half pixel has no row beyond it on this raster
+    np.testing.assert_allclose(heights, 10.0 * lat_deg, atol=3.0 if factor == 1.0 else 20.0)
+
+
 @pytest.mark.bench
 def test_polar_cells_cost_less_than_thrice_the_others(shared_data, tmp_path, moon):
     """A cell's ground at the finest posting, tiles read before; CPU time, the least of several."""
