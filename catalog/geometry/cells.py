@@ -66,6 +66,10 @@ class CellGrid:
         """Latitude band of a cell number."""
         return int(np.searchsorted(self.first_cell, cell, side="right") - 1)
 
+    def bands_of(self, cells: IntArray) -> IntArray:
+        """(n,) latitude bands of cell numbers."""
+        return np.asarray(np.searchsorted(self.first_cell, cells, side="right") - 1)
+
     def bounds_deg(self, cell: int) -> tuple[float, float, float, float]:
         """West, south, east, north of a cell (deg, west in [-180, 180))."""
         band = self.band_of(cell)
@@ -75,6 +79,16 @@ class CellGrid:
         north = min(south + self.step_deg, 90.0)
         west = -180.0 + 360.0 * column / count
         return west, south, west + 360.0 / count, north
+
+    def bounds_of(self, cells: IntArray) -> NDArray[np.float64]:
+        """(4, n) the same of many cells."""
+        bands = self.bands_of(cells)
+        count = self.cells_in_band[bands]
+        south = -90.0 + self.step_deg * bands
+        west = -180.0 + 360.0 * (cells - self.first_cell[bands]) / count
+        return np.stack(
+            [west, south, west + 360.0 / count, np.minimum(south + self.step_deg, 90.0)]
+        )
 
     def centre_deg(self, cell: int) -> tuple[float, float]:
         """Latitude and longitude (deg) of a cell's middle; the pole for a cell that is a cap."""

@@ -25,8 +25,12 @@ MAX_MISSING = 0.02
 
 
 @kernel
-def _eigenvalue_row(sums: Grid, least: float, directions: Grid, out: Grid) -> None:
-    """Worst smallest eigenvalue for a row of window sums (7, cols), the last the number known."""
+def eigenvalue_row(sums: Grid, least: float, directions: Grid, out: Grid) -> None:
+    """Worst smallest eigenvalue (cols) for a row of window sums (7, cols).
+
+    The first six are of the products; where the last, the number known, is less than `least` or
+    NaN the eigenvalue is NaN. directions (n, 3): see `sun_products`.
+    """
     cols = out.size
     half, four = np.float32(0.5), np.float32(4.0)
     for c in range(cols):
@@ -45,10 +49,10 @@ def _eigenvalue_row(sums: Grid, least: float, directions: Grid, out: Grid) -> No
             out[c] = doubled if doubled < worst else worst
     for c in range(cols):
         smallest = half * out[c]
-        if sums[6, c] < least:
-            out[c] = np.float32(np.nan)
-        else:
+        if sums[6, c] >= least:
             out[c] = smallest if smallest > 0.0 else np.float32(0.0)
+        else:
+            out[c] = np.float32(np.nan)
 
 
 @kernel
@@ -121,7 +125,7 @@ def _eigenvalue_map(
         if first < 0 or first % step:
             continue
         _slide_right(columns, window, step, sums)
-        _eigenvalue_row(sums, least, directions, out[first // step])
+        eigenvalue_row(sums, least, directions, out[first // step])
     return out
 
 

@@ -11,7 +11,7 @@ from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.shadow_limits import shadowed_share
 from catalog.selection.trial import Gate, Outcome, Search
 from catalog.selection.uniqueness import uniqueness_margin
-from catalog.stages import render, select
+from catalog.stages import ground, select
 from catalog.stages.context import StageContext
 from catalog.stages.trials import TRIAL_LEVELS, run_trials, trial_levels
 from catalog.terrain.skyline import skyline_limits_deg
@@ -59,8 +59,8 @@ class Certificate:
         """What the patches tell by themselves; sets the shadow limits."""
         settings, place, patches = self.settings, self.place, self._patches
         flags = Flag.NONE
-        fine = [np.isnan(patch.heights_m).mean() for patch in patches[: render.FINE_LEVELS]]
-        if max(fine) > render.MAX_MISSING:
+        fine = [np.isnan(patch.heights_m).mean() for patch in patches[: ground.FINE_LEVELS]]
+        if max(fine) > ground.MAX_MISSING:
             flags |= Flag.NO_DATA
         if not place.localisation_px <= settings.max_localisation_px:
             flags |= Flag.FLAT
@@ -73,7 +73,7 @@ class Certificate:
             0,
             self._context.body.radius_m,
         )
-        suns = render.suns_of(self._context.config.render, place.lat_deg)
+        suns = ground.suns_of(self._context.config.render, place.lat_deg)
         if shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
             flags |= Flag.SHADOWED
         return flags

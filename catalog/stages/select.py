@@ -10,6 +10,7 @@ import numpy as np
 from catalog.selection.spacing import choose_spaced
 from catalog.stages import render
 from catalog.stages.context import StageContext
+from catalog.stages.ground import MAX_MISSING
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -89,5 +90,5 @@ def _places(record: render.Record, percentile: float) -> list[Place]:
 
 def _badness(place: Place) -> float:
     """Predicted error; places with holes in their fine patches come after all others."""
-    holes = 1e6 if place.missing > render.MAX_MISSING else 0.0
+    holes = 1e6 if place.missing > MAX_MISSING else 0.0
     return place.localisation_px + holes

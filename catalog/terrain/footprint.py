@@ -173,8 +173,10 @@ def _means(
 
     A footprint below 1.5 pixels is one sample: the level was chosen to fit.
     """
-    down = _samples(rows_wide, MOST_ROWS)
-    single = down == 1 and _samples(min(most_crowding * crowding_wide, widest), MOST_COLUMNS) == 1
+    down = samples_across(rows_wide, MOST_ROWS)
+    single = (
+        down == 1 and samples_across(min(most_crowding * crowding_wide, widest), MOST_COLUMNS) == 1
+    )
     if single:
         for i in chosen:
             row = (rows[i] + 0.5) * per_row - 0.5 - row0
@@ -188,7 +190,7 @@ def _means(
         row = (rows[i] + 0.5) * per_row - 0.5 - row0
         col = (cols[i] + 0.5) * per_col - 0.5 - col0
         wide = min(crowding[i] * crowding_wide, widest)
-        along = _samples(wide, MOST_COLUMNS)
+        along = samples_across(wide, MOST_COLUMNS)
         if down == 1 and along == 1:
             out[i] = _single(window, row, col)
             continue
@@ -200,9 +202,9 @@ def _means(
             out[i] = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
             continue
         # cubic weights of all samples of the footprint, added up: it is separable
-        first_row, rows_used = _add_weights(row, rows_wide, down, row_weights)
+        first_row, rows_used = add_weights(row, rows_wide, down, row_weights)
         rows_used += -rows_used % 4  # further weights are zeros
-        first_col, cols_used = _add_weights(col, wide, along, col_weights)
+        first_col, cols_used = add_weights(col, wide, along, col_weights)
         total = np.nan
         if (
             first_row >= 0
@@ -221,7 +223,7 @@ def _means(
 
 
 @kernel
-def _samples(wide: float, most: int) -> int:
+def samples_across(wide: float, most: int) -> int:
     """Samples over a footprint some pixels wide."""
     return int(min(max(1.0, np.floor(wide + 0.5)), most))
 
@@ -254,7 +256,7 @@ def _cubic(window: HeightGrid, row: float, col: float) -> float:
 
 
 @kernel
-def _add_weights(at: float, wide: float, samples: int, out: FloatArray) -> tuple[int, int]:
+def add_weights(at: float, wide: float, samples: int, out: FloatArray) -> tuple[int, int]:
     """Mean weights of cubics spread over a footprint; the first pixel and the number of them."""
     share = 1.0 / samples
     first = int(np.floor(at + (0.5 * share - 0.5) * wide)) - 1

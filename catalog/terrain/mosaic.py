@@ -222,10 +222,6 @@ def _composed(layers: Sequence[tuple[IntArray, HeightGrid, FloatArray]], count: 
 
     Each source is laid over what those below it give; where they give nothing it counts wholly.
     """
-    if len(layers) == 1:  # all points are its own
-        _, found, weight = layers[0]
-        known = ~np.isnan(found)
-        return Sampled(found, np.where(known, 0, -1).astype(np.int8), known[None])
     heights = np.full(count, np.nan, dtype=np.float32)
     source = np.full(count, -1, dtype=np.int8)
     used = np.zeros((len(layers), count), dtype=bool)

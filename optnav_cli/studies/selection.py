@@ -28,6 +28,7 @@ from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Outcome
 from catalog.stages import check, render, select
 from catalog.stages.context import BodySettings, StageContext
+from catalog.stages.ground import Ground, cell_ground, separation_places, suns_of
 from catalog.stages.settings import BuildConfig
 from catalog.terrain.mosaic import Mosaic
 from catalog.terrain.source import DemSettings
@@ -129,24 +130,24 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     )
 
 
-def free_grounds(context: StageContext) -> dict[int, render.Ground]:
+def free_grounds(context: StageContext) -> dict[int, Ground]:
     """Grounds by cell, of all cells that lie on the terrain with most of their places' patches."""
     grounds = {}
     for cell in range(context.grid.total):
         lat, lon = np.radians(context.grid.centre_deg(cell))
         if context.mosaic.covers(lat, lon, 8.0 * context.posting_m).all():
-            ground = render.cell_ground(context, cell)
+            ground = cell_ground(context, cell)
             if ground is not None and _mostly_free(ground):
                 grounds[cell] = ground
     return grounds
 
 
-def _mostly_free(ground: render.Ground) -> bool:
+def _mostly_free(ground: Ground) -> bool:
     """Whether there is a choice: cells on the terrain's edge leave the same few places to all."""
     return bool((ground.inside & ground.whole).sum() >= LEAST_FREE * ground.inside.sum())
 
 
-def _random(ground: render.Ground, seed: Sequence[int]) -> tuple[float, float]:
+def _random(ground: Ground, seed: Sequence[int]) -> tuple[float, float]:
     places = np.argwhere(ground.inside & ground.whole)
     row, col = places[np.random.default_rng(seed).integers(len(places))]
     return float(ground.lat[row, col]), float(ground.lon[row, col])
@@ -154,7 +155,7 @@ def _random(ground: render.Ground, seed: Sequence[int]) -> tuple[float, float]:
 
 def _one_sun_harris(
     context: StageContext,
-    grounds: dict[int, render.Ground],
+    grounds: dict[int, Ground],
     turn: int,
     window: int | None = None,
 ) -> dict[int, tuple[float, float]]:
@@ -165,7 +166,7 @@ def _one_sun_harris(
     settings = context.config.render
     cells, places, scores = [], [], []
     for cell, ground in grounds.items():
-        suns = render.suns_of(settings, np.degrees(ground.projection.lat))
+        suns = suns_of(settings, np.degrees(ground.projection.lat))
         picture = render_map(
             ground.heights,
             context.posting_m,
@@ -177,7 +178,7 @@ def _one_sun_harris(
         nodes = np.arange(ground.lat.shape[0]) * ground.step + ground.window // 2
         at_places = response[np.ix_(nodes, nodes)]
         free = np.where(ground.inside & ground.whole, at_places, np.nan).astype(np.float32)
-        radius = render.separation_places(context, ground)
+        radius = separation_places(context, ground)
         for peak in strongest_peaks(free - np.nanmin(free), radius, settings.candidates):
             cells.append(cell)
             places.append((float(ground.lat[peak]), float(ground.lon[peak])))

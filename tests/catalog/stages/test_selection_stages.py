@@ -14,7 +14,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
 from catalog.rendering.map_view import render_map
 from catalog.selection.match_error import predicted_correlation, predicted_error_px
-from catalog.stages import certificate, check, render, select
+from catalog.stages import certificate, check, ground, render, select
 from catalog.stages.context import BodySettings, PyramidSettings, StageContext
 from catalog.stages.records import decode_records, encode_records
 from catalog.stages.settings import BuildConfig
@@ -96,7 +96,7 @@ def test_errors_predicted_from_the_whole_ground_are_those_of_each_place(context,
     settings = context.config.render
     ratios = []
     for record in rendered[:6]:
-        suns = render.suns_of(settings, context.grid.centre_deg(record.cell)[0])
+        suns = ground.suns_of(settings, context.grid.centre_deg(record.cell)[0])
         for candidate in record.candidates:
             projection = context.projection(candidate.lat_deg, candidate.lon_deg)
             for level, posting in enumerate(context.postings_m[: settings.levels]):
@@ -105,7 +105,7 @@ def test_errors_predicted_from_the_whole_ground_are_those_of_each_place(context,
                     if sun[2] < np.sin(np.radians(20.0)):
                         continue
                     picture = render_map(window, posting, sun, radius_m=context.body.radius_m)
-                    picture = render.blurred(picture)
+                    picture = ground.blurred(picture)
                     bound = predicted_error_px(picture, settings.snr)
                     alone = bound / predicted_correlation(picture, settings.snr)
                     ratios.append(candidate.error_px[level, k] / alone)
@@ -249,8 +249,8 @@ def test_a_place_beside_the_terrain_s_edge_says_that_it_lacks_data(context, sele
 def test_a_cell_at_the_edge_takes_places_whose_fine_patches_are_whole(context):
     # a patch of the third level reaches 38 km, 1.25 deg, from its point
     cell = int(context.grid.cell_of(-46.5, -11.0))
-    for candidate in render.render_cell(context, cell).candidates:
-        assert max(candidate.missing) <= render.MAX_MISSING
+    for candidate in render.render_chunk(context, [cell])[0].candidates:
+        assert max(candidate.missing) <= ground.MAX_MISSING
         assert candidate.lat_deg > -46.9
 
 
@@ -261,8 +261,8 @@ def test_a_cell_without_ground_is_left_out(context):
 
 def test_near_a_pole_suns_come_from_all_around():
     settings = render.Settings()
-    assert len(render.suns_of(settings, 45.0)) == 4
-    polar = render.suns_of(settings, 89.0)
+    assert len(ground.suns_of(settings, 45.0)) == 4
+    polar = ground.suns_of(settings, 89.0)
     assert len(polar) == 16
     azimuth = np.degrees(np.arctan2(polar[:, 0], polar[:, 1]))
     assert np.ptp(azimuth) > 250.0
