@@ -37,6 +37,16 @@ def test_a_point_lies_within_the_bounds_of_its_cell(step):
 
 
 @pytest.mark.parametrize("step", STEPS)
+def test_bounds_of_many_cells_are_those_of_each(step):
+    grid = CellGrid(step)
+    cells = np.unique(np.linspace(0, grid.total - 1, 500).astype(np.int64))
+    np.testing.assert_array_equal(
+        grid.bounds_of(cells).T, [grid.bounds_deg(int(cell)) for cell in cells]
+    )
+    assert grid.bands_of(cells).tolist() == [grid.band_of(int(cell)) for cell in cells]
+
+
+@pytest.mark.parametrize("step", STEPS)
 def test_the_middle_of_every_cell_lies_in_that_cell(step):
     grid = CellGrid(step)
     rng = np.random.default_rng(7)
