@@ -31,8 +31,9 @@ IntArray = NDArray[np.int64]
 
 ZONE_BANDS = 8  # as high as a block of cells that are in work together
 ZONE_DEG = 16.0  # fewer bands of large cells
-# Parallels of a zone may differ in length by this much: so do its columns' widths on the ground.
-MOST_CROWDED = 2.6
+# Parallels through a zone's cells may differ in length by this much, for so do its columns' widths
+# on the ground; those of all that its windows reach by more.
+MOST_CROWDED, MOST_CROWDED_REACH = 2.1, 5.0
 LARGEST_PART = 1 << 26  # nodes: 256 MB
 
 
@@ -142,10 +143,16 @@ def _alone(context: StageContext, cell: int) -> Shortlist | None:
 
 
 def _zone_of(context: StageContext, bands: IntArray) -> IntArray:
-    """Zones of bands of cells, counted from both poles: 0, 1, ... and -1, -2, ... in the north."""
+    """Zones of bands of cells, counted from both poles: 0, 1, ... and -1, -2, ... in the north.
+
+    The first two are half as high as the others: about a pole, where no graticule serves, are few
+    cells then.
+    """
     high = int(np.clip(ZONE_DEG // context.grid.step_deg, 1, ZONE_BANDS))
     from_north = context.grid.bands - 1 - bands
-    return np.where(bands <= from_north, bands // high, -1 - from_north // high)
+    from_pole = np.minimum(bands, from_north)
+    number = np.where(from_pole < high, 2 * from_pole // high, 1 + from_pole // high)
+    return np.where(bands <= from_north, number, -1 - number)
 
 
 def _zone(context: StageContext, number: int) -> Zone | None:
@@ -155,19 +162,24 @@ def _zone(context: StageContext, number: int) -> Zone | None:
     row_angle = context.posting_m / context.body.radius_m
     bands = np.arange(context.grid.bands)
     own = bands[_zone_of(context, bands) == number]
-    south = np.radians(own[0] * context.grid.step_deg - 90.0)
-    north = min(np.radians((own[-1] + 1) * context.grid.step_deg - 90.0), np.pi / 2.0)
+    south = float(np.radians(own[0] * context.grid.step_deg - 90.0))
+    north = min(float(np.radians((own[-1] + 1) * context.grid.step_deg - 90.0)), np.pi / 2.0)
     halo = (window / 2.0 + step + MARGIN) * row_angle
-    low, high = float(south - halo), float(north + halo)
-    farthest = max(abs(low), abs(high))
-    nearest = 0.0 if low * high < 0.0 else min(abs(low), abs(high))
-    if farthest >= np.pi / 2.0 or np.cos(nearest) > MOST_CROWDED * np.cos(farthest):
-        return None
+    reach = south - halo, north + halo
+    served = _crowding(south, north) <= MOST_CROWDED and _crowding(*reach) <= MOST_CROWDED_REACH
     # whole tiles in a turn, so that they too have fixed places across ±180°
     tiles = round(2.0 * np.pi * np.cos((south + north) / 2.0) / (step * row_angle))
-    if tiles < 1:
+    if not served or tiles < 1:
         return None
-    return Zone(Graticule(row_angle, step * tiles), (low, high), step, window // step)
+    return Zone(Graticule(row_angle, step * tiles), reach, step, window // step)
+
+
+def _crowding(south: float, north: float) -> float:
+    """Length of the longest over that of the shortest parallel between two latitudes (rad)."""
+    farthest = max(abs(south), abs(north))
+    nearest = 0.0 if south * north < 0.0 else min(abs(south), abs(north))
+    shortest = np.cos(farthest) if farthest < np.pi / 2.0 else 0.0
+    return float(np.cos(nearest) / shortest) if shortest > 0.0 else float("inf")
 
 
 def _spans(context: StageContext, zone: Zone, cells: IntArray) -> Spans:
