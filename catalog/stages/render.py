@@ -23,8 +23,8 @@ from catalog.stages.shortlist import shortlists
 
 FloatArray = NDArray[np.float64]
 
-# Ground about a window that throws shadows into it: beyond, a Sun of 8 deg needs heights of an
-# eighth of the distance, which few ridges have.
+# Ground about all windows that throws shadows into them. Farther relief is left out: under a Sun of
+# 8 deg what stands higher than a seventh of its distance would count.
 SHADOW_NODES = 16
 # Places are rendered on one ground that has at most this many times the nodes of their own.
 WIDE_GROUND = 2.0
@@ -139,8 +139,8 @@ def _scores(
     grids, windows = [], []
     for level, posting in enumerate(postings):
         # nodes of this level's ground; the windows stand on whole nodes
-        half = np.abs(offsets).max() / 2**level + SHADOW_NODES
-        side = 2 * int(np.ceil(half)) + window
+        half = int(np.rint(np.abs(offsets).max() / 2**level)) + SHADOW_NODES
+        side = 2 * half + window
         grids.append(context.mosaic.local_grid(projection, posting, side))
         corners = np.rint(offsets / 2**level + (side - window) / 2.0).astype(np.int64).tolist()
         windows.append([(slice(r, r + window), slice(c, c + window)) for r, c in corners])

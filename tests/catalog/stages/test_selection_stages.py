@@ -87,7 +87,7 @@ def test_a_lower_sun_promises_a_better_match_on_open_ground(rendered):
     assert middle < high
 
 
-def test_errors_predicted_from_the_whole_ground_are_those_of_each_place(context, rendered):
+def test_errors_predicted_from_one_ground_are_those_of_each_place(context, rendered):
     """The window of a place, cut anew about the place itself, at both levels.
 
     10 %: windows of the second level stand up to half a node off, and the new cut samples between
@@ -112,6 +112,28 @@ def test_errors_predicted_from_the_whole_ground_are_those_of_each_place(context,
     off = np.abs(np.log(ratios))
     assert np.median(off) < 0.02
     assert np.percentile(off, 95) < 0.1
+
+
+def test_places_too_far_apart_for_one_ground_are_rendered_alone(
+    context, cells, rendered, monkeypatch
+):
+    """Errors to 5 %: windows stand up to half a node off, and shadows from afar are missing."""
+    monkeypatch.setattr(render, "WIDE_GROUND", 0.0)
+    sides = set()
+    monkeypatch.setattr(
+        render,
+        "render_map",
+        lambda grid, *a, **k: sides.add(len(grid)) or render_map(grid, *a, **k),
+    )
+    alone = render.render_chunk(context, cells[:4])
+    assert sides == {context.config.render.window_nodes + 2 * render.SHADOW_NODES}
+    ratios = []
+    for one, other in zip(alone, rendered, strict=False):
+        for a, b in zip(one.candidates, other.candidates, strict=True):
+            assert (a.lat_deg, a.lon_deg, a.missing) == (b.lat_deg, b.lon_deg, b.missing)
+            ratios.append(a.error_px / b.error_px)
+    assert np.median(np.abs(np.log(ratios))) < 0.02
+    assert np.percentile(np.abs(np.log(ratios)), 90) < 0.05
 
 
 def test_chunks_do_not_matter_and_records_travel(context, cells, rendered, selected, checked):
