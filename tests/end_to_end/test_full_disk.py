@@ -35,7 +35,8 @@ class Said(NamedTuple):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a terrain model, a config, a catalog, its workspace and an empty folder."""
+    """A folder with a terrain model, a config, its catalog and workspace, an older catalog
+    (`old.gpkg`, of a config with another text) and an empty folder."""
     folder = tmp_path_factory.mktemp("made")
     rng = np.random.default_rng(5)
     heights = np.zeros((SIZE, SIZE), np.float32)
@@ -50,8 +51,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         file.write(heights, 1)
     (folder / "moon.toml").write_text(CONFIG)
     (folder / "small").mkdir()
-    words = ["-q", "build", str(folder / "moon.toml"), "-o", str(folder / "moon.gpkg")]
-    assert run([*words, "--workers", "1", "--bbox", "10,19,12,21"]) == 0
+    (folder / "old.toml").write_text(f"{CONFIG}# of last year\n")
+    for name in ("old", "moon"):
+        words = ["-q", "build", str(folder / f"{name}.toml"), "-o", str(folder / f"{name}.gpkg")]
+        assert run([*words, "--workers", "1", "--bbox", "10,19,12,21"]) == 0
     return folder
 
 
@@ -81,7 +84,7 @@ def on_small(made: Path) -> Callable[..., Said]:
 
 
 BUILD = f"{OPTNAV} build moon.toml --workers 1 --bbox 10,19,12,21"
-WHOLE = "cmp -s moon.gpkg small/moon.gpkg && echo whole"
+WHOLE = "cmp -s old.gpkg small/moon.gpkg && echo whole"
 
 
 def one_line(said: Said, *words: str) -> None:
@@ -97,7 +100,7 @@ def test_a_full_disk_leaves_the_old_catalog_whole(
 ) -> None:
     """The old catalog and half of the new one fit."""
     size = (made / "moon.gpkg").stat().st_size
-    copy = "cp moon.gpkg small/moon.gpkg"
+    copy = "cp old.gpkg small/moon.gpkg"
     command = f"{BUILD} -o small/moon.gpkg --work moon.gpkg.work; code=$?; {WHOLE}; (exit $code)"
     said = on_small(size * 3 // 2, copy, command)
     one_line(said, "small/moon.gpkg: cannot be written", "free some space")
@@ -118,7 +121,7 @@ def test_a_full_disk_under_the_workspace_is_told(made: Path, on_small: Callable[
 def test_a_read_only_place_is_told_and_the_old_catalog_stays(
     made: Path, on_small: Callable[..., Said]
 ) -> None:
-    ready = "cp moon.gpkg small/moon.gpkg && mount -o remount,ro small"
+    ready = "cp old.gpkg small/moon.gpkg && mount -o remount,ro small"
     said = on_small(
         1 << 24,
         ready,
