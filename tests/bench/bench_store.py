@@ -17,15 +17,18 @@ from catalog.config import resource
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import xyz_from_latlon
+from catalog.stages import write
 from catalog.store.codec import encode
 from catalog.store.compare import compare
 from catalog.store.export import export
 from catalog.store.manifest import CatalogMeta
+from catalog.store.patches import prepare_point
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
-from catalog.store.writer import write_catalog
+from catalog.store.writer import write_prepared
 
-LEVELS, SIZE, POSTING_M, STEP_M = 5, 80, 118.45, 0.5
+LEVELS, SIZE, POSTING_M = 5, 80, 118.45
+STEPS_M = write.Settings().steps_m([POSTING_M * 2**level for level in range(LEVELS)])
 LARGER = 96  # nodes a side, of which the file's size is told as well
 SITES = 60  # different places that the points' patches are taken from
 GIGABYTE = 1e9
@@ -79,7 +82,12 @@ def points() -> Iterator[tuple[ControlPoint, list[Patch]]]:
 def packed_bytes(size: int) -> float:
     """Mean bytes of a point's compressed heights: real terrain, so of real entropy."""
     sites = ground_of_sites(size)
-    return sum(len(encode(grid, STEP_M)[0].data) for site in sites for grid in site) / len(sites)
+    packed = (
+        len(encode(grid, step)[0].data)
+        for site in sites
+        for grid, step in zip(site, STEPS_M, strict=True)
+    )
+    return sum(packed) / len(sites)
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -98,9 +106,10 @@ def best(call: Callable[[], object], repeats: int) -> float:
 @pytest.mark.bench
 def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
     path = tmp_path / "moon.gpkg"
-    meta = CatalogMeta("moon", 1737400.0, 1.0, LEVELS, SIZE, POSTING_M, STEP_M)
+    meta = CatalogMeta("moon", 1737400.0, 1.0, LEVELS, SIZE, POSTING_M, STEPS_M[0])
     started = time.process_time()
-    written = write_catalog(path, meta, points())
+    prepared = (prepare_point(point, patches, STEPS_M) for point, patches in points())
+    written = write_prepared(path, meta, prepared)
     write_s = time.process_time() - started
     open_ms = 1e3 * best(lambda: Catalog.open(path).close(), 5)
     with Catalog.open(path) as catalog:
@@ -129,7 +138,8 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
     print(
         f"\ncatalog of {written.count} points, {LEVELS} levels of {SIZE} nodes"
         f"\n  size     {size:8.2f} GB   {size / FILE_GB:5.2f} of the limit, "
-        f"{written.size_bytes / raw:.3f} of its float32 heights, {STEP_M} m steps"
+        f"{written.size_bytes / raw:.3f} of its float32 heights, "
+        f"steps of {STEPS_M[0]:.2f} to {STEPS_M[-1]:.2f} m"
         f"\n  {LARGER} nodes {size * larger / packed:7.2f} GB   by {larger:.0f} bytes of heights a "
         f"point against {packed:.0f}, the mean of {SITES} real places about Tycho"
         f"\n  write    {write_s:8.1f} s    {raw / GIGABYTE / write_s:5.2f} GB of heights a second"
