@@ -47,33 +47,22 @@ class Filtered(NamedTuple):
 
 
 def filtered(grid: Grid, sigma_nodes: float = HIGH_PASS_NODES, margin_nodes: int = 0) -> Filtered:
-    """High-pass a grid and take off a margin that only the high-pass sees."""
+    """High-pass a grid (rows, cols) and take off a margin that only the high-pass sees.
+
+    A high-pass that ends at the reference's own border bends it there, which moves the peak by
+    0.15-0.2 nodes; with 8 nodes of margin 0.01-0.02 are left.
+    """
     floor = LEAST_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0))
     return Filtered(cropped(high_pass(grid, sigma_nodes), margin_nodes), floor)
 
 
-def correlation_surface(
-    reference: Grid,
-    search: Grid,
-    sigma_nodes: float = HIGH_PASS_NODES,
-    margin_nodes: int = 0,
-) -> Grid:
+def correlated(template: Filtered, image: Filtered) -> Grid:
     """Scores of a reference at every place where it fits whole into the search grid.
 
-    reference (n, n), search (m, m) with m - n even, float32, NaN for no data.
-    margin_nodes  a border of both grids that the high-pass sees and the correlation does not: a
-                  high-pass that ends at the reference's own border bends it there, which moves
-                  the peak by 0.15-0.2 nodes; with 8 nodes of margin 0.01-0.02 are left
+    template (n, n), image (m, m) with m - n even, both of `filtered`.
     Returns (m - n + 1, m - n + 1); the middle element is the centred place.
     Raises ValueError for sizes that cannot be centred on each other.
     """
-    return correlated(
-        filtered(reference, sigma_nodes, margin_nodes), filtered(search, sigma_nodes, margin_nodes)
-    )
-
-
-def correlated(template: Filtered, image: Filtered) -> Grid:
-    """`correlation_surface` of grids that are filtered already."""
     (height, width), (rows, cols) = template.values.shape, image.values.shape
     room = (rows - height, cols - width)
     if min(room) < 0 or room[0] % 2 or room[1] % 2:
@@ -124,7 +113,10 @@ def cropped(grid: Grid, margin: int) -> Grid:
 
 
 def match_ncc(reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
-    """Find a reference in a search grid by correlation; arguments as `correlation_surface`."""
+    """Find a reference (n, n) in a search grid (m, m), m - n even, by correlation.
+
+    Both are float32 with NaN for no data, and carry `margin_nodes` that only the high-pass sees.
+    """
     return match_in(reference, filtered(search, margin_nodes=margin_nodes), margin_nodes)
 
 

@@ -182,7 +182,11 @@ def outcomes_at(
     relief_seed: int,
     trials: int,
 ) -> Iterator[Outcome]:
-    """`check.trials_at`, one after the other as they are asked for."""
+    """Recognition trials of a place under the circumstances that [check] sets, as asked for.
+
+    patches      of the place, finest first
+    seed         of what is drawn for each trial; relief_seed of the ground beyond the DEM's
+    """
     settings = context.config.check
     search = Search(template_nodes=min(settings.template_nodes, context.size))
     projection = context.projection(lat_deg, lon_deg)

@@ -7,10 +7,9 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from catalog.control_point import ControlPoint, Flag, Patch
-from catalog.selection.trial import Outcome
+from catalog.control_point import ControlPoint, Flag
 from catalog.stages import select
-from catalog.stages.certificate import Certificate, outcomes_at
+from catalog.stages.certificate import Certificate
 from catalog.stages.context import StageContext
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -144,32 +143,4 @@ def _record(context: StageContext, found: Certificate) -> Record:
         source=context.mosaic.provenance(
             context.projection(place.lat_deg, place.lon_deg), context.posting_m, context.size
         ),
-    )
-
-
-def trials_at(
-    context: StageContext,
-    patches: Sequence[Patch],
-    lat_deg: float,
-    lon_deg: float,
-    *,
-    seed: Sequence[int],
-    relief_seed: int,
-    trials: int,
-) -> list[Outcome]:
-    """Recognition trials of a place under the circumstances that [check] sets.
-
-    patches      of the place, finest first
-    seed         of what is drawn for each trial; relief_seed of the ground beyond the DEM's
-    """
-    return list(
-        outcomes_at(
-            context,
-            patches,
-            lat_deg,
-            lon_deg,
-            seed=seed,
-            relief_seed=relief_seed,
-            trials=trials,
-        )
     )

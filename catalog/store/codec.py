@@ -61,12 +61,6 @@ def quantise(heights: HeightGrid, step: float) -> tuple[Counts, float, float]:
     return np.where(known, counts, NO_DATA_COUNT).astype(np.int16), step, offset
 
 
-def heights_from_counts(counts: Counts, step: float, offset: float) -> HeightGrid:
-    """The heights (float32, NaN for no data) that counts stand for."""
-    values = offset + step * counts.astype(np.float64)
-    return np.where(counts == NO_DATA_COUNT, np.nan, values).astype(np.float32)
-
-
 @kernel
 def _planes_from_counts(counts: Counts, planes: ByteArray) -> None:
     rows, cols = counts.shape

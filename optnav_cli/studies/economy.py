@@ -22,6 +22,7 @@ from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, Stage
 from catalog.stages import check, render, select
+from catalog.stages.certificate import outcomes_at
 from catalog.stages.context import BodySettings, StageContext
 from catalog.stages.settings import BuildConfig
 from catalog.terrain.mosaic import Mosaic
@@ -172,7 +173,7 @@ def _rate(
         limit = context.config.check.max_error_nodes
         successes = 0
         for turn in range(_rounds(trials)):
-            outcomes = check.trials_at(
+            outcomes = outcomes_at(
                 context,
                 patches,
                 *place,

@@ -27,6 +27,7 @@ from catalog.rendering.map_view import render_map
 from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Outcome
 from catalog.stages import check, render, select
+from catalog.stages.certificate import outcomes_at
 from catalog.stages.context import BodySettings, StageContext
 from catalog.stages.ground import Ground, cell_ground, separation_places, suns_of
 from catalog.stages.settings import BuildConfig
@@ -193,13 +194,15 @@ def _trials(
     context: StageContext, place: tuple[float, float], seed: Sequence[int]
 ) -> list[Outcome]:
     """A round of trials at a place, under the circumstances of the check stage."""
-    return check.trials_at(
-        context,
-        context.patches(*place),
-        *place,
-        seed=[*seed, len(seed)],
-        relief_seed=3 + sum(seed),  # neighbouring rounds see other relief
-        trials=SUNS,
+    return list(
+        outcomes_at(
+            context,
+            context.patches(*place),
+            *place,
+            seed=[*seed, len(seed)],
+            relief_seed=3 + sum(seed),  # neighbouring rounds see other relief
+            trials=SUNS,
+        )
     )
 
 

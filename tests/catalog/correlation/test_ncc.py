@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from catalog.correlation.ncc import correlation_surface, filtered, high_pass, match_in, match_ncc
+from catalog.correlation.ncc import correlated, filtered, high_pass, match_in, match_ncc
 from catalog.correlation.peak import RIVAL_DISTANCE, locate_peak
 from catalog.correlation.similarity import match_similarity, pair_scores, turned
 
@@ -90,7 +90,7 @@ def test_scores_over_flat_parts_of_a_search_are_void_and_the_others_are_opencv_s
     search = cut(field, 96) * np.float32(1e-9) + np.float32(0.5)
     search[60:, 60:] = cut(field, 36)
     reference = cut(field, 32)
-    found = correlation_surface(reference, search)
+    found = correlated(filtered(reference), filtered(search))
     image, template = high_pass(search), high_pass(reference)
     power = cv2.boxFilter(image * image, -1, (32, 32), anchor=(0, 0))[:65, :65]
     flat = power <= (1e-5 * np.abs(search).max()) ** 2
@@ -146,7 +146,7 @@ def test_a_peak_on_the_border_of_the_search_has_no_finite_covariance():
 
 def test_grids_that_cannot_be_centred_are_refused():
     with pytest.raises(ValueError, match="centred"):
-        correlation_surface(np.zeros((32, 32), np.float32), np.zeros((41, 41), np.float32))
+        correlated(*(filtered(np.zeros((n, n), np.float32)) for n in (32, 41)))
 
 
 def test_roll_and_scale_are_found_together_with_the_shift():
