@@ -12,11 +12,13 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from queue import Empty, SimpleQueue
 from typing import Any, Protocol, TypeVar
 
 from catalog.errors import WorkersError
+from catalog.stages.interrupts import uninterrupted
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -131,6 +133,9 @@ class ExecutorWorkers:
         pool = self._pool
         waiting = iter(list(todo))
         under_way: dict[Future[R], int] = {}
+        # not concurrent.futures.wait: an interrupt in it can leave a future locked, and the thread
+        # that wants to end it then keeps the whole process from ending
+        ended: SimpleQueue[Future[R]] = SimpleQueue()
         finished = False
         try:
             executor = pool.executor()
@@ -139,11 +144,13 @@ class ExecutorWorkers:
                     position = next(waiting, None)
                     if position is None:
                         break
-                    future = executor.submit(pool.call, packed, function, chunks[position])
-                    under_way[future] = position
+                    with uninterrupted():
+                        future = executor.submit(pool.call, packed, function, chunks[position])
+                        under_way[future] = position
+                        future.add_done_callback(ended.put)
                 if not under_way:
                     break
-                done, _ = wait(under_way, pool.patience_s, return_when=FIRST_COMPLETED)
+                done = _taken(ended, pool.patience_s)
                 pool.look()
                 # sorted: a death must not hide results that came with it
                 for future in sorted(done, key=_failed):
@@ -154,11 +161,23 @@ class ExecutorWorkers:
             finished = True
         finally:
             if not finished:
-                pool.abandon()
+                with uninterrupted():
+                    pool.abandon()
 
     def close(self) -> None:
         """See Workers."""
         self._pool.close()
+
+
+def _taken(ended: "SimpleQueue[Future[R]]", patience_s: float | None) -> "list[Future[R]]":
+    """What has ended, once something has; nothing when that takes longer than patience."""
+    taken: list[Future[R]] = []
+    try:
+        taken.append(ended.get(timeout=patience_s))
+        while True:
+            taken.append(ended.get_nowait())
+    except Empty:
+        return taken
 
 
 def _failed(future: "Future[Any]") -> bool:
