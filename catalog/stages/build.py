@@ -138,6 +138,7 @@ class _Build:
             report.dems, self.account.cells = world.dems, world.cells
         rendered = self._results(world, "render", render.Record)
         checked = self._results(world, "check", check.Record)
+        points: list[ControlPoint] | None = None
         if "render" in wanted:
             with self._stage("render") as stage:
                 self._run_chunks(rendered, render.render_chunk, world, world.chunks, stage)
@@ -148,10 +149,12 @@ class _Build:
             with self._stage("check") as stage:
                 chosen = self._chosen(world)
                 self._run_chunks(checked, check.check_chunk, world, chosen, stage)
-                self._points(world, checked)
+                points = self._points(world, checked, len(chosen))
         if "write" in wanted and output is not None:
             with self._stage("write") as stage:
-                self._write(world, self._points(world, checked), output, report, stage)
+                if points is None:
+                    points = self._points(world, checked, len(self._chosen(world)))
+                self._write(world, points, output, report, stage)
             if report.usable == 0:
                 raise self._nothing_usable(output)
         return report
@@ -207,9 +210,9 @@ class _Build:
         pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in world.chunks]
         return [piece for piece in pieces if piece]
 
-    def _points(self, world: World, checked: ChunkResults) -> list[ControlPoint]:
-        """The checked points, judged in the account."""
-        records = checked.all_records(len(self._chosen(world)))
+    def _points(self, world: World, checked: ChunkResults, count: int) -> list[ControlPoint]:
+        """The points of so many checked pieces, judged in the account."""
+        records = checked.all_records(count)
         if records is None:
             raise self._missing("check")
         points: list[ControlPoint] = [record.point(world.context) for record in records]
