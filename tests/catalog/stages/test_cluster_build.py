@@ -13,25 +13,8 @@ import pytest
 from catalog.config import resource
 from catalog.errors import WorkersError
 from catalog.stages.build import run
+from tests.catalog.stages.coarse_tycho import BBOX, CONFIG
 from tests.catalog.stages.dask_cluster import needs_distributed, until
-
-# coarse and small, so that a build takes a second or two
-CONFIG = """
-[body]
-name = "moon"
-[[dem]]
-path = "tycho.tif"
-[pyramid]
-levels = 3
-posting_m = 474.0
-size = 64
-[render]
-candidates = 2
-window_nodes = 32
-sun_elevations = 2
-sun_azimuths = 2
-"""
-BBOX = (-14.0, -45.0, -9.0, -42.0)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +22,7 @@ def config(tmp_path_factory):
     folder = tmp_path_factory.mktemp("build")
     (folder / "tycho.tif").write_bytes(resource("data/tycho_gld100_256ppd.tif").read_bytes())
     path = folder / "tycho.toml"
-    path.write_text(CONFIG)
+    path.write_text(CONFIG.replace("bundled:tycho_gld100_256ppd.tif", "tycho.tif"))
     return path
 
 

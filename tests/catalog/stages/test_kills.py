@@ -14,27 +14,12 @@ import msgspec
 import pytest
 
 from catalog.stages.account import Account
+from tests.catalog.stages.coarse_tycho import CONFIG
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="builds are forked")
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[2]
-# coarse and small: eleven cells, two seconds
-CONFIG = """
-[body]
-name = "moon"
-[[dem]]
-path = "bundled:tycho_gld100_256ppd.tif"
-[pyramid]
-levels = 3
-posting_m = 474.0
-size = 64
-[render]
-candidates = 2
-window_nodes = 32
-sun_elevations = 2
-sun_azimuths = 2
-"""
 CELLS = 11
 STAGES = ("overviews", "render", "select", "check", "write", "digest")
 ENDS = ("digest", "refused")  # refused: workers died again and again, all is kept
