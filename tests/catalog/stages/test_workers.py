@@ -107,14 +107,17 @@ def test_workers_that_die_again_and_again_are_a_clear_error(work, two):
 
 LONG = """
 import sys, time
+from contextlib import closing
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from catalog.stages.workers import workers_of
 def main():
     import slow_work
     print("go", flush=True)
-    for position, pid in workers_of(2).run(slow_work.sleep, {}, range(10)):
-        print(pid, flush=True)
+    # an interrupt while a result is printed must end the run, too, not leave it to the traceback
+    with closing(workers_of(2).run(slow_work.sleep, {}, range(10))) as results:
+        for position, pid in results:
+            print(pid, flush=True)
 if __name__ == "__main__":
     main()
 """
