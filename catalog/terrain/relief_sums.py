@@ -1,0 +1,227 @@
+"""Sums over the cells of a whole-body grid, from rasters of any map: means and highest pixels.
+
+A pixel of a cylindrical raster counts in each cell by the share of the cell that it covers, so that
+neither its posting nor its first longitude need fit the grid. Pixels of other maps count whole in
+the cell that their middle lies in.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.geometry.kernel import kernel
+from catalog.terrain.georeference import CYLINDRICAL, Georeference
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+HeightGrid = NDArray[np.float32]
+
+WINDOW = 2048  # pixels a side that are read at once: 25 MB as counts and heights
+# A pixel reaches into a cell by more than this share of itself, or not at all: writers round
+# postings, which moves the far edge of a global raster by some hundredths of a pixel.
+SLIVER = 0.02
+
+
+class Layer(NamedTuple):
+    """Heights of one raster, perhaps of an overview of it.
+
+    place  of the raster at its own posting
+    level  halvings of it that `read` gives
+    shape  rows and columns at that level
+    read   heights (height, width) m of a window: first row, first column, height, width
+    """
+
+    place: Georeference
+    level: int
+    shape: tuple[int, int]
+    read: Callable[[int, int, int, int], HeightGrid]
+
+
+class CellSums:
+    """What is known of the cells (n, 2n) of a whole-body grid.
+
+    Row 0 lies at the north pole, column 0 at longitude -180.
+    means   (n, 2n) m, mean of what was laid so far, 0 where `shares` is 0
+    shares  (n, 2n) share of the cell that has heights, 0 to 1
+    tops    (n, 2n) m, the highest pixel
+    """
+
+    def __init__(self, rows: int) -> None:
+        self.means = np.zeros((rows, 2 * rows))
+        self.shares = np.zeros((rows, 2 * rows), np.float32)
+        self.tops = np.full((rows, 2 * rows), -np.inf, np.float32)
+        self.lowest_m, self.highest_m = np.inf, -np.inf
+
+    @property
+    def coverage(self) -> float:
+        """Share of the sphere's surface that has heights."""
+        rows = self.shares.shape[0]
+        edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, rows + 1))
+        return float((edges[:-1] - edges[1:]) @ self.shares.mean(axis=1, dtype=np.float64) / 2.0)
+
+    def lay_under(self, layer: Layer) -> None:
+        """Add the heights of a raster where the cells have none yet. Raises DataError."""
+        rows = self.means.shape[0]
+        sums, weights = np.zeros_like(self.means), np.zeros_like(self.shares)
+        tops = np.full_like(self.tops, -np.inf)
+        for row in range(0, layer.shape[0], WINDOW):
+            for col in range(0, layer.shape[1], WINDOW):
+                height = min(WINDOW, layer.shape[0] - row)
+                width = min(WINDOW, layer.shape[1] - col)
+                pixels = layer.read(row, col, height, width)
+                if layer.place.kind == CYLINDRICAL:
+                    down, along = _edges(layer, rows, row, col, height, width)
+                    low, high = _add_overlaps(pixels, down, along, sums, weights, tops)
+                else:
+                    down, along = _middles(layer, rows, row, col, height, width)
+                    low, high = _add_middles(pixels, down, along, sums, weights, tops)
+                self.lowest_m, self.highest_m = min(self.lowest_m, low), max(self.highest_m, high)
+        _join(sums, weights, tops, self.means, self.shares, self.tops)
+
+    def fill(self) -> None:
+        """Give cells without a height that of their neighbours, ring by ring from the holes' edges.
+
+        Tops are filled alike, from the neighbours' tops: ground that nobody has measured is taken
+        to be as high as the ground about it.
+        """
+        holes = np.argwhere(self.shares == 0.0)
+        while holes.size:
+            found = _of_neighbours(holes, self.means, self.shares, self.tops)
+            known = np.isfinite(found[:, 0])
+            if not known.any():
+                return
+            row, col = holes[known].T
+            self.means[row, col], self.tops[row, col] = found[known].T
+            self.shares[row, col] = 1.0
+            holes = holes[~known]
+
+
+def _edges(
+    layer: Layer, rows: int, row: int, col: int, height: int, width: int
+) -> tuple[FloatArray, FloatArray]:
+    """Cell rows (height + 1) and columns (width + 1) of a window's pixel edges, fractional."""
+    col0, cols_per_rad, row0, rows_per_rad, _ = layer.place.parameters
+    step = 2.0**layer.level
+    edge_row = np.minimum((row + np.arange(height + 1)) * step, layer.place.shape[0]) - 0.5
+    edge_col = np.minimum((col + np.arange(width + 1)) * step, layer.place.shape[1]) - 0.5
+    lat = (edge_row - row0) / rows_per_rad
+    lon = (edge_col - col0) / cols_per_rad * layer.place.longitude_sign
+    return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
+
+
+def _middles(
+    layer: Layer, rows: int, row: int, col: int, height: int, width: int
+) -> tuple[FloatArray, FloatArray]:
+    """Cell row and column (height, width) of a window's pixel centres, fractional; NaN for none."""
+    step = 2.0**layer.level
+    at_row, at_col = np.mgrid[row : row + height, col : col + width] + 0.5
+    lat, lon = layer.place.latlon_from_pixel(at_col * step - 0.5, at_row * step - 0.5)
+    return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
+
+
+@kernel
+def _add_overlaps(
+    pixels: HeightGrid,
+    down: FloatArray,
+    along: FloatArray,
+    sums: FloatArray,
+    weights: HeightGrid,
+    tops: HeightGrid,
+) -> tuple[float, float]:
+    """Add pixels to all cells that they reach into; returns their lowest and highest height."""
+    rows, cols = sums.shape
+    lowest, highest = np.inf, -np.inf
+    for i in range(pixels.shape[0]):
+        north = min(max(min(down[i], down[i + 1]), 0.0), float(rows))
+        south = min(max(max(down[i], down[i + 1]), 0.0), float(rows))
+        for r in range(int(np.floor(north)), int(np.ceil(south))):
+            tall = min(south, r + 1.0) - max(north, float(r))
+            if tall <= SLIVER * (south - north):
+                continue
+            for j in range(pixels.shape[1]):
+                value = pixels[i, j]
+                if np.isnan(value):
+                    continue
+                lowest, highest = min(lowest, value), max(highest, value)
+                west, east = min(along[j], along[j + 1]), max(along[j], along[j + 1])
+                for c in range(int(np.floor(west)), int(np.ceil(east))):
+                    wide = min(east, c + 1.0) - max(west, float(c))
+                    if wide <= SLIVER * (east - west):
+                        continue
+                    k = c % cols
+                    sums[r, k] += value * tall * wide
+                    weights[r, k] += tall * wide
+                    tops[r, k] = max(tops[r, k], value)
+    return lowest, highest
+
+
+@kernel
+def _add_middles(
+    pixels: HeightGrid,
+    down: FloatArray,
+    along: FloatArray,
+    sums: FloatArray,
+    weights: HeightGrid,
+    tops: HeightGrid,
+) -> tuple[float, float]:
+    """Add each pixel whole to the cell of its middle; returns their lowest and highest height."""
+    rows, cols = sums.shape
+    lowest, highest = np.inf, -np.inf
+    for i in range(pixels.shape[0]):
+        for j in range(pixels.shape[1]):
+            value = pixels[i, j]
+            if np.isnan(value) or not np.isfinite(down[i, j] + along[i, j]):
+                continue
+            lowest, highest = min(lowest, value), max(highest, value)
+            r = min(max(int(np.floor(down[i, j])), 0), rows - 1)
+            k = int(np.floor(along[i, j])) % cols
+            sums[r, k] += value
+            weights[r, k] += 1.0
+            tops[r, k] = max(tops[r, k], value)
+    return lowest, highest
+
+
+@kernel
+def _join(
+    sums: FloatArray,
+    weights: HeightGrid,
+    new_tops: HeightGrid,
+    means: FloatArray,
+    shares: HeightGrid,
+    tops: HeightGrid,
+) -> None:
+    """Let new sums fill what cells still lack; a cell's top is the highest of all that it has."""
+    for i in range(sums.shape[0]):
+        for j in range(sums.shape[1]):
+            weight = float(weights[i, j])
+            share = float(shares[i, j])
+            taken = min(weight, 1.0 - share)
+            if taken <= SLIVER and (share > 0.0 or weight == 0.0):
+                continue
+            mean = sums[i, j] / weight
+            means[i, j] += (mean - means[i, j]) * (taken / (share + taken))
+            shares[i, j] = share + taken
+            tops[i, j] = max(tops[i, j], new_tops[i, j])
+
+
+@kernel
+def _of_neighbours(
+    holes: IntArray, means: FloatArray, shares: HeightGrid, tops: HeightGrid
+) -> FloatArray:
+    """Mean height and mean top (holes, 2) of the known ones of the eight cells around, else NaN."""
+    rows, cols = means.shape
+    found = np.full((holes.shape[0], 2), np.nan)
+    for n in range(holes.shape[0]):
+        height, top, count = 0.0, 0.0, 0
+        for i in range(max(holes[n, 0] - 1, 0), min(holes[n, 0] + 2, rows)):
+            for j in range(holes[n, 1] - 1, holes[n, 1] + 2):
+                k = j % cols
+                if shares[i, k] > 0.0:
+                    height += means[i, k]
+                    top += tops[i, k]
+                    count += 1
+        if count:
+            found[n, 0], found[n, 1] = height / count, top / count
+    return found
