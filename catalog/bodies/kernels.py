@@ -1,0 +1,227 @@
+"""SPICE kernels that a user names: loaded, checked to be whole, and asked.
+
+The toolkit (NAIF; through the optional package spiceypy) holds its kernels once a process, so one
+set is in use at a time and each question first puts its own set in place.
+"""
+
+import struct
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.bodies.epochs import utc_from_tdb_s
+from catalog.errors import DataError
+
+FloatArray = NDArray[np.float64]
+Span = tuple[float, float]
+
+INERTIAL = "J2000"  # SPICE's name of the ICRF axes
+_LONGEST_PATH = 255  # of the toolkit
+_MAX_OBJECTS = 10_000
+_MAX_INTERVALS = 10_000
+_RECORD_BYTES = 1024
+_LOCK = threading.RLock()  # the toolkit is not safe to call from two threads
+_in_use: tuple[str, ...] = ()
+
+
+class KernelSet:
+    """The kernels of one run, in the order given; later ones win over earlier ones.
+
+    Raises DataError for a kernel that is missing, cut short or no kernel, and where spiceypy is
+    not installed.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self.paths = tuple(str(Path(path).resolve()) for path in paths)
+        for path in self.paths:
+            _check_file(Path(path))
+        with self._loaded() as spice:
+            self._orbits = _cover(spice, "SPK")
+            self._turns = _cover(spice, "PCK")
+
+    @property
+    def names(self) -> str:
+        """The file names, for a log."""
+        return ", ".join(Path(path).name for path in self.paths)
+
+    @property
+    def has_orbits(self) -> bool:
+        """Whether any kernel tells where bodies are."""
+        return bool(self._orbits)
+
+    def has_orbit(self, number: int) -> bool:
+        """Whether a kernel tells where the body with this NAIF number is."""
+        return number in self._orbits
+
+    def has_frame(self, frame: str) -> bool:
+        """Whether the kernels define a frame of this name, with data or without."""
+        with self._loaded() as spice:
+            number = spice.namfrm(frame)
+            try:
+                return bool(number) and spice.frinfo(number) is not None
+            except spice.exceptions.SpiceyError:
+                return False
+
+    def body_frame(self, body: str) -> str:
+        """The frame that the kernels tie to a body; IAU_NAME where they say nothing else."""
+        with self._loaded() as spice:
+            return str(spice.cnmfrm(body.upper())[1])
+
+    def rotation(self, frame: str, tdb_s: float) -> FloatArray:
+        """Rotation (3, 3) taking inertial vectors to a frame. Raises DataError without data."""
+        with self._loaded() as spice:
+            try:
+                return np.asarray(spice.pxform(INERTIAL, frame, tdb_s))
+            except spice.exceptions.SpiceyError as error:
+                span = _common(self._turns.values())
+                raise self._no_data(f"the frame {frame}", tdb_s, span, error) from None
+
+    def position_m(self, of: int, seen_from: int, tdb_s: float, *, apparent: bool) -> FloatArray:
+        """Position (3,) of a body from another one, inertial, m.
+
+        of, seen_from  NAIF numbers
+        apparent       with light time and stellar aberration; else at the very time
+        Raises DataError where the kernels do not tell.
+        """
+        correction = "LT+S" if apparent else "NONE"
+        with self._loaded() as spice:
+            try:
+                km, _ = spice.spkpos(str(of), tdb_s, INERTIAL, correction, str(seen_from))
+            except spice.exceptions.SpiceyError as error:
+                pair = (self._orbits[n] for n in (of, seen_from) if n in self._orbits)
+                what = f"body {of} seen from {seen_from}"
+                raise self._no_data(what, tdb_s, _common(pair), error) from None
+        return np.asarray(km) * 1e3
+
+    def orbit_span(self, numbers: Sequence[int]) -> Span | None:
+        """From when to when, TDB s, the kernels tell where all these bodies are."""
+        return _common(self._orbits[n] for n in numbers if n in self._orbits)
+
+    def turn_span(self) -> Span | None:
+        """From when to when the binary orientation kernels reach; None without such kernels."""
+        return _common(self._turns.values())
+
+    def _no_data(self, what: str, tdb_s: float, span: Span | None, error: Exception) -> DataError:
+        at = utc_from_tdb_s(tdb_s, 0)
+        short = str(getattr(error, "short", "")) or type(error).__name__
+        if span is None:
+            return DataError(
+                f"SPICE kernels ({self.names}): nothing about {what} at {at} ({short}); "
+                "add the kernel that has it to [spice] kernels"
+            )
+        first, last = (utc_from_tdb_s(t, 0) for t in span)
+        reach = f"they cover {first} to {last}"
+        return DataError(
+            f"SPICE kernels ({self.names}): nothing about {what} at {at} ({short}); {reach}; "
+            "name kernels that reach further, or leave [spice] out"
+        )
+
+    @contextmanager
+    def _loaded(self) -> Iterator[ModuleType]:
+        """The toolkit with this set in place, for one thread at a time."""
+        global _in_use
+        spice = _toolkit()
+        with _LOCK:
+            if _in_use != self.paths:
+                for path in _in_use:
+                    spice.unload(path)
+                _in_use = ()
+                for number, path in enumerate(self.paths):
+                    try:
+                        spice.furnsh(path)
+                    except spice.exceptions.SpiceyError as error:
+                        for loaded in self.paths[:number]:
+                            spice.unload(loaded)
+                        text = getattr(error, "long", "") or str(error)
+                        raise DataError(
+                            f"{path}: SPICE cannot load this kernel: {text}; fetch it again"
+                        ) from None
+                _in_use = self.paths
+            yield spice
+
+
+def _toolkit() -> ModuleType:
+    try:
+        return import_module("spiceypy")
+    except ImportError:
+        raise DataError(
+            "SPICE kernels are named, but the package spiceypy is not installed; "
+            "install it with `pip install 'optnav[spice]'`, or leave [spice] out"
+        ) from None
+
+
+def _check_file(path: Path) -> None:
+    """Refuse what is no kernel or cut short: the toolkit itself loads both without a word."""
+    if len(str(path)) > _LONGEST_PATH:
+        raise DataError(f"{path}: the path is longer than the {_LONGEST_PATH} letters of SPICE")
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise DataError(f"{path}: there is no such SPICE kernel; check the path") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    if content.startswith((b"DAF/", b"NAIF/DAF")):
+        head, size = content[:_RECORD_BYTES], len(content)
+        whole = _daf_bytes(head) if len(head) == _RECORD_BYTES else _RECORD_BYTES
+        if size < whole:
+            raise DataError(
+                f"{path}: the SPICE kernel is cut short: {size} of at least {whole} bytes; "
+                "fetch it again"
+            )
+    elif b"\\begindata" not in content:
+        raise DataError(
+            f"{path}: is no SPICE kernel (neither binary nor text with \\begindata); "
+            "name .bsp, .bpc, .tpc or .tf files"
+        )
+    else:
+        last = content.rpartition(b"\\begindata")[2].partition(b"\\begintext")[0]
+        if last.count(b"(") != last.count(b")"):
+            raise DataError(
+                f"{path}: the SPICE kernel is cut short: a parenthesis of its last data section "
+                "is not closed; fetch it again"
+            )
+
+
+def _daf_bytes(head: bytes) -> int:
+    """Least size of a binary kernel, from its file record (NAIF, "DAF Required Reading")."""
+    order = ">" if head[88:96] == b"BIG-IEEE" else "<"
+    (first_free,) = struct.unpack_from(f"{order}i", head, 84)
+    return 8 * (int(first_free) - 1)
+
+
+def _cover(spice: ModuleType, kind: str) -> dict[int, Span]:
+    """From when to when each body's data reach in the loaded binary kernels of a kind.
+
+    Gaps inside are not looked for: a question into one is answered by the toolkit's own error.
+    """
+    spans: dict[int, Span] = {}
+    for index in range(spice.ktotal(kind)):
+        path = spice.kdata(index, kind)[0]
+        numbers = spice.cell_int(_MAX_OBJECTS)
+        try:
+            (spice.spkobj if kind == "SPK" else spice.pckfrm)(path, numbers)
+            for number in numbers:
+                window = spice.cell_double(2 * _MAX_INTERVALS)
+                (spice.spkcov if kind == "SPK" else spice.pckcov)(path, number, window)
+                first = spice.wnfetd(window, 0)[0]
+                last = spice.wnfetd(window, spice.wncard(window) - 1)[1]
+                known = spans.get(number, (first, last))
+                spans[number] = (min(first, known[0]), max(last, known[1]))
+        except spice.exceptions.SpiceyError as error:
+            text = getattr(error, "long", "") or str(error)
+            raise DataError(f"{path}: SPICE cannot read it: {text}; fetch it again") from None
+    return spans
+
+
+def _common(spans: Iterable[Span]) -> Span | None:
+    """What all spans share; None without spans."""
+    listed = list(spans)
+    if not listed:
+        return None
+    return max(span[0] for span in listed), min(span[1] for span in listed)

@@ -1,0 +1,196 @@
+"""How a body turns and what stands about it, by analytic theory or by SPICE kernels.
+
+Both sources answer the same questions; a run says in its log which of them it used.
+
+Analytic, without files: rotation by the series of configs/bodies with its fitted correction, the
+Sun and the Earth by SOFA (see `catalog.bodies.sun`). SPICE: the rotation of the frame that the
+kernels tie to the body, for the Moon always MOON_ME; positions of the SPK kernels. Where no SPK
+kernel is named (orientation kernels reach further than most orbits), Sun and places stay analytic.
+
+Directions to the Sun are apparent ones (light time and stellar aberration), as pictures show it.
+Positions are geometric ones at the very time, as forces and orbits need them.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.bodies.body import Body
+from catalog.bodies.epochs import utc_from_tdb_s
+from catalog.bodies.kernels import KernelSet
+from catalog.bodies.rotation import body_from_inertial
+from catalog.bodies.sun import position_inertial, sun_direction_inertial
+from catalog.errors import DataError
+
+FloatArray = NDArray[np.float64]
+Neighbour = Literal["sun", "earth", "moon", "mars"]
+
+SUN_GM_M3_S2 = 1.3271244004127942e20  # NAIF gm_de440.tpc, BODY10_GM
+
+# NAIF numbers; a planet's barycentre serves where its own number is not in the kernels: Mars and
+# its moons share theirs to 0.2 m.
+_NUMBERS = {"sun": (10,), "earth": (399,), "moon": (301,), "mars": (499, 4), "phobos": (401,)}
+# Where Phobos' own orbit is not in the kernels the Sun is seen from Mars, 8" off at most.
+_SEEN_FROM = _NUMBERS | {"phobos": (401, 499, 4)}
+LUNAR_FRAME = "MOON_ME"
+# The ME frames of DE403, DE421 and DE440 lie within about this of each other at the surface.
+LUNAR_FRAME_ERROR_M = 1.0
+# Kernels and series must agree to this, or the kernels are of something else. The widest honest
+# difference is that of the Earth's series, which leaves nutation and UT1 out.
+_AGREEMENT = np.radians(0.5)
+
+
+class BodyMotion(Protocol):
+    """Rotation of a body and the directions and places of its neighbours; times are TDB s."""
+
+    @property
+    def body(self) -> Body:
+        """The body that this is about."""
+
+    @property
+    def name(self) -> str:
+        """The source, for a log."""
+
+    @property
+    def error_m(self) -> float:
+        """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
+
+    def body_from_inertial(self, tdb_s: float) -> FloatArray:
+        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
+
+    def sun_inertial(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes."""
+
+    def sun_body(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
+
+    def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
+        """Geometric position (3,) of a neighbour's centre from the body's, inertial, m."""
+
+
+class AnalyticMotion:
+    """Analytic theories: SOFA and the rotation series of the body's file."""
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.name = "analytic theory (SOFA, rotation series)"
+
+    @property
+    def error_m(self) -> float:
+        """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
+        return self.body.rotation.error_m
+
+    def body_from_inertial(self, tdb_s: float) -> FloatArray:
+        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
+        return body_from_inertial(self.body, tdb_s)
+
+    def sun_inertial(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes."""
+        return sun_direction_inertial(self.body, tdb_s)
+
+    def sun_body(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
+        return np.asarray(self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s))
+
+    def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
+        """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
+
+        Raises DataError for a pair without a theory here: Mars as seen from Phobos.
+        """
+        return position_inertial(self.body, of, tdb_s)
+
+
+class SpiceMotion:
+    """SPICE kernels. The toolkit is asked anew for every time (some 20 microseconds)."""
+
+    def __init__(self, body: Body, kernels: Sequence[Path]) -> None:
+        """Load the kernels and check that they are about this body.
+
+        Raises DataError for kernels that are missing, damaged, incomplete or of another body.
+        """
+        self.body = body
+        self._analytic = AnalyticMotion(body)
+        self._kernels = KernelSet(kernels)
+        self._orbits = self._kernels.has_orbits
+        rest = "" if self._orbits else "; the Sun by analytic theory (SOFA)"
+        self.name = f"SPICE kernels ({self._kernels.names}){rest}"
+        lunar = body.name == "moon"
+        self._frame = LUNAR_FRAME if lunar else self._kernels.body_frame(body.name)
+        self.error_m = LUNAR_FRAME_ERROR_M if lunar else body.rotation.error_m
+        self._check()
+
+    def body_from_inertial(self, tdb_s: float) -> FloatArray:
+        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame.
+
+        Raises DataError, with the span the kernels cover, for a time outside it.
+        """
+        return self._kernels.rotation(self._frame, tdb_s)
+
+    def sun_inertial(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes.
+
+        Raises DataError, with the span the kernels cover, for a time outside it.
+        """
+        if not self._orbits:
+            return self._analytic.sun_inertial(tdb_s)
+        of, centre = self._number("sun", _NUMBERS), self._number(self.body.name, _SEEN_FROM)
+        sun = self._kernels.position_m(of, centre, tdb_s, apparent=True)
+        return np.asarray(sun / np.linalg.norm(sun))
+
+    def sun_body(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
+        return np.asarray(self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s))
+
+    def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
+        """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
+
+        Raises DataError for a time or body that the kernels do not cover.
+        """
+        if not self._orbits:
+            return self._analytic.position_m(of, tdb_s)
+        centre, there = self._number(self.body.name, _NUMBERS), self._number(of, _NUMBERS)
+        return self._kernels.position_m(there, centre, tdb_s, apparent=False)
+
+    def _number(self, name: str, numbers: Mapping[str, Sequence[int]]) -> int:
+        for number in numbers[name]:
+            if self._kernels.has_orbit(number):
+                return number
+        wanted = " or ".join(str(number) for number in numbers[name])
+        raise DataError(
+            f"{self.name}: none has the orbit of {name} (NAIF number {wanted}); "
+            "add the SPK kernel (.bsp) that has it"
+        )
+
+    def _check(self) -> None:
+        """Compare with the analytic theory once, in the middle of what the kernels cover."""
+        if not self._kernels.has_frame(self._frame):
+            raise DataError(
+                f"{self.name}: none defines the frame {self._frame}; add its frame kernel (.tf), "
+                "such as moon_080317.tf, and the orientation kernel (.bpc) that goes with it"
+            )
+        middle = 0.0  # J2000, for constants that hold at all times
+        if self._orbits:
+            sun, centre = self._number("sun", _NUMBERS), self._number(self.body.name, _SEEN_FROM)
+            middle = _middle(self._kernels.orbit_span((sun, centre)), middle)
+            ours, theirs = (m.sun_inertial(middle) for m in (self._analytic, self))
+            self._compare(float(np.linalg.norm(ours - theirs)), "the Sun", middle)
+        middle = _middle(self._kernels.turn_span(), middle)
+        ours, theirs = (m.body_from_inertial(middle) for m in (self._analytic, self))
+        # a rotation by a small angle differs from none by sqrt(2) of it
+        apart = float(np.linalg.norm(ours @ theirs.T - np.eye(3)) / np.sqrt(2.0))
+        self._compare(apart, f"the frame {self._frame}", middle)
+
+    def _compare(self, apart: float, what: str, tdb_s: float) -> None:
+        if not apart < _AGREEMENT:
+            raise DataError(
+                f"{self.name}: {what} is {np.degrees(apart):.3g} deg "
+                f"from the analytic theory of {self.body.name} at {utc_from_tdb_s(tdb_s, 0)}; "
+                "wanted the kernels of this body, with ICRF axes"
+            )
+
+
+def _middle(span: tuple[float, float] | None, otherwise: float) -> float:
+    return otherwise if span is None else 0.5 * (span[0] + span[1])
