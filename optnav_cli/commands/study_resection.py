@@ -1,8 +1,11 @@
 """`optnav study resection`: position errors against number and intersection angle of points."""
 
+from pathlib import Path
+
 import click
 
 from optnav_cli.console import ConsoleProgress, pass_progress
+from optnav_cli.options import output_option
 
 
 @click.command(short_help="Position errors against number and angle of control points.")
@@ -14,8 +17,9 @@ from optnav_cli.console import ConsoleProgress, pass_progress
     help="Resections of each geometry.",
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the noise.")
+@output_option("Draw the curves into this file (SVG).", required=False)
 @pass_progress
-def command(progress: ConsoleProgress, trials: int, seed: int) -> None:
+def command(progress: ConsoleProgress, trials: int, seed: int, output: Path | None) -> None:
     """Solve thousands of resections with noisy points and tabulate the errors.
 
     Shows how the horizontal error falls with the number of points, how the height error grows
@@ -23,8 +27,12 @@ def command(progress: ConsoleProgress, trials: int, seed: int) -> None:
 
     \b
     Example:
-      optnav study resection --trials 1000
+      optnav study resection --trials 1000 -o resection.svg
     """
-    from optnav_cli.studies.resection import format_table, run
+    from optnav_cli.output.report.sheet import write_sheet
+    from optnav_cli.studies.resection import format_table, picture, run
 
-    click.echo(format_table(run(progress, trials, seed)))
+    rows = run(progress, trials, seed)
+    click.echo(format_table(rows))
+    if output is not None:
+        write_sheet(picture(rows), output)

@@ -9,6 +9,7 @@ Every trial is solved by the navigator's own resection from noisy sightings; err
 against the truth, not read from the covariance.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -20,6 +21,8 @@ from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose, Sightings, predict, resect
+from optnav_cli.output.report.sheet import Entry, Panel, sheet
+from optnav_cli.output.report.svg import Plot
 
 FloatArray = NDArray[np.float64]
 
@@ -28,6 +31,9 @@ RADIUS_M = 1_737_400.0
 POINT_SIGMA_M = 50.0
 COUNTS = (2, 4, 8, 16, 32)
 ANGLES_DEG = (5.0, 10.0, 20.0, 40.0, 80.0)
+MIDDLE_ANGLE_DEG = 40.0  # at which the picture shows errors against the number of points
+SERIES = ("s4", "s1", "s2", "s3", "s5")  # by number of points
+SHAPES = ("down", "circle", "triangle", "square", "diamond")
 # straight down: camera x east, y south, z into the ground
 CAMERA_FROM_LOCAL = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -114,6 +120,82 @@ def format_table(rows: list[ResectionRow]) -> str:
                 f"{ratio:.1f} times larger"
             )
     return "\n".join(lines)
+
+
+def picture(rows: list[ResectionRow]) -> str:
+    """The errors as curves (SVG): against the angle, and against the number of points."""
+    legend = [
+        Entry(series, f"{count} points", shape)
+        for series, shape, count in zip(SERIES, SHAPES, COUNTS, strict=True)
+    ]
+    legend.append(Entry("muted dashed", "error of one point", ""))
+    panels = []
+    for free in (False, True):
+        chosen = [row for row in rows if row.free_attitude == free]
+        attitude = "attitude free" if free else "attitude known"
+        reach = (0.05, 1000.0) if free else (0.05, 100.0)
+        panels.append(
+            [
+                _against_angle(chosen, "horizontal", attitude, reach),
+                _against_angle(chosen, "height", attitude, reach),
+                _against_number(chosen, attitude, reach),
+            ]
+        )
+    return sheet("Error of a position from control points, in sigmas of a point", legend, panels)
+
+
+def _against_angle(
+    rows: list[ResectionRow], component: str, attitude: str, reach: tuple[float, float]
+) -> Panel:
+    plot = _plot(ANGLES_DEG, reach, "intersection angle, °")
+    for series, shape, count in zip(SERIES, SHAPES, COUNTS, strict=True):
+        points = [row for row in rows if row.count == count]
+        _curve(
+            plot,
+            [row.angle_deg for row in points],
+            [getattr(row, component) for row in points],
+            series,
+            shape,
+        )
+    name = "horizontal, a component" if component == "horizontal" else "height"
+    return Panel(
+        f"{name}, {attitude}", plot, f"Error {component} against angle, {attitude}, log scales"
+    )
+
+
+def _against_number(rows: list[ResectionRow], attitude: str, reach: tuple[float, float]) -> Panel:
+    plot = _plot(COUNTS, reach, f"points, {MIDDLE_ANGLE_DEG:g}° between the outermost")
+    points = [row for row in rows if row.angle_deg == MIDDLE_ANGLE_DEG]
+    numbers = [float(row.count) for row in points]
+    for values, shape, words in (
+        ([row.height for row in points], "square", "height"),
+        ([row.horizontal for row in points], "circle", "horizontal"),
+    ):
+        _curve(plot, numbers, values, "muted", shape)
+        # the larger of the two carries its name above, so that no line runs through it
+        above = words == ("horizontal" if "free" in attitude else "height")
+        lift = 0.15 if above else -0.3
+        plot.text(np.log10(numbers[0]), np.log10(values[0]) + lift, words)
+    return Panel(
+        f"against the number, {attitude}", plot, f"Errors against number, {attitude}, log scales"
+    )
+
+
+def _plot(x: Sequence[float], reach: tuple[float, float], label: str) -> Plot:
+    ends = np.log10([min(x), max(x)]) + [-0.08, 0.08]
+    low, high = np.log10(reach)
+    plot = Plot(
+        (float(ends[0]), float(ends[1])), (float(low), float(high)), x_label=label,
+        y_label="error, point sigmas", width=330, height=260, log_x=True, log_y=True,
+        x_numbers=x,
+    )  # fmt: skip
+    plot.level(0.0, "muted dashed")
+    return plot
+
+
+def _curve(plot: Plot, x: Sequence[float], y: Sequence[float], series: str, shape: str) -> None:
+    plot.line(np.log10(x), np.log10(y), series)
+    plot.marks(np.log10(x), np.log10(y), series, shape)
 
 
 def _ideal_camera() -> Camera:

@@ -12,7 +12,8 @@ from catalog.geometry.latlon import (
     xyz_from_latlon,
 )
 from catalog.geometry.projection import Stereographic
-from optnav_cli.output.report.svg import WIDE, Plot, number_text, span
+from optnav_cli.output.report.svg import WIDE, Plot, span
+from optnav_cli.output.report.ticks import number_text
 
 FloatArray = NDArray[np.float64]
 LARGEST_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over

@@ -10,20 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optnav_cli.output.display import encoded
+from optnav_cli.output.report.style import DARK, DRAWINGS, LIGHT, PRINTED
 
 BEGINNING = "<!doctype html>\n<!-- optnav report -->\n"
 
-STYLE = """
-:root { color-scheme: light dark; --paper: #ffffff; --ink: #1b2330; --soft: #5b6675;
-  --rule: #d8dee6; --tile: #f3f6f9; --none: #c4cad2; --edge: transparent;
-  --c1: #1f6fb2; --c2: #c2571a; --c3: #23824e; --c4: #b3273f; }
-@media (prefers-color-scheme: dark) { :root { --paper: #12161c; --ink: #e4e9f0; --soft: #98a4b3;
-  --rule: #2c3541; --tile: #1b222b; --none: #39424e; --edge: #98a4b399;
-  --c1: #5eb0f0; --c2: #f29a5c; --c3: #5fc98c; --c4: #f2708a; } }
-@media print { :root { color-scheme: light; --paper: #ffffff; --ink: #000000; --soft: #444444;
-  --rule: #cccccc; --tile: #f3f3f3; --none: #cccccc; --edge: transparent;
-  --c1: #1f6fb2; --c2: #c2571a; --c3: #23824e; --c4: #b3273f; }
-  section, figure, tr { break-inside: avoid; } body { max-width: none; padding: 0; } }
+STYLE = (
+    f"""
+:root {{ color-scheme: light dark; {LIGHT} }}
+@media (prefers-color-scheme: dark) {{ :root {{ {DARK} }} }}
+@media print {{ :root {{ color-scheme: light; {PRINTED} }}
+  section, figure, tr {{ break-inside: avoid; }} body {{ max-width: none; padding: 0; }} }}
+"""
+    + """
 * { box-sizing: border-box; }
 body { background: var(--paper); color: var(--ink); max-width: 62rem; margin: 0 auto;
   padding: 1.5rem 1rem 4rem; font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
@@ -60,28 +58,16 @@ figure { margin: .8rem 0; } figcaption { color: var(--soft); font-size: .86rem; 
   gap: .1rem 1.1rem; } .legend .key { margin-left: 0; border: 1px solid var(--soft); }
 .note { border-left: 4px solid var(--c2); padding: .1rem .8rem; }
 svg { width: 100%; height: auto; display: block; }
-svg text { fill: var(--ink); font: 12px system-ui, "DejaVu Sans", sans-serif; }
-svg text.tick { fill: var(--soft); font-size: 11px; }
-svg .grid { stroke: var(--rule); stroke-width: 1; }
-svg .frame { fill: none; stroke: var(--soft); stroke-width: 1; }
-svg .line { fill: none; stroke-width: 1.6; stroke: var(--ink); } svg .thin { stroke-width: .8; }
-svg .band { stroke: none; fill-opacity: .16; }
-svg .bar { fill-opacity: .8; } svg .bar.full, svg .bar.seamless { fill-opacity: 1; }
-svg .bar.full { stroke: var(--edge); stroke-width: .6; }
-svg .bar.seamless { shape-rendering: crispEdges; }
-svg .line.median { stroke: var(--ink); stroke-dasharray: 4 3; stroke-width: 1.2; }
-svg .line.s1 { stroke: var(--c1); } svg .line.s2 { stroke: var(--c2); }
-svg .line.s3 { stroke: var(--c3); } svg .line.s4 { stroke: var(--c4); }
-svg .line.muted { stroke: var(--soft); } svg .line.faint { stroke: var(--soft); opacity: .35; }
-svg .line.graticule { stroke: #ffffff; stroke-opacity: .45; stroke-width: .8; }
-svg .line.rim { stroke: var(--soft); stroke-width: 1.4; } svg .area.ground { fill: var(--none); }
-svg text.halo { fill: #ffffff; paint-order: stroke; stroke: #00000099; stroke-width: 2.5px; }
-svg .dot.ringed { stroke: #10151c; stroke-width: 1.2; }
-svg .s1 { fill: var(--c1); } svg .s2 { fill: var(--c2); } svg .s3 { fill: var(--c3); }
-svg .s4 { fill: var(--c4); } svg .muted { fill: var(--soft); } svg .line { fill: none; }
+"""
+    + DRAWINGS
+    + """
 .key { display: inline-block; width: .8em; height: .8em; border-radius: 2px; margin: 0 .3em 0 .9em;
   vertical-align: -.05em; } .k1 { background: var(--c1); } .k2 { background: var(--c2); }
+.k5 { background: var(--c5); }
 .k3 { background: var(--c3); } .k4 { background: var(--c4); } .k0 { background: var(--soft); }
+.entry { display: inline-block; margin-left: .9em; }
+svg.sign { display: inline-block; width: .95em; height: .95em; vertical-align: -.12em;
+  margin-right: .3em; }
 details { margin: .5rem 0; } summary { cursor: pointer; }
 pre { background: var(--tile); border-radius: 8px; padding: .8rem; font-size: .8rem;
   white-space: pre-wrap; overflow-wrap: anywhere; }
@@ -91,6 +77,7 @@ pre { background: var(--tile); border-radius: 8px; padding: .8rem; font-size: .8
   .triple > :last-child { grid-column: 1 / -1; }
   .patches { grid-template-columns: repeat(3, minmax(0, 1fr)); } }
 """
+)
 
 
 def page(title: str, subtitle: str, sections: Iterable[str]) -> str:

@@ -1,6 +1,6 @@
 """Small plots as inline SVG: no plotting library, colours from the page's style sheet.
 
-Series are named by the classes s1 (blue), s2 (orange), s3 (green), s4 (red), muted.
+Series are named by the classes s1 (blue), s2 (orange), s3 (green), s4 (red), s5 (violet), muted.
 """
 
 import math
@@ -9,6 +9,9 @@ from html import escape
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from optnav_cli.output.report.marks import mark
+from optnav_cli.output.report.ticks import log_text, log_ticks, number_text, ticks
 
 FloatArray = NDArray[np.float64]
 LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
@@ -32,6 +35,8 @@ class Plot:
         axes: bool = True,
         margins: tuple[int, int, int, int] = (LEFT, RIGHT, TOP, BOTTOM),
         log_x: bool = False,
+        log_y: bool = False,
+        x_numbers: Sequence[float] = (),
     ) -> None:
         """Axes over the ranges x and y; `equal` widens one of them until both scales agree.
 
@@ -39,6 +44,8 @@ class Plot:
         margins  room around the axes, px: left, right, top, bottom; 0 at the left leaves out the
                  frame as well, for maps that have an outline of their own
         log_x    x are common logarithms; their numbers are written as what they stand for
+        log_y    so are y
+        x_numbers  what is written along x, instead of round numbers
         """
         self.width, self.height = width, height
         self._left, self._right, self._top, self._bottom = margins
@@ -46,7 +53,8 @@ class Plot:
         if equal:
             self._equalise()
         self._axes = axes
-        self._log_x = log_x
+        self._log_x, self._log_y = log_x, log_y
+        self._x_numbers = x_numbers
         self._labels = (x_label, y_label)
         self._ground: list[str] = []
         self._body: list[str] = []
@@ -122,6 +130,21 @@ class Plot:
                 f"{name}</circle>"
             )
 
+    def marks(
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        series: str,
+        shape: str,
+        radius: float = 3.2,
+        titles: Sequence[str] | None = None,
+    ) -> None:
+        """Marks of a shape (see `marks`); `titles` as those of `dots`."""
+        for index, (cx, cy) in enumerate(np.column_stack([self.px(x), self.py(y)])):
+            if math.isfinite(cx) and math.isfinite(cy):
+                title = titles[index] if titles else ""
+                self._body.append(mark(cx, cy, series, shape, radius, title))
+
     def area(self, x: ArrayLike, y: ArrayLike, series: str) -> None:
         """The inside of a closed outline; it lies below lines, dots and words."""
         points = np.column_stack([self.px(x), self.py(y)])
@@ -171,13 +194,19 @@ class Plot:
             f'y="{float(self.py(y)):.1f}">{escape(words)}</text>'
         )
 
-    def svg(self, description: str) -> str:
-        """The plot; `description` is read to people who cannot see it."""
+    def svg(self, description: str, at: tuple[float, float] | None = None) -> str:
+        """The plot; `description` is read to people who cannot see it.
+
+        at  left and top of its place in a larger drawing
+        """
         clip = f"c{abs(hash_of(description + self._labels[0] + self._labels[1])):x}"
         inner, left, top = self.inner, self._left, self._top
         wide = ' class="wide"' if self.width > HALF else ""
+        place = ""
+        if at is not None:
+            place = f'x="{at[0]:g}" y="{at[1]:g}" width="{self.width}" height="{self.height}" '
         parts = [
-            f'<svg viewBox="0 0 {self.width} {self.height}" role="img"{wide} '
+            f'<svg {place}viewBox="0 0 {self.width} {self.height}" role="img"{wide} '
             f'aria-label="{escape(description, quote=True)}">',
             f'<clipPath id="{clip}"><rect x="{left}" y="{top}" width="{inner[0]}" '
             f'height="{inner[1]}"/></clipPath>',
@@ -199,49 +228,33 @@ class Plot:
 
     def _ticks(self) -> Iterable[str]:
         bottom, right = self.height - self._bottom, self.width - self._right
-        if self._log_x:
-            numbers = log_ticks(*self.x)
-        else:
-            numbers = [(v, v) for v in ticks(*self.x, count=max(3, self.inner[0] // 70))]
-        for place, value in numbers:
+        across = _numbers(self.x, self._log_x, max(3, self.inner[0] // 70))
+        if self._x_numbers:
+            places = np.log10(self._x_numbers) if self._log_x else self._x_numbers
+            across = [
+                (float(x), number_text(v)) for x, v in zip(places, self._x_numbers, strict=True)
+            ]
+        for place, words in across:
             x = float(self.px(place))
             yield f'<line class="grid" x1="{x:.1f}" y1="{self._top}" x2="{x:.1f}" y2="{bottom}"/>'
             yield (
                 f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 15}">'
-                f"{number_text(value)}</text>"
+                f"{words}</text>"
             )
-        for value in ticks(*self.y, count=max(4, self.inner[1] // 45)):
-            y = float(self.py(value))
+        for place, words in _numbers(self.y, self._log_y, max(4, self.inner[1] // 45)):
+            y = float(self.py(place))
             yield f'<line class="grid" x1="{self._left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
             yield (
                 f'<text class="tick" text-anchor="end" x="{self._left - 5}" y="{y + 4:.1f}">'
-                f"{number_text(value)}</text>"
+                f"{words}</text>"
             )
 
 
-def ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """About `count` round numbers from low to high: steps of 1, 2 or 5 times a power of ten."""
-    raw = (high - low) / max(count, 1)
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= 0.75 * raw)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [round(n * step, 12) for n in range(first, last + 1)]
-
-
-def log_ticks(low: float, high: float) -> list[tuple[float, float]]:
-    """Places, which are common logarithms, and numbers of ticks: 1, 2 and 5 of every power of ten.
-
-    Over more than two powers the powers alone.
-    """
-    digits = (1.0, 2.0, 5.0) if high - low <= 2.0 else (1.0,)
-    powers = range(math.floor(low), math.ceil(high) + 1)
-    found = [(power + math.log10(d), float(f"{d:g}e{power}")) for power in powers for d in digits]
-    return [(place, number) for place, number in found if low - 1e-9 <= place <= high + 1e-9]
-
-
-def number_text(value: float) -> str:
-    """A tick's number, short, with a true minus sign."""
-    return f"{value:.10g}".replace("-", "\N{MINUS SIGN}")
+def _numbers(ends: tuple[float, float], log: bool, count: int) -> list[tuple[float, str]]:
+    """Places of an axis' ticks and what is written beside them."""
+    if log:
+        return [(place, log_text(number)) for place, number in log_ticks(*ends)]
+    return [(value, number_text(value)) for value in ticks(*ends, count=count)]
 
 
 def span(values: ArrayLike, margin: float = 0.05) -> tuple[float, float]:

@@ -15,7 +15,8 @@ from pyproj import Proj
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg
 from optnav_cli.output.report.ground import DEGREE, GroundMap
-from optnav_cli.output.report.svg import HALF, WIDE, Plot, number_text
+from optnav_cli.output.report.svg import HALF, WIDE, Plot
+from optnav_cli.output.report.ticks import number_text
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from optnav_cli.output.report.ground import GroundMap
-from optnav_cli.output.report.svg import Plot, log_ticks, number_text, span, ticks
+from optnav_cli.output.report.svg import Plot, span
+from optnav_cli.output.report.ticks import log_ticks, number_text, ticks
 
 
 @pytest.mark.parametrize(
