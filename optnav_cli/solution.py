@@ -55,7 +55,7 @@ class MatchRow:
     """One control point tried in one frame.
 
     file               the frame's name
-    cp_id              the point's id in the catalog
+    cp_id              the point's id in its catalog
     level              pyramid level of the (last) match, 0 = finest
     cp_position_m      (3,)  the point, body frame, m
     predicted_px       (2,)  where the final pose expects it, x, y
@@ -65,6 +65,7 @@ class MatchRow:
     reason             why not; empty when used
     sun_elevation_deg  Sun above the point's horizon
     residual_px        (2,)  measured minus predicted after the solution
+    catalog            the catalog's file name
     """
 
     file: str
@@ -79,6 +80,7 @@ class MatchRow:
     reason: str = ""
     sun_elevation_deg: float | None = None
     residual_px: FloatArray | None = None
+    catalog: str = ""
 
 
 def unsolved(

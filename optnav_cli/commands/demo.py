@@ -58,7 +58,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     announce_compilation()
     build.run(config, output=catalog, workers=workers, progress=progress)
     simulate_folder(scenario, pictures, progress, workers)
-    navigate_folder(pictures, catalog, NavigateSettings(), "ncc", run, progress)
+    navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", run, progress)
     evaluation = evaluate_run(run, pictures / "truth.csv")
     write_evaluation(evaluation, run)
     write_report(run, report)

@@ -12,9 +12,12 @@ from optnav_cli.options import output_option, path_argument
 @path_argument("folder")
 @click.option(
     "--catalog",
+    "catalogs",
     type=click.Path(path_type=Path),
     required=True,
-    help="The control-point catalog to navigate with.",
+    multiple=True,
+    help="A control-point catalog to navigate with. Of several, the first has priority where it "
+    "has points.",
 )
 @click.option(
     "--config",
@@ -33,7 +36,7 @@ from optnav_cli.options import output_option, path_argument
 def command(
     progress: ConsoleProgress,
     folder: Path,
-    catalog: Path,
+    catalogs: tuple[Path, ...],
     config: Path | None,
     matcher: str,
     output: Path,
@@ -54,5 +57,5 @@ def command(
 
     settings = load_toml(config, NavigateSettings) if config else NavigateSettings()
     announce_compilation()
-    navigate_folder(folder, catalog, settings, matcher, output, progress)
+    navigate_folder(folder, catalogs, settings, matcher, output, progress)
     click.echo(output)

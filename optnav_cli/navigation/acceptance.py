@@ -70,17 +70,22 @@ def doubt_of_matches(
 
 
 def doubt_of_place(
-    pose: Pose, covariance_m2: FloatArray, prior_position_m: FloatArray, prior_sigma_m: float
+    pose: Pose,
+    covariance_m2: FloatArray,
+    prior_position_m: FloatArray,
+    prior_covariance_m2: FloatArray,
 ) -> str:
     """Why the position cannot be true, given where the prior was; empty when it can.
 
-    covariance_m2 (3, 3) of the pose's position
+    covariance_m2        (3, 3) of the pose's position
+    prior_covariance_m2  (3, 3) of the prior's
     """
     offset = pose.position_m - prior_position_m
-    spread = covariance_m2 + np.eye(3) * (prior_sigma_m**2 + PRIOR_FLOOR_M**2)
+    spread = covariance_m2 + prior_covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
     if float(offset @ np.linalg.solve(spread, offset)) < chi2.isf(PRIOR_PROBABILITY, 3):
         return ""
+    sigma = float(np.sqrt(np.trace(prior_covariance_m2) / 3.0))
     return (
         f"the matches put the camera {np.linalg.norm(offset) / 1e3:.1f} km from the prior, whose "
-        f"sigma is {prior_sigma_m / 1e3:.1f} km: the prior, its sigma or the camera file is wrong"
+        f"sigma is {sigma / 1e3:.1f} km: the prior, its sigma or the camera file is wrong"
     )

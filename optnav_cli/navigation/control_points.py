@@ -41,8 +41,10 @@ class UnsolvedFrameError(NoSolutionError):
 
 @dataclass(frozen=True)
 class TriedPoint:
-    """One expected control point after the last pass."""
+    """One expected control point after the last pass; `index` is its place in the field."""
 
+    index: int
+    catalog: str
     point: ControlPoint
     predicted_px: FloatArray
     sun_elevation_deg: float
@@ -86,8 +88,8 @@ def navigate(
     for number in range(settings.solve.max_passes):
         first = number == 0
         view = expected(frame, pose, whole=not first)
-        if first:
-            view = spread(view, settings.solve.max_first_pass_points)
+        most = settings.solve.max_first_pass_points if first else settings.solve.max_points
+        view = spread(view, most)
         if len(view) == 0:
             reason = why_nothing_in_view(frame, pose)
             raise UnsolvedFrameError(reason, tried)
@@ -104,7 +106,7 @@ def navigate(
         pose = solution.resection.pose
         position_covariance = solution.resection.position_covariance_m2
         doubt = doubt_of_place(
-            pose, position_covariance, prior.pose.position_m, prior.position_sigma_m
+            pose, position_covariance, prior.pose.position_m, prior.position_covariance_m2
         )
         if doubt:
             raise UnsolvedFrameError(doubt, _tried(points, view, matches, None, believed))
@@ -118,7 +120,11 @@ def navigate(
     scores = [t.match.score for t in tried if t.used and t.match.score is not None]
     searched = sum(t.match.score is not None for t in tried)
     template = min(
-        frame.template_nodes(t.match.level, _sample_m(frame, pose, t)) for t in tried if t.used
+        frame.template_nodes(
+            float(points.postings_m(t.index)[t.match.level]), _sample_m(frame, pose, t)
+        )
+        for t in tried
+        if t.used
     )
     doubt = doubt_of_matches(solution, scores, searched, template)
     if doubt:
@@ -129,7 +135,9 @@ def navigate(
 def _prior_covariance(prior: Prior, settings: NavigateSettings) -> FloatArray:
     sigma = prior.attitude_sigma_rad
     turn = np.radians(settings.solve.free_attitude_deg) if sigma is None else sigma
-    return np.diag([prior.position_sigma_m**2] * 3 + [turn**2] * 3)
+    full = np.diag([0.0] * 3 + [turn**2] * 3)
+    full[:3, :3] = prior.position_covariance_m2
+    return full
 
 
 def _full_covariance(solution: RobustResection) -> FloatArray:
@@ -163,9 +171,12 @@ def _tried(
         predicted = view.pixels[k]
         if match.pixel is not None and residual is not None:
             predicted = match.pixel - residual
+        index = int(view.index[k])
         rows.append(
             TriedPoint(
-                points.points[int(view.index[k])],
+                index,
+                points.name(index)[0],
+                points.point(index),
                 predicted,
                 float(view.sun_elevation_deg[k]),
                 match,

@@ -12,7 +12,7 @@ The numbers are fitted to simulated frames over ground richer than the catalog's
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: fl
     """
     elevation = max(np.radians(sun_elevation_deg), LOWEST_SUN)
     shadow = OWN_SHADOW_M / np.tan(min(elevation, np.pi / 2.0)) ** 2
-    own = (OWN_M + shadow) * _scale(finest_posting_m)
+    own = (OWN_M + shadow) * float(_scale(finest_posting_m))
     return float(np.hypot(OWN_LEVEL_NODES * posting_m, own))
 
 
@@ -58,7 +58,7 @@ def common_errors_px(
     by_ground: FloatArray,
     scores: FloatArray,
     sun_body: FloatArray,
-    finest_posting_m: float,
+    finest_postings_m: FloatArray,
 ) -> FloatArray:
     """What one sigma of each error common to a frame moves every point by, (n, 2, 9), px.
 
@@ -66,6 +66,7 @@ def common_errors_px(
     by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
     scores    (n,)       of the correlation peaks
     sun_body  (3,)       unit vector to the Sun
+    finest_postings_m (n,) of the terrain models that the points' catalogs were made from
     The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
     ground and of the picture, two changing stretches, shifts along the picture's axes.
     """
@@ -82,7 +83,7 @@ def common_errors_px(
     outward = points_m - middle
     outward = outward - (outward @ up)[:, None] * up
     reach = float(np.sqrt((outward**2).sum(axis=1).mean()))
-    region = _scale(finest_posting_m) / float(np.hypot(1.0, reach / REGION_M))
+    region = _scale(finest_postings_m)[:, None] / float(np.hypot(1.0, reach / REGION_M))
     one = np.ones((len(points_m), 1))
     fields = [
         one * along * (region * SHADOW_M / np.tan(elevation)),
@@ -106,5 +107,5 @@ def _of_size(field_px: FloatArray, rms_px: float) -> FloatArray:
     return np.asarray(field_px * (rms_px / max(size, 1e-9)))
 
 
-def _scale(finest_posting_m: float) -> float:
-    return float(np.sqrt(finest_posting_m / REFERENCE_M))
+def _scale(finest_posting_m: ArrayLike) -> FloatArray:
+    return np.sqrt(np.asarray(finest_posting_m, dtype=np.float64) / REFERENCE_M)

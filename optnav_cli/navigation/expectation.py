@@ -1,6 +1,6 @@
 """Which control points a frame should show at a pose, and why it may show none."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,42 +28,45 @@ class FrameContext:
     settings: NavigateSettings
     matcher: Matcher
 
-    def finest_level(self, metres_per_pixel: float) -> int:
-        """The finest level worth matching at a ground sample distance."""
+    def finest_level(self, postings_m: FloatArray, metres_per_pixel: float) -> int:
+        """The finest of some levels worth matching at a ground sample distance."""
         share = self.settings.match.finest_posting_per_gsd
-        return finest_level(self.points.postings_m, metres_per_pixel, share)
+        return finest_level(postings_m, metres_per_pixel, share)
 
-    def template_nodes(self, level: int, metres_per_pixel: float) -> int:
-        """Side of the template at a level, nodes."""
+    def template_nodes(self, posting_m: float, metres_per_pixel: float) -> int:
+        """Side of the template at a level's posting, nodes."""
         width_m = metres_per_pixel * min(self.camera.width_px, self.camera.height_px)
-        posting = float(self.points.postings_m[level])
-        return template_nodes(posting, width_m, self.settings.match.template_nodes)
+        return template_nodes(posting_m, width_m, self.settings.match.template_nodes)
 
 
 def expected(frame: FrameContext, pose: Pose, whole: bool) -> View:
     """Points expected in the frame, whole with their finest template or with their centre only."""
     points, camera, view = frame.points, frame.camera, frame.settings.view
-    half = np.zeros(len(points.points))
+    near = points.near(pose.position_m, view.emission_max_deg)
+    half = np.zeros(len(near))
     if whole:
-        distances = np.linalg.norm(points.xyz_m - pose.position_m, axis=1)
+        distances = np.linalg.norm(points.xyz_m[near] - pose.position_m, axis=1)
         samples = distances / camera.focal_length_px
         # far fewer distinct answers than points: steps of a tenth are finer than any level needs
         steps = np.floor(np.log(np.maximum(samples, 1e-3)) / np.log(1.1))
-        for step in np.unique(steps):
-            sample = float(1.1 ** (step + 0.5))
-            level = frame.finest_level(sample)
-            side = frame.template_nodes(level, sample) * float(points.postings_m[level])
-            half[steps == step] = side / 2.0
-    return expected_in_view(
-        points.xyz_m,
+        for number, layer in enumerate(points.layers):
+            own = points.layer_of[near] == number
+            for step in np.unique(steps[own]):
+                sample = float(1.1 ** (step + 0.5))
+                posting = float(layer.postings_m[frame.finest_level(layer.postings_m, sample)])
+                side = frame.template_nodes(posting, sample) * posting
+                half[own & (steps == step)] = side / 2.0
+    seen = expected_in_view(
+        points.xyz_m[near],
         half,
         camera,
         (camera.width_px, camera.height_px),
         pose,
         frame.sun_body,
         ViewLimits(view.sun_min_deg, view.sun_max_deg, view.emission_max_deg),
-        points.skyline_deg,
+        points.skyline_deg[near],
     )
+    return replace(seen, index=near[seen.index])
 
 
 def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
@@ -77,7 +80,7 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
         return "the prior position is inside the body"
     seen = expected_in_view(
         points.xyz_m,
-        np.zeros(len(points.points)),
+        np.zeros(len(points)),
         camera,
         (camera.width_px, camera.height_px),
         pose,

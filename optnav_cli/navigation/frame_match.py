@@ -19,16 +19,22 @@ FloatArray = NDArray[np.float64]
 DISTORTION_SIGMAS = 2.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prior:
-    """What is believed before the picture: pose, its sigmas a component and an axis.
+    """What is believed before the picture.
 
-    attitude_sigma_rad  0 exact, None free
+    position_covariance_m2  (3, 3) of the pose's position, body frame
+    attitude_sigma_rad      1 sigma an axis; 0 exact, None free
     """
 
     pose: Pose
-    position_sigma_m: float
+    position_covariance_m2: FloatArray
     attitude_sigma_rad: float | None
+
+    @classmethod
+    def even(cls, pose: Pose, position_sigma_m: float, attitude_sigma_rad: float | None) -> "Prior":
+        """A prior as wrong in every direction: its sigma a component."""
+        return cls(pose, np.eye(3) * position_sigma_m**2, attitude_sigma_rad)
 
 
 def match_all(
@@ -55,16 +61,17 @@ def match_all(
             matches.append(PointMatch(0, None, None, None, None, None, reason))
             continue
         sample = float(view.metres_per_pixel[k])
-        finest = frame.finest_level(sample)
+        postings = points.postings_m(int(index))
+        finest = frame.finest_level(postings, sample)
         plan = plan_search(
-            points.postings_m,
+            postings,
             finest,
             float(uncertainty[k]),
             settings.match.search_sigmas,
             settings.match.max_search_nodes,
         )
         at_finest = at_finest and plan.level == finest
-        template = frame.template_nodes(plan.level, sample)
+        template = frame.template_nodes(float(postings[plan.level]), sample)
         distortion = plan_distortion(
             template, roll_sigma, height_sigma / float(ranges[k]), DISTORTION_SIGMAS
         )
@@ -102,9 +109,10 @@ def solve(
         match = matches[k]
         if match.pixel is None or match.covariance_px2 is None:
             continue
+        postings = points.postings_m(int(view.index[k]))
         sigma = own_sigma_m(
-            float(points.postings_m[match.level]),
-            float(points.postings_m[0]),
+            float(postings[match.level]),
+            float(postings[0]),
             float(view.sun_elevation_deg[k]),
         )
         own = (sigma / view.metres_per_pixel[k]) ** 2
@@ -125,7 +133,7 @@ def solve(
             -jacobian[:, :, :3],
             scores,
             frame.sun_body,
-            float(points.postings_m[0]),
+            points.finest_postings_m(view.index[believed]),
         )
     free = prior.attitude_sigma_rad is None
     attitude = (pose if free else prior.pose).camera_from_body

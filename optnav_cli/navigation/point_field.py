@@ -1,64 +1,198 @@
-"""The usable control points of a catalog: arrays for choosing, patches loaded on demand."""
+"""The usable control points of one or more catalogs: arrays for choosing, points on demand."""
 
-from dataclasses import dataclass, field
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
+from catalog.geometry.cells import CellGrid
+from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.matching.reference import Reference
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+# References kept ready to render; one of 80 nodes and 5 levels takes 130 kB.
+MOST_REFERENCES = 2000
+# Places are rounded to 1e-7 deg, which may take a point across its cell's border.
+CELL_SLACK_DEG = 1e-6
 
 
 class PointStore(Protocol):
     """What navigation needs of a catalog."""
 
-    def patches(self, cp_id: int) -> tuple[Patch, ...]:
+    def point(self, point_id: int) -> ControlPoint:
+        """A point with its certificate."""
+        ...
+
+    def patches(self, point_id: int) -> tuple[Patch, ...]:
         """The levels of a point, finest first; DataError when they are damaged."""
         ...
 
 
-@dataclass
-class ControlPointField:
-    """The usable points of a catalog, as arrays, and their patches, loaded when first needed.
+@dataclass(frozen=True)
+class PointLayer:
+    """The usable points of one catalog.
 
-    points      (n,) the usable control points
-    xyz_m       (n, 3) body-fixed
-    skyline_deg (n, 36) terrain skyline by azimuth
-    damaged     ids whose patches could not be read; they are never used
+    name         of the catalog in matches.csv and messages
+    grid         the cells of the catalog: a point's id is its cell
+    ids          (n,) ascending
+    xyz_m        (n, 3) body-fixed
+    skyline_deg  (n, azimuths) terrain skyline by azimuth
+    postings_m   (levels,) of the patches, finest first
+    radius_m     the body's reference sphere
     """
 
+    name: str
     store: PointStore
-    points: list[ControlPoint]
+    grid: CellGrid
+    ids: NDArray[np.int64]
+    xyz_m: FloatArray
+    skyline_deg: NDArray[np.floating]
     postings_m: FloatArray
     radius_m: float
-    xyz_m: FloatArray = field(init=False)
-    skyline_deg: FloatArray = field(init=False)
-    damaged: dict[int, str] = field(default_factory=dict)
-    _references: dict[int, Reference] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        self.xyz_m = np.array([p.xyz_m for p in self.points]).reshape(-1, 3)
-        self.skyline_deg = np.array([p.shadow_limit_deg for p in self.points])
+    def subset(self, keep: NDArray[np.bool_]) -> "PointLayer":
+        """The layer with some of its points."""
+        return PointLayer(
+            self.name,
+            self.store,
+            self.grid,
+            self.ids[keep],
+            self.xyz_m[keep],
+            self.skyline_deg[keep],
+            self.postings_m,
+            self.radius_m,
+        )
+
+
+class ControlPointField:
+    """Control points as arrays, one entry each, layer by layer; patches loaded when first needed.
+
+    layers       one a catalog; an earlier one has priority: a point of a later one that lies
+                 within a cell's size of an earlier one's point is left out
+    xyz_m        (n, 3) body-fixed
+    skyline_deg  (n, 36) terrain skyline by azimuth
+    layer_of     (n,) which layer a point is of
+    damaged      why the patches of a point could not be read, by catalog and id; it is never used
+    """
+
+    def __init__(self, layers: Sequence[PointLayer]) -> None:
+        kept: list[PointLayer] = []
+        for layer in layers:
+            kept.append(layer.subset(~_covered(layer, kept)))
+        self.layers = tuple(kept)
+        counts = [len(layer.ids) for layer in kept]
+        self._first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+        self.layer_of: IntArray = np.repeat(np.arange(len(kept)), counts)
+        self.xyz_m: FloatArray = np.concatenate([layer.xyz_m for layer in kept])
+        self.skyline_deg = np.concatenate([layer.skyline_deg for layer in kept])
+        self.radius_m = kept[0].radius_m
+        self.damaged: dict[tuple[str, int], str] = {}
+        self._references: OrderedDict[int, Reference] = OrderedDict()
+        self._lowest_m = [
+            float(np.linalg.norm(layer.xyz_m, axis=1).min(initial=np.inf)) for layer in kept
+        ]
+
+    def __len__(self) -> int:
+        return len(self.xyz_m)
+
+    def postings_m(self, index: int) -> FloatArray:
+        """(levels,) postings of a point's patches, finest first."""
+        return self._layer(index).postings_m
+
+    def finest_postings_m(self, index: IntArray) -> FloatArray:
+        """(n,) finest posting of each of some points: that of its catalog's terrain."""
+        finest = np.array([float(layer.postings_m[0]) for layer in self.layers])
+        return np.asarray(finest[self.layer_of[index]])
+
+    def name(self, index: int) -> tuple[str, int]:
+        """The catalog that a point is of, and its id there."""
+        layer = self._layer(index)
+        return layer.name, int(layer.ids[index - self._first[self.layer_of[index]]])
+
+    def index_of(self, catalog: str, point_id: int) -> int:
+        """The place of a point in the arrays. Raises KeyError for a point that is not there."""
+        for number, layer in enumerate(self.layers):
+            if layer.name == catalog:
+                row = int(layer.ids.searchsorted(point_id))
+                if row < len(layer.ids) and layer.ids[row] == point_id:
+                    return int(self._first[number]) + row
+        raise KeyError((catalog, point_id))
+
+    def point(self, index: int) -> ControlPoint:
+        """The point at a place of the arrays."""
+        return self._layer(index).store.point(self.name(index)[1])
+
+    def near(self, position_m: FloatArray, emission_max_deg: float) -> IntArray:
+        """Places of all points that a camera may see at less than an emission angle (a superset).
+
+        position_m  (3,) body frame. Points are taken by the cells below the camera, so that the
+        time goes with what is in view, not with the catalog.
+        """
+        lat, lon, distance = (float(v) for v in latlon_from_xyz(position_m))
+        found = []
+        for number, layer in enumerate(self.layers):
+            if len(layer.ids) == 0:
+                continue
+            # the lower a point lies, the farther from the camera's foot it is still seen
+            lowest = self._lowest_m[number]
+            emission = np.radians(min(emission_max_deg, 90.0))
+            sine = min(lowest * float(np.sin(emission)) / distance, 1.0)
+            reach_deg = max(float(np.degrees(emission - np.arcsin(sine))), 0.0)
+            cells = layer.grid.within(np.degrees(lat), np.degrees(lon), reach_deg + CELL_SLACK_DEG)
+            rows = layer.ids.searchsorted(cells)
+            rows = rows[rows < len(layer.ids)]
+            rows = rows[layer.ids[rows] == cells[: len(rows)]]
+            # whole bands of cells are given near a pole
+            place = layer.xyz_m[rows]
+            cosine = place @ position_m / (np.linalg.norm(place, axis=1) * distance)
+            rows = rows[cosine >= np.cos(np.radians(reach_deg)) - 1e-9]
+            found.append(rows + self._first[number])
+        return np.concatenate(found).astype(np.intp) if found else np.empty(0, dtype=np.intp)
 
     def reference(self, index: int) -> Reference | None:
-        """The point at a place in `points`, ready to render; None when its patches are damaged."""
-        point = self.points[index]
-        if point.id in self.damaged:
+        """A point ready to render; None when its patches are damaged."""
+        name = self.name(index)
+        if name in self.damaged:
             return None
-        if point.id not in self._references:
-            try:
-                patches = self.store.patches(point.id)
-            except DataError as error:
-                self.damaged[point.id] = str(error)
-                return None
-            self._references[point.id] = Reference(point, patches, self.radius_m)
-        return self._references[point.id]
+        if index in self._references:
+            self._references.move_to_end(index)
+            return self._references[index]
+        store = self._layer(index).store
+        try:
+            patches = store.patches(name[1])
+        except DataError as error:
+            self.damaged[name] = str(error)
+            return None
+        reference = Reference(store.point(name[1]), patches, self.radius_m)
+        self._references[index] = reference
+        if len(self._references) > MOST_REFERENCES:
+            self._references.popitem(last=False)
+        return reference
 
-    def half_sizes_m(self, level: int) -> list[float]:
-        """Half a side of the patches from a level up, m."""
-        size = next(iter(self._references.values())).patches[0].size if self._references else 0
-        return [(size - 1) / 2.0 * float(p) for p in self.postings_m[level:]]
+    def half_sizes_m(self, index: int, level: int) -> list[float]:
+        """Half a side of a point's patches from a level up, m."""
+        reference = self.reference(index)
+        patches = reference.patches[level:] if reference else ()
+        return [(patch.size - 1) / 2.0 * patch.posting_m for patch in patches]
+
+    def _layer(self, index: int) -> PointLayer:
+        return self.layers[int(self.layer_of[index])]
+
+
+def _covered(layer: PointLayer, earlier: Sequence[PointLayer]) -> NDArray[np.bool_]:
+    """(n,) whether an earlier layer has a point within its cell's size of a point."""
+    covered = np.zeros(len(layer.ids), dtype=bool)
+    for other in earlier:
+        if len(other.ids) and len(layer.ids):
+            reach = np.radians(other.grid.step_deg) * other.radius_m
+            near, _ = cKDTree(other.xyz_m).query(layer.xyz_m, distance_upper_bound=reach)
+            covered |= np.isfinite(near)
+    return covered

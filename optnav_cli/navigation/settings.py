@@ -37,6 +37,8 @@ class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     # how far a free attitude's first guess may be off, 1 sigma an axis
     free_attitude_deg: Positive = 1.0
     max_first_pass_points: Annotated[int, msgspec.Meta(ge=4)] = 24
+    # in the later rounds: a wide picture shows more than its accuracy gains from
+    max_points: Annotated[int, msgspec.Meta(ge=4)] = 200
 
 
 class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

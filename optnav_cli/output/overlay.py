@@ -16,7 +16,7 @@ from optnav_cli.output.recording import describe
 from optnav_cli.solution import MatchRow, Solution
 
 FloatArray = NDArray[np.float64]
-Outlines = Mapping[int, Sequence[FloatArray]]
+Outlines = Mapping[tuple[str, int], Sequence[FloatArray]]
 LONGEST_PX = 1200
 RESIDUALS_ENLARGED = 50.0
 GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's bytes, nobody sees it
@@ -81,7 +81,7 @@ def draw_overlay(
     """Draw a frame's control points on its picture.
 
     picture   (h, w)  as read, any number type
-    outlines  closed lines (n, 2), px, by control point id: the patches, see `patch_outlines`
+    outlines  closed lines (n, 2), px, by catalog and control point id: the patches, see `patch_outlines`
     Returns (h', w', 3) uint8 in OpenCV's order of colours, its longer side at most longest_px,
     with a strip below for the legend and the result.
     """
@@ -91,7 +91,7 @@ def draw_overlay(
     gray = np.asarray(gray * SHADE, dtype=np.uint8) // GRAY_STEP * GRAY_STEP
     canvas = _Canvas(np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8), factor)
     for match in matches:
-        for level, outline in enumerate((outlines or {}).get(match.cp_id, ())):
+        for level, outline in enumerate((outlines or {}).get((match.catalog, match.cp_id), ())):
             if match.used and np.isfinite(outline).all():
                 blue, green, red = (round(v * FADING**level) for v in OUTLINE)
                 canvas.line(outline, (blue, green, red), 1, closed=True)

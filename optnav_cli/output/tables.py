@@ -32,7 +32,7 @@ SOLUTION_COLUMNS = (
     *("n_predicted", "n_matched", "n_used", "residual_rms_px", "reason"),
 )
 MATCH_COLUMNS = (
-    *("file", "id", "level", "lat_deg", "lon_deg", "radius_m"),
+    *("file", "catalog", "id", "level", "lat_deg", "lon_deg", "radius_m"),
     *("predicted_x_px", "predicted_y_px", "measured_x_px", "measured_y_px"),
     *("score", "runner_up", "sun_elevation_deg", "residual_x_px", "residual_y_px"),
     *("used", "reason"),
@@ -185,7 +185,8 @@ def _covariance(upper: FloatArray, where: str) -> FloatArray:
 def _match_row(match: MatchRow) -> Row:
     lat, lon, radius = latlon_from_xyz(match.cp_position_m)
     row = dict.fromkeys(MATCH_COLUMNS, "")
-    row.update(file=match.file, id=str(match.cp_id), level=str(match.level), reason=match.reason)
+    row.update(file=match.file, catalog=match.catalog)
+    row.update(id=str(match.cp_id), level=str(match.level), reason=match.reason)
     row["lat_deg"], row["lon_deg"] = _latlon_deg(float(lat), float(lon))
     row["radius_m"] = fixed(float(radius), 4)
     pairs = (
@@ -225,6 +226,7 @@ def _match(row: Row, where: str) -> MatchRow:
         reason=row["reason"],
         sun_elevation_deg=optional_number(row, "sun_elevation_deg", where),
         residual_px=_pixel(row, "residual", where),
+        catalog=row["catalog"],
     )
 
 

@@ -89,7 +89,7 @@ def _prior(frame: Frame) -> tuple[Prior, NDArray[np.float64]]:
     if frame.sun_body is None:
         raise NoSolutionError("no direction to the Sun")
     pose = Pose(frame.position_m, frame.camera_from_body)
-    return Prior(pose, frame.position_sigma_m, frame.attitude_sigma_rad), frame.sun_body
+    return Prior.even(pose, frame.position_sigma_m, frame.attitude_sigma_rad), frame.sun_body
 
 
 def _solved_row(frame: Frame, fix: ControlPointFix) -> Solution:
@@ -126,4 +126,5 @@ def _match_row(file: str, tried: TriedPoint) -> MatchRow:
         reason=tried.reason,
         sun_elevation_deg=tried.sun_elevation_deg,
         residual_px=tried.residual_px,
+        catalog=tried.catalog,
     )

@@ -1,6 +1,7 @@
 """Navigate a picture folder: every row of frames.csv becomes a row of solution.csv."""
 
 import logging
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -8,9 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.errors import DataError, NothingToDoError
+from catalog.errors import NothingToDoError
 from catalog.progress import Progress
-from catalog.store.reader import Catalog
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import Folder, read_folder
 from optnav_cli.navigation.point_field import ControlPointField
@@ -22,6 +22,7 @@ from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.replace import replacing_folder
 from optnav_cli.output.run_folder import MATCHES, OVERLAYS, RECORDING, SOLUTION, copy_inputs
 from optnav_cli.output.tables import write_matches, write_solutions
+from optnav_cli.runs.catalogs import open_field, opened
 from optnav_cli.runs.frame_job import MATCHERS, FrameResult, solve_frame
 from optnav_cli.solution import MatchRow, Solution
 
@@ -35,7 +36,7 @@ WIDEST_OUTLINE = 0.2
 
 def navigate_folder(
     pictures: Path,
-    catalog_path: Path,
+    catalog_paths: Sequence[Path],
     settings: NavigateSettings,
     matcher: str,
     run: Path,
@@ -48,14 +49,14 @@ def navigate_folder(
     """
     started = datetime.now(UTC)
     folder = read_folder(pictures)
-    with Catalog.open(catalog_path) as catalog, replacing_folder(run, "run") as place:
-        points = open_field(catalog, folder)
+    with opened(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
+        points = open_field(catalogs, folder)
         copy_inputs(pictures, place)
         solutions, matches = _navigate_frames(folder, points, settings, matcher, place, progress)
         attitude = FileAttitude(folder.settings.attitude, folder.body)
         write_solutions(place / SOLUTION, solutions, attitude)
         write_matches(place / MATCHES, matches)
-        for point_id, reason in points.damaged.items():
+        for (_, point_id), reason in points.damaged.items():
             log.warning("control point %d is left out: %s", point_id, reason)
         solved = sum(solution.solved for solution in solutions)
         names = [*(frame.file for frame in folder.frames), "run.toml", "frames.csv"]
@@ -67,8 +68,9 @@ def navigate_folder(
             inputs={
                 "pictures": str(pictures),
                 "files_sha256": hash_files(pictures, names),
-                "catalog": str(catalog_path),
-                "catalog_digest": catalog.digest,
+                "catalogs": [
+                    {"path": str(catalog.path), "digest": catalog.digest} for catalog in catalogs
+                ],
             },
             results={"frames": len(solutions), "solved": solved},
             started=started,
@@ -79,27 +81,6 @@ def navigate_folder(
             f"the first: {solutions[0].reason}"
         )
     return solutions
-
-
-def open_field(catalog: Catalog, folder: Folder) -> ControlPointField:
-    """The usable control points of a catalog, checked to be of the folder's body.
-
-    Raises DataError for another body or a catalog without usable points.
-    """
-    meta = catalog.meta
-    if meta.body != folder.body.name:
-        raise DataError(
-            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {folder.body.name}: "
-            "name another catalog, or mend `body` in run.toml"
-        )
-    usable = [point for point in catalog.points() if point.usable]
-    if not usable:
-        raise DataError(
-            f"{catalog.path}: none of its {len(catalog)} control points is usable; "
-            "see `optnav catalog info`"
-        )
-    postings = np.array([meta.posting_m * 2.0**level for level in range(meta.levels)])
-    return ControlPointField(catalog, usable, postings, meta.radius_m)
 
 
 def _navigate_frames(
@@ -130,15 +111,12 @@ def _navigate_frames(
 
 
 def _drawn_sizes(
-    points: ControlPointField,
-    level: int,
-    camera: Camera,
-    position_m: FloatArray,
-    point_m: FloatArray,
+    points: ControlPointField, index: int, level: int, camera: Camera, position_m: FloatArray
 ) -> list[float]:
     """Half sides of the matched patch and of the coarser ones that do not swamp the picture."""
-    across = float(np.linalg.norm(point_m - position_m)) / camera.focal_length_px * camera.width_px
-    sizes = points.half_sizes_m(level)
+    distance = float(np.linalg.norm(points.xyz_m[index] - position_m))
+    across = distance / camera.focal_length_px * camera.width_px
+    sizes = points.half_sizes_m(index, level)
     return [s for s in sizes if 2.0 * s <= WIDEST_OUTLINE * across]
 
 
@@ -152,13 +130,13 @@ def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:
         and solution.position_m is not None
         and solution.camera_from_body is not None
     ):
-        by_id = {point.id: point for point in points.points}
         for match in result.matches:
-            point = by_id[match.cp_id]
-            outlines[match.cp_id] = patch_outlines(
+            index = points.index_of(match.catalog, match.cp_id)
+            point = points.point(index)
+            outlines[match.catalog, match.cp_id] = patch_outlines(
                 point.projection(points.radius_m),
                 point.radius_m - points.radius_m,
-                _drawn_sizes(points, match.level, result.camera, solution.position_m, point.xyz_m),
+                _drawn_sizes(points, index, match.level, result.camera, solution.position_m),
                 result.camera,
                 solution.position_m,
                 solution.camera_from_body,

@@ -54,7 +54,7 @@ def run(output: Path, progress: Progress, matcher: str = "ncc") -> ApolloResult:
     build.run(resource("configs/catalogs/farside.toml"), output=catalog, progress=progress)
     picture, cube = resource(PICTURE), resource(CUBE)
     write_apollo_folder(picture, cube, pictures)
-    navigate_folder(pictures, catalog, NavigateSettings(), matcher, place, progress)
+    navigate_folder(pictures, [catalog], NavigateSettings(), matcher, place, progress)
     return _result(place, cube, picture.name, matcher)
 
 

@@ -86,7 +86,7 @@ def run(
                     pictures = _with_star_sensor(pictures)
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
-                navigate_folder(pictures, catalog, NavigateSettings(), "ncc", place, progress)
+                navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", place, progress)
                 parts.append(evaluate_run(place, pictures / "truth.csv"))
             evaluation = pool(parts)
             limit = _limit(row, evaluation) if star_sensor else row.horizontal_m

@@ -21,8 +21,8 @@ from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.navigation.expectation import FrameContext, expected
 from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.runs.catalogs import open_field
 from optnav_cli.runs.frame_job import solve_frame
-from optnav_cli.runs.navigate_folder import open_field
 from optnav_cli.studies.apollo import CUBE, PICTURE
 from tests.bench.timing import best, one_core
 
@@ -53,7 +53,7 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     write_apollo_folder(resource(PICTURE), resource(CUBE), place / "pictures")
     folder = read_folder(place / "pictures")
     with Catalog.open(catalog) as opened:
-        yield Scene(folder, open_field(opened, folder))
+        yield Scene(folder, open_field([opened], folder))
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
@@ -97,7 +97,7 @@ def test_a_control_point_over_all_levels(scene, matcher):
     def call():
         return [
             match_point(
-                reference, level, context.template_nodes(level, sample),
+                reference, level, context.template_nodes(reference.patches[level].posting_m, sample),
                 COARSEST_NODES if level >= levels[-2] else NEXT_NODES,
                 picture, camera, pose, frame.sun_body, sample, MATCHERS[matcher],
                 MatchGates(0.0, 1.1),

@@ -52,7 +52,7 @@ def _pictures(work: Path) -> dict[str, sketch.Picture]:
     tycho = place / "tycho.gpkg"
     seen, run = work / "fisheye", work / "fisheye-run"
     simulate_folder(HERE / "fisheye.toml", seen, progress)
-    navigate_folder(seen, tycho, NavigateSettings(), "ncc", run, progress)
+    navigate_folder(seen, [tycho], NavigateSettings(), "ncc", run, progress)
     flown = apollo.run(work / "apollo", progress).run
     config = resource("configs/catalogs/tycho.toml")
     return {

@@ -119,7 +119,9 @@ def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> Picture:
     )
 
 
-def _patch_outlines(run: RunFolder, file: str, catalog_path: Path) -> dict[int, list[FloatArray]]:
+def _patch_outlines(
+    run: RunFolder, file: str, catalog_path: Path
+) -> dict[tuple[str, int], list[FloatArray]]:
     """The border of each used point's matched patch, px, by id."""
     solution = next(s for s in run.solutions if s.file == file)
     if solution.position_m is None or solution.camera_from_body is None:
@@ -130,7 +132,7 @@ def _patch_outlines(run: RunFolder, file: str, catalog_path: Path) -> dict[int, 
         for match in (m for m in run.matches if m.file == file and m.used):
             point = catalog.point(match.cp_id)
             half = (meta.size - 1) / 2.0 * meta.posting_m * 2.0**match.level
-            outlines[match.cp_id] = patch_outlines(
+            outlines[match.catalog, match.cp_id] = patch_outlines(
                 point.projection(meta.radius_m), point.radius_m - meta.radius_m, [half],
                 run.cameras[file], solution.position_m, solution.camera_from_body,
             )  # fmt: skip

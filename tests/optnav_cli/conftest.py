@@ -16,7 +16,7 @@ from catalog.geometry.projection import Stereographic, node_grid
 from catalog.rendering.map_view import render_map
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
-from optnav_cli.navigation.point_field import ControlPointField
+from optnav_cli.navigation.point_field import ControlPointField, PointLayer
 
 RADIUS_M = 1737400.0
 LAT, LON = np.radians(-43.0), np.radians(-11.0)
@@ -175,21 +175,43 @@ def other_world():
 
 
 class PatchStore:
-    """The patches of a world in memory, as a catalog would give them."""
+    """The points and patches of a world in memory, as a catalog would give them."""
 
     def __init__(self, world):
-        self.by_id = {point.id: patches for point, patches in world.control_points}
+        self.by_id = {point.id: (point, patches) for point, patches in world.control_points}
 
-    def patches(self, cp_id):
-        return self.by_id[cp_id]
+    def point(self, point_id):
+        return self.by_id[point_id][0]
+
+    def patches(self, point_id):
+        return self.by_id[point_id][1]
 
 
 @pytest.fixture
-def field_of():
+def layer_of():
+    """Makes the layer of a world's control points, of some of them when asked."""
+
+    def make(world, keep=slice(None), name="world.gpkg"):
+        points = [point for point, _ in world.control_points][keep]
+        return PointLayer(
+            name,
+            PatchStore(world),
+            CellGrid(world.cell_deg),
+            np.array([point.id for point in points]),
+            np.array([point.xyz_m for point in points]),
+            np.array([point.shadow_limit_deg for point in points]),
+            world.postings(),
+            world.radius_m,
+        )
+
+    return make
+
+
+@pytest.fixture
+def field_of(layer_of):
     """Makes the field of a world's control points, of some of them when asked."""
 
     def make(world, keep=slice(None)):
-        points = [point for point, _ in world.control_points][keep]
-        return ControlPointField(PatchStore(world), points, world.postings(), world.radius_m)
+        return ControlPointField([layer_of(world, keep)])
 
     return make

@@ -74,7 +74,9 @@ def test_matches_that_scatter_far_beyond_their_sigmas_are_no_solution():
 @pytest.mark.parametrize(("away_m", "right"), [(9e3, True), (14e3, True), (20e3, False)])
 def test_a_position_many_sigmas_from_the_prior_is_refused(away_m, right):
     pose = Pose(np.array([1.9e6 + away_m, 0.0, 0.0]), Rotation.identity())
-    doubt = doubt_of_place(pose, np.eye(3) * 20.0**2, np.array([1.9e6, 0.0, 0.0]), 3000.0)
+    doubt = doubt_of_place(
+        pose, np.eye(3) * 20.0**2, np.array([1.9e6, 0.0, 0.0]), np.eye(3) * 3e3**2
+    )
     assert (doubt == "") is right
     if not right:
         assert "20.0 km from the prior" in doubt
@@ -83,11 +85,11 @@ def test_a_position_many_sigmas_from_the_prior_is_refused(away_m, right):
 def test_a_prior_of_no_sigma_still_leaves_the_room_that_every_search_has():
     prior = np.array([1.9e6, 0.0, 0.0])
     pose = Pose(prior + [0.0, 800.0, 0.0], Rotation.identity())
-    assert doubt_of_place(pose, np.eye(3) * 20.0**2, prior, 0.0) == ""
+    assert doubt_of_place(pose, np.eye(3) * 20.0**2, prior, np.zeros((3, 3))) == ""
 
 
 def test_a_weakly_determined_pose_is_not_held_against_the_prior():
     """With a free attitude and few points the pose itself may be kilometres uncertain."""
     prior = np.array([1.9e6, 0.0, 0.0])
     pose = Pose(prior + [0.0, 9e3, 0.0], Rotation.identity())
-    assert doubt_of_place(pose, np.eye(3) * 4e3**2, prior, 500.0) == ""
+    assert doubt_of_place(pose, np.eye(3) * 4e3**2, prior, np.eye(3) * 500.0**2) == ""

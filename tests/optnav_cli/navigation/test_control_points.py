@@ -41,7 +41,7 @@ def solve(world, field, picture, pose, sun, *, seed=1, sigma=0.0, attitude=None,
     believed = Pose(
         pose.position_m + rng.normal(0.0, PRIOR_SIGMA_M, 3), attitude or pose.camera_from_body
     )
-    prior = Prior(believed, PRIOR_SIGMA_M, sigma)
+    prior = Prior.even(believed, PRIOR_SIGMA_M, sigma)
     options = {"camera": world.camera, "settings": SETTINGS, "matcher": match_ncc} | changes
     return navigate(PicturePyramid(picture), prior=prior, sun_body=sun, points=field, **options)
 
@@ -124,9 +124,9 @@ def test_two_points_are_enough_when_the_attitude_is_known(rough_world, field_of,
     ids = [point.point.id for point in every.tried if point.used]
     pair = {ids[0], ids[-1]}
     field = field_of(rough_world)
-    places = [k for k, point in enumerate(field.points) if point.id in pair]
+    places = [k for k in range(len(field)) if field.name(k)[1] in pair]
     few = field_of(rough_world, slice(places[0], places[1] + 1, places[1] - places[0]))
-    assert len(few.points) == 2
+    assert len(few) == 2
     fix = solve(rough_world, few, picture, pose, sun)
     assert sum(point.used for point in fix.tried) == 2
     assert mahalanobis(fix, pose) < 4.0
@@ -178,17 +178,18 @@ def test_a_sun_too_low_or_too_high_is_named(rough_world, field_of, scene, elevat
 def test_a_damaged_point_is_left_out_and_remembered(rough_world, field_of, scene):
     picture, pose, sun = scene
     field = field_of(rough_world)
-    whole = field.store.patches
-    bad = field.points[len(field.points) // 2].id
+    store = field.layers[0].store
+    whole = store.patches
+    _, bad = field.name(len(field) // 2)
 
     def patches(cp_id):
         if cp_id == bad:
             raise DataError("a checksum is wrong")
         return whole(cp_id)
 
-    field.store.patches = patches
+    store.patches = patches
     fix = solve(rough_world, field, picture, pose, sun)
-    assert field.damaged == {bad: "a checksum is wrong"}
+    assert field.damaged == {("world.gpkg", bad): "a checksum is wrong"}
     (row,) = [point for point in fix.tried if point.point.id == bad]
     assert not row.used
     assert "damaged" in row.reason

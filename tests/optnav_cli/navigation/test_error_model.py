@@ -25,9 +25,8 @@ def sun(elevation_deg, azimuth_deg=90.0):
 def errors(offsets, elevation_deg=30.0, score=1.0):
     place = points(offsets)
     n = len(place)
-    return common_errors_px(
-        place, np.tile(BY_GROUND, (n, 1, 1)), np.full(n, score), sun(elevation_deg), POSTING_M
-    )
+    ground, postings = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
+    return common_errors_px(place, ground, np.full(n, score), sun(elevation_deg), postings)
 
 
 SQUARE = [(-2e4, -2e4), (2e4, -2e4), (2e4, 2e4), (-2e4, 2e4)]

@@ -18,7 +18,8 @@ from optnav_cli.imagery.folder import read_folder, write_folder
 from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.run_settings import RunSettings
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings
-from optnav_cli.runs.navigate_folder import navigate_folder, open_field
+from optnav_cli.runs.catalogs import open_field
+from optnav_cli.runs.navigate_folder import navigate_folder
 
 SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))
 UTC = "2024-05-01T12:00:00Z"
@@ -134,7 +135,7 @@ def mixed(rough_world, taken, tmp_path_factory):
 @pytest.fixture(scope="session")
 def mixed_run(mixed, catalog_path, tmp_path_factory):
     run = tmp_path_factory.mktemp("runs") / "run"
-    return navigate_folder(mixed, catalog_path, SETTINGS, "ncc", run, SilentProgress()), run
+    return navigate_folder(mixed, [catalog_path], SETTINGS, "ncc", run, SilentProgress()), run
 
 
 def test_every_frame_has_its_row_in_the_order_of_the_folder(mixed_run):
@@ -188,7 +189,7 @@ def test_the_run_folder_is_whole(mixed_run):
 def test_the_same_folder_gives_the_same_bytes(mixed, mixed_run, catalog_path, tmp_path):
     _, run = mixed_run
     again = tmp_path / "again"
-    navigate_folder(mixed, catalog_path, SETTINGS, "ncc", again, SilentProgress())
+    navigate_folder(mixed, [catalog_path], SETTINGS, "ncc", again, SilentProgress())
     for name in ("solution.csv", "matches.csv"):
         assert (again / name).read_bytes() == (run / name).read_bytes()
 
@@ -198,8 +199,9 @@ def test_when_no_frame_is_solved_the_folder_is_written_and_then_said(
 ):
     frames = [good_frame("a.png", taken), good_frame("b.png", taken)]
     pictures = folder_with(tmp_path / "pictures", rough_world, frames)
+    run = tmp_path / "run"
     with pytest.raises(NothingToDoError, match=r"none of 2 frames was solved.*no such picture"):
-        navigate_folder(pictures, catalog_path, SETTINGS, "ncc", tmp_path / "run", SilentProgress())
+        navigate_folder(pictures, [catalog_path], SETTINGS, "ncc", run, SilentProgress())
     rows = rows_of(tmp_path / "run" / "solution.csv")
     assert [row["status"] for row in rows] == ["unsolved", "unsolved"]
 
@@ -220,7 +222,7 @@ def test_a_damaged_control_point_is_skipped_with_a_warning(
     monkeypatch.setattr(Catalog, "patches", patches)
     with caplog.at_level(logging.WARNING):
         (solution,) = navigate_folder(
-            pictures, catalog_path, SETTINGS, "ncc", tmp_path / "run", SilentProgress()
+            pictures, [catalog_path], SETTINGS, "ncc", tmp_path / "run", SilentProgress()
         )
     assert solution.solved
     assert f"control point {bad} is left out" in caplog.text
@@ -233,9 +235,9 @@ def test_a_catalog_of_another_body_is_refused(mixed, rough_world, tmp_path):
     path = tmp_path / "phobos.gpkg"
     write_rough(rough_world, path, "phobos")
     with Catalog.open(path) as catalog, pytest.raises(DataError, match="is a catalog of phobos"):
-        open_field(catalog, read_folder(mixed))
+        open_field([catalog], read_folder(mixed))
     with pytest.raises(DataError):
-        navigate_folder(mixed, path, SETTINGS, "ncc", tmp_path / "run", SilentProgress())
+        navigate_folder(mixed, [path], SETTINGS, "ncc", tmp_path / "run", SilentProgress())
     assert not (tmp_path / "run").exists()
 
 
@@ -247,4 +249,4 @@ def test_a_catalog_without_usable_points_is_refused(mixed, rough_world, tmp_path
     ]
     write_rough(world, path, "moon")
     with Catalog.open(path) as catalog, pytest.raises(DataError, match=r"none of its .* usable"):
-        open_field(catalog, read_folder(mixed))
+        open_field([catalog], read_folder(mixed))

@@ -1,0 +1,61 @@
+"""The catalogs of a run as one field of control points."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from catalog.errors import ConfigError, DataError
+from catalog.store.reader import Catalog
+from optnav_cli.imagery.folder import Folder
+from optnav_cli.navigation.point_field import ControlPointField, PointLayer
+
+
+@contextmanager
+def opened(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
+    """Open catalogs, and close them at the end.
+
+    Raises ConfigError for two of one file name, which matches.csv could not tell apart, and
+    DataError for a file that is no whole catalog.
+    """
+    name, count = Counter(path.name for path in paths).most_common(1)[0]
+    if count > 1:
+        raise ConfigError(
+            f"--catalog names {count} files called '{name}'; give each catalog a name of its own"
+        )
+    with ExitStack() as stack:
+        yield [stack.enter_context(Catalog.open(path)) for path in paths]
+
+
+def open_field(catalogs: Sequence[Catalog], folder: Folder) -> ControlPointField:
+    """The usable control points of catalogs, the first given before the others.
+
+    Raises DataError for a catalog of another body or without usable points.
+    """
+    return ControlPointField([_layer(catalog, folder) for catalog in catalogs])
+
+
+def _layer(catalog: Catalog, folder: Folder) -> PointLayer:
+    meta, usable = catalog.meta, catalog.usable
+    if meta.body != folder.body.name:
+        raise DataError(
+            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {folder.body.name}: "
+            "name another catalog, or mend `body` in run.toml"
+        )
+    if not usable.any():
+        raise DataError(
+            f"{catalog.path}: none of its {len(catalog)} control points is usable; "
+            "see `optnav catalog info`"
+        )
+    return PointLayer(
+        catalog.path.name,
+        catalog,
+        catalog.grid,
+        catalog.ids[usable],
+        catalog.xyz_m[usable],
+        catalog.records["shadow_limit_deg"][usable],
+        np.array([meta.posting_m * 2.0**level for level in range(meta.levels)]),
+        meta.radius_m,
+    )
