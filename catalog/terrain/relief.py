@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.kernel import kernel
+from catalog.progress import SilentProgress
 from catalog.terrain.relief_sums import CellSums, Layer
 from catalog.terrain.source import DemSettings, DemSource
 
@@ -67,10 +68,8 @@ def relief_from_dem(source: DemSource, rows: int | None = None) -> GlobalRelief:
     rows  of the relief; without it the model's own, but no more than ROWS
     Raises DataError for a damaged file, one of a part of the body or with impossible heights.
     """
-    layer = Layer(source.place, 0, source.shape, source.read_window)
-    wanted = rows or rows_of(source.place.row_angle)
-    sums = CellSums(wanted)
-    sums.lay_under(layer)
+    sums = CellSums(rows or rows_of(source.place.row_angle))
+    sums.lay_under(layer_of(source), SilentProgress())
     if np.isfinite(sums.lowest_m):
         source.check_heights(sums.lowest_m, sums.highest_m)
     if sums.coverage < LEAST_COVERAGE:
@@ -81,6 +80,11 @@ def relief_from_dem(source: DemSource, rows: int | None = None) -> GlobalRelief:
     return finished(sums, source.body.radius_m, source.path.name)
 
 
+def layer_of(source: DemSource) -> Layer:
+    """All of a terrain model at its own posting."""
+    return Layer(source.place, 0, source.shape, source.block_shape, source.read_window)
+
+
 def rows_of(row_angle: float) -> int:
     """Rows of the relief of a terrain model with so much of latitude (rad) between its rows."""
     return min(ROWS, round(np.pi / row_angle))
@@ -89,9 +93,8 @@ def rows_of(row_angle: float) -> int:
 def finished(sums: CellSums, radius_m: float, source: str) -> GlobalRelief:
     """The relief of sums over nearly all cells; holes are filled."""
     sums.fill()
-    heights = sums.means.astype(np.float32)
     # a mean rounded to float32 may pass the pixels that it is of
-    return GlobalRelief(heights, np.maximum(sums.tops, heights), radius_m, source)
+    return GlobalRelief(sums.means, np.maximum(sums.tops, sums.means), radius_m, source)
 
 
 @lru_cache(maxsize=2)

@@ -12,13 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.geometry.kernel import kernel
+from catalog.progress import Progress
 from catalog.terrain.georeference import CYLINDRICAL, Georeference
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 HeightGrid = NDArray[np.float32]
+Window = tuple[int, int, int, int]  # first row, first column, height, width
 
 WINDOW = 2048  # pixels a side that are read at once: 25 MB as counts and heights
+LONGEST_STRIP = 4096  # blocks longer than this and few rows thick are read by whole rows
 # A pixel reaches into a cell by more than this share of itself, or not at all: writers round
 # postings, which moves the far edge of a global raster by some hundredths of a pixel.
 SLIVER = 0.02
@@ -30,13 +33,27 @@ class Layer(NamedTuple):
     place  of the raster at its own posting
     level  halvings of it that `read` gives
     shape  rows and columns at that level
-    read   heights (height, width) m of a window: first row, first column, height, width
+    block  rows and columns that its file keeps together
+    read   heights (height, width) m of a window
     """
 
     place: Georeference
     level: int
     shape: tuple[int, int]
+    block: tuple[int, int]
     read: Callable[[int, int, int, int], HeightGrid]
+
+    def windows(self) -> list[Window]:
+        """Windows that make up the raster, no larger than WINDOW squared."""
+        rows, cols = self.shape
+        tall = wide = WINDOW
+        if self.block[1] > LONGEST_STRIP and self.block[0] <= 16:
+            tall, wide = max(self.block[0], WINDOW * WINDOW // cols), cols
+        return [
+            (row, col, min(tall, rows - row), min(wide, cols - col))
+            for row in range(0, rows, tall)
+            for col in range(0, cols, wide)
+        ]
 
 
 class CellSums:
@@ -49,7 +66,7 @@ class CellSums:
     """
 
     def __init__(self, rows: int) -> None:
-        self.means = np.zeros((rows, 2 * rows))
+        self.means = np.zeros((rows, 2 * rows), np.float32)
         self.shares = np.zeros((rows, 2 * rows), np.float32)
         self.tops = np.full((rows, 2 * rows), -np.inf, np.float32)
         self.lowest_m, self.highest_m = np.inf, -np.inf
@@ -61,23 +78,22 @@ class CellSums:
         edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, rows + 1))
         return float((edges[:-1] - edges[1:]) @ self.shares.mean(axis=1, dtype=np.float64) / 2.0)
 
-    def lay_under(self, layer: Layer) -> None:
+    def lay_under(self, layer: Layer, progress: Progress) -> None:
         """Add the heights of a raster where the cells have none yet. Raises DataError."""
-        rows = self.means.shape[0]
-        sums, weights = np.zeros_like(self.means), np.zeros_like(self.shares)
-        tops = np.full_like(self.tops, -np.inf)
-        for row in range(0, layer.shape[0], WINDOW):
-            for col in range(0, layer.shape[1], WINDOW):
-                height = min(WINDOW, layer.shape[0] - row)
-                width = min(WINDOW, layer.shape[1] - col)
-                pixels = layer.read(row, col, height, width)
+        sums = np.zeros(self.means.shape)
+        weights, tops = np.zeros_like(self.shares), np.full_like(self.tops, -np.inf)
+        windows = layer.windows()
+        with progress.stage("relief", total=len(windows), unit="window") as stage:
+            for window in windows:
+                pixels = layer.read(*window)
                 if layer.place.kind == CYLINDRICAL:
-                    down, along = _edges(layer, rows, row, col, height, width)
-                    low, high = _add_overlaps(pixels, down, along, sums, weights, tops)
+                    places = _edges(layer, len(sums), window)
+                    low, high = _add_overlaps(pixels, *places, sums, weights, tops)
                 else:
-                    down, along = _middles(layer, rows, row, col, height, width)
-                    low, high = _add_middles(pixels, down, along, sums, weights, tops)
+                    middles = _middles(layer, len(sums), window)
+                    low, high = _add_middles(pixels, *middles, sums, weights, tops)
                 self.lowest_m, self.highest_m = min(self.lowest_m, low), max(self.highest_m, high)
+                stage.advance()
         _join(sums, weights, tops, self.means, self.shares, self.tops)
 
     def fill(self) -> None:
@@ -98,10 +114,9 @@ class CellSums:
             holes = holes[~known]
 
 
-def _edges(
-    layer: Layer, rows: int, row: int, col: int, height: int, width: int
-) -> tuple[FloatArray, FloatArray]:
+def _edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
     """Cell rows (height + 1) and columns (width + 1) of a window's pixel edges, fractional."""
+    row, col, height, width = window
     col0, cols_per_rad, row0, rows_per_rad, _ = layer.place.parameters
     step = 2.0**layer.level
     edge_row = np.minimum((row + np.arange(height + 1)) * step, layer.place.shape[0]) - 0.5
@@ -111,10 +126,9 @@ def _edges(
     return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
 
 
-def _middles(
-    layer: Layer, rows: int, row: int, col: int, height: int, width: int
-) -> tuple[FloatArray, FloatArray]:
+def _middles(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
     """Cell row and column (height, width) of a window's pixel centres, fractional; NaN for none."""
+    row, col, height, width = window
     step = 2.0**layer.level
     at_row, at_col = np.mgrid[row : row + height, col : col + width] + 0.5
     lat, lon = layer.place.latlon_from_pixel(at_col * step - 0.5, at_row * step - 0.5)
@@ -188,7 +202,7 @@ def _join(
     sums: FloatArray,
     weights: HeightGrid,
     new_tops: HeightGrid,
-    means: FloatArray,
+    means: HeightGrid,
     shares: HeightGrid,
     tops: HeightGrid,
 ) -> None:
@@ -208,7 +222,7 @@ def _join(
 
 @kernel
 def _of_neighbours(
-    holes: IntArray, means: FloatArray, shares: HeightGrid, tops: HeightGrid
+    holes: IntArray, means: HeightGrid, shares: HeightGrid, tops: HeightGrid
 ) -> FloatArray:
     """Mean height and mean top (holes, 2) of the known ones of the eight cells around, else NaN."""
     rows, cols = means.shape
