@@ -12,7 +12,7 @@ from catalog.errors import ConfigError
 SunTheory = Literal["moon", "earth", "mars"]
 Heights = tuple[float, float]
 Polynomial = tuple[float, float, float]
-ZERO: Polynomial = (0.0, 0.0, 0.0)
+Axes = tuple[float, float, float]
 
 
 class RotationTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -26,6 +26,32 @@ class RotationTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ra_deg: float = 0.0
     dec_deg: float = 0.0
     meridian_deg: float = 0.0
+
+
+class CorrectionTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One trigonometric term of a correction: small turns about body x, y, z.
+
+    angle_deg_by_century  the argument, a polynomial in Julian centuries of TDB
+    sin_arcsec, cos_arcsec  amplitudes of its sine and cosine about the three axes
+    """
+
+    angle_deg_by_century: Polynomial
+    sin_arcsec: Axes
+    cos_arcsec: Axes
+
+
+class RotationCorrection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a fit adds to a published series: a small turn, applied after it, in body axes.
+
+    x_, y_, z_arcsec_by_century  polynomials of the three angles
+    error_m                      rms a body axis of what remains, as a shift of the surface
+    """
+
+    error_m: float
+    x_arcsec_by_century: Polynomial
+    y_arcsec_by_century: Polynomial
+    z_arcsec_by_century: Polynomial
+    terms: tuple[CorrectionTerm, ...]
 
 
 class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -43,6 +69,20 @@ class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     terms: tuple[RotationTerm, ...] = ()
 
 
+class GravityField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The largest terms of a body's gravity beside the point mass, in its body frame.
+
+    j2, c22    unnormalised, for radius_km
+    kaula      the terms left out: degree n from 3 on has normalised coefficients of about
+               kaula / n^2 (Kaula's rule)
+    """
+
+    j2: float
+    c22: float
+    radius_km: float
+    kaula: float
+
+
 class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A body file as it is written."""
 
@@ -53,6 +93,8 @@ class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     plausible_heights_km: Heights
     sun: SunTheory
     rotation: RotationSeries
+    rotation_correction: RotationCorrection | None = None
+    gravity: GravityField | None = None
 
 
 @dataclass(frozen=True)
@@ -64,8 +106,10 @@ class Body:
     gm_m3_s2             gravitational parameter
     plausible_heights_m  (lowest, highest) a height above the reference sphere may be; beyond it a
                          terrain model has the wrong units or the wrong body
-    rotation             how the body-fixed frame turns
+    rotation             how the body-fixed frame turns, as published
     sun                  which analytic theory gives the Sun's direction, see `catalog.bodies.sun`
+    rotation_correction  what a fit to better data adds to the rotation, where there is one
+    gravity              its field beside the point mass; None where the file says nothing
     """
 
     name: str
@@ -75,6 +119,14 @@ class Body:
     plausible_heights_m: Heights
     rotation: RotationSeries
     sun: SunTheory
+    rotation_correction: RotationCorrection | None = None
+    gravity: GravityField | None = None
+
+    @property
+    def rotation_error_m(self) -> float:
+        """Error of the rotation as a shift of the surface, 1 sigma a body axis; 0: not stated."""
+        correction = self.rotation_correction
+        return self.rotation.error_m if correction is None else correction.error_m
 
 
 def load_body(name: str) -> Body:
@@ -112,4 +164,6 @@ def read_body(path: Path) -> Body:
         plausible_heights_m=(lowest_km * 1e3, highest_km * 1e3),
         rotation=settings.rotation,
         sun=settings.sun,
+        rotation_correction=settings.rotation_correction,
+        gravity=settings.gravity,
     )

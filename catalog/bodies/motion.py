@@ -81,7 +81,7 @@ class AnalyticMotion:
     @property
     def error_m(self) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
-        return self.body.rotation.error_m
+        return self.body.rotation_error_m
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
         """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
@@ -119,7 +119,7 @@ class SpiceMotion:
         self.name = f"SPICE kernels ({self._kernels.names}){rest}"
         lunar = body.name == "moon"
         self._frame = LUNAR_FRAME if lunar else self._kernels.body_frame(body.name)
-        self.error_m = LUNAR_FRAME_ERROR_M if lunar else body.rotation.error_m
+        self.error_m = LUNAR_FRAME_ERROR_M if lunar else body.rotation_error_m
         self._check()
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
