@@ -1,0 +1,50 @@
+"""A triaxial ellipsoid: its normals, and the foot of a point on it.
+
+Source of the foot: D. Eberly, Distance from a Point to an Ellipse, an Ellipsoid, or a
+Hyperellipsoid (Geometric Tools, 2013): the root of one decreasing convex function, to which Newton
+comes from the left without ever stepping over it.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+MOST_STEPS = 100
+CLOSE = 1e-15  # relative step of the root: nothing is left to gain
+
+
+def normal_at(surface: ArrayLike, radii: ArrayLike) -> FloatArray:
+    """Outward unit normals (..., 3) at points (..., 3) of an ellipsoid of semi-axes (3,)."""
+    gradient = np.asarray(surface, dtype=np.float64) / np.square(np.asarray(radii, np.float64))
+    return np.asarray(gradient / np.linalg.norm(gradient, axis=-1, keepdims=True))
+
+
+def surface_at(directions: ArrayLike, radii: ArrayLike) -> FloatArray:
+    """Points (..., 3) where directions (..., 3) from the centre pierce an ellipsoid."""
+    directions = np.asarray(directions, dtype=np.float64)
+    scaled = np.linalg.norm(directions / np.asarray(radii, dtype=np.float64), axis=-1)
+    return np.asarray(directions / scaled[..., None])
+
+
+def foot_of(points: ArrayLike, radii: ArrayLike) -> FloatArray:
+    """The nearest points (..., 3) of an ellipsoid: where its normal goes through `points`.
+
+    points (..., 3), radii (3,) semi-axes, same unit. Raises ValueError for the centre and points so
+    deep inside that more than one normal goes through them and none is nearest.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    squares = np.square(np.asarray(radii, dtype=np.float64))
+    # sum (a_i x_i / (t + a_i^2))^2 = 1; each term alone is 1 left of the root or at it
+    scaled = np.abs(points) * np.sqrt(squares)
+    t = np.asarray(np.max(scaled - squares, axis=-1))
+    if np.any(t <= -squares.min()):
+        raise ValueError("a point on an ellipsoid's axes of symmetry, inside, has no one foot")
+    for _ in range(MOST_STEPS):
+        below = t[..., None] + squares
+        terms = np.square(scaled / below)
+        step = (terms.sum(axis=-1) - 1.0) / (2.0 * (terms / below).sum(axis=-1))
+        t = t + step
+        if np.all(np.abs(step) <= CLOSE * squares.max()):
+            break
+    return np.asarray(points * squares / (t[..., None] + squares))

@@ -1,0 +1,1 @@
+"""Bodies given as closed triangle meshes: reading, mending, checking, rays and heights."""

@@ -1,0 +1,224 @@
+"""A body's shape: one closed surface of triangles about the origin, mended and checked.
+
+Small faults are mended and named: vertices written twice (the seams of models made from grids),
+triangles without area, faces inside out. Others are refused with what is wrong and where: none of
+them has one remedy that would be right for all.
+"""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import manifold3d
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from catalog.bodies.body import Body
+from catalog.errors import DataError
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.progress import Progress, SilentProgress
+from catalog.terrain.dem_file import path_of
+from catalog.terrain.mesh.file import MeshSettings, RawMesh, read_mesh
+from catalog.terrain.mesh.winding import Edges, edges_of, pieces_of, turns_about, volume_of
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+log = logging.getLogger(__name__)
+
+METRES = {"m": 1.0, "km": 1000.0}
+# Vertices nearer than this share of the body's size are one: seams differ by rounding of their
+# longitude (1e-12), neighbours of the largest models are 1e-4 apart.
+SAME_VERTEX = 1e-7
+# A triangle whose height over its longest edge is less has no normal worth the name.
+LEAST_ASPECT = 1e-6
+NAMED_PLACES = 3
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A closed, oriented surface in one piece, the origin inside.
+
+    vertices   (n, 3) m, body frame
+    faces      (m, 3) vertex numbers, counter-clockwise seen from outside
+    mended     what was wrong with the file, in words
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    mended: tuple[str, ...] = ()
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume inside."""
+        return volume_of(self.vertices, self.faces)
+
+    @property
+    def posting_m(self) -> float:
+        """Distance of neighbouring vertices: of a square grid with as many faces on as much ground.
+
+        Half a grid's square is a triangle, hence the factor two.
+        """
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+        return float(np.sqrt(2.0 * area / len(self.faces)))
+
+
+def load_shape(
+    settings: MeshSettings, base_dir: Path, body: Body, progress: Progress | None = None
+) -> Shape:
+    """The shape of a [[mesh]] section.
+
+    Raises DataError for a file that is no mesh or one that is open, in several pieces, beside the
+    origin or not as large as the body.
+    """
+    path = path_of(settings.path, base_dir)
+    raw = read_mesh(path, settings.longitude, progress or SilentProgress())
+    scaled = RawMesh(raw.vertices * METRES[settings.units], raw.faces)
+    _check_size(path, settings, scaled.vertices, body)
+    shape = closed_shape(path, scaled)
+    if not np.isclose(turns_about(np.zeros(3), shape.vertices, shape.faces), 1.0, atol=1e-3):
+        low, high = shape.vertices.min(axis=0) / 1e3, shape.vertices.max(axis=0) / 1e3
+        raise DataError(
+            f"{path}: the origin lies outside the surface (x {low[0]:.4g} to {high[0]:.4g} km, "
+            f"y {low[1]:.4g} to {high[1]:.4g}, z {low[2]:.4g} to {high[2]:.4g}); wanted vertices "
+            "in the body frame, from the body's centre: move the mesh"
+        )
+    for fault in shape.mended:
+        log.info("%s: %s", path, fault)
+    return shape
+
+
+def closed_shape(path: Path, raw: RawMesh) -> Shape:
+    """Mend small faults of a surface and check what is left. Raises DataError naming the place."""
+    mended: list[str] = []
+    vertices, faces = _merged(raw, mended)
+    faces = _with_area(vertices, faces, mended)
+    if len(faces) < 4:
+        raise DataError(f"{path}: {len(faces)} triangles have an area; wanted a closed surface")
+    edges = edges_of(faces)
+    _check_edges(path, vertices, faces, edges)
+    pieces, piece, turned = pieces_of(edges)
+    if pieces < 0:
+        raise DataError(f"{path}: the surface has only one side; wanted one that encloses a body")
+    if pieces > 1:
+        _refuse_pieces(path, vertices, faces, pieces, piece)
+    faces = np.where(turned[:, None], faces[:, ::-1], faces)
+    inward = volume_of(vertices, faces) < 0.0
+    if inward:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+    wrong = int((turned != inward).sum())
+    if wrong:
+        mended.append(f"{wrong} of {len(faces)} faces looked inward and were turned")
+    used, faces = np.unique(faces, return_inverse=True)
+    shape = Shape(vertices[used], faces.reshape(-1, 3), tuple(mended))
+    _check_manifold(path, shape)
+    return shape
+
+
+def _check_size(path: Path, settings: MeshSettings, vertices: FloatArray, body: Body) -> None:
+    """Refuse a mesh whose farthest vertex no place of the body is as far out as."""
+    lo, hi = (body.radius_m + height for height in body.plausible_heights_m)
+    farthest = float(np.linalg.norm(vertices, axis=1).max())
+    if max(body.radii_m) * (lo / body.radius_m) <= farthest <= hi:
+        return
+    remedy = "is it the mesh of another body, or scaled to one?"
+    other: str = "m" if settings.units == "km" else "km"
+    meant = farthest * METRES[other] / METRES[settings.units]
+    if lo <= meant <= hi:
+        remedy = f'are these {other}? set units = "{other}" in its [[mesh]] section'
+    raise DataError(
+        f"{path}: reaches {farthest / 1e3:.6g} km from the origin; {body.name} has semi-axes of "
+        f"{', '.join(f'{r / 1e3:g}' for r in body.radii_m)} km and no place beyond "
+        f"{hi / 1e3:g} km; {remedy}"
+    )
+
+
+def _merged(raw: RawMesh, mended: list[str]) -> tuple[FloatArray, IntArray]:
+    """One vertex for all at the same place."""
+    reach = SAME_VERTEX * float(np.abs(raw.vertices).max())
+    pairs = cKDTree(raw.vertices).query_pairs(reach, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(raw.vertices),) * 2)
+    number = connected_components(links, directed=False)[1]
+    _, first = np.unique(number, return_index=True)
+    vertices, faces = raw.vertices[first], number.astype(np.int64)[raw.faces]
+    named = np.unique(raw.faces)
+    gone = named.size - np.unique(faces).size
+    if gone:
+        mended.append(f"{gone} vertices stood where another did and were merged")
+    return vertices, faces
+
+
+def _with_area(vertices: FloatArray, faces: IntArray, mended: list[str]) -> IntArray:
+    """Faces but those on one line or point, and those written twice."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    longest = np.max([np.linalg.norm(v, axis=1) for v in (b - a, c - b, a - c)], axis=0)
+    twice = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    flat = twice <= LEAST_ASPECT * longest**2
+    # three edges of one length 0 and a sliver are both dropped: an edge of a sliver that was in
+    # use leaves a hole, which is then found and named
+    kept = faces[~flat]
+    if flat.any():
+        mended.append(f"{int(flat.sum())} triangles without area were dropped")
+    _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
+    if first.size < len(kept):
+        mended.append(f"{len(kept) - first.size} triangles were there twice")
+    return np.asarray(kept[np.sort(first)])
+
+
+def _check_edges(path: Path, vertices: FloatArray, faces: IntArray, edges: Edges) -> None:
+    for sides, what in (
+        (edges.crowded, "sides of faces meet at edges of three faces or more: surfaces touch"),
+        (edges.open, "edges belong to one face only: the surface is open"),
+    ):
+        if sides.size:
+            start = vertices[faces.ravel()[sides]]
+            end = vertices[np.roll(faces, -1, axis=1).ravel()[sides]]
+            raise DataError(
+                f"{path}: {sides.size} {what}, at {_places((start + end) / 2.0)}; wanted a closed "
+                "surface: close it in a mesh editor, or take the model in another format"
+            )
+
+
+def _refuse_pieces(
+    path: Path, vertices: FloatArray, faces: IntArray, pieces: int, piece: IntArray
+) -> None:
+    sizes = np.bincount(piece, minlength=pieces)
+    largest = np.argsort(-sizes, kind="stable")[:NAMED_PLACES]
+    middles = np.array([vertices[faces[piece == k]].mean(axis=(0, 1)) for k in largest]) / 1e3
+    told = "; ".join(
+        f"{sizes[k]} faces about ({x:.4g}, {y:.4g}, {z:.4g}) km"
+        for k, (x, y, z) in zip(largest, middles, strict=True)
+    )
+    raise DataError(
+        f"{path}: holds {pieces} closed surfaces ({told}{'; ...' if pieces > 3 else ''}); wanted "
+        "one body: leave the others out of the file"
+    )
+
+
+def _check_manifold(path: Path, shape: Shape) -> None:
+    """The same once more by a library made for it: what it cannot take is no solid."""
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(vert_properties=shape.vertices, tri_verts=shape.faces.astype(np.uint64))
+    )
+    if solid.status() != manifold3d.Error.NoError:
+        raise DataError(
+            f"{path}: is no solid ({solid.status().name}): faces that touch or cross each other; "
+            "mend it in a mesh editor"
+        )
+    pieces = len(solid.decompose())
+    if pieces != 1:
+        raise DataError(f"{path}: is {pieces} solids that touch; wanted one body")
+
+
+def _places(points: FloatArray) -> str:
+    """Latitudes and longitudes of the first few points."""
+    lat, lon, radius = latlon_from_xyz(points[:NAMED_PLACES])
+    told = [
+        f"lat {np.degrees(a):.2f}, lon {np.degrees(b):.2f}, {r / 1e3:.4g} km"
+        for a, b, r in zip(lat, lon, radius, strict=True)
+    ]
+    return "; ".join(told) + ("; ..." if len(points) > NAMED_PLACES else "")
