@@ -1,0 +1,1 @@
+"""How a craft moves without thrust about a body."""

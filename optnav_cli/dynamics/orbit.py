@@ -1,0 +1,74 @@
+"""Where a craft will be: its orbit integrated with the derivative by the state it began with."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from catalog.errors import NoSolutionError
+from optnav_cli.dynamics.forces import Forces
+
+FloatArray = NDArray[np.float64]
+
+# 0.1 mm and 0.1 um/s a step, far below any fix; the transition needs fewer digits.
+RELATIVE = 1e-10
+STATE_TOLERANCE = np.array([1e-4] * 3 + [1e-7] * 3)
+TRANSITION_TOLERANCE = 1e-7
+
+
+class OrbitMotion:
+    """Motion without thrust about a body; states are inertial position (m) and velocity (m/s)."""
+
+    def __init__(self, forces: Forces) -> None:
+        self._forces = forces
+
+    def propagate(
+        self, state: FloatArray, from_s: float, to_s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """States (n, 6) at other times, and their derivatives (n, 6, 6) by the first.
+
+        state (6,) at from_s; to_s (n,) before or after it, in any order, TDB s.
+        Raises NoSolutionError when the path cannot be followed, as into the body's centre.
+        """
+        since = np.asarray(to_s, dtype=np.float64) - from_s
+        states = np.tile(np.asarray(state, dtype=np.float64), (len(since), 1))
+        transitions = np.tile(np.eye(6), (len(since), 1, 1))
+        for side in (since > 0.0, since < 0.0):
+            if side.any():
+                times, place = np.unique(since[side], return_inverse=True)
+                backward = times[0] < 0.0
+                path = self._path(state, from_s, times[::-1] if backward else times)
+                path = path[:, ::-1] if backward else path
+                states[side] = path[:6].T[place]
+                transitions[side] = path[6:].T.reshape(-1, 6, 6)[place]
+        return states, transitions
+
+    def noise(self, state: FloatArray, seconds: float) -> FloatArray:
+        """Covariance (6, 6) that the forces left out add in a time: white acceleration."""
+        t = abs(seconds)
+        density = self._forces.unmodelled(state[:3]).spectral_density
+        block = density * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
+        if seconds < 0.0:
+            block[0, 1] = block[1, 0] = -block[0, 1]
+        return np.kron(block, np.eye(3)).astype(np.float64)
+
+    def circular_speed(self, position_m: FloatArray) -> float:
+        """Of a circular orbit through a place, m/s."""
+        return float(np.sqrt(self._forces.gm / np.linalg.norm(position_m)))
+
+    def _path(self, state: FloatArray, from_s: float, since: FloatArray) -> FloatArray:
+        """(42, n) state and transition, row by row, at times after (or before) the first."""
+
+        def rates(t: float, y: FloatArray) -> FloatArray:
+            pull, gradient = self._forces.acceleration(from_s + t, y[:3])
+            transition = y[6:].reshape(6, 6)
+            turned = np.concatenate([transition[3:], gradient @ transition[:3]])
+            return np.concatenate([y[3:6], pull, turned.ravel()])
+
+        start = np.concatenate([state, np.eye(6).ravel()])
+        tolerance = np.concatenate([STATE_TOLERANCE, np.full(36, TRANSITION_TOLERANCE)])
+        found = solve_ivp(
+            rates, (0.0, since[-1]), start, "DOP853", since, rtol=RELATIVE, atol=tolerance
+        )
+        if not found.success or not np.isfinite(found.y).all():
+            raise NoSolutionError(f"the orbit cannot be followed for {since[-1]:.0f} s")
+        return np.asarray(found.y)
