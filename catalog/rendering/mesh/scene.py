@@ -1,0 +1,105 @@
+"""A closed mesh under one Sun, ready to be looked at from anywhere."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from catalog.photometry.hapke import LUNAR, HapkeParameters
+from catalog.rendering.mesh.shade import facing_the_sun, radiance_of
+from catalog.terrain.mesh.rays import MeshRays
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+Values = NDArray[np.float32]
+
+# Shadow rays start so far over their face, share of the body's reach: 32 bits end at a hundredth.
+LIFT = 1e-5
+
+
+class MeshScene:
+    """A mesh under one Sun: faces are flat, each as bright as Hapke's law says, or in shadow.
+
+    mesh      the body
+    sun_body  (3,) direction to the Sun, body frame, any length; the Sun is a point
+    surface   Hapke's parameters
+    """
+
+    def __init__(
+        self, mesh: MeshRays, sun_body: ArrayLike, surface: HapkeParameters = LUNAR
+    ) -> None:
+        sun = np.array(sun_body, dtype=np.float64)
+        self.mesh, self.sun, self.surface = mesh, sun / np.linalg.norm(sun), surface
+
+    def radiance(self, origin_m: ArrayLike, rays: ArrayLike) -> tuple[Values, IntArray]:
+        """Radiance factors (n) along unit rays (n, 3) from a camera (3,) m outside the body.
+
+        Also the face that each meets, -1 for the sky, which is 0; rays may be NaN: sky.
+        """
+        origin = np.ascontiguousarray(origin_m, dtype=np.float64)
+        rays = np.ascontiguousarray(rays, dtype=np.float64)
+        seen = np.isfinite(rays[:, 0])
+        if not seen.all():
+            rays = np.where(seen[:, None], rays, 0.0)  # no direction meets nothing
+        faces, distances = self.mesh.first_hits(origin, rays)
+        faces[~seen] = -1
+        numbers, starts = np.empty(len(rays), np.int64), np.empty((len(rays), 3))
+        lift = LIFT * self.mesh.reach_m
+        corners = self.mesh.corners
+        count = facing_the_sun(
+            corners, faces, origin, rays, distances, self.sun, lift, numbers, starts
+        )
+        lit = numbers[:count][~self.mesh.are_blocked(starts[:count], self.sun)]
+        out = np.zeros(len(rays), np.float32)
+        radiance_of(corners, faces, rays, lit, self.sun, self.surface, out)
+        return out, faces
+
+    def picture(self, origin_m: ArrayLike, corner_rays: ArrayLike, samples: int = 5) -> Values:
+        """Mean radiance factor (rows, cols) of the pixels of a camera.
+
+        origin_m     (3,) the camera, body frame, m, outside the body
+        corner_rays  (rows + 1, cols + 1, 3) unit rays through the pixels' corners, body frame; NaN
+                     where the camera sees nothing
+        samples      rays a side of a pixel at edges of the body and of shadows; others have one
+        """
+        corners = np.asarray(corner_rays, dtype=np.float64)
+        values, faces = self._looked_at(origin_m, corners, 0.5, 0.5, None)
+        edges = _edges(np.where(faces < 0, 0, np.where(values > 0.0, 2, 1)).astype(np.int8))
+        if samples > 1 and edges.any():
+            total = np.zeros(int(edges.sum()))
+            for row in range(samples):
+                for col in range(samples):
+                    at = (row + 0.5) / samples, (col + 0.5) / samples
+                    total += self._looked_at(origin_m, corners, *at, edges)[0]
+            values[edges] = total / samples**2
+        return values
+
+    def _looked_at(
+        self,
+        origin: ArrayLike,
+        corners: FloatArray,
+        down: float,
+        along: float,
+        chosen: NDArray[np.bool_] | None,
+    ) -> tuple[Values, IntArray]:
+        """Radiance and faces at a place inside all pixels (rows, cols), or chosen ones (n)."""
+        rays = np.zeros((corners.shape[0] - 1, corners.shape[1] - 1, 3))
+        for i, share in ((0, 1.0 - down), (1, down)):
+            for j, part in ((0, 1.0 - along), (1, along)):
+                inner = corners[i : i + rays.shape[0], j : j + rays.shape[1]]
+                rays += share * part * inner
+        if chosen is not None:
+            rays = rays[chosen]
+        flat = rays.reshape(-1, 3)
+        flat /= np.sqrt(np.einsum("ij,ij->i", flat, flat))[:, None]
+        values, faces = self.radiance(origin, flat)
+        return values.reshape(rays.shape[:-1]), faces.reshape(rays.shape[:-1])
+
+
+def _edges(kind: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Which pixels have a neighbour of another kind."""
+    out = np.zeros(kind.shape, dtype=bool)
+    down, along = kind[1:] != kind[:-1], kind[:, 1:] != kind[:, :-1]
+    out[1:] |= down
+    out[:-1] |= down
+    out[:, 1:] |= along
+    out[:, :-1] |= along
+    return out
