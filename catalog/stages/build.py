@@ -20,6 +20,7 @@ from catalog.stages.chunked import ChunkResults
 from catalog.stages.cluster import cluster_workers
 from catalog.stages.ingest import Bbox, DemRecord
 from catalog.stages.records import encode_records
+from catalog.stages.relief import stored_relief
 from catalog.stages.scheduler import check_address
 from catalog.stages.settings import BuildConfig, load_build_config
 from catalog.stages.workers import available_cores, workers_of
@@ -236,7 +237,8 @@ class _Build:
                 "lower [pyramid] size or posting_m, or give more ground"
             )
         config_text = self.config_path.read_text(encoding="utf-8-sig")
-        key = stage_key(world.keys["write"], world.sources(), config_text)
+        relief = world.relief
+        key = stage_key(world.keys["write"], world.sources(), config_text, relief and relief.key)
         written = published.find(self.workspace, key, output)
         if written is not None:
             stage.kept = math.ceil(len(points) / write.CHUNK_POINTS)
@@ -249,6 +251,7 @@ class _Build:
                 output,
                 sources=world.sources(),
                 config_text=config_text,
+                relief=stored_relief(self.workspace, relief) if relief is not None else None,
                 results=results,
                 workers=self.workers,
                 progress=self.progress,

@@ -71,13 +71,11 @@ def ingest(
 
     Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
     """
-    hashes = _known_hashes(workspace)
     pyramids: list[HeightPyramid] = []
     records: list[DemRecord] = []
     for one in sorted(settings, key=lambda s: s.priority):
         source = DemSource.open(one, base_dir, body)
-        digest = _content_hash(source, hashes, progress)
-        workspace.put(HASHES, msgspec.json.encode(hashes))
+        digest = content_hash(source, workspace, progress)
         # where the file lies, how it ranks and how it ends do not change its overviews
         plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in _UNIMPORTANT}
         folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
@@ -126,8 +124,12 @@ def _known_hashes(workspace: Workspace) -> dict[str, str]:
         return {}
 
 
-def _content_hash(source: DemSource, known: dict[str, str], progress: Progress) -> str:
-    """SHA-256 over the files of a source; a file of the same size and date is not read again."""
+def content_hash(source: DemSource, workspace: Workspace, progress: Progress) -> str:
+    """SHA-256 over the files of a source; a file of the same size and date is not read again.
+
+    Raises DataError for a file that cannot be read.
+    """
+    known = _known_hashes(workspace)
     whole = hashlib.sha256()
     for path in source.files:
         try:
@@ -140,6 +142,7 @@ def _content_hash(source: DemSource, known: dict[str, str], progress: Progress) 
                 f"{path}: cannot be read ({error.strerror or error}); check its permissions"
             ) from None
         whole.update(bytes.fromhex(known[name]))
+    workspace.put(HASHES, msgspec.json.encode(known))
     return whole.hexdigest()
 
 

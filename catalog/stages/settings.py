@@ -12,6 +12,7 @@ from catalog.config import load_toml
 from catalog.errors import ConfigError
 from catalog.stages.check import Settings as CheckSettings
 from catalog.stages.context import BodySettings, GridSettings, PyramidSettings
+from catalog.stages.relief import Settings as ReliefSettings
 from catalog.stages.render import Settings as RenderSettings
 from catalog.stages.select import Settings as SelectSettings
 from catalog.stages.write import Settings as WriteSettings
@@ -28,6 +29,7 @@ class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     body: BodySettings
     dem: tuple[DemSettings, ...]
+    relief: ReliefSettings = msgspec.field(default_factory=ReliefSettings)
     grid: GridSettings = msgspec.field(default_factory=GridSettings)
     pyramid: PyramidSettings = msgspec.field(default_factory=PyramidSettings)
     render: RenderSettings = msgspec.field(default_factory=RenderSettings)
@@ -55,6 +57,8 @@ def _problems(config: BuildConfig) -> list[str]:
             found.append(f"[[dem]] priority is {dem.priority}; wanted 1 (used first) or more")
         if dem.scale == 0.0:
             found.append("[[dem]] scale is 0; wanted the height of one count")
+    if config.relief.dem is not None and not config.relief.dem.path:
+        found.append("[relief] dem path is empty; name a terrain model of the whole body")
     step = config.grid.cell_deg
     smallest = (41_253.0 / MOST_CELLS) ** 0.5  # square degrees of a sphere shared by the cells
     if not smallest <= step <= LARGEST_CELL_DEG:

@@ -17,6 +17,7 @@ from catalog.stages.account import StageAccount
 from catalog.stages.code_key import code_key
 from catalog.stages.context import StageContext
 from catalog.stages.ingest import Bbox, DemRecord, chunks_of, covered_cells, ingest
+from catalog.stages.relief import ReliefRecord, settle_relief
 from catalog.stages.settings import BuildConfig
 from catalog.stages.workspace import Workspace, stage_key
 
@@ -31,12 +32,14 @@ class World:
 
     chunks  cells, cut into pieces of work
     keys    by stage: hash of all that its results depend on
+    relief  of the whole body; None for a build of a part of it that names none
     """
 
     context: StageContext
     dems: list[DemRecord]
     chunks: list[list[int]]
     keys: dict[str, str]
+    relief: ReliefRecord | None
 
     @property
     def cells(self) -> int:
@@ -49,7 +52,7 @@ class World:
         for dem in self.dems:
             name = dem.name if dem.name not in sources else f"{dem.name} ({dem.priority})"
             sources[name] = dem.sha256
-        return sources
+        return sources | (self.relief.sources if self.relief is not None else {})
 
 
 def settle_world(
@@ -73,11 +76,16 @@ def settle_world(
     posting = config.pyramid.posting_m or mosaic.posting_m
     _check_posting(config, config_path, body, posting, mosaic.posting_m)
     cells = covered_cells(mosaic, grid, bbox)
+    relief = settle_relief(workspace, config.relief, config_path, mosaic, dems, progress, account)
     # paths and ranks do not matter by themselves: what was read, and in which order, does
     read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
     keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
     world = World(
-        StageContext(body, mosaic, grid, posting, config), dems, chunks_of(grid, cells), keys
+        StageContext(body, mosaic, grid, posting, config),
+        dems,
+        chunks_of(grid, cells),
+        keys,
+        relief,
     )
     workspace.put(MANIFEST, msgspec.json.format(_manifest(world), indent=2))
     return world

@@ -23,6 +23,7 @@ from catalog.stages.workers import Workers
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
+from catalog.store.relief import PreparedRelief
 from catalog.store.writer import Written, write_prepared
 
 CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
@@ -60,6 +61,7 @@ def write(
     *,
     sources: Mapping[str, str],
     config_text: str,
+    relief: PreparedRelief | None,
     results: ChunkResults,
     workers: Workers,
     progress: Progress,
@@ -71,6 +73,7 @@ def write(
     output       the catalog; an older one stays whole until the new one is complete
     sources      terrain models: name -> hash, for the manifest
     config_text  the build config, for the manifest
+    relief       of the whole body, if it is known
     results      where prepared points rest until the file is whole
     Raises OutputError for a place that cannot be written.
     """
@@ -91,7 +94,7 @@ def write(
     chunks = [ordered[i : i + CHUNK_POINTS] for i in range(0, len(ordered), CHUNK_POINTS)]
     with progress.stage("write", len(ordered), "point") as shown:
         ready = results.make(prepare_chunk, context, chunks, workers, account, shown)
-        return write_prepared(output, meta, _in_order(results, ready))
+        return write_prepared(output, meta, _in_order(results, ready), relief=relief)
 
 
 def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list[PreparedPoint]:

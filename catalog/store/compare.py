@@ -7,6 +7,7 @@ both files is read with its checksum, so that a damaged catalog is told and neve
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,19 @@ class Side:
     only: Records  # points whose id the other one has not
 
 
+class ReliefChange(NamedTuple):
+    """How two reliefs of as many rows differ.
+
+    cells        whose mean or top is another
+    mean_max_m, mean_rms_m, top_max_m  differences of all cells' means and tops
+    """
+
+    cells: int
+    mean_max_m: float
+    mean_rms_m: float
+    top_max_m: float
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Differences of two catalogs; arrays in the order of ascending ids, one entry a shared point
@@ -57,6 +71,8 @@ class Comparison:
     height_max_m, height_rms_m  (n,) largest and rms difference of heights over all levels; NaN
                   where the point has moved, or its patches have another shape
     holes         (n,) nodes with a height in one of the two only
+    relief        differences of the reliefs; None where they are the same, or where one has none or
+                  other cells (then `settings` says so)
     """
 
     first: Side
@@ -71,6 +87,7 @@ class Comparison:
     height_max_m: FloatArray
     height_rms_m: FloatArray
     holes: IntArray
+    relief: ReliefChange | None
 
     @property
     def same(self) -> bool:
@@ -110,7 +127,11 @@ def compare(first: str | Path, second: str | Path, progress: Progress | None = N
     ):
         found = _compare(a, b, stage)
     differs = bool(
-        found.settings or len(found.first.only) or len(found.second.only) or len(found.ids)
+        found.settings
+        or len(found.first.only)
+        or len(found.second.only)
+        or len(found.ids)
+        or found.relief
     )
     # equal digests of different contents, or different ones of equal: one of the two is not true
     if found.same == differs:
@@ -163,7 +184,21 @@ def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
         height_max[changed],
         height_rms[changed],
         holes[changed],
+        _relief_change(a, b),
     )
+
+
+def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
+    """Both reliefs are read, so that a damaged one is told."""
+    one, other = a.relief(), b.relief()
+    if one is None or other is None or one.heights.shape != other.heights.shape:
+        return None
+    means, tops = one.heights - other.heights, one.tops - other.tops
+    cells = int(np.count_nonzero((means != 0.0) | (tops != 0.0)))
+    if cells == 0:
+        return None
+    rms = float(np.sqrt(np.square(means, dtype=np.float64).mean()))
+    return ReliefChange(cells, float(np.abs(means).max()), rms, float(np.abs(tops).max()))
 
 
 def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> Side:

@@ -50,6 +50,12 @@ def lines(found: Comparison) -> Iterator[str]:
         yield f"setting: {change.name}: {change.first} -> {change.second}"
     if not found.comparable:
         yield "points: not compared: their ids are cells of other grids"
+    if found.relief is not None:
+        relief = found.relief
+        yield (
+            f"relief: {relief.cells} cells, means max {relief.mean_max_m:.3f} m, rms "
+            f"{relief.mean_rms_m:.3f} m, tops max {relief.top_max_m:.3f} m"
+        )
     for side in (found.first, found.second):
         yield from _alone(side)
     yield from _places(found)

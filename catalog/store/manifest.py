@@ -7,16 +7,32 @@ written as key, newline, value, newline (UTF-8).
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from catalog.errors import DataError
 from catalog.store.seal import OPEN_SEAL, SEAL
 
 FORMAT = "optnav catalog"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # that this program reads up to
+# A catalog without a relief is written as format 1, to the byte as before there were reliefs.
+PLAIN_VERSION, RELIEF_VERSION = 1, 2
 PROJECTION = "oblique stereographic on the sphere of radius_m, centred on the point, k0 = 1"
 CHECKSUM = "checksum"
+
+
+@dataclass(frozen=True)
+class ReliefMeta:
+    """What a catalog says of the relief of the whole body that it carries.
+
+    rows    of cells; there are twice as many columns
+    source  the terrain models that it was made from
+    digest  of its tiles (see `catalog.store.relief`)
+    """
+
+    rows: int
+    source: str
+    digest: str
 
 
 @dataclass(frozen=True)
@@ -34,6 +50,7 @@ class CatalogMeta:
     created_utc    ISO time; no part of the content digest
     point_sources  which texts the points' `source` takes, in the order of first use
     count, usable, digest  filled in by the writer
+    relief         of the whole body; None without one
     seal           of the file that it was read from (see `catalog.store.seal`); "" for none
     """
 
@@ -52,7 +69,8 @@ class CatalogMeta:
     count: int = 0
     usable: int = 0
     digest: str = ""
-    format_version: int = FORMAT_VERSION
+    format_version: int = PLAIN_VERSION
+    relief: ReliefMeta | None = None
     seal: str = field(default="", compare=False)
 
 
@@ -70,6 +88,8 @@ def content_text(meta: CatalogMeta) -> str:
         "point_sources": list(meta.point_sources),
         "count": meta.count,
     }
+    if meta.relief is not None:
+        content["relief"] = asdict(meta.relief)
     return json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
 
@@ -95,6 +115,9 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         "usable": str(meta.usable),
         "digest": meta.digest,
     }
+    if meta.relief is not None:
+        relief = asdict(meta.relief)
+        rows["relief"] = json.dumps(relief, sort_keys=True, ensure_ascii=False)
     rows = dict(sorted(rows.items()))
     return {**rows, CHECKSUM: _checksum(rows), SEAL: OPEN_SEAL}
 
@@ -142,11 +165,17 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
             count=int(texts["count"]),
             usable=int(texts["usable"]),
             digest=texts["digest"],
+            relief=_relief(texts["relief"]) if "relief" in texts else None,
             seal=texts.get(SEAL, ""),
             format_version=int(version),
         )
     except (KeyError, ValueError) as error:
         raise DataError(f"{where}: the manifest (table optnav_meta) lacks {error}") from None
+
+
+def _relief(text: str) -> ReliefMeta:
+    found = json.loads(text)
+    return ReliefMeta(int(found["rows"]), str(found["source"]), str(found["digest"]))
 
 
 def _checksum_fits(rows: Mapping[str, str]) -> bool:

@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from catalog.store.manifest import CatalogMeta
+from catalog.store.manifest import CatalogMeta, ReliefMeta
 
 CONTENT = ("body", "radius_m", "cell_deg", "levels", "size", "posting_m", "height_step_m")
 OF_THE_MOMENT = ("software", "created_utc")
@@ -24,6 +24,7 @@ def content_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ..
     one, other = (
         {name: str(getattr(meta, name)) for name in CONTENT}
         | {"point_sources": ", ".join(meta.point_sources)}
+        | ({"relief": _relief(meta.relief)} if meta.relief is not None else {})
         for meta in (first, second)
     )
     return tuple(_changes(one, other))
@@ -38,6 +39,10 @@ def provenance_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change,
         for meta in (first, second)
     )
     return tuple(_changes(one, other))
+
+
+def _relief(relief: ReliefMeta) -> str:
+    return f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
 
 
 def _changes(one: Mapping[str, str], other: Mapping[str, str]) -> Iterator[Change]:

@@ -21,7 +21,9 @@ from catalog.store.listing import read_records
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import StoredPatch, patch_from_row, stored_patch_from_row
 from catalog.store.records import Records, point_from_record
+from catalog.store.relief import read_relief
 from catalog.store.schema import HEIGHT_LAYER, PATCH_COLUMNS, PATCHES, patch_key
+from catalog.terrain.relief import GlobalRelief
 
 log = logging.getLogger(__name__)
 
@@ -111,6 +113,22 @@ class Catalog:
     @cached_property
     def _index(self) -> CellIndex:
         return CellIndex(self.grid, self.ids, self.direction)
+
+    def relief(self) -> GlobalRelief | None:
+        """The relief of the whole body that the catalog carries, None for none; read once.
+
+        Raises DataError when a part of it is missing or damaged.
+        """
+        return self._relief
+
+    @cached_property
+    def _relief(self) -> GlobalRelief | None:
+        try:
+            return read_relief(self._db, self.meta)
+        except DataError as error:
+            raise DataError(
+                f"{self.path}: {error}; run `optnav catalog verify`, restore it or build it again"
+            ) from None
 
     def row_of(self, point_id: int) -> int:
         """Row of a point in the arrays. Raises DataError for an id that is not there."""

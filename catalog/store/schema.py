@@ -4,6 +4,7 @@ control_points   feature layer, one row a point: what GIS programs show
 optnav_records   the same points packed, 4096 a row, so that a program opens them at once
 optnav_patches   one compressed grid a row
 optnav_meta      the manifest
+optnav_relief    tiles of the relief of the whole body; only in a catalog that carries one
 """
 
 import sqlite3
@@ -22,6 +23,7 @@ GEOMETRY = "geom"
 RECORDS = "optnav_records"
 PATCHES = "optnav_patches"
 META = "optnav_meta"
+RELIEF = "optnav_relief"
 RTREE = f"rtree_{POINTS}_{GEOMETRY}"
 
 RECORDS_A_ROW = 4096
@@ -106,6 +108,13 @@ CREATE TABLE {RECORDS} (
 CREATE TABLE {PATCHES} (
   id INTEGER PRIMARY KEY NOT NULL, point_id INTEGER NOT NULL, layer INTEGER NOT NULL,
   level INTEGER NOT NULL, posting_m DOUBLE NOT NULL, size INTEGER NOT NULL, step DOUBLE NOT NULL,
+  value_offset DOUBLE NOT NULL, checksum INTEGER NOT NULL, data BLOB NOT NULL);
+"""
+
+_RELIEF_TABLE = f"""
+CREATE TABLE {RELIEF} (
+  id INTEGER PRIMARY KEY NOT NULL, layer INTEGER NOT NULL, tile_row INTEGER NOT NULL,
+  tile_col INTEGER NOT NULL, size INTEGER NOT NULL, step DOUBLE NOT NULL,
   value_offset DOUBLE NOT NULL, checksum INTEGER NOT NULL, data BLOB NOT NULL);
 """
 
@@ -199,6 +208,11 @@ def create_tables(db: sqlite3.Connection, with_patches: bool = True) -> None:
     db.execute(f"CREATE VIRTUAL TABLE {RTREE} USING rtree(id, minx, maxx, miny, maxy)")
 
 
+def create_relief_table(db: sqlite3.Connection) -> None:
+    """Make the empty table of a catalog that carries a relief."""
+    db.execute(_RELIEF_TABLE)
+
+
 def create_triggers(db: sqlite3.Connection) -> None:
     """Add the R-tree triggers, once all points are in."""
     for statement in RTREE_TRIGGERS.split("END;\n"):
@@ -228,6 +242,8 @@ def insert_service_rows(
             (RECORDS, "attributes", "The control points, packed", *nobox, None),
             (META, "attributes", "Manifest", *nobox, None),
         ]
+        if meta.relief is not None:
+            tables.append((RELIEF, "attributes", "Relief of the whole body", *nobox, None))
     for name, kind, description, west, south, east, north, srs in tables:
         changed = meta.created_utc or "1970-01-01T00:00:00Z"
         db.execute(

@@ -63,6 +63,7 @@ def describe(catalog: Catalog) -> dict[str, str]:
         "height_step_m": f"{meta.height_step_m:.9g}",
         "recognition_rate_usable": _median(catalog.records["recognition_rate"][catalog.usable]),
         "localisation_px_usable": _median(catalog.records["localisation_px"][catalog.usable]),
+        "relief": _relief(catalog),
         "software": meta.software,
         "created_utc": meta.created_utc,
         "size_bytes": str(catalog.path.stat().st_size),
@@ -71,6 +72,16 @@ def describe(catalog: Catalog) -> dict[str, str]:
         lines[f"source {name}"] = content
     lines["digest"] = meta.digest
     return lines
+
+
+def _relief(catalog: Catalog) -> str:
+    """Cells, their size on the ground and the origin of the relief of the whole body."""
+    meta = catalog.meta
+    if meta.relief is None:
+        return "none"
+    rows = meta.relief.rows
+    side = np.pi * meta.radius_m / rows
+    return f"{rows} x {2 * rows} cells of {side:.6g} m, from {meta.relief.source}"
 
 
 def _median(values: FloatArray) -> str:

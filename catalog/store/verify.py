@@ -3,7 +3,7 @@
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from catalog.errors import DataError
@@ -16,12 +16,14 @@ from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import content_from_row
 from catalog.store.reader import SELECT_PATCHES
 from catalog.store.records import Records
+from catalog.store.relief import relief_digest, tile_places
 from catalog.store.schema import (
     APPLICATION_ID,
     HEIGHT_LAYER,
     PATCHES,
     POINT_COLUMNS,
     POINTS,
+    RELIEF,
     RTREE,
     patch_key,
     service_rows,
@@ -89,7 +91,7 @@ def verify(path: str | Path, progress: Progress | None = None) -> Verification:
             _features(db, meta, records, found)
             stages = progress or SilentProgress()
             with stages.stage("verify", len(records), "point") as stage:
-                _contents(db, meta, records, found, stage)
+                _contents(db, _read_again(db, meta, found), records, found, stage)
         _service(db, meta, found)
     if found.sound:
         # with a log beside it the file is not all there is: another program is at work on it
@@ -198,6 +200,18 @@ def _contents(
     if found.computed != found.stated:
         found.add("digest", f"the content gives {found.computed}; {found.stated} is stated")
     _count(db, PATCHES, wanted, found)
+
+
+def _read_again(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> CatalogMeta:
+    """The manifest with the digest of the relief as it is found in its tiles."""
+    if meta.relief is None:
+        return meta
+    before = len(found.problems)
+    digest = relief_digest(db, meta.relief, found.add)
+    if digest != meta.relief.digest and len(found.problems) == before:
+        found.add(RELIEF, f"the tiles give {digest}; {meta.relief.digest} is stated")
+    _count(db, RELIEF, len(tile_places(meta.relief)), found)
+    return replace(meta, relief=replace(meta.relief, digest=digest))
 
 
 def _count(db: sqlite3.Connection, table: str, wanted: int, found: Verification) -> None:

@@ -14,7 +14,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.store.digest import CatalogDigest, point_digest
 from catalog.store.features import feature_row
 from catalog.store.index import CELL_SLACK_DEG
-from catalog.store.manifest import CatalogMeta, rows_from_meta
+from catalog.store.manifest import RELIEF_VERSION, CatalogMeta, rows_from_meta
 from catalog.store.partial import replacing
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import (
@@ -24,6 +24,7 @@ from catalog.store.records import (
     record_from_point,
     record_type,
 )
+from catalog.store.relief import PreparedRelief, ReliefRow
 from catalog.store.schema import (
     META,
     PATCHES,
@@ -31,7 +32,9 @@ from catalog.store.schema import (
     POINTS,
     RECORDS,
     RECORDS_A_ROW,
+    RELIEF,
     RTREE,
+    create_relief_table,
     create_tables,
     create_triggers,
     insert_service_rows,
@@ -75,13 +78,17 @@ def write_prepared(
     meta: CatalogMeta,
     points: Iterable[PreparedPoint],
     progress: Callable[[int], None] | None = None,
+    relief: PreparedRelief | None = None,
 ) -> Written:
-    """As `write_catalog`, for points that were prepared elsewhere."""
+    """As `write_catalog`, for points, and perhaps a relief, that were prepared elsewhere."""
     path = Path(path)
     with replacing(path) as partial:
         with closing(_connect_new(partial)) as db:
             create_tables(db)
-            meta = _fill(db, meta, points, progress)
+            if relief is not None:
+                create_relief_table(db)
+                meta = replace(meta, relief=relief.meta, format_version=RELIEF_VERSION)
+            meta = _fill(db, meta, points, progress, relief.rows if relief is not None else ())
             db.execute("COMMIT")
         put_seal(partial)
     return Written(path, meta.count, meta.usable, meta.digest, path.stat().st_size)
@@ -102,6 +109,7 @@ def _fill(
     meta: CatalogMeta,
     points: Iterable[PreparedPoint],
     progress: Callable[[int], None] | None,
+    relief_rows: Sequence[ReliefRow],
 ) -> CatalogMeta:
     """Insert everything; returns the manifest with counts and digest."""
     db.execute("BEGIN")
@@ -135,6 +143,8 @@ def _fill(
     meta = replace(meta, digest=digest.hexdigest(meta))
     extent = insert_features(db, meta, _stored_points(db, meta))
     insert_service_rows(db, meta, extent)
+    if relief_rows:
+        db.executemany(f"INSERT INTO {RELIEF} VALUES (?,?,?,?,?,?,?,?,?)", relief_rows)
     rows = enumerate(rows_from_meta(meta).items(), start=1)
     db.executemany(f"INSERT INTO {META} VALUES (?,?,?)", [(number, *row) for number, row in rows])
     return meta

@@ -69,7 +69,6 @@ class CellSums:
         self.means = np.zeros((rows, 2 * rows), np.float32)
         self.shares = np.zeros((rows, 2 * rows), np.float32)
         self.tops = np.full((rows, 2 * rows), -np.inf, np.float32)
-        self.lowest_m, self.highest_m = np.inf, -np.inf
 
     @property
     def coverage(self) -> float:
@@ -78,8 +77,12 @@ class CellSums:
         edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, rows + 1))
         return float((edges[:-1] - edges[1:]) @ self.shares.mean(axis=1, dtype=np.float64) / 2.0)
 
-    def lay_under(self, layer: Layer, progress: Progress) -> None:
-        """Add the heights of a raster where the cells have none yet. Raises DataError."""
+    def lay_under(self, layer: Layer, progress: Progress) -> tuple[float, float]:
+        """Add the heights of a raster where the cells have none yet.
+
+        Returns the lowest and the highest of the raster, m. Raises DataError for a damaged file.
+        """
+        lowest, highest = np.inf, -np.inf
         sums = np.zeros(self.means.shape)
         weights, tops = np.zeros_like(self.shares), np.full_like(self.tops, -np.inf)
         windows = layer.windows()
@@ -92,9 +95,10 @@ class CellSums:
                 else:
                     middles = _middles(layer, len(sums), window)
                     low, high = _add_middles(pixels, *middles, sums, weights, tops)
-                self.lowest_m, self.highest_m = min(self.lowest_m, low), max(self.highest_m, high)
+                lowest, highest = min(lowest, low), max(highest, high)
                 stage.advance()
         _join(sums, weights, tops, self.means, self.shares, self.tops)
+        return lowest, highest
 
     def fill(self) -> None:
         """Give cells without a height that of their neighbours, ring by ring from the holes' edges.

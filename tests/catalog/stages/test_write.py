@@ -74,6 +74,7 @@ def written_with(workers: Any, path: Path, given: Sequence[ControlPoint], world:
         path,
         sources={"dem.tif": "sha256 0"},
         config_text="[body]",
+        relief=None,
         results=results_beside(path),
         workers=workers,
         progress=SilentProgress(),

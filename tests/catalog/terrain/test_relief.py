@@ -11,7 +11,7 @@ from rasterio.warp import Resampling, reproject
 from catalog.config import resource
 from catalog.errors import DataError
 from catalog.terrain import relief_sums
-from catalog.terrain.relief import load_relief, relief_from_dem, rows_of
+from catalog.terrain.relief_of_dem import load_relief, relief_from_dem, rows_of
 from catalog.terrain.source import DemSettings, DemSource
 
 MOON = "+proj=longlat +R=1737400 +no_defs"

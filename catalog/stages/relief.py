@@ -1,0 +1,178 @@
+"""Relief: the coarse ground of the whole body, which the catalog carries for the horizon.
+
+It is made of the build's own terrain models by their priority, and of the one that [relief] names
+below them. A build of a part of the body without such a one carries no relief.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from catalog.errors import DataError
+from catalog.progress import Progress
+from catalog.stages.account import StageAccount
+from catalog.stages.code_key import code_key
+from catalog.stages.ingest import DemRecord, content_hash
+from catalog.stages.records import encode_records
+from catalog.stages.workspace import Workspace, stage_key
+from catalog.store.relief import PreparedRelief, prepare_relief
+from catalog.terrain.mosaic import Mosaic
+from catalog.terrain.overviews import BLOCK
+from catalog.terrain.pyramid import HeightPyramid
+from catalog.terrain.relief_of_dem import LEAST_COVERAGE, finished, lay_whole, rows_of
+from catalog.terrain.relief_sums import CellSums, Layer
+from catalog.terrain.source import DemSettings, DemSource
+
+# Tops are those of area means this often within a cell: finer ones would cost a pass over all of
+# a model, and stand no higher above a horizon that is matched to a pixel.
+SAMPLES_ACROSS = 8
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[relief].
+
+    dem  a terrain model of the whole body, for the ground that no [[dem]] shows; without it a
+         catalog carries a relief only if its own models show the whole body. Settings are those
+         of [[dem]], but for priority and feather_km: it lies below all others.
+    """
+
+    dem: DemSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.dem is not None and (self.dem.priority != 1 or self.dem.feather_km != 0.0):
+            raise ValueError("dem has a priority or feather_km; it lies below all others")
+
+
+class ReliefRecord(NamedTuple):
+    """The relief of a build, ready in its work folder.
+
+    key      hash of all that it depends on
+    sources  terrain models that only it is made of: name -> hash
+    """
+
+    key: str
+    sources: dict[str, str]
+
+
+def settle_relief(
+    workspace: Workspace,
+    settings: Settings,
+    config_path: Path,
+    mosaic: Mosaic,
+    dems: list[DemRecord],
+    progress: Progress,
+    account: StageAccount,
+) -> ReliefRecord | None:
+    """Make the relief, or keep that of an earlier run; None for a build without one.
+
+    Raises DataError when the named terrain model cannot be used or the whole is not the body's.
+    """
+    own = [_share(pyramid) for pyramid in mosaic.pyramids]
+    if settings.dem is None and sum(own) < LEAST_COVERAGE:
+        workspace.keep_only("relief", set())
+        return None
+    named, sources = None, {}
+    parts: list[object] = [(dem.sha256, dem.folder) for dem in dems]
+    if settings.dem is not None:
+        try:
+            named = DemSource.open(settings.dem, config_path.parent, mosaic.body)
+        except DataError as error:
+            raise DataError(f"{config_path}: [relief] dem: {error}") from None
+        digest = content_hash(named, workspace, progress)
+        sources = {f"{named.path.name} (relief)": digest}
+        parts += [digest, msgspec.structs.replace(settings.dem, path="")]
+    key = stage_key(code_key(), mosaic.body.name, parts)
+    if workspace.whole(_name(key)):
+        account.kept += 1
+    else:
+        made = _made(mosaic, own, named, config_path, progress)
+        workspace.put(_name(key), encode_records([made] if made is not None else []))
+        account.done += 1
+    workspace.keep_only("relief", {key})
+    if named is not None:
+        named.close()
+    return ReliefRecord(key, sources)
+
+
+def stored_relief(workspace: Workspace, record: ReliefRecord) -> PreparedRelief | None:
+    """The relief that `settle_relief` left; None where the models do not show the whole body.
+
+    Raises DataError for a work folder whose medium fails.
+    """
+    found = workspace.records(_name(record.key), PreparedRelief)
+    if found is None:
+        raise DataError(
+            f"{workspace.path(_name(record.key))}: changed after it was written; its medium may be "
+            "failing: give the same command again"
+        )
+    return found[0] if found else None
+
+
+def _made(
+    mosaic: Mosaic,
+    own: list[float],
+    named: DemSource | None,
+    config_path: Path,
+    progress: Progress,
+) -> PreparedRelief | None:
+    body = mosaic.body
+    rows = _rows(mosaic, own, named)
+    cell_m = np.pi * body.radius_m / rows
+    sums = CellSums(rows)
+    names, covered = [], 0.0
+    for pyramid, name in zip(mosaic.pyramids, mosaic.names):
+        sums.lay_under(_layer(pyramid, cell_m / SAMPLES_ACROSS), progress)
+        if sums.coverage > covered:
+            names.append(name)
+        covered = sums.coverage
+    if named is not None:
+        try:
+            lay_whole(sums, named, progress)
+        except DataError as error:
+            raise DataError(f"{config_path}: [relief] dem: {error}") from None
+        if sums.coverage > covered:
+            names.append(named.path.name)
+    if sums.coverage < LEAST_COVERAGE:
+        if named is None:
+            return None
+        raise DataError(
+            f"{config_path}: [relief] dem: {named.path} and the models of [[dem]] show "
+            f"{100.0 * sums.coverage:.3g} % of {body.name}; a relief wants "
+            f"{100.0 * LEAST_COVERAGE:g} %: name a terrain model of the whole body"
+        )
+    return prepare_relief(finished(sums, body.radius_m, " + ".join(names)))
+
+
+def _share(pyramid: HeightPyramid) -> float:
+    """Share of the body that a model shows, about: of its bounds, as many as it has pixels."""
+    west, south, east, north = pyramid.source.latlon_bounds()
+    bounds = (np.sin(north) - np.sin(south)) * (east - west) / (4.0 * np.pi)
+    return float(bounds * pyramid.record.valid_share)
+
+
+def _rows(mosaic: Mosaic, own: list[float], named: DemSource | None) -> int:
+    """Rows of the relief: half of the body's ground is shown by models as fine, or finer."""
+    steps = [pyramid.source.place.row_angle for pyramid in mosaic.pyramids]
+    shares = list(own)
+    if named is not None:
+        steps.append(named.place.row_angle)
+        shares.append(max(0.0, 1.0 - sum(own)))
+    order = np.argsort(steps, kind="stable")
+    shown = np.cumsum(np.array(shares)[order])
+    return rows_of(steps[order[int(np.searchsorted(shown, shown[-1] / 2.0))]])
+
+
+def _layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
+    """A model at the overview that has this posting, or at its own where none is as fine."""
+    level = pyramid.level_for(posting_m)
+    own = level == 0 and not pyramid.record.tiled_copy
+    block = pyramid.source.block_shape if own else (BLOCK, BLOCK)
+    read = partial(pyramid.read, level)
+    return Layer(pyramid.source.place, level, pyramid.shape(level), block, read)
+
+
+def _name(key: str) -> str:
+    return f"relief-{key}/records.bin"

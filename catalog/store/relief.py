@@ -1,0 +1,219 @@
+"""The relief of the whole body as rows of the table `optnav_relief`, and back.
+
+The grid (n, 2n) is cut into square tiles, beginning at the north pole and longitude -180; the last
+ones repeat their edge where the grid ends within them. Layer 0 holds the cells' mean heights,
+layer 1 how far their highest places stand above the stored means.
+"""
+
+import hashlib
+import sqlite3
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.errors import DataError
+from catalog.store.codec import Counts, Encoded, decode, decode_counts, encode
+from catalog.store.manifest import CatalogMeta, ReliefMeta
+from catalog.store.records import checksum
+from catalog.store.schema import RELIEF
+from catalog.terrain.relief import GlobalRelief
+
+HeightGrid = NDArray[np.float32]
+ReliefRow = tuple[int, int, int, int, int, float, float, int, bytes]  # as RELIEF_COLUMNS
+
+MEANS, TOPS = 0, 1
+LAYERS = ("means", "tops")
+# Whole metres are what the models are made of; a top is a bound, and bounds may be coarser.
+MEAN_STEP_M = 1.0
+TOP_STEP_M = 4.0
+TILE = 720  # cells a side: a row of some 500 kB wastes little of its last page
+
+RELIEF_COLUMNS = (
+    "id",
+    "layer",
+    "tile_row",
+    "tile_col",
+    "size",
+    "step",
+    "value_offset",
+    "checksum",
+    "data",
+)
+SELECT_TILE = f"SELECT {', '.join(RELIEF_COLUMNS)} FROM {RELIEF} WHERE id = ?"
+_HEADER = struct.Struct("<4q2d")
+
+
+@dataclass(frozen=True)
+class PreparedRelief:
+    """A relief ready for the file."""
+
+    meta: ReliefMeta
+    rows: tuple[ReliefRow, ...]
+
+
+class Place(NamedTuple):
+    """Where a tile lies: its layer, and its row and column among the tiles."""
+
+    layer: int
+    row: int
+    col: int
+
+    @property
+    def key(self) -> int:
+        """Primary key of the tile."""
+        return (self.layer * 256 + self.row) * 256 + self.col
+
+    def __str__(self) -> str:
+        return f"relief, {LAYERS[self.layer]}, tile {self.row}, {self.col}"
+
+
+class Tile(NamedTuple):
+    """A tile as the file holds it; `header` is what checksum and digest cover beside its data."""
+
+    encoded: Encoded
+    header: bytes
+
+
+def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
+    """Round a relief's heights and compress them.
+
+    Means are rounded to MEAN_STEP_M. Tops are rounded up to TOP_STEP_M above the stored mean, so
+    that they stay bounds, but for half of a mean's step.
+    """
+    number = relief.heights.shape[0]
+    means = [_encoded(relief.heights, place, MEAN_STEP_M) for place in _places(number, MEANS)]
+    tops = []
+    stored = _assembled([encoded for encoded, _ in means], number)
+    above = np.maximum(relief.tops - stored - np.float32(MEAN_STEP_M / 2.0), 0.0)
+    above = np.ceil(above / np.float32(TOP_STEP_M)) * np.float32(TOP_STEP_M)
+    tops = [_encoded(above, place, TOP_STEP_M) for place in _places(number, TOPS)]
+    rows: list[ReliefRow] = []
+    digest = hashlib.sha256()
+    places = [*_places(number, MEANS), *_places(number, TOPS)]
+    for place, (encoded, counts) in zip(places, means + tops, strict=True):
+        header = _header(place, encoded)
+        add_tile(digest, header, counts)
+        rows.append(
+            (
+                place.key,
+                *place,
+                encoded.size,
+                encoded.step,
+                encoded.offset,
+                checksum(header, encoded.data),
+                encoded.data,
+            )
+        )
+    return PreparedRelief(ReliefMeta(number, relief.source, digest.hexdigest()), tuple(rows))
+
+
+def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | None:
+    """The relief of an open catalog, None where it carries none.
+
+    Raises DataError naming the first tile that is missing or damaged.
+    """
+    if meta.relief is None:
+        return None
+    number = meta.relief.rows
+    means, tops = (
+        _assembled([read_tile(db, place).encoded for place in _places(number, layer)], number)
+        for layer in (MEANS, TOPS)
+    )
+    tops += means
+    return GlobalRelief(means, tops, meta.radius_m, meta.relief.source)
+
+
+def tile_places(meta: ReliefMeta) -> list[Place]:
+    """All tiles of a relief in the order of their keys."""
+    return [*_places(meta.rows, MEANS), *_places(meta.rows, TOPS)]
+
+
+def read_tile(db: sqlite3.Connection, place: Place) -> Tile:
+    """A tile as it is stored. Raises DataError unless it is there and its checksum fits."""
+    try:
+        row = db.execute(SELECT_TILE, (place.key,)).fetchone()
+    except (sqlite3.Error, ValueError) as error:
+        raise DataError(f"{place}: {error}") from None
+    if row is None:
+        raise DataError(f"{place}: is missing")
+    return _tile_from_row(row, place)
+
+
+def relief_digest(
+    db: sqlite3.Connection, meta: ReliefMeta, report: Callable[[str, object], None]
+) -> str:
+    """Digest of the tiles as they are; damage is reported, tile by tile."""
+    digest = hashlib.sha256()
+    for place in tile_places(meta):
+        try:
+            tile = read_tile(db, place)
+            add_tile(digest, tile.header, decode_counts(tile.encoded.data, tile.encoded.size))
+        except DataError as error:
+            report(str(place), str(error).removeprefix(f"{place}: "))
+    return digest.hexdigest()
+
+
+def add_tile(digest: "hashlib._Hash", header: bytes, counts: Counts) -> None:
+    """Count a tile in a relief's digest."""
+    digest.update(header)
+    digest.update(np.ascontiguousarray(counts, dtype="<i2").data)
+
+
+def _tile_from_row(row: Sequence[object], place: Place) -> Tile:
+    key, layer, tile_row, tile_col, size, step, offset, stored, data = row
+    if (
+        (key, layer, tile_row, tile_col) != (place.key, *place)
+        or not isinstance(size, int)
+        or not 0 < size < 2**31
+        or not isinstance(step, float)
+        or not isinstance(offset, float)
+        or not isinstance(data, bytes)
+    ):
+        raise DataError(f"{place}: its row of {RELIEF} is damaged")
+    encoded = Encoded(size, step, offset, data)
+    header = _header(place, encoded)
+    if stored != checksum(header, data):
+        raise DataError(f"{place}: does not fit its checksum")
+    return Tile(encoded, header)
+
+
+def _header(place: Place, encoded: Encoded) -> bytes:
+    return _HEADER.pack(*place, encoded.size, encoded.step, encoded.offset)
+
+
+def _tile_size(number: int) -> int:
+    return min(TILE, number)
+
+
+def _places(number: int, layer: int) -> Iterator[Place]:
+    size = _tile_size(number)
+    for row in range(-(-number // size)):
+        for col in range(-(-2 * number // size)):
+            yield Place(layer, row, col)
+
+
+def _encoded(grid: HeightGrid, place: Place, step: float) -> tuple[Encoded, Counts]:
+    size = _tile_size(grid.shape[0])
+    part = grid[
+        place.row * size : (place.row + 1) * size, place.col * size : (place.col + 1) * size
+    ]
+    missing = [(0, size - side) for side in part.shape]
+    return encode(np.pad(part, missing, mode="edge"), step)
+
+
+def _assembled(tiles: Sequence[Encoded], number: int) -> HeightGrid:
+    """The grid (number, 2 number) of all tiles of a layer. Raises DataError."""
+    size = _tile_size(number)
+    grid = np.empty((number, 2 * number), np.float32)
+    for place, encoded in zip(_places(number, MEANS), tiles, strict=True):
+        if encoded.size != size:
+            raise DataError(f"relief: a tile of {encoded.size} cells a side; wanted {size}")
+        part = grid[
+            place.row * size : (place.row + 1) * size, place.col * size : (place.col + 1) * size
+        ]
+        part[:] = decode(encoded)[: part.shape[0], : part.shape[1]]
+    return grid
