@@ -1,7 +1,7 @@
 """Solutions against the truth: each frame's error in R, N, B and its share of wrong matches."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,13 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.truth import Truth
-from optnav_cli.output.figures import Figures, FrameError, figures_of
+from optnav_cli.output.figures import (
+    Figures,
+    FrameError,
+    MethodFigures,
+    figures_by_method,
+    figures_of,
+)
 from optnav_cli.output.motion import Forward, directions_of_motion
 from optnav_cli.solution import MatchRow, Solution
 
@@ -29,6 +35,10 @@ class Evaluation:
     def figures(self) -> Figures:
         """Add the frames up. Raises NothingToDoError when none is solved."""
         return figures_of(self.frames)
+
+    def by_method(self) -> list[MethodFigures]:
+        """The same for each method and camera, from afar to near."""
+        return figures_by_method(self.frames)
 
 
 def evaluate(
@@ -60,7 +70,8 @@ def evaluate(
             truth,
             *axes[truth.file],
             reference_radius_m,
-            _checked(kept.get(solution.file, []), truth, (cameras or {}).get(solution.file)),
+            kept.get(solution.file, []),
+            (cameras or {}).get(solution.file),
         )
         for solution, truth in zip(solutions, named, strict=True)
     )
@@ -117,25 +128,32 @@ def _frame_error(
     axes: FloatArray,
     forward: Forward,
     reference_radius_m: float,
-    checked: tuple[int | None, int | None],
+    kept: Sequence[MatchRow],
+    camera: Camera | None,
 ) -> FrameError:
-    height = float(np.linalg.norm(truth.position_m)) - reference_radius_m
-    if solution.position_m is None or solution.covariance_m2 is None or not solution.solved:
-        return FrameError(solution.file, solution.utc, solution, forward, height)
-    error = solution.position_m - truth.position_m
-    angle = None
-    if solution.camera_from_body is not None:
-        angle = float((solution.camera_from_body * truth.camera_from_body.inv()).magnitude())
-    return FrameError(
+    distance = float(np.linalg.norm(truth.position_m))
+    frame = FrameError(
         solution.file,
         solution.utc,
         solution,
         forward,
-        height,
+        distance - reference_radius_m,
+        distance_m=distance,
+        camera=camera.name if camera is not None else "",
+    )
+    if solution.position_m is None or solution.covariance_m2 is None or not solution.solved:
+        return frame
+    error = solution.position_m - truth.position_m
+    angle = None
+    if solution.camera_from_body is not None:
+        angle = float((solution.camera_from_body * truth.camera_from_body.inv()).magnitude())
+    n_checked, n_wrong = _checked(kept, truth, camera)
+    return replace(
+        frame,
         error_rnb_m=axes @ error,
         sigma_rnb_m=np.sqrt(np.diag(axes @ solution.covariance_m2 @ axes.T)),
         nees=float(error @ np.linalg.solve(solution.covariance_m2, error)),
         attitude_error_rad=angle,
-        n_checked=checked[0],
-        n_wrong=checked[1],
+        n_checked=n_checked,
+        n_wrong=n_wrong,
     )

@@ -1,28 +1,20 @@
 """The evaluation of a run folder: read, printed as a table, written as evaluation.json and .csv."""
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from catalog.errors import DataError
 from optnav_cli.imagery.truth import read_truth
+from optnav_cli.output.error_rows import EVALUATION_COLUMNS, row_of
 from optnav_cli.output.evaluation import WRONG_PX, Evaluation, evaluate
-from optnav_cli.output.figures import Figures, FrameError, Spread
+from optnav_cli.output.figures import Figures
+from optnav_cli.output.method_table import method_lines, method_summary, spread_summary
 from optnav_cli.output.replace import replacing_file, starts_with
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.output.tables import ARCSEC, Row, fixed, optional_number, read_table, write_table
+from optnav_cli.output.tables import ARCSEC, fixed, write_table
 
 EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
-EVALUATION_COLUMNS = (
-    *("file", "utc", "status", "forward", "truth_height_m"),
-    *("error_r_m", "error_n_m", "error_b_m", "sigma_r_m", "sigma_n_m", "sigma_b_m"),
-    *("normalised_error_squared", "attitude_error_arcsec"),
-    *("n_predicted", "n_matched", "n_used", "n_wrong", "reason"),
-)
-ERROR_COLUMNS, SIGMA_COLUMNS = EVALUATION_COLUMNS[5:8], EVALUATION_COLUMNS[8:11]
 
 
 def evaluate_run(run: Path, truth: Path) -> Evaluation:
@@ -51,37 +43,15 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
     """
     summary = summary_of(evaluation)
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,utc,status,forward")) as path:
-        write_table(path, EVALUATION_COLUMNS, map(_row, evaluation.frames))
+    with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,utc,status,")) as path:
+        write_table(path, EVALUATION_COLUMNS, map(row_of, evaluation.frames))
     with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "frames"')) as path:
         path.write_text(text, encoding="utf-8")
-
-
-def read_errors(folder: Path) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Of each solved frame of a written evaluation: file, error (3,) and sigma (3,) in R, N, B, m.
-
-    Empty when the run was not evaluated. Raises DataError for a damaged table.
-    """
-    path = folder / EVALUATION_CSV
-    if not path.exists():
-        return []
-    found = []
-    for where, row in read_table(path, EVALUATION_COLUMNS):
-        values = [
-            optional_number(row, column, where) for column in (*ERROR_COLUMNS, *SIGMA_COLUMNS)
-        ]
-        known = [value for value in values if value is not None]
-        if len(known) == 6:
-            found.append((row["file"], np.array(known[:3]), np.array(known[3:])))
-    return found
 
 
 def summary_of(evaluation: Evaluation) -> dict[str, Any]:
     """The figures as plain JSON values, rounded as they are written."""
     figures = evaluation.figures()
-
-    def spread(values: Spread) -> dict[str, float | None]:
-        return {f"{k}_m": None if v is None else round(v, 3) for k, v in asdict(values).items()}
 
     def arcsec(angle: float | None) -> float | None:
         return None if angle is None else round(angle / ARCSEC, 3)
@@ -90,9 +60,9 @@ def summary_of(evaluation: Evaluation) -> dict[str, Any]:
         "frames": figures.frames,
         "solved": figures.solved,
         "share_solved": round(figures.solved / figures.frames, 6),
-        "r": spread(figures.r),
-        "n": spread(figures.n),
-        "b": spread(figures.b),
+        "r": spread_summary(figures.r),
+        "n": spread_summary(figures.n),
+        "b": spread_summary(figures.b),
         "horizontal_rms_m": round(figures.horizontal_rms_m, 3),
         "horizontal_max_m": round(figures.horizontal_max_m, 3),
         "height_rms_m": round(figures.height_rms_m, 3),
@@ -110,6 +80,7 @@ def summary_of(evaluation: Evaluation) -> dict[str, Any]:
             "checked": figures.n_checked,
             "wrong": figures.n_wrong,
         },
+        "methods": [method_summary(method) for method in evaluation.by_method()],
         "frames_with_local_north": figures.north_frames,
         "unsolved_reasons": dict(figures.unsolved_reasons),
         "remarks": list(evaluation.remarks),
@@ -139,6 +110,9 @@ def format_table(evaluation: Evaluation) -> str:
         f"normalised error squared {figures.nees:.2f} (1 expected; {figures.nees_range[0]:.2f} to "
         f"{figures.nees_range[1]:.2f} in 95 % of cases with an honest covariance)",
     ]
+    methods = evaluation.by_method()
+    if len(methods) > 1 or methods[0].method != "control_points":
+        lines += ["", *method_lines(methods), ""]
     lines += _notes(figures, evaluation.remarks)
     return "\n".join(lines)
 
@@ -148,18 +122,8 @@ def _notes(figures: Figures, remarks: tuple[str, ...]) -> list[str]:
     if figures.attitude_rms is not None and figures.attitude_max is not None:
         rms, largest = figures.attitude_rms / ARCSEC, figures.attitude_max / ARCSEC
         lines.append(f'attitude error {rms:.1f}" rms, {largest:.1f}" max')
-    lines.append(
-        f"control points: {figures.n_predicted} predicted, {figures.n_matched} found "
-        f"({_percent(figures.n_matched, figures.n_predicted)}), {figures.n_used} used "
-        f"({_percent(figures.n_used, figures.n_predicted)})"
-    )
-    if figures.n_checked:
-        lines.append(
-            f"wrong matches used (> {WRONG_PX:g} px from the truth): {figures.n_wrong} of "
-            f"{figures.n_checked} ({_percent(figures.n_wrong, figures.n_checked, 2)})"
-        )
-    else:
-        lines.append("wrong matches: not checked (the run has no camera files)")
+    if figures.n_predicted:  # a run by the horizon alone has none
+        lines += _control_points(figures)
     if figures.north_frames:
         lines.append(
             f"N is local north for {figures.north_frames} of {figures.solved} frames "
@@ -169,26 +133,21 @@ def _notes(figures: Figures, remarks: tuple[str, ...]) -> list[str]:
     return lines + list(remarks)
 
 
+def _control_points(figures: Figures) -> list[str]:
+    lines = [
+        f"control points: {figures.n_predicted} predicted, {figures.n_matched} found "
+        f"({_percent(figures.n_matched, figures.n_predicted)}), {figures.n_used} used "
+        f"({_percent(figures.n_used, figures.n_predicted)})"
+    ]
+    if figures.n_checked:
+        lines.append(
+            f"wrong matches used (> {WRONG_PX:g} px from the truth): {figures.n_wrong} of "
+            f"{figures.n_checked} ({_percent(figures.n_wrong, figures.n_checked, 2)})"
+        )
+    else:
+        lines.append("wrong matches: not checked (the run has no camera files)")
+    return lines
+
+
 def _percent(part: int, whole: int, decimals: int = 1) -> str:
     return f"{100.0 * part / whole:.{decimals}f} %" if whole else "-"
-
-
-def _row(frame: FrameError) -> Row:
-    solution = frame.solution
-    row = dict.fromkeys(EVALUATION_COLUMNS, "")
-    row.update(file=frame.file, utc=frame.utc, status=solution.status, forward=frame.forward)
-    row.update(truth_height_m=fixed(frame.height_m, 3), reason=solution.reason)
-    for columns, values in ((ERROR_COLUMNS, frame.error_rnb_m), (SIGMA_COLUMNS, frame.sigma_rnb_m)):
-        if values is not None:
-            row.update(zip(columns, (fixed(float(v), 3) for v in values), strict=True))
-    row["normalised_error_squared"] = fixed(frame.nees, 6)
-    if frame.attitude_error_rad is not None:
-        row["attitude_error_arcsec"] = fixed(frame.attitude_error_rad / ARCSEC, 4)
-    counts = {
-        "n_predicted": solution.n_predicted,
-        "n_matched": solution.n_matched,
-        "n_used": solution.n_used,
-        "n_wrong": frame.n_wrong,
-    }
-    row.update({name: "" if value is None else str(value) for name, value in counts.items()})
-    return row

@@ -1,5 +1,6 @@
 """What the errors of a set of frames add up to, and whether their stated covariance is honest."""
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from catalog.errors import DifferenceError, NothingToDoError
+from optnav_cli.output.methods import method_rank
 from optnav_cli.output.motion import Forward
 from optnav_cli.solution import Solution
 
@@ -29,6 +31,8 @@ class FrameError:
     n_checked, n_wrong  control points kept, and how many of them were found more than 3 px from
                         where they truly are; None where truth or camera is not known
     height_m            true distance from the centre of the body less its reference radius
+    distance_m          true distance from the centre
+    camera              name of the camera, empty where it is not known
     """
 
     file: str
@@ -42,6 +46,26 @@ class FrameError:
     attitude_error_rad: float | None = None
     n_checked: int | None = None
     n_wrong: int | None = None
+    distance_m: float = math.nan
+    camera: str = ""
+
+    @property
+    def range_error(self) -> tuple[float, float] | None:
+        """Error along R and its stated sigma, as shares of the distance to the surface."""
+        if self.error_rnb_m is None or self.sigma_rnb_m is None or not self.height_m > 0.0:
+            return None
+        return float(self.error_rnb_m[0]) / self.height_m, float(
+            self.sigma_rnb_m[0]
+        ) / self.height_m
+
+    @property
+    def direction_error(self) -> tuple[float, float] | None:
+        """Angle (rad) between the solved and the true direction to the centre, its stated rms."""
+        if self.error_rnb_m is None or self.sigma_rnb_m is None:
+            return None
+        r, n, b = (float(v) for v in self.error_rnb_m)
+        across = math.hypot(float(self.sigma_rnb_m[1]), float(self.sigma_rnb_m[2]))
+        return math.atan2(math.hypot(n, b), self.distance_m + r), across / self.distance_m
 
 
 @dataclass(frozen=True)
@@ -92,6 +116,47 @@ class Figures:
     def height_rms_m(self) -> float:
         """rms of the error along R."""
         return self.r.rms
+
+
+@dataclass(frozen=True)
+class MethodFigures:
+    """What one method did with the pictures of one camera.
+
+    of_frames             pictures of the camera
+    range_rms             error along R over the distance to the surface, rms; None at the surface
+    direction_rms         error of the direction to the centre, rad, rms
+    """
+
+    method: str
+    camera: str
+    of_frames: int
+    figures: Figures
+    range_rms: float | None
+    direction_rms: float
+
+
+def figures_by_method(frames: Sequence[FrameError]) -> list[MethodFigures]:
+    """Solved frames by method and camera, from afar to near."""
+    groups: dict[tuple[str, str], list[FrameError]] = {}
+    for frame in frames:
+        if frame.error_rnb_m is not None:
+            groups.setdefault((frame.solution.method, frame.camera), []).append(frame)
+    found = []
+    for method, camera in sorted(groups, key=lambda key: (*method_rank(key[0]), key[1])):
+        group = groups[method, camera]
+        ranges = [f.range_error[0] for f in group if f.range_error is not None]
+        angles = [f.direction_error[0] for f in group if f.direction_error is not None]
+        found.append(
+            MethodFigures(
+                method,
+                camera,
+                sum(frame.camera == camera for frame in frames),
+                figures_of(group),
+                _rms(np.array(ranges)) if ranges else None,
+                _rms(np.array(angles)),
+            )
+        )
+    return found
 
 
 def figures_of(frames: Sequence[FrameError]) -> Figures:

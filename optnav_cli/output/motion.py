@@ -1,45 +1,66 @@
 """Which way the camera moved: the axes R, N, B of true positions."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from catalog.geometry.rotations import rnb_axes
-from optnav_cli.imagery.truth import Truth
 
 FloatArray = NDArray[np.float64]
 Forward = Literal["motion", "north"]
 # Frames further apart than this in time or on the ground are not neighbours of one pass: the
-# chord between them would no longer tell the direction of motion to a few degrees.
-LARGEST_GAP_S = 1200.0
+# chord between them would no longer tell the direction of motion to a few degrees. Motion slows as
+# the power 1.5 of the distance (Kepler), so beyond NEAR_M the gap may grow like that.
+LARGEST_GAP_S, NEAR_M = 1200.0, 2.0e6
 LARGEST_GAP_DEG = 60.0
+SAME_TIME_S = 0.01  # cameras of one moment
 SPEEDS_M_S = (1.0, 20e3)  # slower is standing still, faster is another pass
 LEAST_ACROSS = 0.02  # share of the motion across the vertical that still gives a direction
 
 
-def directions_of_motion(truths: Sequence[Truth]) -> list[tuple[FloatArray, Forward]]:
-    """Axes R, N, B as rows (3, 3) for each true position, and what N rests on.
+class Placed(Protocol):
+    """Where a camera was when: tdb_s in TDB s past J2000, position_m (3,) body frame, m."""
+
+    @property
+    def tdb_s(self) -> float: ...
+
+    @property
+    def position_m(self) -> FloatArray: ...
+
+
+def directions_of_motion(places: Sequence[Placed]) -> list[tuple[FloatArray, Forward]]:
+    """Axes R, N, B as rows (3, 3) for each position, and what N rests on.
 
     N points along the chord between the neighbours in time that belong to the same pass, as the
     body sees it; where there is none, or the motion is vertical, N is local north ("north").
+    Positions of one time (several cameras) share their neighbours.
     """
-    order = sorted(range(len(truths)), key=lambda index: truths[index].tdb_s)
-    axes: list[tuple[FloatArray, Forward]] = [(np.eye(3), "north")] * len(truths)
-    for place, index in enumerate(order):
-        here = truths[index]
-        before = truths[order[place - 1]] if place else None
-        after = truths[order[place + 1]] if place + 1 < len(order) else None
+    order = sorted(range(len(places)), key=lambda index: places[index].tdb_s)
+    axes: list[tuple[FloatArray, Forward]] = [(np.eye(3), "north")] * len(places)
+    for rank, index in enumerate(order):
+        here = places[index]
+        before = _next_in_time(places, order[:rank][::-1], here)
+        after = _next_in_time(places, order[rank + 1 :], here)
         start = before if before is not None and _same_pass(before, here) else here
         end = after if after is not None and _same_pass(here, after) else here
         axes[index] = _axes(here.position_m, end.position_m - start.position_m)
     return axes
 
 
-def _same_pass(one: Truth, later: Truth) -> bool:
+def _next_in_time(places: Sequence[Placed], order: Sequence[int], here: Placed) -> Placed | None:
+    """The first in order that is of another time."""
+    for index in order:
+        if abs(places[index].tdb_s - here.tdb_s) > SAME_TIME_S:
+            return places[index]
+    return None
+
+
+def _same_pass(one: Placed, later: Placed) -> bool:
     gap_s = later.tdb_s - one.tdb_s
-    if not 0.0 < gap_s <= LARGEST_GAP_S:
+    nearest = min(float(np.linalg.norm(place.position_m)) for place in (one, later))
+    if not 0.0 < gap_s <= LARGEST_GAP_S * max(1.0, nearest / NEAR_M) ** 1.5:
         return False
     speed = float(np.linalg.norm(later.position_m - one.position_m)) / gap_s
     cosine = one.position_m @ later.position_m

@@ -3,7 +3,7 @@
 import math
 from html import escape
 
-SHAPES = ("circle", "triangle", "square", "diamond", "down", "cross")
+SHAPES = ("circle", "triangle", "square", "diamond", "down", "cross", "dash")
 # Corners about the middle, in units of the radius; areas are about those of the disc.
 _CORNERS = {
     "triangle": ((0.0, -1.25), (1.1, 0.8), (-1.1, 0.8)),
@@ -24,6 +24,9 @@ def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title
             f'<circle class="mark {series}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}">'
             f"{name}</circle>"
         )
+    if shape == "dash":
+        ends = f"M{x - 1.3 * radius:.1f} {y:.1f}h{2.6 * radius:.1f}"
+        return f'<path class="mark stroke {series}" d="{ends}">{name}</path>'
     if shape == "cross":
         a = radius * math.sqrt(0.7)
         path = (

@@ -13,7 +13,9 @@ from catalog.errors import DataError
 from optnav_cli.output.display import resized, shrink_factor
 from optnav_cli.output.evaluation_files import EVALUATION_JSON
 from optnav_cli.output.manifest import read_manifest
+from optnav_cli.output.methods import method_words
 from optnav_cli.output.overlay import overlay_path
+from optnav_cli.output.report.error_plots import error_plots
 from optnav_cli.output.report.page import (
     data_uri,
     figure,
@@ -23,16 +25,18 @@ from optnav_cli.output.report.page import (
     page,
     paragraph,
     section,
+    subsection,
     table,
     tiles,
 )
-from optnav_cli.output.report.run_plots import error_plots, ground_plot, residual_plots
+from optnav_cli.output.report.run_plots import ground_plot, residual_plots
 from optnav_cli.output.run_folder import OVERLAYS, RunFolder, read_run
 from optnav_cli.output.tables import ARCSEC, fixed
 from optnav_cli.solution import Solution
 
 MOST_THUMBNAILS = 24
 THUMBNAIL_PX = 560
+IN_KM_M = 10e3  # lengths from here on are told in km
 ROWS_OPEN = 40  # longer tables are folded
 
 
@@ -78,8 +82,8 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
     values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
     if evaluation is not None:
         values += [
-            (f"{evaluation['horizontal_rms_m']:.1f} m", "horizontal error, rms"),
-            (f"{evaluation['height_rms_m']:.1f} m", "height error, rms"),
+            (_length(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
+            (_length(evaluation["height_rms_m"]), "height error, rms"),
             (
                 f"{evaluation['normalised_error_squared']:.2f}",
                 "error squared over stated covariance (1 is honest)",
@@ -99,22 +103,24 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
 
 def _errors_table(evaluation: dict[str, Any]) -> str:
     names = {"r": "R (height)", "n": "N (along the motion)", "b": "B (across)"}
+    largest = max(evaluation[axis]["max_m"] for axis in names)
+    unit, unit_name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
     rows = []
     for axis, name in names.items():
         spread = evaluation[axis]
-        sigma = "-" if spread["sigma_m"] is None else f"{spread['sigma_m']:.1f}"
+        sigma = "-" if spread["sigma_m"] is None else f"{spread['sigma_m'] / unit:.1f}"
         rows.append(
             (
                 name,
-                f"{spread['bias_m']:+.1f}",
+                f"{spread['bias_m'] / unit:+.1f}",
                 sigma,
-                f"{spread['rms_m']:.1f}",
-                f"{spread['max_m']:.1f}",
+                f"{spread['rms_m'] / unit:.1f}",
+                f"{spread['max_m'] / unit:.1f}",
                 f"{100.0 * evaluation['share_inside_3_sigma'][axis]:.1f} %",
             )
         )
-    rms, largest = evaluation["horizontal_rms_m"], evaluation["horizontal_max_m"]
-    rows.append(("horizontal", "", "", f"{rms:.1f}", f"{largest:.1f}", ""))
+    rms, farthest = (evaluation[f"horizontal_{name}_m"] / unit for name in ("rms", "max"))
+    rows.append(("horizontal", "", "", f"{rms:.1f}", f"{farthest:.1f}", ""))
     points = evaluation["control_points"]
     low, high = evaluation["normalised_error_squared_95_percent"]
     notes = [
@@ -131,8 +137,57 @@ def _errors_table(evaluation: dict[str, Any]) -> str:
             f"N is local north for {evaluation['frames_with_local_north']} frames without a "
             "neighbour in their pass."
         )
-    header = ("error, m", "bias", "sigma", "rms", "max", "inside 3 stated sigmas")
-    return section("Against the truth", table(header, rows), *map(paragraph, notes))
+    header = (f"error, {unit_name}", "bias", "sigma", "rms", "max", "inside 3 stated sigmas")
+    parts = [table(header, rows), *map(paragraph, notes)]
+    methods = evaluation.get("methods", [])
+    if len(methods) > 1:
+        parts.append(_methods_table(methods))
+    return section("Against the truth", *parts)
+
+
+def _methods_table(methods: Sequence[dict[str, Any]]) -> str:
+    """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
+    header = (
+        *("method", "solved", "R", "N", "B"),
+        *("range, %", "direction, ″", "in 3 sigmas", "NEES"),
+    )
+    rows = []
+    for method in methods:
+        name, camera = method_words(method["method"]), method["camera"]
+        inside = method["share_inside_3_sigma"]
+        least = min(inside[axis] for axis in "rnb")
+        rows.append(
+            (
+                f"{name}, {camera}" if camera else name,
+                f"{method['solved']} of {method['frames_of_camera']}",
+                *(_spread(method[axis]) for axis in "rnb"),
+                "" if method["range_rms_percent"] is None else f"{method['range_rms_percent']:.2g}",
+                f"{method['direction_rms_arcsec']:.3g}",
+                f"{100.0 * least:.0f} %",
+                f"{method['normalised_error_squared']:.2f}",
+            )
+        )
+    note = (
+        "R, N, B: bias / sigma / greatest error. Range (of the height) and direction to the centre "
+        "are rms. In 3 sigmas: the least share of R, N, B. NEES is 1 for an honest covariance."
+    )
+    return subsection("By method", table(header, rows), paragraph(note))
+
+
+def _spread(values: dict[str, float]) -> str:
+    """Bias, sigma and greatest error in one unit."""
+    largest = values["max_m"]
+    unit, name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
+    decimals = 0 if largest / unit >= 100.0 else 1
+    bias, sigma, most = (
+        "-" if v is None else fixed(v / unit, decimals).replace("-", "\N{MINUS SIGN}")
+        for v in (values["bias_m"], values["sigma_m"], largest)
+    )
+    return f"{bias} / {sigma} / {most} {name}"
+
+
+def _length(metres: float) -> str:
+    return f"{metres / 1e3:.1f} km" if metres >= IN_KM_M else f"{metres:.1f} m"
 
 
 def _refusals(run: RunFolder) -> str:
@@ -184,7 +239,7 @@ def _unsolved(run: RunFolder) -> str:
 
 def _frames(solutions: Sequence[Solution]) -> str:
     header = (
-        *("file", "UTC", "x, km", "y, km", "z, km", "sigma, m"),
+        *("file", "UTC", "method", "x, km", "y, km", "z, km", "sigma, m"),
         *("attitude sigma, ″", "predicted", "found", "used", "rms, px"),
     )
     rows = []
@@ -195,12 +250,13 @@ def _frames(solutions: Sequence[Solution]) -> str:
         counts = ("" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used))
         rows.append(
             (
-                *(s.file, s.utc, *place, fixed(sigma, 1), fixed(angle, 1)),
+                *(s.file, s.utc, method_words(s.method) if s.method else "", *place),
+                *(fixed(sigma, 1), fixed(angle, 1)),
                 *counts,
                 fixed(s.residual_rms_px, 3),
             )
         )
-    content = table(header, rows, text_columns=2)
+    content = table(header, rows, text_columns=3)
     return content if len(rows) <= ROWS_OPEN else folded(f"All {len(rows)} frames", content)
 
 

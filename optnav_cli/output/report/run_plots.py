@@ -1,13 +1,10 @@
-"""The drawings of a run's page: errors with their bands, the map, residuals and scores."""
+"""Drawings of a run's page: the map, residuals and scores; for errors see `error_plots`."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.sphere import distance_to_sphere
-from optnav_cli.output.evaluation_files import read_errors
 from optnav_cli.output.report.ground import GroundMap
 from optnav_cli.output.report.page import figure
 from optnav_cli.output.report.svg import HALF, Plot, span
@@ -15,48 +12,10 @@ from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.solution import Solution
 
 FloatArray = NDArray[np.float64]
-AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
 MOST_FOOTPRINTS = 60
 MOST_DOTS = 4000
 BORDER_POINTS = 12  # of a footprint, along each side of the picture
 HISTOGRAM_BINS = 24
-UNEVEN = 20.0  # gaps so many times the median one: frames are drawn by number, not by time
-
-
-def error_plots(run: RunFolder) -> list[str]:
-    """Errors in R, N, B over the run with bands of 3 stated sigmas; without truth, the sigmas."""
-    errors = read_errors(run.path)
-    solved = [solution for solution in run.solutions if solution.solved]
-    if not errors:
-        return [_sigma_plot(solved)]
-    known = {file for file, *_ in errors}
-    x, x_label = _along(run, [s for s in run.solutions if s.file in known])
-    error = np.array([e for _, e, _ in errors])
-    band = 3.0 * np.array([s for *_, s in errors])
-    drawings = []
-    for axis, (name, words) in enumerate(AXES):
-        plot = Plot(
-            span(x, 0.03),
-            span(np.concatenate([error[:, axis], band[:, axis], -band[:, axis]])),
-            x_label=x_label if axis == 2 else "",
-            y_label=f"{name}, m",
-            height=200,
-        )
-        if len(x) > 1:
-            plot.band(x, -band[:, axis], band[:, axis], "s1")
-        plot.level(0.0)
-        plot.dots(x, error[:, axis], "s1", titles=[file for file, *_ in errors])
-        outside = np.abs(error[:, axis]) > band[:, axis]
-        if outside.any():
-            plot.dots(x[outside], error[outside, axis], "s4", radius=4.0)
-        drawings.append(plot.svg(f"Error along {name} ({words}) of each solved frame, m"))
-    return [
-        figure(
-            "".join(drawings),
-            "Solution minus truth for each solved frame.",
-            {"k1": "inside 3 stated sigmas (the band)", "k4": "outside"},
-        )
-    ]
 
 
 def ground_plot(run: RunFolder) -> str:
@@ -64,7 +23,7 @@ def ground_plot(run: RunFolder) -> str:
     body = run.attitude.body
     solved = [s for s in run.solutions if s.position_m is not None]
     lat, lon, _ = latlon_from_xyz(np.array([s.position_m for s in solved]))
-    points = {m.cp_id: m for m in sorted(run.matches, key=lambda match: match.used)}
+    points = {(m.catalog, m.cp_id): m for m in sorted(run.matches, key=lambda match: match.used)}
     cp_lat, cp_lon, _ = latlon_from_xyz(
         np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
     )
@@ -80,7 +39,7 @@ def ground_plot(run: RunFolder) -> str:
         plot.line(x, y, "s1 thin", closed=ground.regional)
     x, y = ground.places(np.degrees(cp_lat), np.degrees(cp_lon))
     used = np.array([m.used for m in points.values()], dtype=np.bool_)
-    names = np.array([f"control point {cp_id}" for cp_id in points])
+    names = np.array([f"control point {cp_id}" for _, cp_id in points])
     for choice, series, radius in ((~used, "s4", 2.2), (used, "s3", 2.6)):
         few = slice(None, None, -(-max(int(choice.sum()), 1) // MOST_DOTS))
         plot.dots(x[choice][few], y[choice][few], series, radius, list(names[choice][few]))
@@ -137,35 +96,6 @@ def residual_plots(run: RunFolder) -> list[str]:
             figure(plot.svg("Scores of matches"), "Scores.", {"k3": "used", "k4": "not used"})
         )
     return [f'<div class="pair">{"".join(drawings)}</div>']
-
-
-def _sigma_plot(solved: list[Solution]) -> str:
-    sigmas = np.array(
-        [np.sqrt(np.trace(s.covariance_m2) / 3.0) for s in solved if s.covariance_m2 is not None]
-    )
-    x = np.arange(1, len(sigmas) + 1, dtype=np.float64)
-    plot = Plot(
-        span(x, 0.03), (0.0, 1.1 * float(sigmas.max())), x_label="solved frame", y_label="sigma, m"
-    )
-    plot.dots(x, sigmas, "s1", titles=[s.file for s in solved])
-    return figure(
-        plot.svg("Stated position sigma of each solved frame, m"),
-        "Stated position sigma an axis, rms of the three.",
-    )
-
-
-def _along(run: RunFolder, frames: list[Solution]) -> tuple[FloatArray, str]:
-    """What the errors are drawn against: minutes, or the frame's number when gaps are uneven."""
-    number = {solution.file: n + 1.0 for n, solution in enumerate(run.solutions)}
-    by_number = np.array([number[s.file] for s in frames])
-    try:
-        seconds = np.array([utc_to_tdb_s(s.utc) for s in frames])
-    except DataError:
-        return by_number, "frame"
-    gaps = np.diff(seconds)
-    if len(gaps) == 0 or gaps.min() <= 0.0 or gaps.max() > UNEVEN * np.median(gaps):
-        return by_number, "frame"
-    return (seconds - seconds[0]) / 60.0, f"minutes after {frames[0].utc}"
 
 
 def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArray] | None:

@@ -3,7 +3,7 @@
 import math
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-PLAIN = (1e-3, 1e5)  # powers of ten outside are written as such
+PLAIN = (1e-3, 1e4)  # powers of ten outside are written as such
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError, DifferenceError, NothingToDoError
+from optnav_cli.output.error_rows import read_error_rows, stated_rows
 from optnav_cli.output.evaluation import pool
 from optnav_cli.output.evaluation_files import (
     evaluate_run,
     format_table,
-    read_errors,
     write_evaluation,
 )
 from optnav_cli.output.figures import check_limits
+from optnav_cli.output.run_folder import read_run
+from tests.optnav_cli.output.approach import RADIUS_M, write_approach
 
 
 @pytest.mark.parametrize("attitude", ["camera_from_body", "camera_from_inertial"])
@@ -123,9 +125,13 @@ def test_the_files_hold_the_figures_and_one_row_a_frame(tmp_path, make_run):
     rows = list(csv.DictReader((tmp_path / "evaluation.csv").read_text().splitlines()))
     assert [row["status"] for row in rows] == ["solved"] * 10 + ["unsolved"] * 2
     assert rows[11]["error_r_m"] == ""
-    back = read_errors(tmp_path)
-    np.testing.assert_allclose([error for _, error, _ in back], errors[:10], atol=2e-3)
-    np.testing.assert_allclose([sigma for *_, sigma in back], [[60.0, 20.0, 15.0]] * 10, atol=1e-2)
+    back = read_error_rows(tmp_path / "evaluation.csv")
+    assert [row.solved for row in back] == [True] * 10 + [False] * 2
+    solved = back[:10]
+    np.testing.assert_allclose([row.error_rnb_m for row in solved], errors[:10], atol=2e-3)
+    np.testing.assert_allclose(
+        [row.sigma_rnb_m for row in solved], [[60.0, 20.0, 15.0]] * 10, atol=1e-2
+    )
 
 
 def test_runs_of_several_seeds_are_pooled_with_their_own_truths(tmp_path, make_run):
@@ -179,3 +185,82 @@ def test_frames_that_only_the_truth_has_are_left_out_with_a_remark(tmp_path, mak
     assert "2 frames of the truth are not in the run" in format_table(evaluation)
     # Their places still tell the direction of motion.
     assert [frame.forward for frame in evaluation.frames] == ["motion"] * 3
+
+
+def test_range_and_direction_errors_are_those_planted(tmp_path):
+    planted = write_approach(tmp_path / "run")
+    evaluation = evaluate_run(tmp_path / "run", tmp_path / "run" / "truth.csv")
+    write_evaluation(evaluation, tmp_path / "run")
+    checked = 0
+    for row in read_error_rows(tmp_path / "run" / "evaluation.csv"):
+        height, method, error = planted[row.file]
+        assert row.height_m == pytest.approx(height, abs=1e-2)
+        assert row.solved == (method is not None)
+        if error is None:
+            assert row.reason
+            continue
+        # the chord of three places, not the tangent, turns N and B about R by a little
+        across = float(np.hypot(*error[1:]))
+        assert row.error_rnb_m[0] == pytest.approx(error[0], abs=1e-2 + 1e-9 * height)
+        assert row.range_percent == pytest.approx(100.0 * error[0] / height, abs=2e-6)
+        angle = np.degrees(np.arctan2(across, RADIUS_M + height + error[0])) * 3600.0
+        assert row.direction_arcsec == pytest.approx(angle, rel=1e-6, abs=1e-3)
+        checked += 1
+    assert checked == 44
+
+
+def test_methods_are_told_apart_by_camera_and_ordered_from_afar(tmp_path):
+    planted = write_approach(tmp_path / "run", count=48)
+    evaluation = evaluate_run(tmp_path / "run", tmp_path / "run" / "truth.csv")
+    methods = evaluation.by_method()
+    assert [(m.method, m.camera) for m in methods] == [
+        ("brightness_centre", "shnk"),
+        ("horizon_sphere", "shnk"),
+        ("horizon", "unk"),
+        ("control_points", "shnk"),
+        ("control_points", "unk"),
+    ]
+    for found in methods:
+        errors = [
+            (height, error)
+            for file, (height, method, error) in planted.items()
+            if method == found.method and file.startswith(found.camera)
+        ]
+        assert (found.figures.solved, found.of_frames) == (len(errors), 48)
+        along = np.array([error[0] for _, error in errors])
+        assert found.figures.r.bias == pytest.approx(along.mean(), abs=1.0)
+        assert found.figures.r.max == pytest.approx(np.abs(along).max(), abs=1.0)
+        shares = along / np.array([height for height, _ in errors])
+        assert found.range_rms == pytest.approx(np.sqrt((shares**2).mean()), rel=1e-4)
+    table = format_table(evaluation)
+    assert "horizon, unk" in table
+    # no frame of this run counts control points: nothing is said about them
+    assert "predicted" not in table
+
+
+def test_a_run_of_control_points_alone_has_no_table_of_methods(tmp_path, make_run):
+    make_run(tmp_path, count=5)
+    assert "method, camera" not in format_table(evaluate_run(tmp_path, tmp_path / "truth.csv"))
+
+
+def test_an_evaluation_of_an_older_version_is_told_to_be_made_anew(tmp_path):
+    (tmp_path / "evaluation.csv").write_text("file,utc,status,forward\n")
+    with pytest.raises(DataError, match=r"column 'method' is missing.*optnav evaluate` again"):
+        read_error_rows(tmp_path / "evaluation.csv")
+
+
+def test_without_a_truth_rows_hold_what_the_solutions_state(tmp_path):
+    planted = write_approach(tmp_path / "run", scale=0.0)
+    rows = stated_rows(read_run(tmp_path / "run"))
+    assert [row.solved for row in rows] == [method is not None for _, method, _ in planted.values()]
+    evaluated = evaluate_run(tmp_path / "run", tmp_path / "run" / "truth.csv").frames
+    for row, frame in zip(rows, evaluated, strict=True):
+        assert row.error_rnb_m is None
+        if row.solved:
+            # without errors the solved path is the true one, so the axes are the same, but where
+            # unsolved frames leave a gap
+            assert row.sigma_rnb_m[0] == pytest.approx(frame.sigma_rnb_m[0], rel=1e-6)
+            assert row.range_sigma == pytest.approx(100.0 * frame.range_error[1], rel=1e-5)
+            assert row.direction_sigma == pytest.approx(
+                np.degrees(frame.direction_error[1]) * 3600.0, rel=1e-3
+            )

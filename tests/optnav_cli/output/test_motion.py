@@ -1,5 +1,7 @@
 """Directions of motion from true positions: passes, lone frames, descents, poles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -71,3 +73,18 @@ def test_at_a_pole_the_axes_stay_defined():
     ((axes, forward),) = directions_of_motion(truths([(90.0, 0.0, RADIUS_M)]))
     assert forward == "north"
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+
+
+def test_cameras_of_one_moment_share_their_neighbours():
+    places = [(0.0, lon, RADIUS_M) for lon in (-1.0, 0.0, 1.0) for _ in range(3)]
+    times = [20.0 * (i // 3) for i in range(9)]
+    given = [replace(truth, tdb_s=t) for truth, t in zip(truths(places), times, strict=True)]
+    for axes, forward in directions_of_motion(given):
+        assert forward == "motion"
+        assert axes[1, 1] > 0.99
+
+
+@pytest.mark.parametrize(("radius_m", "forward"), [(1.0e8, "motion"), (2.0e6, "north")])
+def test_far_away_an_hour_is_not_long(radius_m, forward):
+    given = truths([(0.0, lon, radius_m) for lon in (0.0, 1.0)], step_s=3600.0)
+    assert {found for _, found in directions_of_motion(given)} == {forward}

@@ -10,7 +10,9 @@ from catalog.errors import DataError, OutputError
 from optnav_cli.output.evaluation_files import evaluate_run, write_evaluation
 from optnav_cli.output.overlay import write_overlay
 from optnav_cli.output.report import write_report
+from optnav_cli.output.report.error_plots import frames_of
 from optnav_cli.output.run_folder import read_run
+from tests.optnav_cli.output.approach import write_approach
 from tests.optnav_cli.output.report.browser import Browser
 from tests.optnav_cli.output.report.pages import report_of
 
@@ -107,3 +109,42 @@ def test_a_browser_draws_the_page_of_a_run_without_a_complaint(run, tmp_path):
         browser.close()
     assert browser.complaints == []
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 50
+
+
+def test_an_approach_shows_methods_over_time_and_height_and_why_frames_are_unsolved(tmp_path):
+    folder = tmp_path / "run"
+    planted = write_approach(folder)
+    stated = report_of(folder, tmp_path)
+    assert sum(label.startswith("Stated sigma") for label in stated.labels) == 5
+    write_evaluation(evaluate_run(folder, folder / "truth.csv"), folder)
+    page = report_of(folder, tmp_path)
+    assert sum(label.startswith("Error of the") for label in page.labels) == 2
+    assert "By method" in page.text
+    assert "brightness centre, shnk: " in page.text
+    assert "2 × only the terminator is in view; 2 × the body is cut" in page.text
+    text = (tmp_path / "report.html").read_text()
+    unsolved = [file for file, (_, method, _) in planted.items() if method is None]
+    # a cross in each of three plots over time and two over height
+    for file in unsolved:
+        assert text.count(f"<title>{file}: ") == 5
+    assert text.count('class="mark s3 hollow"') == 5 * 5 + 2  # brightness centre, and legends
+
+
+def test_a_run_at_one_height_is_not_drawn_over_height(run, tmp_path):
+    write_evaluation(evaluate_run(run, run / "truth.csv"), run)
+    page = report_of(run, tmp_path)
+    assert not any("over the height" in label for label in page.labels)
+
+
+def test_errors_of_one_kind_are_drawn_with_their_signs(run, tmp_path):
+    write_evaluation(evaluate_run(run, run / "truth.csv"), run)
+    frames = frames_of(read_run(run))
+    errors = np.array([row.error_rnb_m for row in frames.rows if row.solved])
+    assert errors.min() < 0.0 < errors.max()
+    report_of(run, tmp_path)
+    text = (tmp_path / "report.html").read_text()
+    first = text[text.index("<svg ") :].split("</svg>")[0]
+    places = [float(y) for y in re.findall(r'class="mark s1"[^>]*cy="([^"]+)"', first)]
+    assert len(places) == 18
+    # up is up: the greatest error is drawn highest
+    assert int(np.argmin(places)) == int(np.argmax(errors[:, 0]))
