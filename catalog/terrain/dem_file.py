@@ -1,5 +1,6 @@
 """Opening a terrain model file and settling where it lies: what a header can say wrong."""
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any, Literal
@@ -9,7 +10,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOEr
 
 from catalog.bodies.body import Body
 from catalog.config import resource
-from catalog.errors import DataError
+from catalog.errors import ConfigError, DataError
 from catalog.terrain.georeference import Georeference, georeference
 
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.
@@ -24,13 +25,35 @@ STATED_UNITS: dict[Units, tuple[str, ...]] = {
 }
 
 BUNDLED = "bundled:"  # a path that begins so names a file of the package's own data
+SHARED = "shared:"  # one that begins so, a file in the folder that SHARED_FOLDER names
+SHARED_FOLDER = "OPTNAV_SHARED_DATA"
 
 
 def path_of(name: str, base_dir: Path) -> Path:
-    """The file that a config names, beside the config or among the data that travel along."""
+    """The file that a config names: beside the config, among the data that travel along, or shared.
+
+    Raises ConfigError for a shared or shipped file that is not there.
+    """
+    if name.startswith(SHARED):
+        return _shared_path(name)
     if name.startswith(BUNDLED):
         return resource(f"data/{name.removeprefix(BUNDLED)}")
     return base_dir / name
+
+
+def _shared_path(name: str) -> Path:
+    folder = os.environ.get(SHARED_FOLDER)
+    if not folder:
+        raise ConfigError(
+            f"'{name}' lies in the folder that the environment variable {SHARED_FOLDER} names, "
+            "which is not set; set it, or write the file's own path"
+        )
+    path = Path(folder).resolve() / name.removeprefix(SHARED)
+    if not path.is_file():
+        raise ConfigError(
+            f"'{name}' is not there: {SHARED_FOLDER} is {folder}, and {path} is no file"
+        )
+    return path
 
 
 def label_of(path: Path) -> Path:

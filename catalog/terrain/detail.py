@@ -104,6 +104,51 @@ class Detail:
         craters.stamp(out, row, col, table, np.full(rows, posting), step_x)
         return out
 
+    def turned_window(
+        self, body_from_grid: FloatArray, north: float, west: float, step: float,
+        rows: int, cols: int,
+    ) -> HeightGrid:  # fmt: skip
+        """Heights to add on a grid of equal steps in a turned frame, means over a node's cell.
+
+        body_from_grid     (3, 3) rotation from the grid's frame to the body's
+        north, west, step  rad  as in `window`, latitudes and longitudes of the grid's frame; the
+                           grid may go all round, and up to half a step from the frame's poles
+        Returns (rows, cols) float32, m. Craters smaller than a step, and those nearer than 10
+        diameters to the frame's poles, where the grid's cells are slivers, are left out.
+        """
+        out = np.zeros((rows, cols), np.float32)
+        lat = north - step * np.arange(rows, dtype=np.float64)
+        lon = west + step * np.arange(cols, dtype=np.float64)
+        posting = self.radius_m * step
+        spacing, amplitude = self._resolved(posting)
+        if spacing.size:
+            fractal.add_noise_turned(
+                out, self.seed, spacing, amplitude, self.radius_m, lat, lon, body_from_grid
+            )
+        octaves = min(self._octaves, int(np.floor(np.log2(self.largest_m / posting) + 1e-6)))
+        if octaves < 1:
+            return out
+        table = craters.crater_table(
+            self.seed, octaves, self.largest_m, self.saturation, self.radius_m,
+            *_body_box(body_from_grid, lat, lon),
+        )  # fmt: skip
+        directions = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0)
+        own = directions @ body_from_grid
+        own_lat = np.arcsin(np.clip(own[:, 2], -1.0, 1.0))
+        row = (north - own_lat) / step
+        col = np.mod(np.arctan2(own[:, 1], own[:, 0]) - west, 2.0 * np.pi) / step
+        reach = craters.REACH * table[:, craters.DIAMETER] / posting
+        wide = reach / np.cos(own_lat)
+        turn = 2.0 * np.pi / step
+        near = (row > -reach) & (row < rows + reach)
+        near &= 0.5 * np.pi - np.abs(own_lat) > 10.0 * table[:, craters.DIAMETER] / self.radius_m
+        step_y, step_x = np.full(rows, posting), posting * np.cos(lat)
+        # a crater at the grid's west end also reaches over its east end, and the other way round
+        for shift in (0.0, -turn, turn):
+            seen = near & (col + shift > -wide) & (col + shift < cols + wide)
+            craters.stamp(out, row[seen], col[seen] + shift, table[seen], step_y, step_x)
+        return out
+
     def local(self, projection: Stereographic, posting_m: float, size: int) -> HeightGrid:
         """Heights to add on a map grid (size, size), float32 m, row 0 north: means over a cell."""
         out = np.zeros((size, size), np.float32)
@@ -155,3 +200,25 @@ class Detail:
     ) -> None:
         spacing, amplitude = self._resolved(posting_m)
         fractal.add_noise_window(out, self.seed, spacing, amplitude, self.radius_m, lat, lon)
+
+
+def _body_box(
+    body_from_grid: FloatArray, lat: FloatArray, lon: FloatArray
+) -> tuple[float, float, float, float]:
+    """South, west, north, width (rad, body frame) of a box around a grid in a turned frame."""
+    # the rim of the grid bounds it, unless a pole of the body lies within
+    a, b = lat[:: max(1, lat.size // 64)], lon[:: max(1, lon.size // 64)]
+    a, b = np.append(a, lat[-1]), np.append(b, lon[-1])
+    all_lat, all_lon = np.meshgrid(a, b, indexing="ij")
+    directions = xyz_from_latlon(all_lat.ravel(), all_lon.ravel(), 1.0) @ body_from_grid.T
+    # what lies between the places looked at: a step of theirs and a margin
+    margin = float(np.abs(np.diff(a)).max() + np.abs(np.diff(b)).max())
+    own = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
+    south, north = float(own.min()) - margin, float(own.max()) + margin
+    if max(-south, north) >= 0.5 * np.pi - 0.02:
+        return max(south, -0.5 * np.pi), -np.pi, min(north, 0.5 * np.pi), 2.0 * np.pi
+    middle = directions.mean(axis=0)
+    centre = float(np.arctan2(middle[1], middle[0]))
+    offset = wrap_longitude(np.arctan2(directions[:, 1], directions[:, 0]) - centre)
+    half = min(float(np.abs(offset).max()) + margin / np.cos(max(-south, north)), np.pi)
+    return south, centre - half, north, 2.0 * half

@@ -95,3 +95,24 @@ def add_noise_window(
             for j in range(out.shape[1]):
                 x, y = cos_lat * cos_lon[j] * scale, cos_lat * sin_lon[j] * scale
                 out[i, j] += np.float32(amplitude[octave] * noise(state, x, y, z))
+
+
+@parallel_kernel
+def add_noise_turned(
+    out: HeightGrid, seed: int, spacing: FloatArray, amplitude: FloatArray, radius: float,
+    lat: FloatArray, lon: FloatArray, body_from_grid: FloatArray,
+) -> None:  # fmt: skip
+    """Add the octaves to a grid whose latitudes and longitudes are those of a turned frame."""
+    cos_lon, sin_lon = np.cos(lon), np.sin(lon)
+    m = body_from_grid
+    for i in numba.prange(out.shape[0]):
+        c, z = np.cos(lat[i]), np.sin(lat[i])
+        for octave in range(spacing.size):
+            state = octave_state(seed, octave)
+            scale = radius / spacing[octave]
+            for j in range(out.shape[1]):
+                x, y = c * cos_lon[j], c * sin_lon[j]
+                p = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z) * scale
+                q = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z) * scale
+                r = (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z) * scale
+                out[i, j] += np.float32(amplitude[octave] * noise(state, p, q, r))

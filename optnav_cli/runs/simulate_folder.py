@@ -38,7 +38,7 @@ def simulate_folder(
             options={},
             inputs={
                 "scenario": origin,
-                "terrain": [Path(dem.path).name for dem in scenario.dem],
+                "terrain": [Path(m.path).name for m in (*scenario.dem, scenario.globe)],
             },
             started=started,
         )

@@ -12,11 +12,15 @@ from catalog.errors import OutputError
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.detail import Detail
 from catalog.terrain.source import DemSettings, DemSource
+from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import write_folder
 from optnav_cli.imagery.frames import ARCSEC, Frame
 from optnav_cli.imagery.run_settings import RunSettings
 from optnav_cli.imagery.truth import Truth, write_truth
 from optnav_cli.simulation.frame import Renderer
+from optnav_cli.simulation.globe_frame import GlobeRenderer
+from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
+from optnav_cli.simulation.globe_terrain import GlobeTerrain
 from optnav_cli.simulation.scenario import Scenario, load_scenario, scenario_camera
 from optnav_cli.simulation.sensor import Counts, expose
 from optnav_cli.simulation.trajectory import Shot, shots
@@ -45,7 +49,7 @@ def simulate(
     body = load_body(scenario.body)
     camera = scenario_camera(scenario)
     flight = shots(scenario, body)
-    renderer = Renderer(truth_terrain(scenario, body), camera, flight)
+    renderer = _renderer(scenario, body, camera, flight)
     progress = progress or SilentProgress()
     folder.mkdir(parents=True, exist_ok=True)
     with progress.stage("simulate", total=len(flight), unit="picture") as stage:
@@ -65,17 +69,37 @@ def simulate(
     (folder / "scenario.json").write_bytes(scenario_copy(scenario))
 
 
+def _renderer(
+    scenario: Scenario, body: Body, camera: Camera, flight: list[Shot]
+) -> Renderer | GlobeRenderer:
+    if scenario.dem:
+        return Renderer(truth_terrain(scenario, body), camera, flight)
+    heights = GlobeHeights(read_globe(DemSettings(scenario.globe.path), body), body.radius_m)
+    seeds = scenario.detail.seeds or (None,)
+    grounds = {
+        seed: GlobeTerrain(
+            heights, None if seed is None else _detail(seed, scenario, body, heights.posting_m)
+        )
+        for seed in seeds
+    }
+    return GlobeRenderer(heights, grounds, camera)
+
+
+def _detail(seed: int, scenario: Scenario, body: Body, posting_m: float) -> Detail:
+    settings = scenario.detail
+    return Detail(
+        seed, posting_m, body.radius_m,
+        smallest_m=min(settings.smallest_m, posting_m),
+        rms_slope_deg=settings.rms_slope_deg, saturation=settings.saturation,
+    )  # fmt: skip
+
+
 def truth_terrain(scenario: Scenario, body: Body) -> TruthTerrain:
     """The ground of a scenario. Raises ConfigError or DataError for terrain that cannot be used."""
     first = DemSource.open(scenario.dem[0], Path.cwd(), body)
-    settings = scenario.detail
     details: dict[int | None, Detail | None] = {None: None}
-    for seed in settings.seeds:
-        details[seed] = Detail(
-            seed, first.posting_m, body.radius_m,
-            smallest_m=min(settings.smallest_m, first.posting_m),
-            rms_slope_deg=settings.rms_slope_deg, saturation=settings.saturation,
-        )  # fmt: skip
+    for seed in scenario.detail.seeds:
+        details[seed] = _detail(seed, scenario, body, first.posting_m)
     return TruthTerrain(body, scenario.dem, DemSettings(scenario.globe.path), details)
 
 

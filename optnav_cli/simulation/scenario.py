@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from catalog.config import load_toml, resource
 from catalog.errors import ConfigError
-from catalog.terrain.dem_file import BUNDLED
+from catalog.terrain.dem_file import BUNDLED, SHARED
 from catalog.terrain.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
@@ -16,18 +16,20 @@ from optnav_cli.camera.camera_file import load_camera, preset_camera
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
 Count = Annotated[int, Meta(ge=1)]
-Latitude = Annotated[float, Meta(ge=-85.0, le=85.0)]
-Elevation = Annotated[float, Meta(ge=-5.0, le=90.0)]
+Latitude = Annotated[float, Meta(ge=-90.0, le=90.0)]
+Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
 
 
 class GlobeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The smooth ground outside the terrain models, all round the body."""
+    """The ground outside the terrain models, all round the body; smooth where there are some."""
 
     path: str = "moon_gld100_4ppd.tif"
 
 
 class DetailSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Relief added below the posting of the first terrain model; see catalog.terrain.detail.
+    """Relief added below the posting of the first terrain model, or else of the globe.
+
+    It is made by catalog.terrain.detail.
 
     seeds  one ground each; passes take them in turn, in equal parts. Empty adds nothing
     """
@@ -139,10 +141,10 @@ def load_scenario(path: str | Path) -> Scenario:
     _check(scenario, path)
     base = path.resolve().parent
     dems = tuple(
-        msgspec.structs.replace(dem, path=str(_data_file(dem.path, base, path)))
+        msgspec.structs.replace(dem, path=_data_file(dem.path, base, path))
         for dem in sorted(scenario.dem, key=lambda d: d.priority)
     )
-    globe = GlobeSettings(str(_data_file(scenario.globe.path, base, path)))
+    globe = GlobeSettings(_data_file(scenario.globe.path, base, path))
     camera = scenario.camera.name
     if camera.endswith(".toml"):
         camera = str(base / camera)
@@ -155,14 +157,17 @@ def scenario_camera(scenario: Scenario) -> Camera:
     return load_camera(name) if name.endswith(".toml") else preset_camera(name)
 
 
-def _data_file(name: str, base: Path, where: Path) -> Path:
+def _data_file(name: str, base: Path, where: Path) -> str:
+    # its folder need not be there to read the scenario; opening the model asks for it
+    if name.startswith(SHARED):
+        return name
     # written as in a build config, too
     name, bundled = name.removeprefix(BUNDLED), name.startswith(BUNDLED)
     beside = base / name
     if beside.exists() and not bundled:
-        return beside
+        return str(beside)
     try:
-        return resource(f"data/{name}")
+        return str(resource(f"data/{name}"))
     except ConfigError as error:
         raise ConfigError(
             f"{where}: there is no terrain model '{name}' beside the scenario, and {error}"
@@ -170,8 +175,6 @@ def _data_file(name: str, base: Path, where: Path) -> Path:
 
 
 def _check(scenario: Scenario, where: Path) -> None:
-    if not scenario.dem:
-        raise ConfigError(f"{where}: [[dem]] is empty; name at least one terrain model")
     for dem in scenario.dem:
         if dem.feather_km:
             raise ConfigError(

@@ -32,7 +32,7 @@ def _weight(t: float) -> float:
 
 
 @parallel_kernel
-def sample(spline: FloatArray, row: FloatArray, col: FloatArray) -> HeightGrid:
+def sample(spline: FloatArray | HeightGrid, row: FloatArray, col: FloatArray) -> HeightGrid:
     """Heights (float32, shape of `row`) at fractional rows and columns, 2-d arrays.
 
     Beyond the outer nodes the grid is mirrored about them.

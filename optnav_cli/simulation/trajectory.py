@@ -109,7 +109,9 @@ def sun_over(
     elevation = np.radians(low + (high - low) * share)
     declination = np.radians(settings.subsolar_latitude_deg) * rng.uniform(-1.0, 1.0)
     sine = np.sin(elevation) - np.sin(lat) * np.sin(declination)
-    cosine = np.clip(sine / (np.cos(lat) * np.cos(declination)), -1.0, 1.0)
+    # at a pole every hour is as good
+    reach = max(float(np.cos(lat) * np.cos(declination)), 1e-9)
+    cosine = np.clip(sine / reach, -1.0, 1.0)
     hour = np.arccos(cosine) * (1.0 if rng.uniform() < 0.5 else -1.0)
     return xyz_from_latlon(declination, lon + hour, 1.0)
 

@@ -18,6 +18,7 @@ from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.terrain.detail import Detail
 from catalog.terrain.source import DemSettings, DemSource
 from optnav_cli.simulation import spline
+from optnav_cli.simulation.globe_heights import read_globe
 
 FloatArray = NDArray[np.float64]
 HeightGrid = NDArray[np.float32]
@@ -58,17 +59,7 @@ class TruthTerrain:
         self.wide = self._globe(globe)
 
     def _globe(self, settings: DemSettings) -> Ground:
-        source = DemSource.open(settings, Path.cwd(), self.body)
-        rows, cols = source.shape
-        if cols != 2 * rows or not source.wraps:
-            raise ConfigError(
-                f"{settings.path}: the [globe] model has {rows} x {cols} pixels and does not cover "
-                "the body in equal steps of latitude and longitude; name one that does"
-            )
-        heights = source.read_window(0, 0, rows, cols)
-        col, _ = source.pixel_from_latlon(np.array([0.0]), np.array([0.0]))
-        heights = np.roll(heights, -round(float(col[0]) + 0.5), axis=1)
-        heights = np.where(np.isfinite(heights), heights, np.nanmean(heights)).astype(np.float32)
+        heights = read_globe(settings, self.body)
         middle = 0.5 * (self.box[0] + self.box[2])
         return whole_sphere(heights, self.body.radius_m, middle + np.pi)
 

@@ -122,15 +122,21 @@ def _wide_radiance(
 
 @kernel
 def _samples(
-    kind: Mask, i: int, j: int, distance: float, angle: float, posting: float, most: int
+    kind: Mask, i: int, j: int, distance: float, angle: float, posting: float, most: int, limb: int
 ) -> int:
-    """Rays a side of a pixel: as many as its ground has nodes, the most at the limb."""
+    """Rays a side of a pixel: as many as its ground has nodes, `limb` of them at the limb."""
     rows, cols = kind.shape
     here = kind[i, j] == SKY
     for a, b in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         p, q = min(max(i + a, 0), rows - 1), min(max(j + b, 0), cols - 1)
         if (kind[p, q] == SKY) != here:
-            return most
+            return limb
+    if limb > most and not here:
+        # one pixel farther in, brightness still falls steeply towards the limb
+        for a, b in ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (-1, 1), (1, -1), (1, 1)):
+            p, q = min(max(i + a, 0), rows - 1), min(max(j + b, 0), cols - 1)
+            if kind[p, q] == SKY:
+                return limb
     if kind[i, j] != FINE:
         return 1
     return min(most, max(1, int(np.ceil(distance * angle / posting - 0.25))))
@@ -157,7 +163,7 @@ def _smooth_at(kind: Mask, row: HeightGrid, col: HeightGrid, i: int, j: int) -> 
 def mean_radiance(
     fine: Ground, wide: Ground, origin: FloatArray, corners: FloatArray, kind: Mask,
     distance: HeightGrid, row: HeightGrid, col: HeightGrid, shaded: HeightGrid, wide_lit: Mask,
-    sun: FloatArray, surface: HapkeParameters, most: int, missing: Mask, out: HeightGrid,
+    sun: FloatArray, surface: HapkeParameters, most: int, limb: int, missing: Mask, out: HeightGrid,
 ) -> None:  # fmt: skip
     """Mean radiance factor of each pixel that is NaN in `out`, sky 0.
 
@@ -168,7 +174,8 @@ def mean_radiance(
         for j in range(kind.shape[1]):
             if out[i, j] == out[i, j]:
                 continue
-            n = _samples(kind, i, j, distance[i, j], _pixel_angle(corners, i, j), posting, most)
+            angle = _pixel_angle(corners, i, j)
+            n = _samples(kind, i, j, distance[i, j], angle, posting, most, limb)
             smooth = n > 1 and _smooth_at(kind, row, col, i, j)
             total = 0.0
             for a in range(n):

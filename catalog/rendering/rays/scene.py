@@ -48,13 +48,16 @@ class Scene:
         self._fine_lit, self._fine_wanted = _masks(fine)
         self._wide_lit, self._wide_wanted = _masks(wide)
 
-    def picture(self, origin_m: ArrayLike, corner_rays: ArrayLike, samples: int = 5) -> HeightGrid:
+    def picture(
+        self, origin_m: ArrayLike, corner_rays: ArrayLike, samples: int = 5, limb_samples: int = 5
+    ) -> HeightGrid:
         """Mean radiance factor (rows, cols) of the pixels of a camera.
 
         origin_m     (3,) the camera, body frame, m
         corner_rays  (rows + 1, cols + 1, 3) unit rays through the pixels' corners, body frame; NaN
                      where the camera sees nothing
         samples      most rays a side of a pixel
+        limb_samples rays a side of a pixel at the limb
 
         Rays inside a pixel lie between those of its corners, 3e-4 px from the exact ones in a
         fisheye of 316 arcsec a pixel.
@@ -77,7 +80,7 @@ class Scene:
             missing = np.zeros_like(wanted)
             mean_radiance(
                 self.fine, self.wide, origin, corners, kind, distance, row, col, shaded,
-                self._wide_lit, self.sun, self.surface, samples, missing, out,
+                self._wide_lit, self.sun, self.surface, samples, limb_samples, missing, out,
             )  # fmt: skip
             # between the middles of pixels a few rays find ground that these did not see
             if not missing.any():

@@ -1,0 +1,88 @@
+"""The heights of a whole body as smooth functions, at its model's own posting and coarser ones."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import spline_filter
+
+from catalog.bodies.body import Body
+from catalog.errors import ConfigError
+from catalog.terrain.source import DemSettings, DemSource
+from optnav_cli.simulation import spline
+
+FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
+
+FEWEST_ROWS = 90  # no level is coarser than 2 degrees
+
+
+def read_globe(settings: DemSettings, body: Body) -> HeightGrid:
+    """Heights (n, 2n) of a model of the whole body, m above its sphere, float32.
+
+    Pixel centres lie half a step inside the poles, the first column half a step east of longitude
+    0; holes take the mean height.
+    Raises ConfigError for a model that does not cover the body in equal steps, DataError for a file
+    that cannot be read.
+    """
+    source = DemSource.open(settings, Path.cwd(), body)
+    rows, cols = source.shape
+    if cols != 2 * rows or not source.wraps:
+        raise ConfigError(
+            f"{settings.path}: the [globe] model has {rows} x {cols} pixels and does not cover "
+            "the body in equal steps of latitude and longitude; name one that does"
+        )
+    heights = source.read_window(0, 0, rows, cols)
+    col, _ = source.pixel_from_latlon(np.array([0.0]), np.array([0.0]))
+    heights = np.roll(heights, -round(float(col[0]) + 0.5), axis=1)
+    filled = np.where(np.isfinite(heights), heights, np.nanmean(heights))
+    return np.asarray(filled, dtype=np.float32)
+
+
+class GlobeHeights:
+    """A body's heights at any place, from its model averaged to the posting that is wanted.
+
+    heights  see `read_globe`
+    """
+
+    def __init__(self, heights: HeightGrid, radius_m: float) -> None:
+        self.radius_m = radius_m
+        self.lowest_m, self.highest_m = float(heights.min()), float(heights.max())
+        self.posting_m = np.pi * radius_m / heights.shape[0]
+        self._means = {0: heights}
+        self._splines: dict[int, HeightGrid] = {}
+
+    def level_for(self, posting_m: float) -> int:
+        """How often the model is halved for a grid of this posting: its level is about as fine."""
+        wanted = round(float(np.log2(max(posting_m / self.posting_m, 1.0))))
+        rows, most = self._means[0].shape[0], 0
+        while rows % 2 == 0 and rows // 2 >= FEWEST_ROWS:
+            rows, most = rows // 2, most + 1
+        return min(wanted, most)
+
+    def sample(self, level: int, lat: FloatArray, lon: FloatArray) -> HeightGrid:
+        """Heights (float32, m) of a level at places; lat, lon 2-d arrays, rad."""
+        coefficients = self._coefficients(level)
+        step = np.pi / (coefficients.shape[0] - 2 * spline.MARGIN)
+        row = (0.5 * np.pi - lat) / step - 0.5 + spline.MARGIN
+        col = np.mod(lon, 2.0 * np.pi) / step - 0.5 + spline.MARGIN
+        return spline.sample(coefficients, row, col)
+
+    def _coefficients(self, level: int) -> HeightGrid:
+        """Spline coefficients with margins beyond the poles and the seam, so that neither shows."""
+        if level not in self._splines:
+            heights, m = self._mean(level), spline.MARGIN
+            opposite = np.roll(heights, heights.shape[0], axis=1)
+            tall = np.concatenate([opposite[m - 1 :: -1], heights, opposite[: -m - 1 : -1]])
+            wide = np.concatenate([tall[:, -m:], tall, tall[:, :m]], axis=1)
+            # single precision keeps a millimetre of ten kilometres
+            self._splines[level] = spline_filter(wide, order=3, output=np.float32, mode="mirror")
+        return self._splines[level]
+
+    def _mean(self, level: int) -> HeightGrid:
+        if level not in self._means:
+            fine = self._mean(level - 1)
+            rows, cols = fine.shape
+            blocks = fine.reshape(rows // 2, 2, cols // 2, 2)
+            self._means[level] = blocks.mean(axis=(1, 3), dtype=np.float32)
+        return self._means[level]

@@ -1,0 +1,164 @@
+"""Ground of a whole body for pictures from anywhere: the model of the globe with seeded relief.
+
+A picture's ground is made for what the picture can see, on a grid of latitudes and longitudes of a
+frame turned so that nothing in view is near a pole of the grid; the body's own poles and its 180°
+line are places like any other. Near the body the grid's equator runs through the view (`level`);
+from far away the grid's pole lies below the camera and its equator runs along the limb (`facing`).
+Turned frames come from a fixed set of directions, so neighbouring pictures share their ground.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.geometry.kernel import parallel_kernel
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
+from catalog.terrain.detail import Detail
+from optnav_cli.simulation.globe_heights import GlobeHeights
+
+FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
+Box = tuple[float, float, float, float]  # west, south, east, north, rad
+
+CENTRES = np.radians(4.0)  # between the directions that turned frames are made for
+LARGEST_LEVEL = np.radians(66.0)  # a grid that reaches farther from its equator faces the camera
+MOST_NODES = 40_000_000
+FINER = 2  # finest nodes against the globe's posting
+POSTINGS = 4  # each twice the one before; coarser ones would lower the crests along the limb
+NODES_A_PIXEL = 1.4  # at the horizon; relief between nodes is smaller than a pixel there
+COARSE_ROWS = 720  # of the ground beyond the window: 0.25°
+CHUNK = 256  # rows sampled at once
+
+
+@dataclass(frozen=True)
+class View:
+    """Which ground a picture needs.
+
+    centre     (3,) direction of the middle, body frame, one of the fixed set
+    box        None for all that faces the camera, else the part of the turned frame that is seen
+    posting_m  of the grid
+    """
+
+    centre: tuple[float, float, float]
+    box: Box | None
+    posting_m: float
+
+
+class GlobeTerrain:
+    """Windows of one ground; the last one is kept.
+
+    detail  the relief to add, None for none
+    """
+
+    def __init__(self, heights: GlobeHeights, detail: Detail | None) -> None:
+        self._heights, self._detail = heights, detail
+        self._kept: tuple[object, FloatArray, Ground, Ground] | None = None
+
+    def postings(self) -> FloatArray:
+        """Postings (m) that windows may have, finest first."""
+        return np.asarray(self._heights.posting_m / FINER * 2.0 ** np.arange(POSTINGS))
+
+    def window(self, view: View, sun_body: FloatArray) -> tuple[FloatArray, Ground, Ground]:
+        """The ground of a view: (grid_from_body (3, 3), the window, the whole body coarsely).
+
+        sun_body  where the Sun is: the seam of a ground that faces the camera is put in the dark
+        """
+        key: tuple[object, ...] = (view, None if view.box else sun_body.tobytes())
+        if self._kept is None or self._kept[0] != key:
+            self._kept = None  # let go of the old one before the new one is made
+            centre = np.array(view.centre)
+            turned = level_frame(centre) if view.box else facing_frame(centre, sun_body)
+            fine = self._window(view, turned)
+            self._kept = (key, turned, fine, self._coarse(turned))
+        return self._kept[1:]
+
+    def _window(self, view: View, turned: FloatArray) -> Ground:
+        step = view.posting_m / self._heights.radius_m
+        if view.box is None:
+            # all round with two columns more, up to half a step from the pole
+            step = np.pi / round(np.pi / step)
+            north, west = 0.5 * np.pi - 0.5 * step, -np.pi
+            rows, cols = round((0.5 * np.pi + np.radians(12.0)) / step), round(2.0 * np.pi / step)
+            cols += 2
+        else:
+            west, south, east, north = view.box
+            rows, cols = int((north - south) / step) + 1, int((east - west) / step) + 1
+        heights = self._sample(turned, north, west, step, rows, cols, view.posting_m)
+        if self._detail is not None:
+            heights += self._detail.turned_window(turned.T, north, west, step, rows, cols)
+        return make_ground(heights, north, west, step, step, self._heights.radius_m)
+
+    def _coarse(self, turned: FloatArray) -> Ground:
+        step = np.pi / COARSE_ROWS
+        north = 0.5 * np.pi - 0.5 * step
+        size = COARSE_ROWS, 2 * COARSE_ROWS
+        posting = step * self._heights.radius_m
+        heights = self._sample(turned, north, 0.5 * step, step, *size, posting)
+        return whole_sphere(heights, self._heights.radius_m, np.pi)
+
+    def _sample(
+        self, turned: FloatArray, north: float, west: float, step: float, rows: int, cols: int,
+        posting_m: float,
+    ) -> HeightGrid:  # fmt: skip
+        level = self._heights.level_for(posting_m)
+        lon = west + step * np.arange(cols, dtype=np.float64)
+        out = np.empty((rows, cols), np.float32)
+        for top in range(0, rows, CHUNK):
+            lat = north - step * np.arange(top, min(top + CHUNK, rows), dtype=np.float64)
+            places = np.empty((2, lat.size, cols))
+            _body_latlon(turned, lat, lon, places[0], places[1])
+            out[top : top + CHUNK] = self._heights.sample(level, places[0], places[1])
+        return out
+
+
+def fixed_centre(direction: FloatArray) -> FloatArray:
+    """The nearest of a fixed set of directions, some 4° apart, at most 3° from any direction."""
+    unit = direction / np.linalg.norm(direction)
+    lat = CENTRES * np.round(np.arcsin(unit[2]) / CENTRES)
+    around = max(1.0, np.round(2.0 * np.pi * np.cos(lat) / CENTRES))
+    spacing = 2.0 * np.pi / around
+    lon = spacing * np.round(np.arctan2(unit[1], unit[0]) / spacing)
+    return xyz_from_latlon(lat, lon, 1.0)
+
+
+def level_frame(centre: FloatArray) -> FloatArray:
+    """Rotation (3, 3), grid from body, that brings a unit vector to the grid's latitude 0, lon 0.
+
+    North in the grid is north on the body there, or towards the prime meridian at its poles.
+    """
+    pole = np.array([0.0, 0.0, 1.0]) if abs(centre[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
+    y = np.cross(pole, centre)
+    y /= np.linalg.norm(y)
+    return np.stack([centre, y, np.cross(centre, y)])
+
+
+def facing_frame(centre: FloatArray, sun_body: FloatArray) -> FloatArray:
+    """Rotation (3, 3), grid from body: a unit vector is the grid's pole, lon 0 is the Sun's side.
+
+    With the Sun straight behind the camera no side is dark and any will do.
+    """
+    x = sun_body - (sun_body @ centre) * centre
+    if np.linalg.norm(x) < 1e-6:
+        x = level_frame(centre)[1]
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(centre, x), centre])
+
+
+@parallel_kernel
+def _body_latlon(
+    turned: FloatArray, lat: FloatArray, lon: FloatArray, out_lat: FloatArray, out_lon: FloatArray
+) -> None:
+    """Latitudes and longitudes on the body of a grid in a turned frame, (rows, cols) each."""
+    cos_lon, sin_lon = np.cos(lon), np.sin(lon)
+    for i in numba.prange(lat.size):
+        c, z = np.cos(lat[i]), np.sin(lat[i])
+        for j in range(lon.size):
+            x, y = c * cos_lon[j], c * sin_lon[j]
+            p = turned[0, 0] * x + turned[1, 0] * y + turned[2, 0] * z
+            q = turned[0, 1] * x + turned[1, 1] * y + turned[2, 1] * z
+            r = turned[0, 2] * x + turned[1, 2] * y + turned[2, 2] * z
+            out_lat[i, j] = np.arctan2(r, np.sqrt(p * p + q * q))
+            out_lon[i, j] = np.arctan2(q, p)
