@@ -147,6 +147,7 @@ def require_whole(path: str | Path) -> None:
     with Catalog.open(path, strict=True) as catalog:
         for number in catalog.ids.tolist():
             catalog.stored_patches(number)
+        catalog.relief()
 
 
 def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
