@@ -22,7 +22,14 @@ from catalog.store.relief import PreparedRelief, prepare_relief
 from catalog.terrain.mosaic import Mosaic
 from catalog.terrain.overviews import BLOCK
 from catalog.terrain.pyramid import HeightPyramid
-from catalog.terrain.relief_of_dem import LEAST_COVERAGE, finished, lay_whole, rows_of
+from catalog.terrain.relief_of_dem import (
+    LEAST_COVERAGE,
+    check_share,
+    finished,
+    lay_whole,
+    rows_of,
+    share_within_bounds,
+)
 from catalog.terrain.relief_sums import CellSums, Layer
 from catalog.terrain.source import DemSettings, DemSource
 
@@ -70,7 +77,7 @@ def settle_relief(
 
     Raises DataError when the named terrain model cannot be used or the whole is not the body's.
     """
-    own = [_share(pyramid) for pyramid in mosaic.pyramids]
+    own = [share_within_bounds(p.source) * p.record.valid_share for p in mosaic.pyramids]
     if settings.dem is None and sum(own) < LEAST_COVERAGE:
         workspace.keep_only("relief", set())
         return None
@@ -79,6 +86,7 @@ def settle_relief(
     if settings.dem is not None:
         try:
             named = DemSource.open(settings.dem, config_path.parent, mosaic.body)
+            check_share(sum(own) + share_within_bounds(named), named.path, mosaic.body)
         except DataError as error:
             raise DataError(f"{config_path}: [relief] dem: {error}") from None
         digest = content_hash(named, workspace, progress)
@@ -131,26 +139,14 @@ def _made(
     if named is not None:
         try:
             lay_whole(sums, named, progress)
+            check_share(sums.coverage, f"with {named.path}", body)
         except DataError as error:
             raise DataError(f"{config_path}: [relief] dem: {error}") from None
         if sums.coverage > covered:
             names.append(named.path.name)
-    if sums.coverage < LEAST_COVERAGE:
-        if named is None:
-            return None
-        raise DataError(
-            f"{config_path}: [relief] dem: {named.path} and the models of [[dem]] show "
-            f"{100.0 * sums.coverage:.3g} % of {body.name}; a relief wants "
-            f"{100.0 * LEAST_COVERAGE:g} %: name a terrain model of the whole body"
-        )
+    elif sums.coverage < LEAST_COVERAGE:
+        return None
     return prepare_relief(finished(sums, body.radius_m, " + ".join(names)))
-
-
-def _share(pyramid: HeightPyramid) -> float:
-    """Share of the body that a model shows, about: of its bounds, as many as it has pixels."""
-    west, south, east, north = pyramid.source.latlon_bounds()
-    bounds = (np.sin(north) - np.sin(south)) * (east - west) / (4.0 * np.pi)
-    return float(bounds * pyramid.record.valid_share)
 
 
 def _rows(mosaic: Mosaic, own: list[float], named: DemSource | None) -> int:

@@ -22,14 +22,28 @@ def relief_from_dem(source: DemSource, rows: int | None = None) -> GlobalRelief:
     rows  of the relief; without it the model's own, but no more than ROWS
     Raises DataError for a damaged file, one of a part of the body or with impossible heights.
     """
+    check_share(share_within_bounds(source), source.path, source.body)  # before all of it is read
     sums = CellSums(rows or rows_of(source.place.row_angle))
     lay_whole(sums, source, SilentProgress())
-    if sums.coverage < LEAST_COVERAGE:
-        raise DataError(
-            f"{source.path}: shows {100.0 * sums.coverage:.3g} % of {source.body.name}; a relief "
-            f"wants {100.0 * LEAST_COVERAGE:g} %: name a terrain model of the whole body"
-        )
+    check_share(sums.coverage, source.path, source.body)
     return finished(sums, source.body.radius_m, source.path.name)
+
+
+def share_within_bounds(source: DemSource) -> float:
+    """Share of the body within a terrain model's bounds, 1 if unknown: it shows no more."""
+    west, south, east, north = source.latlon_bounds()
+    if not np.isfinite([west, south, east, north]).all():  # a map with corners beyond the body
+        return 1.0
+    return float((np.sin(north) - np.sin(south)) * (east - west) / (4.0 * np.pi))
+
+
+def check_share(share: float, who: object, body: Body) -> None:
+    """Raise DataError unless this share of a body, which `who` shows, is enough for a relief."""
+    if share < LEAST_COVERAGE:
+        raise DataError(
+            f"{who}: {100.0 * share:.3g} % of {body.name} is shown; a relief wants "
+            f"{100.0 * LEAST_COVERAGE:g} %: name a terrain model of the whole body"
+        )
 
 
 def lay_whole(sums: CellSums, source: DemSource, progress: Progress) -> None:
