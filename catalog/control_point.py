@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic
+from catalog.geometry.tangent_plane import TangentPlane
 
 FloatArray = NDArray[np.float64]
 SHADOW_AZIMUTHS = 36  # skyline bins, centred on 0, 10, ... degrees east of north
@@ -23,14 +24,16 @@ class Flag(IntFlag):
     NOT_RECOGNISED = 8  # recognition trials failed
     CROWDED = 16  # nearer to a neighbour's point than the spacing allows
     SHADOWED = 32  # foreign shadows reach the patch at most Suns
+    OVERHANG = 64  # vertical lines through the patch meet the ground several times
 
 
 @dataclass(frozen=True)
 class Patch:
     """Heights around a control point at one pyramid level.
 
-    heights_m (n, n) float32 above the body's reference sphere, NaN for no data; row 0 is north,
-    column 0 west, in the oblique stereographic projection centred on the point.
+    heights_m (n, n) float32, NaN for no data; row 0 is north, column 0 west, in the point's
+    projection: above the body's reference sphere in the oblique stereographic one, above the plane
+    in a tangent plane.
     """
 
     posting_m: float
@@ -77,8 +80,12 @@ class ControlPoint:
         return xyz_from_latlon(np.radians(self.lat_deg), np.radians(self.lon_deg), self.radius_m)
 
     def projection(self, body_radius_m: float) -> Stereographic:
-        """The map projection of this point's patches."""
+        """The map projection of this point's patches on a body whose catalog is on a sphere."""
         return Stereographic(np.radians(self.lat_deg), np.radians(self.lon_deg), body_radius_m)
+
+    def tangent_plane(self, radii_m: tuple[float, float, float]) -> TangentPlane:
+        """The same where it is planes on an ellipsoid of these semi-axes."""
+        return TangentPlane.below(self.xyz_m, radii_m)
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,10 @@ class Stereographic:
             directions * (self.radius_m + np.asarray(height, dtype=np.float64))[..., None]
         )
 
-    def latlon(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Latitude and east longitude (rad) of map points x, y (m)."""
+    def latlon(
+        self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Latitude and east longitude (rad) of map points x, y (m), whatever their height."""
         directions = np.asarray(self.local_directions(x, y) @ self.body_from_local.T)
         lat, lon, _ = latlon_from_xyz(directions)
         return lat, lon

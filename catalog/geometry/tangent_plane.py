@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
+from catalog.geometry.projection import Stereographic
 
 FloatArray = NDArray[np.float64]
 
@@ -75,3 +76,6 @@ class TangentPlane:
     def _local(self, xyz: ArrayLike) -> FloatArray:
         offset = np.asarray(xyz, dtype=np.float64) - np.array(self.foot_m)
         return np.asarray(offset @ self.body_from_local)
+
+
+MapProjection = Stereographic | TangentPlane

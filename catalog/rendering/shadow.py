@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from catalog.geometry.kernel import kernel
+from catalog.geometry.tangent_plane import FLAT_RADIUS_M
 
 FloatArray = NDArray[np.float64]
 HeightGrid = NDArray[np.float32]
@@ -178,13 +179,13 @@ def lit_mask(
                beyond the grid before them and throws its shadow into it; or their `shadow_field`
                under this Sun
     Returns (n, n) bool; nodes without data are False. All False for a Sun at or below the
-    horizon of the centre.
+    horizon of the centre; but a plane (its radius) is no horizon to the slopes of a small body.
     Raises ValueError for a grid that is not square or a Sun of no length.
     """
     _refuse_shape(heights, "a map grid")
     up, sweep = _sweep_of(sun_local)
     valid = ~np.isnan(heights)
-    if up <= 0.0:
+    if _is_set(up, sweep, radius_m):
         return np.zeros(heights.shape, dtype=np.bool_)
     if sweep is None:
         return valid
@@ -212,12 +213,17 @@ def shadow_field(
     field = beyond or ShadowField(NO_FIELD, 1.0)
     for grid, posting in reversed(grids):
         _refuse_shape(grid, "an outer map grid")
-        if up <= 0.0 or sweep is None:
+        if _is_set(up, sweep, radius_m) or sweep is None:
             continue
         finer = np.empty(grid.shape)
         _swept(grid, posting, radius_m, sweep, field, finer, NO_MASK)
         field = ShadowField(finer, float(posting))
     return field
+
+
+def _is_set(up: float, sweep: _Sweep | None, radius_m: float) -> bool:
+    """Whether no ground about the centre can see the Sun."""
+    return up <= 0.0 and (sweep is None or radius_m < FLAT_RADIUS_M)
 
 
 def _sweep_of(sun_local: ArrayLike) -> tuple[float, _Sweep | None]:

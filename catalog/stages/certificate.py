@@ -1,11 +1,11 @@
 """The certificate of one place of a cell: what is known of it without trials, then the trials."""
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from catalog.control_point import SHADOW_AZIMUTHS, Flag, Patch
+from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.shadow_limits import shadowed_share
@@ -43,7 +43,9 @@ class Certificate:
         self.uniqueness = (0.0,) * context.levels
         self.shadow_limits_deg = np.zeros(SHADOW_AZIMUTHS)
         self._context = context
+        self._projection = context.projection(place.lat_deg, place.lon_deg)
         self._patches = context.patches(place.lat_deg, place.lon_deg)
+        self._beyond = context.beyond(self._projection)
         self._outcomes = outcomes_at(
             context,
             self._patches,
@@ -66,14 +68,19 @@ class Certificate:
             flags |= Flag.FLAT
         if self.spacing < 1.0:
             flags |= Flag.CROWDED
+        context = self._context
+        if context.mosaic.overhangs(self._projection, context.posting_m, context.size):
+            flags |= Flag.OVERHANG
         if flags & FATAL:
             return flags
         self.shadow_limits_deg = skyline_limits_deg(
-            [(patch.heights_m, patch.posting_m) for patch in patches],
+            [(patch.heights_m, patch.posting_m) for patch in (*patches, *self._beyond)],
             0,
-            self._context.body.radius_m,
+            self._projection.radius_m,
         )
-        suns = ground.suns_of(self._context.config.render, place.lat_deg)
+        suns = ground.suns_of(
+            context.config.render, context.sun_latitude_deg(place.lat_deg, place.lon_deg)
+        )
         if shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
             flags |= Flag.SHADOWED
         return flags
@@ -122,8 +129,7 @@ class Certificate:
             self._look_for_rivals()
 
     def _look_for_rivals(self) -> None:
-        lat = math.radians(self.place.lat_deg)
-        self.uniqueness = _uniqueness(self._context, self._patches, lat)
+        self.uniqueness = _uniqueness(self._context, self._projection, self._patches)
         if min(self.uniqueness) < self.settings.min_margin:
             self._known |= Flag.NOT_UNIQUE
 
@@ -137,12 +143,14 @@ class Certificate:
             self.successes += outcome.accepted and outcome.distance <= settings.max_error_nodes
 
 
-def _uniqueness(context: StageContext, patches: Sequence[Patch], lat: float) -> tuple[float, ...]:
+def _uniqueness(
+    context: StageContext, projection: MapProjection, patches: Sequence[Patch]
+) -> tuple[float, ...]:
     """Margins by level, worse of a morning and an afternoon Sun."""
     settings = context.config.check
     room = min(UNIQUENESS_ROOM, context.size // 4)
     suns = sun_samples(
-        lat,
+        projection.lat,
         1,
         2,
         max_declination=np.radians(context.config.render.sun_declination_deg),
@@ -160,7 +168,7 @@ def _uniqueness(context: StageContext, patches: Sequence[Patch], lat: float) -> 
                         patch.heights_m,
                         patch.posting_m,
                         sun,
-                        radius_m=context.body.radius_m,
+                        radius_m=projection.radius_m,
                         law="lommel_seeliger",
                     ),
                     context.size - 2 * room,
@@ -195,8 +203,8 @@ def outcomes_at(
     )
     yield from run_trials(
         levels,
-        patches[TRIAL_LEVELS:],
-        context.body.radius_m,
+        [*patches[TRIAL_LEVELS:], *context.beyond(projection)],
+        projection.radius_m,
         projection.lat,
         seed,
         trials=trials,

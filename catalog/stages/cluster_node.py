@@ -37,11 +37,7 @@ def files_of(context: Any) -> list[Path]:
     """The files that the chunks of a context are worked from."""
     if not isinstance(context, StageContext):
         return []
-    found: set[Path] = set()
-    for pyramid in context.mosaic.pyramids:
-        found.update(pyramid.source.files)
-        found.update(path for path in pyramid.folder.iterdir() if path.is_file())
-    return sorted(found)
+    return context.mosaic.files()
 
 
 def unfit(needs: Needs) -> str | None:

@@ -23,7 +23,8 @@ from catalog.bodies.body import Body
 from catalog.control_point import Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.projection import Stereographic
-from catalog.terrain.mosaic import Mosaic
+from catalog.geometry.tangent_plane import MapProjection
+from catalog.terrain.terrain import Terrain
 
 if TYPE_CHECKING:
     from catalog.stages.settings import BuildConfig
@@ -58,12 +59,13 @@ class PyramidSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class StageContext:
     """The world of a build; pickles small (paths and numbers), files open again in a worker.
 
+    mosaic     the ground
     posting_m  of the finest patches, settled from the config or the DEM
     config     the whole build config; a stage reads its own section
     """
 
     body: Body
-    mosaic: Mosaic
+    mosaic: Terrain
     grid: CellGrid
     posting_m: float
     config: "BuildConfig"
@@ -83,9 +85,21 @@ class StageContext:
         """Postings of the levels, finest first."""
         return tuple(self.posting_m * 2.0**level for level in range(self.levels))
 
-    def projection(self, lat_deg: float, lon_deg: float) -> Stereographic:
+    def projection(self, lat_deg: float, lon_deg: float) -> MapProjection:
         """The map projection centred on a place."""
-        return Stereographic(np.radians(lat_deg), np.radians(lon_deg), self.body.radius_m)
+        return self.mosaic.projection(np.radians(lat_deg), np.radians(lon_deg))
+
+    def sun_latitude_deg(self, lat_deg: float, lon_deg: float) -> float:
+        """The latitude that says which Suns occur at a place: its vertical's over the equator."""
+        projection = self.projection(lat_deg, lon_deg)
+        if isinstance(projection, Stereographic):
+            return lat_deg
+        return float(np.degrees(projection.lat))
+
+    def beyond(self, projection: MapProjection) -> tuple[Patch, ...]:
+        """Ground beyond the coarsest patch that throws shadows in, finer first."""
+        grids = self.mosaic.beyond(projection, self.postings_m[-1], self.size)
+        return tuple(Patch(posting, heights) for heights, posting in grids)
 
     def patches(self, lat_deg: float, lon_deg: float) -> tuple[Patch, ...]:
         """The patches of a control point at a place, finest first; NaN where there is no ground."""

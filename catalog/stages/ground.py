@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.geometry.latlon import wrap_longitude_deg
-from catalog.geometry.projection import Stereographic
+from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.localisation import hessian_eigenvalue_map, sun_products
 from catalog.selection.spacing import strongest_peaks
@@ -45,7 +45,7 @@ class Ground(NamedTuple):
     complete    whether the patches of all places have
     """
 
-    projection: Stereographic
+    projection: MapProjection
     heights: Grid
     window: int
     step: int
@@ -74,7 +74,9 @@ def cell_ground(context: StageContext, cell: int) -> Ground | None:
     places = np.arange((side - window) // step + 1) * step
     offsets = (places + (window - 1) / 2.0 - (side - 1) / 2.0) * context.posting_m
     x, y = np.meshgrid(offsets, -offsets)
-    lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y))
+    nodes = places + window // 2
+    middles = np.nan_to_num(heights[np.ix_(nodes, nodes)])
+    lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y, middles))
     inside = _inside(context, cell, lat, lon, settings.inset_cell)
     missing = _fine_patches_missing(context, projection, x, y)
     return Ground(
@@ -85,7 +87,8 @@ def cell_ground(context: StageContext, cell: int) -> Ground | None:
 
 def strongest_of(context: StageContext, cell: int, ground: Ground) -> list[tuple[int, int]]:
     """Places of a cell's ground with the strongest response under its worst Sun, best first."""
-    suns = suns_of(context.config.render, context.grid.centre_deg(cell)[0])
+    latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
+    suns = suns_of(context.config.render, latitude)
     response = hessian_eigenvalue_map(
         blurred(ground.heights),
         context.posting_m,
@@ -122,7 +125,7 @@ def suns_of(settings: "Settings", lat_deg: float) -> FloatArray:
     )
 
 
-def missing_share(context: StageContext, projection: Stereographic, posting_m: float) -> float:
+def missing_share(context: StageContext, projection: MapProjection, posting_m: float) -> float:
     """Share of a patch without ground, from a lattice over it."""
     spread = posting_m * (context.size - 1) / (COVERAGE_LATTICE - 1)
     x, y = np.meshgrid(*(2 * [spread * (np.arange(COVERAGE_LATTICE) - (COVERAGE_LATTICE - 1) / 2)]))
@@ -143,7 +146,9 @@ def _ground_side(context: StageContext, cell: int, window: int) -> int:
     # a cell is widest at its border nearer to the equator; a cap is as wide as its circle
     parallel = np.cos(np.radians(min(abs(south), abs(north)) if south * north > 0.0 else 0.0))
     width = 2.0 * np.sin(np.radians(min(east - west, 180.0)) / 2.0) * parallel
-    metres = max(np.radians(north - south), width) * context.body.radius_m
+    metres = max(np.radians(north - south), width) * max(
+        context.body.radius_m, *context.body.radii_m
+    )
     return int(np.ceil(1.02 * metres / context.posting_m)) + window
 
 
@@ -164,7 +169,7 @@ def _inside(
 
 
 def _fine_patches_cover(
-    context: StageContext, projection: Stereographic, extent_m: float
+    context: StageContext, projection: MapProjection, extent_m: float
 ) -> tuple[NDArray[np.bool_], float, float]:
     """Where there is ground for the fine patches of places within `extent_m` of the middle.
 
@@ -188,7 +193,7 @@ def has_whole_patches(context: StageContext, cell: int) -> bool:
 
 
 def _fine_patches_missing(
-    context: StageContext, projection: Stereographic, x: FloatArray, y: FloatArray
+    context: StageContext, projection: MapProjection, x: FloatArray, y: FloatArray
 ) -> FloatArray:
     """Share of the patch of the coarsest of the finest levels, at places (map m), that is holes."""
     covered, spacing, half = _fine_patches_cover(context, projection, float(np.abs(x).max()))

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.projection import Stereographic
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.map_view import render_map
 from catalog.selection.localisation import hessian_eigenvalue
 from catalog.selection.match_error import predicted_error_over_correlation
@@ -90,7 +90,8 @@ def render_chunk(context: StageContext, cells: Sequence[int]) -> list[Record]:
     """Candidates of cells; a cell whose ground is all holes is left out."""
     records = []
     for cell, found in shortlists(context, cells).items():
-        suns = suns_of(context.config.render, context.grid.centre_deg(cell)[0])
+        latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
+        suns = suns_of(context.config.render, latitude)
         scores = [
             score
             for group in _groups(context, found.places)
@@ -114,13 +115,13 @@ def _groups(context: StageContext, places: FloatArray) -> list[FloatArray]:
     return [places[i : i + 1] for i in range(len(places))]
 
 
-def _offsets(context: StageContext, places: FloatArray) -> tuple[Stereographic, FloatArray]:
+def _offsets(context: StageContext, places: FloatArray) -> tuple[MapProjection, FloatArray]:
     """A map projection in the middle of places, and the nodes (n, 2) from there down and along."""
     lat, lon = np.radians(places).T
-    xyz = xyz_from_latlon(lat, lon, 1.0)
+    xyz = context.mosaic.points(lat, lon)
     middle = xyz.min(axis=0) + np.ptp(xyz, axis=0) / 2.0
     centre_lat, centre_lon, _ = latlon_from_xyz(middle)
-    projection = Stereographic(float(centre_lat), float(centre_lon), context.body.radius_m)
+    projection = context.mosaic.projection(float(centre_lat), float(centre_lon))
     x, y = projection.xy_from_xyz(xyz)
     return projection, np.stack([-y, x], axis=1) / context.posting_m
 
@@ -145,15 +146,16 @@ def _scores(
         corners = np.rint(offsets / 2**level + (side - window) / 2.0).astype(np.int64).tolist()
         windows.append([(slice(r, r + window), slice(c, c + window)) for r, c in corners])
     errors = np.empty((len(places), len(postings), len(suns)), np.float32)
+    beyond = context.mosaic.beyond(projection, postings[-1], grids[-1].shape[0])
     for level, (grid, posting) in enumerate(zip(grids, postings, strict=True)):
-        outer = list(zip(grids[level + 1 :], postings[level + 1 :], strict=True))
+        outer = [*zip(grids[level + 1 :], postings[level + 1 :], strict=True), *beyond]
         for k, sun in enumerate(suns):
             picture = blurred(
                 render_map(
                     grid,
                     posting,
                     sun,
-                    radius_m=context.body.radius_m,
+                    radius_m=projection.radius_m,
                     law=settings.law,
                     outer=outer,
                     quick=True,

@@ -25,6 +25,7 @@ from catalog.stages.ground import (
     suns_of,
 )
 from catalog.terrain.graticule_heights import graticule_heights
+from catalog.terrain.mosaic import Mosaic
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -119,12 +120,15 @@ def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortli
     asked = np.asarray(cells, dtype=np.int64)
     zone_of = _zone_of(context, context.grid.bands_of(asked))
     found: dict[int, Shortlist] = {}
-    for number in np.unique(zone_of).tolist():
+    mosaic = context.mosaic
+    # a mesh has no graticule to sweep: its cells have a map grid each
+    zones = np.unique(zone_of).tolist() if isinstance(mosaic, Mosaic) else []
+    for number in zones:
         zone = _zone(context, number)
-        if zone is not None:
+        if zone is not None and isinstance(mosaic, Mosaic):
             spans = _spans(context, zone, asked[zone_of == number])
             for group in _groups(zone, spans):
-                found.update(_swept(context, zone, group))
+                found.update(_swept(context, mosaic, zone, group))
     for cell in asked.tolist():
         alone = None if cell in found else _alone(context, cell)
         if alone is not None:
@@ -216,7 +220,9 @@ def _groups(zone: Zone, spans: Spans) -> Iterator[Spans]:
     yield spans.part(np.arange(begin, spans.cells.size))
 
 
-def _swept(context: StageContext, zone: Zone, group: Spans) -> Iterator[tuple[int, Shortlist]]:
+def _swept(
+    context: StageContext, mosaic: Mosaic, zone: Zone, group: Spans
+) -> Iterator[tuple[int, Shortlist]]:
     """Shortlists of cells from one sweep; without cells that have holes, or no relief at all."""
     settings = context.config.render
     step = zone.step
@@ -225,9 +231,7 @@ def _swept(context: StageContext, zone: Zone, group: Spans) -> Iterator[tuple[in
     width = int(group.end.max()) - col
     part = Part(row * step - MARGIN, col * step - MARGIN,
                 height * step + 2 * MARGIN, width * step + 2 * MARGIN)  # fmt: skip
-    heights = graticule_heights(
-        context.mosaic, zone.graticule, part, context.posting_m, zone.latitudes
-    )
+    heights = graticule_heights(mosaic, zone.graticule, part, context.posting_m, zone.latitudes)
     across = np.cos(zone.graticule.lat(part.rows[MARGIN:-MARGIN]))
     stretch = zone.graticule.row_angle / (zone.graticule.column_angle * across)
     tiles = tile_sums(heights, context.posting_m, stretch, step)

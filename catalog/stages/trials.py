@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from catalog.control_point import Patch
 from catalog.geometry.projection import Stereographic
+from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.trial import (
     Gate,
@@ -20,7 +21,7 @@ from catalog.selection.trial import (
 )
 from catalog.selection.trial_picture import FINER
 from catalog.terrain.detail import Detail
-from catalog.terrain.mosaic import Mosaic
+from catalog.terrain.terrain import Terrain
 
 Grid = NDArray[np.float32]
 
@@ -36,22 +37,21 @@ def _relief(
     ground: int,
     posting_m: float,
     dem_posting_m: float,
+    smallest_m: float,
     size: int,
     radius_m: float,
     slope_deg: float,
 ) -> Grid:
     """Relief below a DEM's posting on a map grid of `posting_m`, ready to be added."""
-    detail = Detail(
-        ground, dem_posting_m, radius_m, smallest_m=dem_posting_m / FINER, rms_slope_deg=slope_deg
-    )
+    detail = Detail(ground, dem_posting_m, radius_m, smallest_m=smallest_m, rms_slope_deg=slope_deg)
     relief = detail.local(Stereographic(0.0, 0.0, radius_m), posting_m, size)
     relief.setflags(write=False)
     return relief
 
 
 def trial_levels(
-    mosaic: Mosaic,
-    projection: Stereographic,
+    mosaic: Terrain,
+    projection: MapProjection,
     patches: Sequence[Patch],
     search: Search,
     slope_deg: float,
@@ -59,17 +59,20 @@ def trial_levels(
 ) -> list[Level]:
     """What is seen and what is known of a place, finest first.
 
-    patches    of the place, finest first; the relief that is added is below their posting
+    patches    of the place, finest first; the relief that is added is below their posting, or
+               below the terrain's own where they are finer than that
     slope_deg  rms slope of the random part of that relief
     ground     which relief
     """
     size = truth_size(search)
+    known = max(patches[0].posting_m, mosaic.posting_m)
+    smallest = patches[0].posting_m / FINER
     levels = []
     for patch in patches[:TRIAL_LEVELS]:
         posting = patch.posting_m / FINER
         truth = mosaic.local_grid(projection, posting, size)
         truth = truth + _relief(
-            ground % GROUNDS, posting, patches[0].posting_m, size, projection.radius_m, slope_deg
+            ground % GROUNDS, posting, known, smallest, size, mosaic.body.radius_m, slope_deg
         )
         levels.append(Level(patch.heights_m, truth, patch.posting_m))
     return levels

@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from catalog.bodies.body import Body
+from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic
+from catalog.geometry.tangent_plane import MapProjection
 from catalog.progress import Progress
 from catalog.terrain.feather import Feather
 from catalog.terrain.footprint import sample_level
@@ -108,6 +110,41 @@ class Mosaic:
             names.append(name if name not in names else f"{name} ({source.settings.priority})")
         return tuple(names)
 
+    @property
+    def extent(self) -> str:
+        """Which ground it covers: west, south, east, north of each source."""
+        sources = [pyramid.source for pyramid in self.pyramids]
+        return "; ".join(
+            f"{s.path.name} covers {','.join(f'{v:.6g}' for v in np.degrees(s.latlon_bounds()))}"
+            for s in sources
+        )
+
+    def files(self) -> list[Path]:
+        """The sources' files and their overviews."""
+        found: set[Path] = set()
+        for pyramid in self.pyramids:
+            found.update(pyramid.source.files)
+            found.update(path for path in pyramid.folder.iterdir() if path.is_file())
+        return sorted(found)
+
+    def projection(self, lat: float, lon: float) -> Stereographic:
+        """The map projection of patches about a place (rad)."""
+        return Stereographic(lat, lon, self.body.radius_m)
+
+    def points(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
+        """Directions (..., 3) of places (rad): radial heights change no x and y of a map."""
+        return xyz_from_latlon(lat, lon, 1.0)
+
+    def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
+        """False: a raster has one height a place."""
+        return False
+
+    def beyond(
+        self, projection: MapProjection, posting_m: float, size: int
+    ) -> Sequence[tuple[HeightGrid, float]]:
+        """None: the coarsest patches reach farther than shadows do."""
+        return ()
+
     def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> HeightGrid:
         """Heights (float32, m above the reference sphere, NaN for none) of points (rad).
 
@@ -131,11 +168,11 @@ class Mosaic:
         sampled, shape = self._at(lat, lon, posting_m or self.posting_m)
         return np.asarray(sampled.source.reshape(shape) >= 0)
 
-    def local_grid(self, projection: Stereographic, posting_m: float, size: int) -> HeightGrid:
+    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> HeightGrid:
         """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
         return self._sample_grid(projection, posting_m, size).heights.reshape(size, size)
 
-    def provenance(self, projection: Stereographic, posting_m: float, size: int) -> str:
+    def provenance(self, projection: MapProjection, posting_m: float, size: int) -> str:
         """Names of the sources that a centred map grid is read from, joined by " + ".
 
         The one that counts most at its middle comes first, the others by priority; empty where
@@ -149,7 +186,10 @@ class Mosaic:
         middle = int(self.source_index(projection.lat, projection.lon))
         return " + ".join(self.names[i] for i in sorted(numbers, key=lambda i: (i != middle, i)))
 
-    def _sample_grid(self, projection: Stereographic, posting_m: float, size: int) -> Sampled:
+    def _sample_grid(self, projection: MapProjection, posting_m: float, size: int) -> Sampled:
+        if not isinstance(projection, Stereographic):
+            raise TypeError("rasters have radial heights: they fill stereographic grids only")
+
         def nodes(place: Georeference) -> Pixels:
             return pixels_of_grid(place, projection, posting_m, size)
 

@@ -1,0 +1,185 @@
+"""The ground of a body that is given as a mesh, cut into the map grids of patches.
+
+On a body under 100 km a patch is a grid in the plane that touches the reference ellipsoid, with
+heights along that plane's normal; on a larger one, as with rasters, a stereographic grid with
+radial heights. A height is where the line through a node meets the ground first from outside.
+Where it meets the ground again soon below, the ground overhangs and has no one height: NaN.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from catalog.bodies.body import Body
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.tangent_plane import MapProjection, TangentPlane
+from catalog.terrain.mesh.rays import MeshRays
+
+FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
+
+SMALL_BODY_M = 100e3  # mean diameter
+# A coarse node is the mean of so many rays a side that none stands for more than a mesh's own
+# posting; more than this would cost much and change little.
+MOST_RAYS_ASIDE = 8
+PAST = 1e-6  # of the body's reach: beyond a face that was met, before the next one is looked for
+
+
+class MeshTerrain:
+    """A mesh as terrain. Not safe across threads; pickles by path.
+
+    corners_file  .npy of (m, 3, 3) m, faces counter-clockwise from outside
+    name          of the file that the mesh came from
+    posting_m     distance of neighbouring vertices
+    """
+
+    whole = True
+
+    def __init__(self, body: Body, corners_file: Path, name: str, posting_m: float) -> None:
+        self.body, self.corners_file, self.name = body, corners_file, name
+        self._posting_m = posting_m
+        self._rays: MeshRays | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_rays": None}
+
+    @property
+    def rays(self) -> MeshRays:
+        """The mesh for rays, read when first asked for."""
+        if self._rays is None:
+            self._rays = MeshRays(np.load(self.corners_file))
+        return self._rays
+
+    @property
+    def posting_m(self) -> float:
+        """Distance of neighbouring vertices."""
+        return self._posting_m
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The mesh's file."""
+        return (self.name,)
+
+    @property
+    def extent(self) -> str:
+        """All of the body."""
+        return f"{self.name} covers all of {self.body.name}"
+
+    def files(self) -> list[Path]:
+        """The file of corners."""
+        return [self.corners_file]
+
+    def close(self) -> None:
+        """Forget the mesh; it is read again when asked for."""
+        self._rays = None
+
+    @property
+    def in_planes(self) -> bool:
+        """Whether patches lie in tangent planes: on a small body."""
+        return 2.0 * self.body.radius_m < SMALL_BODY_M
+
+    def projection(self, lat: float, lon: float) -> MapProjection:
+        """The projection of patches about the ground at a place (rad, planetocentric)."""
+        if self.in_planes:
+            return TangentPlane.below(self.points(lat, lon), self.body.radii_m)
+        return Stereographic(lat, lon, self.body.radius_m)
+
+    def points(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
+        """Points (..., 3) m of the ground at places (rad, planetocentric), the outermost."""
+        directions = xyz_from_latlon(lat, lon, 1.0)
+        outward = directions.reshape(-1, 3)
+        start = 2.0 * self.rays.reach_m
+        _, distance = self.rays.first_hits(start * outward, -outward)
+        return (outward * (start - distance)[:, None]).reshape(directions.shape)
+
+    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> HeightGrid:
+        """Heights (...) of places (rad) above the sphere of the body's radius, m."""
+        radius = np.linalg.norm(self.points(lat, lon), axis=-1)
+        return np.asarray(radius - self.body.radius_m, dtype=np.float32)
+
+    def covers(
+        self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None
+    ) -> NDArray[np.bool_]:
+        """True: a closed mesh has ground everywhere."""
+        return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
+
+    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> HeightGrid:
+        """Heights (size, size) of a centred map grid; NaN beside the body and under overhangs."""
+        return self._grid(projection, posting_m, size, self._single)
+
+    def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
+        """Whether a vertical line through a node meets the ground again within the grid's width."""
+        first = self._first(projection, *node_grid(size, posting_m), size * posting_m)
+        single = self._single(projection, *node_grid(size, posting_m), size * posting_m)
+        return bool((np.isnan(single) & ~np.isnan(first)).any())
+
+    def beyond(
+        self, projection: MapProjection, posting_m: float, size: int
+    ) -> Sequence[tuple[HeightGrid, float]]:
+        """Coarser grids, each of twice the posting of the one before, until all of the body is in.
+
+        Overhanging ground stands in them with its top: it throws shadows.
+        """
+        if not self.in_planes:
+            return ()
+        grids = []
+        while size * posting_m < 4.0 * self.rays.reach_m:
+            posting_m *= 2.0
+            grids.append((self._grid(projection, posting_m, size, self._first), posting_m))
+        return grids
+
+    def provenance(self, projection: MapProjection, posting_m: float, size: int) -> str:
+        """The mesh's file."""
+        return self.name
+
+    def _grid(self, projection: MapProjection, posting_m: float, size: int, heights: Any
+              ) -> HeightGrid:  # fmt: skip
+        """Means of heights over the cells of a grid's nodes."""
+        aside = int(np.clip(np.ceil(posting_m / self._posting_m - 0.05), 1, MOST_RAYS_ASIDE))
+        x, y = node_grid(size * aside, posting_m / aside)
+        found = heights(projection, x, y, size * posting_m)
+        cells = found.reshape(size, aside, size, aside)
+        return np.asarray(cells.mean(axis=(1, 3)), dtype=np.float32)
+
+    def _lines(
+        self, projection: MapProjection, x: FloatArray, y: FloatArray
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Starts above all ground and downward rays (n, 3) of nodes, and the starts' height, m."""
+        top = 2.0 * self.rays.reach_m
+        starts = projection.points(x.ravel(), y.ravel(), top)
+        if isinstance(projection, TangentPlane):
+            return starts, np.broadcast_to(-projection.body_from_local[:, 2], starts.shape), top
+        return starts, -starts / np.linalg.norm(starts, axis=1)[:, None], top
+
+    def _first(
+        self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float
+    ) -> FloatArray:
+        """Heights of the outermost ground at map points."""
+        starts, rays, top = self._lines(projection, x, y)
+        _, distance = self.rays.first_hits(starts, rays)
+        height = np.where(np.isfinite(distance), top - distance, np.nan)
+        return np.asarray(height.reshape(x.shape))
+
+    def _single(
+        self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float
+    ) -> FloatArray:
+        """The same; NaN where ground begins again less than depth_m below."""
+        starts, rays, top = self._lines(projection, x, y)
+        face, distance = self.rays.first_hits(starts, rays)
+        height = np.where(np.isfinite(distance), top - distance, np.nan)
+        met = np.flatnonzero(face >= 0)
+        past = PAST * self.rays.reach_m
+        # out of the body again, then into it once more
+        for _ in range(2):
+            if not met.size:
+                break
+            face, at = self.rays.next_hits(starts[met], rays[met], distance[met] + past)
+            below = (face >= 0) & (at < top - height[met] + depth_m)
+            met = met[below]
+            distance[met] = at[below]
+        height[met] = np.nan
+        return np.asarray(height.reshape(x.shape))

@@ -1,0 +1,74 @@
+"""What a build asks of the ground, whether it is a mosaic of terrain models or a mesh."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from catalog.bodies.body import Body
+from catalog.geometry.tangent_plane import MapProjection
+
+FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
+
+
+class Terrain(Protocol):
+    """The ground of a body. Angles are rad, heights m, float32, NaN where there are none."""
+
+    body: Body
+    whole: bool  # whether every place of the body has a height
+
+    @property
+    def posting_m(self) -> float:
+        """The finest posting: what is finer in a patch is between known heights."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The files it is made of."""
+
+    @property
+    def extent(self) -> str:
+        """Which ground it covers, in words."""
+
+    def files(self) -> list[Path]:
+        """All files that are read while patches are cut."""
+
+    def projection(self, lat: float, lon: float) -> MapProjection:
+        """The map projection of patches about a place, planetocentric."""
+
+    def points(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
+        """Body-fixed points (..., 3) of places as far as `xy_from_xyz` of a projection asks.
+
+        Of the ground (m) where a projection's x and y depend on heights, else directions.
+        """
+
+    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> HeightGrid:
+        """Heights (...) of places above the sphere of the body's radius."""
+
+    def covers(
+        self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None
+    ) -> NDArray[np.bool_]:
+        """Whether places have a height."""
+
+    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> HeightGrid:
+        """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
+
+    def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
+        """Whether a vertical line through a node of a map grid meets the ground several times."""
+
+    def beyond(
+        self, projection: MapProjection, posting_m: float, size: int
+    ) -> Sequence[tuple[HeightGrid, float]]:
+        """Coarser grids (size, size) and postings, finer first, for the rest of a small body.
+
+        They go on from a grid of posting_m and throw the shadows that come from beyond all patches;
+        none where bodies are so large that those levels reach as far as shadows do.
+        """
+
+    def provenance(self, projection: MapProjection, posting_m: float, size: int) -> str:
+        """Which files a centred map grid is read from, joined by " + "."""
+
+    def close(self) -> None:
+        """Let go of files; they open again when read."""
