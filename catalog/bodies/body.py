@@ -13,6 +13,8 @@ SunTheory = Literal["moon", "earth", "mars"]
 Heights = tuple[float, float]
 Polynomial = tuple[float, float, float]
 Axes = tuple[float, float, float]
+J2000_YEAR = 2000.0
+JULIAN_YEAR_S = 365.25 * 86400.0
 
 
 class RotationTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -40,21 +42,27 @@ class CorrectionTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cos_arcsec: Axes
 
 
-class RotationCorrection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class RotationCorrection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, cache_hash=True):
     """What a fit adds to a published series: a small turn, applied after it, in body axes.
 
+    years                        first and last Julian year of the fit; beyond them it is not used
     x_, y_, z_arcsec_by_century  polynomials of the three angles
     error_m                      rms a body axis of what remains, as a shift of the surface
     """
 
+    years: tuple[float, float]
     error_m: float
     x_arcsec_by_century: Polynomial
     y_arcsec_by_century: Polynomial
     z_arcsec_by_century: Polynomial
     terms: tuple[CorrectionTerm, ...]
 
+    def holds(self, tdb_s: float) -> bool:
+        """Whether a time, TDB s past J2000, lies in the years of the fit."""
+        return self.years[0] <= J2000_YEAR + tdb_s / JULIAN_YEAR_S <= self.years[1]
 
-class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+
+class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, cache_hash=True):
     """Pole and prime meridian as the IAU working group writes them.
 
     Polynomials from J2000 TDB: right ascension and declination of the pole in degrees by powers of
@@ -122,11 +130,15 @@ class Body:
     rotation_correction: RotationCorrection | None = None
     gravity: GravityField | None = None
 
-    @property
-    def rotation_error_m(self) -> float:
-        """Error of the rotation as a shift of the surface, 1 sigma a body axis; 0: not stated."""
+    def rotation_error_m(self, tdb_s: float) -> float:
+        """Error of the rotation as a shift of the surface, 1 sigma a body axis; 0: not stated.
+
+        tdb_s  TDB seconds past J2000
+        """
         correction = self.rotation_correction
-        return self.rotation.error_m if correction is None else correction.error_m
+        if correction is None or not correction.holds(tdb_s):
+            return self.rotation.error_m
+        return correction.error_m
 
 
 def load_body(name: str) -> Body:

@@ -54,8 +54,7 @@ class BodyMotion(Protocol):
     def name(self) -> str:
         """The source, for a log."""
 
-    @property
-    def error_m(self) -> float:
+    def error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
@@ -78,10 +77,9 @@ class AnalyticMotion:
         self.body = body
         self.name = "analytic theory (SOFA, rotation series)"
 
-    @property
-    def error_m(self) -> float:
+    def error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
-        return self.body.rotation_error_m
+        return self.body.rotation_error_m(tdb_s)
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
         """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
@@ -119,8 +117,12 @@ class SpiceMotion:
         self.name = f"SPICE kernels ({self._kernels.names}){rest}"
         lunar = body.name == "moon"
         self._frame = LUNAR_FRAME if lunar else self._kernels.body_frame(body.name)
-        self.error_m = LUNAR_FRAME_ERROR_M if lunar else body.rotation_error_m
         self._check()
+
+    def error_m(self, tdb_s: float) -> float:
+        """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
+        lunar = self._frame == LUNAR_FRAME
+        return LUNAR_FRAME_ERROR_M if lunar else self.body.rotation_error_m(tdb_s)
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
         """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame.

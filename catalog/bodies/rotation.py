@@ -11,7 +11,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from catalog.bodies.body import Body, RotationCorrection, RotationSeries
+from catalog.bodies.body import (
+    J2000_YEAR,
+    JULIAN_YEAR_S,
+    Body,
+    RotationCorrection,
+    RotationSeries,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -26,9 +32,11 @@ def body_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:
     tdb_s  (...)  TDB seconds past J2000
     """
     published = published_from_inertial(body, tdb_s)
-    if body.rotation_correction is None:
+    correction = body.rotation_correction
+    if correction is None or not np.any(held := _held(correction, tdb_s)):
         return published
-    return _turn(correction_angles(body.rotation_correction, tdb_s)) @ published
+    angles = correction_angles(correction, tdb_s)
+    return _turn(angles if np.all(held) else angles * held[..., None]) @ published
 
 
 def published_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:
@@ -74,10 +82,17 @@ def pole_and_meridian(
     return np.radians(ra), np.radians(dec), np.radians(np.mod(meridian, 360.0))
 
 
+def _held(correction: RotationCorrection, tdb_s: ArrayLike) -> NDArray[np.bool_]:
+    """Whether each time lies in the years of the fit."""
+    first, last = (year - J2000_YEAR for year in correction.years)
+    years = np.asarray(tdb_s, dtype=np.float64) / JULIAN_YEAR_S
+    return np.asarray((first <= years) & (years <= last))
+
+
 def correction_angles(correction: RotationCorrection, tdb_s: ArrayLike) -> FloatArray:
     """Rotation vectors (..., 3), rad, body axes, by which the frame is turned on from the series.
 
-    tdb_s  (...)  TDB seconds past J2000
+    tdb_s  (...)  TDB seconds past J2000, in the years of the fit: beyond them this goes astray
     """
     centuries = np.asarray(tdb_s, dtype=np.float64)[..., None] / CENTURY_S
     slow, angles, amplitudes = _correction_table(correction)
