@@ -1,0 +1,72 @@
+"""Limb points as rays in the body frame, with what a pixel is worth at each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from catalog.errors import NoSolutionError
+from catalog.terrain.limb_skyline import nadir_axes
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.limb_points import LimbPoints
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ARC_BIN_DEG = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Rays to the limb.
+
+    rays         (n, 3) unit, body frame
+    pixel_angle  (n,)   rad a pixel across the limb
+    sigma_px     (n,)   stated error of each point, its own
+    blur         rad    sigma of what one point averages along the limb
+    common_px    sigma of an edge error that all points share
+    """
+
+    rays: FloatArray
+    pixel_angle: FloatArray
+    sigma_px: FloatArray
+    blur: float
+    common_px: float
+
+    def __len__(self) -> int:
+        return len(self.rays)
+
+    def azimuths(self, position: FloatArray) -> FloatArray:
+        """(n,) rad about the nadir of a position (3,), as `nadir_axes` counts them."""
+        x, y, _ = nadir_axes(position) @ self.rays.T
+        return np.asarray(np.arctan2(y, x))
+
+    def subset(self, kept: BoolArray) -> "Sight":
+        """The rays of a mask."""
+        return Sight(
+            self.rays[kept], self.pixel_angle[kept], self.sigma_px[kept], self.blur, self.common_px
+        )
+
+
+def sight_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> Sight:
+    """Rays of limb points. Raises NoSolutionError when the lens has none for them."""
+    rays = camera.unproject(points.pixels)
+    nearby = camera.unproject(points.pixels + points.inward)
+    seen = np.isfinite(rays).all(axis=1) & np.isfinite(nearby).all(axis=1)
+    if not seen.any():
+        raise NoSolutionError("the lens has no ray for any of the limb points")
+    angle = np.linalg.norm(np.cross(rays[seen], nearby[seen]), axis=1)
+    return Sight(
+        camera_from_body.apply(rays[seen], inverse=True),
+        angle,
+        points.sigma_px[seen],
+        points.blur_px * float(np.median(angle)),
+        points.common_sigma_px,
+    )
+
+
+def arc_deg(azimuths: FloatArray) -> float:
+    """Azimuth, in degrees, that points (rad) cover, in steps of ARC_BIN_DEG."""
+    bins = np.floor(np.degrees(azimuths) / ARC_BIN_DEG).astype(np.int64)
+    return float(np.unique(np.mod(bins, round(360.0 / ARC_BIN_DEG))).size * ARC_BIN_DEG)

@@ -1,0 +1,226 @@
+"""From limb points to a position: the ellipsoid first, then the relief's own skyline.
+
+Each pass predicts the skyline of the relief from the position so far, and fits the position again
+with every ray touching a sphere of its own skyline's size. Outliers (crests in shadow, ground that
+the relief does not know) lose their weight by Tukey's biweight, whose width follows the scatter:
+wide while the position is kilometres off, narrow in the end.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from catalog.terrain.limb_skyline import LimbRelief
+from catalog.terrain.relief import GlobalRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.limb_fit import LimbFit, fit_limb
+from optnav_cli.measurements.limb_points import LimbPoints
+from optnav_cli.navigation.horizon.fix import HorizonFix
+from optnav_cli.navigation.horizon.sight import Sight, arc_deg, sight_of
+from optnav_cli.navigation.horizon.terrain_limb import TerrainLimb, limb_relief, terrain_limb
+from optnav_cli.navigation.horizon.uncertainty import (
+    attitude_covariance,
+    crest_covariance,
+    crest_sigma_m,
+    edge_covariance,
+    relief_covariance,
+)
+
+FloatArray = NDArray[np.float64]
+
+LEAST_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
+MAX_PASSES = 8
+STILL_M = 5.0  # a pass that moves the position by less, or by less than STILL_SIGMAS, is the last
+STILL_SIGMAS = 0.1
+TUKEY = 4.685  # 95 % efficient for normal errors
+MAD_TO_SIGMA = 1.4826
+LEAST_CUT_PX = 0.2
+# Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
+# side of shadows.
+LEAST_SUN_SINE = 0.05
+# One crest of the relief against the ground's own, m (see TOP_SHARE), and what an edge keeps of
+# light and slope that no model has, px: neighbouring points do not share them.
+CREST_NOISE_M, EDGE_NOISE_PX = 30.0, 0.05
+# A limb that scatters by so many times what is expected does not belong to this relief, attitude
+# and time. Simulated limbs reach 2 with the Sun at 20 deg; a wrong skyline is ten and more.
+MISFIT = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A fit over the relief: the rays that it kept, the skyline at these, how often it looked."""
+
+    fit: LimbFit
+    kept: Sight
+    sun_sine: FloatArray
+    passes: int
+    misfit: float
+
+
+def navigate(
+    points: LimbPoints,
+    camera: Camera,
+    camera_from_body: Rotation,
+    attitude_sigma_rad: float,
+    sun_body: ArrayLike | None,
+    body: Body,
+    relief: GlobalRelief | None = None,
+) -> HorizonFix:
+    """The camera's position from the lit limb in one picture.
+
+    attitude_sigma_rad  of each axis of camera_from_body
+    sun_body            (3,) towards the Sun, body frame, any length; None: not known
+    relief              of the body; without it the bare ellipsoid is the model
+
+    Raises NoSolutionError, with the reason, when the limb does not give a position.
+    """
+    sun = None if sun_body is None else np.asarray(sun_body, dtype=np.float64)
+    sight = sight_of(points, camera, camera_from_body)
+    fit = fit_limb(sight.rays, _own_sigmas(sight), body.radii_m)
+    if relief is None:
+        return _bare(points, sight, fit, attitude_sigma_rad, sun, body)
+    ground = limb_relief(relief)
+    solved = _over_relief(sight, fit.position_m, sun, ground)
+    if solved.misfit > MISFIT:
+        raise NoSolutionError(
+            _misfit_reason(points, camera, camera_from_body, sun, body, ground, solved)
+        )
+    return _terrain_fix(points, solved, attitude_sigma_rad, ground)
+
+
+def _bare(
+    points: LimbPoints, sight: Sight, fit: LimbFit, attitude_sigma: float, sun: FloatArray | None,
+    body: Body,
+) -> HorizonFix:  # fmt: skip
+    position = fit.position_m
+    azimuths = sight.azimuths(position)
+    arc = _enough(arc_deg(azimuths))
+    distance = float(np.linalg.norm(position))
+    sine = min(float(np.mean(body.radii_m)) / distance, 1.0)
+    away = np.full(len(sight), distance * np.sqrt(1.0 - sine * sine))
+    covariance = fit.noise_m2 + relief_covariance(
+        fit, body, azimuths, away, circle=float(np.arccos(sine))
+    )
+    covariance += edge_covariance(fit, sight, _sun_sine(sight, position, sun))
+    covariance += attitude_covariance(position, attitude_sigma)
+    return _fix(points, sight, fit, covariance, arc, 0)
+
+
+def _terrain_fix(
+    points: LimbPoints, solved: _Solved, attitude_sigma: float, ground: LimbRelief
+) -> HorizonFix:
+    fit, kept = solved.fit, solved.kept
+    arc = _enough(arc_deg(kept.azimuths(fit.position_m)[fit.weights > 0.0]))
+    away = np.full(len(kept), _limb_distance(fit.position_m, ground))
+    covariance = fit.covariance_m2 + edge_covariance(fit, kept, solved.sun_sine)
+    covariance += crest_covariance(fit, crest_sigma_m(ground.posting_m), away)
+    covariance += attitude_covariance(fit.position_m, attitude_sigma)
+    return _fix(points, kept, fit, covariance, arc, solved.passes)
+
+
+def _over_relief(
+    sight: Sight, position: FloatArray, sun: FloatArray | None, ground: LimbRelief
+) -> _Solved:
+    """Passes over the relief from a first position till it stands still."""
+    for passes in range(1, MAX_PASSES + 1):
+        limb = terrain_limb(ground, position, sight, sun)
+        lit = limb.lit & (limb.sun_sine > LEAST_SUN_SINE)
+        kept = sight.subset(lit)
+        _enough(arc_deg(kept.azimuths(position)))
+        fit, misfit = _robust_fit(kept, limb, lit, position, ground)
+        moved = float(np.linalg.norm(fit.position_m - position))
+        position = fit.position_m
+        if moved < max(STILL_M, STILL_SIGMAS * float(np.sqrt(np.trace(fit.noise_m2)))):
+            return _Solved(fit, kept, limb.sun_sine[lit], passes, misfit)
+    if misfit > MISFIT:
+        return _Solved(fit, kept, limb.sun_sine[lit], passes, misfit)
+    raise NoSolutionError(
+        f"the position still moves by {moved:.0f} m after {MAX_PASSES} passes over the relief"
+    )
+
+
+def _robust_fit(
+    kept: Sight, limb: TerrainLimb, lit: NDArray[np.bool_], position: FloatArray, ground: LimbRelief
+) -> tuple[LimbFit, float]:
+    """A fit to the skyline without its outliers, and its scatter over the expected one."""
+    radii = np.full(3, ground.radius_m)
+    sizes = limb.sizes[lit]
+    sigmas = np.hypot(_own_sigmas(kept), CREST_NOISE_M / _limb_distance(position, ground))
+    least = LEAST_CUT_PX * float(np.median(kept.pixel_angle))
+    fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
+    for _ in range(2):
+        scatter = MAD_TO_SIGMA * float(np.median(np.abs(fit.residuals)))
+        fit = fit_limb(
+            kept.rays, sigmas, radii,
+            scales=sizes, start_m=fit.position_m, cut=max(TUKEY * scatter, least),
+        )  # fmt: skip
+    return fit, MAD_TO_SIGMA * float(np.median(np.abs(fit.residuals) / sigmas))
+
+
+def _misfit_reason(
+    points: LimbPoints, camera: Camera, camera_from_body: Rotation, sun: FloatArray | None,
+    body: Body, ground: LimbRelief, solved: _Solved,
+) -> str:  # fmt: skip
+    """Why a limb that is no skyline of the relief may be so."""
+    reason = (
+        f"the limb is not the skyline of {body.name}'s relief: it scatters by {solved.misfit:.0f} "
+        "times what is expected; check attitude, time, camera and body"
+    )
+    sight = sight_of(points, camera, camera_from_body.inv())
+    try:
+        fit = fit_limb(sight.rays, _own_sigmas(sight), body.radii_m)
+        # the Sun was turned into the picture by the same attitude: what is lit is not known
+        other = _over_relief(sight, fit.position_m, None, ground)
+    except NoSolutionError:
+        return reason
+    if other.misfit > min(MISFIT, 0.5 * solved.misfit):
+        return reason
+    return reason + "; it fits the inverse rotation: is the quaternion body_from_camera?"
+
+
+def _own_sigmas(sight: Sight) -> FloatArray:
+    return np.asarray(np.hypot(sight.sigma_px, EDGE_NOISE_PX) * sight.pixel_angle)
+
+
+def _limb_distance(position: FloatArray, ground: LimbRelief) -> float:
+    """From a position (3,) to where a sphere's limb lies, m."""
+    return float(np.sqrt(max(float(position @ position) - ground.radius_m**2, 1.0)))
+
+
+def _enough(arc: float) -> float:
+    if arc < LEAST_ARC_DEG:
+        raise NoSolutionError(
+            f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "
+            f"{LEAST_ARC_DEG:.0f} deg or more"
+        )
+    return arc
+
+
+def _sun_sine(sight: Sight, position: FloatArray, sun: FloatArray | None) -> FloatArray:
+    """(n,) sine of the Sun's elevation where the rays touch a sphere; 1 where not known."""
+    if sun is None:
+        return np.ones(len(sight))
+    touch = position - (sight.rays @ position)[:, None] * sight.rays
+    return np.asarray(touch @ sun / (np.linalg.norm(touch, axis=1) * np.linalg.norm(sun)))
+
+
+def _fix(
+    points: LimbPoints, sight: Sight, fit: LimbFit, covariance: FloatArray, arc: float, passes: int
+) -> HorizonFix:
+    used = fit.weights > 0.0
+    in_pixels = fit.residuals[used] / sight.pixel_angle[used]
+    return HorizonFix(
+        position_m=fit.position_m,
+        covariance_m2=np.asarray(covariance),
+        arc_deg=arc,
+        residual_rms_px=float(np.sqrt(np.mean(in_pixels**2))),
+        n_points=len(points),
+        n_used=int(used.sum()),
+        terrain=passes > 0,
+        passes=passes,
+        remark="",
+    )

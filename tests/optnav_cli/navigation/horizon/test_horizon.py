@@ -1,0 +1,149 @@
+"""Positions from limb points whose truth is known; the pictures are the studies' business."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.errors import NoSolutionError
+from catalog.terrain.relief import GlobalRelief
+from optnav_cli.navigation.horizon import navigate
+from tests.optnav_cli.navigation.horizon.limbs import (
+    CAMERA,
+    MOON,
+    attitude,
+    grounds,
+    limb_points,
+    place,
+)
+
+ARCSEC = np.pi / 648000.0
+
+
+def split(error, position):
+    """Height error and the error over the ground, m."""
+    up = position / np.linalg.norm(position)
+    height = float(error @ up)
+    over = np.linalg.norm(error - height * up) * MOON.radius_m / np.linalg.norm(position)
+    return abs(height), float(over)
+
+
+def nees(fix, position):
+    error = fix.position_m - position
+    return float(error @ np.linalg.solve(fix.covariance_m2, error)) / 3.0
+
+
+@pytest.mark.parametrize("height", [5e4, 2e5, 8e5])
+def test_relief_takes_a_bare_sphere_s_error_away(height):
+    bare_over, over, up, honest = [], [], [], []
+    for seed in range(6):
+        position = place(height, seed)
+        turned = attitude(position)
+        points = limb_points(position, turned, seed=seed)
+        bare = navigate(points, CAMERA, turned, 0.0, None, MOON)
+        fix = navigate(points, CAMERA, turned, 0.0, None, MOON, grounds()[1])
+        assert (bare.terrain, fix.terrain) == (False, True)
+        assert fix.arc_deg == 360.0
+        assert fix.residual_rms_px < 0.3 * bare.residual_rms_px
+        bare_over.append(split(bare.position_m - position, position)[1])
+        both = split(fix.position_m - position, position)
+        up.append(both[0])
+        over.append(both[1])
+        honest.append(nees(fix, position))
+    # the figures asked for: 0.15-0.25 km over the ground, ten times better than the sphere
+    assert np.sqrt(np.mean(np.square(over))) < 150.0
+    assert np.sqrt(np.mean(np.square(up))) < 100.0
+    assert np.mean(over) < 0.1 * np.mean(bare_over)
+    assert np.mean(honest) < 1.5
+
+
+def test_a_bare_sphere_states_what_relief_may_do_to_it():
+    """The made Moon is of the real one's roughness: errors of kilometres, inside their sigmas."""
+    squares = []
+    for seed in range(12):
+        position = place(1e5, 30 + seed)
+        turned = attitude(position)
+        fix = navigate(limb_points(position, turned, seed=seed), CAMERA, turned, 0.0, None, MOON)
+        squares.append(nees(fix, position))
+        assert np.sqrt(np.trace(fix.covariance_m2)) > 3000.0
+    assert 0.1 < np.mean(squares) < 2.0
+
+
+def test_the_attitude_s_error_moves_the_position_about_the_body():
+    position = place(2e5, 1)
+    turned = attitude(position)
+    sigma = 10.0 * ARCSEC
+    points = limb_points(position, turned)
+    exact = navigate(points, CAMERA, turned, 0.0, None, MOON, grounds()[1])
+    squares = []
+    for seed in range(20):
+        slip = Rotation.from_rotvec(np.random.default_rng(seed).normal(0.0, sigma, 3))
+        fix = navigate(points, CAMERA, slip * turned, sigma, None, MOON, grounds()[1])
+        squares.append(nees(fix, position))
+    added = fix.covariance_m2 - exact.covariance_m2
+    up = position / np.linalg.norm(position)
+    assert up @ added @ up < 0.02 * np.trace(added)
+    assert np.trace(added) == pytest.approx(2.0 * (sigma * np.linalg.norm(position)) ** 2, rel=0.05)
+    assert 0.3 < np.mean(squares) < 1.6
+
+
+def test_half_a_limb_is_enough_and_less_than_100_deg_is_refused():
+    position = place(2e5, 5)
+    turned = attitude(position)
+    half = limb_points(position, turned, arc_deg=180.0)
+    fix = navigate(half, CAMERA, turned, 0.0, None, MOON, grounds()[1])
+    height, over = split(fix.position_m - position, position)
+    assert fix.arc_deg == pytest.approx(180.0, abs=4.0)
+    assert height < 300.0
+    assert over < 300.0
+    short = limb_points(position, turned, arc_deg=90.0)
+    for relief in (None, grounds()[1]):
+        with pytest.raises(NoSolutionError, match=r"covers \d+ deg of azimuth"):
+            navigate(short, CAMERA, turned, 0.0, None, MOON, relief)
+
+
+def test_limb_points_in_low_sun_and_shadow_do_not_count():
+    position = place(2e5, 6)
+    turned = attitude(position)
+    points = limb_points(position, turned)
+    up = position / np.linalg.norm(position)
+    side = np.cross(up, [0.0, 0.0, 1.0])
+    sun = up * np.sin(np.radians(5.0)) + side / np.linalg.norm(side) * np.cos(np.radians(5.0))
+    fix = navigate(points, CAMERA, turned, 0.0, sun, MOON, grounds()[1])
+    assert 120.0 < fix.arc_deg < 230.0
+    assert fix.n_used < 0.6 * fix.n_points
+
+
+def test_the_inverse_rotation_is_named():
+    position = place(2e5, 7)
+    turned = attitude(position)
+    points = limb_points(position, turned)
+    with pytest.raises(NoSolutionError, match="inverse rotation"):
+        navigate(points, CAMERA, turned.inv(), 0.0, None, MOON, grounds()[1])
+
+
+def test_a_limb_of_other_ground_is_no_position():
+    position = place(2e5, 8)
+    turned = attitude(position)
+    points = limb_points(position, turned)
+    wrong = grounds()[1]
+    other = GlobalRelief(
+        np.ascontiguousarray(wrong.heights[::-1]), np.ascontiguousarray(wrong.tops[::-1]),
+        wrong.radius_m, "another",
+    )  # fmt: skip
+    with pytest.raises(NoSolutionError, match="not the skyline of moon's relief"):
+        navigate(points, CAMERA, turned, 0.0, None, MOON, other)
+
+
+def test_common_edge_errors_are_in_the_height():
+    """0.05 px on all points moves the height by what the covariance holds for it."""
+    position = place(8e5, 9)
+    turned = attitude(position)
+    points = limb_points(position, turned, noise_px=0.02)
+    fix = navigate(points, CAMERA, turned, 0.0, None, MOON, grounds()[1])
+    up = position / np.linalg.norm(position)
+    sigma = float(np.sqrt(up @ fix.covariance_m2 @ up))
+    sine = MOON.radius_m / np.linalg.norm(position)
+    # d height = -distance / tan(half angle) d angle
+    one_pixel = np.linalg.norm(position) * np.sqrt(1.0 / sine**2 - 1.0) * CAMERA.angular_resolution
+    assert sigma > 0.02 * one_pixel
+    assert sigma < 0.05 * one_pixel
