@@ -18,7 +18,10 @@ class Solution:
     file                the frame's name in frames.csv
     utc                 its time as frames.csv writes it
     status              "solved" or "unsolved"
-    method              how it was solved, "control_points"; empty when no method got so far
+    method              how it was solved: "control_points", "horizon", "horizon_sphere" or
+                        "brightness_centre"; empty when no method got so far
+    prior               where the search for control points began: "frames.csv", a method, a camera
+                        at the same time, an orbit arc; empty when there was none
     reason              why it is unsolved, or a remark; empty otherwise
     position_m          (3,)    camera position, body frame, m
     covariance_m2       (3, 3)  its covariance, body frame, m^2
@@ -27,7 +30,9 @@ class Solution:
     n_predicted         control points expected in view, lit, unhidden and whole inside the frame
     n_matched           of these, found by the matcher
     n_used              of these, kept by the solution
-    residual_rms_px     rms of the kept points' residuals, a coordinate
+    residual_rms_px     rms of the kept points' residuals, a coordinate; of limb points across it
+    n_limb              limb points that the horizon rests on
+    arc_deg             of the limb that they cover, about the nadir
     """
 
     file: str
@@ -43,6 +48,9 @@ class Solution:
     n_used: int | None = None
     residual_rms_px: float | None = None
     reason: str = ""
+    prior: str = ""
+    n_limb: int | None = None
+    arc_deg: float | None = None
 
     @property
     def solved(self) -> bool:
@@ -92,6 +100,7 @@ def unsolved(
     n_predicted: int | None = None,
     n_matched: int | None = None,
     n_used: int | None = None,
+    prior: str = "",
 ) -> Solution:
     """The row of a frame that has no solution, with the reason in words."""
     return Solution(
@@ -102,6 +111,7 @@ def unsolved(
         n_predicted=n_predicted,
         n_matched=n_matched,
         n_used=n_used,
+        prior=prior,
         reason=reason,
     )
 
@@ -115,10 +125,13 @@ def solved(
     camera_from_body: Rotation,
     attitude_sigma_rad: float,
     *,
-    n_predicted: int,
-    n_matched: int,
-    n_used: int,
-    residual_rms_px: float | None,
+    n_predicted: int | None = None,
+    n_matched: int | None = None,
+    n_used: int | None = None,
+    residual_rms_px: float | None = None,
+    prior: str = "",
+    n_limb: int | None = None,
+    arc_deg: float | None = None,
     reason: str = "",
 ) -> Solution:
     """The row of a solved frame; ValueError when position or covariance is not finite."""
@@ -139,5 +152,8 @@ def solved(
         n_matched=n_matched,
         n_used=n_used,
         residual_rms_px=None if residual_rms_px is None else float(residual_rms_px),
+        prior=prior,
+        n_limb=n_limb,
+        arc_deg=arc_deg,
         reason=reason,
     )

@@ -31,6 +31,12 @@ from optnav_cli.options import output_option, path_argument
     show_default=True,
     help="How a control point is recognised.",
 )
+@click.option(
+    "--relief",
+    type=click.Path(path_type=Path),
+    help="A terrain model of the whole body for the horizon; by default the relief that a catalog "
+    "carries.",
+)
 @output_option("Folder for the results; an earlier run in it is replaced.")
 @pass_progress
 def command(
@@ -39,17 +45,23 @@ def command(
     catalogs: tuple[Path, ...],
     config: Path | None,
     matcher: str,
+    relief: Path | None,
     output: Path,
 ) -> None:
     """Find the camera's position for each picture of FOLDER.
 
     FOLDER holds run.toml, cameras/, frames.csv and the pictures. The run folder gets solution.csv
     (a row a frame), matches.csv (a row a control point), run.mcap, overlays and manifest.json.
+
+    A frame without a prior position in frames.csv is solved by itself: by the limb of the body,
+    then by control points; earlier frames and other cameras at the same time serve where it shows
+    no limb.
+
     Ends with exit code 4 when no frame could be solved.
 
     \b
     Example:
-      optnav navigate pictures --catalog tycho.gpkg -o run
+      optnav navigate pictures --catalog tycho.gpkg --catalog moon.gpkg -o run
     """
     from catalog.config import load_toml
     from optnav_cli.navigation.settings import NavigateSettings
@@ -57,5 +69,5 @@ def command(
 
     settings = load_toml(config, NavigateSettings) if config else NavigateSettings()
     announce_compilation()
-    navigate_folder(folder, catalogs, settings, matcher, output, progress)
+    navigate_folder(folder, catalogs, settings, matcher, output, progress, relief)
     click.echo(output)

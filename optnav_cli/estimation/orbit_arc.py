@@ -24,6 +24,9 @@ MOST_FIXES = 12
 ITERATIONS = 12
 # The state has settled when a step is below this share of its sigma.
 SETTLED_SIGMAS = 1e-3
+# Further ahead than the orbit takes for one radian an arc of a few minutes says little, and the
+# frames may belong to another flight.
+LONGEST_GAP_RAD = 1.0
 # A prediction with a larger share of the distance as its sigma says nothing of use.
 WIDEST_SHARE = 0.005
 
@@ -69,6 +72,14 @@ class Prediction:
         return float(offset @ np.linalg.solve(self.covariance_m2 + fix.covariance_m2, offset))
 
 
+@dataclass(frozen=True, eq=False)
+class Contradiction:
+    """A fix that does not lie where the arc led; `ended`: a new arc begins with it."""
+
+    predicted: Prediction
+    ended: bool
+
+
 class OrbitArc:
     """The arc through the last fixes, in the order of time.
 
@@ -83,18 +94,13 @@ class OrbitArc:
         self._doubted: Fix | None = None
         self._fitted: tuple[FloatArray, FloatArray] | None = None
 
-    @property
-    def last_s(self) -> float | None:
-        """Time of the last fix of the arc; None before the first."""
-        return self._fixes[-1].tdb_s if self._fixes else None
-
     def predict(self, tdb_s: float) -> Prediction | None:
         """The position at a time not before the last fix; None where the arc says nothing of use.
 
-        It says nothing without fixes, when the fixes fit no orbit, and when they leave more than
-        a small share of the distance open.
+        It says nothing without fixes, when the fixes fit no orbit, long after them, and when they
+        leave more than a small share of the distance open.
         """
-        if not self._fixes:
+        if not self._fixes or self._is_over(tdb_s):
             return None
         epoch = self._fixes[-1].tdb_s
         try:
@@ -110,23 +116,34 @@ class OrbitArc:
             return None
         return Prediction(position, spread, len(self._fixes))
 
-    def add(self, fix: Fix, *, sure: bool = False) -> Prediction | None:
-        """Take in a fix not before the last; returns the prediction that it contradicts, if any.
+    def add(self, fix: Fix, *, sure: bool = False) -> Contradiction | None:
+        """Take in a fix not before the last; says so when it does not lie where the arc leads.
 
         sure  the fix rests on two methods that agree: where it contradicts the arc, the arc ends
         """
         predicted = self.predict(fix.tdb_s)
         if predicted is None or predicted.distance_squared(fix) < GATE:
-            # where the arc says nothing of use it is not worth keeping, but for its first seconds
-            fixes = self._fixes if predicted is not None or len(self._fixes) < 2 else []
-            self._restart(_with(fixes, fix))
+            # an arc that says nothing of use is not worth keeping, but for its first fix
+            young = len(self._fixes) < 2 and not self._is_over(fix.tdb_s)
+            kept = self._fixes if predicted is not None or young else []
+            self._restart(_with(kept, fix))
             return None
-        if sure or self._doubted is not None:
+        ended = sure or self._doubted is not None
+        if ended:
             doubted = [] if sure or self._doubted is None else [self._doubted]
             self._restart(_with(doubted, fix))
         else:
             self._doubted = fix
-        return predicted
+        return Contradiction(predicted, ended)
+
+    def _is_over(self, tdb_s: float) -> bool:
+        if not self._fixes:
+            return False
+        last = self._fixes[-1]
+        radian_s = float(np.linalg.norm(last.position_m)) / self._model.circular_speed(
+            last.position_m
+        )
+        return tdb_s - last.tdb_s > LONGEST_GAP_RAD * radian_s
 
     def _restart(self, fixes: list[Fix]) -> None:
         self._fixes, self._doubted, self._fitted = fixes[-MOST_FIXES:], None, None
@@ -143,16 +160,21 @@ class OrbitArc:
             states, transitions = self._model.propagate(state, last.tdb_s, times)
             normal = np.diag([0.0] * 3 + [1.0 / speed**2] * 3)
             gradient = -normal @ state
+            misfit = float(state @ normal @ state)
             for fix, reached, transition in zip(self._fixes, states, transitions, strict=True):
                 noise = self._model.noise(state, fix.tdb_s - last.tdb_s)[:3, :3]
                 weight = np.linalg.inv(fix.covariance_m2 + noise)
-                by_state = transition[:3]
+                by_state, offset = transition[:3], fix.position_m - reached[:3]
                 normal += by_state.T @ weight @ by_state
-                gradient += by_state.T @ weight @ (fix.position_m - reached[:3])
+                gradient += by_state.T @ weight @ offset
+                misfit += float(offset @ weight @ offset)
             covariance = np.linalg.inv(normal)
             step = covariance @ gradient
             state = state + step
             if float(step @ normal @ step) < SETTLED_SIGMAS**2:
+                # three measurements a fix and three of the velocity's size, six unknowns
+                if misfit > chi2.isf(GATE_PROBABILITY, 3 * len(times)):
+                    break
                 self._fitted = state, (covariance + covariance.T) / 2.0
                 return self._fitted
         raise NoSolutionError("the fixes fit no orbit")

@@ -27,6 +27,7 @@ FOUND = (90, 240, 110)
 REJECTED = (80, 90, 255)
 RESIDUAL = (60, 220, 255)
 OUTLINE = (210, 170, 80)
+LIMB = (60, 200, 255)
 FADING = 0.75  # of the patch outlines from level to level, so that the large ones stay behind
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 EDGE_POINTS = 5  # a patch's side is drawn through so many points, for fisheyes
@@ -61,6 +62,10 @@ class _Canvas:
         for dx, dy in ((reach, reach), (reach, -reach)):
             self.line(np.array([pixel - (dx, dy), pixel + (dx, dy)]), colour, 2)
 
+    def dot(self, pixel: FloatArray, colour: tuple[int, int, int]) -> None:
+        x, y = (int(v) for v in self.place(pixel))
+        cv2.circle(self.image, (x, y), 2 << SUBPIXEL_BITS, colour, -1, cv2.LINE_AA, SUBPIXEL_BITS)
+
     def text(self, words: str, x: float, y: float, colour: tuple[int, int, int]) -> None:
         """Words with a dark rim, their lower left corner at canvas pixel x, y."""
         at = round(x), round(y)
@@ -77,11 +82,14 @@ def draw_overlay(
     matches: Iterable[MatchRow],
     outlines: Outlines | None = None,
     longest_px: int = LONGEST_PX,
+    *,
+    limb_px: FloatArray | None = None,
 ) -> Colour:
     """Draw a frame's control points on its picture.
 
     picture   (h, w)  as read, any number type
-    outlines  closed lines (n, 2), px, by catalog and control point id: the patches, see `patch_outlines`
+    outlines  closed lines (n, 2), px, by catalog and control point id, see `patch_outlines`
+    limb_px   (n, 2) limb points, drawn as dots
     Returns (h', w', 3) uint8 in OpenCV's order of colours, its longer side at most longest_px,
     with a strip below for the legend and the result.
     """
@@ -95,9 +103,11 @@ def draw_overlay(
             if match.used and np.isfinite(outline).all():
                 blue, green, red = (round(v * FADING**level) for v in OUTLINE)
                 canvas.line(outline, (blue, green, red), 1, closed=True)
+    for pixel in () if limb_px is None else limb_px:
+        canvas.dot(pixel, LIMB)
     for match in matches:
         _draw_match(canvas, match)
-    return np.vstack([canvas.image, _legend(canvas.image.shape[1], solution, matches)])
+    return np.vstack([canvas.image, _legend(canvas.image.shape[1], solution, matches, limb_px)])
 
 
 def write_overlay(
@@ -106,11 +116,14 @@ def write_overlay(
     solution: Solution,
     matches: Iterable[MatchRow],
     outlines: Outlines | None = None,
+    *,
+    limb_px: FloatArray | None = None,
 ) -> Path:
     """Write folder/NAME.png for a frame and return its path; the folder is made when missing."""
     path = overlay_path(folder, solution.file)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(encoded(draw_overlay(picture, solution, matches, outlines), ".png"))
+    drawn = draw_overlay(picture, solution, matches, outlines, limb_px=limb_px)
+    path.write_bytes(encoded(drawn, ".png"))
     return path
 
 
@@ -163,15 +176,19 @@ def _draw_match(canvas: _Canvas, match: MatchRow) -> None:
     canvas.text(str(match.cp_id), x + 10.0, y - 8.0, mark)
 
 
-def _legend(width: int, solution: Solution, matches: Sequence[MatchRow]) -> Colour:
+def _legend(
+    width: int, solution: Solution, matches: Sequence[MatchRow], limb_px: FloatArray | None
+) -> Colour:
     found = sum(match.measured_px is not None for match in matches)
     used = sum(match.used for match in matches)
-    items = (
+    items = [
         ("o", PREDICTED, f"predicted ({len(matches)})"),
         ("x", FOUND, f"found and used ({used})"),
         ("x", REJECTED, f"found, not used ({found - used})"),
         ("-", RESIDUAL, f"residual x{RESIDUALS_ENLARGED:.0f}"),
-    )
+    ]
+    if limb_px is not None:
+        items.append((".", LIMB, f"limb ({len(limb_px)})"))
     widths = [_text_width(words) + 44 for *_, words in items]
     rows = _rows_of(widths, width)
     strip = _Canvas(np.full((26 * (len(rows) + 1) + 6, width, 3), 24, dtype=np.uint8), 1.0)
@@ -183,6 +200,8 @@ def _legend(width: int, solution: Solution, matches: Sequence[MatchRow]) -> Colo
             at = np.array([x, y - 4.0])
             if kind == "o":
                 strip.ring(at, 6.0, colour)
+            elif kind == ".":
+                strip.dot(at, colour)
             elif kind == "x":
                 strip.cross(at, 5.0, colour)
             else:

@@ -30,6 +30,7 @@ LONGEST_PX = 2048  # a larger picture is recorded smaller, its calibration and m
 JPEG_QUALITY = 80
 MARK_PX, TEXT_PX = 14.0, 12.0  # for a picture of LONGEST_PX
 PREDICTED, FOUND, REJECTED = (0.20, 0.75, 1.0), (0.25, 0.95, 0.35), (1.0, 0.35, 0.30)  # RGB
+LIMB = (1.0, 0.85, 0.2)
 _CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 _TIME = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d):(\d\d)(?::(\d\d)(?:\.(\d*))?)?", re.ASCII)
 
@@ -69,10 +70,12 @@ class Recording:
         matches: Iterable[MatchRow] = (),
         camera: Camera | None = None,
         picture: NDArray[np.generic] | None = None,
+        limb_px: NDArray[np.float64] | None = None,
     ) -> None:
         """Add what is known of one frame.
 
         picture  (h, w) as read; camera may be None only where the picture is
+        limb_px  (n, 2) limb points found in it
         A frame whose time cannot be understood keeps the time of the frame before.
         """
         self._last_ns = nanoseconds(solution.utc, self._last_ns)
@@ -82,7 +85,7 @@ class Recording:
             if picture is not None:
                 self._write(f"{place}/image", self._image(camera, picture, factor))
             self._write(f"{place}/calibration", self._calibration(camera, factor))
-            self._write(f"{place}/annotations", self._annotations(camera, matches, factor))
+            self._write(f"{place}/annotations", self._annotations(camera, matches, factor, limb_px))
         if solution.position_m is not None and solution.camera_from_body is not None:
             self._write("/pose", self._pose(solution))
             self._write("/tf", self._transform(solution, camera))
@@ -141,7 +144,11 @@ class Recording:
         }
 
     def _annotations(
-        self, camera: Camera, matches: Iterable[MatchRow], factor: float
+        self,
+        camera: Camera,
+        matches: Iterable[MatchRow],
+        factor: float,
+        limb_px: NDArray[np.float64] | None,
     ) -> tuple[foxglove.Schema, Message]:
         size = factor * max(camera.width_px, camera.height_px) / LONGEST_PX
         circles, texts = [], []
@@ -175,7 +182,21 @@ class Recording:
                         "metadata": [],
                     }
                 )
-        return foxglove.IMAGE_ANNOTATIONS, {"circles": circles, "points": [], "texts": texts}
+        points = []
+        if limb_px is not None:
+            points.append(
+                {
+                    "timestamp": self._stamp(),
+                    "type": foxglove.POINTS,
+                    "points": [_point(pixel, factor) for pixel in limb_px],
+                    "outline_color": _color(LIMB),
+                    "outline_colors": [],
+                    "fill_color": _CLEAR,
+                    "thickness": 3.0 * size,
+                    "metadata": [],
+                }
+            )
+        return foxglove.IMAGE_ANNOTATIONS, {"circles": circles, "points": points, "texts": texts}
 
     def _pose(self, solution: Solution) -> tuple[foxglove.Schema, Message]:
         position, orientation = _camera_in_body(solution)
@@ -215,10 +236,12 @@ def describe(solution: Solution) -> str:
     sigma = float(np.sqrt(np.trace(solution.covariance_m2) / 3.0))
     rms = "" if solution.residual_rms_px is None else f", rms {solution.residual_rms_px:.2f} px"
     remark = f" ({solution.reason})" if solution.reason else ""
-    return (
-        f"{solution.file}: solved: {solution.n_used} of {solution.n_predicted} control points"
-        f"{rms}, sigma {sigma:.0f} m an axis{remark}"
-    )
+    found = f"{solution.method.replace('_', ' ')}"
+    if solution.n_used is not None:
+        found = f"{solution.n_used} of {solution.n_predicted} control points"
+    elif solution.n_limb is not None:
+        found = f"{found}, {solution.n_limb} limb points"
+    return f"{solution.file}: solved: {found}{rms}, sigma {sigma:.0f} m an axis{remark}"
 
 
 def nanoseconds(utc: str, otherwise: int = 0) -> int:

@@ -29,7 +29,8 @@ SOLUTION_COLUMNS = (
     *("file", "utc", "status", "method", "x_m", "y_m", "z_m"),
     *(f"cov_{name}_m2" for name in COVARIANCE),
     *("qw", "qx", "qy", "qz", "attitude_sigma_arcsec", "lat_deg", "lon_deg", "height_m"),
-    *("n_predicted", "n_matched", "n_used", "residual_rms_px", "reason"),
+    *("n_predicted", "n_matched", "n_used", "residual_rms_px"),
+    *("prior", "n_limb", "arc_deg", "reason"),
 )
 MATCH_COLUMNS = (
     *("file", "catalog", "id", "level", "lat_deg", "lon_deg", "radius_m"),
@@ -123,7 +124,7 @@ def _quaternion(row: Row, where: str) -> Rotation | None:
 def _solution_row(solution: Solution, attitude: FileAttitude) -> Row:
     row = dict.fromkeys(SOLUTION_COLUMNS, "")
     row.update(file=solution.file, utc=solution.utc, status=solution.status)
-    row.update(method=solution.method, reason=solution.reason)
+    row.update(method=solution.method, reason=solution.reason, prior=solution.prior)
     if solution.position_m is not None:
         lat, lon, radius = latlon_from_xyz(solution.position_m)
         row.update(zip(("x_m", "y_m", "z_m"), _all(solution.position_m, 4), strict=True))
@@ -138,10 +139,11 @@ def _solution_row(solution: Solution, attitude: FileAttitude) -> Row:
         row.update(zip(QUATERNION, values, strict=True))
     if solution.attitude_sigma_rad is not None:
         row["attitude_sigma_arcsec"] = fixed(solution.attitude_sigma_rad / ARCSEC, 6)
-    for column in ("n_predicted", "n_matched", "n_used"):
+    for column in ("n_predicted", "n_matched", "n_used", "n_limb"):
         count = getattr(solution, column)
         row[column] = "" if count is None else str(count)
     row["residual_rms_px"] = fixed(solution.residual_rms_px, 5)
+    row["arc_deg"] = fixed(solution.arc_deg, 2)
     return row
 
 
@@ -170,6 +172,9 @@ def _solution(row: Row, where: str, attitude: FileAttitude) -> Solution:
         n_used=_count(row, "n_used", where),
         residual_rms_px=optional_number(row, "residual_rms_px", where),
         reason=row["reason"],
+        prior=row["prior"],
+        n_limb=_count(row, "n_limb", where),
+        arc_deg=optional_number(row, "arc_deg", where),
     )
 
 

@@ -1,4 +1,4 @@
-"""The catalogs of a run as one field of control points."""
+"""What a run navigates by: its catalogs as one field of control points, and the body's relief."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -9,6 +9,8 @@ import numpy as np
 
 from catalog.errors import ConfigError, DataError
 from catalog.store.reader import Catalog
+from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief_of_dem import load_relief
 from optnav_cli.imagery.folder import Folder
 from optnav_cli.navigation.point_field import ControlPointField, PointLayer
 
@@ -35,6 +37,18 @@ def open_field(catalogs: Sequence[Catalog], folder: Folder) -> ControlPointField
     Raises DataError for a catalog of another body or without usable points.
     """
     return ControlPointField([_layer(catalog, folder) for catalog in catalogs])
+
+
+def whole_relief(
+    catalogs: Sequence[Catalog], named: Path | None, folder: Folder
+) -> GlobalRelief | None:
+    """The body's relief for the horizon: of the named terrain model, else what a catalog carries.
+
+    None where there is none. Raises DataError for a damaged one or a model of a part of the body.
+    """
+    if named is not None:
+        return load_relief(str(named), folder.body)
+    return next((relief for c in catalogs if (relief := c.relief()) is not None), None)
 
 
 def _layer(catalog: Catalog, folder: Folder) -> PointLayer:

@@ -9,10 +9,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.bodies.motion import AnalyticMotion
 from catalog.errors import NothingToDoError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import Folder, read_folder
+from optnav_cli.navigation.autonomous import Navigator, World
 from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.attitude import FileAttitude
@@ -22,8 +24,8 @@ from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.replace import replacing_folder
 from optnav_cli.output.run_folder import MATCHES, OVERLAYS, RECORDING, SOLUTION, copy_inputs
 from optnav_cli.output.tables import write_matches, write_solutions
-from optnav_cli.runs.catalogs import open_field, opened
-from optnav_cli.runs.frame_job import MATCHERS, FrameResult, solve_frame
+from optnav_cli.runs.catalogs import open_field, opened, whole_relief
+from optnav_cli.runs.frame_job import MATCHERS, FrameResult, in_order, solve_frame
 from optnav_cli.solution import MatchRow, Solution
 
 log = logging.getLogger(__name__)
@@ -41,9 +43,13 @@ def navigate_folder(
     matcher: str,
     run: Path,
     progress: Progress,
+    relief: Path | None = None,
 ) -> list[Solution]:
     """Navigate all frames of a folder and write the run folder in one step.
 
+    catalog_paths  the first given has priority where it has points
+    relief         a terrain model of the whole body for the horizon; else the relief that the
+                   first catalog with one carries
     Returns the rows of solution.csv. Raises NothingToDoError, after the run is written, when no
     frame was solved; DataError or ConfigError when folder or catalog cannot be used at all.
     """
@@ -51,8 +57,12 @@ def navigate_folder(
     folder = read_folder(pictures)
     with opened(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
         points = open_field(catalogs, folder)
+        motion = AnalyticMotion(folder.body)
+        ground = whole_relief(catalogs, relief, folder)
+        inertial = folder.settings.attitude == "camera_from_inertial"
+        world = World(points, motion, ground, settings, MATCHERS[matcher], inertial)
         copy_inputs(pictures, place)
-        solutions, matches = _navigate_frames(folder, points, settings, matcher, place, progress)
+        solutions, matches = _navigate_frames(folder, world, place, progress)
         attitude = FileAttitude(folder.settings.attitude, folder.body)
         write_solutions(place / SOLUTION, solutions, attitude)
         write_matches(place / MATCHES, matches)
@@ -71,6 +81,8 @@ def navigate_folder(
                 "catalogs": [
                     {"path": str(catalog.path), "digest": catalog.digest} for catalog in catalogs
                 ],
+                "relief": ground.source if ground else "",
+                "motion": motion.name,
             },
             results={"frames": len(solutions), "solved": solved},
             started=started,
@@ -84,30 +96,30 @@ def navigate_folder(
 
 
 def _navigate_frames(
-    folder: Folder,
-    points: ControlPointField,
-    settings: NavigateSettings,
-    matcher: str,
-    place: Path,
-    progress: Progress,
+    folder: Folder, world: World, place: Path, progress: Progress
 ) -> tuple[list[Solution], list[MatchRow]]:
-    solutions: list[Solution] = []
-    matches: list[MatchRow] = []
+    """Rows in the order of frames.csv; the frames are navigated in the order of time."""
+    solutions: dict[int, Solution] = {}
+    matches: dict[int, list[MatchRow]] = {}
+    navigator = Navigator(world)
     with (
         progress.stage("navigate", len(folder.frames), "frame") as bar,
         Recording(place / RECORDING, folder.body.name) as recording,
     ):
-        for frame in folder.frames:
-            result = solve_frame(folder, frame, points, settings, MATCHERS[matcher])
-            solutions.append(result.solution)
-            matches.extend(result.matches)
-            recording.add_frame(result.solution, result.matches, result.camera, result.picture)
+        for number in in_order(folder):
+            result = solve_frame(folder, folder.frames[number], navigator)
+            solutions[number] = result.solution
+            matches[number] = result.matches
+            recording.add_frame(
+                result.solution, result.matches, result.camera, result.picture, result.limb_px
+            )
             if result.picture is not None:
-                _draw(place / OVERLAYS, result, points)
+                _draw(place / OVERLAYS, result, world.points)
             level = logging.DEBUG if result.solution.solved else logging.WARNING
             log.log(level, "%s", describe(result.solution))
             bar.advance()
-    return solutions, matches
+    rows = [match for number in sorted(matches) for match in matches[number]]
+    return [solutions[number] for number in sorted(solutions)], rows
 
 
 def _drawn_sizes(
@@ -141,4 +153,4 @@ def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:
                 solution.position_m,
                 solution.camera_from_body,
             )
-    write_overlay(place, result.picture, solution, result.matches, outlines)
+    write_overlay(place, result.picture, solution, result.matches, outlines, limb_px=result.limb_px)

@@ -96,8 +96,9 @@ def test_after_a_manoeuvre_the_arc_begins_anew(orbit, sure):
     arc = OrbitArc(orbit)
     for fix in before:
         assert arc.add(fix) is None
-    contradicted = [arc.add(fix, sure=sure) is not None for fix in after]
-    assert contradicted == ([True, False, False, False] if sure else [True, True, False, False])
+    said = [arc.add(fix, sure=sure) for fix in after]
+    ended = [None if odd is None else odd.ended for odd in said]
+    assert ended == ([True, None, None, None] if sure else [False, True, None, None])
     found = arc.predict(START_S + 260.0)
     assert found.fixes == 4
     assert np.linalg.norm(found.position_m - truth[-1]) < 200.0

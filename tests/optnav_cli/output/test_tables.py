@@ -21,7 +21,7 @@ from optnav_cli.solution import MatchRow, solved, unsolved
 HEADER = (
     "file,utc,status,method,x_m,y_m,z_m,cov_xx_m2,cov_xy_m2,cov_xz_m2,cov_yy_m2,cov_yz_m2,"
     "cov_zz_m2,qw,qx,qy,qz,attitude_sigma_arcsec,lat_deg,lon_deg,height_m,n_predicted,n_matched,"
-    "n_used,residual_rms_px,reason"
+    "n_used,residual_rms_px,prior,n_limb,arc_deg,reason"
 )
 UTC = "2023-08-17T05:23:10.250Z"
 
@@ -46,6 +46,9 @@ def a_solution(position, seed=1, file="a.png"):
         n_matched=20,
         n_used=19,
         residual_rms_px=0.21,
+        prior="arc of 3 fixes",
+        n_limb=812,
+        arc_deg=143.25,
     )
 
 
@@ -64,6 +67,7 @@ def test_solutions_come_back_as_they_were_written(tmp_path, moon, name):
         assert other.attitude_sigma_rad == pytest.approx(4.8e-5, rel=1e-6)
         assert (other.n_predicted, other.n_matched, other.n_used) == (21, 20, 19)
         assert other.residual_rms_px == 0.21
+        assert (other.prior, other.n_limb, other.arc_deg) == ("arc of 3 fixes", 812, 143.25)
     last = back[-1]
     assert (last.file, last.status, last.reason) == (
         'b,"c".png',
@@ -84,7 +88,7 @@ def test_the_header_is_the_contracted_one_and_unknown_is_empty(tmp_path, moon):
         path, [unsolved("a.png", UTC, "no prior")], FileAttitude("camera_from_body", moon)
     )
     lines = path.read_bytes().decode().split("\n")
-    assert lines == [HEADER, f"a.png,{UTC},unsolved" + "," * 23 + "no prior", ""]
+    assert lines == [HEADER, f"a.png,{UTC},unsolved" + "," * 26 + "no prior", ""]
 
 
 def test_the_inertial_attitude_is_the_body_attitude_times_the_bodys_rotation(tmp_path, moon):

@@ -23,6 +23,7 @@ from optnav_cli.runs.navigate_folder import navigate_folder
 
 SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))
 UTC = "2024-05-01T12:00:00Z"
+EARLIER = "2024-05-01T06:00:00Z"
 
 
 @pytest.fixture(scope="session")
@@ -89,7 +90,7 @@ BAD = {
     "colour.png": "in colour",
     "turned.png": "quaternion",
     "unturned.png": "no attitude: the quaternion is empty",
-    "nowhere.png": "no prior: the position is empty",
+    "nowhere.png": "no prior: no body in the picture",
     "farside.png": "no control point of the catalog in the frame",
     "night.png": "lit well",
     "noise.png": "control points",
@@ -102,7 +103,7 @@ def mixed(rough_world, taken, tmp_path_factory):
     picture, pose, sun = taken
     changes = {
         "unturned.png": {"camera_from_body": None},
-        "nowhere.png": {"position_m": None, "position_sigma_m": None},
+        "nowhere.png": {"position_m": None, "position_sigma_m": None, "utc": EARLIER},
         "farside.png": {"position_m": -pose.position_m},
         "night.png": {"sun_body": -sun},
     }

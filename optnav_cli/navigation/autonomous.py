@@ -1,0 +1,343 @@
+"""The autonomous loop: each frame solved by the best method that it and its past allow.
+
+Source: Zhukov 2025, ch. 5 (centre, horizon, wide camera's control points, narrow camera's). The
+switch is the frame itself. A prior comes from frames.csv; else from a camera that took a picture
+at the same time; else from the outline in the picture; else from the orbit arc. From the prior the
+control points are searched, as far as the catalog's levels reach; where they are found they are
+the solution, and where they are not the outline is, unless they should have been found.
+
+Methods check each other. Control points that are found from an outline confirm it. An outline
+whose position shows many well-lit control points of which none is recognised is wrong: so betray
+themselves a wrong focal length, clock or attitude. An outline far from the arc is not believed
+until the next frame says the same; a position of two methods ends the arc instead.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.motion import BodyMotion
+from catalog.correlation.similarity import Matcher
+from catalog.errors import NoSolutionError
+from catalog.terrain.relief import GlobalRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.orbit_arc import GATE
+from optnav_cli.estimation.resection import Pose
+from optnav_cli.imagery.frames import Frame
+from optnav_cli.imagery.picture import Picture
+from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.navigation import control_points, outline
+from optnav_cli.navigation.control_points import ControlPointFix, TriedPoint, UnsolvedFrameError
+from optnav_cli.navigation.frame_match import Prior
+from optnav_cli.navigation.outline import Outline
+from optnav_cli.navigation.point_field import ControlPointField
+from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.navigation.track import Belief, Track
+from optnav_cli.solution import Solution, solved, unsolved
+
+FloatArray = NDArray[np.float64]
+
+CONTROL_POINTS = "control_points"
+FROM_FILE = "frames.csv"
+# So many control points in view, lit and whole, are never all missed where the prior is right.
+WITNESSES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A frame's row, the control points tried for it, and the limb points found in it."""
+
+    solution: Solution
+    tried: list[TriedPoint]
+    limb_px: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """What a run navigates by.
+
+    relief    None where neither a catalog nor the user gives one
+    inertial  whether the attitudes of the files are camera_from_inertial
+    """
+
+    points: ControlPointField
+    motion: BodyMotion
+    relief: GlobalRelief | None
+    settings: NavigateSettings
+    matcher: Matcher
+    inertial: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """A frame that can be navigated: everything that is known about it is there."""
+
+    frame: Frame
+    tdb_s: float
+    camera: Camera
+    picture: Picture
+    camera_from_body: Rotation
+    sun_body: FloatArray
+
+    @property
+    def row(self) -> tuple[str, str]:
+        return self.frame.file, self.frame.utc
+
+
+class Navigator:
+    """Navigates the frames of a run one after the other, in the order of time."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._track = Track(world.motion)
+
+    def solve(self, frame: Frame, camera: Camera, picture: Picture) -> Answer:
+        """A frame's answer; whatever stands against a solution is the reason of its row."""
+        try:
+            sight = _sight(frame, camera, picture)
+        except NoSolutionError as error:
+            return Answer(unsolved(frame.file, frame.utc, str(error)), [])
+        if frame.position_m is not None and frame.position_sigma_m is not None:
+            covariance = np.eye(3) * frame.position_sigma_m**2
+            belief = Belief(frame.position_m, covariance, FROM_FILE)
+            answer = self._by_points(sight, belief)
+            if not answer.solution.solved:
+                return _remarked(answer, self._inversion(sight, belief))
+            return self._kept(sight, answer, sure=True)
+        companion = self._track.at_same_time(sight.tdb_s)
+        if companion is not None and not self._out_of_reach(sight, companion):
+            answer = self._by_points(sight, companion)
+            if answer.solution.solved:
+                return self._kept(sight, answer, sure=True)
+        return self._alone(sight)
+
+    def _alone(self, sight: _Sight) -> Answer:
+        """A frame by its own outline, or by what the past predicts."""
+        try:
+            found = self._outline(sight, sight.camera_from_body)
+        except NoSolutionError as error:
+            return self._predicted(sight, str(error))
+        belief = Belief(found.position_m, found.covariance_m2, found.method)
+        answer = self._by_outline(sight, found)
+        beyond = self._out_of_reach(sight, belief)
+        if beyond:
+            return self._checked(sight, _remarked(answer, beyond))
+        points = self._by_points(sight, belief)
+        row = points.solution
+        if row.solved:
+            row = replace(row, n_limb=found.n_used, arc_deg=found.arc_deg)
+            points = replace(points, solution=row, limb_px=found.limb_px)
+            return self._kept(sight, _remarked(points, _apart(row, found)), sure=True)
+        if len(points.tried) < WITNESSES:
+            answer = replace(_remarked(answer, f"control points: {row.reason}"), tried=points.tried)
+            return self._checked(sight, answer)
+        reason = (
+            f"the {_spoken(found.method)} puts {len(points.tried)} well-lit control points into "
+            f"view, but they are not there ({row.reason}): attitude, time, focal length or "
+            "the outline is wrong"
+        )
+        row = unsolved(*sight.row, reason, method=found.method, prior=found.method)
+        answer = Answer(row, points.tried, found.limb_px)
+        return _remarked(answer, self._inversion(sight, None))
+
+    def _predicted(self, sight: _Sight, why_no_outline: str) -> Answer:
+        """A frame without an outline: by what other frames say, or not at all."""
+        belief = self._track.at_same_time(sight.tdb_s) or self._track.predict(sight.tdb_s)
+        if belief is None:
+            reason = f"no prior: {why_no_outline}; and no frame before leads here"
+            answer = Answer(unsolved(*sight.row, reason), [])
+            return _remarked(answer, self._inversion(sight, None))
+        beyond = self._out_of_reach(sight, belief)
+        if beyond:
+            reason = f"{why_no_outline}; from the {belief.source}: {beyond}"
+            return Answer(unsolved(*sight.row, reason, prior=belief.source), [])
+        answer = self._by_points(sight, belief)
+        if answer.solution.solved:
+            return self._kept(sight, answer, sure=False)
+        return _remarked(answer, why_no_outline)
+
+    def _attitude_sigma(self, sight: _Sight) -> float:
+        known = sight.frame.attitude_sigma_rad
+        free = float(np.radians(self._world.settings.solve.free_attitude_deg))
+        return free if known is None else known
+
+    def _outline(self, sight: _Sight, camera_from_body: Rotation) -> Outline:
+        return outline.navigate(
+            sight.picture,
+            sight.camera,
+            camera_from_body,
+            self._attitude_sigma(sight),
+            sight.sun_body,
+            self._world.motion.body,
+            self._world.relief,
+        )
+
+    def _by_outline(self, sight: _Sight, found: Outline) -> Answer:
+        row = solved(
+            *sight.row,
+            found.method,
+            found.position_m,
+            found.covariance_m2,
+            sight.camera_from_body,
+            self._attitude_sigma(sight),
+            residual_rms_px=found.residual_rms_px,
+            n_limb=found.n_used,
+            arc_deg=found.arc_deg,
+            reason=found.remark,
+        )
+        return Answer(row, [], found.limb_px)
+
+    def _by_points(self, sight: _Sight, belief: Belief) -> Answer:
+        """Control points searched from a belief."""
+        world = self._world
+        prior = Prior(
+            Pose(belief.position_m, sight.camera_from_body),
+            belief.covariance_m2,
+            sight.frame.attitude_sigma_rad,
+        )
+        try:
+            fix = control_points.navigate(
+                PicturePyramid(sight.picture.values),
+                sight.camera,
+                prior,
+                sight.sun_body,
+                world.points,
+                world.settings,
+                world.matcher,
+            )
+        except UnsolvedFrameError as error:
+            row = unsolved(
+                *sight.row,
+                str(error),
+                method=CONTROL_POINTS,
+                n_predicted=len(error.tried),
+                n_matched=sum(not tried.match.reason for tried in error.tried),
+                n_used=0,
+                prior=belief.source,
+            )
+            return Answer(row, error.tried)
+        except NoSolutionError as error:
+            source = belief.source
+            return Answer(unsolved(*sight.row, str(error), method=CONTROL_POINTS, prior=source), [])
+        return Answer(replace(_row_of(sight, fix), prior=belief.source), fix.tried)
+
+    def _out_of_reach(self, sight: _Sight, belief: Belief) -> str:
+        """Why no control point can be matched from there; empty when some may."""
+        world = self._world
+        height = float(np.linalg.norm(belief.position_m)) - world.motion.body.radius_m
+        sample = max(height, 0.0) / sight.camera.focal_length_px
+        coarsest = max(float(layer.postings_m[-1]) for layer in world.points.layers)
+        if world.settings.match.finest_posting_per_gsd * sample <= coarsest:
+            return ""
+        return (
+            f"a pixel sees {sample:.0f} m, too much for the catalog's coarsest level "
+            f"of {coarsest:.0f} m"
+        )
+
+    def _kept(self, sight: _Sight, answer: Answer, *, sure: bool) -> Answer:
+        """An answer by control points, taken into the track; a remark where the arc disagrees."""
+        row = answer.solution
+        if row.position_m is None or row.covariance_m2 is None:
+            return answer
+        odd = self._track.take(sight.tdb_s, row.position_m, row.covariance_m2, sure=sure)
+        self._track.keep(sight.tdb_s, row.position_m, row.covariance_m2, _source(sight))
+        # a prior of the file may belong to another flight than the frame before
+        if odd is None or row.prior == FROM_FILE:
+            return answer
+        return _remarked(answer, f"{odd.words}: a manoeuvre, or the arc was wrong")
+
+    def _checked(self, sight: _Sight, answer: Answer) -> Answer:
+        """An answer by the outline alone: not believed where the arc leads elsewhere."""
+        row = answer.solution
+        if row.position_m is None or row.covariance_m2 is None:
+            return answer
+        odd = self._track.take(sight.tdb_s, row.position_m, row.covariance_m2, sure=False)
+        if odd is not None and not odd.ended:
+            reason = f"the {_spoken(row.method)} lies {odd.words}: one of both is wrong"
+            return replace(answer, solution=unsolved(*sight.row, reason, method=row.method))
+        self._track.keep(sight.tdb_s, row.position_m, row.covariance_m2, _source(sight))
+        if odd is None:
+            return answer
+        remark = f"{odd.words}, as the frame before: a manoeuvre, or the arc was wrong"
+        return _remarked(answer, remark)
+
+    def _inversion(self, sight: _Sight, belief: Belief | None) -> str:
+        """Words for a reason where the picture is solved by the inverse of the file's rotation.
+
+        belief  of the position; None: from the outline, seen with that rotation
+        """
+        body_from_space = np.eye(3)
+        if self._world.inertial:
+            body_from_space = self._world.motion.body_from_inertial(sight.tdb_s)
+        told = sight.camera_from_body.as_matrix() @ body_from_space
+        turned = Rotation.from_matrix(told.T @ body_from_space.T)
+        turned_sight = replace(sight, camera_from_body=turned)
+        try:
+            if belief is None:
+                found = self._outline(sight, turned)
+                belief = Belief(found.position_m, found.covariance_m2, found.method)
+                certain = bool(self._out_of_reach(sight, belief))
+            else:
+                certain = False
+        except NoSolutionError:
+            return ""
+        if not (certain or self._by_points(turned_sight, belief).solution.solved):
+            return ""
+        wanted = "camera_from_inertial" if self._world.inertial else "camera_from_body"
+        return f"the picture fits the inverse rotation: wanted the quaternion of {wanted}"
+
+
+def _source(sight: _Sight) -> str:
+    return f"{sight.camera.name} camera, {sight.frame.file}"
+
+
+def _sight(frame: Frame, camera: Camera, picture: Picture) -> _Sight:
+    """Raises NoSolutionError for what a frame must say and does not."""
+    if frame.camera_from_body is None:
+        raise NoSolutionError("no attitude: the quaternion is empty")
+    if frame.sun_body is None or frame.tdb_s is None:
+        raise NoSolutionError("no direction to the Sun")
+    return _Sight(frame, frame.tdb_s, camera, picture, frame.camera_from_body, frame.sun_body)
+
+
+def _row_of(sight: _Sight, fix: ControlPointFix) -> Solution:
+    resection = fix.solution.resection
+    used = [t.residual_px for t in fix.tried if t.used and t.residual_px is not None]
+    return solved(
+        *sight.row,
+        CONTROL_POINTS,
+        resection.pose.position_m,
+        resection.position_covariance_m2,
+        resection.pose.camera_from_body,
+        resection.attitude_sigma_rad,
+        n_predicted=len(fix.tried),
+        n_matched=sum(not tried.match.reason for tried in fix.tried),
+        n_used=len(used),
+        residual_rms_px=float(np.sqrt(np.mean(np.square(used)))) if used else None,
+        reason=fix.remark,
+    )
+
+
+def _spoken(method: str) -> str:
+    return method.replace("_", " ")
+
+
+def _apart(row: Solution, found: Outline) -> str:
+    """A remark where an outline lies further from the control points' position than it states."""
+    if row.position_m is None or row.covariance_m2 is None:
+        return ""
+    offset = row.position_m - found.position_m
+    square = float(offset @ np.linalg.solve(row.covariance_m2 + found.covariance_m2, offset))
+    if square < GATE:
+        return ""
+    away = float(np.linalg.norm(offset)) / 1e3
+    return f"the {_spoken(found.method)} lies {away:.1f} km ({np.sqrt(square):.0f} sigmas) off"
+
+
+def _remarked(answer: Answer, remark: str) -> Answer:
+    """An answer with a remark behind its reason; as it is without one."""
+    row = answer.solution
+    reason = "; ".join(part for part in (row.reason, remark) if part)
+    return replace(answer, solution=replace(row, reason=reason))

@@ -1,0 +1,101 @@
+"""What earlier pictures say of where a camera is now: a fix at the same time, or the orbit arc.
+
+Fixes are kept in inertial axes, where orbits are simple; what goes in and out is body-fixed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.bodies.motion import BodyMotion
+from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.orbit import OrbitMotion
+from optnav_cli.estimation.orbit_arc import Fix, OrbitArc, Prediction
+
+FloatArray = NDArray[np.float64]
+
+# Cameras that are triggered together; a low orbit goes 2 m in it.
+SAME_TIME_S = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """A position (3,), m, with its covariance (3, 3), body frame, and where it comes from."""
+
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    belief: Belief
+    tdb_s: float
+
+
+@dataclass(frozen=True)
+class Odd:
+    """How a fix lies off the arc, in words; `ended`: the arc begins anew with it."""
+
+    words: str
+    ended: bool
+
+
+class Track:
+    """The solved frames of a run so far, in the order of their times."""
+
+    def __init__(self, motion: BodyMotion) -> None:
+        self._motion = motion
+        orbits = motion.body.gravity is not None
+        self._arc = OrbitArc(OrbitMotion(Forces(motion))) if orbits else None
+        self._last: _Solved | None = None
+
+    def at_same_time(self, tdb_s: float) -> Belief | None:
+        """The fix of another camera at a time, if there is one."""
+        if self._last is None or abs(self._last.tdb_s - tdb_s) > SAME_TIME_S:
+            return None
+        return self._last.belief
+
+    def predict(self, tdb_s: float) -> Belief | None:
+        """Where the orbit arc leads; None where it says nothing of use."""
+        found = None if self._arc is None else self._arc.predict(tdb_s)
+        if found is None:
+            return None
+        turn = self._motion.body_from_inertial(tdb_s)
+        return Belief(turn @ found.position_m, turn @ found.covariance_m2 @ turn.T, _words(found))
+
+    def take(
+        self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray, *, sure: bool
+    ) -> Odd | None:
+        """Take in a fix; says so when it does not lie where the arc leads.
+
+        sure  the fix rests on two methods that agree, so that it is the arc that no longer holds
+        """
+        if self._arc is None:
+            return None
+        turn = self._motion.body_from_inertial(tdb_s).T
+        fix = Fix(tdb_s, turn @ position_m, turn @ covariance_m2 @ turn.T)
+        found = self._arc.add(fix, sure=sure)
+        if found is None:
+            return None
+        away = float(np.linalg.norm(fix.position_m - found.predicted.position_m))
+        sigmas = float(np.sqrt(found.predicted.distance_squared(fix)))
+        whose = _words(found.predicted)
+        words = f"{away / 1e3:.1f} km ({sigmas:.0f} sigmas) from where the {whose} leads"
+        return Odd(words, found.ended)
+
+    def keep(
+        self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray, source: str
+    ) -> None:
+        """Remember a solved frame for other cameras at the same time."""
+        if self._last is not None and abs(self._last.tdb_s - tdb_s) <= SAME_TIME_S:
+            known = float(np.trace(self._last.belief.covariance_m2))
+            if known <= float(np.trace(covariance_m2)):
+                return
+        self._last = _Solved(Belief(position_m, covariance_m2, source), tdb_s)
+
+
+def _words(prediction: Prediction) -> str:
+    count = prediction.fixes
+    return f"arc of {count} fixes" if count > 1 else "arc of one fix"
