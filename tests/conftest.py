@@ -8,6 +8,13 @@ from pathlib import Path
 import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[1]
+KERNELS = (
+    "pck00011.tpc",
+    "moon_080317.tf",
+    "moon_assoc_me.tf",
+    "moon_pa_de421_1900-2050.bpc",
+    "de405s_littleendian.bsp",
+)
 
 # A shell's background job ignores ctrl-c, and so would the commands that tests start and interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -29,3 +36,10 @@ def shared_data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture
+def kernels(shared_data: Callable[[str], Path]) -> list[Path]:
+    """SPICE kernels of the Moon's frame 1900-2050 and of planets 1997-2009."""
+    pytest.importorskip("spiceypy", reason="needs spiceypy")
+    return [shared_data(f"spice/{name}") for name in KERNELS]

@@ -194,5 +194,10 @@ class SpiceMotion:
             )
 
 
+def motion_of(body: Body, kernels: Sequence[Path]) -> BodyMotion:
+    """By the kernels where any are named, else by theory. Raises DataError as SpiceMotion does."""
+    return SpiceMotion(body, kernels) if kernels else AnalyticMotion(body)
+
+
 def _middle(span: tuple[float, float] | None, otherwise: float) -> float:
     return otherwise if span is None else 0.5 * (span[0] + span[1])

@@ -1,10 +1,11 @@
 """A picture folder: run.toml, cameras/NAME.toml, frames.csv and the pictures."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from catalog.bodies.body import Body, load_body
+from catalog.bodies.motion import AnalyticMotion, BodyMotion, motion_of
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
@@ -14,22 +15,31 @@ from optnav_cli.imagery.run_settings import RunSettings, read_run_settings, run_
 
 @dataclass(frozen=True)
 class Folder:
-    """A picture folder that was read; frames in the order of frames.csv."""
+    """A picture folder that was read; frames in the order of frames.csv.
+
+    motion  how the body turns: what attitudes against the stars and Suns of a time were read with
+    """
 
     path: Path
     settings: RunSettings
-    body: Body
+    motion: BodyMotion
     cameras: dict[str, Camera]
     frames: list[Frame]
+
+    @property
+    def body(self) -> Body:
+        """The body that the pictures show."""
+        return self.motion.body
 
     def picture_path(self, frame: Frame) -> Path:
         """Where a frame's picture lies, on any system."""
         return self.path / frame.file.replace("\\", "/")
 
 
-def read_folder(path: str | Path) -> Folder:
+def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
     """Read all of a picture folder but the pictures.
 
+    kernels  SPICE kernels for the body's rotation and its Sun; none: analytic theory
     Raises ConfigError for a wrong run.toml or camera file and DataError for a folder or frames.csv
     that cannot be used; what is wrong with one row is that frame's `problem`.
     """
@@ -38,10 +48,10 @@ def read_folder(path: str | Path) -> Folder:
         found = "is no folder" if path.exists() else "there is no such folder"
         raise DataError(f"{path}: {found}; wanted one with run.toml, frames.csv and cameras/")
     settings = read_run_settings(path / "run.toml")
-    body = load_body(settings.body)
+    motion = motion_of(load_body(settings.body), kernels)
     cameras = read_cameras(path / "cameras")
-    frames = read_frames(path / "frames.csv", body, settings.attitude, cameras)
-    return Folder(path, settings, body, cameras, frames)
+    frames = read_frames(path / "frames.csv", motion, settings.attitude, cameras)
+    return Folder(path, settings, motion, cameras, frames)
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
@@ -65,6 +75,7 @@ def write_folder(
 ) -> None:
     """Write run.toml, the cameras and frames.csv into a folder, which is made where it is missing.
 
+    Attitudes against the stars are written by the analytic theory of the body's rotation.
     The pictures are the caller's. The folder then reads back as it was given, to the digits of the
     files: 0.1 mm, 1e-12 of a quaternion.
     """
@@ -74,4 +85,5 @@ def write_folder(
     for camera in cameras:
         text = camera_toml(camera)
         (path / "cameras" / f"{camera.name}.toml").write_text(text, encoding="utf-8")
-    write_frames(path / "frames.csv", load_body(settings.body), settings.attitude, frames)
+    motion = AnalyticMotion(load_body(settings.body))
+    write_frames(path / "frames.csv", motion, settings.attitude, frames)

@@ -10,12 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.sun import sun_direction_body
+from catalog.bodies.motion import BodyMotion
 from catalog.config import nearest_name
 from catalog.errors import DataError
 from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from optnav_cli.imagery.csv_table import number, numbers, read_rows, write_rows
-from optnav_cli.imagery.run_settings import Attitude, camera_from_body, rotation_for_file
+from optnav_cli.imagery.run_settings import (
+    Attitude,
+    body_sigma_rad,
+    camera_from_body,
+    rotation_for_file,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -43,10 +48,12 @@ class Frame:
     utc, tdb_s          its time as written, and in TDB s past J2000
     camera              the camera's name
     camera_from_body    attitude; for a free one the first guess
-    attitude_sigma_rad  1 sigma an axis; 0: exact; None: free
+    attitude_sigma_rad  1 sigma an axis, body_sigma_rad included; 0: exact; None: free
     position_m          (3,) prior position, body frame, m
     position_sigma_m    its 1 sigma a component
     sun_body            (3,) unit vector to the Sun, body frame; from the time where not given
+    body_sigma_rad      the share of the body's own rotation in attitude_sigma_rad, where the file's
+                        attitude is against the stars; common to frames near in time
     problem             why the frame cannot be used, or None; then any of the others may be None
     """
 
@@ -59,10 +66,13 @@ class Frame:
     position_m: FloatArray | None = None
     position_sigma_m: float | None = None
     sun_body: FloatArray | None = None
+    body_sigma_rad: float = 0.0
     problem: str | None = None
 
 
-def read_frames(path: Path, body: Body, attitude: Attitude, cameras: Iterable[str]) -> list[Frame]:
+def read_frames(
+    path: Path, motion: BodyMotion, attitude: Attitude, cameras: Iterable[str]
+) -> list[Frame]:
     """Frames of a frames.csv in its order.
 
     What is wrong with one row becomes that frame's problem, so that the others go on.
@@ -82,12 +92,14 @@ def read_frames(path: Path, body: Body, attitude: Attitude, cameras: Iterable[st
                 "give each picture one row"
             )
     known = sorted(cameras)
-    return [_frame(row, body, attitude, known) for row in rows]
+    return [_frame(row, motion, attitude, known) for row in rows]
 
 
-def write_frames(path: Path, body: Body, attitude: Attitude, frames: Iterable[Frame]) -> None:
+def write_frames(
+    path: Path, motion: BodyMotion, attitude: Attitude, frames: Iterable[Frame]
+) -> None:
     """Write a frames.csv that `read_frames` reads back. The frames need a usable time."""
-    write_rows(path, COLUMNS, (_row(frame, body, attitude) for frame in frames))
+    write_rows(path, COLUMNS, (_row(frame, motion, attitude) for frame in frames))
 
 
 def quaternion_texts(rotation: Rotation) -> list[str]:
@@ -95,7 +107,9 @@ def quaternion_texts(rotation: Rotation) -> list[str]:
     return [f"{value:.12f}" for value in quaternion_from_rotation(rotation)]
 
 
-def _frame(row: dict[str, str], body: Body, attitude: Attitude, cameras: list[str]) -> Frame:
+def _frame(
+    row: dict[str, str], motion: BodyMotion, attitude: Attitude, cameras: list[str]
+) -> Frame:
     file, utc, camera = row["file"], row["utc"], row["camera"]
     try:
         if row[""]:
@@ -106,17 +120,20 @@ def _frame(row: dict[str, str], body: Body, attitude: Attitude, cameras: list[st
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(cameras)}"
             raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
         tdb_s = utc_to_tdb_s(utc)
-        position, position_sigma = _position(row, body)
+        position, position_sigma = _position(row, motion.body)
+        sigma = _sigma(row, "attitude_sigma_arcsec", ARCSEC)
+        body_sigma = body_sigma_rad(attitude, motion, tdb_s)
         return Frame(
             file=file,
             utc=utc,
             camera=camera,
             tdb_s=tdb_s,
-            camera_from_body=_attitude(row, body, attitude, tdb_s),
-            attitude_sigma_rad=_sigma(row, "attitude_sigma_arcsec", ARCSEC),
+            camera_from_body=_attitude(row, motion, attitude, tdb_s),
+            attitude_sigma_rad=None if sigma is None else float(np.hypot(sigma, body_sigma)),
+            body_sigma_rad=body_sigma,
             position_m=position,
             position_sigma_m=position_sigma,
-            sun_body=_sun(row, body, tdb_s),
+            sun_body=_sun(row, motion, tdb_s),
         )
     except DataError as error:
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
@@ -128,19 +145,21 @@ def _check_name(file: str) -> None:
         raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
 
 
-def _attitude(row: dict[str, str], body: Body, attitude: Attitude, tdb_s: float) -> Rotation | None:
+def _attitude(
+    row: dict[str, str], motion: BodyMotion, attitude: Attitude, tdb_s: float
+) -> Rotation | None:
     quaternion = numbers(row, QUATERNION)
     if quaternion is None:
         return None
     _check_unit(quaternion, "the quaternion qw, qx, qy, qz")
     rotation = rotation_from_quaternion(*quaternion)
-    return camera_from_body(rotation, attitude, body, tdb_s)
+    return camera_from_body(rotation, attitude, motion, tdb_s)
 
 
-def _sun(row: dict[str, str], body: Body, tdb_s: float) -> FloatArray:
+def _sun(row: dict[str, str], motion: BodyMotion, tdb_s: float) -> FloatArray:
     vector = numbers(row, SUN)
     if vector is None:
-        return sun_direction_body(body, tdb_s)
+        return motion.sun_body(tdb_s)
     _check_unit(vector, "the Sun's direction sun_x, sun_y, sun_z")
     return np.array(vector) / float(np.linalg.norm(vector))
 
@@ -179,12 +198,15 @@ def _position(row: dict[str, str], body: Body) -> tuple[FloatArray | None, float
     return position, sigma
 
 
-def _row(frame: Frame, body: Body, attitude: Attitude) -> list[str]:
+def _row(frame: Frame, motion: BodyMotion, attitude: Attitude) -> list[str]:
     quaternion = [""] * 4
-    if frame.camera_from_body is not None and frame.tdb_s is not None:
-        rotation = rotation_for_file(attitude, body, frame.tdb_s, frame.camera_from_body)
-        quaternion = quaternion_texts(rotation)
     sigma = frame.attitude_sigma_rad
+    if sigma is not None and frame.body_sigma_rad > 0.0:
+        # the file holds the sensor's part alone
+        sigma = float(np.sqrt(max(sigma**2 - frame.body_sigma_rad**2, 0.0)))
+    if frame.camera_from_body is not None and frame.tdb_s is not None:
+        rotation = rotation_for_file(attitude, motion, frame.tdb_s, frame.camera_from_body)
+        quaternion = quaternion_texts(rotation)
     return [
         *(frame.file, frame.utc, frame.camera),
         *quaternion,

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.motion import AnalyticMotion
 from catalog.errors import DataError
 from catalog.geometry.rotations import rotation_from_quaternion
 from optnav_cli.imagery.csv_table import numbers, read_rows, write_rows
@@ -38,7 +39,7 @@ def read_truth(path: str | Path, settings: RunSettings) -> list[Truth]:
 
     Raises DataError, with the row, for anything wrong: a truth with holes is no truth.
     """
-    path, body = Path(path), load_body(settings.body)
+    path, motion = Path(path), AnalyticMotion(load_body(settings.body))
     truths: dict[str, Truth] = {}
     for index, row in enumerate(read_rows(path, COLUMNS)):
         if "position_sigma_m" in row:
@@ -63,14 +64,14 @@ def read_truth(path: str | Path, settings: RunSettings) -> list[Truth]:
             utc=row["utc"],
             tdb_s=tdb_s,
             position_m=np.array(position),
-            camera_from_body=camera_from_body(rotation, settings.attitude, body, tdb_s),
+            camera_from_body=camera_from_body(rotation, settings.attitude, motion, tdb_s),
         )
     return list(truths.values())
 
 
 def write_truth(path: str | Path, settings: RunSettings, truths: Iterable[Truth]) -> None:
     """Write a truth.csv with the rotation that `settings` names."""
-    body = load_body(settings.body)
+    motion = AnalyticMotion(load_body(settings.body))
     write_rows(
         Path(path),
         COLUMNS,
@@ -79,7 +80,9 @@ def write_truth(path: str | Path, settings: RunSettings, truths: Iterable[Truth]
                 *(truth.file, truth.utc),
                 *(f"{value:.4f}" for value in truth.position_m),
                 *quaternion_texts(
-                    rotation_for_file(settings.attitude, body, truth.tdb_s, truth.camera_from_body)
+                    rotation_for_file(
+                        settings.attitude, motion, truth.tdb_s, truth.camera_from_body
+                    )
                 ),
             ]
             for truth in truths

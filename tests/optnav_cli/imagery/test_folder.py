@@ -203,7 +203,14 @@ def test_a_written_folder_reads_back(attitude: str, tmp_path: Path) -> None:
     assert (back.file, back.utc, back.camera, back.tdb_s) == ("sub/a.png", utc, "wide", full.tdb_s)
     assert back.camera_from_body is not None
     assert (back.camera_from_body * rotation.inv()).magnitude() < 1e-11
-    assert back.attitude_sigma_rad == pytest.approx(full.attitude_sigma_rad)
+    # what the body's own rotation adds to an attitude against the stars: 0.6 m of its radius
+    body_sigma = 0.0 if attitude == "camera_from_body" else 0.6 / 1737400.0
+    assert back.body_sigma_rad == pytest.approx(body_sigma)
+    assert back.attitude_sigma_rad == pytest.approx(np.hypot(20.0 * ARCSEC, body_sigma))
+    write_folder(tmp_path / "again", settings, [CAMERA], [back])
+    assert only_frame(tmp_path / "again").attitude_sigma_rad == pytest.approx(
+        back.attitude_sigma_rad
+    )
     np.testing.assert_allclose(np.asarray(back.position_m), full.position_m, atol=1e-4)
     np.testing.assert_allclose(np.asarray(back.sun_body), sun, atol=1e-11)
     assert back_empty.camera_from_body is None
