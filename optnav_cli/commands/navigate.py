@@ -63,11 +63,10 @@ def command(
     Example:
       optnav navigate pictures --catalog tycho.gpkg --catalog moon.gpkg -o run
     """
-    from catalog.config import load_toml
-    from optnav_cli.navigation.settings import NavigateSettings
+    from optnav_cli.navigation.settings import NavigateSettings, load_settings
     from optnav_cli.runs.navigate_folder import navigate_folder
 
-    settings = load_toml(config, NavigateSettings) if config else NavigateSettings()
+    settings = load_settings(config) if config else NavigateSettings()
     announce_compilation()
     navigate_folder(folder, catalogs, settings, matcher, output, progress, relief)
     click.echo(output)

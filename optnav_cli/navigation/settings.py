@@ -1,8 +1,12 @@
 """What a user can set about navigation; every key has a default that works."""
 
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
+
+from catalog.config import load_toml
+from catalog.terrain.dem_file import path_of
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
@@ -41,9 +45,26 @@ class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     max_points: Annotated[int, msgspec.Meta(ge=4)] = 200
 
 
+class SpiceSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """SPICE kernels for the body's rotation and its Sun; none: analytic theory."""
+
+    kernels: tuple[str, ...] = ()
+
+
 class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The whole navigation config."""
 
     view: ViewSettings = ViewSettings()
     match: MatchSettings = MatchSettings()
     solve: SolveSettings = SolveSettings()
+    spice: SpiceSettings = SpiceSettings()
+
+
+def load_settings(path: Path) -> NavigateSettings:
+    """The navigation config of a file, its kernels found beside it.
+
+    Raises ConfigError for a wrong file and for a shared kernel that is not there.
+    """
+    settings = load_toml(path, NavigateSettings)
+    kernels = tuple(str(path_of(name, path.parent)) for name in settings.spice.kernels)
+    return msgspec.structs.replace(settings, spice=SpiceSettings(kernels))

@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.bodies.motion import AnalyticMotion
 from catalog.errors import NothingToDoError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
@@ -54,16 +53,16 @@ def navigate_folder(
     frame was solved; DataError or ConfigError when folder or catalog cannot be used at all.
     """
     started = datetime.now(UTC)
-    folder = read_folder(pictures)
+    folder = read_folder(pictures, [Path(name) for name in settings.spice.kernels])
+    log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
     with opened(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
         points = open_field(catalogs, folder)
-        motion = AnalyticMotion(folder.body)
         ground = whole_relief(catalogs, relief, folder)
         inertial = folder.settings.attitude == "camera_from_inertial"
-        world = World(points, motion, ground, settings, MATCHERS[matcher], inertial)
+        world = World(points, folder.motion, ground, settings, MATCHERS[matcher], inertial)
         copy_inputs(pictures, place)
         solutions, matches = _navigate_frames(folder, world, place, progress)
-        attitude = FileAttitude(folder.settings.attitude, folder.body)
+        attitude = FileAttitude(folder.settings.attitude, folder.body, folder.motion)
         write_solutions(place / SOLUTION, solutions, attitude)
         write_matches(place / MATCHES, matches)
         for (_, point_id), reason in points.damaged.items():
@@ -82,7 +81,7 @@ def navigate_folder(
                     {"path": str(catalog.path), "digest": catalog.digest} for catalog in catalogs
                 ],
                 "relief": ground.source if ground else "",
-                "motion": motion.name,
+                "motion": folder.motion.name,
             },
             results={"frames": len(solutions), "solved": solved},
             started=started,
