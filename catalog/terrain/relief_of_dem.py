@@ -75,8 +75,14 @@ def load_relief(path: str, body: Body) -> GlobalRelief:
 
     A process that asks again gets the same one. Raises DataError.
     """
-    source = DemSource.open(DemSettings(path=path), Path(), body)
     try:
-        return relief_from_dem(source)
-    finally:
-        source.close()
+        source = DemSource.open(DemSettings(path=path), Path(), body)
+        try:
+            return relief_from_dem(source)
+        finally:
+            source.close()
+    except DataError as error:
+        # a file by itself has no section that could say what it does not
+        reason = str(error).replace("check `path` in its [[dem]] section", "check the path")
+        section = "[relief] dem of a build config, whose catalog carries the relief"
+        raise DataError(reason.replace("its [[dem]] section", section)) from None

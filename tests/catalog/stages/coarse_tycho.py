@@ -4,6 +4,8 @@
 CONFIG = """
 [body]
 name = "moon"
+[relief]
+dem = {path = "bundled:moon_gld100_4ppd.tif"}
 [[dem]]
 path = "bundled:tycho_gld100_256ppd.tif"
 [pyramid]

@@ -155,7 +155,7 @@ def test_a_copy_of_the_model_elsewhere_gives_the_same_content(config, digest, tm
     copy = tmp_path / "elsewhere" / "tycho_gld100_256ppd.tif"
     copy.parent.mkdir()
     copy.write_bytes(resource("data/tycho_gld100_256ppd.tif").read_bytes())
-    config.write_text(CONFIG.replace("bundled:", "elsewhere/"))
+    config.write_text(CONFIG.replace("bundled:tycho", "elsewhere/tycho"))
     assert built(config, tmp_path / "c.gpkg", bbox=BBOX, workers=1).digest == digest
 
 
@@ -217,12 +217,11 @@ class Counting:
 
     @contextmanager
     def stage(self, name, total, unit):
-        self.shown[name] = [0, total]
+        self.now = self.shown[name] = [0, total]
         yield self
-        self.current = None
 
     def advance(self, n=1, note=""):
-        list(self.shown.values())[-1][0] += n
+        self.now[0] += n
 
     keep = advance
 

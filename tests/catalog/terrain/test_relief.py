@@ -144,6 +144,14 @@ def test_a_model_of_a_part_is_refused_with_its_share(tmp_path, moon, counts):
         load_relief("bundled:tycho_gld100_256ppd.tif", moon)
 
 
+def test_a_file_by_itself_is_refused_with_a_remedy_that_it_has(tmp_path, moon):
+    with pytest.raises(DataError, match=r"none\.tif: there is no such file; check the path$"):
+        load_relief(str(tmp_path / "none.tif"), moon)
+    path = raster(tmp_path / "a.tif", np.random.default_rng(1).integers(-9, 9, (90, 180), np.int16))
+    with pytest.raises(DataError, match=r'set units = "km" in \[relief\] dem of a build config'):
+        load_relief(str(path), moon)
+
+
 def test_wrong_units_and_another_body_are_refused(tmp_path, moon, counts):
     path = raster(tmp_path / "a.tif", counts)
     with pytest.raises(DataError, match=r"heights run from .*are these m\?"):
