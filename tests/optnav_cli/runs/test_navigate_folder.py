@@ -1,6 +1,7 @@
 """A folder of good and bad pictures: one row each, in order, and nothing stops the others."""
 
 import csv
+import json
 import logging
 import shutil
 from dataclasses import replace
@@ -8,7 +9,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from catalog.bodies.body import load_body
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.motion import AnalyticMotion, SpiceMotion
 from catalog.errors import DataError, NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
@@ -17,7 +22,7 @@ from catalog.store.writer import write_catalog
 from optnav_cli.imagery.folder import read_folder, write_folder
 from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.run_settings import RunSettings
-from optnav_cli.navigation.settings import MatchSettings, NavigateSettings
+from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
 from optnav_cli.runs.catalogs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
 
@@ -251,3 +256,57 @@ def test_a_catalog_without_usable_points_is_refused(mixed, rough_world, tmp_path
     write_rough(world, path, "moon")
     with Catalog.open(path) as catalog, pytest.raises(DataError, match=r"none of its .* usable"):
         open_field([catalog], read_folder(mixed))
+
+
+def star_folder(place, world, taken, kernels):
+    """One good picture whose attitude is written against the stars as kernels have it."""
+    _, pose, _ = taken
+    moon, utc = load_body("moon"), "2004-05-01T12:00:00Z"
+    tdb_s = utc_to_tdb_s(utc)
+    by_kernels, by_theory = (
+        motion.body_from_inertial(tdb_s)
+        for motion in (SpiceMotion(moon, kernels), AnalyticMotion(moon))
+    )
+    turned = pose.camera_from_body * Rotation.from_matrix(by_kernels @ by_theory.T)
+    frame = good_frame("a.png", taken, utc=utc, tdb_s=tdb_s, camera_from_body=turned)
+    write_folder(place, RunSettings("moon", "camera_from_inertial"), [world.camera], [frame])
+    cv2.imwrite(str(place / "a.png"), taken[0])
+    return place
+
+
+def test_the_kernels_of_the_config_turn_the_body_and_the_log_says_so(
+    rough_world, taken, catalog_path, kernels, tmp_path, caplog
+):
+    """The camera's own attitude comes back through the kernels; by theory it is metres off."""
+    pictures = star_folder(tmp_path / "pictures", rough_world, taken, kernels)
+    (tmp_path / "kernels").symlink_to(kernels[0].parent)
+    config = tmp_path / "navigate.toml"
+    names = ", ".join(f'"kernels/{kernel.name}"' for kernel in kernels)
+    config.write_text(f"[match]\ntemplate_nodes = 48\n[spice]\nkernels = [{names}]\n")
+    for settings, word, apart_m in (
+        (load_settings(config), "SPICE", 0.0),
+        (SETTINGS, "theory", 0.2),
+    ):
+        run = tmp_path / word
+        caplog.clear()
+        with caplog.at_level(logging.INFO):
+            (solution,) = navigate_folder(
+                pictures, [catalog_path], settings, "ncc", run, SilentProgress()
+            )
+        assert f"rotation of the moon and its Sun by {word}" in caplog.text.replace("analytic ", "")
+        assert word in json.loads((run / "manifest.json").read_text())["inputs"]["motion"]
+        turned = (solution.camera_from_body * taken[1].camera_from_body.inv()).magnitude()
+        assert apart_m <= turned * rough_world.radius_m
+        assert turned < 4.0 * solution.attitude_sigma_rad + 1e-12
+        error = solution.position_m - taken[1].position_m
+        assert error @ np.linalg.solve(solution.covariance_m2, error) < 16.0
+
+
+def test_a_kernel_that_is_not_there_ends_the_run_before_it_begins(mixed, catalog_path, tmp_path):
+    config = tmp_path / "navigate.toml"
+    config.write_text('[spice]\nkernels = ["nothing.bsp"]\n')
+    with pytest.raises(DataError, match=r"nothing\.bsp: there is no such SPICE kernel"):
+        navigate_folder(
+            mixed, [catalog_path], load_settings(config), "ncc", tmp_path / "run", SilentProgress()
+        )
+    assert not (tmp_path / "run").exists()
