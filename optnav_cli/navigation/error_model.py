@@ -21,6 +21,10 @@ FloatArray = NDArray[np.float64]
 OWN_LEVEL_NODES = 0.005
 OWN_M = 1.0
 OWN_SHADOW_M = 0.15
+# Relief between the nodes of a level that was matched, in nodes: seen obliquely, its lit crests
+# stand for the ground, which then looks higher; a point's own and common to a frame.
+OWN_HEIGHT_NODES = 0.03
+COMMON_HEIGHT_NODES = 0.02
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
 # of its elevation, shift in any direction, what relief that the reference does not explain adds to
 # the shift, for a score of 0, and stretch at the points' rms distance from their middle. Catalogs
@@ -53,22 +57,50 @@ def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: fl
     return float(np.hypot(OWN_LEVEL_NODES * posting_m, own))
 
 
+def own_covariances_px2(
+    points_m: FloatArray,
+    by_ground: FloatArray,
+    postings_m: FloatArray,
+    finest_postings_m: FloatArray,
+    sun_elevation_deg: FloatArray,
+) -> FloatArray:
+    """What points err by that their peaks do not show, each for itself, (n, 2, 2), px^2.
+
+    points_m, by_ground  as `common_errors_px`
+    postings_m           (n,) of the levels that were matched; finest_postings_m (n,) of the
+                         terrain models;  sun_elevation_deg (n,) at the points
+    """
+    up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
+    rise = np.einsum("nij,nj->ni", by_ground, up) * (OWN_HEIGHT_NODES * postings_m)[:, None]
+    # along the ground in every direction alike, by its mean scale in the picture
+    level = np.eye(3) - up[:, :, None] * up[:, None, :]
+    flat = by_ground @ level
+    area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
+    pairs = zip(postings_m, finest_postings_m, sun_elevation_deg, strict=True)
+    sigmas = np.array([own_sigma_m(*(float(v) for v in three)) for three in pairs])
+    spread = sigmas**2 * np.sqrt(np.maximum(area, 0.0))
+    return np.asarray(rise[:, :, None] * rise[:, None, :] + spread[:, None, None] * np.eye(2))
+
+
 def common_errors_px(
     points_m: FloatArray,
     by_ground: FloatArray,
     scores: FloatArray,
     sun_body: FloatArray,
     finest_postings_m: FloatArray,
+    postings_m: FloatArray,
 ) -> FloatArray:
-    """What one sigma of each error common to a frame moves every point by, (n, 2, 9), px.
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 12), px.
 
     points_m  (n, 3)     the points, body frame
     by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
     scores    (n,)       of the correlation peaks
     sun_body  (3,)       unit vector to the Sun
     finest_postings_m (n,) of the terrain models that the points' catalogs were made from
+    postings_m        (n,) of the levels that were matched
     The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
-    ground and of the picture, two changing stretches, shifts along the picture's axes.
+    ground and of the picture, two changing stretches, shifts along the picture's axes, a rise of
+    the ground, alike on all sides and different toward the Sun and across it.
     """
     middle = points_m.mean(axis=0)
     up = middle / np.linalg.norm(middle)
@@ -98,6 +130,13 @@ def common_errors_px(
     moved.append(_of_size(stretch, STRETCH_PX))
     moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
+    own_up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
+    rise = np.einsum("nij,nj->ni", by_ground, own_up) * (COMMON_HEIGHT_NODES * postings_m)[:, None]
+    # a step along the line of sight moves nothing in the picture
+    sight = np.cross(by_ground[:, 0], by_ground[:, 1])
+    sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-30)
+    sight = sight * np.sign(np.einsum("ni,ni->n", sight, own_up))[:, None]
+    moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
     return np.stack(moved, axis=2)
 
 

@@ -1,6 +1,6 @@
 """All control points of a frame searched from one pose, and the pose that their places give."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from optnav_cli.estimation.resection import Pose, Sightings, predict
 from optnav_cli.estimation.robust import RobustResection, resect_robustly
 from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
 from optnav_cli.matching.visibility import View
-from optnav_cli.navigation.error_model import common_errors_px, own_sigma_m
+from optnav_cli.navigation.error_model import common_errors_px, own_covariances_px2
 from optnav_cli.navigation.expectation import FrameContext
 from optnav_cli.navigation.search_plan import ground_uncertainty_m, plan_distortion, plan_search
 
@@ -104,37 +104,24 @@ def solve(
 ) -> RobustResection:
     """Resect from the believed matches, from a pose. Raises NoSolutionError."""
     points = frame.points
-    pixels, covariances = [], []
-    for k in believed:
-        match = matches[k]
-        if match.pixel is None or match.covariance_px2 is None:
-            continue
-        postings = points.postings_m(int(view.index[k]))
-        sigma = own_sigma_m(
-            float(postings[match.level]),
-            float(postings[0]),
-            float(view.sun_elevation_deg[k]),
-        )
-        own = (sigma / view.metres_per_pixel[k]) ** 2
-        pixels.append(match.pixel)
-        covariances.append(match.covariance_px2 + own * np.eye(2))
+    kept = [k for k in believed if matches[k].covariance_px2 is not None]
+    index = view.index[kept]
+    places = points.xyz_m[index]
     sightings = Sightings(
-        points.xyz_m[view.index[believed]],
-        np.array(pixels).reshape(-1, 2),
-        np.array(covariances).reshape(-1, 2, 2),
+        places,
+        np.array([matches[k].pixel for k in kept]).reshape(-1, 2),
+        np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2),
     )
     common = None
-    if believed:
-        _, jacobian = predict(frame.camera, pose, sightings.points_body_m)
-        scores = np.array([matches[k].score or 0.0 for k in believed])
-        # a point that moves one way looks as if the camera moved the other
-        common = common_errors_px(
-            sightings.points_body_m,
-            -jacobian[:, :, :3],
-            scores,
-            frame.sun_body,
-            points.finest_postings_m(view.index[believed]),
-        )
+    if kept:
+        _, jacobian = predict(frame.camera, pose, places)
+        by_ground = -jacobian[:, :, :3]  # a point that moves one way looks as if the camera moved
+        finest = points.finest_postings_m(index)
+        postings = np.array([points.postings_m(int(view.index[k]))[matches[k].level] for k in kept])
+        own = own_covariances_px2(places, by_ground, postings, finest, view.sun_elevation_deg[kept])
+        sightings = replace(sightings, covariances_px2=sightings.covariances_px2 + own)
+        scores = np.array([matches[k].score or 0.0 for k in kept])
+        common = common_errors_px(places, by_ground, scores, frame.sun_body, finest, postings)
     free = prior.attitude_sigma_rad is None
     attitude = (pose if free else prior.pose).camera_from_body
     return resect_robustly(

@@ -26,7 +26,9 @@ def errors(offsets, elevation_deg=30.0, score=1.0):
     place = points(offsets)
     n = len(place)
     ground, postings = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
-    return common_errors_px(place, ground, np.full(n, score), sun(elevation_deg), postings)
+    return common_errors_px(
+        place, ground, np.full(n, score), sun(elevation_deg), postings, postings
+    )
 
 
 SQUARE = [(-2e4, -2e4), (2e4, -2e4), (2e4, 2e4), (-2e4, 2e4)]
