@@ -5,148 +5,66 @@ direction over a transfer, the methods told apart.
 """
 
 from collections import Counter
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.errors import DataError
-from optnav_cli.output.error_rows import ErrorRow, read_error_rows, stated_rows
-from optnav_cli.output.evaluation_files import EVALUATION_CSV
-from optnav_cli.output.methods import method_rank, method_words
+from optnav_cli.output.methods import method_words
+from optnav_cli.output.report.error_frames import OTHER_SIGN, SIGNS, Frames, frames_of
 from optnav_cli.output.report.marks import key_mark
 from optnav_cli.output.report.page import figure
+from optnav_cli.output.report.sheet import Entry, Panel, sheet
 from optnav_cli.output.report.svg import Plot, span
 from optnav_cli.output.run_folder import RunFolder
 
 FloatArray = NDArray[np.float64]
 AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
-SIGNS = {
-    "brightness_centre": ("s3", "diamond"),
-    "horizon_sphere": ("s5", "square"),
-    "horizon": ("s2", "triangle"),
-    "control_points": ("s1", "circle"),
-}
-OTHER_SIGN = ("muted", "down")
-UNEVEN = 20.0  # gaps so many times the median one: frames are drawn by number, not by time
 UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small ones
 BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
 FAR = 4.0  # farthest over nearest height from which errors are drawn over the distance, too
 IN_KM_M = 5e3  # errors typically larger are drawn in km
 MOST_REASONS = 4
-TIME_UNITS = ((600.0, 1.0, "minutes"), (100.0 * 60.0, 60.0, "hours"), (np.inf, 1440.0, "days"))
-
-
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """The frames of a run in order of time, with what is drawn of them.
-
-    x         (n,) along the time axis
-    error, sigma  (n, 3) along R, N, B, m; NaN where there is none
-    """
-
-    rows: list[ErrorRow]
-    x: FloatArray
-    x_label: str
-    error: FloatArray
-    sigma: FloatArray
-    wide: frozenset[str]  # cameras that are not the narrowest of the run
-
-    @property
-    def compared(self) -> bool:
-        """Whether there is a truth."""
-        return bool(np.isfinite(self.error).any())
-
-    @property
-    def series(self) -> list[tuple[str, str]]:
-        """Methods and cameras of the solved frames, from afar to near."""
-        found = {(row.method, row.camera) for row in self.rows if row.solved}
-        return sorted(found, key=lambda key: (*method_rank(key[0]), key[1]))
-
-    def of(self, method: str, camera: str) -> NDArray[np.intp]:
-        """Places of a series' solved frames."""
-        return np.array(
-            [
-                index
-                for index, row in enumerate(self.rows)
-                if row.solved and (row.method, row.camera) == (method, camera)
-            ],
-            dtype=np.intp,
-        )
-
-    def sign(self, method: str, camera: str) -> tuple[str, str]:
-        """Series and shape of a method's marks, hollow for the wider cameras."""
-        series, shape = SIGNS.get(method, OTHER_SIGN)
-        return (f"{series} hollow" if camera in self.wide else series), shape
-
-    def stretches(self) -> list[tuple[str, NDArray[np.intp]]]:
-        """Series and places of frames that follow one another in a camera by the same method."""
-        found = []
-        for camera in sorted({row.camera for row in self.rows}):
-            places = [i for i, row in enumerate(self.rows) if row.camera == camera]
-            keys = [self.rows[i].method if self.rows[i].solved else None for i in places]
-            start = 0
-            for end in range(1, len(places) + 1):
-                if end == len(places) or keys[end] != keys[start]:
-                    method = keys[start]
-                    if method is not None:
-                        series, _ = SIGNS.get(method, OTHER_SIGN)
-                        found.append((series, np.array(places[start:end], dtype=np.intp)))
-                    start = end
-        return found
 
 
 def error_plots(run: RunFolder) -> list[str]:
-    """Figures of a run with a solved frame; without a truth, of what its solutions state."""
+    """Figures (HTML) of a run with a solved frame; without a truth, of what its solutions state."""
     frames = frames_of(run)
+    keys = "".join(key_mark(e.series, e.shape, e.words) for e in _legend(frames))
+    figures = []
+    for number, (panels, caption) in enumerate(_drawn(frames)):
+        drawings = "".join(panel.plot.svg(panel.description) for panel in panels)
+        more = "" if number else _reasons(frames)
+        figures.append(figure(drawings, caption + more, None, keys))
+    return figures
+
+
+def error_sheet(run: RunFolder) -> str:
+    """The same as one picture (SVG) that stands alone."""
+    frames = frames_of(run)
+    compared = "solution minus truth" if frames.compared else "stated sigmas"
+    title = f"{run.attitude.body.name.capitalize()}, run {run.path.resolve().name}: {compared}"
+    rows = [[panel] for panels, _ in _drawn(frames) for panel in panels]
+    return sheet(title, _legend(frames), rows)
+
+
+def _drawn(frames: Frames) -> list[tuple[list[Panel], str]]:
+    """Panels with their captions: over time, and over the height where it changes much."""
     drawn = [_over_time(frames)]
-    heights = np.array([row.height_m or np.nan for row in frames.rows])
-    heights = heights[np.isfinite(heights) & (heights > 0.0)]
+    heights = frames.heights_km[np.isfinite(frames.heights_km)]
     if heights.size and heights.max() > FAR * heights.min():
         drawn.append(_over_distance(frames))
     return drawn
 
 
-def frames_of(run: RunFolder) -> Frames:
-    """What is drawn of a run. Raises DataError for a damaged evaluation."""
-    path = run.path / EVALUATION_CSV
-    rows = read_error_rows(path) if path.exists() else stated_rows(run)
-    rows, x, x_label = _in_time(rows)
-    none = np.full(3, np.nan)
-    error = np.array([none if row.error_rnb_m is None else row.error_rnb_m for row in rows])
-    sigma = np.array([none if row.sigma_rnb_m is None else row.sigma_rnb_m for row in rows])
-    widths = {camera.name: camera.angular_resolution for camera in run.cameras.values()}
-    narrowest = min(widths.values(), default=0.0)
-    wide = frozenset(name for name, width in widths.items() if width > narrowest)
-    return Frames(rows, x, x_label, error, sigma, wide)
-
-
-def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, str]:
-    """Rows and what they are drawn against: time, or the frame's number when gaps are uneven."""
-    number = np.arange(1.0, len(rows) + 1.0)
-    try:
-        seconds = np.array([utc_to_tdb_s(row.utc) for row in rows])
-    except DataError:
-        return rows, number, "frame"
-    order = np.argsort(seconds, kind="stable")
-    rows, seconds = [rows[i] for i in order], seconds[order]
-    gaps = np.diff(np.unique(seconds))
-    if len(gaps) == 0 or gaps.max() > UNEVEN * np.median(gaps):
-        return rows, number, "frame"
-    minutes = (seconds - seconds[0]) / 60.0
-    unit, name = next((u, name) for most, u, name in TIME_UNITS if minutes[-1] <= most)
-    return rows, minutes / unit, f"{name} after {rows[0].utc}"
-
-
-def _over_time(frames: Frames) -> str:
+def _over_time(frames: Frames) -> tuple[list[Panel], str]:
+    """Panels of R, N, B, and what they show."""
     shown = frames.error if frames.compared else frames.sigma
     bound = 3.0 * frames.sigma if frames.compared else frames.sigma
     sizes = np.abs(bound[np.isfinite(bound)])
     low, high = np.percentile(sizes, [10.0, 90.0])
     log = high > UNLIKE * max(low, 1e-9)
     unit, name = (1e3, "km") if np.median(sizes) > IN_KM_M else (1.0, "m")
-    drawings = []
+    panels = []
     for axis, (letter, words) in enumerate(AXES):
         values, band = shown[:, axis] / unit, bound[:, axis] / unit
         size = f"|{letter}|" if log else letter
@@ -157,11 +75,12 @@ def _over_time(frames: Frames) -> str:
         else:
             plot = _linear_plot(frames, values, band, label, x_label)
         what = "Error" if frames.compared else "Stated sigma"
-        drawings.append(plot.svg(f"{what} along {letter} ({words}) of each frame, {name}"))
+        words = f"{what} along {letter} ({words}) of each frame, {name}"
+        panels.append(Panel("", plot, words))
     caption = "Solution minus truth" if frames.compared else "Stated sigmas, 1 sigma an axis,"
     caption = f"{caption} for each solved frame{', sizes alone' if log and frames.compared else ''}"
     caption += "; bands are 3 stated sigmas." if frames.compared else "."
-    return figure("".join(drawings), caption + _reasons(frames), None, _legend(frames))
+    return panels, caption
 
 
 def _linear_plot(
@@ -206,12 +125,11 @@ def _log_plot(
     return plot
 
 
-def _over_distance(frames: Frames) -> str:
-    """Errors of range (percent of the height) and of direction over the height."""
+def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
+    """Panels of range (percent of the height) and direction over the height, and what they show."""
     rows = frames.rows
-    height = np.array([row.height_m or np.nan for row in rows]) / 1e3
-    x = np.log10(np.where(height > 0.0, height, np.nan))
-    drawings = []
+    x = np.log10(frames.heights_km)
+    panels = []
     for label, words, error, sigma in (
         (
             "range, % of height", "range to the surface",
@@ -240,11 +158,11 @@ def _over_distance(frames: Frames) -> str:
         _marks(plot, frames, x, _log(values, y), values > bound)
         _unsolved(plot, frames, x)
         what = "Error" if frames.compared else "Stated sigma"
-        drawings.append(plot.svg(f"{what} of the {words} of each frame over the height"))
+        panels.append(Panel("", plot, f"{what} of the {words} of each frame over the height"))
     caption = "Errors of range and direction over the height; dashes are 3 stated sigmas."
     if not frames.compared:
         caption = "Stated sigmas of range and direction over the height."
-    return figure("".join(drawings), caption, None, _legend(frames))
+    return panels, caption
 
 
 def _marks(
@@ -269,20 +187,20 @@ def _unsolved(plot: Plot, frames: Frames, x: FloatArray) -> None:
     plot.marks(x[places], foot, "muted", "cross", 3.6, titles)
 
 
-def _legend(frames: Frames) -> str:
+def _legend(frames: Frames) -> list[Entry]:
     entries = []
     for method, camera in frames.series:
         series, shape = frames.sign(method, camera)
         of_camera = sum(row.camera == camera for row in frames.rows)
         name = method_words(method) + (f", {camera}" if camera else "")
         words = f"{name}: {len(frames.of(method, camera))} of {of_camera}"
-        entries.append(key_mark(series, shape, words))
+        entries.append(Entry(series, words, shape, line=False))
     if frames.compared:
-        entries.append(key_mark("s4", "circle", "outside 3 stated sigmas"))
+        entries.append(Entry("s4", "outside 3 stated sigmas", "circle", line=False))
     unsolved = sum(not row.solved for row in frames.rows)
     if unsolved:
-        entries.append(key_mark("muted", "cross", f"unsolved: {unsolved}"))
-    return "".join(entries)
+        entries.append(Entry("muted", f"unsolved: {unsolved}", "cross", line=False))
+    return entries
 
 
 def _reasons(frames: Frames) -> str:

@@ -39,7 +39,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot with what stands above it; `description` is read to who cannot see it."""
+    """One plot with what stands above it, if anything; `description` is read to the blind."""
 
     heading: str
     plot: Plot
@@ -55,15 +55,17 @@ def sheet(title: str, legend: Sequence[Entry], rows: Sequence[Sequence[Panel]]) 
     parts += lines
     for row in rows:
         left = float(EDGE)
+        heading = HEADING_HEIGHT if any(panel.heading for panel in row) else 0
         for panel in row:
             middle = left + panel.plot.width / 2.0
-            parts.append(
-                f'<text class="heading" text-anchor="middle" x="{middle:g}" y="{top + 13:g}">'
-                f"{escape(panel.heading)}</text>"
-            )
-            parts.append(panel.plot.svg(panel.description, at=(left, top + HEADING_HEIGHT)))
+            if panel.heading:
+                parts.append(
+                    f'<text class="heading" text-anchor="middle" x="{middle:g}" y="{top + 13:g}">'
+                    f"{escape(panel.heading)}</text>"
+                )
+            parts.append(panel.plot.svg(panel.description, at=(left, top + heading)))
             left += panel.plot.width + GAP
-        top += HEADING_HEIGHT + max(panel.plot.height for panel in row) + GAP
+        top += heading + max(panel.plot.height for panel in row) + GAP
     height = top - GAP + EDGE
     head = (
         f'{BEGINNING}<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" '
@@ -87,7 +89,7 @@ def _legend(legend: Sequence[Entry], width: float, top: float) -> tuple[list[str
     parts: list[str] = []
     left = float(EDGE)
     for entry in legend:
-        needed = 40.0 + LETTER * len(entry.words)
+        needed = 54.0 + LETTER * len(entry.words)
         if left > EDGE and left + needed > width - EDGE:
             left, top = float(EDGE), top + LEGEND_HEIGHT
         y = top + 8.0

@@ -1,6 +1,7 @@
 """Reports about runs: whole pages with nothing loaded from outside, for good and odd ones."""
 
 import re
+import xml.etree.ElementTree as ET
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from catalog.errors import DataError, OutputError
 from optnav_cli.output.evaluation_files import evaluate_run, write_evaluation
 from optnav_cli.output.overlay import write_overlay
 from optnav_cli.output.report import write_report
-from optnav_cli.output.report.error_plots import frames_of
+from optnav_cli.output.report.error_frames import frames_of
 from optnav_cli.output.run_folder import read_run
 from tests.optnav_cli.output.approach import write_approach
 from tests.optnav_cli.output.report.browser import Browser
@@ -148,3 +149,22 @@ def test_errors_of_one_kind_are_drawn_with_their_signs(run, tmp_path):
     assert len(places) == 18
     # up is up: the greatest error is drawn highest
     assert int(np.argmin(places)) == int(np.argmax(errors[:, 0]))
+
+
+def test_the_errors_of_a_run_can_be_had_as_a_picture_alone(tmp_path):
+    folder = tmp_path / "run"
+    write_approach(folder)
+    write_evaluation(evaluate_run(folder, folder / "truth.csv"), folder)
+    write_report(folder, tmp_path / "errors.svg")
+    root = ET.parse(tmp_path / "errors.svg").getroot()
+    labels = [e.get("aria-label") for e in root.findall("{http://www.w3.org/2000/svg}svg")]
+    assert len(labels) == 5
+    assert "over the height" in labels[-1]
+    with pytest.raises(DataError, match=r"only the errors of a run are drawn as SVG"):
+        write_report(tmp_path / "errors.svg", tmp_path / "other.svg")
+
+
+def test_a_run_without_a_solved_frame_has_no_picture(tmp_path, make_run):
+    make_run(tmp_path / "run", count=3, unsolved_from=0)
+    with pytest.raises(DataError, match=r"no frame is solved"):
+        write_report(tmp_path / "run", tmp_path / "errors.svg")
