@@ -8,13 +8,13 @@ from catalog.progress import Progress
 from optnav_cli.output.manifest import hash_file, write_manifest
 from optnav_cli.output.replace import check_folder, replacing_folder
 from optnav_cli.simulation.run import scenario_copy, simulate
-from optnav_cli.simulation.scenario import Scenario, load_scenario
+from optnav_cli.simulation.scenario import AnyScenario, load_scenario
 
 KIND = "pictures"
 
 
 def simulate_folder(
-    scenario: Scenario | Path, pictures: Path, progress: Progress, workers: int | None = None
+    scenario: AnyScenario | Path, pictures: Path, progress: Progress, workers: int | None = None
 ) -> None:
     """Simulate the pictures of a scenario and put the folder in place when it is complete.
 
@@ -38,7 +38,10 @@ def simulate_folder(
             options={},
             inputs={
                 "scenario": origin,
-                "terrain": [Path(m.path).name for m in (*scenario.dem, scenario.globe)],
+                "terrain": [
+                    *(Path(dem.path).name for dem in scenario.dem),
+                    Path(scenario.globe.path).name,
+                ],
             },
             started=started,
         )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from catalog.geometry.sphere import distance_to_sphere
 from catalog.rendering.rays.scene import Scene
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.trajectory import Shot
+from optnav_cli.simulation.shot import Shot
 from optnav_cli.simulation.truth_terrain import Box, TruthTerrain
 
 FloatArray = NDArray[np.float64]

@@ -16,7 +16,7 @@ from optnav_cli.simulation.globe_terrain import (
     fixed_centre,
     level_frame,
 )
-from optnav_cli.simulation.trajectory import Shot
+from optnav_cli.simulation.shot import Shot
 
 FloatArray = NDArray[np.float64]
 HeightGrid = NDArray[np.float32]
@@ -24,7 +24,7 @@ HeightGrid = NDArray[np.float32]
 PROBE_PX = 32  # distance of the rays that find out which ground a picture shows
 ROUND = np.radians(4.0)  # boxes are widened to multiples of it, so that neighbours share them
 MARGIN = np.radians(1.5)  # relief and what lies between the probing rays
-LIMB_SAMPLES = 10  # rays a side of a pixel at the limb: its share of sky is right to 0.01
+LIMB_SAMPLES = 8  # rays a side of a pixel at the limb: its share of sky is right to 0.01
 
 
 class GlobeRenderer:

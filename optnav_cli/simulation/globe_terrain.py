@@ -7,6 +7,7 @@ from far away the grid's pole lies below the camera and its equator runs along t
 Turned frames come from a fixed set of directions, so neighbouring pictures share their ground.
 """
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numba
@@ -48,14 +49,15 @@ class View:
 
 
 class GlobeTerrain:
-    """Windows of one ground; the last one is kept.
+    """Windows of one ground.
 
     detail  the relief to add, None for none
+    kept    how many windows are kept: one for each camera that looks by turns
     """
 
-    def __init__(self, heights: GlobeHeights, detail: Detail | None) -> None:
-        self._heights, self._detail = heights, detail
-        self._kept: tuple[object, FloatArray, Ground, Ground] | None = None
+    def __init__(self, heights: GlobeHeights, detail: Detail | None, kept: int = 1) -> None:
+        self._heights, self._detail, self._most = heights, detail, kept
+        self._kept: OrderedDict[object, tuple[FloatArray, Ground, Ground]] = OrderedDict()
 
     def postings(self) -> FloatArray:
         """Postings (m) that windows may have, finest first."""
@@ -67,13 +69,15 @@ class GlobeTerrain:
         sun_body  where the Sun is: the seam of a ground that faces the camera is put in the dark
         """
         key: tuple[object, ...] = (view, None if view.box else sun_body.tobytes())
-        if self._kept is None or self._kept[0] != key:
-            self._kept = None  # let go of the old one before the new one is made
-            centre = np.array(view.centre)
-            turned = level_frame(centre) if view.box else facing_frame(centre, sun_body)
-            fine = self._window(view, turned)
-            self._kept = (key, turned, fine, self._coarse(turned))
-        return self._kept[1:]
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        while len(self._kept) >= self._most:
+            self._kept.popitem(last=False)  # let go of the old one before the new one is made
+        centre = np.array(view.centre)
+        turned = level_frame(centre) if view.box else facing_frame(centre, sun_body)
+        self._kept[key] = turned, self._window(view, turned), self._coarse(turned)
+        return self._kept[key]
 
     def _window(self, view: View, turned: FloatArray) -> Ground:
         step = view.posting_m / self._heights.radius_m

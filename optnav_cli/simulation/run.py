@@ -6,8 +6,11 @@ import cv2
 import msgspec
 import numba
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body, load_body
+from catalog.bodies.motion import BodyMotion
+from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import OutputError
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.detail import Detail
@@ -15,77 +18,120 @@ from catalog.terrain.source import DemSettings, DemSource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import write_folder
 from optnav_cli.imagery.frames import ARCSEC, Frame
-from optnav_cli.imagery.run_settings import RunSettings
+from optnav_cli.imagery.run_settings import Attitude, RunSettings
 from optnav_cli.imagery.truth import Truth, write_truth
+from optnav_cli.simulation.flight_settings import SpiceSettings
 from optnav_cli.simulation.frame import Renderer
 from optnav_cli.simulation.globe_frame import GlobeRenderer
 from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
 from optnav_cli.simulation.globe_terrain import GlobeTerrain
-from optnav_cli.simulation.scenario import Scenario, load_scenario, scenario_camera
+from optnav_cli.simulation.scenario import (
+    AnyScenario,
+    load_scenario,
+    motion_of,
+    scenario_cameras,
+)
 from optnav_cli.simulation.sensor import Counts, expose
-from optnav_cli.simulation.trajectory import Shot, shots
+from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.surroundings import Surroundings
+from optnav_cli.simulation.trajectory import shots
 from optnav_cli.simulation.truth_terrain import TruthTerrain
 
 SENSOR = 17  # stream of random numbers, apart from those of the trajectory
 
 
 def simulate(
-    scenario: Scenario | str | Path,
+    scenario: AnyScenario | str | Path,
     folder: Path,
     progress: Progress | None = None,
     workers: int | None = None,
 ) -> None:
-    """Write pictures, frames.csv, truth.csv, the camera and the scenario into an empty folder.
+    """Write pictures, frames.csv, truth.csv, the cameras and the scenario into an empty folder.
 
     scenario  a file, or what `load_scenario` gave
     folder    is made where it is missing
     workers   threads; all that the process may use if None. Their number changes no byte
     Raises ConfigError or DataError for what cannot be simulated, OutputError for the folder.
     """
-    if not isinstance(scenario, Scenario):
+    if isinstance(scenario, str | Path):
         scenario = load_scenario(scenario)
     if workers is not None:
         numba.set_num_threads(max(1, min(workers, numba.get_num_threads())))
     body = load_body(scenario.body)
-    camera = scenario_camera(scenario)
-    flight = shots(scenario, body)
-    renderer = _renderer(scenario, body, camera, flight)
+    cameras = scenario_cameras(scenario)
+    motion = motion_of(scenario, body)
+    flight = shots(scenario, body, motion)
+    renderers = _renderers(scenario, body, cameras, flight)
+    surroundings = [Surroundings(scenario, camera, motion) for camera in cameras]
     progress = progress or SilentProgress()
     folder.mkdir(parents=True, exist_ok=True)
     with progress.stage("simulate", total=len(flight), unit="picture") as stage:
         for shot in flight:
             rng = np.random.default_rng([scenario.seed, SENSOR, shot.index])
-            counts = expose(renderer.radiance(shot), scenario.sensor, rng)
-            _write_png(folder / shot.file, counts)
+            radiance = renderers[shot.camera].radiance(shot)
+            around = surroundings[shot.camera]
+            counts = expose(radiance, scenario.sensor, rng, around.besides(shot, radiance))
+            _write_png(folder / shot.file, around.with_hot_pixels(counts))
             stage.advance()
-    settings = RunSettings(body=body.name, attitude="camera_from_body")
-    write_folder(
-        folder, settings, [camera], [_frame(shot, scenario, camera.name) for shot in flight]
-    )
+    inertial = scenario.attitude.relative_to == "inertial"
+    attitude: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
+    settings = RunSettings(body=body.name, attitude=attitude)
+    frames = [_frame(shot, scenario, cameras[shot.camera].name, motion) for shot in flight]
+    write_folder(folder, settings, cameras, frames)
     truths = [
-        Truth(s.file, s.utc, s.tdb_s, s.position_m, s.camera_from_body) for s in flight
-    ]  # fmt: skip
+        Truth(
+            s.file,
+            s.utc,
+            s.tdb_s,
+            s.position_m,
+            _by_theory(s.camera_from_body, scenario, motion, s),
+        )
+        for s in flight
+    ]
     write_truth(folder / "truth.csv", settings, truths)
     (folder / "scenario.json").write_bytes(scenario_copy(scenario))
 
 
-def _renderer(
-    scenario: Scenario, body: Body, camera: Camera, flight: list[Shot]
-) -> Renderer | GlobeRenderer:
+def _by_theory(
+    camera_from_body: Rotation, scenario: AnyScenario, motion: BodyMotion, shot: Shot
+) -> Rotation:
+    """The attitude against the body of one who knows it against the stars, and the theory only.
+
+    Files hold the attitude against the stars; whoever reads them takes the body's rotation from
+    theory. Where the truth turns by kernels the two differ, and the files must hold the truth.
+    """
+    if scenario.attitude.relative_to == "body":
+        return camera_from_body
+    true, theory = (
+        motion.body_from_inertial(shot.tdb_s),
+        body_from_inertial(motion.body, shot.tdb_s),
+    )
+    return camera_from_body * Rotation.from_matrix(true @ theory.T)
+
+
+def _renderers(
+    scenario: AnyScenario, body: Body, cameras: list[Camera], flight: list[Shot]
+) -> list[Renderer] | list[GlobeRenderer]:
+    """One renderer a camera; they share the ground."""
     if scenario.dem:
-        return Renderer(truth_terrain(scenario, body), camera, flight)
+        terrain = truth_terrain(scenario, body)
+        return [
+            Renderer(terrain, camera, [shot for shot in flight if shot.camera == number])
+            for number, camera in enumerate(cameras)
+        ]
     heights = GlobeHeights(read_globe(DemSettings(scenario.globe.path), body), body.radius_m)
-    seeds = scenario.detail.seeds or (None,)
     grounds = {
         seed: GlobeTerrain(
-            heights, None if seed is None else _detail(seed, scenario, body, heights.posting_m)
+            heights,
+            None if seed is None else _detail(seed, scenario, body, heights.posting_m),
+            kept=len(cameras),
         )
-        for seed in seeds
+        for seed in scenario.detail.seeds or (None,)
     }
-    return GlobeRenderer(heights, grounds, camera)
+    return [GlobeRenderer(heights, grounds, camera) for camera in cameras]
 
 
-def _detail(seed: int, scenario: Scenario, body: Body, posting_m: float) -> Detail:
+def _detail(seed: int, scenario: AnyScenario, body: Body, posting_m: float) -> Detail:
     settings = scenario.detail
     return Detail(
         seed, posting_m, body.radius_m,
@@ -94,7 +140,7 @@ def _detail(seed: int, scenario: Scenario, body: Body, posting_m: float) -> Deta
     )  # fmt: skip
 
 
-def truth_terrain(scenario: Scenario, body: Body) -> TruthTerrain:
+def truth_terrain(scenario: AnyScenario, body: Body) -> TruthTerrain:
     """The ground of a scenario. Raises ConfigError or DataError for terrain that cannot be used."""
     first = DemSource.open(scenario.dem[0], Path.cwd(), body)
     details: dict[int | None, Detail | None] = {None: None}
@@ -103,30 +149,36 @@ def truth_terrain(scenario: Scenario, body: Body) -> TruthTerrain:
     return TruthTerrain(body, scenario.dem, DemSettings(scenario.globe.path), details)
 
 
-def scenario_copy(scenario: Scenario) -> bytes:
+def scenario_copy(scenario: AnyScenario) -> bytes:
     """All settings of a scenario with their defaults, as JSON; paths shortened to file names."""
     bare = msgspec.structs.replace(
         scenario,
         dem=tuple(msgspec.structs.replace(d, path=Path(d.path).name) for d in scenario.dem),
         globe=msgspec.structs.replace(scenario.globe, path=Path(scenario.globe.path).name),
         camera=msgspec.structs.replace(scenario.camera, name=Path(scenario.camera.name).name),
+        beside=tuple(
+            msgspec.structs.replace(mount, name=Path(mount.name).name) for mount in scenario.beside
+        ),
+        spice=SpiceSettings(tuple(Path(name).name for name in scenario.spice.kernels)),
     )
     return msgspec.json.format(msgspec.json.encode(bare), indent=2) + b"\n"
 
 
-def _frame(shot: Shot, scenario: Scenario, camera: str) -> Frame:
+def _frame(shot: Shot, scenario: AnyScenario, camera: str, motion: BodyMotion) -> Frame:
     attitude = scenario.attitude
     return Frame(
         file=shot.file,
         utc=shot.utc,
         camera=camera,
         tdb_s=shot.tdb_s,
-        camera_from_body=shot.told_camera_from_body,
+        camera_from_body=_by_theory(shot.told_camera_from_body, scenario, motion, shot),
         attitude_sigma_rad=None if attitude.free else attitude.sigma_arcsec * ARCSEC,
         position_m=shot.prior_m,
         # a prior without error is still a prior; the search needs some room
-        position_sigma_m=max(scenario.prior.position_sigma_m, 1.0),
-        sun_body=shot.sun_body,
+        position_sigma_m=(
+            None if shot.prior_m is None else max(scenario.prior.position_sigma_m, 1.0)
+        ),
+        sun_body=shot.sun_body if shot.told_sun else None,
     )
 
 

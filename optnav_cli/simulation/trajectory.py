@@ -1,45 +1,33 @@
 """Where the camera is, how it is turned and where the Sun stands, frame by frame."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body
-from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.motion import AnalyticMotion, BodyMotion
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
-from optnav_cli.simulation.scenario import Scenario, SunSettings
+from optnav_cli.simulation.scenario import AnyScenario, Scenario, Voyage
+from optnav_cli.simulation.sections import SunSettings
+from optnav_cli.simulation.shot import PLACE, Moment, Shot, shots_of
+from optnav_cli.simulation.voyage import moments_of
 
 FloatArray = NDArray[np.float64]
-# streams of random numbers, so that a setting more or less does not move the others
-PLACE, POINTING, PRIOR, ATTITUDE = range(4)
 
 
-@dataclass(frozen=True, eq=False)
-class Shot:
-    """The truth about one picture, and what the navigator is told.
+def shots(scenario: AnyScenario, body: Body, motion: BodyMotion | None = None) -> list[Shot]:
+    """All pictures of a scenario in order of time, those of a pass together.
 
-    position_m, prior_m  (3,) body frame, m;  sun_body (3,) unit vector
-    camera_from_body     the truth;  told_camera_from_body with its error
-    ground_seed          which added relief, None for none
+    motion  how the body turns; the analytic theory if None. Passes do not need it
+    Raises ConfigError for a path that cannot be flown.
     """
-
-    index: int
-    pass_index: int
-    file: str
-    utc: str
-    tdb_s: float
-    position_m: FloatArray
-    camera_from_body: Rotation
-    sun_body: FloatArray
-    prior_m: FloatArray
-    told_camera_from_body: Rotation
-    ground_seed: int | None
+    if isinstance(scenario, Voyage):
+        return shots_of(scenario, moments_of(scenario, motion or AnalyticMotion(body)))
+    return shots_of(scenario, _passes(scenario, body))
 
 
-def shots(scenario: Scenario, body: Body) -> list[Shot]:
-    """All pictures of a scenario, pass by pass in order of time.
+def _passes(scenario: Scenario, body: Body) -> list[Moment]:
+    """The moments of all passes.
 
     Passes are circular orbits in the body-fixed frame: the body's own turn, 4 m/s at the Moon's
     equator, is left out, since each picture is taken from a position, not from a velocity.
@@ -48,8 +36,7 @@ def shots(scenario: Scenario, body: Body) -> list[Shot]:
     radius = body.radius_m + orbit.altitude_km * 1e3
     rate = float(np.sqrt(body.gm_m3_s2 / radius**3))
     start = utc_to_tdb_s(orbit.start_utc)
-    digits = max(4, len(str(orbit.passes * orbit.frames)))
-    found: list[Shot] = []
+    found: list[Moment] = []
     for number in range(orbit.passes):
         rng = np.random.default_rng([scenario.seed, PLACE, number])
         lat, lon = _place(orbit.box_deg, rng)
@@ -61,26 +48,17 @@ def shots(scenario: Scenario, body: Body) -> list[Shot]:
         seeds = scenario.detail.seeds
         ground = seeds[number * len(seeds) // orbit.passes] if seeds else None
         for step in range(orbit.frames):
-            index = len(found)
             after = (step - (orbit.frames - 1) / 2.0) * orbit.spacing_s
             angle = rate * after
-            position = radius * (np.cos(angle) * up + np.sin(angle) * ahead)
-            forward = np.cos(angle) * ahead - np.sin(angle) * up
-            attitude = _attitude(scenario, index, position, forward)
-            tdb_s = start + number * orbit.pass_interval_s + step * orbit.spacing_s
-            noise = np.random.default_rng([scenario.seed, PRIOR, index]).normal(size=3)
             found.append(
-                Shot(
-                    index=index,
+                Moment(
+                    number=len(found),
                     pass_index=number,
-                    file=f"frame_{index:0{digits}d}.png",
-                    utc=utc_from_tdb_s(tdb_s),
-                    tdb_s=tdb_s,
-                    position_m=position,
-                    camera_from_body=attitude,
+                    tdb_s=start + number * orbit.pass_interval_s + step * orbit.spacing_s,
+                    position_m=radius * (np.cos(angle) * up + np.sin(angle) * ahead),
+                    forward=np.cos(angle) * ahead - np.sin(angle) * up,
                     sun_body=sun,
-                    prior_m=position + scenario.prior.position_sigma_m * noise,
-                    told_camera_from_body=_told(scenario, index, attitude),
+                    told_sun=True,
                     ground_seed=ground,
                 )
             )
@@ -120,26 +98,3 @@ def sun_elevation(sun_body: FloatArray, position_m: FloatArray) -> float:
     """Height of the Sun (rad) over the sphere's horizon below a position."""
     lat, lon, _ = latlon_from_xyz(position_m)
     return float(np.arcsin(np.clip(xyz_from_latlon(lat, lon, 1.0) @ sun_body, -1.0, 1.0)))
-
-
-def _attitude(
-    scenario: Scenario, index: int, position: FloatArray, forward: FloatArray
-) -> Rotation:
-    """Camera from body: looking down, the top of the picture forward, then turned as set."""
-    pointing = scenario.pointing
-    down = -position / np.linalg.norm(position)
-    # y points down in the picture: backward; x completes the right-handed camera frame
-    level = Rotation.from_matrix(np.stack([np.cross(-forward, down), -forward, down]))
-    noise = np.random.default_rng([scenario.seed, POINTING, index]).normal(size=3)
-    ahead = pointing.forward_deg + pointing.tilt_sigma_deg * noise[0]
-    right = pointing.right_deg + pointing.tilt_sigma_deg * noise[1]
-    roll = pointing.roll_deg + pointing.roll_sigma_deg * noise[2]
-    # the boresight turned forward about x, to the right about y, then the camera about it
-    turned = Rotation.from_euler("xyz", [ahead, right, roll], degrees=True)
-    return turned.inv() * level
-
-
-def _told(scenario: Scenario, index: int, truth: Rotation) -> Rotation:
-    sigma = np.radians(scenario.attitude.sigma_arcsec / 3600.0)
-    noise = np.random.default_rng([scenario.seed, ATTITUDE, index]).normal(size=3)
-    return Rotation.from_rotvec(sigma * noise) * truth

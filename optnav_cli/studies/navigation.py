@@ -11,7 +11,6 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -27,7 +26,7 @@ from optnav_cli.output.figures import Figures
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.run import scenario_copy
-from optnav_cli.simulation.scenario import Scenario, load_scenario
+from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
 
 ARCSEC = np.pi / 648000.0
 STAR_SENSOR_ARCSEC = 10.0
@@ -147,21 +146,13 @@ def _pictures(output: Path, name: str, frames: int | None, progress: Progress) -
     """The picture folder of a shipped scenario; made unless the same one is there."""
     scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
     if frames is not None:
-        scenario = _shortened(scenario, frames)
+        scenario = fewer_pictures(scenario, frames)
     place = output / "pictures" / name
     place.parent.mkdir(exist_ok=True)
     mark = place / "scenario.json"
     if not (mark.is_file() and mark.read_bytes() == scenario_copy(scenario)):
         simulate_folder(scenario, place, progress)
     return place
-
-
-def _shortened(scenario: Scenario, frames: int) -> Scenario:
-    """Fewer pictures, spread over as many passes as there are, so that all grounds are flown."""
-    orbit = scenario.orbit
-    passes = min(orbit.passes, frames)
-    short = msgspec.structs.replace(orbit, passes=passes, frames=max(1, frames // passes))
-    return msgspec.structs.replace(scenario, orbit=short)
 
 
 def _with_star_sensor(pictures: Path) -> Path:
