@@ -13,6 +13,7 @@ import rasterio
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.geometry.cells import CellGrid
@@ -24,8 +25,10 @@ from catalog.store.export import export
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import prepare_point
 from catalog.store.reader import Catalog
+from catalog.store.relief import prepare_relief
 from catalog.store.verify import verify
 from catalog.store.writer import write_prepared
+from catalog.terrain.relief_of_dem import load_relief
 
 LEVELS, SIZE, POSTING_M = 5, 80, 118.45
 STEPS_M = write.Settings().steps_m([POSTING_M * 2**level for level in range(LEVELS)])
@@ -34,6 +37,7 @@ SITES = 60  # different places that the points' patches are taken from
 GIGABYTE = 1e9
 # what the figures ask for
 OPEN_MS, NEAREST_US, CELL_US, LOAD_MS, FILE_GB = 100.0, 20.0, 5.0, 0.3, 1.5
+RELIEF_MB, RELIEF_S = 40.0, 0.5
 
 
 def ground_of_sites(size: int = SIZE) -> list[list[NDArray[np.float32]]]:
@@ -158,3 +162,26 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
     assert near <= NEAREST_US
     assert cell <= CELL_US
     assert load <= LOAD_MS
+
+
+def test_speed_and_size_of_a_relief(
+    tmp_path: Path, shared_data: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The real Moon at 16 cells a degree in a catalog without points."""
+    dem = shared_data("moon/moon_gld100_32ppd.tif")
+    load_relief("bundled:moon_gld100_4ppd.tif", load_body("moon"))  # compiles
+    start = time.process_time()
+    relief = load_relief(str(dem), load_body("moon"))
+    made = time.process_time() - start
+    meta = CatalogMeta("moon", relief.radius_m, 1.0, LEVELS, SIZE, POSTING_M, STEPS_M[0])
+    plain = write_prepared(tmp_path / "plain.gpkg", meta, [])
+    written = write_prepared(tmp_path / "c.gpkg", meta, [], relief=prepare_relief(relief))
+    with Catalog.open(written.path) as catalog:
+        start = time.process_time()
+        catalog.relief()
+        read = time.process_time() - start
+    size = (written.size_bytes - plain.size_bytes) / 1e6
+    with capsys.disabled():
+        print(f"\nrelief, 16 a degree: {size:.1f} MB, made {made:.2f} s, read {read:.2f} s")
+    assert size <= RELIEF_MB
+    assert read <= RELIEF_S

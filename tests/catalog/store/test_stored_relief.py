@@ -27,7 +27,7 @@ from catalog.store.summary import describe
 from catalog.store.verify import verify
 from catalog.store.writer import Written, write_prepared
 from catalog.terrain.relief import GlobalRelief
-from tests.catalog.store.test_format import heights_of
+from tests.catalog.store.test_format import heights_of, read_as_described
 
 TILE = 16
 ROWS = 40  # no whole number of tiles: the last ones reach beyond the grid
@@ -139,6 +139,7 @@ def test_tiles_and_digest_follow_from_the_description(carried: Written) -> None:
         part = layers[layer, i * n : (i + 1) * n, j * n : (j + 1) * n]
         part[:] = heights[: part.shape[0], : part.shape[1]]
     assert whole.hexdigest() == about["digest"]
+    read_as_described(carried)
     with Catalog.open(carried.path) as catalog:
         relief = catalog.relief()
     assert relief is not None
