@@ -1,13 +1,16 @@
 """Camera models."""
 
 import pickle
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import preset_camera
 
+PRESETS = Path(__file__).parents[3] / "configs/cameras"
 BROWN = (-0.12, 0.03, 0.0011, -0.0007, -0.002)
 FISHEYE = (0.02, -0.006, 0.0015, 0.00002)
 
@@ -226,3 +229,54 @@ def test_a_used_camera_travels_to_a_worker() -> None:
     copy = pickle.loads(pickle.dumps(cam))
     assert copy == cam
     np.testing.assert_array_equal(copy.project([0.1, 0.2, 1.0]), expected)
+
+
+def whole_picture(cam: Camera) -> np.ndarray:
+    """Every third pixel centre of the picture, and its outermost edges, half a pixel out."""
+    x = np.unique(np.append(np.arange(0.0, cam.width_px, 3.0), [-0.5, cam.width_px - 0.5]))
+    y = np.unique(np.append(np.arange(0.0, cam.height_px, 3.0), [-0.5, cam.height_px - 0.5]))
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+WHOLE = {path.stem: preset_camera(path.stem) for path in sorted(PRESETS.glob("*.toml"))} | {
+    "kannala_brandt": camera("kannala_brandt", FISHEYE, focal_length_px=330.0)
+}
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_the_whole_picture_returns_from_its_rays_and_agrees_with_opencv(name: str) -> None:
+    """OpenCV has the fisheye up to 90 degrees from the axis only."""
+    cam = WHOLE[name]
+    pixels = whole_picture(cam)
+    rays = cam.unproject(pixels)
+    np.testing.assert_allclose(cam.project(rays * 5e7), pixels, rtol=0.0, atol=1e-9)
+    fisheye = cam.model != "pinhole"
+    seen = rays[:, 2] > (0.017 if fisheye else 0.0)
+    points, still = np.ascontiguousarray(rays[seen]), np.zeros(3)
+    if fisheye:
+        terms = np.array(cam.coefficients or [0.0] * 4)
+        theirs, _ = cv2.fisheye.projectPoints(points[:, None], still, still, matrix(cam), terms)
+    else:
+        terms = np.array(cam.coefficients or [0.0] * 5)
+        theirs, _ = cv2.projectPoints(points, still, still, matrix(cam), terms)
+    np.testing.assert_allclose(theirs[:, 0], pixels[seen], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "widest_deg"), [("shnk", 127.12), ("kannala_brandt", 119.63)])
+def test_without_an_image_circle_all_pixels_beyond_90_degrees_are_used(
+    name: str, widest_deg: float
+) -> None:
+    """Their radius is Kannala and Brandt's polynomial of the angle from the axis, which grows.
+
+    The widest: 1024 sqrt(2) / 652.7 rad, and where the polynomial is 761.1 / 330.
+    """
+    cam = WHOLE[name]
+    pixels = whole_picture(cam)
+    rays = cam.unproject(pixels)
+    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    assert np.degrees(angle.max()) == pytest.approx(widest_deg, abs=0.01)
+    assert np.mean(angle > np.pi / 2.0) > 0.1
+    powers = angle[:, None] ** [3, 5, 7, 9]
+    expected = angle + powers @ np.array(cam.coefficients or [0.0] * 4)
+    radius = np.linalg.norm(pixels - cam.principal_point_px, axis=1) / cam.focal_length_px
+    np.testing.assert_allclose(radius, expected, rtol=0.0, atol=1e-12)
