@@ -1,0 +1,111 @@
+"""The bright parts of a picture: level and noise of the sky, a threshold, and what rises above it.
+
+The threshold adapts to the picture: well above the sky's noise, and a small share of the way to the
+lit ground's level, so that a faint cusp still belongs to the body and stray light does not.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.errors import NoSolutionError
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+BLOCK_PX = 16
+SKY_QUANTILE = 0.05  # of the blocks' means: the darkest parts of the picture are sky or night
+THRESHOLD_SIGMAS = 6.0
+THRESHOLD_SHARE = 0.08  # of the way from the sky to the lit ground's level
+ROUGH_SHARE = 0.15  # of the way to the brightest pixels: what is lit at first sight
+LEAST_CONTRAST_SIGMAS = 12.0
+# Rounding to whole counts hides a smaller noise: the variance of a uniform step of 1.
+ROUNDING_VARIANCE = 1.0 / 12.0
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Brightness levels of a picture, in its counts.
+
+    sky, noise   mean of the sky and the scatter of its pixels
+    bright       middle level of what is lit at first sight
+    peak         highest mean of 3 x 3 pixels: no single hot pixel reaches it
+    threshold    above it a pixel is lit
+    """
+
+    sky: float
+    noise: float
+    bright: float
+    peak: float
+    threshold: float
+
+
+@dataclass(frozen=True, eq=False)
+class Blobs:
+    """Connected lit areas of a picture, the largest first.
+
+    labels  (h, w) int32, 0 = not lit, else label of the blob
+    label   (k,)   label of each blob
+    area    (k,)   pixels
+    box     (k, 4) left, top, width, height
+    """
+
+    labels: NDArray[np.int32]
+    label: NDArray[np.int64]
+    area: NDArray[np.int64]
+    box: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.area)
+
+
+def measure_levels(picture: Image) -> Levels:
+    """Levels of a picture (h, w).
+
+    Raises NoSolutionError for a picture in which nothing stands out of the noise.
+    """
+    height, width = picture.shape
+    rows, cols = max(height // BLOCK_PX, 1), max(width // BLOCK_PX, 1)
+    mean = cv2.resize(picture, (cols, rows), interpolation=cv2.INTER_AREA)
+    sky_mean = float(np.quantile(mean, SKY_QUANTILE))
+    # neighbouring blocks of the same level are sky too; the scatter inside the blocks tells it
+    sample = picture[::2, ::2]
+    near = sample[np.abs(sample - sky_mean) <= max(4.0 * _spread(sample, sky_mean), 1.0)]
+    sky = float(near.mean()) if near.size else sky_mean
+    variance = float(near.var()) if near.size else 0.0
+    noise = float(np.sqrt(max(variance, ROUNDING_VARIANCE)))
+    peak = float(cv2.blur(picture, (3, 3)).max())
+    if peak - sky < LEAST_CONTRAST_SIGMAS * noise:
+        raise NoSolutionError(
+            f"no body in the picture: its brightest parts are {max(peak - sky, 0.0):.0f} counts "
+            f"above a background of {sky:.0f} with a scatter of {noise:.1f}"
+        )
+    # the glint of opposition is several times brighter than the ground: the median is not
+    rough = sample[sample > sky + max(ROUGH_SHARE * (peak - sky), THRESHOLD_SIGMAS * noise)]
+    bright = float(np.median(rough[:: 1 + rough.size // 10_000])) if rough.size else peak
+    rise = max(THRESHOLD_SIGMAS * noise, THRESHOLD_SHARE * (bright - sky))
+    return Levels(sky, noise, bright, peak, sky + rise)
+
+
+def lit_blobs(picture: Image, threshold: float) -> Blobs:
+    """Areas of a picture (h, w) above a threshold, joined over corners."""
+    mask = (picture > threshold).view(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    numbers = np.arange(1, len(stats))
+    order = numbers[np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")]
+    return Blobs(
+        np.asarray(labels, dtype=np.int32),
+        order,
+        stats[order, cv2.CC_STAT_AREA].astype(np.int64),
+        stats[order, :4].astype(np.int64),
+    )
+
+
+def _spread(sample: Image, level: float) -> float:
+    """Scatter below a level, which no bright thing widens."""
+    below = sample[sample <= level]
+    if below.size == 0:
+        return 0.0
+    return float(np.sqrt(np.mean((below - level) ** 2)))

@@ -1,0 +1,269 @@
+"""Sub-pixel places of a limb: an edge model fitted to the pixels of every profile across it.
+
+A profile is a run of pixels along the row or the column that found the candidate, so that its
+pixels are the detector's own and no two profiles of one direction share one. The model is the
+body's brightness law across the limb, blurred (see edge_light); level, brightness and place are
+each profile's own, blur width and law are common to the picture and found from all profiles.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.geometry.kernel import kernel
+from optnav_cli.measurements.bright_body import Levels
+from optnav_cli.measurements.edge_light import blurred_powers, power_table
+
+FloatArray = NDArray[np.float64]
+
+ITERATIONS = 12
+SETTLED_PX = 2e-4
+FARTHEST_PX = 4.0  # of an edge from where its threshold was crossed
+START_BLUR_PX = 0.9
+BLUR_RANGE_PX = (0.35, 4.0)
+# What the shares of the second and third law are believed to be, and their 1 sigma.
+MIXTURE_PRIOR, MIXTURE_SIGMA = 0.0, 0.5
+# Search of blur and shares: differences, largest move, turns.
+SHAPE_STEPS = np.array([0.005, 0.02, 0.02])
+SHAPE_LARGEST = np.array([0.3, 0.7, 0.7])
+SHAPE_TURNS = 6
+MOST_SHAPING = 300  # profiles that find the common blur and law
+START_GAIN_SHARE = 0.02  # scatter of the lit pixels over their brightness, before it is measured
+SKY_PRIOR_SIGMAS = 3.0
+LOCAL_FREEDOM = 6.0  # weight of the picture's mean scatter beside a profile's own, in pixels
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """Pixels across the limb, n profiles of m pixels.
+
+    values  (n, m)  counts
+    depth   (n, m)  distance inside the fitted cone's curve, px; NaN for a pixel not to be used
+    start   (n,)    depth at which the threshold was crossed
+    laws    (3, n, POWERS)  series of the laws that the body's is a mixture of
+    """
+
+    values: FloatArray
+    depth: FloatArray
+    start: FloatArray
+    laws: FloatArray
+
+    def subset(self, kept: NDArray[np.int64]) -> "Profiles":
+        """Those of an index array."""
+        laws = np.ascontiguousarray(self.laws[:, kept])
+        return Profiles(self.values[kept], self.depth[kept], self.start[kept], laws)
+
+
+@dataclass(frozen=True)
+class EdgeShape:
+    """What the edges of a picture have in common.
+
+    blur_px    sigma of the blur, the pixel's own width included
+    mixture    shares of the second and the third law
+    variance   of a pixel of the sky, counts^2;  gain of one of the body beyond it, over its counts
+    """
+
+    blur_px: float
+    mixture: tuple[float, float]
+    variance: float
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Where the edges lie.
+
+    depth       (n,)  inside the fitted cone's curve, px; NaN where no edge fits
+    sigma       (n,)  its 1-sigma error, px
+    """
+
+    depth: FloatArray
+    sigma: FloatArray
+
+
+@kernel
+def _fit(
+    values: FloatArray,
+    depth: FloatArray,
+    start: FloatArray,
+    law: FloatArray,
+    blur: float,
+    table: FloatArray,
+    sky: float,
+    variance: float,
+    gain: float,
+    saturation: float,
+    state: FloatArray,
+    result: FloatArray,
+    residual: FloatArray,
+) -> None:
+    """Level, brightness and depth of each edge by Gauss-Newton.
+
+    state (n, 3): level, brightness, depth; where to start, and the answer
+    result (n, 3): variance of the depth, chi-square, freedom; NaN where it fails
+    residual (n, m): normalised; 0 where a pixel is not used
+    """
+    n, m = values.shape
+    out = np.empty((2, law.shape[1]))
+    prior = 1.0 / (SKY_PRIOR_SIGMAS * SKY_PRIOR_SIGMAS * variance)
+    for i in range(n):
+        level, bright, place = state[i, 0], state[i, 1], state[i, 2]
+        total, used, spread_place = 0.0, 0, np.nan
+        for turn in range(ITERATIONS):
+            a00, a01, a02, a11, a12, a22 = prior, 0.0, 0.0, 0.0, 0.0, 0.0
+            b0, b1, b2 = prior * (sky - level), 0.0, 0.0
+            total, used = 0.0, 0
+            for j in range(m):
+                residual[i, j] = 0.0
+                if np.isnan(depth[i, j]):
+                    continue
+                blurred_powers(table, (depth[i, j] - place) / blur, blur, out)
+                shape, slope = 0.0, 0.0
+                for k in range(law.shape[1]):
+                    shape += law[i, k] * out[0, k]
+                    slope += law[i, k] * out[1, k]
+                model = level + bright * shape
+                if model >= saturation and values[i, j] >= saturation:
+                    continue
+                spread = variance + gain * max(model - sky, 0.0)
+                weight = 1.0 / spread
+                miss = values[i, j] - model
+                # a star or a rod in the profile must not drag the edge
+                if turn > 1 and miss * miss > 25.0 * spread:
+                    weight *= 5.0 * np.sqrt(spread) / abs(miss)
+                p2 = -bright * slope
+                a00 += weight
+                a01 += weight * shape
+                a02 += weight * p2
+                a11 += weight * shape * shape
+                a12 += weight * shape * p2
+                a22 += weight * p2 * p2
+                b0 += weight * miss
+                b1 += weight * shape * miss
+                b2 += weight * p2 * miss
+                residual[i, j] = miss * np.sqrt(weight)
+                total += weight * miss * miss
+                used += 1
+            # the inverse of the symmetric 3 x 3 matrix by its cofactors
+            c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+            c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+            determinant = a00 * c00 + a01 * c01 + a02 * c02
+            if used < 5 or not determinant > 1e-30:
+                used = 0
+                break
+            move = (c02 * b0 + c12 * b1 + c22 * b2) / determinant
+            spread_place = c22 / determinant
+            level += (c00 * b0 + c01 * b1 + c02 * b2) / determinant
+            bright = max(bright + (c01 * b0 + c11 * b1 + c12 * b2) / determinant, 0.2 * bright)
+            place += min(max(move, -1.0), 1.0)
+            if abs(move) < SETTLED_PX and turn > 1:
+                break
+        if used < 5 or not abs(place - start[i]) < FARTHEST_PX:
+            result[i, :] = np.nan
+            residual[i, :] = 0.0
+            continue
+        state[i, 0], state[i, 1], state[i, 2] = level, bright, place
+        result[i, 0], result[i, 1], result[i, 2] = spread_place, total, used - 3
+
+
+class _Fitter:
+    """Fits profiles again and again, each time from where the last time ended."""
+
+    def __init__(self, profiles: Profiles, sky: float, saturation: float) -> None:
+        self.profiles, self.sky, self.saturation = profiles, sky, saturation
+        n = len(profiles.start)
+        bright = np.nanmax(np.where(np.isnan(profiles.depth), np.nan, profiles.values), axis=1)
+        self.state = np.stack([np.full(n, sky), np.maximum(bright - sky, 1.0), profiles.start], 1)
+        self.result = np.empty((n, 3))
+        self.residual = np.zeros(profiles.values.shape)
+
+    def run(self, shape: EdgeShape) -> FloatArray:
+        """Normalised residuals (n, m) after fitting every profile with a common shape."""
+        second, third = shape.mixture
+        laws = self.profiles.laws
+        law = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
+        _fit(
+            self.profiles.values,
+            self.profiles.depth,
+            self.profiles.start,
+            law,
+            shape.blur_px,
+            power_table(),
+            self.sky,
+            shape.variance,
+            shape.gain,
+            self.saturation,
+            self.state,
+            self.result,
+            self.residual,
+        )
+        return self.residual
+
+
+def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeShape:
+    """Blur, law and noise of a picture's edges, from some of its profiles."""
+    n = len(profiles.start)
+    some = np.unique(np.linspace(0, n - 1, min(n, MOST_SHAPING)).astype(np.int64))
+    fitter = _Fitter(profiles.subset(some), levels.sky, saturation)
+    gain = START_GAIN_SHARE**2 * (levels.bright - levels.sky)
+    shape = EdgeShape(START_BLUR_PX, (MIXTURE_PRIOR, MIXTURE_PRIOR), levels.noise**2, gain)
+    for _ in range(2):
+        shape = _better(fitter, shape)
+        shape = replace(shape, gain=_gain(fitter, shape))
+    return shape
+
+
+def locate_edges(profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float) -> Edges:
+    """Place every edge of the profiles, with what the picture's edges have in common."""
+    fitter = _Fitter(profiles, levels.sky, saturation)
+    fitter.run(shape)
+    spread, total, freedom = fitter.result.T
+    good = np.isfinite(spread)
+    mean = float(total[good].sum()) / max(float(freedom[good].sum()), 1.0)
+    factor = (total + LOCAL_FREEDOM * mean) / (freedom + LOCAL_FREEDOM)
+    depth = np.where(good, fitter.state[:, 2], np.nan)
+    return Edges(depth, np.sqrt(spread * np.maximum(factor, 0.5)))
+
+
+def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
+    """The shape whose edges leave the smallest residuals, by Gauss-Newton with differences."""
+
+    def residuals(values: FloatArray) -> FloatArray:
+        second, third = float(values[1]), float(values[2])
+        residual = fitter.run(replace(start, blur_px=float(values[0]), mixture=(second, third)))
+        # a smooth cut keeps single bad profiles from shaping all
+        cut = residual / np.sqrt(1.0 + (residual / 4.0) ** 2)
+        return np.append(cut.ravel(), (values[1:] - MIXTURE_PRIOR) / MIXTURE_SIGMA)
+
+    best = np.array([start.blur_px, *start.mixture])
+    at_best = residuals(best)
+    for _ in range(SHAPE_TURNS):
+        columns = [residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
+        jacobian = np.stack(columns, axis=1) / SHAPE_STEPS
+        move = -np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ at_best)
+        move = np.clip(move, -SHAPE_LARGEST, SHAPE_LARGEST)
+        better = best + move
+        better[0] = np.clip(better[0], *BLUR_RANGE_PX)
+        at_better = residuals(better)
+        if at_better @ at_better >= at_best @ at_best:
+            break
+        best, at_best = better, at_better
+        if (np.abs(move) < SHAPE_STEPS).all():
+            break
+    return replace(start, blur_px=float(best[0]), mixture=(float(best[1]), float(best[2])))
+
+
+def _gain(fitter: _Fitter, shape: EdgeShape) -> float:
+    """Variance that a pixel of the body has beyond the sky's, over its brightness."""
+    residual = fitter.run(shape)
+    inside = fitter.profiles.depth - fitter.state[:, 2:] > 1.5 * shape.blur_px
+    above = np.maximum(fitter.profiles.values - fitter.sky, 0.0)
+    use = inside & (residual != 0.0) & (np.abs(residual) < 5.0)
+    if use.sum() < 20:
+        return shape.gain
+    stated = shape.variance + shape.gain * above[use]
+    # three unknowns of each profile have drawn the residuals in
+    freedom = float(np.nansum(fitter.result[:, 2])) / max(float((residual != 0.0).sum()), 1.0)
+    found = residual[use] ** 2 * stated / max(freedom, 0.2) - shape.variance
+    return max(float(found.sum() / above[use].sum()), 1e-4 * shape.gain)

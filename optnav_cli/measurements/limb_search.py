@@ -1,0 +1,129 @@
+"""From rises of brightness to the candidates that lie on the lit limb.
+
+Source: Zhukov 2025, ch. 2: rises along rows and columns, stars and structure rejected, the
+terminator by the Sun's direction, the sector test about the found centre.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.bright_body import Blobs, Levels
+from optnav_cli.measurements.edge_scan import Candidates, scan_edges
+from optnav_cli.measurements.limb_cone import Cone, PixelRays, agreeing, distances, pixel_rays
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Image = NDArray[np.float32]
+
+LEAST_BLOB_PIXELS = 25  # a star, even a bright one through a wide blur, is smaller
+BORDER_PX = 4  # from the picture's edge and the image circle: no rise there is a limb
+# Share of the lit ground's level that a rise gains within four pixels; a terminator gains less.
+RISE_SHARE = 0.10
+RISE_SIGMAS = 6.0
+SECTOR_COSINE = float(np.cos(np.radians(45.0)))  # the seed's 135 deg, from the other end
+# Cosine of incidence at the limb: below it the edge is half terminator.
+LEAST_SUN_COSINE = 0.03
+SHARP_SHARE = 0.6  # without the Sun: what a limb has gained after 3 pixels, of that after 10
+SKY_STEPS_PX = (6.0, 12.0, 24.0, 48.0)  # outside the limb there is no ground
+
+
+def find_candidates(picture: Image, camera: Camera, levels: Levels, blobs: Blobs) -> Candidates:
+    """Rises at the rim of lit areas that are larger than stars, inside the lens's picture."""
+    rise = max(RISE_SIGMAS * levels.noise, RISE_SHARE * (levels.bright - levels.sky))
+    found = scan_edges(picture, levels.threshold, rise)
+    lit = np.rint(found.pixels + 1.5 * found.scan).astype(np.int64)
+    label = blobs.labels[lit[:, 1], lit[:, 0]]
+    large = np.zeros(int(blobs.labels.max()) + 1, dtype=bool)
+    large[blobs.label[blobs.area >= LEAST_BLOB_PIXELS]] = True
+    kept = large[label] & camera.contains(found.pixels, BORDER_PX)
+    if camera.image_circle_radius_px is not None:
+        away = np.linalg.norm(found.pixels - np.array(camera.principal_point_px), axis=1)
+        kept &= away < camera.image_circle_radius_px - BORDER_PX
+    return found.subset(kept)
+
+
+def outward_normals(where: PixelRays, gradient: FloatArray, stretch: FloatArray) -> FloatArray:
+    """Surface normals (n, 3), camera frame, if rises with these gradients (n, 2) are limbs.
+
+    At a limb the ray touches the surface, so the normal is square to the ray and, in the picture,
+    against the rise: with brightness as a function of direction it is its falling gradient.
+    """
+    # by_x, by_y span the picture's tangent plane; the gradient there by its reciprocal basis
+    xx = (where.by_x**2).sum(axis=1)
+    xy = (where.by_x * where.by_y).sum(axis=1)
+    yy = (where.by_y**2).sum(axis=1)
+    determinant = xx * yy - xy * xy
+    u = (yy * gradient[:, 0] - xy * gradient[:, 1]) / determinant
+    v = (xx * gradient[:, 1] - xy * gradient[:, 0]) / determinant
+    rising = where.by_x * u[:, None] + where.by_y * v[:, None]
+    # a normal is a covector: back from the stretched space by the transpose
+    normal = -rising @ stretch
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def facing_sun(
+    where: PixelRays, gradient: FloatArray, stretch: FloatArray, sun_camera: FloatArray
+) -> BoolArray:
+    """Which rises (n,) the Sun can light as limbs; a terminator's rise faces away from it."""
+    cosine = outward_normals(where, gradient, stretch) @ sun_camera
+    return np.asarray(cosine > LEAST_SUN_COSINE)
+
+
+def sharp(picture: Image, candidates: Candidates) -> BoolArray:
+    """Which rises (n,) are done within three pixels, as a limb's is and a terminator's is not."""
+    near = _at(picture, candidates.pixels + 3.0 * candidates.scan)
+    far = _at(picture, candidates.pixels + 10.0 * candidates.scan)
+    before = _at(picture, candidates.pixels - 3.0 * candidates.scan)
+    return np.asarray(near - before > SHARP_SHARE * (far - before))
+
+
+def on_limb(
+    candidates: Candidates, where: PixelRays, cone: Cone, relief: float
+) -> tuple[Candidates, PixelRays]:
+    """Candidates on a cone's curve: rising inward, scanned within 45 deg of it.
+
+    Of several on one row or column the outermost is the limb: ridges and shadows lie behind it.
+    """
+    near = agreeing(cone, where, candidates.gradient, relief)
+    distance, inward = distances(cone, where)
+    # a point on a diagonal is found by its row and by its column: the nearer direction keeps it
+    near &= (candidates.scan * inward).sum(axis=1) > SECTOR_COSINE
+    index = np.flatnonzero(near)
+    along_row = candidates.scan[index, 0] != 0.0
+    line = np.where(along_row, candidates.pixels[index, 1], candidates.pixels[index, 0])
+    way = candidates.scan[index].sum(axis=1) + 4.0 * along_row
+    order = np.lexsort((distance[index], line, way))
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = (np.diff(line[order]) != 0.0) | (np.diff(way[order]) != 0.0)
+    # a line may cross the curve twice in one direction only far apart, on a lens that bends it
+    place = candidates.pixels[index[order]]
+    first[1:] |= np.linalg.norm(np.diff(place, axis=0), axis=1) > 30.0
+    kept = np.sort(index[order[first]])
+    chosen = candidates.subset(kept)
+    return chosen, PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
+
+
+def rays_of(camera: Camera, candidates: Candidates, stretch: FloatArray) -> PixelRays:
+    """Rays of candidates, stretched, with their derivatives."""
+    return pixel_rays(camera, candidates.pixels, stretch)
+
+
+def before_sky(
+    picture: Image, camera: Camera, pixels: FloatArray, gradient: FloatArray, threshold: float
+) -> BoolArray:
+    """Which rises (n,) at pixels (n, 2) have mostly sky on their dark side, and no lit ground."""
+    inward = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
+    dark = np.zeros(len(pixels))
+    for step in SKY_STEPS_PX:
+        places = pixels - step * inward
+        dark += (_at(picture, places) < threshold) | ~camera.contains(places)
+    return np.asarray(dark >= len(SKY_STEPS_PX) - 1)
+
+
+def _at(picture: Image, pixels: FloatArray) -> FloatArray:
+    """Values at the nearest pixels (n, 2), those outside taken from the picture's edge."""
+    height, width = picture.shape
+    whole = np.nan_to_num(np.rint(pixels)).astype(np.int64)
+    x, y = np.clip(whole[:, 0], 0, width - 1), np.clip(whole[:, 1], 0, height - 1)
+    return np.asarray(picture[y, x], dtype=np.float64)
