@@ -1,0 +1,190 @@
+"""What matching bears: recognition of control points against noise, scale, slant and roll.
+
+Zhukov (2025), ch. 3, states for SURF-64 and for correlation that a signal to noise of 10, a scale
+off by 10 %, a view 25 degrees off nadir and a roll off by 6 degrees hardly matter. Here the usable
+points of the catalog of the bundled Tycho terrain (118 m) are looked for in pictures of the same
+ground with craters and relief below 118 m added, by Hapke's law with cast shadows, blurred, noisy,
+in 8 bits, a pixel as large as a node.
+
+*Unaided* measures what the comparison itself bears: the pose that the matcher is told is wrong by
+exactly that roll, distance or slant about the point (the point stays where it is but for a shift of
+up to 5 nodes), and nothing but the place is searched, at the finest level. *Aided* is what the
+navigator makes of it: rolls and scales searched as it plans them, the view known and the slant
+taken out by resampling into the point's map projection, noise averaged one pyramid level up.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from catalog.bodies.body import load_body
+from catalog.progress import Progress
+from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.studies.matching_scene import references, scenes
+from optnav_cli.studies.matching_trials import (
+    AXES,
+    MATCHERS,
+    NOISE,
+    SLANT,
+    Axis,
+    Trial,
+    trials_of,
+)
+
+CAMERA = "unk"
+MAX_ERROR_NODES = 3.0  # a match further from the truth is a wrong one, as `evaluate` counts
+RECOGNISED = 0.9  # the share down to which an error is said to be borne
+
+
+@dataclass(frozen=True)
+class MatchingRow:
+    """All trials of one error by one matcher.
+
+    recognised   share whose best place lies within MAX_ERROR_NODES of the truth
+    believed     share recognised and passed by the gates
+    wrong        share passed by the gates, but further away
+    error_nodes  rms of the recognised ones' places
+    """
+
+    axis: str
+    value: float
+    matcher: str
+    aided: bool
+    trials: int
+    recognised: float
+    believed: float
+    wrong: float
+    error_nodes: float
+
+
+def run(progress: Progress, count: int = 4, seed: int = 1) -> list[MatchingRow]:
+    """All errors, on `count` grounds under as many Suns."""
+    body, camera = load_body("moon"), preset_camera(CAMERA)
+    trials: list[Trial] = []
+    with TemporaryDirectory(prefix="optnav-") as folder:
+        points = references(Path(folder), progress)
+    range_m = points[0].patches[0].posting_m * camera.focal_length_px
+    with progress.stage("match", count * len(SLANT.values), "picture") as bar:
+        for scene in scenes(body, camera, range_m, count, SLANT.values, progress):
+            trials += trials_of(scene, points, camera, seed)
+            bar.advance()
+    return summarise(trials)
+
+
+def summarise(trials: Iterable[Trial]) -> list[MatchingRow]:
+    """Shares and errors, in the order of the axes."""
+    groups: dict[tuple[str, float, str, bool], list[Trial]] = {}
+    for trial in trials:
+        key = (trial.axis, trial.value, trial.matcher, trial.aided)
+        groups.setdefault(key, []).append(trial)
+    keys = [
+        (axis.name, value, name, aided)
+        for axis in AXES
+        for name in MATCHERS
+        for aided in (False, True)
+        for value in axis.values
+    ]
+    return [_row(*key, groups[key]) for key in keys if key in groups]
+
+
+def _row(
+    axis: str, value: float, matcher: str, aided: bool, trials: Sequence[Trial]
+) -> MatchingRow:
+    errors = np.array([np.inf if t.error_nodes is None else t.error_nodes for t in trials])
+    believed = np.array([trial.believed for trial in trials])
+    good = errors <= MAX_ERROR_NODES
+    return MatchingRow(
+        axis,
+        value,
+        matcher,
+        aided,
+        len(trials),
+        float(good.mean()),
+        float((good & believed).mean()),
+        float((~good & believed).mean()),
+        float(np.sqrt(np.mean(errors[good] ** 2))) if good.any() else float("nan"),
+    )
+
+
+def tolerance(rows: Sequence[MatchingRow]) -> tuple[float, bool]:
+    """The value at which recognition falls below RECOGNISED, and whether it does so at all.
+
+    rows  of one error, matcher and aid, from the harmless value on; between two of them the share
+          is taken to go straight. Without a fall: the last value.
+    """
+    values, shares = [r.value for r in rows], [r.recognised for r in rows]
+    if shares[0] < RECOGNISED:
+        return values[0], True
+    for k in range(1, len(rows)):
+        if shares[k] < RECOGNISED:
+            part = (shares[k - 1] - RECOGNISED) / (shares[k - 1] - shares[k])
+            return values[k - 1] + part * (values[k] - values[k - 1]), True
+    return values[-1], False
+
+
+def format_table(rows: Sequence[MatchingRow]) -> str:
+    """A text table for every error, and what is borne at RECOGNISED."""
+    lines = [
+        f"{rows[0].trials} trials a value; share recognised (within {MAX_ERROR_NODES:g} nodes of "
+        "the truth), % / rms error of these, nodes / believed by the gates, %"
+    ]
+    for axis in AXES:
+        lines += ["", f"{axis.name + ', ' + axis.unit:<30}" + _cells(f"{v:g}" for v in axis.values)]
+        for name, aided, chosen in curves(rows, axis):
+            label = f"{name}, {axis.aid if aided else 'unaided'}"
+            cells = (
+                f"{100.0 * r.recognised:.0f} / {r.error_nodes:.2f} / {100.0 * r.believed:.0f}"
+                for r in chosen
+            )
+            lines.append(f"{label:<30}{_cells(cells)}")
+    worst = max(rows, key=lambda row: row.wrong)
+    lines += [
+        "",
+        f"wrong places believed: at most {100.0 * worst.wrong:.0f} % ({worst.matcher}, "
+        f"{worst.axis} {worst.value:g}, {'aided' if worst.aided else 'unaided'})",
+        "",
+        f"borne with {100.0 * RECOGNISED:.0f} % recognised:",
+    ]
+    for axis in AXES:
+        for name, aided, chosen in curves(rows, axis):
+            label = f"{name}, {axis.aid if aided else 'unaided'}"
+            lines.append(
+                f"  {axis.name:<10} {label:<30}{borne(axis, chosen):>12}  "
+                f"(stated: {quantity(axis, axis.stated)})"
+            )
+    return "\n".join(lines)
+
+
+def curves(rows: Sequence[MatchingRow], axis: Axis) -> list[tuple[str, bool, list[MatchingRow]]]:
+    """Matcher, aid and rows of each curve of an error."""
+    found = []
+    for name in MATCHERS:
+        for aided in (False, True):
+            key = (axis.name, name, aided)
+            chosen = [row for row in rows if (row.axis, row.matcher, row.aided) == key]
+            if chosen:
+                found.append((name, aided, chosen))
+    return found
+
+
+def quantity(axis: Axis, value: float) -> str:
+    """A value with its unit: SNR 10, 10 %, 25°."""
+    if axis is NOISE:
+        return f"SNR {value:.2g}"
+    return f"{value:.3g}{axis.unit if axis.unit == '°' else ' ' + axis.unit}"
+
+
+def borne(axis: Axis, rows: Sequence[MatchingRow]) -> str:
+    """The tolerance in words; a mark where the share never falls so low, or is never so high."""
+    if rows[0].recognised < RECOGNISED:
+        return "never"
+    value, falls = tolerance(rows)
+    sign = "" if falls else ("< " if axis is NOISE else "> ")
+    return sign + quantity(axis, value)
+
+
+def _cells(texts: Iterable[str]) -> str:
+    return "".join(f"{text:>17}" for text in texts)
