@@ -19,6 +19,7 @@ from catalog.stages.account import Account, StageAccount
 from catalog.stages.chunked import ChunkResults
 from catalog.stages.cluster import cluster_workers
 from catalog.stages.ingest import Bbox, DemRecord
+from catalog.stages.ingest_mesh import MeshRecord
 from catalog.stages.records import encode_records
 from catalog.stages.relief import stored_relief
 from catalog.stages.scheduler import check_address
@@ -39,7 +40,7 @@ class BuildReport:
 
     work: Path
     account: Account
-    dems: list[DemRecord] = field(default_factory=list)
+    dems: list[DemRecord | MeshRecord] = field(default_factory=list)
     output: Path | None = None
     points: int = 0
     usable: int = 0
@@ -118,7 +119,8 @@ class _Build:
         if scheduler is None:
             self.workers = workers_of(self.count)
         else:  # self.count threads read terrain models, here
-            named = [path_of(dem.path, config_path.parent) for dem in config.dem]
+            names = [dem.path for dem in config.dem] + [mesh.path for mesh in config.mesh]
+            named = [path_of(name, config_path.parent) for name in names]
             self.workers = cluster_workers(scheduler, [workspace.path(MARK), *named])
         self.account = Account(f"optnav {catalog.__version__}", self.workers.count)
 

@@ -45,9 +45,11 @@ class GridSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class PyramidSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[pyramid]. Patches of a control point.
 
-    levels     grids, each of twice the posting of the one before
+    levels     grids, each of twice the posting of the one before; of a mesh, at most so many and
+               none that spans more than 30 deg
     size       nodes a side of each
-    posting_m  of the finest; without it the finest DEM's own
+    posting_m  of the finest; without it the finest DEM's own, or, of a mesh, so that the finest
+               spans two cells
     """
 
     levels: int = 5

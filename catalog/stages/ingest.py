@@ -4,7 +4,7 @@ A kill costs the reading of the terrain model in work, minutes for gigabytes; th
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -21,6 +21,7 @@ from catalog.terrain.mosaic import Mosaic
 from catalog.terrain.overviews import FORMAT
 from catalog.terrain.pyramid import HeightPyramid
 from catalog.terrain.source import DemSettings, DemSource
+from catalog.terrain.terrain import Terrain
 
 Bbox = tuple[float, float, float, float]
 IntArray = NDArray[np.int64]
@@ -75,7 +76,7 @@ def ingest(
     records: list[DemRecord] = []
     for one in sorted(settings, key=lambda s: s.priority):
         source = DemSource.open(one, base_dir, body)
-        digest = content_hash(source, workspace, progress)
+        digest = content_hash(source.files, workspace, progress)
         # where the file lies, how it ranks and how it ends do not change its overviews
         plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in _UNIMPORTANT}
         folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
@@ -124,14 +125,14 @@ def _known_hashes(workspace: Workspace) -> dict[str, str]:
         return {}
 
 
-def content_hash(source: DemSource, workspace: Workspace, progress: Progress) -> str:
-    """SHA-256 over the files of a source; a file of the same size and date is not read again.
+def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress) -> str:
+    """SHA-256 over files, one after the other; one of the same size and date is not read again.
 
     Raises DataError for a file that cannot be read.
     """
     known = _known_hashes(workspace)
     whole = hashlib.sha256()
-    for path in source.files:
+    for path in files:
         try:
             state = path.stat()
             name = f"{path.resolve()} {state.st_size} {state.st_mtime_ns}"
@@ -158,7 +159,7 @@ def _file_hash(path: Path, size: int, progress: Progress) -> str:
     return whole.hexdigest()
 
 
-def covered_cells(mosaic: Mosaic, grid: CellGrid, bbox: Bbox | None) -> IntArray:
+def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArray:
     """Numbers of the cells that have any ground, sorted; only those with their middle in a bbox.
 
     A cell at the edge of a DEM counts: whether whole patches fit in it shows when it is rendered.
@@ -184,13 +185,9 @@ def covered_cells(mosaic: Mosaic, grid: CellGrid, bbox: Bbox | None) -> IntArray
         covered[first : first + 4096] = mosaic.covers(lat, lon, posting).any(axis=1)
     if not covered.any():
         where = f"--bbox {_text(bbox)} holds" if bbox is not None else "the body has"
-        extents = "; ".join(
-            f"{p.source.path.name} covers {_text(np.degrees(p.source.latlon_bounds()))}"
-            for p in mosaic.pyramids
-        )
         raise DataError(
             f"{where} no cell with ground, of {cells.size} of {grid.step_deg:g} deg "
-            f"({extents}, W,S,E,N); give a box or terrain models that meet"
+            f"({mosaic.extent}, W,S,E,N); give a box or terrain models that meet"
         )
     return cells[covered]
 

@@ -1,4 +1,6 @@
-"""The build config: one TOML file; every section but [body] and [[dem]] may be left out.
+"""The build config: one TOML file; every section but [body] and the ground may be left out.
+
+The ground is one or more [[dem]], or one [[mesh]].
 
 Each stage's settings are defined in the file that reads them; here they are put together and
 their values checked.
@@ -16,6 +18,7 @@ from catalog.stages.relief import Settings as ReliefSettings
 from catalog.stages.render import Settings as RenderSettings
 from catalog.stages.select import Settings as SelectSettings
 from catalog.stages.write import Settings as WriteSettings
+from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.source import DemSettings
 
 LARGEST_CELL_DEG = 20.0
@@ -28,7 +31,8 @@ class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A build config as it is written."""
 
     body: BodySettings
-    dem: tuple[DemSettings, ...]
+    dem: tuple[DemSettings, ...] = ()
+    mesh: tuple[MeshSettings, ...] = ()
     relief: ReliefSettings = msgspec.field(default_factory=ReliefSettings)
     grid: GridSettings = msgspec.field(default_factory=GridSettings)
     pyramid: PyramidSettings = msgspec.field(default_factory=PyramidSettings)
@@ -48,8 +52,14 @@ def load_build_config(path: Path) -> BuildConfig:
 
 def _problems(config: BuildConfig) -> list[str]:
     found = []
-    if not config.dem:
-        found.append("has no [[dem]] section; name at least one terrain model")
+    if not config.dem and not config.mesh:
+        found.append("has no [[dem]] and no [[mesh]] section; name the body's ground")
+    if config.mesh and (config.dem or config.relief.dem is not None):
+        found.append("has [[mesh]] beside terrain models; a mesh is all of a body: choose one kind")
+    if len(config.mesh) > 1:
+        found.append(
+            f"has {len(config.mesh)} sections [[mesh]]; wanted one: a mesh is all of a body"
+        )
     for dem in config.dem:
         if not dem.path:
             found.append("[[dem]] path is empty; name a terrain model")

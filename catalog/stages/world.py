@@ -17,6 +17,12 @@ from catalog.stages.account import StageAccount
 from catalog.stages.code_key import code_key
 from catalog.stages.context import StageContext
 from catalog.stages.ingest import Bbox, DemRecord, chunks_of, covered_cells, ingest
+from catalog.stages.ingest_mesh import (
+    MeshRecord,
+    ingest_mesh,
+    settle_mesh_relief,
+    settle_pyramid,
+)
 from catalog.stages.relief import ReliefRecord, settle_relief
 from catalog.stages.settings import BuildConfig
 from catalog.stages.workspace import Workspace, stage_key
@@ -36,7 +42,7 @@ class World:
     """
 
     context: StageContext
-    dems: list[DemRecord]
+    dems: list[DemRecord | MeshRecord]
     chunks: list[list[int]]
     keys: dict[str, str]
     relief: ReliefRecord | None
@@ -50,7 +56,9 @@ class World:
         """Hashes of the terrain models by name; of two with one name the second tells its rank."""
         sources: dict[str, str] = {}
         for dem in self.dems:
-            name = dem.name if dem.name not in sources else f"{dem.name} ({dem.priority})"
+            name = dem.name
+            if name in sources and isinstance(dem, DemRecord):
+                name = f"{name} ({dem.priority})"
             sources[name] = dem.sha256
         return sources | (self.relief.sources if self.relief is not None else {})
 
@@ -69,24 +77,39 @@ def settle_world(
 
     Raises DataError, ConfigError or UsageError for what cannot be built from.
     """
-    mosaic, dems = ingest(
-        workspace, config.dem, config_path.parent, body, workers, progress, account
-    )
     grid = CellGrid(config.grid.cell_deg)
-    posting = config.pyramid.posting_m or mosaic.posting_m
-    _check_posting(config, config_path, body, posting, mosaic.posting_m)
-    cells = covered_cells(mosaic, grid, bbox)
-    relief = settle_relief(workspace, config.relief, config_path, mosaic, dems, progress, account)
-    # paths and ranks do not matter by themselves: what was read, and in which order, does
-    read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
+    relief: ReliefRecord | None
+    if config.mesh:
+        (settings,) = config.mesh
+        terrain, mesh = ingest_mesh(
+            workspace, settings, config_path.parent, body, progress, account
+        )
+        pyramid = settle_pyramid(config.pyramid, config_path, config.grid.cell_deg, terrain)
+        config = msgspec.structs.replace(config, pyramid=pyramid)
+        posting = pyramid.posting_m or terrain.posting_m
+        _check_cells(config, config_path, body, posting)
+        cells = covered_cells(terrain, grid, bbox)
+        relief = settle_mesh_relief(workspace, terrain, mesh, account)
+        context = StageContext(body, terrain, grid, posting, config)
+        records: list[DemRecord | MeshRecord] = [mesh]
+        read: list[tuple[object, ...]] = [(mesh.sha256, mesh.folder)]
+    else:
+        mosaic, dems = ingest(
+            workspace, config.dem, config_path.parent, body, workers, progress, account
+        )
+        posting = config.pyramid.posting_m or mosaic.posting_m
+        _check_posting(config, config_path, body, posting, mosaic.posting_m)
+        _check_cells(config, config_path, body, posting)
+        cells = covered_cells(mosaic, grid, bbox)
+        relief = settle_relief(
+            workspace, config.relief, config_path, mosaic, dems, progress, account
+        )
+        context = StageContext(body, mosaic, grid, posting, config)
+        records = [*dems]
+        # paths and ranks do not matter by themselves: what was read, and in which order, does
+        read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
     keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
-    world = World(
-        StageContext(body, mosaic, grid, posting, config),
-        dems,
-        chunks_of(grid, cells),
-        keys,
-        relief,
-    )
+    world = World(context, records, chunks_of(grid, cells), keys, relief)
     workspace.put(MANIFEST, msgspec.json.format(_manifest(world), indent=2))
     return world
 
@@ -110,19 +133,12 @@ def _keys(first: str, config: BuildConfig, posting_m: float) -> dict[str, str]:
 def _check_posting(
     config: BuildConfig, config_path: Path, body: Body, posting_m: float, finest_m: float
 ) -> None:
-    """Refuse patches wider than the body, a posting that shows nothing more, and huge cells."""
+    """Refuse patches wider than the body and a posting that shows nothing more."""
     if posting_m < finest_m / MOST_OVERSAMPLING:
         raise ConfigError(
             f"{config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
             f"model has {finest_m:.6g} m; wanted at least {finest_m / MOST_OVERSAMPLING:.6g}, "
             "or leave it out"
-        )
-    across = math.radians(config.grid.cell_deg) * body.radius_m / posting_m
-    if across > MOST_NODES_ACROSS:
-        raise ConfigError(
-            f"{config_path}: a cell of {config.grid.cell_deg:g} deg is {across:.0f} "
-            f"nodes of {posting_m:g} m wide; wanted at most {MOST_NODES_ACROSS}: set a smaller "
-            "[grid] cell_deg or a coarser [pyramid] posting_m"
         )
     reach = posting_m * config.pyramid.size * 2 ** (config.pyramid.levels - 1)
     if reach > body.radius_m:
@@ -130,6 +146,17 @@ def _check_posting(
             f"{config_path}: [pyramid] the coarsest patch would be {reach / 1e3:.0f} km "
             f"wide on a body of {body.radius_m / 1e3:.0f} km radius; "
             "wanted fewer levels, a smaller size or a finer posting_m"
+        )
+
+
+def _check_cells(config: BuildConfig, config_path: Path, body: Body, posting_m: float) -> None:
+    """Refuse huge cells."""
+    across = math.radians(config.grid.cell_deg) * body.radius_m / posting_m
+    if across > MOST_NODES_ACROSS:
+        raise ConfigError(
+            f"{config_path}: a cell of {config.grid.cell_deg:g} deg is {across:.0f} "
+            f"nodes of {posting_m:g} m wide; wanted at most {MOST_NODES_ACROSS}: set a smaller "
+            "[grid] cell_deg or a coarser [pyramid] posting_m"
         )
 
 

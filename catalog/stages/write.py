@@ -20,11 +20,12 @@ from catalog.stages.account import StageAccount
 from catalog.stages.chunked import ChunkResults
 from catalog.stages.context import StageContext
 from catalog.stages.workers import Workers
-from catalog.store.manifest import CatalogMeta
+from catalog.store.manifest import PLAIN_VERSION, PLANES_VERSION, CatalogMeta, PlanesMeta
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
 from catalog.store.writer import Written, write_prepared
+from catalog.terrain.mesh.terrain import MeshTerrain
 
 CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
 STEPS_PER_POSTING = 237.0
@@ -77,6 +78,9 @@ def write(
     results      where prepared points rest until the file is whole
     Raises OutputError for a place that cannot be written.
     """
+    terrain, planes = context.mosaic, None
+    if isinstance(terrain, MeshTerrain) and terrain.in_planes:
+        planes = PlanesMeta(context.body.radii_m, terrain.posting_m)
     meta = CatalogMeta(
         body=context.body.name,
         radius_m=context.body.radius_m,
@@ -85,6 +89,8 @@ def write(
         size=context.size,
         posting_m=context.posting_m,
         height_step_m=context.config.write.steps_m(context.postings_m)[0],
+        planes=planes,
+        format_version=PLAIN_VERSION if planes is None else PLANES_VERSION,
         sources=dict(sources),
         config=config_text,
         software=f"optnav {catalog.__version__}",

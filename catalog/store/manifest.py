@@ -10,14 +10,21 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from catalog.control_point import ControlPoint
 from catalog.errors import DataError
+from catalog.geometry.tangent_plane import FLAT_RADIUS_M, MapProjection
 from catalog.store.seal import OPEN_SEAL, SEAL
 
 FORMAT = "optnav catalog"
-FORMAT_VERSION = 2  # that this program reads up to
+FORMAT_VERSION = 3  # that this program reads up to
 # A catalog without a relief is written as format 1, to the byte as before there were reliefs.
-PLAIN_VERSION, RELIEF_VERSION = 1, 2
+# Patches in planes are format 3: a program that took them for a sphere's would go astray.
+PLAIN_VERSION, RELIEF_VERSION, PLANES_VERSION = 1, 2, 3
 PROJECTION = "oblique stereographic on the sphere of radius_m, centred on the point, k0 = 1"
+PLANES = (
+    "the plane that touches the ellipsoid of semi-axes radii_m below the point: x east, y north, "
+    "heights along its normal, which goes through the point"
+)
 CHECKSUM = "checksum"
 
 
@@ -36,10 +43,30 @@ class ReliefMeta:
 
 
 @dataclass(frozen=True)
+class PlanesMeta:
+    """What a catalog of a small body says of its patches, which lie in tangent planes.
+
+    radii_m          semi-axes, along body x, y, z, of the ellipsoid that the planes touch
+    model_posting_m  distance of the shape model's vertices: finer patches are oversampled
+    """
+
+    radii_m: tuple[float, float, float]
+    model_posting_m: float
+
+    def rounded(self) -> dict[str, Any]:
+        """As it is written."""
+        return {
+            "radii_m": [round(float(radius), 3) for radius in self.radii_m],
+            "model_posting_m": round(float(self.model_posting_m), 3),
+        }
+
+
+@dataclass(frozen=True)
 class CatalogMeta:
     """What all points of a catalog share.
 
-    radius_m       the body's reference sphere: heights are above it, projections on it
+    radius_m       the body's reference sphere: heights are above it, projections on it, unless
+                   patches lie in planes
     cell_deg       step of the grid of cells (see `catalog.geometry.cells`); ids are cell numbers
     levels, size   grids a point, nodes a side
     posting_m      node distance of level 0; level l has posting_m * 2**l
@@ -51,6 +78,7 @@ class CatalogMeta:
     point_sources  which texts the points' `source` takes, in the order of first use
     count, usable, digest  filled in by the writer
     relief         of the whole body; None without one
+    planes         where patches lie in tangent planes; None on the sphere
     seal           of the file that it was read from (see `catalog.store.seal`); "" for none
     """
 
@@ -71,7 +99,19 @@ class CatalogMeta:
     digest: str = ""
     format_version: int = PLAIN_VERSION
     relief: ReliefMeta | None = None
+    planes: PlanesMeta | None = None
     seal: str = field(default="", compare=False)
+
+    def projection(self, point: ControlPoint) -> MapProjection:
+        """The map projection of a point's patches."""
+        if self.planes is not None:
+            return point.tangent_plane(self.planes.radii_m)
+        return point.projection(self.radius_m)
+
+    @property
+    def map_radius_m(self) -> float:
+        """Radius under the patches' maps, for what renders them: a plane's is beyond measure."""
+        return self.radius_m if self.planes is None else FLAT_RADIUS_M
 
 
 def content_text(meta: CatalogMeta) -> str:
@@ -84,12 +124,14 @@ def content_text(meta: CatalogMeta) -> str:
         "size": meta.size,
         "posting_m": round(float(meta.posting_m), 6),
         "height_step_m": round(float(meta.height_step_m), 9),
-        "projection": PROJECTION,
+        "projection": PROJECTION if meta.planes is None else PLANES,
         "point_sources": list(meta.point_sources),
         "count": meta.count,
     }
     if meta.relief is not None:
         content["relief"] = asdict(meta.relief)
+    if meta.planes is not None:
+        content["planes"] = meta.planes.rounded()
     return json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
 
@@ -105,7 +147,7 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         "size": str(meta.size),
         "posting_m": repr(round(float(meta.posting_m), 6)),
         "height_step_m": repr(round(float(meta.height_step_m), 9)),
-        "projection": PROJECTION,
+        "projection": PROJECTION if meta.planes is None else PLANES,
         "sources": json.dumps(dict(meta.sources), sort_keys=True, ensure_ascii=False),
         "point_sources": json.dumps(list(meta.point_sources), ensure_ascii=False),
         "config": meta.config,
@@ -118,6 +160,8 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
     if meta.relief is not None:
         relief = asdict(meta.relief)
         rows["relief"] = json.dumps(relief, sort_keys=True, ensure_ascii=False)
+    if meta.planes is not None:
+        rows["planes"] = json.dumps(meta.planes.rounded(), sort_keys=True)
     rows = dict(sorted(rows.items()))
     return {**rows, CHECKSUM: _checksum(rows), SEAL: OPEN_SEAL}
 
@@ -166,6 +210,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
             usable=int(texts["usable"]),
             digest=texts["digest"],
             relief=_relief(texts["relief"]) if "relief" in texts else None,
+            planes=_planes(texts["planes"]) if "planes" in texts else None,
             seal=texts.get(SEAL, ""),
             format_version=int(version),
         )
@@ -176,6 +221,12 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
 def _relief(text: str) -> ReliefMeta:
     found = json.loads(text)
     return ReliefMeta(int(found["rows"]), str(found["source"]), str(found["digest"]))
+
+
+def _planes(text: str) -> PlanesMeta:
+    found = json.loads(text)
+    x, y, z = (float(radius) for radius in found["radii_m"])
+    return PlanesMeta((x, y, z), float(found["model_posting_m"]))
 
 
 def _checksum_fits(rows: Mapping[str, str]) -> bool:

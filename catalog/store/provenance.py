@@ -25,6 +25,7 @@ def content_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ..
         {name: str(getattr(meta, name)) for name in CONTENT}
         | {"point_sources": ", ".join(meta.point_sources)}
         | ({"relief": _relief(meta.relief)} if meta.relief is not None else {})
+        | ({"planes": str(meta.planes.rounded())} if meta.planes is not None else {})
         for meta in (first, second)
     )
     return tuple(_changes(one, other))

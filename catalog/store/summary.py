@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from catalog.control_point import ControlPoint, Flag
 from catalog.geometry.latlon import angular_distance
 from catalog.store.features import reasons_text
+from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
 
 FloatArray = NDArray[np.float64]
@@ -45,6 +46,7 @@ def describe(catalog: Catalog) -> dict[str, str]:
         "format": f"{meta.format_version}",
         "body": meta.body,
         "radius_m": f"{meta.radius_m:.12g}",
+        **_planes(meta),
         "cell_deg": f"{meta.cell_deg:.9g}",
         "cells_on_body": str(catalog.grid.total),
         "points": str(len(catalog)),
@@ -72,6 +74,19 @@ def describe(catalog: Catalog) -> dict[str, str]:
         lines[f"source {name}"] = content
     lines["digest"] = meta.digest
     return lines
+
+
+def _planes(meta: CatalogMeta) -> dict[str, str]:
+    """What patches in tangent planes touch, and how fine the shape model under them is."""
+    if meta.planes is None:
+        return {}
+    radii = ", ".join(f"{radius:.12g}" for radius in meta.planes.radii_m)
+    posting = meta.planes.model_posting_m
+    finer = ", finer patches are oversampled" if meta.posting_m < posting else ""
+    return {
+        "patches": f"in planes that touch the ellipsoid of {radii} m",
+        "model_posting_m": f"{posting:.6g}{finer}",
+    }
 
 
 def _relief(catalog: Catalog) -> str:

@@ -87,7 +87,8 @@ def write_prepared(
             create_tables(db)
             if relief is not None:
                 create_relief_table(db)
-                meta = replace(meta, relief=relief.meta, format_version=RELIEF_VERSION)
+                version = max(meta.format_version, RELIEF_VERSION)
+                meta = replace(meta, relief=relief.meta, format_version=version)
             meta = _fill(db, meta, points, progress, relief.rows if relief is not None else ())
             db.execute("COMMIT")
         put_seal(partial)

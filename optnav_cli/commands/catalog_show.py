@@ -33,5 +33,5 @@ def command(catalog: Path, point_id: int, output: Path | None) -> None:
         pyramid = opened.pyramid(point_id)
         for key, value in describe_point(pyramid.point).items():
             click.echo(f"{key}: {value}")
-        write_png(draw_pyramid(pyramid, opened.meta.radius_m), place)
+        write_png(draw_pyramid(pyramid, opened.meta.map_radius_m), place)
     click.echo(f"picture: {place}")

@@ -5,6 +5,8 @@ import pytest
 from catalog.errors import ConfigError
 from catalog.stages.settings import load_build_config
 
+BODY = '[body]\nname = "phobos"\n'
+MESH = '[[mesh]]\npath = "a.obj"\nunits = "km"\n'
 LEAST = '[body]\nname = "moon"\n[[dem]]\npath = "dem.tif"\n'
 
 
@@ -33,7 +35,12 @@ def test_a_dem_section_takes_all_its_keys(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('[body]\nname = "moon"\n', ["dem"]),
+        ('[body]\nname = "moon"\n', ["no [[dem]] and no [[mesh]]"]),
+        (LEAST + '[[mesh]]\npath = "a.obj"\nunits = "km"\n', ["[[mesh]] beside terrain models"]),
+        (BODY + MESH + MESH, ["2 sections [[mesh]]"]),
+        (BODY + '[[mesh]]\npath = "a.obj"\n', ["[[mesh]] number 1 needs the setting 'units'"]),
+        (BODY + '[[mesh]]\npath = "a.obj"\nunits = "mi"\n', ["units", "km, m"]),
+        (BODY + '[[mesh]]\npath = ""\nunits = "m"\n', ["[[mesh]] number 1 path"]),
         ('[body]\nname = "moon"\ndem = []\n', ["[body]", "dem"]),
         (LEAST + "pirority = 2\n", ["pirority", "priority"]),
         (LEAST + "priority = 0\n", ["priority is 0"]),

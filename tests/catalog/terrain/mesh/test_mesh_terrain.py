@@ -1,4 +1,4 @@
-"""Map grids cut from a mesh: heights as exact rays give them, overhangs told, the body's shadows."""
+"""Map grids of a mesh: heights as exact rays give them, overhangs told, the body's shadows."""
 
 import pickle
 from dataclasses import replace
