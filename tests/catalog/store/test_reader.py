@@ -176,7 +176,7 @@ def test_an_edited_manifest_is_told(catalog_copy: Path) -> None:
 
 def test_a_newer_format_is_told(catalog_copy: Path) -> None:
     """Whatever its checksum covers: a newer format may sum its manifest up in another way."""
-    change(catalog_copy, "UPDATE optnav_meta SET value = '3' WHERE key = 'format_version'")
+    change(catalog_copy, "UPDATE optnav_meta SET value = '4' WHERE key = 'format_version'")
     with pytest.raises(DataError, match=r"format 4.*install a newer optnav"):
         Catalog.open(catalog_copy)
 
