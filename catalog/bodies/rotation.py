@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from catalog.bodies import rotation_kernel
 from catalog.bodies.body import (
     J2000_YEAR,
     JULIAN_YEAR_S,
@@ -21,8 +22,6 @@ from catalog.bodies.body import (
 
 FloatArray = NDArray[np.float64]
 
-DAY_S = 86400.0
-CENTURY_S = 36525.0 * DAY_S
 ARCSEC = np.pi / 648000.0
 
 
@@ -31,33 +30,16 @@ def body_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:
 
     tdb_s  (...)  TDB seconds past J2000
     """
-    published = published_from_inertial(body, tdb_s)
-    correction = body.rotation_correction
-    if correction is None or not np.any(held := _held(correction, tdb_s)):
-        return published
-    angles = correction_angles(correction, tdb_s)
-    return _turn(angles if np.all(held) else angles * held[..., None]) @ published
+    times, rotations = _by_series(body.rotation, tdb_s)
+    if body.rotation_correction is not None:
+        rotation_kernel.turn_on(times, *_correction_table(body.rotation_correction), rotations)
+    return rotations.reshape(*np.shape(tdb_s), 3, 3)
 
 
 def published_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:
     """The same rotation (..., 3, 3) by the published series alone."""
-    ra, dec, meridian = pole_and_meridian(body.rotation, tdb_s)
-    # The frame turns about z by 90 deg + ra, about x by 90 deg - dec, about z by the meridian;
-    # multiplied out, for one small matrix after another would take most of the time.
-    cn, sn = -np.sin(ra), np.cos(ra)
-    ci, si = np.sin(dec), np.cos(dec)
-    cw, sw = np.cos(meridian), np.sin(meridian)
-    matrix = np.empty((*np.shape(tdb_s), 3, 3))
-    matrix[..., 0, 0] = cw * cn - sw * ci * sn
-    matrix[..., 0, 1] = cw * sn + sw * ci * cn
-    matrix[..., 0, 2] = sw * si
-    matrix[..., 1, 0] = -sw * cn - cw * ci * sn
-    matrix[..., 1, 1] = -sw * sn + cw * ci * cn
-    matrix[..., 1, 2] = cw * si
-    matrix[..., 2, 0] = si * sn
-    matrix[..., 2, 1] = -si * cn
-    matrix[..., 2, 2] = ci
-    return matrix
+    _, rotations = _by_series(body.rotation, tdb_s)
+    return rotations.reshape(*np.shape(tdb_s), 3, 3)
 
 
 def pole_and_meridian(
@@ -67,77 +49,58 @@ def pole_and_meridian(
 
     tdb_s  (...)  TDB seconds past J2000
     """
-    time = np.asarray(tdb_s, dtype=np.float64)
-    centuries = time / CENTURY_S
-    ra = _polynomial(series.pole_ra_deg_by_century, centuries)
-    dec = _polynomial(series.pole_dec_deg_by_century, centuries)
-    meridian = _polynomial(series.meridian_deg_by_day, time / DAY_S)
-    if series.terms:
-        angles, amplitudes = _series_table(series)
-        argument = _polynomial(angles, centuries[..., None])
-        sines, cosines = np.sin(argument), np.cos(argument)
-        ra = ra + sines @ amplitudes[0]
-        dec = dec + cosines @ amplitudes[1]
-        meridian = meridian + sines @ amplitudes[2]
-    return np.radians(ra), np.radians(dec), np.radians(np.mod(meridian, 360.0))
+    times = _flat(tdb_s)
+    angles = np.empty((len(times), 3))
+    rotation_kernel.poles(times, *_series_table(series), angles)
+    ra, dec, meridian = angles.T.reshape(3, *np.shape(tdb_s))
+    return ra, dec, meridian
 
 
-def _held(correction: RotationCorrection, tdb_s: ArrayLike) -> NDArray[np.bool_]:
-    """Whether each time lies in the years of the fit."""
-    first, last = (year - J2000_YEAR for year in correction.years)
-    years = np.asarray(tdb_s, dtype=np.float64) / JULIAN_YEAR_S
-    return np.asarray((first <= years) & (years <= last))
+def _by_series(series: RotationSeries, tdb_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) and their rotations (n, 3, 3)."""
+    times = _flat(tdb_s)
+    rotations = np.empty((len(times), 3, 3))
+    rotation_kernel.rotate_by_series(times, *_series_table(series), rotations)
+    return times, rotations
 
 
-def correction_angles(correction: RotationCorrection, tdb_s: ArrayLike) -> FloatArray:
-    """Rotation vectors (..., 3), rad, body axes, by which the frame is turned on from the series.
-
-    tdb_s  (...)  TDB seconds past J2000, in the years of the fit: beyond them this goes astray
-    """
-    centuries = np.asarray(tdb_s, dtype=np.float64)[..., None] / CENTURY_S
-    slow, angles, amplitudes = _correction_table(correction)
-    argument = _polynomial(angles, centuries)
-    waves = np.concatenate([np.sin(argument), np.cos(argument)], axis=-1)
-    return np.asarray((_polynomial(slow, centuries) + waves @ amplitudes) * ARCSEC)
-
-
-def _turn(vectors: FloatArray) -> FloatArray:
-    """Frame rotations (..., 3, 3) of rotation vectors (..., 3): the axes of vectors turn back.
-
-    Rodrigues' formula, with the series of its two factors: below 0.01 rad they are exact.
-    """
-    squared = np.sum(vectors * vectors, axis=-1)[..., None, None]
-    first = 1.0 - squared / 6.0 * (1.0 - squared / 20.0)
-    second = 0.5 - squared / 24.0 * (1.0 - squared / 30.0)
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    cross = np.zeros((*vectors.shape, 3))
-    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -z, y, -x
-    cross[..., 1, 0], cross[..., 2, 0], cross[..., 2, 1] = z, -y, x
-    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+def _flat(tdb_s: ArrayLike) -> FloatArray:
+    return np.ascontiguousarray(tdb_s, dtype=np.float64).reshape(-1)
 
 
 @lru_cache
-def _series_table(series: RotationSeries) -> tuple[FloatArray, FloatArray]:
-    """Polynomials (3, n) of the terms' angles, rad, and amplitudes (3, n) of ra, dec, W, deg."""
-    angles = np.radians([term.angle_deg_by_century for term in series.terms]).T
+def _series_table(series: RotationSeries) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Slow part (3, 3), angles (n, 3) and amplitudes (n, 3) as the kernel takes them."""
+    slow = (
+        series.pole_ra_deg_by_century,
+        series.pole_dec_deg_by_century,
+        series.meridian_deg_by_day,
+    )
+    angles = [term.angle_deg_by_century for term in series.terms]
     amplitudes = [(term.ra_deg, term.dec_deg, term.meridian_deg) for term in series.terms]
-    return np.ascontiguousarray(angles), np.ascontiguousarray(np.transpose(amplitudes))
+    return (
+        np.array(slow),
+        np.radians(np.reshape(angles, (-1, 3))),
+        np.array(amplitudes, dtype=np.float64).reshape(-1, 3),
+    )
 
 
 @lru_cache
-def _correction_table(correction: RotationCorrection) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Polynomials (3, axis), arcsec; angles' polynomials (3, n), rad; amplitudes (2n, axis)."""
+def _correction_table(
+    correction: RotationCorrection,
+) -> tuple[tuple[float, float], FloatArray, FloatArray, FloatArray]:
+    """First and last time, s, slow part (3, 3), angles (n, 3), amplitudes (n, 2, 3), rad."""
     slow = (
         correction.x_arcsec_by_century,
         correction.y_arcsec_by_century,
         correction.z_arcsec_by_century,
     )
-    angles = np.radians([term.angle_deg_by_century for term in correction.terms]).T
-    sines = [term.sin_arcsec for term in correction.terms]
-    cosines = [term.cos_arcsec for term in correction.terms]
-    return np.transpose(slow), np.ascontiguousarray(angles), np.array([*sines, *cosines])
-
-
-def _polynomial(coefficients: ArrayLike, t: FloatArray) -> FloatArray:
-    constant, linear, quadratic = np.asarray(coefficients)
-    return np.asarray(constant + t * (linear + t * quadratic))
+    first, last = ((year - J2000_YEAR) * JULIAN_YEAR_S for year in correction.years)
+    angles = [term.angle_deg_by_century for term in correction.terms]
+    amplitudes = [(term.sin_arcsec, term.cos_arcsec) for term in correction.terms]
+    return (
+        (first, last),
+        np.array(slow) * ARCSEC,
+        np.radians(np.reshape(angles, (-1, 3))),
+        np.array(amplitudes, dtype=np.float64).reshape(-1, 2, 3) * ARCSEC,
+    )

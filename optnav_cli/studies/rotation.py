@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body, CorrectionTerm, RotationCorrection
+from catalog.bodies.epochs import DAY_S
 from catalog.bodies.motion import SpiceMotion
-from catalog.bodies.rotation import ARCSEC, CENTURY_S, DAY_S, body_from_inertial
+from catalog.bodies.rotation import ARCSEC, body_from_inertial
+from catalog.bodies.rotation_kernel import CENTURY_S
 from catalog.progress import Progress
 from optnav_cli.estimation.line_spectrum import Line, LineFit
 

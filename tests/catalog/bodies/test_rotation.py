@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.bodies.rotation import (
-    CENTURY_S,
-    DAY_S,
     body_from_inertial,
     pole_and_meridian,
     published_from_inertial,
 )
+from catalog.bodies.rotation_kernel import CENTURY_S, DAY_S
 
 KERNELS = [
     "naif0012.tls",
