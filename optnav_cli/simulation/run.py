@@ -28,8 +28,8 @@ from optnav_cli.simulation.globe_terrain import GlobeTerrain
 from optnav_cli.simulation.scenario import (
     AnyScenario,
     load_scenario,
-    motion_of,
     scenario_cameras,
+    scenario_motion,
 )
 from optnav_cli.simulation.sensor import Counts, expose
 from optnav_cli.simulation.shot import Shot
@@ -59,7 +59,7 @@ def simulate(
         numba.set_num_threads(max(1, min(workers, numba.get_num_threads())))
     body = load_body(scenario.body)
     cameras = scenario_cameras(scenario)
-    motion = motion_of(scenario, body)
+    motion = scenario_motion(scenario, body)
     flight = shots(scenario, body, motion)
     renderers = _renderers(scenario, body, cameras, flight)
     surroundings = [Surroundings(scenario, camera, motion) for camera in cameras]

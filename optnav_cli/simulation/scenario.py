@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from catalog.bodies.body import Body
-from catalog.bodies.motion import AnalyticMotion, BodyMotion, SpiceMotion
+from catalog.bodies.motion import BodyMotion, motion_of
 from catalog.config import load_toml, resource
 from catalog.errors import ConfigError
 from catalog.terrain.dem_file import BUNDLED, SHARED, path_of
@@ -122,10 +122,9 @@ def scenario_cameras(scenario: AnyScenario) -> list[Camera]:
     return cameras
 
 
-def motion_of(scenario: AnyScenario, body: Body) -> BodyMotion:
+def scenario_motion(scenario: AnyScenario, body: Body) -> BodyMotion:
     """How the scenario's body turns. Raises ConfigError or DataError for a kernel."""
-    kernels = [path_of(name, Path.cwd()) for name in scenario.spice.kernels]
-    return SpiceMotion(body, kernels) if kernels else AnalyticMotion(body)
+    return motion_of(body, [path_of(name, Path.cwd()) for name in scenario.spice.kernels])
 
 
 def fewer_pictures(scenario: AnyScenario, frames: int) -> AnyScenario:

@@ -14,7 +14,12 @@ from catalog.errors import ConfigError
 from optnav_cli.imagery.folder import read_folder
 from optnav_cli.imagery.truth import read_truth
 from optnav_cli.simulation.run import simulate
-from optnav_cli.simulation.scenario import Voyage, fewer_pictures, load_scenario
+from optnav_cli.simulation.scenario import (
+    Voyage,
+    fewer_pictures,
+    load_scenario,
+    scenario_motion,
+)
 from optnav_cli.simulation.shot import Shot
 from optnav_cli.simulation.trajectory import shots
 from optnav_cli.simulation.voyage import flight_states, transfer_states
@@ -175,9 +180,7 @@ def test_cameras_of_one_ship_share_place_time_and_attitude_error(flight_file: Pa
 def _simulated(flight_file: Path, tmp_path: Path) -> tuple[list[Shot], Path]:
     simulate(flight_file, tmp_path / "out")
     scenario = load_scenario(flight_file)
-    from optnav_cli.simulation.scenario import motion_of
-
-    return shots(scenario, MOON, motion_of(scenario, MOON)), tmp_path / "out"
+    return shots(scenario, MOON, scenario_motion(scenario, MOON)), tmp_path / "out"
 
 
 def test_inertial_attitudes_are_written_without_prior_and_sun(flight_file: Path, tmp_path: Path):
@@ -213,9 +216,7 @@ def test_with_kernels_the_truth_turns_by_them_and_files_hold_the_stars_attitude(
     assert frame.camera_from_body is not None
     off = (frame.camera_from_body * shot.told_camera_from_body.inv()).magnitude()
     assert 0.0 < off * 1_737_400.0 < 200.0
-    from optnav_cli.simulation.scenario import motion_of
-
-    true = motion_of(load_scenario(flight_file), MOON)
+    true = scenario_motion(load_scenario(flight_file), MOON)
     told = shot.told_camera_from_body * Rotation.from_matrix(true.body_from_inertial(shot.tdb_s))
     read = frame.camera_from_body * Rotation.from_matrix(theory.body_from_inertial(shot.tdb_s))
     assert (told * read.inv()).magnitude() < 1e-10
