@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from rasterio.transform import Affine
 
-from catalog.config import load_toml
 from catalog.errors import ConfigError, DataError
 from catalog.progress import SilentProgress
 from catalog.stages.account import StageAccount
@@ -22,6 +21,7 @@ from catalog.terrain.source import DemSettings
 from tests.catalog.stages.coarse_tycho import BBOX, CONFIG
 
 NAMED = '[relief]\ndem = {path = "bundled:moon_gld100_4ppd.tif"}\n'
+PLAIN = CONFIG.replace(NAMED, "")
 
 
 @pytest.fixture
@@ -129,29 +129,29 @@ def test_bad_models_are_refused_and_named(settled, region, globe, dems, tmp_path
     )
     with pytest.raises(DataError, match=r"\[relief\] dem: .*mars.tif: .* for a body of 3396\.2 km"):
         settled([region], path=mars.name)
-    with pytest.raises(DataError, match=r"\[relief\] dem: .*none\.tif: there is no such file"):
+    with pytest.raises(DataError, match=r"dem: .*none\.tif: .*check `path` in \[relief\] dem"):
         settled([region], path="none.tif")
 
 
 def test_a_relief_has_no_rank(tmp_path):
     path = tmp_path / "build.toml"
-    path.write_text(CONFIG + '[relief]\ndem = {path = "a.tif", priority = 2}\n')
+    path.write_text(PLAIN + '[relief]\ndem = {path = "a.tif", priority = 2}\n')
     with pytest.raises(ConfigError, match=r"\[relief\].*it lies below all others"):
         load_build_config(path)
-    path.write_text(CONFIG + '[relief]\ndem = {path = ""}\n')
+    path.write_text(PLAIN + '[relief]\ndem = {path = ""}\n')
     with pytest.raises(ConfigError, match=r"\[relief\] dem path is empty"):
         load_build_config(path)
-    path.write_text(CONFIG + "[relief]\nrows = 12\n")
+    path.write_text(PLAIN + "[relief]\nrows = 12\n")
     with pytest.raises(ConfigError, match="rows"):
         load_build_config(path)
 
 
 def test_a_build_carries_it_and_a_repeated_one_too(tmp_path, moon):
     config = tmp_path / "tycho.toml"
-    config.write_text(CONFIG)
+    config.write_text(PLAIN)
     work = tmp_path / "work"
     plain = run(config, work, output=tmp_path / "plain.gpkg", bbox=BBOX, workers=1)
-    config.write_text(CONFIG + NAMED)
+    config.write_text(CONFIG)
     report = run(config, work, output=tmp_path / "c.gpkg", bbox=BBOX, workers=1)
     done = {stage.name: stage.done for stage in report.account.stages}
     assert (done["ingest"], done["render"], done["check"]) == (1, 0, 0)
@@ -175,4 +175,3 @@ def test_a_build_carries_it_and_a_repeated_one_too(tmp_path, moon):
     assert (tmp_path / "c.gpkg").read_bytes() == before
     told = compare(tmp_path / "plain.gpkg", tmp_path / "c.gpkg")
     assert [change.name for change in told.settings] == ["relief"]
-    assert load_toml(config, type(load_build_config(config))).relief.dem is not None
