@@ -42,13 +42,14 @@ def open_field(catalogs: Sequence[Catalog], folder: Folder) -> ControlPointField
 def whole_relief(
     catalogs: Sequence[Catalog], named: Path | None, folder: Folder
 ) -> GlobalRelief | None:
-    """The body's relief for the horizon: of the named terrain model, else what a catalog carries.
+    """The body's relief for the horizon: of the named terrain model, else the finest that a catalog carries.
 
     None where there is none. Raises DataError for a damaged one or a model of a part of the body.
     """
     if named is not None:
         return load_relief(str(named), folder.body)
-    return next((relief for c in catalogs if (relief := c.relief()) is not None), None)
+    carried = [relief for c in catalogs if (relief := c.relief()) is not None]
+    return min(carried, key=lambda relief: relief.posting_m, default=None)
 
 
 def _layer(catalog: Catalog, folder: Folder) -> PointLayer:
@@ -72,4 +73,5 @@ def _layer(catalog: Catalog, folder: Folder) -> PointLayer:
         catalog.records["shadow_limit_deg"][usable],
         np.array([meta.posting_m * 2.0**level for level in range(meta.levels)]),
         meta.radius_m,
+        None if meta.planes is None else meta.planes.radii_m,
     )

@@ -47,8 +47,8 @@ def navigate_folder(
     """Navigate all frames of a folder and write the run folder in one step.
 
     catalog_paths  the first given has priority where it has points
-    relief         a terrain model of the whole body for the horizon; else the relief that the
-                   first catalog with one carries
+    relief         a terrain model of the whole body for the horizon; else the finest relief that
+                   a catalog carries
     Returns the rows of solution.csv. Raises NothingToDoError, after the run is written, when no
     frame was solved; DataError or ConfigError when folder or catalog cannot be used at all.
     """
@@ -143,10 +143,12 @@ def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:
     ):
         for match in result.matches:
             index = points.index_of(match.catalog, match.cp_id)
-            point = points.point(index)
+            reference = points.reference(index)
+            if reference is None:
+                continue
             outlines[match.catalog, match.cp_id] = patch_outlines(
-                point.projection(points.radius_m),
-                point.radius_m - points.radius_m,
+                reference.projection,
+                float(reference.projection.height_of(reference.point.xyz_m)),
                 _drawn_sizes(points, index, match.level, result.camera, solution.position_m),
                 result.camera,
                 solution.position_m,

@@ -1,0 +1,321 @@
+"""The autonomous loop's figures: flights without any prior, over Tycho and all over the Moon.
+
+Over Tycho both cameras of the ship fly the shipped scenarios with nothing told but time, Sun and
+an attitude that is off by 10 arc seconds an axis; the ground beyond Tycho's 118 m model is the
+948 m model of the whole Moon. The navigator has Tycho's 118 m catalog on top of a 948 m one of the
+surroundings. All over the Moon single fisheye pictures from 50 to 800 km count how many frames are
+solved, by which arc of lit limb they truly show. None may be wrong by more than 5 of its own
+sigmas.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.config import resource
+from catalog.errors import NothingToDoError
+from catalog.progress import Progress
+from catalog.stages import build
+from catalog.terrain.dem_file import path_of
+from optnav_cli.camera.camera import Camera
+from optnav_cli.imagery.folder import read_folder
+from optnav_cli.imagery.truth import Truth, read_truth
+from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.output.evaluation import pool
+from optnav_cli.output.evaluation_files import evaluate_run
+from optnav_cli.output.figures import FrameError, figures_of
+from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.run import scenario_copy
+from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
+from optnav_cli.simulation.sections import AttitudeSettings, PriorSettings
+from optnav_cli.studies.navigation import STAR_SENSOR_ARCSEC, STAR_SENSOR_M_PER_KM
+
+FloatArray = NDArray[np.float64]
+
+GLOBE = "shared:moon/moon_gld100_32ppd.tif"
+WIDE, NARROW = "shnk", "unk"
+# What the loop must see of the ground about Tycho from 400 km: 20 deg of arc about the flights.
+SURROUNDINGS_DEG = (-50.0, -66.0, 28.0, -20.0)
+ENOUGH_ARC_DEG = 140.0
+LEAST_SOLVED = 0.95
+MOST_SIGMAS = 5.0
+AZIMUTHS = 720
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: a scenario, whose camera counts, and the figures to reach, m.
+
+    star_sensor  whether horizontal_m is for exact attitudes, so that the star sensor's part is
+                 added in quadrature
+    """
+
+    name: str
+    scenario: str
+    camera: str
+    horizontal_m: float
+    height_m: float
+    star_sensor: bool = False
+
+
+ROWS = (
+    Row("wide camera, 100 km", "tycho_100km", WIDE, 30.0, 30.0),
+    Row("wide camera, 200 km", "tycho_200km", WIDE, 30.0, 30.0),
+    Row("wide camera, 400 km", "tycho_400km", WIDE, 40.0, 30.0),
+    Row("narrow camera, 200 km", "tycho_200km", NARROW, 30.0, 150.0, star_sensor=True),
+    Row("narrow camera, 400 km", "tycho_400km", NARROW, 20.0, 50.0, star_sensor=True),
+)
+SHARES = ("horizon_050km", "horizon_100km", "horizon_200km", "horizon_800km")
+
+
+@dataclass(frozen=True, eq=False)
+class RowResult:
+    """The frames of a row's camera; `limit_m` is what the horizontal error may be."""
+
+    row: Row
+    frames: tuple[FrameError, ...]
+    limit_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class ShareResult:
+    """The frames of a scenario and the arc of lit limb that each truly shows, deg."""
+
+    scenario: str
+    frames: tuple[FrameError, ...]
+    arcs_deg: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """Both tables."""
+
+    rows: tuple[RowResult, ...]
+    shares: tuple[ShareResult, ...]
+
+
+def run(output: Path, progress: Progress, frames: int | None = None, rows: str = "") -> Results:
+    """Fly, navigate and evaluate; pictures that are there already are used again.
+
+    output  folder for catalogs, pictures, runs and figures.json
+    frames  pictures of a scenario, its own number when None
+    rows    only rows and scenarios whose name contains this
+    Raises ConfigError where the shared data are not named.
+    """
+    relief = path_of(GLOBE, Path.cwd())
+    output.mkdir(parents=True, exist_ok=True)
+    catalogs = [
+        _catalog(output, "tycho", resource("configs/catalogs/tycho.toml"), None, progress),
+        _surroundings(output, progress),
+    ]
+    found: list[RowResult] = []
+    flown: dict[str, list[FrameError]] = {}
+    for row in (r for r in ROWS if rows in r.name):
+        if row.scenario not in flown:
+            flown[row.scenario], _ = _flown(
+                output, row.scenario, frames, catalogs, relief, progress
+            )
+        own = tuple(frame for frame in flown[row.scenario] if frame.camera == row.camera)
+        found.append(RowResult(row, own, _limit(row, own)))
+        _write(output / "figures.json", found, [])
+    shares: list[ShareResult] = []
+    for name in (s for s in SHARES if rows in s):
+        errors, arcs = _flown(output, name, frames, catalogs, relief, progress)
+        shares.append(ShareResult(name, tuple(errors), tuple(arcs)))
+        _write(output / "figures.json", found, shares)
+    if not found and not shares:
+        raise NothingToDoError(f"no row of the study is called '{rows}'")
+    return Results(tuple(found), tuple(shares))
+
+
+def lit_arc_deg(camera: Camera, truth: Truth, sun_body: FloatArray, radius_m: float) -> float:
+    """Azimuth about the nadir of the lit limb that truly lies inside a picture, deg; a sphere's."""
+    distance = float(np.linalg.norm(truth.position_m))
+    up = truth.position_m / distance
+    side = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    side /= np.linalg.norm(side)
+    azimuth = np.arange(AZIMUTHS) * 2.0 * np.pi / AZIMUTHS
+    around = np.cos(azimuth)[:, None] * side + np.sin(azimuth)[:, None] * np.cross(up, side)
+    # the limb is where the line of sight touches: its normal stands at acos(R / r) from the nadir
+    cosine = radius_m / distance
+    normal = cosine * up + np.sqrt(1.0 - cosine**2) * around
+    pixels = camera.project_from_body(
+        normal * radius_m, truth.position_m, truth.camera_from_body.as_matrix()
+    )
+    height, width = camera.shape
+    with np.errstate(invalid="ignore"):
+        inside = (pixels > -0.5).all(axis=1)
+        inside &= (pixels[:, 0] < width - 0.5) & (pixels[:, 1] < height - 0.5)
+    return float((inside & (normal @ sun_body > 0.0)).mean()) * 360.0
+
+
+def sigmas_off(frame: FrameError) -> float:
+    """How far a solved frame is off in its own sigmas; 0 for an unsolved one."""
+    return 0.0 if frame.nees is None else float(np.sqrt(frame.nees))
+
+
+def format_results(results: Results) -> str:
+    """Both tables in text."""
+    lines = []
+    if results.rows:
+        lines.append(
+            f"{'case':<24}{'solved':>8}{'horizontal':>18}{'height':>18}{'NEES':>7}{'worst':>8}"
+        )
+    for result in results.rows:
+        solved = [frame for frame in result.frames if frame.nees is not None]
+        start = f"{result.row.name:<24}{len(solved):>4}/{len(result.frames):<3}"
+        if not solved:
+            lines.append(f"{start}  none solved")
+            continue
+        f = figures_of(result.frames)
+        worst = max(sigmas_off(frame) for frame in solved)
+        lines.append(
+            f"{start}{f.horizontal_rms_m:>8.1f} (≤ {result.limit_m:.0f}) m"
+            f"{f.height_rms_m:>9.1f} (≤ {result.row.height_m:.0f}) m{f.nees:>7.2f}{worst:>6.1f} σ"
+        )
+    if results.shares:
+        lines += ["", f"{'arc of lit limb':<24}{'≥ 140°':>12}{'less':>12}{'worst':>10}  methods"]
+    for share in results.shares:
+        lines.append(_share_line(share.scenario, [share]))
+    if len(results.shares) > 1:
+        lines.append(_share_line("together", results.shares))
+        lines.append(f"wanted: {100 * LEAST_SOLVED:.0f} % of those with an arc of 140°")
+    every = [f for row in results.rows for f in row.frames]
+    every += [f for share in results.shares for f in share.frames]
+    wrong = sum(sigmas_off(frame) > MOST_SIGMAS for frame in every)
+    lines.append(
+        f"wrong by more than {MOST_SIGMAS:.0f} of their own sigmas: {wrong} of {len(every)}"
+    )
+    return "\n".join(lines)
+
+
+def _share_line(name: str, shares: Sequence[ShareResult]) -> str:
+    pairs = [pair for s in shares for pair in zip(s.frames, s.arcs_deg, strict=True)]
+    counts = []
+    for wide in (True, False):
+        group = [frame for frame, arc in pairs if (arc >= ENOUGH_ARC_DEG) is wide]
+        counts.append(f"{sum(f.nees is not None for f in group):>5}/{len(group):<4}")
+    worst = max((sigmas_off(frame) for frame, _ in pairs), default=0.0)
+    methods = [frame.solution.method for frame, _ in pairs if frame.nees is not None]
+    tally = ", ".join(f"{methods.count(m)} {m.replace('_', ' ')}" for m in sorted(set(methods)))
+    return f"{name:<24}{counts[0]:>12}{counts[1]:>12}{worst:>8.1f} σ  {tally}"
+
+
+def _limit(row: Row, frames: Iterable[FrameError]) -> float:
+    """A row's horizontal limit; what the star sensor adds at its heights in quadrature."""
+    if not row.star_sensor:
+        return row.horizontal_m
+    heights_km = np.array([frame.height_m for frame in frames]) / 1e3
+    extra = float(np.mean((STAR_SENSOR_M_PER_KM * heights_km) ** 2))
+    return float(np.hypot(row.horizontal_m, np.sqrt(extra)))
+
+
+def _flown(
+    output: Path,
+    name: str,
+    frames: int | None,
+    catalogs: Sequence[Path],
+    relief: Path,
+    progress: Progress,
+) -> tuple[list[FrameError], list[float]]:
+    """A scenario's frames against their truth, and the arcs of lit limb in them."""
+    pictures = _pictures(output, name, frames, progress)
+    place = output / "runs" / name
+    place.parent.mkdir(exist_ok=True)
+    # without a solution the run is written all the same, and that is a figure too
+    with suppress(NothingToDoError):
+        navigate_folder(pictures, catalogs, NavigateSettings(), "ncc", place, progress, relief)
+    truth_path = pictures / "truth.csv"
+    errors = list(pool([evaluate_run(place, truth_path)]).frames)
+    folder = read_folder(pictures)
+    truths = {t.file: t for t in read_truth(truth_path, folder.settings)}
+    arcs = []
+    for frame in folder.frames:
+        if frame.sun_body is None:
+            arcs.append(0.0)
+            continue
+        camera = folder.cameras[frame.camera]
+        arcs.append(lit_arc_deg(camera, truths[frame.file], frame.sun_body, folder.body.radius_m))
+    return errors, arcs
+
+
+def _pictures(output: Path, name: str, frames: int | None, progress: Progress) -> Path:
+    """The picture folder of a shipped scenario with no prior told; made unless it is there."""
+    scenario = msgspec.structs.replace(
+        load_scenario(resource(f"configs/scenarios/{name}.toml")),
+        prior=PriorSettings(given=False),
+        attitude=AttitudeSettings(sigma_arcsec=STAR_SENSOR_ARCSEC),
+    )
+    if frames is not None:
+        scenario = fewer_pictures(scenario, frames)
+    place = output / "pictures" / name
+    place.parent.mkdir(exist_ok=True)
+    mark = place / "scenario.json"
+    if not (mark.is_file() and mark.read_bytes() == scenario_copy(scenario)):
+        simulate_folder(scenario, place, progress)
+    return place
+
+
+def _surroundings(output: Path, progress: Progress) -> Path:
+    """The catalog of the 948 m ground about Tycho."""
+    config = output / "surroundings.toml"
+    text = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{GLOBE}"\n'
+    if not (config.is_file() and config.read_text(encoding="utf-8") == text):
+        config.write_text(text, encoding="utf-8")
+    return _catalog(output, "surroundings", config, SURROUNDINGS_DEG, progress)
+
+
+def _catalog(
+    output: Path,
+    name: str,
+    config: Path,
+    bbox: tuple[float, float, float, float] | None,
+    progress: Progress,
+) -> Path:
+    place = output / f"{name}.gpkg"
+    build.run(config, output=place, bbox=bbox, progress=progress)
+    return place
+
+
+def _write(path: Path, rows: Sequence[RowResult], shares: Sequence[ShareResult]) -> None:
+    content = {
+        "rows": [
+            {
+                "case": result.row.name,
+                "horizontal_limit_m": result.limit_m,
+                "height_limit_m": result.row.height_m,
+                "frames": [_frame(frame) for frame in result.frames],
+            }
+            for result in rows
+        ],
+        "shares": [
+            {
+                "scenario": share.scenario,
+                "frames": [
+                    {"lit_arc_deg": arc, **_frame(frame)}
+                    for frame, arc in zip(share.frames, share.arcs_deg, strict=True)
+                ],
+            }
+            for share in shares
+        ],
+    }
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def _frame(frame: FrameError) -> dict[str, object]:
+    error = None if frame.error_rnb_m is None else [float(v) for v in frame.error_rnb_m]
+    return {
+        "file": frame.file,
+        "method": frame.solution.method,
+        "prior": frame.solution.prior,
+        "error_rnb_m": error,
+        "sigmas": sigmas_off(frame) if error else None,
+        "reason": frame.solution.reason,
+    }

@@ -1,0 +1,292 @@
+"""Which method a frame is solved by, what is believed where two disagree, and why in words.
+
+Outlines and control points are stood in for by answers with stated errors: what they do with
+pictures is tested with them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.body import load_body
+from catalog.bodies.motion import AnalyticMotion
+from catalog.errors import NoSolutionError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.orbit import OrbitMotion
+from optnav_cli.imagery.frames import Frame
+from optnav_cli.imagery.picture import Picture
+from optnav_cli.navigation import autonomous
+from optnav_cli.navigation.autonomous import Navigator, World
+from optnav_cli.navigation.control_points import UnsolvedFrameError
+from optnav_cli.navigation.outline import Outline
+from optnav_cli.navigation.settings import NavigateSettings
+
+MOON = load_body("moon")
+MOTION = AnalyticMotion(MOON)
+START_S = 8.2e8
+SUN = np.array([1.0, 0.0, 0.0])
+WIDE = Camera("wide", "pinhole", 64, 64, 40.0, (31.5, 31.5))
+NARROW = Camera("narrow", "pinhole", 64, 64, 400.0, (31.5, 31.5))
+PICTURE = Picture(np.zeros((64, 64), dtype=np.float32), 255.0)
+TURN = Rotation.from_euler("xyz", [0.3, -0.2, 0.1])
+
+
+@dataclass
+class Layer:
+    postings_m: np.ndarray
+
+
+@dataclass
+class Field:
+    """The one thing that the loop itself asks of the control points: how coarse they get."""
+
+    layers: list
+
+
+@dataclass
+class Resection:
+    pose: object
+    position_covariance_m2: np.ndarray
+    attitude_sigma_rad: float = 0.0
+
+
+@dataclass
+class Solved:
+    resection: Resection
+
+
+@dataclass
+class PointFix:
+    solution: Solved
+    tried: list
+    remark: str = ""
+
+
+class Sky:
+    """Stands in for both methods: by frame, what the picture would give them."""
+
+    def __init__(self, monkeypatch):
+        self.truth = flight()
+        self.outlines: dict[int, np.ndarray | str] = {}
+        self.no_points: dict[int, int] = {}
+        self.priors: list = []
+        self.right = TURN
+        self.frame = None
+        monkeypatch.setattr(autonomous.outline, "navigate", self.outline)
+        monkeypatch.setattr(autonomous.control_points, "navigate", self.points)
+        coarse = Field([Layer(np.array([948.0, 15168.0]))])
+        self.world = World(coarse, MOTION, None, NavigateSettings(), None)
+        self.navigator = Navigator(self.world)
+
+    def outline(self, picture, camera, camera_from_body, *_):
+        known = self.outlines.get(self.frame, "only stars")
+        if isinstance(known, str) or (camera_from_body * self.right.inv()).magnitude() > 0.1:
+            raise NoSolutionError(
+                known if isinstance(known, str) else "the Sun is on the dark side"
+            )
+        place = self.truth[self.frame] + known
+        return Outline(
+            "horizon", place, np.eye(3) * 200.0**2, 0.1, 900, 200.0, np.zeros((3, 2)), ""
+        )
+
+    def points(self, picture, camera, prior, *_):
+        self.priors.append(prior)
+        wrong = (prior.pose.camera_from_body * self.right.inv()).magnitude() > 0.1
+        if self.frame in self.no_points or wrong:
+            count = 24 if wrong else self.no_points[self.frame]
+            raise UnsolvedFrameError("no 2 matches agree on a position", tried(count))
+        pose = replace(prior.pose, position_m=self.truth[self.frame] + [10.0, -5.0, 8.0])
+        return PointFix(Solved(Resection(pose, np.eye(3) * 15.0**2)), [])
+
+    def see(self, number, camera=WIDE, **changes):
+        self.frame = number
+        frame = Frame(
+            file=f"{camera.name}_{number}.png",
+            utc="2025-12-26T00:00:00Z",
+            camera=camera.name,
+            tdb_s=START_S + 60.0 * number,
+            camera_from_body=TURN,
+            attitude_sigma_rad=5e-5,
+            sun_body=SUN,
+        )
+        return self.navigator.solve(replace(frame, **changes), camera, PICTURE).solution
+
+
+@dataclass
+class Matched:
+    reason: str = "score 0.20 below 0.30"
+
+
+@dataclass
+class Tried:
+    match: Matched
+
+
+def tried(count):
+    return [Tried(Matched()) for _ in range(count)]
+
+
+def flight(count=16):
+    """Body-fixed positions of a low orbit every 60 s."""
+    radius = MOON.radius_m + 100e3
+    speed = np.sqrt(MOON.gm_m3_s2 / radius)
+    state = np.array([radius, 0.0, 0.0, 0.0, speed * 0.6, speed * 0.8])
+    times = START_S + 60.0 * np.arange(count)
+    states, _ = OrbitMotion(Forces(MOTION)).propagate(state, START_S, times)
+    return [MOTION.body_from_inertial(t) @ s[:3] for t, s in zip(times, states, strict=True)]
+
+
+@pytest.fixture
+def sky(monkeypatch):
+    return Sky(monkeypatch)
+
+
+def test_control_points_are_found_from_the_horizon(sky):
+    sky.outlines[0] = np.array([300.0, -200.0, 100.0])
+    row = sky.see(0)
+    assert (row.method, row.prior, row.n_limb, row.arc_deg) == (
+        "control_points", "horizon", 900, 200.0,
+    )  # fmt: skip
+    assert np.sqrt(np.diag(sky.priors[0].position_covariance_m2)) == pytest.approx(200.0)
+    assert row.reason == ""
+
+
+def test_the_horizon_stands_where_too_few_points_are_in_view(sky):
+    sky.outlines[0] = np.array([300.0, -200.0, 100.0])
+    sky.no_points[0] = 3
+    row = sky.see(0)
+    assert row.solved
+    assert (row.method, row.n_used, row.n_limb) == ("horizon", None, 900)
+    assert row.reason == "control points: no 2 matches agree on a position"
+
+
+def test_from_afar_no_points_are_searched(sky):
+    sky.truth[0] = np.array([5e7, 0.0, 0.0])
+    sky.outlines[0] = np.array([9e3, 0.0, 0.0])
+    row = sky.see(0, NARROW)
+    assert row.method == "horizon"
+    assert "too much for the catalog's coarsest level of 15168 m" in row.reason
+    assert sky.priors == []
+
+
+def test_many_points_that_are_not_there_betray_the_horizon(sky):
+    sky.outlines[0] = np.array([20e3, 0.0, 0.0])
+    sky.no_points[0] = 24
+    row = sky.see(0)
+    assert not row.solved
+    assert "24 well-lit control points into view, but they are not there" in row.reason
+    assert "focal length" in row.reason
+
+
+def test_the_narrow_camera_begins_where_the_wide_one_is_at_the_same_time(sky):
+    sky.outlines[0] = np.zeros(3)
+    sky.see(0)
+    row = sky.see(0, NARROW)
+    assert row.prior == "wide camera, wide_0.png"
+    assert row.method == "control_points"
+    # a minute later a single fix says too little
+    assert "no frame before leads here" in sky.see(1, NARROW).reason
+
+
+def test_the_arc_serves_where_no_limb_is_in_view(sky):
+    for number in range(4):
+        sky.outlines[number] = np.zeros(3)
+        assert sky.see(number).prior == "horizon"
+    row = sky.see(4)
+    assert (row.method, row.prior) == ("control_points", "arc of 4 fixes")
+    assert np.linalg.norm(sky.priors[-1].pose.position_m - sky.truth[4]) < 500.0
+
+
+def test_a_prediction_alone_is_no_solution(sky):
+    for number in range(4):
+        sky.outlines[number] = np.zeros(3)
+        sky.see(number)
+    sky.no_points[4] = 24
+    row = sky.see(4)
+    assert not row.solved
+    assert "only stars" in row.reason
+
+
+def test_a_broken_frame_does_not_lose_the_track(sky):
+    for number in range(4):
+        sky.outlines[number] = np.zeros(3)
+        sky.see(number)
+    sky.no_points = dict.fromkeys((4, 5, 6), 24)
+    assert not any(sky.see(number).solved for number in (4, 5, 6))
+    row = sky.see(7)
+    assert row.solved
+    assert row.prior == "arc of 4 fixes"
+
+
+def test_a_lone_horizon_off_the_arc_is_not_believed_until_the_next_says_the_same(sky):
+    for number in range(4):
+        sky.outlines[number] = np.zeros(3)
+        sky.see(number)
+    sky.no_points = dict.fromkeys(range(4, 9), 2)
+    sky.outlines[4] = np.array([0.0, 40e3, 0.0])
+    row = sky.see(4)
+    assert not row.solved
+    assert "from where the arc of 4 fixes leads: one of both is wrong" in row.reason
+    sky.outlines[5] = np.zeros(3)
+    assert sky.see(5).reason == "control points: no 2 matches agree on a position"
+    for number in (6, 7):
+        sky.outlines[number] = np.array([0.0, 40e3, 0.0])
+    assert not sky.see(6).solved
+    again = sky.see(7)
+    assert again.solved
+    assert "as the frame before: a manoeuvre" in again.reason
+
+
+def test_two_methods_that_agree_end_the_arc(sky):
+    for number in range(4):
+        sky.outlines[number] = np.zeros(3)
+        sky.see(number)
+    sky.truth = [place + [0.0, 30e3, 0.0] for place in sky.truth]
+    sky.outlines[4] = np.zeros(3)
+    row = sky.see(4)
+    assert row.solved
+    assert "from where the arc of 4 fixes leads: a manoeuvre" in row.reason
+    sky.outlines[5] = np.zeros(3)
+    assert sky.see(5).reason == ""
+
+
+def test_a_horizon_far_from_the_points_it_led_to_is_remarked(sky):
+    sky.outlines[0] = np.array([2e3, 0.0, 0.0])
+    row = sky.see(0)
+    assert row.solved
+    assert "the horizon lies 2.0 km (10 sigmas) off" in row.reason
+
+
+def test_a_prior_of_the_file_is_used_and_says_so(sky):
+    known = {"position_m": sky.truth[0] + 1e3, "position_sigma_m": 3e3}
+    row = sky.see(0, **known)
+    assert (row.method, row.prior, row.n_limb) == ("control_points", "frames.csv", None)
+    sky.no_points[1] = 24
+    failed = sky.see(1, position_m=sky.truth[1], position_sigma_m=3e3)
+    assert not failed.solved
+    assert failed.reason == "no 2 matches agree on a position"
+
+
+@pytest.mark.parametrize("prior", [True, False])
+@pytest.mark.parametrize("inertial", [True, False])
+def test_the_inverse_rotation_is_named(sky, prior, inertial):
+    sky.outlines[0] = np.zeros(3)
+    sky.navigator = Navigator(replace(sky.world, inertial=inertial))
+    turn = np.eye(3)
+    if inertial:
+        turn = MOTION.body_from_inertial(START_S)
+    told = (TURN * Rotation.from_matrix(turn)).inv() * Rotation.from_matrix(turn).inv()
+    known = {"position_m": sky.truth[0], "position_sigma_m": 3e3} if prior else {}
+    row = sky.see(0, camera_from_body=told, **known)
+    assert not row.solved
+    wanted = "camera_from_inertial" if inertial else "camera_from_body"
+    assert f"the picture fits the inverse rotation: wanted the quaternion of {wanted}" in row.reason
+
+
+def test_without_anything_the_reason_says_what_is_missing(sky):
+    row = sky.see(0)
+    assert row.reason == "no prior: only stars; and no frame before leads here"
+    assert "quaternion is empty" in sky.see(0, camera_from_body=None).reason
