@@ -66,6 +66,17 @@ class Stereographic:
             factor = 2.0 * self.radius_m / (length + local[..., 2])
             return np.asarray(factor * local[..., 0]), np.asarray(factor * local[..., 1])
 
+    @property
+    def foot_m(self) -> tuple[float, float, float]:
+        """Where the centre touches the sphere, body frame, m."""
+        x, y, z = (self.radius_m * self.body_from_local[:, 2]).tolist()
+        return x, y, z
+
+    def height_of(self, xyz: ArrayLike) -> FloatArray:
+        """Heights (...) m of body-fixed points (..., 3) m above the sphere."""
+        length = np.linalg.norm(np.asarray(xyz, dtype=np.float64), axis=-1)
+        return np.asarray(length - self.radius_m)
+
     def xy_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Map coordinates (m) of latitudes and longitudes (rad)."""
         return self.xy_from_xyz(xyz_from_latlon(lat, lon, 1.0))

@@ -1,6 +1,7 @@
 """What a control point should look like: its patches cut to a window and rendered."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,8 @@ from numpy.typing import NDArray
 from catalog.control_point import ControlPoint, Patch
 from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import kernel
-from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.projection import node_grid
+from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.map_view import render_map
 
 FloatArray = NDArray[np.float64]
@@ -40,15 +42,20 @@ class Reference:
 
     point   the control point; patches its levels, finest first
     radius_m  the body's reference sphere, from which heights are measured
+    planes_on_m  semi-axes of the ellipsoid in whose tangent planes the patches of a small body lie,
+                 with heights above them; None on the sphere
     """
 
     point: ControlPoint
     patches: tuple[Patch, ...]
     radius_m: float
+    planes_on_m: tuple[float, float, float] | None = None
 
-    @property
-    def projection(self) -> Stereographic:
+    @cached_property
+    def projection(self) -> MapProjection:
         """The map projection of the patches."""
+        if self.planes_on_m is not None:
+            return self.point.tangent_plane(self.planes_on_m)
         return self.point.projection(self.radius_m)
 
     def heights(self, level: int, size: int) -> Grid:
@@ -89,14 +96,14 @@ class Reference:
         camera_position_m  (3,) body frame
         """
         turn = self.projection.body_from_local
-        foot = np.array([0.0, 0.0, self.radius_m])
+        foot = np.array(self.projection.foot_m)
         outer = tuple((p.heights_m, p.posting_m) for p in self.patches[level + 1 :])
         return render_map(
             self.heights(level, size),
             self.patches[level].posting_m,
             sun_body @ turn,
-            camera_local=camera_position_m @ turn - foot,
+            camera_local=(camera_position_m - foot) @ turn,
             law="lunar_lambert",
-            radius_m=self.radius_m,
+            radius_m=self.projection.radius_m,
             outer=outer,
         )

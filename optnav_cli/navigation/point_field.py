@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -47,6 +47,7 @@ class PointLayer:
     skyline_deg  (n, azimuths) terrain skyline by azimuth
     postings_m   (levels,) of the patches, finest first
     radius_m     the body's reference sphere
+    planes_on_m  semi-axes of the ellipsoid in whose tangent planes patches lie; None: on the sphere
     """
 
     name: str
@@ -57,18 +58,15 @@ class PointLayer:
     skyline_deg: NDArray[np.floating]
     postings_m: FloatArray
     radius_m: float
+    planes_on_m: tuple[float, float, float] | None = None
 
     def subset(self, keep: NDArray[np.bool_]) -> "PointLayer":
         """The layer with some of its points."""
-        return PointLayer(
-            self.name,
-            self.store,
-            self.grid,
-            self.ids[keep],
-            self.xyz_m[keep],
-            self.skyline_deg[keep],
-            self.postings_m,
-            self.radius_m,
+        return replace(
+            self,
+            ids=self.ids[keep],
+            xyz_m=self.xyz_m[keep],
+            skyline_deg=self.skyline_deg[keep],
         )
 
 
@@ -165,13 +163,14 @@ class ControlPointField:
         if index in self._references:
             self._references.move_to_end(index)
             return self._references[index]
-        store = self._layer(index).store
+        layer = self._layer(index)
+        store = layer.store
         try:
             patches = store.patches(name[1])
         except DataError as error:
             self.damaged[name] = str(error)
             return None
-        reference = Reference(store.point(name[1]), patches, self.radius_m)
+        reference = Reference(store.point(name[1]), patches, layer.radius_m, layer.planes_on_m)
         self._references[index] = reference
         if len(self._references) > MOST_REFERENCES:
             self._references.popitem(last=False)

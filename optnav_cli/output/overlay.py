@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from catalog.geometry.projection import Stereographic
+from catalog.geometry.tangent_plane import MapProjection
 from optnav_cli.camera.camera import Camera
 from optnav_cli.output.display import Colour, eight_bits, encoded, resized, shrink_factor
 from optnav_cli.output.recording import describe
@@ -133,7 +133,7 @@ def overlay_path(folder: Path, file: str) -> Path:
 
 
 def patch_outlines(
-    projection: Stereographic,
+    projection: MapProjection,
     height_m: float,
     half_sizes_m: Iterable[float],
     camera: Camera,
@@ -142,7 +142,7 @@ def patch_outlines(
 ) -> list[FloatArray]:
     """The borders (n, 2), px, of a control point's square patches seen from a pose, finest first.
 
-    height_m      of the point above the reference sphere; the border is drawn level with it
+    height_m      of the point above the sphere or plane of the map: the border is drawn level
     half_sizes_m  half a side of each level's patch, (size - 1) / 2 * posting
     """
     side = np.linspace(-1.0, 1.0, EDGE_POINTS)[:-1]
