@@ -42,7 +42,7 @@ def open_field(catalogs: Sequence[Catalog], folder: Folder) -> ControlPointField
 def whole_relief(
     catalogs: Sequence[Catalog], named: Path | None, folder: Folder
 ) -> GlobalRelief | None:
-    """The body's relief for the horizon: of the named terrain model, else the finest that a catalog carries.
+    """The body's relief for the horizon: of the named terrain model, else the finest carried one.
 
     None where there is none. Raises DataError for a damaged one or a model of a part of the body.
     """
