@@ -1,4 +1,4 @@
-"""Sampling and averaging of regular grids, with NaN for no data."""
+"""Sampling of regular grids, with NaN for no data."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,13 +71,10 @@ def bicubic_at(grid: HeightGrid, row: float, col: float) -> float:
 
 
 @kernel
-def _sample_flat(grid: HeightGrid, row: FloatArray, col: FloatArray, cubic: bool) -> HeightGrid:
+def _sample_flat(grid: HeightGrid, row: FloatArray, col: FloatArray) -> HeightGrid:
     out = np.empty(row.size, np.float32)
     for i in range(row.size):
-        if cubic:
-            out[i] = bicubic_at(grid, row[i], col[i])
-        else:
-            out[i] = _bilinear_at(grid, row[i], col[i])
+        out[i] = bicubic_at(grid, row[i], col[i])
     return out
 
 
@@ -86,26 +83,4 @@ def sample_bicubic(grid: HeightGrid, row: FloatArray, col: FloatArray) -> Height
     row = np.ascontiguousarray(row, dtype=np.float64)
     col = np.ascontiguousarray(col, dtype=np.float64)
     grid = np.ascontiguousarray(grid, dtype=np.float32)
-    return _sample_flat(grid, row.ravel(), col.ravel(), True).reshape(row.shape)
-
-
-def sample_bilinear(grid: HeightGrid, row: FloatArray, col: FloatArray) -> HeightGrid:
-    """As `sample_bicubic`, linear in each direction."""
-    row = np.ascontiguousarray(row, dtype=np.float64)
-    col = np.ascontiguousarray(col, dtype=np.float64)
-    grid = np.ascontiguousarray(grid, dtype=np.float32)
-    return _sample_flat(grid, row.ravel(), col.ravel(), False).reshape(row.shape)
-
-
-def halve(grid: HeightGrid) -> HeightGrid:
-    """Area means over 2 x 2 nodes; a mean needs at least two of its four nodes.
-
-    grid (2n, 2m) float32 with NaN for no data; returns (n, m).
-    """
-    rows, cols = grid.shape
-    blocks = grid.reshape(rows // 2, 2, cols // 2, 2).astype(np.float64)
-    valid = np.isfinite(blocks)
-    count = valid.sum(axis=(1, 3))
-    total = np.where(valid, blocks, 0.0).sum(axis=(1, 3))
-    mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count >= 2)
-    return np.asarray(mean, dtype=np.float32)
+    return _sample_flat(grid, row.ravel(), col.ravel()).reshape(row.shape)

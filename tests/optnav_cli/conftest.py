@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.geometry.cells import CellGrid
-from catalog.geometry.grid import halve, sample_bicubic
+from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.rendering.map_view import render_map
@@ -21,6 +21,11 @@ from optnav_cli.navigation.point_field import ControlPointField, PointLayer
 RADIUS_M = 1737400.0
 LAT, LON = np.radians(-43.0), np.radians(-11.0)
 CAMERA_FROM_LOCAL = np.diag([1.0, -1.0, -1.0])  # nadir, north at the picture's top
+
+
+def half_of(grid):
+    """Area means of two by two nodes."""
+    return cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
 
 @dataclass
@@ -54,15 +59,15 @@ class RoughWorld:
         amplitude[0, 0] = 0.0
         phase = np.fft.rfft2(rng.normal(size=(self.size, self.size)))
         ground = np.fft.irfft2(phase * amplitude, s=(self.size, self.size))
-        slope = np.hypot(*np.gradient(halve(ground.astype(np.float32)), 2.0 * self.posting_m))
+        slope = np.hypot(*np.gradient(half_of(ground.astype(np.float32)), 2.0 * self.posting_m))
         return (ground * np.tan(np.radians(6.0)) / np.sqrt(np.mean(slope**2))).astype(np.float32)
 
     @cached_property
     def coarser(self):
         """Area means of the ground at 120 m, 240 m, ..."""
-        grids = [halve(self.heights)]
+        grids = [half_of(self.heights)]
         while len(grids) < self.levels:
-            grids.append(halve(grids[-1]))
+            grids.append(half_of(grids[-1]))
         return grids
 
     def heights_at(self, projection, x, y, level):

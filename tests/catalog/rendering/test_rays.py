@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 from scipy.optimize import brentq
 
-from catalog.geometry.grid import sample_bilinear
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
 from catalog.photometry import hapke
 from catalog.rendering.rays.ground import Ground, make_ground, surroundings, whole_sphere
@@ -46,8 +46,9 @@ def height_over(ground: Ground, point: np.ndarray) -> np.ndarray:
     lat, lon, r = latlon_from_xyz(point)
     row = (ground.north - lat) / ground.step_lat
     col = (lon - ground.west) / ground.step_lon
-    below = sample_bilinear(ground.heights, np.atleast_1d(row), np.atleast_1d(col)).reshape(r.shape)
-    return r - RADIUS_M - np.where(np.isfinite(below), below, 0.0)
+    places = np.atleast_1d(row), np.atleast_1d(col)
+    below = map_coordinates(ground.heights, places, np.float64, order=1)
+    return r - RADIUS_M - below.reshape(r.shape)
 
 
 def rays_to_ground(origin: np.ndarray, count: int, seed: int, half_deg: float) -> np.ndarray:

@@ -2,12 +2,12 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
 
 from catalog.config import resource
-from catalog.geometry.grid import halve
 from catalog.rendering.shadow import lit_mask
 from catalog.terrain.skyline import _lowest, _steeper, skyline_limits_deg
 
@@ -34,7 +34,10 @@ def tycho_levels(row, col, size=80, count=5):
         middle = grid.shape[0] // 2
         cut = slice(middle - size // 2, middle + size // 2)
         levels.append((np.ascontiguousarray(grid[cut, cut]), posting))
-        grid, posting = halve(grid), posting * 2
+        grid, posting = (
+            cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA),
+            posting * 2,
+        )
     return levels
 
 
