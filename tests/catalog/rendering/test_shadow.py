@@ -103,10 +103,8 @@ def test_ground_beyond_the_tile_throws_its_shadow_in(elevation, azimuth):
     truth = lit_mask(wide, POSTING_M, sun(elevation, azimuth), MOON_M)[middle, middle]
     outer, grid, posting = [], wide, POSTING_M
     for _ in range(3):
-        grid, posting = (
-            cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA),
-            2 * posting,
-        )
+        grid = cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        posting *= 2
         half = grid.shape[0] // 2
         outer.append((grid[half - 40 : half + 40, half - 40 : half + 40], posting))
     patch = np.ascontiguousarray(wide[middle, middle])

@@ -34,10 +34,8 @@ def tycho_levels(row, col, size=80, count=5):
         middle = grid.shape[0] // 2
         cut = slice(middle - size // 2, middle + size // 2)
         levels.append((np.ascontiguousarray(grid[cut, cut]), posting))
-        grid, posting = (
-            cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA),
-            posting * 2,
-        )
+        grid = cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        posting *= 2
     return levels
 
 
