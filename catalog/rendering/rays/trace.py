@@ -92,28 +92,3 @@ def trace(
         # over the ground the ray moves at most `flat` times its own way (and it is above it)
         s += max(min(step, max(_to_box(fine, lat, lon) / flat, 1.0)), 0.1)
     return SKY, np.inf, 0.0, 0.0
-
-
-@kernel
-def _trace_rays(
-    fine: Ground, wide: Ground, origin: FloatArray, rays: FloatArray, kind: NDArray[np.int8],
-    distance: FloatArray,
-) -> None:  # fmt: skip
-    for n in range(rays.shape[0]):
-        x, y, z = rays[n, 0], rays[n, 1], rays[n, 2]
-        what, s, _, _ = trace(fine, wide, origin[0], origin[1], origin[2], x, y, z, 0.0)
-        kind[n], distance[n] = what, s
-
-
-def trace_rays(
-    fine: Ground, wide: Ground, origin_m: FloatArray, rays: FloatArray
-) -> tuple[NDArray[np.int8], FloatArray]:
-    """What rays (n, 3) from one origin (3,) meet, body frame.
-
-    Returns (n,) SKY, FINE or WIDE, and (n,) distances in m, infinite for the sky.
-    """
-    origin = np.ascontiguousarray(origin_m, dtype=np.float64)
-    kind, distance = np.empty(len(rays), np.int8), np.empty(len(rays))
-    unit = np.ascontiguousarray(rays, dtype=np.float64)
-    _trace_rays(fine, wide, origin, unit, kind, distance)
-    return kind, distance

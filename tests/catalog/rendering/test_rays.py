@@ -10,7 +10,7 @@ from catalog.photometry import hapke
 from catalog.rendering.rays.ground import Ground, make_ground, surroundings, whole_sphere
 from catalog.rendering.rays.light import lit_share
 from catalog.rendering.rays.scene import Scene
-from catalog.rendering.rays.trace import FINE, SKY, WIDE, trace_rays
+from catalog.rendering.rays.trace import FINE, SKY, WIDE, trace
 
 RADIUS_M = 1_737_400.0
 STEP = 200.0 / RADIUS_M
@@ -51,6 +51,12 @@ def height_over(ground: Ground, point: np.ndarray) -> np.ndarray:
     return r - RADIUS_M - below.reshape(r.shape)
 
 
+def traced(ground: Ground, wide: Ground, origin: np.ndarray, rays: np.ndarray):
+    """What rays (n, 3) from one origin meet, and how far away."""
+    found = [trace(ground, wide, *origin, *ray, 0.0)[:2] for ray in rays]
+    return np.array([kind for kind, _ in found]), np.array([distance for _, distance in found])
+
+
 def rays_to_ground(origin: np.ndarray, count: int, seed: int, half_deg: float) -> np.ndarray:
     rng = np.random.default_rng(seed)
     lat = LAT + np.radians(rng.uniform(-half_deg, half_deg, count))
@@ -73,7 +79,7 @@ def test_hits_are_the_first_crossings_of_a_dense_search(
     ground = fine(hills())
     origin = xyz_from_latlon(LAT - back_km * 1e3 / RADIUS_M, LON, RADIUS_M + height_km * 1e3)
     rays = rays_to_ground(origin, 60, 1, 0.7)
-    kind, distance = trace_rays(ground, globe(), origin, rays)
+    kind, distance = traced(ground, globe(), origin, rays)
     assert np.count_nonzero(kind == FINE) > 40
     for ray, what, found in zip(rays, kind, distance, strict=True):
         if what != FINE:
@@ -100,7 +106,7 @@ def test_the_limb_of_a_bare_sphere_is_where_the_tangent_is():
         local = np.stack(
             [e * np.sin(azimuth), e * np.cos(azimuth), np.full(24, -np.cos(limb + off))], 1
         )
-        kind, _ = trace_rays(ground, wide, origin, local @ axes.T)
+        kind, _ = traced(ground, wide, origin, local @ axes.T)
         assert (kind == expected).all()
 
 
@@ -108,7 +114,7 @@ def test_rays_to_the_poles_and_across_180_degrees_hit_the_sphere():
     ground, wide = fine(np.zeros((20, 20))), globe(500.0)
     for lat_deg, lon_deg in ((90.0, 0.0), (-90.0, 0.0), (0.0, 180.0), (10.0, -180.0), (89.9, 77.0)):
         place = xyz_from_latlon(np.radians(lat_deg), np.radians(lon_deg), 1.0)
-        kind, distance = trace_rays(ground, wide, place * 2e6, -place[None])
+        kind, distance = traced(ground, wide, place * 2e6, -place[None])
         assert kind[0] == WIDE
         assert distance[0] == pytest.approx(2e6 - RADIUS_M - 500.0, abs=0.5)
 
