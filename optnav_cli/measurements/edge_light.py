@@ -75,12 +75,14 @@ def laws_across_limb(
     sun: FloatArray | None,
     angle: float,
     rad_per_px: FloatArray,
+    cos_mid_phase: float = 1.0,
 ) -> FloatArray:
-    """Series (3, n, POWERS) of three brightness laws inside each point of a limb, of mean 1.
+    """Series (3, n, POWERS) of three brightness laws inside each point of a limb.
 
     normal, ray  (n, 3) outward surface normals and unit rays at the limb
     sun          (3,)   unit vector to the Sun, the same frame; None where it is not known
     angle        half angle of the limb's cone, rad;  rad_per_px (n,) along the limb's normal
+    cos_mid_phase  cosine of phase at the body's centre
     With the Sun: Hapke's with the Moon's parameters, Lommel-Seeliger and Lambert, among which
     bodies without an atmosphere lie. Without it: a constant, and changes with the emission cosine.
     """
@@ -91,8 +93,23 @@ def laws_across_limb(
     # the surface turns toward the camera by arcsin mu; the change of the ray is second to it
     cos_phase = -(ray @ sun)[:, None]
     mu0 = np.sqrt(1.0 - mu**2) * (normal @ sun)[:, None] + mu * cos_phase
-    # the law at the limb itself is its limit there
-    above = np.maximum(mu, LEAST_COSINE)
-    lit = np.maximum(mu0, LEAST_COSINE)
-    laws = [hapke.reflectance(lit, above, cos_phase), lit / (lit + above), lit]
-    return np.stack([series(law / law.mean(axis=1, keepdims=True)) for law in laws])
+    return np.stack([series(law) for law in three_laws(mu0, mu, cos_phase, cos_mid_phase)])
+
+
+def three_laws(
+    mu0: FloatArray, mu: FloatArray, cos_phase: FloatArray, cos_mid_phase: float
+) -> list[FloatArray]:
+    """Brightness by Hapke, Lommel-Seeliger and Lambert, each 1 where incidence equals emission.
+
+    mu0, mu, cos_phase  cosines of incidence, emission, phase; shapes broadcast
+    cos_mid_phase       at the body's centre, where the laws are made equal
+    """
+    # the laws at the limb itself are their limits there
+    mu0, mu = np.maximum(mu0, LEAST_COSINE), np.maximum(mu, LEAST_COSINE)
+    mirror = math.sqrt(max(0.5 * (1.0 + cos_mid_phase), 1e-4))
+    standard = float(hapke.reflectance(mirror, mirror, cos_mid_phase))
+    return [
+        hapke.reflectance(mu0, mu, cos_phase) / standard,
+        2.0 * mu0 / (mu0 + mu),
+        mu0 / mirror,
+    ]

@@ -27,10 +27,11 @@ MIXTURE_PRIOR, MIXTURE_SIGMA = 0.0, 0.5
 # Search of blur and shares: differences, largest move, turns.
 SHAPE_STEPS = np.array([0.005, 0.02, 0.02])
 SHAPE_LARGEST = np.array([0.3, 0.7, 0.7])
-SHAPE_TURNS = 6
+SHAPE_TURNS, SHAPE_HALVINGS = 6, 4
 MOST_SHAPING = 300  # profiles that find the common blur and law
 START_GAIN_SHARE = 0.02  # scatter of the lit pixels over their brightness, before it is measured
 SKY_PRIOR_SIGMAS = 3.0
+MODEL_SIGMA_PX = 0.01  # what the model leaves of a single edge: the pixel's square, the cusps
 LOCAL_FREEDOM = 6.0  # weight of the picture's mean scatter beside a profile's own, in pixels
 
 
@@ -62,12 +63,14 @@ class EdgeShape:
     blur_px    sigma of the blur, the pixel's own width included
     mixture    shares of the second and the third law
     variance   of a pixel of the sky, counts^2;  gain of one of the body beyond it, over its counts
+    common_sigma_px  what the errors of blur and mixture move all edges by
     """
 
     blur_px: float
     mixture: tuple[float, float]
     variance: float
     gain: float
+    common_sigma_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +226,7 @@ def locate_edges(profiles: Profiles, shape: EdgeShape, levels: Levels, saturatio
     mean = float(total[good].sum()) / max(float(freedom[good].sum()), 1.0)
     factor = (total + LOCAL_FREEDOM * mean) / (freedom + LOCAL_FREEDOM)
     depth = np.where(good, fitter.state[:, 2], np.nan)
-    return Edges(depth, np.sqrt(spread * np.maximum(factor, 0.5)))
+    return Edges(depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2))
 
 
 def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
@@ -243,15 +246,41 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
         jacobian = np.stack(columns, axis=1) / SHAPE_STEPS
         move = -np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ at_best)
         move = np.clip(move, -SHAPE_LARGEST, SHAPE_LARGEST)
-        better = best + move
-        better[0] = np.clip(better[0], *BLUR_RANGE_PX)
-        at_better = residuals(better)
-        if at_better @ at_better >= at_best @ at_best:
+        for _ in range(SHAPE_HALVINGS):
+            better = best + move
+            better[0] = np.clip(better[0], *BLUR_RANGE_PX)
+            at_better = residuals(better)
+            improved = float(at_better @ at_better) < float(at_best @ at_best)
+            if improved:
+                break
+            move *= 0.4
+        if not improved:
             break
         best, at_best = better, at_better
         if (np.abs(move) < SHAPE_STEPS).all():
             break
-    return replace(start, blur_px=float(best[0]), mixture=(float(best[1]), float(best[2])))
+    found = replace(start, blur_px=float(best[0]), mixture=(float(best[1]), float(best[2])))
+    return replace(found, common_sigma_px=_common_sigma(fitter, found, jacobian, at_best))
+
+
+def _common_sigma(
+    fitter: _Fitter, shape: EdgeShape, jacobian: FloatArray, residual: FloatArray
+) -> float:
+    """What one sigma of the common shape moves the edges by in the mean, px."""
+    freedom = max(int((residual != 0.0).sum()) - 3 * len(fitter.state), 1)
+    scale = max(float(residual @ residual) / freedom, 1.0)
+    covariance = scale * np.linalg.inv(jacobian.T @ jacobian)
+    moved = np.zeros(3)
+    for k, step in enumerate(np.diag(SHAPE_STEPS)):
+        ends = []
+        for sign in (1.0, -1.0):
+            values = np.array([shape.blur_px, *shape.mixture]) + sign * step
+            blur, second, third = (float(value) for value in values)
+            fitter.run(replace(shape, blur_px=blur, mixture=(second, third)))
+            placed = np.isfinite(fitter.result[:, 0])
+            ends.append(float(fitter.state[placed, 2].mean()) if placed.any() else 0.0)
+        moved[k] = (ends[0] - ends[1]) / (2.0 * SHAPE_STEPS[k])
+    return float(np.sqrt(max(float(moved @ covariance @ moved), 0.0)))
 
 
 def _gain(fitter: _Fitter, shape: EdgeShape) -> float:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.bright_body import lit_blobs, measure_levels
+from optnav_cli.measurements.disc_model import LARGEST_RADIUS_PX, edge_bias_px
 from optnav_cli.measurements.edge_profile import common_shape, locate_edges
 from optnav_cli.measurements.edge_scan import Candidates
 from optnav_cli.measurements.limb_checks import (
@@ -124,12 +125,16 @@ def find_limb(
     check_hidden(camera, cone, where.rays, sun_camera)
 
     limb, where = _thinned(cone, limb, where)
-    profiles, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)
+    profiles, places, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)
     shape = common_shape(profiles, levels, full)
     edges = locate_edges(profiles, shape, levels, full)
     distance, inward = distances(cone, where)
-    # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)
-    depth = edges.depth - 0.5 * shape.blur_px**2 * bend
+    if sun_camera is not None and float(np.median(bend)) * LARGEST_RADIUS_PX > 1.0:
+        bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, levels)
+    else:
+        # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)
+        bias = 0.5 * shape.blur_px**2 * bend
+    depth = edges.depth - bias
     pixels = limb.pixels + (depth - distance)[:, None] * inward
     good = np.isfinite(depth) & np.isfinite(edges.sigma)
     if good.sum() < LEAST_POINTS:
@@ -150,7 +155,7 @@ def find_limb(
         pixels=pixels[order],
         sigma_px=sigma[order],
         inward=inward[order],
-        common_sigma_px=COMMON_SIGMA_PX,
+        common_sigma_px=float(np.hypot(COMMON_SIGMA_PX, shape.common_sigma_px)),
         blur_px=shape.blur_px,
         cone_axis_camera=cone.axis_camera(),
         cone_angle=cone.angle,

@@ -1,4 +1,4 @@
-"""The pixels across a limb, with their depth inside the cone's curve and the light expected there."""
+"""The pixels across a limb, how deep they lie inside the cone's curve, and the light expected."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,8 @@ def profiles_across(
     where: PixelRays,
     cone: Cone,
     sun_camera: FloatArray | None,
-) -> tuple[Profiles, FloatArray]:
-    """Pixels across the limb, and the bend (n,) of the cone's curve, 1 / px."""
+) -> tuple[Profiles, NDArray[np.int64], FloatArray]:
+    """Profiles across the limb, their pixels (n, m, 2), the bend (n,) of the curve, 1 / px."""
     height, width = picture.shape
     middle = np.rint(limb.pixels).astype(np.int64)
     steps = np.arange(-BEFORE_PX, AFTER_PX + 1)
@@ -55,5 +55,6 @@ def profiles_across(
     normal = outward_normals(where, inward, cone.stretch)
     back = np.linalg.solve(cone.stretch, where.rays.T).T
     ray = np.asarray(back / np.linalg.norm(back, axis=1, keepdims=True), dtype=np.float64)
-    laws = laws_across_limb(normal, ray, sun_camera, cone.angle, rad_per_px)
-    return Profiles(values, depth, distance, laws), np.asarray(bend)
+    middle_phase = 1.0 if sun_camera is None else -float(cone.axis_camera() @ sun_camera)
+    laws = laws_across_limb(normal, ray, sun_camera, cone.angle, rad_per_px, middle_phase)
+    return Profiles(values, depth, distance, laws), places, np.asarray(bend)

@@ -22,8 +22,9 @@ BORDER_PX = 4  # from the picture's edge and the image circle: no rise there is 
 RISE_SHARE = 0.10
 RISE_SIGMAS = 6.0
 SECTOR_COSINE = float(np.cos(np.radians(45.0)))  # the seed's 135 deg, from the other end
-# Cosine of incidence at the limb: below it the edge is half terminator.
-LEAST_SUN_COSINE = 0.03
+# Cosine of incidence at the limb: below it the edge is half terminator. At larger phases the cusps
+# have the terminator close by in every profile, and are left out a little further.
+LEAST_SUN_COSINE, CUSP_SHARE = 0.03, 0.07
 SHARP_SHARE = 0.6  # without the Sun: what a limb has gained after 3 pixels, of that after 10
 SKY_STEPS_PX = (6.0, 12.0, 24.0, 48.0)  # outside the limb there is no ground
 
@@ -67,7 +68,9 @@ def facing_sun(
 ) -> BoolArray:
     """Which rises (n,) the Sun can light as limbs; a terminator's rise faces away from it."""
     cosine = outward_normals(where, gradient, stretch) @ sun_camera
-    return np.asarray(cosine > LEAST_SUN_COSINE)
+    towards = np.linalg.solve(stretch, where.rays.T).T @ sun_camera
+    sine = np.sqrt(np.maximum(1.0 - (towards * np.linalg.norm(stretch, 2)) ** 2, 0.0))
+    return np.asarray(cosine > LEAST_SUN_COSINE + CUSP_SHARE * sine)
 
 
 def sharp(picture: Image, candidates: Candidates) -> BoolArray:
