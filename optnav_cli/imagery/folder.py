@@ -71,11 +71,15 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def write_folder(
-    path: str | Path, settings: RunSettings, cameras: Iterable[Camera], frames: Iterable[Frame]
+    path: str | Path,
+    settings: RunSettings,
+    cameras: Iterable[Camera],
+    frames: Iterable[Frame],
+    motion: BodyMotion | None = None,
 ) -> None:
     """Write run.toml, the cameras and frames.csv into a folder, which is made where it is missing.
 
-    Attitudes against the stars are written by the analytic theory of the body's rotation.
+    motion  how the body turns, for attitudes against the stars; by theory if None
     The pictures are the caller's. The folder then reads back as it was given, to the digits of the
     files: 0.1 mm, 1e-12 of a quaternion.
     """
@@ -85,5 +89,5 @@ def write_folder(
     for camera in cameras:
         text = camera_toml(camera)
         (path / "cameras" / f"{camera.name}.toml").write_text(text, encoding="utf-8")
-    motion = AnalyticMotion(load_body(settings.body))
+    motion = motion or AnalyticMotion(load_body(settings.body))
     write_frames(path / "frames.csv", motion, settings.attitude, frames)

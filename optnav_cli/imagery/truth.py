@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.motion import AnalyticMotion
+from catalog.bodies.motion import AnalyticMotion, BodyMotion
 from catalog.errors import DataError
 from catalog.geometry.rotations import rotation_from_quaternion
 from optnav_cli.imagery.csv_table import numbers, read_rows, write_rows
@@ -39,6 +39,7 @@ def read_truth(path: str | Path, settings: RunSettings) -> list[Truth]:
 
     Raises DataError, with the row, for anything wrong: a truth with holes is no truth.
     """
+    # by theory, as everything that is compared with the truth is read
     path, motion = Path(path), AnalyticMotion(load_body(settings.body))
     truths: dict[str, Truth] = {}
     for index, row in enumerate(read_rows(path, COLUMNS)):
@@ -69,9 +70,17 @@ def read_truth(path: str | Path, settings: RunSettings) -> list[Truth]:
     return list(truths.values())
 
 
-def write_truth(path: str | Path, settings: RunSettings, truths: Iterable[Truth]) -> None:
-    """Write a truth.csv with the rotation that `settings` names."""
-    motion = AnalyticMotion(load_body(settings.body))
+def write_truth(
+    path: str | Path,
+    settings: RunSettings,
+    truths: Iterable[Truth],
+    motion: BodyMotion | None = None,
+) -> None:
+    """Write a truth.csv with the rotation that `settings` names.
+
+    motion  how the body turns, for attitudes against the stars; by theory if None
+    """
+    motion = motion or AnalyticMotion(load_body(settings.body))
     write_rows(
         Path(path),
         COLUMNS,

@@ -6,11 +6,8 @@ import cv2
 import msgspec
 import numba
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.motion import BodyMotion
-from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import OutputError
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.detail import Detail
@@ -76,37 +73,11 @@ def simulate(
     inertial = scenario.attitude.relative_to == "inertial"
     attitude: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
     settings = RunSettings(body=body.name, attitude=attitude)
-    frames = [_frame(shot, scenario, cameras[shot.camera].name, motion) for shot in flight]
-    write_folder(folder, settings, cameras, frames)
-    truths = [
-        Truth(
-            s.file,
-            s.utc,
-            s.tdb_s,
-            s.position_m,
-            _by_theory(s.camera_from_body, scenario, motion, s),
-        )
-        for s in flight
-    ]
-    write_truth(folder / "truth.csv", settings, truths)
+    frames = [_frame(shot, scenario, cameras[shot.camera].name) for shot in flight]
+    write_folder(folder, settings, cameras, frames, motion)
+    truths = [Truth(s.file, s.utc, s.tdb_s, s.position_m, s.camera_from_body) for s in flight]
+    write_truth(folder / "truth.csv", settings, truths, motion)
     (folder / "scenario.json").write_bytes(scenario_copy(scenario))
-
-
-def _by_theory(
-    camera_from_body: Rotation, scenario: AnyScenario, motion: BodyMotion, shot: Shot
-) -> Rotation:
-    """The attitude against the body of one who knows it against the stars, and the theory only.
-
-    Files hold the attitude against the stars; whoever reads them takes the body's rotation from
-    theory. Where the truth turns by kernels the two differ, and the files must hold the truth.
-    """
-    if scenario.attitude.relative_to == "body":
-        return camera_from_body
-    true, theory = (
-        motion.body_from_inertial(shot.tdb_s),
-        body_from_inertial(motion.body, shot.tdb_s),
-    )
-    return camera_from_body * Rotation.from_matrix(true @ theory.T)
 
 
 def _renderers(
@@ -164,14 +135,14 @@ def scenario_copy(scenario: AnyScenario) -> bytes:
     return msgspec.json.format(msgspec.json.encode(bare), indent=2) + b"\n"
 
 
-def _frame(shot: Shot, scenario: AnyScenario, camera: str, motion: BodyMotion) -> Frame:
+def _frame(shot: Shot, scenario: AnyScenario, camera: str) -> Frame:
     attitude = scenario.attitude
     return Frame(
         file=shot.file,
         utc=shot.utc,
         camera=camera,
         tdb_s=shot.tdb_s,
-        camera_from_body=_by_theory(shot.told_camera_from_body, scenario, motion, shot),
+        camera_from_body=shot.told_camera_from_body,
         attitude_sigma_rad=None if attitude.free else attitude.sigma_arcsec * ARCSEC,
         position_m=shot.prior_m,
         # a prior without error is still a prior; the search needs some room
