@@ -161,13 +161,17 @@ def _check_file(path: Path) -> None:
     if len(str(path)) > _LONGEST_PATH:
         raise DataError(f"{path}: the path is longer than the {_LONGEST_PATH} letters of SPICE")
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            head = file.read(_RECORD_BYTES)
+            binary = head.startswith((b"DAF/", b"NAIF/DAF"))
+            # orbits of a century are hundreds of megabytes
+            content = b"" if binary else head + file.read()
+            size = file.seek(0, 2)
     except FileNotFoundError:
         raise DataError(f"{path}: there is no such SPICE kernel; check the path") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-    if content.startswith((b"DAF/", b"NAIF/DAF")):
-        head, size = content[:_RECORD_BYTES], len(content)
+    if binary:
         whole = _daf_bytes(head) if len(head) == _RECORD_BYTES else _RECORD_BYTES
         if size < whole:
             raise DataError(
