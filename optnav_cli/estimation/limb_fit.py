@@ -39,6 +39,8 @@ class LimbFit:
     covariance_m2   (3, 3) sandwich of the residuals, in no direction below the stated noise
     noise_m2        (3, 3) what the stated sigmas alone give, errors independent
     gain_m          (3, n) d position / d angle of each ray, m a rad; to propagate shared errors
+    rates           (n, 3) d residual / d position, rad a m
+    information     (n,)   rad^-2, weight of each point: robust share over stated variance
     residuals       (n,) rad, measured ray less tangent cone, positive away from the body
     weights         (n,) final share 0..1 that the robust weights leave of each point
     """
@@ -47,6 +49,8 @@ class LimbFit:
     covariance_m2: FloatArray
     noise_m2: FloatArray
     gain_m: FloatArray
+    rates: FloatArray
+    information: FloatArray
     residuals: FloatArray
     weights: FloatArray
 
@@ -91,13 +95,13 @@ def fit_limb(
         start = _begin(stretched, weights, radii)
     else:
         start = np.array(start_m, dtype=np.float64)
-    done, position, noise, gain, residuals, shares, meat, expected, windows = _fit(
+    done, position, noise, gain, rates, residuals, shares, meat, expected, windows = _fit(
         rays, stretched, lengths, weights, radii, sizes, start, float(cut)
     )
     if not done:
         raise NoSolutionError("the fit of the limb does not settle on a position outside the body")
     covariance = _sandwich(noise, meat, expected, windows)
-    return LimbFit(position, covariance, noise, gain, residuals, shares)
+    return LimbFit(position, covariance, noise, gain, rates, weights * shares, residuals, shares)
 
 
 def _checked(directions: ArrayLike, radii_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -280,7 +284,8 @@ def _fit(
     rays: FloatArray, stretched: FloatArray, lengths: FloatArray, weights: FloatArray,
     radii: FloatArray, sizes: FloatArray, start: FloatArray, cut: float,
 ) -> tuple[
-    bool, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float
+    bool, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
+    FloatArray, float,
 ]:  # fmt: skip
     n = rays.shape[0]
     position, scale = start.copy(), 1.0 / radii
@@ -322,7 +327,7 @@ def _fit(
                 inverse[k, 0] * rows[i, 0] + inverse[k, 1] * rows[i, 1] + inverse[k, 2] * rows[i, 2]
             )
     meat, expected, windows = _meat(rows, residuals, used, inverse, _azimuths(rays, position))
-    return done, position, inverse, gain, residuals, shares, meat, expected, windows
+    return done, position, inverse, gain, rows, residuals, shares, meat, expected, windows
 
 
 @kernel

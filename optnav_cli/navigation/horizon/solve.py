@@ -24,10 +24,10 @@ from optnav_cli.navigation.horizon.sight import Sight, arc_deg, sight_of
 from optnav_cli.navigation.horizon.terrain_limb import TerrainLimb, limb_relief, terrain_limb
 from optnav_cli.navigation.horizon.uncertainty import (
     attitude_covariance,
-    crest_covariance,
     crest_sigma_m,
-    edge_covariance,
+    edge_errors,
     relief_covariance,
+    with_shared_errors,
 )
 
 FloatArray = NDArray[np.float64]
@@ -101,25 +101,26 @@ def _bare(
     arc = _enough(arc_deg(azimuths))
     distance = float(np.linalg.norm(position))
     sine = min(float(np.mean(body.radii_m)) / distance, 1.0)
-    away = np.full(len(sight), distance * np.sqrt(1.0 - sine * sine))
-    covariance = fit.noise_m2 + relief_covariance(
-        fit, body, azimuths, away, circle=float(np.arccos(sine))
-    )
-    covariance += edge_covariance(fit, sight, _sun_sine(sight, position, sun))
-    covariance += attitude_covariance(position, attitude_sigma)
-    return _fix(points, sight, fit, covariance, arc, 0)
+    away = distance * float(np.sqrt(1.0 - sine * sine))
+    covariance = fit.noise_m2 + attitude_covariance(position, attitude_sigma)
+    covariance += relief_covariance(fit, body, azimuths, away, circle=float(np.arccos(sine)))
+    errors = edge_errors(sight, azimuths, _sun_sine(sight, position, sun), away)
+    shift = fit.gain_m @ errors.shapes
+    return _fix(points, sight, fit, position, covariance + shift @ shift.T, arc, 0)
 
 
 def _terrain_fix(
     points: LimbPoints, solved: _Solved, attitude_sigma: float, ground: LimbRelief
 ) -> HorizonFix:
     fit, kept = solved.fit, solved.kept
-    arc = _enough(arc_deg(kept.azimuths(fit.position_m)[fit.weights > 0.0]))
-    away = np.full(len(kept), _limb_distance(fit.position_m, ground))
-    covariance = fit.covariance_m2 + edge_covariance(fit, kept, solved.sun_sine)
-    covariance += crest_covariance(fit, crest_sigma_m(ground.posting_m), away)
-    covariance += attitude_covariance(fit.position_m, attitude_sigma)
-    return _fix(points, kept, fit, covariance, arc, solved.passes)
+    azimuths = kept.azimuths(fit.position_m)
+    arc = _enough(arc_deg(azimuths[fit.weights > 0.0]))
+    away = _limb_distance(fit.position_m, ground)
+    errors = edge_errors(kept, azimuths, solved.sun_sine, away)
+    errors = errors.with_constant(crest_sigma_m(ground.posting_m) / away)
+    position, covariance = with_shared_errors(fit, errors)
+    covariance = covariance + attitude_covariance(position, attitude_sigma)
+    return _fix(points, kept, fit, position, covariance, arc, solved.passes)
 
 
 def _over_relief(
@@ -209,12 +210,13 @@ def _sun_sine(sight: Sight, position: FloatArray, sun: FloatArray | None) -> Flo
 
 
 def _fix(
-    points: LimbPoints, sight: Sight, fit: LimbFit, covariance: FloatArray, arc: float, passes: int
-) -> HorizonFix:
+    points: LimbPoints, sight: Sight, fit: LimbFit, position: FloatArray, covariance: FloatArray,
+    arc: float, passes: int,
+) -> HorizonFix:  # fmt: skip
     used = fit.weights > 0.0
     in_pixels = fit.residuals[used] / sight.pixel_angle[used]
     return HorizonFix(
-        position_m=fit.position_m,
+        position_m=position,
         covariance_m2=np.asarray(covariance),
         arc_deg=arc,
         residual_rms_px=float(np.sqrt(np.mean(in_pixels**2))),

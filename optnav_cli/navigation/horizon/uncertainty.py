@@ -1,5 +1,7 @@
 """What the residuals of a limb cannot show of its errors, as covariance of the position."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,9 +24,14 @@ RELIEF_BINS = 120  # of azimuth, when relief is propagated
 # Common to all crests: what the crest correction of a relief of MOON_POSTING_M leaves, and how it
 # grows with the cells (lunar relief: rms height over a length ~ length^0.95).
 CREST_M, MOON_POSTING_M, HURST = 15.0, 1895.0, 0.95
-# Where the Sun is low the faces of crests are half in shadow, whatever the relief knows of it:
-# edges stray together by LOW_SUN_PX, falling by e every LOW_SUN_DEG of the Sun's elevation.
-LOW_SUN_PX, LOW_SUN_DEG = 0.06, 15.0
+# Where the Sun is low, the faces of crests lie half in shadow and edges are seen too low, px: from
+# simulated limbs of a known skyline, -0.05 at 5 deg of Sun, -0.03 at 15, none above 50.
+# Pixels larger than the relief, SHADED_PIXEL_M at the limb, see less of it.
+SHADED_PX, SHADED_FALL_DEG, SHADED_SIGMA_PX, SHADED_PIXEL_M = -0.04, 25.0, 0.03, 5e3
+# The light of the ground about a crest moves edges together over some tens of degrees, differently
+# from place to place; the same limbs show 0.05 px at 12 deg of Sun and 0.015 at 40.
+SECTOR_DEG = 30.0
+SECTOR_PX, SECTOR_LOW_PX, SECTOR_FALL_DEG = 0.015, 0.10, 12.0
 
 
 def attitude_covariance(position: FloatArray, sigma_rad: float) -> FloatArray:
@@ -33,15 +40,62 @@ def attitude_covariance(position: FloatArray, sigma_rad: float) -> FloatArray:
     return sigma_rad**2 * (square * np.eye(3) - np.outer(position, position))
 
 
-def edge_covariance(fit: LimbFit, sight: Sight, sun_sine: FloatArray) -> FloatArray:
-    """(3, 3) m^2: an edge error that all points share cannot be told from height.
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """What the edges of a limb have wrong together.
 
-    sun_sine (n,) sine of the Sun's elevation at each limb point
+    expected (n,)    rad, taken off the edges
+    shapes   (n, k)  rad, one sigma of each of k errors about that
     """
-    shift = fit.gain_m @ (sight.pixel_angle * sight.common_px)
+
+    expected: FloatArray
+    shapes: FloatArray
+
+    def with_constant(self, angle: float) -> "SharedErrors":
+        """The same and one more error, of one angle (rad) at all points."""
+        more = np.full((len(self.shapes), 1), angle)
+        return SharedErrors(self.expected, np.concatenate([self.shapes, more], axis=1))
+
+
+def edge_errors(
+    sight: Sight, azimuths: FloatArray, sun_sine: FloatArray, distance_m: float
+) -> SharedErrors:
+    """What the edges have wrong together by their light.
+
+    azimuths (n,) about the nadir;  sun_sine (n,) sine of the Sun's elevation at each limb point
+    distance_m  to the limb
+    """
     elevation = np.degrees(np.arcsin(np.clip(sun_sine, 0.0, 1.0)))
-    low = fit.gain_m @ (sight.pixel_angle * LOW_SUN_PX * np.exp(-elevation / LOW_SUN_DEG))
-    return np.asarray(np.outer(shift, shift) + np.outer(low, low))
+    seen = 1.0 / (1.0 + sight.pixel_angle * distance_m / SHADED_PIXEL_M)
+    shaded = seen * np.exp(-elevation / SHADED_FALL_DEG)
+    sectors = round(360.0 / SECTOR_DEG)
+    sector = np.floor((azimuths / (2.0 * np.pi) + 0.5) * sectors).astype(np.int64) % sectors
+    size = SECTOR_PX + SECTOR_LOW_PX * np.exp(-elevation / SECTOR_FALL_DEG)
+    shapes = [np.full(len(sight), sight.common_px), SHADED_SIGMA_PX * shaded]
+    shapes += [np.where(sector == number, size, 0.0) for number in range(sectors)]
+    return SharedErrors(
+        SHADED_PX * shaded * sight.pixel_angle,
+        np.asarray(np.stack(shapes, axis=1) * sight.pixel_angle[:, None]),
+    )
+
+
+def with_shared_errors(fit: LimbFit, errors: SharedErrors) -> tuple[FloatArray, FloatArray]:
+    """Position (3,), m, and covariance (3, 3) when points share errors of known shapes.
+
+    The sizes of the shapes are unknowns with a prior of one sigma, solved for beside the position:
+    those that the residuals show are taken out, the others remain in the covariance. How much the
+    residuals can show goes by the sandwich, not by the stated noise.
+    """
+    shift = fit.gain_m @ errors.shapes
+    seen = errors.shapes + fit.rates @ shift  # what the fit leaves of each shape in the residuals
+    moved = fit.gain_m @ errors.expected
+    residuals = fit.residuals - errors.expected - fit.rates @ moved
+    excess = max(float(np.trace(np.linalg.solve(fit.noise_m2, fit.covariance_m2))) / 3.0, 1.0)
+    weighted = seen * (fit.information / excess)[:, None]
+    spread = np.linalg.inv(np.eye(seen.shape[1]) + weighted.T @ seen)
+    found = spread @ (weighted.T @ residuals)
+    position = fit.position_m - moved - shift @ found
+    return position, fit.covariance_m2 + shift @ spread @ shift.T
 
 
 def crest_sigma_m(posting_m: float) -> float:
@@ -49,24 +103,19 @@ def crest_sigma_m(posting_m: float) -> float:
     return float(CREST_M * max(posting_m / MOON_POSTING_M, 1.0) ** HURST)
 
 
-def crest_covariance(fit: LimbFit, crest_m: float, distances_m: FloatArray) -> FloatArray:
-    """(3, 3) m^2: all crests higher by one sigma, at distances (n,) from the camera."""
-    shift = fit.gain_m @ (crest_m / distances_m)
-    return np.outer(shift, shift)
-
-
 def relief_covariance(
-    fit: LimbFit, body: Body, azimuths: FloatArray, distances_m: FloatArray, circle: float
+    fit: LimbFit, body: Body, azimuths: FloatArray, distance_m: float, circle: float
 ) -> FloatArray:
     """(3, 3) m^2: what a body's relief does to the fit of its bare ellipsoid.
 
-    azimuths, distances_m (n,) of the rays;  circle  rad, angle at the body's centre from the nadir
-    to the limb. Bodies other than the Moon take its statistics in units of their plausible heights.
+    azimuths (n,) of the rays;  distance_m  to the limb;  circle  rad, angle at the body's centre
+    from the nadir to the limb. Bodies other than the Moon take its statistics in units of their
+    plausible heights.
     """
     low, high = body.plausible_heights_m
     unit = (high - low) / MOON_HEIGHTS_KM
     bins = np.floor((azimuths / (2.0 * np.pi) + 0.5) * RELIEF_BINS).astype(np.int64) % RELIEF_BINS
-    gain = np.stack([np.bincount(bins, row / distances_m, RELIEF_BINS) for row in fit.gain_m])
+    gain = np.stack([np.bincount(bins, row / distance_m, RELIEF_BINS) for row in fit.gain_m])
     at = 2.0 * np.pi * np.arange(RELIEF_BINS) / RELIEF_BINS
     cosine = np.cos(circle) ** 2 + np.sin(circle) ** 2 * np.cos(at[:, None] - at[None, :])
     angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -1,0 +1,62 @@
+"""The horizon study's figures and table, and that its rows name scenarios that are there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from catalog.config import resource
+from catalog.errors import NothingToDoError
+from catalog.progress import SilentProgress
+from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.studies.horizon import ROWS, RowResult, run
+from optnav_cli.studies.horizon_table import FrameResult, figures_of, format_results
+
+
+def frame(ssp_m, nees, **values):
+    return FrameResult(
+        "a.png", True, False, ssp_m=ssp_m, height_m=-10.0, range_share=1e-4,
+        direction_arcsec=3.0, nees=nees, arc_deg=300.0, seconds=0.2, **values,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_every_row_has_a_scenario_with_enough_pictures(row):
+    scenario = load_scenario(resource(f"configs/scenarios/{row.scenario}.toml"))
+    orbit = scenario.orbit
+    assert orbit.passes * orbit.frames >= (20 if row.range_share is None else 30)
+    assert scenario.detail is not None
+    assert all(seed is not None for seed in scenario.detail.seeds)
+
+
+def test_unsolved_frames_count_but_have_no_errors():
+    frames = [frame(30.0, 1.0), frame(40.0, 3.0), FrameResult("b.png", True, False, reason="dark")]
+    figures = figures_of(frames)
+    assert (figures.frames, figures.solved) == (3, 2)
+    assert figures.ssp_rms_m == pytest.approx(np.sqrt(1250.0))
+    assert figures.ssp_max_m == 40.0
+    assert figures.nees == pytest.approx(2.0)
+    assert figures.worst_sigmas == pytest.approx(3.0)
+    assert figures.reasons == ("dark",)
+
+
+def test_the_table_names_what_is_asked_and_why_frames_failed():
+    solved = figures_of([frame(30.0, 1.0)])
+    poor = figures_of([frame(600.0, 1.0)])
+    none = figures_of([FrameResult("b.png", True, False, reason="no lit limb")])
+    near = RowResult(ROWS[0], poor, solved, poor, solved)
+    far = RowResult(ROWS[-1], poor, solved, poor, solved)
+    dark = replace(near, terrain=none)
+    text = format_results([near, far])
+    assert "30   (≤250)" in text
+    assert "20x" in text
+    assert "0.0100 (≤0.20) %" in text
+    assert "1 not solved: no lit limb" in format_results([dark])
+
+
+def test_a_row_that_is_not_there_is_said(tmp_path, shared_data, monkeypatch):
+    folder = shared_data("moon/moon_gld100_32ppd.tif").parents[1]
+    monkeypatch.setenv("OPTNAV_SHARED_DATA", str(folder))
+    with pytest.raises(NothingToDoError, match="no row of the study is called 'mars'"):
+        run(tmp_path / "out", SilentProgress(), rows="mars")
+    assert not (tmp_path / "out").exists()
