@@ -127,8 +127,9 @@ def tolerance(rows: Sequence[MatchingRow]) -> tuple[float, bool]:
 
 def format_table(rows: Sequence[MatchingRow]) -> str:
     """A text table for every error, and what is borne at RECOGNISED."""
+    fewest, most = (f(row.trials for row in rows) for f in (min, max))
     lines = [
-        f"{rows[0].trials} trials a value; share recognised (within {MAX_ERROR_NODES:g} nodes of "
+        f"{fewest} to {most} trials a value; share recognised (within {MAX_ERROR_NODES:g} nodes of "
         "the truth), % / rms error of these, nodes / believed by the gates, %"
     ]
     for axis in AXES:

@@ -136,7 +136,16 @@ class Look:
             told = Pose(told.position_m + shift[0] * east + shift[1] * north, told.camera_from_body)
             for name, matcher in MATCHERS.items():
                 off, believed = self._error(point, told, picture, level, matcher, distortion)
-                yield Trial(axis.name, value, name, aided, off, believed)
+                held = self._slant(point) if axis is SLANT else value
+                yield Trial(axis.name, held, name, aided, off, believed)
+
+    def _slant(self, point: Reference) -> float:
+        """Off-nadir angle at a point, rounded to the study's values: it changes over a picture."""
+        place = point.point.xyz_m
+        away = self.scene.pose.position_m - place
+        cosine = place @ away / np.linalg.norm(place) / np.linalg.norm(away)
+        angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        return min(SLANT.values, key=lambda value: abs(value - angle))
 
     def _error(
         self, point: Reference, told: Pose, picture: PicturePyramid, level: int,

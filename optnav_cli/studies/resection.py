@@ -174,7 +174,7 @@ def _against_number(rows: list[ResectionRow], attitude: str, reach: tuple[float,
         _curve(plot, numbers, values, "muted", shape)
         # the larger of the two carries its name above, so that no line runs through it
         above = words == ("horizontal" if "free" in attitude else "height")
-        lift = 0.15 if above else -0.3
+        lift = 0.15 if above else -0.45
         plot.text(np.log10(numbers[0]), np.log10(values[0]) + lift, words)
     return Panel(
         f"against the number, {attitude}", plot, f"Errors against number, {attitude}, log scales"

@@ -1,7 +1,8 @@
 """`make golden`: the frozen values and the README's pictures made anew. Look at the difference.
 
 The pictures come from the demo, the Apollo study and a fisheye frame over the demo's ground, a
-few minutes in all; what they leave stands in build/golden.
+few minutes in all; what they leave stands in build/golden. The curves come from their studies, ten
+minutes in all.
 """
 
 from pathlib import Path
@@ -10,6 +11,7 @@ import click
 
 from catalog.config import resource
 from optnav_cli.console import ConsoleProgress
+from optnav_cli.main import cli
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
@@ -20,18 +22,20 @@ HERE = Path(__file__).resolve().parent
 README = HERE / "readme"
 DEMO_FRAME, APOLLO_FRAME = "frame_0001.png", "AS15-M-0297_SML.png"
 CENTRAL_PEAK_DEG = (-43.3, -11.2)
+CURVES = ("arc", "resection", "matching")  # studies
 
 
 @click.command(help=__doc__)
 @click.option("--values/--no-values", "freeze", default=True, help="Make the frozen values.")
 @click.option("--pictures/--no-pictures", "draw", default=True, help="Make the README's pictures.")
+@click.option("--curves/--no-curves", "plot", default=True, help="Make the README's curves.")
 @click.option(
     "--work",
     type=click.Path(path_type=Path),
     default=HERE.parents[1] / "build" / "golden",
     help="Folder for what the pictures are made from.",
 )
-def main(freeze: bool, draw: bool, work: Path) -> None:
+def main(freeze: bool, draw: bool, plot: bool, work: Path) -> None:
     """See the head of this file."""
     if freeze:
         values.freeze()
@@ -41,6 +45,10 @@ def main(freeze: bool, draw: bool, work: Path) -> None:
             path = README / f"{name}.png"
             sketch.write(picture, path)
             click.echo(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+    for name in CURVES if plot else ():
+        path = README / f"{name}.svg"
+        cli.main(["study", name, "-o", str(path)], standalone_mode=False)
+        click.echo(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
 
 
 def _pictures(work: Path) -> dict[str, sketch.Picture]:

@@ -1,5 +1,6 @@
 """Renders and descriptors are what they were when they were last looked at."""
 
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import cv2
@@ -68,3 +69,13 @@ def test_the_pictures_of_the_readme_are_small_and_can_be_read():
         assert picture.shape[1] <= 1000
         assert path.stat().st_size <= 500_000
         assert picture.std() > 20.0, f"{path.name} is nearly empty"
+
+
+def test_the_curves_of_the_readme_are_small_drawings():
+    paths = sorted(README.glob("*.svg"))
+    assert {"arc", "resection", "matching"} <= {path.stem for path in paths}
+    for path in paths:
+        assert path.stat().st_size <= 80_000
+        root = ET.parse(path).getroot()
+        lines = list(root.iter("{http://www.w3.org/2000/svg}polyline"))
+        assert len(lines) > 10, f"{path.name} is nearly empty"

@@ -1,6 +1,7 @@
 """The page about a run: how good, where, which control points, and what went wrong."""
 
 import json
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -191,11 +192,16 @@ def _length(metres: float) -> str:
 
 
 def _refusals(run: RunFolder) -> str:
-    reasons = Counter(match.reason or "not used" for match in run.matches if not match.used)
+    reasons = Counter(_kind(match.reason) for match in run.matches if not match.used)
     if not reasons:
         return ""
     rows = [(reason, str(count)) for reason, count in sorted(reasons.items(), key=_most_first)]
     return table(("control points tried but not used: why", "times"), rows[:12])
+
+
+def _kind(reason: str) -> str:
+    """A reason without the numbers of the one match."""
+    return re.sub(r"(score|rival) \d+\.\d+", r"\1", reason) or "not used"
 
 
 def _thumbnails(run: RunFolder) -> str:
@@ -238,10 +244,13 @@ def _unsolved(run: RunFolder) -> str:
 
 
 def _frames(solutions: Sequence[Solution]) -> str:
-    header = (
+    header: tuple[str, ...] = (
         *("file", "UTC", "method", "x, km", "y, km", "z, km", "sigma, m"),
         *("attitude sigma, ″", "predicted", "found", "used", "rms, px"),
     )
+    limb = any(s.n_limb is not None for s in solutions)
+    if limb:
+        header += ("limb points", "arc, °")
     rows = []
     for s in solutions:
         place = ("unsolved", "", "") if s.position_m is None else _kilometres(s.position_m)
@@ -254,6 +263,7 @@ def _frames(solutions: Sequence[Solution]) -> str:
                 *(fixed(sigma, 1), fixed(angle, 1)),
                 *counts,
                 fixed(s.residual_rms_px, 3),
+                *(("" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)) if limb else ()),
             )
         )
     content = table(header, rows, text_columns=3)

@@ -168,3 +168,13 @@ def test_a_run_without_a_solved_frame_has_no_picture(tmp_path, make_run):
     make_run(tmp_path / "run", count=3, unsolved_from=0)
     with pytest.raises(DataError, match=r"no frame is solved"):
         write_report(tmp_path / "run", tmp_path / "errors.svg")
+
+
+def test_matches_refused_for_one_reason_are_counted_together(tmp_path, make_run):
+    make_run(tmp_path / "run", count=2)
+    table = (tmp_path / "run" / "matches.csv").read_text()
+    assert table.count("score below the threshold") == 4
+    for number in range(4):
+        table = table.replace("score below the threshold", f"score 0.1{number} below 0.30", 1)
+    (tmp_path / "run" / "matches.csv").write_text(table)
+    assert "score below 0.30 4" in report_of(tmp_path / "run", tmp_path).text

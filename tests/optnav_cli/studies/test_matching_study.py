@@ -111,6 +111,18 @@ def test_errors_are_in_finest_nodes_whatever_the_level(look):
     assert 0.5 * rms(fine) < rms(coarse) < 5.0 * rms(fine)
 
 
+def test_a_slant_is_each_points_own(look):
+    trials = found(look, SLANT, 25.0)
+    for number, point in enumerate(look.points):
+        place = point.point.xyz_m
+        up = place / np.linalg.norm(place)
+        away = look.scene.pose.position_m - place
+        angle = np.degrees(np.arccos(up @ away / np.linalg.norm(away)))
+        nearest = SLANT.values[int(np.argmin(np.abs(np.array(SLANT.values) - angle)))]
+        held = {t.value for t in trials[number * len(MATCHERS) : (number + 1) * len(MATCHERS)]}
+        assert held == {nearest}
+
+
 def rows_of(axis, shares, matcher="NCC", aided=False):
     return [
         MatchingRow(axis.name, value, matcher, aided, 100, share, share, 0.0, 0.2)
