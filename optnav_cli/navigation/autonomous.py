@@ -23,35 +23,35 @@ from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.orbit_arc import GATE
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.picture import Picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.navigation import control_points, outline
-from optnav_cli.navigation.control_points import ControlPointFix, TriedPoint, UnsolvedFrameError
+from optnav_cli.navigation.control_points import UnsolvedFrameError
+from optnav_cli.navigation.frame_answer import (
+    CONTROL_POINTS,
+    Answer,
+    Sight,
+    apart,
+    remarked,
+    row_of_points,
+    sight_of,
+    source_of,
+    spoken,
+)
 from optnav_cli.navigation.frame_match import Prior
 from optnav_cli.navigation.outline import Outline
 from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.navigation.track import Belief, Track
-from optnav_cli.solution import Solution, solved, unsolved
+from optnav_cli.solution import solved, unsolved
 
 FloatArray = NDArray[np.float64]
 
-CONTROL_POINTS = "control_points"
 FROM_FILE = "frames.csv"
 # So many control points in view, lit and whole, are never all missed where the prior is right.
 WITNESSES = 8
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A frame's row, the control points tried for it, and the limb points found in it."""
-
-    solution: Solution
-    tried: list[TriedPoint]
-    limb_px: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,22 +70,6 @@ class World:
     inertial: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class _Sight:
-    """A frame that can be navigated: everything that is known about it is there."""
-
-    frame: Frame
-    tdb_s: float
-    camera: Camera
-    picture: Picture
-    camera_from_body: Rotation
-    sun_body: FloatArray
-
-    @property
-    def row(self) -> tuple[str, str]:
-        return self.frame.file, self.frame.utc
-
-
 class Navigator:
     """Navigates the frames of a run one after the other, in the order of time."""
 
@@ -96,7 +80,7 @@ class Navigator:
     def solve(self, frame: Frame, camera: Camera, picture: Picture) -> Answer:
         """A frame's answer; whatever stands against a solution is the reason of its row."""
         try:
-            sight = _sight(frame, camera, picture)
+            sight = sight_of(frame, camera, picture)
         except NoSolutionError as error:
             return Answer(unsolved(frame.file, frame.utc, str(error)), [])
         if frame.position_m is not None and frame.position_sigma_m is not None:
@@ -104,7 +88,7 @@ class Navigator:
             belief = Belief(frame.position_m, covariance, FROM_FILE)
             answer = self._by_points(sight, belief)
             if not answer.solution.solved:
-                return _remarked(answer, self._inversion(sight, belief))
+                return remarked(answer, self._inversion(sight, belief))
             return self._kept(sight, answer, sure=True)
         companion = self._track.at_same_time(sight.tdb_s)
         if companion is not None and not self._out_of_reach(sight, companion):
@@ -113,7 +97,7 @@ class Navigator:
                 return self._kept(sight, answer, sure=True)
         return self._alone(sight)
 
-    def _alone(self, sight: _Sight) -> Answer:
+    def _alone(self, sight: Sight) -> Answer:
         """A frame by its own outline, or by what the past predicts."""
         try:
             found = self._outline(sight, sight.camera_from_body)
@@ -123,32 +107,32 @@ class Navigator:
         answer = self._by_outline(sight, found)
         beyond = self._out_of_reach(sight, belief)
         if beyond:
-            return self._checked(sight, _remarked(answer, beyond))
+            return self._checked(sight, remarked(answer, beyond))
         points = self._by_points(sight, belief)
         row = points.solution
         if row.solved:
             row = replace(row, n_limb=found.n_used, arc_deg=found.arc_deg)
             points = replace(points, solution=row, limb_px=found.limb_px)
-            return self._kept(sight, _remarked(points, _apart(row, found)), sure=True)
+            return self._kept(sight, remarked(points, apart(row, found)), sure=True)
         if len(points.tried) < WITNESSES:
-            answer = replace(_remarked(answer, f"control points: {row.reason}"), tried=points.tried)
+            answer = replace(remarked(answer, f"control points: {row.reason}"), tried=points.tried)
             return self._checked(sight, answer)
         reason = (
-            f"the {_spoken(found.method)} puts {len(points.tried)} well-lit control points into "
+            f"the {spoken(found.method)} puts {len(points.tried)} well-lit control points into "
             f"view, but they are not there ({row.reason}): attitude, time, focal length or "
             "the outline is wrong"
         )
         row = unsolved(*sight.row, reason, method=found.method, prior=found.method)
         answer = Answer(row, points.tried, found.limb_px)
-        return _remarked(answer, self._inversion(sight, None))
+        return remarked(answer, self._inversion(sight, None))
 
-    def _predicted(self, sight: _Sight, why_no_outline: str) -> Answer:
+    def _predicted(self, sight: Sight, why_no_outline: str) -> Answer:
         """A frame without an outline: by what other frames say, or not at all."""
         belief = self._track.at_same_time(sight.tdb_s) or self._track.predict(sight.tdb_s)
         if belief is None:
             reason = f"no prior: {why_no_outline}; and no frame before leads here"
             answer = Answer(unsolved(*sight.row, reason), [])
-            return _remarked(answer, self._inversion(sight, None))
+            return remarked(answer, self._inversion(sight, None))
         beyond = self._out_of_reach(sight, belief)
         if beyond:
             reason = f"{why_no_outline}; from the {belief.source}: {beyond}"
@@ -156,14 +140,14 @@ class Navigator:
         answer = self._by_points(sight, belief)
         if answer.solution.solved:
             return self._kept(sight, answer, sure=False)
-        return _remarked(answer, why_no_outline)
+        return remarked(answer, why_no_outline)
 
-    def _attitude_sigma(self, sight: _Sight) -> float:
+    def _attitude_sigma(self, sight: Sight) -> float:
         known = sight.frame.attitude_sigma_rad
         free = float(np.radians(self._world.settings.solve.free_attitude_deg))
         return free if known is None else known
 
-    def _outline(self, sight: _Sight, camera_from_body: Rotation) -> Outline:
+    def _outline(self, sight: Sight, camera_from_body: Rotation) -> Outline:
         return outline.navigate(
             sight.picture,
             sight.camera,
@@ -174,7 +158,7 @@ class Navigator:
             self._world.relief,
         )
 
-    def _by_outline(self, sight: _Sight, found: Outline) -> Answer:
+    def _by_outline(self, sight: Sight, found: Outline) -> Answer:
         row = solved(
             *sight.row,
             found.method,
@@ -189,7 +173,7 @@ class Navigator:
         )
         return Answer(row, [], found.limb_px)
 
-    def _by_points(self, sight: _Sight, belief: Belief) -> Answer:
+    def _by_points(self, sight: Sight, belief: Belief) -> Answer:
         """Control points searched from a belief."""
         world = self._world
         prior = Prior(
@@ -221,9 +205,9 @@ class Navigator:
         except NoSolutionError as error:
             source = belief.source
             return Answer(unsolved(*sight.row, str(error), method=CONTROL_POINTS, prior=source), [])
-        return Answer(replace(_row_of(sight, fix), prior=belief.source), fix.tried)
+        return Answer(replace(row_of_points(sight, fix), prior=belief.source), fix.tried)
 
-    def _out_of_reach(self, sight: _Sight, belief: Belief) -> str:
+    def _out_of_reach(self, sight: Sight, belief: Belief) -> str:
         """Why no control point can be matched from there; empty when some may."""
         world = self._world
         height = float(np.linalg.norm(belief.position_m)) - world.motion.body.radius_m
@@ -236,34 +220,39 @@ class Navigator:
             f"of {coarsest:.0f} m"
         )
 
-    def _kept(self, sight: _Sight, answer: Answer, *, sure: bool) -> Answer:
+    def _kept(self, sight: Sight, answer: Answer, *, sure: bool) -> Answer:
         """An answer by control points, taken into the track; a remark where the arc disagrees."""
         row = answer.solution
         if row.position_m is None or row.covariance_m2 is None:
             return answer
         odd = self._track.take(sight.tdb_s, row.position_m, row.covariance_m2, sure=sure)
-        self._track.keep(sight.tdb_s, row.position_m, row.covariance_m2, _source(sight))
+        self._track.keep(sight.tdb_s, row.position_m, row.covariance_m2, source_of(sight))
         # a prior of the file may belong to another flight than the frame before
         if odd is None or row.prior == FROM_FILE:
             return answer
-        return _remarked(answer, f"{odd.words}: a manoeuvre, or the arc was wrong")
+        return remarked(answer, f"{odd.words}: a manoeuvre, or the arc was wrong")
 
-    def _checked(self, sight: _Sight, answer: Answer) -> Answer:
+    def _checked(self, sight: Sight, answer: Answer) -> Answer:
         """An answer by the outline alone: not believed where the arc leads elsewhere."""
         row = answer.solution
         if row.position_m is None or row.covariance_m2 is None:
             return answer
-        odd = self._track.take(sight.tdb_s, row.position_m, row.covariance_m2, sure=False)
-        if odd is not None and not odd.ended:
-            reason = f"the {_spoken(row.method)} lies {odd.words}: one of both is wrong"
+        place = sight.tdb_s, row.position_m, row.covariance_m2
+        beyond = self._track.beyond_reach(*place)
+        if beyond:
+            reason = f"the {spoken(row.method)} lies {beyond}: no craft flies so fast"
             return replace(answer, solution=unsolved(*sight.row, reason, method=row.method))
-        self._track.keep(sight.tdb_s, row.position_m, row.covariance_m2, _source(sight))
+        odd = self._track.take(*place, sure=False)
+        if odd is not None and not odd.ended:
+            reason = f"the {spoken(row.method)} lies {odd.words}: one of both is wrong"
+            return replace(answer, solution=unsolved(*sight.row, reason, method=row.method))
+        self._track.keep(sight.tdb_s, row.position_m, row.covariance_m2, source_of(sight))
         if odd is None:
             return answer
         remark = f"{odd.words}, as the frame before: a manoeuvre, or the arc was wrong"
-        return _remarked(answer, remark)
+        return remarked(answer, remark)
 
-    def _inversion(self, sight: _Sight, belief: Belief | None) -> str:
+    def _inversion(self, sight: Sight, belief: Belief | None) -> str:
         """Words for a reason where the picture is solved by the inverse of the file's rotation.
 
         belief  of the position; None: from the outline, seen with that rotation
@@ -287,57 +276,3 @@ class Navigator:
             return ""
         wanted = "camera_from_inertial" if self._world.inertial else "camera_from_body"
         return f"the picture fits the inverse rotation: wanted the quaternion of {wanted}"
-
-
-def _source(sight: _Sight) -> str:
-    return f"{sight.camera.name} camera, {sight.frame.file}"
-
-
-def _sight(frame: Frame, camera: Camera, picture: Picture) -> _Sight:
-    """Raises NoSolutionError for what a frame must say and does not."""
-    if frame.camera_from_body is None:
-        raise NoSolutionError("no attitude: the quaternion is empty")
-    if frame.sun_body is None or frame.tdb_s is None:
-        raise NoSolutionError("no direction to the Sun")
-    return _Sight(frame, frame.tdb_s, camera, picture, frame.camera_from_body, frame.sun_body)
-
-
-def _row_of(sight: _Sight, fix: ControlPointFix) -> Solution:
-    resection = fix.solution.resection
-    used = [t.residual_px for t in fix.tried if t.used and t.residual_px is not None]
-    return solved(
-        *sight.row,
-        CONTROL_POINTS,
-        resection.pose.position_m,
-        resection.position_covariance_m2,
-        resection.pose.camera_from_body,
-        resection.attitude_sigma_rad,
-        n_predicted=len(fix.tried),
-        n_matched=sum(not tried.match.reason for tried in fix.tried),
-        n_used=len(used),
-        residual_rms_px=float(np.sqrt(np.mean(np.square(used)))) if used else None,
-        reason=fix.remark,
-    )
-
-
-def _spoken(method: str) -> str:
-    return method.replace("_", " ")
-
-
-def _apart(row: Solution, found: Outline) -> str:
-    """A remark where an outline lies further from the control points' position than it states."""
-    if row.position_m is None or row.covariance_m2 is None:
-        return ""
-    offset = row.position_m - found.position_m
-    square = float(offset @ np.linalg.solve(row.covariance_m2 + found.covariance_m2, offset))
-    if square < GATE:
-        return ""
-    away = float(np.linalg.norm(offset)) / 1e3
-    return f"the {_spoken(found.method)} lies {away:.1f} km ({np.sqrt(square):.0f} sigmas) off"
-
-
-def _remarked(answer: Answer, remark: str) -> Answer:
-    """An answer with a remark behind its reason; as it is without one."""
-    row = answer.solution
-    reason = "; ".join(part for part in (row.reason, remark) if part)
-    return replace(answer, solution=replace(row, reason=reason))

@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.picture import Picture
 from optnav_cli.measurements.limb_points import LimbPoints, find_limb
-from optnav_cli.navigation import horizon
+from optnav_cli.navigation import brightness_centre, horizon
 
 FloatArray = NDArray[np.float64]
 
@@ -24,7 +25,7 @@ class Outline:
     position_m       (3,)    body frame;  covariance_m2 (3, 3)
     residual_rms_px  across the limb, of the points used; None for a disc
     n_used           limb points used; None for a disc
-    limb_px          (n, 2)  limb points, for drawing
+    limb_px          (n, 2)  limb points, or the disc's centre, for drawing
     """
 
     method: str
@@ -62,10 +63,35 @@ def navigate(
 ) -> Outline:
     """The camera's position from the outline; relief of the body where it is known.
 
+    A disc too small for a limb is solved by its brightness centre.
     sun_body (3,) unit vector, body frame. Raises NoSolutionError with what the picture shows
     instead.
     """
-    limb = limb_of(picture, camera, camera_from_body, sun_body, body)
+    try:
+        limb = limb_of(picture, camera, camera_from_body, sun_body, body)
+    except NoSolutionError as no_limb:
+        try:
+            disc = brightness_centre.navigate(
+                picture.values,
+                camera,
+                camera_from_body,
+                attitude_sigma_rad,
+                sun_body,
+                body,
+                saturation=picture.saturation,
+            )
+        except NoSolutionError as no_disc:
+            raise NoSolutionError(f"{no_limb}; {no_disc}") from None
+        return Outline(
+            "brightness_centre",
+            disc.position_m,
+            disc.covariance_m2,
+            None,
+            None,
+            None,
+            disc.centre_px[None],
+            disc.remark,
+        )
     fix = horizon.navigate(
         limb, camera, camera_from_body, attitude_sigma_rad, sun_body, body, relief
     )

@@ -17,6 +17,8 @@ FloatArray = NDArray[np.float64]
 
 # Cameras that are triggered together; a low orbit goes 2 m in it.
 SAME_TIME_S = 1e-3
+MOST_ESCAPES = 2.0
+GATE_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,24 @@ class Track:
         whose = _words(found.predicted)
         words = f"{away / 1e3:.1f} km ({sigmas:.0f} sigmas) from where the {whose} leads"
         return Odd(words, found.ended)
+
+    def beyond_reach(self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray) -> str:
+        """Why no craft can have come there since the last fix, in words; empty when one can.
+
+        Twice the speed that escapes the body from the lower of both places is taken as too fast.
+        """
+        if self._last is None:
+            return ""
+        since = tdb_s - self._last.tdb_s
+        before = self._motion.body_from_inertial(self._last.tdb_s).T @ self._last.belief.position_m
+        now = self._motion.body_from_inertial(tdb_s).T @ position_m
+        away = float(np.linalg.norm(now - before))
+        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1]))
+        lower = min(float(np.linalg.norm(before)), float(np.linalg.norm(now)))
+        fastest = MOST_ESCAPES * float(np.sqrt(2.0 * self._motion.body.gm_m3_s2 / lower))
+        if away - GATE_SIGMAS * sigma <= fastest * max(since, 0.0):
+            return ""
+        return f"{away / 1e3:.0f} km from the fix {since:.0f} s before"
 
     def keep(
         self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray, source: str

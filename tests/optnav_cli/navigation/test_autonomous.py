@@ -240,6 +240,20 @@ def test_a_lone_horizon_off_the_arc_is_not_believed_until_the_next_says_the_same
     assert "as the frame before: a manoeuvre" in again.reason
 
 
+def test_a_bright_spot_no_craft_can_have_flown_to_is_refused(sky):
+    """A lit peak on the night side, or a planet, looks like the whole body from far away."""
+    for number in range(2):
+        sky.outlines[number] = np.zeros(3)
+        sky.see(number)
+    # long after the arc's end
+    sky.truth[5] = np.array([3e8, 0.0, 0.0])
+    sky.outlines[5] = np.array([1e6, 0.0, 0.0])
+    row = sky.see(5, tdb_s=START_S + 3000.0)
+    assert not row.solved
+    assert "s before: no craft flies so fast" in row.reason
+    assert sky.see(5, tdb_s=START_S + 3e6).solved
+
+
 def test_two_methods_that_agree_end_the_arc(sky):
     for number in range(4):
         sky.outlines[number] = np.zeros(3)

@@ -1,4 +1,4 @@
-"""Points of several catalogs in one field: which are there, which are near, what they are called."""
+"""Points of several catalogs in one field: which are there and near, and their names."""
 
 import numpy as np
 import pytest
