@@ -10,7 +10,18 @@ from pathlib import Path
 import catalog
 
 # Another version of one of these may round or choose otherwise.
-LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "rasterio", "pyproj", "zstandard")
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "rasterio",
+    "pyproj",
+    "zstandard",
+    "trimesh",
+    "manifold3d",
+    "embreex",
+)
 
 
 @cache

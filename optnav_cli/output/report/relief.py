@@ -49,7 +49,13 @@ def relief(
     if is_moon and pixel_m >= LEAST_MOON_PIXEL_M:
         heights, words = _moon_heights(lat_deg, lon_deg), MOON_WORDS
     else:
-        own = _own_heights(catalog, lat_deg, lon_deg, pixel_m)
+        # heights above tangent planes are no map's: a small body is drawn by its whole relief
+        in_planes = catalog.meta.planes is not None
+        own = (
+            _whole_heights(catalog, lat_deg, lon_deg)
+            if in_planes
+            else _own_heights(catalog, lat_deg, lon_deg, pixel_m)
+        )
         if own is None:
             return None
         heights, words = own, OWN_WORDS
@@ -92,6 +98,17 @@ def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> HeightGrid:
         borderMode=cv2.BORDER_REPLICATE,
     )  # fmt: skip
     return np.where(known, sampled, np.nan).astype(np.float32)
+
+
+def _whole_heights(catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray) -> HeightGrid | None:
+    """Heights of the pixels from the relief of the whole body, if the catalog carries one."""
+    carried = catalog.relief()
+    if carried is None:
+        return None
+    known = np.isfinite(lat_deg)
+    heights = np.full(lat_deg.shape, np.nan, np.float32)
+    heights[known] = carried.heights_at(np.radians(lat_deg[known]), np.radians(lon_deg[known]))
+    return heights
 
 
 def _own_heights(

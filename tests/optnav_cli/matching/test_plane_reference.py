@@ -1,0 +1,86 @@
+"""Control points of a small body: a patch is rendered as a picture shows the mesh."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.body import load_body
+from catalog.control_point import ControlPoint, Patch
+from catalog.correlation.ncc import match_ncc
+from catalog.rendering.mesh.scene import MeshScene
+from catalog.terrain.mesh.file import MeshSettings
+from catalog.terrain.mesh.rays import MeshRays
+from catalog.terrain.mesh.shape import load_shape
+from catalog.terrain.mesh.terrain import MeshTerrain
+from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.estimation.resection import Pose
+from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.matching.point_match import MatchGates, match_point
+from optnav_cli.matching.reference import Reference
+
+POSTING_M = 48.0
+PLACES_DEG = [(5.0, -8.0), (-20.0, 12.0), (15.0, 18.0), (-5.0, 22.0), (12.0, -14.0)]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Phobos from 50 km, phase 40 deg: references, camera, pose, Sun, picture."""
+    body = load_body("phobos")
+    shape = load_shape(MeshSettings("bundled:phobos_thomas.tab", "km", "west"), Path(), body)
+    corners = tmp_path_factory.mktemp("mesh") / "corners.npy"
+    np.save(corners, shape.vertices[shape.faces])
+    terrain = MeshTerrain(body, corners, "phobos", shape.posting_m)
+    camera = preset_camera("tsnn_shtk")
+    place = np.array([5.0e4, 2.0e3, -1.0e3])
+    ahead = -place / np.linalg.norm(place)
+    right = np.cross([0.0, 0.0, -1.0], ahead)
+    right /= np.linalg.norm(right)
+    camera_from_body = np.stack([right, np.cross(ahead, right), ahead])
+    sun = np.array([0.77, -0.6, 0.2])
+    sun /= np.linalg.norm(sun)
+    x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
+    rays = camera.unproject(np.stack([x, y], axis=-1) - 0.5) @ camera_from_body
+    picture = MeshScene(MeshRays(terrain.rays.corners), sun).picture(place, rays, samples=2)
+    references = []
+    for number, (lat, lon) in enumerate(np.radians(PLACES_DEG)):
+        radius = float(np.linalg.norm(terrain.points(lat, lon)))
+        lat_deg, lon_deg = PLACES_DEG[number]
+        point = ControlPoint(number, lat_deg, lon_deg, radius, 1.0, 1.0, 1.0, 5, (1.0,), (), True)
+        patch = Patch(POSTING_M, terrain.local_grid(terrain.projection(lat, lon), POSTING_M, 96))
+        references.append(Reference(point, (patch,), body.radius_m, body.radii_m))
+    pose = Pose(place, Rotation.from_matrix(camera_from_body))
+    return references, camera, pose, sun, PicturePyramid(picture)
+
+
+def test_a_reference_in_a_plane_looks_as_the_mesh_does(scene) -> None:
+    references, camera, pose, sun, picture = scene
+    for reference in references:
+        template = reference.render(0, 64, sun, pose.position_m)
+        pixels = camera.project_from_body(
+            reference.surface(0, 64), pose.position_m, pose.camera_from_body.as_matrix()
+        )
+        window = picture.sample(pixels, 2.0)
+        # lunar-Lambert against Hapke, flat faces a few pixels wide
+        assert np.corrcoef(template.ravel(), window.ravel())[0, 1] > 0.95
+
+
+def test_a_point_is_found_where_a_wrong_pose_does_not_expect_it(scene) -> None:
+    references, camera, pose, sun, picture = scene
+    turn = pose.camera_from_body.as_matrix()
+    off_m = np.array([90.0, -60.0, 0.0]) @ turn
+    wrong = Pose(pose.position_m + off_m, pose.camera_from_body)
+    errors = []
+    for reference in references:
+        range_m = float(np.linalg.norm(reference.point.xyz_m - pose.position_m))
+        gsd = range_m / camera.focal_length_px
+        match = match_point(
+            reference, 0, 64, 5, picture, camera, wrong, sun, gsd, match_ncc, MatchGates()
+        )
+        assert not match.reason
+        truth = camera.project_from_body(reference.point.xyz_m, pose.position_m, turn)
+        errors.append((match.pixel - truth) * gsd)
+    # the points are known to a hundredth of a metre: what is left is the match's, in metres
+    assert np.abs(errors).max() < 0.4 * POSTING_M
+    assert np.sqrt(np.square(errors).mean()) < 0.2 * POSTING_M
