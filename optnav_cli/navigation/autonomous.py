@@ -241,16 +241,20 @@ class Navigator:
         beyond = self._track.beyond_reach(*place)
         if beyond:
             reason = f"the {spoken(row.method)} lies {beyond}: no craft flies so fast"
-            return replace(answer, solution=unsolved(*sight.row, reason, method=row.method))
+            return self._refused(sight, answer, reason)
         odd = self._track.take(*place, sure=False)
         if odd is not None and not odd.ended:
             reason = f"the {spoken(row.method)} lies {odd.words}: one of both is wrong"
-            return replace(answer, solution=unsolved(*sight.row, reason, method=row.method))
+            return self._refused(sight, answer, reason)
         self._track.keep(sight.tdb_s, row.position_m, row.covariance_m2, source_of(sight))
         if odd is None:
             return answer
         remark = f"{odd.words}, as the frame before: a manoeuvre, or the arc was wrong"
         return remarked(answer, remark)
+
+    def _refused(self, sight: Sight, answer: Answer, reason: str) -> Answer:
+        row = unsolved(*sight.row, reason, method=answer.solution.method)
+        return remarked(replace(answer, solution=row), self._inversion(sight, None))
 
     def _inversion(self, sight: Sight, belief: Belief | None) -> str:
         """Words for a reason where the picture is solved by the inverse of the file's rotation.
@@ -263,16 +267,18 @@ class Navigator:
         told = sight.camera_from_body.as_matrix() @ body_from_space
         turned = Rotation.from_matrix(told.T @ body_from_space.T)
         turned_sight = replace(sight, camera_from_body=turned)
-        try:
-            if belief is None:
+        told_belief = belief is not None
+        if belief is None:
+            try:
                 found = self._outline(sight, turned)
-                belief = Belief(found.position_m, found.covariance_m2, found.method)
-                certain = bool(self._out_of_reach(sight, belief))
-            else:
-                certain = False
-        except NoSolutionError:
-            return ""
-        if not (certain or self._by_points(turned_sight, belief).solution.solved):
+            except NoSolutionError:
+                return ""
+            belief = Belief(found.position_m, found.covariance_m2, found.method)
+            if not self._track.fits(sight.tdb_s, found.position_m, found.covariance_m2):
+                return ""
+        answer = self._by_points(turned_sight, belief)
+        # where no points are in view an outline under the right Sun is all that can be had
+        if not answer.solution.solved and (told_belief or len(answer.tried) >= WITNESSES):
             return ""
         wanted = "camera_from_inertial" if self._world.inertial else "camera_from_body"
         return f"the picture fits the inverse rotation: wanted the quaternion of {wanted}"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from catalog.bodies.motion import BodyMotion
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit import OrbitMotion
-from optnav_cli.estimation.orbit_arc import Fix, OrbitArc, Prediction
+from optnav_cli.estimation.orbit_arc import GATE, Fix, OrbitArc, Prediction
 
 FloatArray = NDArray[np.float64]
 
@@ -104,6 +104,16 @@ class Track:
         if away - GATE_SIGMAS * sigma <= fastest * max(since, 0.0):
             return ""
         return f"{away / 1e3:.0f} km from the fix {since:.0f} s before"
+
+    def fits(self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray) -> bool:
+        """Whether a position agrees with all that is known from before."""
+        predicted = self.predict(tdb_s)
+        if predicted is not None:
+            offset = position_m - predicted.position_m
+            spread = covariance_m2 + predicted.covariance_m2
+            if float(offset @ np.linalg.solve(spread, offset)) >= GATE:
+                return False
+        return not self.beyond_reach(tdb_s, position_m, covariance_m2)
 
     def keep(
         self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray, source: str
