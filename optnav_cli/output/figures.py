@@ -54,9 +54,8 @@ class FrameError:
         """Error along R and its stated sigma, as shares of the distance to the surface."""
         if self.error_rnb_m is None or self.sigma_rnb_m is None or not self.height_m > 0.0:
             return None
-        return float(self.error_rnb_m[0]) / self.height_m, float(
-            self.sigma_rnb_m[0]
-        ) / self.height_m
+        error, sigma = float(self.error_rnb_m[0]), float(self.sigma_rnb_m[0])
+        return error / self.height_m, sigma / self.height_m
 
     @property
     def direction_error(self) -> tuple[float, float] | None:

@@ -89,7 +89,7 @@ def scenes(
     terrain = TruthTerrain(
         body, (DemSettings(str(resource(DEM))),), DemSettings(str(resource(GLOBE))), details
     )
-    with progress.stage("draw", count * len(off_nadir_deg), "picture") as bar:
+    with progress.stage("look", count * len(off_nadir_deg), "picture") as bar:
         for number in range(count):
             sun = local @ _sun_local(number)
             ground = LitGround(terrain.window(number, FINER, WHOLE), terrain.wide, sun)
@@ -97,8 +97,8 @@ def scenes(
                 pose = _pose(local, middle, range_m, angle if number % 2 else -angle)
                 rays = corners @ pose.camera_from_body.as_matrix()
                 radiance = ground.picture(pose.position_m, rays)
-                bar.advance()
                 yield Scene(number, radiance, pose, sun, angle)
+                bar.advance()  # with what the caller does with it
 
 
 def _sun_local(number: int) -> FloatArray:
