@@ -81,11 +81,11 @@ def test_a_whole_frame_over_relief():
 
 def _drawn(relief, position, turned):
     """Counts (2048, 2048) of a body bright up to its skyline, blurred by a pixel's share."""
-    from optnav_cli.navigation.horizon.terrain_limb import limb_relief
+    from optnav_cli.navigation.horizon.terrain_limb import limb_ground
 
     axes = nadir_axes(position)
     table = np.linspace(-np.pi, np.pi, 4001)
-    line = limb_relief(relief).skyline(position, axes, table)
+    line = limb_ground(relief).limb.skyline(position, axes, table)
     rays = turned.inv().apply(CAMERA.unproject(CAMERA.pixel_grid()).reshape(-1, 3)) @ axes.T
     off_nadir = np.arccos(np.clip(-rays[:, 2], -1.0, 1.0))
     edge = np.interp(np.arctan2(rays[:, 1], rays[:, 0]), table, line.off_nadir)

@@ -14,17 +14,20 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.terrain.limb_skyline import LimbRelief
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.limb_fit import LimbFit, fit_limb
 from optnav_cli.measurements.limb_points import LimbPoints
 from optnav_cli.navigation.horizon.fix import HorizonFix
 from optnav_cli.navigation.horizon.sight import Sight, arc_deg, sight_of
-from optnav_cli.navigation.horizon.terrain_limb import TerrainLimb, limb_relief, terrain_limb
+from optnav_cli.navigation.horizon.terrain_limb import (
+    LimbGround,
+    TerrainLimb,
+    limb_ground,
+    terrain_limb,
+)
 from optnav_cli.navigation.horizon.uncertainty import (
     attitude_covariance,
-    crest_sigma_m,
     edge_errors,
     relief_covariance,
     with_shared_errors,
@@ -33,6 +36,7 @@ from optnav_cli.navigation.horizon.uncertainty import (
 FloatArray = NDArray[np.float64]
 
 LEAST_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
+SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
 MAX_PASSES = 8
 STILL_M = 5.0  # a pass that moves the position by less, or by less than STILL_SIGMAS, is the last
 STILL_SIGMAS = 0.1
@@ -42,9 +46,8 @@ LEAST_CUT_PX = 0.2
 # Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
 # side of shadows.
 LEAST_SUN_SINE = 0.05
-# One crest of the relief against the ground's own, m (see TOP_SHARE), and what an edge keeps of
-# light and slope that no model has, px: neighbouring points do not share them.
-CREST_NOISE_M, EDGE_NOISE_PX = 30.0, 0.05
+# What a single edge keeps of light and slope that no model has.
+EDGE_NOISE_PX = 0.05
 # A limb that scatters by so many times what is expected does not belong to this relief, attitude
 # and time. Simulated limbs reach 2 with the Sun at 20 deg; a wrong skyline is ten and more.
 MISFIT = 5.0
@@ -83,7 +86,7 @@ def navigate(
     fit = fit_limb(sight.rays, _own_sigmas(sight), body.radii_m)
     if relief is None:
         return _bare(points, sight, fit, attitude_sigma_rad, sun, body)
-    ground = limb_relief(relief)
+    ground = limb_ground(relief)
     solved = _over_relief(sight, fit.position_m, sun, ground)
     if solved.misfit > MISFIT:
         raise NoSolutionError(
@@ -110,21 +113,21 @@ def _bare(
 
 
 def _terrain_fix(
-    points: LimbPoints, solved: _Solved, attitude_sigma: float, ground: LimbRelief
+    points: LimbPoints, solved: _Solved, attitude_sigma: float, ground: LimbGround
 ) -> HorizonFix:
     fit, kept = solved.fit, solved.kept
     azimuths = kept.azimuths(fit.position_m)
     arc = _enough(arc_deg(azimuths[fit.weights > 0.0]))
     away = _limb_distance(fit.position_m, ground)
     errors = edge_errors(kept, azimuths, solved.sun_sine, away)
-    errors = errors.with_constant(crest_sigma_m(ground.posting_m) / away)
+    errors = errors.with_constant(ground.crest_sigma_m / away)
     position, covariance = with_shared_errors(fit, errors)
     covariance = covariance + attitude_covariance(position, attitude_sigma)
     return _fix(points, kept, fit, position, covariance, arc, solved.passes)
 
 
 def _over_relief(
-    sight: Sight, position: FloatArray, sun: FloatArray | None, ground: LimbRelief
+    sight: Sight, position: FloatArray, sun: FloatArray | None, ground: LimbGround
 ) -> _Solved:
     """Passes over the relief from a first position till it stands still."""
     for passes in range(1, MAX_PASSES + 1):
@@ -145,12 +148,12 @@ def _over_relief(
 
 
 def _robust_fit(
-    kept: Sight, limb: TerrainLimb, lit: NDArray[np.bool_], position: FloatArray, ground: LimbRelief
+    kept: Sight, limb: TerrainLimb, lit: NDArray[np.bool_], position: FloatArray, ground: LimbGround
 ) -> tuple[LimbFit, float]:
     """A fit to the skyline without its outliers, and its scatter over the expected one."""
     radii = np.full(3, ground.radius_m)
     sizes = limb.sizes[lit]
-    sigmas = np.hypot(_own_sigmas(kept), CREST_NOISE_M / _limb_distance(position, ground))
+    sigmas = np.hypot(_own_sigmas(kept), ground.crest_noise_m / _limb_distance(position, ground))
     least = LEAST_CUT_PX * float(np.median(kept.pixel_angle))
     fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
     for _ in range(2):
@@ -164,7 +167,7 @@ def _robust_fit(
 
 def _misfit_reason(
     points: LimbPoints, camera: Camera, camera_from_body: Rotation, sun: FloatArray | None,
-    body: Body, ground: LimbRelief, solved: _Solved,
+    body: Body, ground: LimbGround, solved: _Solved,
 ) -> str:  # fmt: skip
     """Why a limb that is no skyline of the relief may be so."""
     reason = (
@@ -187,7 +190,7 @@ def _own_sigmas(sight: Sight) -> FloatArray:
     return np.asarray(np.hypot(sight.sigma_px, EDGE_NOISE_PX) * sight.pixel_angle)
 
 
-def _limb_distance(position: FloatArray, ground: LimbRelief) -> float:
+def _limb_distance(position: FloatArray, ground: LimbGround) -> float:
     """From a position (3,) to where a sphere's limb lies, m."""
     return float(np.sqrt(max(float(position @ position) - ground.radius_m**2, 1.0)))
 
@@ -224,5 +227,5 @@ def _fix(
         n_used=int(used.sum()),
         terrain=passes > 0,
         passes=passes,
-        remark="",
+        remark=f"short arc of limb, {arc:.0f} deg" if arc < SHORT_ARC_DEG else "",
     )

@@ -14,10 +14,16 @@ from optnav_cli.navigation.horizon.sight import Sight
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Skylines of cells' means lie low, of their tops high. At 16 cells a degree 0.8 of the way from
-# means to tops meets, within 10 m from 50 to 20 000 km, what 32 a degree with seeded relief below
-# show (720 azimuths from six places at each height, 26 m rms a single crest).
-TOP_SHARE = 0.8
+# Skylines of cells' means lie low, of their tops high. What meets the ground of 32 cells a degree
+# with seeded relief below, from 50 to 20 000 km: 0.8 of the way from means to tops at 16 cells a
+# degree, 0.70 at 4, 0.68 at 2, to 10 m times the cells' size in MOON_POSTING_M; a single crest then
+# errs by 27, 67, 125, 204 m at 16, 8, 4, 2 cells a degree (3600 crests each).
+TOP_SHARE, TOP_SHARE_MORE, MOON_POSTING_M = 0.68, 0.12, 1895.0
+CREST_NOISE_M, CREST_SIGMA_M = 27.0, 10.0
+# A relief of a model no finer than itself has no tops: its skyline is low by this share of a cell's
+# size (240 m at 4 cells a degree; 207 from 50 km, 274 from 20 000 km), known to LIFT_SIGMA of it.
+LIFT, LIFT_SIGMA = 0.032, 0.4
+NO_TOPS = 0.003  # tops over means, in a cell's size; the Moon's are ten times as high
 SHADOW_CLEARANCE_M = 30.0  # ground by which a crest may miss the Sun and still be taken as lit
 
 
@@ -35,19 +41,47 @@ class TerrainLimb:
     sun_sine: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class LimbGround:
+    """A body's relief made ready for skylines, and how well these are known.
+
+    crest_noise_m  of a single crest
+    crest_sigma_m  common to all of them
+    """
+
+    limb: LimbRelief
+    crest_noise_m: float
+    crest_sigma_m: float
+
+    @property
+    def radius_m(self) -> float:
+        """Of the reference sphere."""
+        return self.limb.radius_m
+
+
 @lru_cache(maxsize=2)
-def limb_relief(relief: GlobalRelief) -> LimbRelief:
+def limb_ground(relief: GlobalRelief) -> LimbGround:
     """The relief made ready for skylines, once for all frames."""
-    return LimbRelief(relief, TOP_SHARE)
+    cells = relief.posting_m / MOON_POSTING_M
+    noise, sigma = CREST_NOISE_M * cells, CREST_SIGMA_M * cells
+    rise = float(np.mean(relief.tops - relief.heights))
+    if rise < NO_TOPS * relief.posting_m:
+        lift = LIFT * relief.posting_m
+        lifted = relief.heights + np.float32(lift)
+        flat = GlobalRelief(lifted, lifted, relief.radius_m, relief.source)
+        return LimbGround(LimbRelief(flat, 0.0), noise, max(sigma, LIFT_SIGMA * lift))
+    share = TOP_SHARE + TOP_SHARE_MORE / max(cells, 1.0)
+    return LimbGround(LimbRelief(relief, share), noise, sigma)
 
 
 def terrain_limb(
-    ground: LimbRelief, position: FloatArray, sight: Sight, sun_body: FloatArray | None
+    prepared: LimbGround, position: FloatArray, sight: Sight, sun_body: FloatArray | None
 ) -> TerrainLimb:
     """The skyline from a position (3,), m, at the azimuths of the rays.
 
     sun_body (3,) towards the Sun, any length; None: all is taken as lit
     """
+    ground = prepared.limb
     distance = float(np.linalg.norm(position))
     axes = nadir_axes(position)
     rays_at = sight.azimuths(position)

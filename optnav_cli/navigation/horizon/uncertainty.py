@@ -21,9 +21,6 @@ MOON_COVARIANCE_KM2 = np.array(
 MOON_MEAN_KM = 0.9
 MOON_HEIGHTS_KM = 24.0  # plausible heights of the Moon, lowest to highest
 RELIEF_BINS = 120  # of azimuth, when relief is propagated
-# Common to all crests: what the crest correction of a relief of MOON_POSTING_M leaves, and how it
-# grows with the cells (lunar relief: rms height over a length ~ length^0.95).
-CREST_M, MOON_POSTING_M, HURST = 15.0, 1895.0, 0.95
 # Where the Sun is low, the faces of crests lie half in shadow and edges are seen too low, px: from
 # simulated limbs of a known skyline, -0.05 at 5 deg of Sun, -0.03 at 15, none above 50.
 # Pixels larger than the relief, SHADED_PIXEL_M at the limb, see less of it.
@@ -96,11 +93,6 @@ def with_shared_errors(fit: LimbFit, errors: SharedErrors) -> tuple[FloatArray, 
     found = spread @ (weighted.T @ residuals)
     position = fit.position_m - moved - shift @ found
     return position, fit.covariance_m2 + shift @ spread @ shift.T
-
-
-def crest_sigma_m(posting_m: float) -> float:
-    """What the crest correction of a relief of this posting may leave on all crests, m."""
-    return float(CREST_M * max(posting_m / MOON_POSTING_M, 1.0) ** HURST)
 
 
 def relief_covariance(

@@ -121,6 +121,23 @@ def test_the_inverse_rotation_is_named():
         navigate(points, CAMERA, turned.inv(), 0.0, None, MOON, grounds()[1])
 
 
+def test_a_relief_without_tops_is_lifted_by_what_its_cells_hide():
+    """Its cells are 15 km wide: the Moon's means of that size stand 500 m too low as a limb."""
+    position = place(2e5, 12)
+    turned = attitude(position)
+    points = limb_points(position, turned)
+    coarse = grounds()[1]
+    blunt = GlobalRelief(coarse.heights, coarse.heights, coarse.radius_m, "means alone")
+    fix = navigate(points, CAMERA, turned, 0.0, None, MOON, blunt)
+    sharp = navigate(points, CAMERA, turned, 0.0, None, MOON, coarse)
+    up = position / np.linalg.norm(position)
+    lifted = (fix.position_m - sharp.position_m) @ up
+    # a limb that is taken to stand higher puts the camera higher by R / r of it and a little more
+    assert 100.0 < lifted < 700.0
+    assert up @ fix.covariance_m2 @ up > 0.1 * lifted**2
+    assert up @ sharp.covariance_m2 @ up < 120.0**2
+
+
 def test_a_limb_of_other_ground_is_no_position():
     position = place(2e5, 8)
     turned = attitude(position)
