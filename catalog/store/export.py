@@ -44,8 +44,8 @@ def export(catalog: Catalog, path: str | Path) -> int:
     writer = writers.get(path.suffix.lower())
     if writer is None:
         raise OutputError(
-            f"{path}: a layer is written as {', '.join(writers)}, the relief as .tif; "
-            "choose one of these endings"
+            f"{path}: a layer is written as {', '.join(writers)}, the relief as .tif, a patch as "
+            ".obj or .glb; choose one of these endings"
         )
     if path.exists() and path.samefile(catalog.path):
         raise OutputError(f"{path}: is the catalog itself; name another file for the layer")
