@@ -77,6 +77,12 @@ def measure_levels(picture: Image) -> Levels:
     variance = float(near.var()) if near.size else 0.0
     noise = float(np.sqrt(max(variance, ROUNDING_VARIANCE)))
     peak = float(cv2.blur(picture, (3, 3)).max())
+    if peak - sky < LEAST_CONTRAST_SIGMAS * noise and mean.std() > max(0.25 * noise, 1.0):
+        # pixels of noise alone average out in a block
+        raise NoSolutionError(
+            f"no limb in view: the picture is ground all over, about {float(mean.mean()):.0f} "
+            "counts, with no sky that stands out; the body fills the picture"
+        )
     if peak - sky < LEAST_CONTRAST_SIGMAS * noise:
         raise NoSolutionError(
             f"no body in the picture: its brightest parts are {max(peak - sky, 0.0):.0f} counts "

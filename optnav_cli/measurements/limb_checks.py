@@ -19,6 +19,7 @@ MOST_SATURATED = 0.8  # of the lit pixels
 FULL_SHARE = 0.97  # of the picture lit: there is no sky
 LEAST_ARC_DEG = 30.0
 LEAST_SEEN_SHARE = 0.55  # of the lit limb inside the picture
+LEAST_SHARPNESS = 0.52  # in the middle of the points; a limb that darkens as Lambert's has 0.55
 CLEARLY_LIT_COSINE = 0.25  # cosine of incidence at the limb: no cusp, no long shadow
 AZIMUTHS = 180
 LEAST_EXPECTED = 15  # of the azimuths: fewer say nothing about what hides the others
@@ -76,6 +77,20 @@ def check_arc(arc: float, n_points: int) -> None:
         raise NoSolutionError(
             f"only {arc:.0f} deg of lit limb in view ({n_points} points); "
             f"at least {LEAST_ARC_DEG:.0f} deg are needed to tell a limb from other edges"
+        )
+
+
+def check_sharp(sharpness: FloatArray) -> None:
+    """Raises NoSolutionError when the edge on the Sun's side is as soft as a terminator.
+
+    sharpness (n,) of the limb's points, see limb_search
+    """
+    middle = float(np.median(sharpness))
+    if middle < LEAST_SHARPNESS:
+        raise NoSolutionError(
+            f"no lit limb where the Sun claims it: the edge there gains {100.0 * middle:.0f} % of "
+            "its brightness at once, as a terminator does; the Sun is not where attitude and time "
+            "put it, or only the terminator is in view"
         )
 
 

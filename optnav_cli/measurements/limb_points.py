@@ -24,6 +24,7 @@ from optnav_cli.measurements.limb_checks import (
     check_blobs,
     check_hidden,
     check_others,
+    check_sharp,
 )
 from optnav_cli.measurements.limb_cone import (
     Cone,
@@ -40,7 +41,7 @@ from optnav_cli.measurements.limb_search import (
     find_candidates,
     on_limb,
     rays_of,
-    sharp,
+    sharpness,
 )
 
 FloatArray = NDArray[np.float64]
@@ -48,6 +49,7 @@ Image = NDArray[np.float32]
 
 MAX_POINTS = 3000
 LEAST_POINTS = 12
+SHARP_SHARE = 0.6  # see `sharpness`; chooses limbs where the Sun is not known
 RELIEF = 0.002  # of the body's radius: what the limb stands off a smooth one
 # What the edge model may leave on all points, px: from simulated discs of other laws and blurs.
 COMMON_SIGMA_PX = 0.02
@@ -121,6 +123,7 @@ def find_limb(
     pixel = float(np.median(np.linalg.norm(where.by_x, axis=1))) if len(limb) else 0.0
     arc = arc_deg(cone, where.rays, 3.0, pixel)
     check_arc(arc, len(limb))
+    check_sharp(sharpness(picture, limb))
     check_others(picture, camera, candidates, cone, levels, relief)
     check_hidden(camera, cone, where.rays, sun_camera)
 
@@ -178,7 +181,7 @@ def _first_cone(
     """A first cone, and the candidates that may be lit limb."""
     where = rays_of(camera, candidates, space)
     if sun_camera is None:
-        kept = sharp(picture, candidates)
+        kept = sharpness(picture, candidates) > SHARP_SHARE
     else:
         kept = facing_sun(where, candidates.gradient, space, sun_camera)
     if kept.sum() < LEAST_POINTS <= len(candidates):

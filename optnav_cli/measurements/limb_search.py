@@ -25,7 +25,6 @@ SECTOR_COSINE = float(np.cos(np.radians(45.0)))  # the seed's 135 deg, from the 
 # Cosine of incidence at the limb: below it the edge is half terminator. At larger phases the cusps
 # have the terminator close by in every profile, and are left out a little further.
 LEAST_SUN_COSINE, CUSP_SHARE = 0.03, 0.07
-SHARP_SHARE = 0.6  # without the Sun: what a limb has gained after 3 pixels, of that after 10
 SKY_STEPS_PX = (6.0, 12.0, 24.0, 48.0)  # outside the limb there is no ground
 
 
@@ -60,7 +59,8 @@ def outward_normals(where: PixelRays, gradient: FloatArray, stretch: FloatArray)
     rising = where.by_x * u[:, None] + where.by_y * v[:, None]
     # a normal is a covector: back from the stretched space by the transpose
     normal = -rising @ stretch
-    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray(normal / np.maximum(length, 1e-30))
 
 
 def facing_sun(
@@ -73,12 +73,15 @@ def facing_sun(
     return np.asarray(cosine > LEAST_SUN_COSINE + CUSP_SHARE * sine)
 
 
-def sharp(picture: Image, candidates: Candidates) -> BoolArray:
-    """Which rises (n,) are done within three pixels, as a limb's is and a terminator's is not."""
+def sharpness(picture: Image, candidates: Candidates) -> FloatArray:
+    """What rises (n,) have gained after three pixels, over what they have after ten.
+
+    About 1 at a limb, a third at a terminator, whose brightness grows evenly.
+    """
     near = _at(picture, candidates.pixels + 3.0 * candidates.scan)
     far = _at(picture, candidates.pixels + 10.0 * candidates.scan)
     before = _at(picture, candidates.pixels - 3.0 * candidates.scan)
-    return np.asarray(near - before > SHARP_SHARE * (far - before))
+    return np.asarray((near - before) / np.maximum(far - before, 1e-3))
 
 
 def on_limb(

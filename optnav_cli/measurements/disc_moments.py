@@ -1,0 +1,154 @@
+"""Moments of a small disc in a picture, and of an illuminated sphere, of which it is the blur."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.errors import NoSolutionError
+from catalog.photometry import hapke, lambert, lommel_seeliger
+from optnav_cli.measurements.bright_body import lit_blobs, measure_levels
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+LAWS = (hapke.reflectance, lommel_seeliger.reflectance, lambert.reflectance)
+SPHERE_NODES = 60  # a side of the half disc that is integrated
+LEAST_PIXELS = 3  # lit; a hot pixel is one, two when they touch
+WINGS_PX = 4.0  # beyond the lit area the blur still holds light
+# A second spot this bright beside the first: which of them is the body cannot be told.
+RIVAL_SHARE = 0.3
+LARGEST_RADIUS_PX = 25.0
+MOST_SATURATED = 0.05
+# Signal to noise of a lit pixel, where the picture is too small a sample to tell its own.
+ASSUMED_SNR = 50.0
+LIT_SHARE = 0.2  # of the brightest pixel: lit, not the blur's wing
+
+
+@dataclass(frozen=True, eq=False)
+class DiscMoments:
+    """Light of a small disc.
+
+    centre         (2,)    x, y of its middle of light, px;  centre_covariance (2, 2), px^2
+    second         (2, 2)  second moments about it, px^2, the blur's included
+    second_sigma   1-sigma error of a second moment, px^2
+    """
+
+    centre: FloatArray
+    centre_covariance: FloatArray
+    second: FloatArray
+    second_sigma: float
+
+
+@dataclass(frozen=True)
+class SphereMoments:
+    """Light of a sphere of radius 1, x toward the Sun in the picture.
+
+    offset         middle of light from the centre, along x
+    along, across  second moments about it
+    """
+
+    offset: float
+    along: float
+    across: float
+
+
+def sphere_moments(phase: float) -> list[SphereMoments]:
+    """Moments of an illuminated sphere for each of LAWS, at a phase angle, rad."""
+    # nodes on the lit half: x and y of the disc, brightness is even in y
+    u = (np.arange(2 * SPHERE_NODES) + 0.5) / SPHERE_NODES - 1.0
+    v = (np.arange(SPHERE_NODES) + 0.5) / SPHERE_NODES
+    x, y = np.meshgrid(u, v)
+    inside = x**2 + y**2 < 1.0
+    x, y = x[inside], y[inside]
+    mu = np.sqrt(1.0 - x**2 - y**2)
+    mu0 = x * np.sin(phase) + mu * np.cos(phase)
+    found = []
+    for law in LAWS:
+        light = law(mu0, mu, np.cos(phase))
+        light = light / light.sum()
+        offset = float(light @ x)
+        found.append(SphereMoments(offset, float(light @ x**2) - offset**2, float(light @ y**2)))
+    return found
+
+
+def measure_disc(picture: Image, saturation: float | None) -> DiscMoments:
+    """Moments of the brightest spot of a picture (h, w).
+
+    Raises NoSolutionError when there is none, when another one rivals it, and for a disc that is
+    cut by the frame, saturated or too large.
+    """
+    levels = measure_levels(picture)
+    blobs = lit_blobs(picture, levels.threshold)
+    kept = np.flatnonzero(blobs.area >= LEAST_PIXELS)
+    if len(kept) == 0:
+        raise NoSolutionError(
+            f"no disc: nothing lit is larger than {LEAST_PIXELS - 1} pixels; hot pixels or noise"
+        )
+    kept = kept[:50]  # the largest: the brightest spot of a picture is among them
+    light = np.array(
+        [_light(picture, blobs.labels, blobs.box[k], int(blobs.label[k]), levels.sky) for k in kept]
+    )
+    first = int(np.argmax(light))
+    rival = float(np.sort(light)[-2]) if len(light) > 1 else 0.0
+    if rival > RIVAL_SHARE * light[first]:
+        raise NoSolutionError(
+            f"{len(light)} bright spots, the second with {100.0 * rival / light[first]:.0f} % of "
+            "the first one's light: stars, or two bodies; which is the body cannot be told"
+        )
+    chosen = int(kept[first])
+    left, top, wide, high = (int(value) for value in blobs.box[chosen])
+    radius = 0.5 * max(wide, high)
+    if radius > LARGEST_RADIUS_PX:
+        raise NoSolutionError(
+            f"a disc of {2.0 * radius:.0f} px is too large for its brightness centre; "
+            "its limb is the measurement"
+        )
+    height, width = picture.shape
+    cx, cy = left + 0.5 * (wide - 1), top + 0.5 * (high - 1)
+    reach = radius + WINGS_PX
+    if min(cx, cy, width - 1 - cx, height - 1 - cy) < reach:
+        raise NoSolutionError("the frame cuts the disc: its middle of light is not the body's")
+    x0, x1 = int(cx - reach), int(cx + reach) + 2
+    y0, y1 = int(cy - reach), int(cy + reach) + 2
+    window = picture[y0:y1, x0:x1].astype(np.float64)
+    labels = blobs.labels[y0:y1, x0:x1]
+    x, y = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    own = (labels == 0) | (labels == blobs.label[chosen])
+    use = own & (np.hypot(x - cx, y - cy) <= reach)
+    if saturation is not None:
+        share = float((window[use] >= saturation).mean())
+        if share > MOST_SATURATED:
+            raise NoSolutionError(
+                f"saturated: {100.0 * share:.0f} % of the disc is at full scale, which moves its "
+                "middle of light; expose shorter"
+            )
+    return _moments(window[use] - levels.sky, x[use], y[use], levels.noise)
+
+
+def _light(
+    picture: Image, labels: NDArray[np.int32], box: NDArray[np.int64], label: int, sky: float
+) -> float:
+    left, top, wide, high = (int(value) for value in box)
+    part = np.s_[top : top + high, left : left + wide]
+    return float((picture[part][labels[part] == label] - sky).sum())
+
+
+def _moments(
+    light: FloatArray, x: NDArray[np.int64], y: NDArray[np.int64], noise: float
+) -> DiscMoments:
+    """Moments of pixels (n,) above the sky, with the errors of noise."""
+    total = float(light.sum())
+    if not total > 0.0:
+        raise NoSolutionError("no disc: the light of the brightest spot drowns in the noise")
+    places = np.stack([x, y], axis=1).astype(np.float64)
+    centre = light @ places / total
+    away = places - centre
+    second = (light[:, None] * away).T @ away / total
+    lit = float(light[light > LIT_SHARE * light.max()].mean())
+    variance = noise**2 + np.maximum(light, 0.0) * lit / ASSUMED_SNR**2
+    spread = (variance[:, None] * away).T @ away / total**2
+    squares = 0.5 * (away**2).sum(axis=1) - 0.5 * np.trace(second)
+    # the two second moments err together through their sum: half of it stands for each
+    sigma = float(np.sqrt((variance * squares**2).sum())) / total
+    return DiscMoments(centre, np.asarray(spread), np.asarray(second), sigma)
