@@ -22,8 +22,8 @@ FloatArray = NDArray[np.float64]
 HeightGrid = NDArray[np.float32]
 
 PROBE_PX = 32  # distance of the rays that find out which ground a picture shows
-ROUND = np.radians(4.0)  # boxes are widened to multiples of it, so that neighbours share them
-MARGIN = np.radians(1.5)  # relief and what lies between the probing rays
+ROUND = np.radians(2.0)  # boxes are widened to multiples of it, so that neighbours share them
+MARGIN = np.radians(1.0)  # relief and what lies between the probing rays
 LIMB_SAMPLES = 8  # rays a side of a pixel at the limb: its share of sky is right to 0.01
 
 
