@@ -118,6 +118,7 @@ def solve(
         by_ground = -jacobian[:, :, :3]  # a point that moves one way looks as if the camera moved
         finest = points.finest_postings_m(index)
         postings = np.array([points.postings_m(int(view.index[k]))[matches[k].level] for k in kept])
+        postings = np.maximum(postings, finest)  # of what is known, not of the nodes
         own = own_covariances_px2(places, by_ground, postings, finest, view.sun_elevation_deg[kept])
         sightings = replace(sightings, covariances_px2=sightings.covariances_px2 + own)
         scores = np.array([matches[k].score or 0.0 for k in kept])

@@ -13,6 +13,7 @@ from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import latlon_from_xyz
+from catalog.store.manifest import PlanesMeta
 from optnav_cli.matching.reference import Reference
 
 FloatArray = NDArray[np.float64]
@@ -47,7 +48,7 @@ class PointLayer:
     skyline_deg  (n, azimuths) terrain skyline by azimuth
     postings_m   (levels,) of the patches, finest first
     radius_m     the body's reference sphere
-    planes_on_m  semi-axes of the ellipsoid in whose tangent planes patches lie; None: on the sphere
+    planes       the tangent planes in which patches lie; None: on the sphere
     """
 
     name: str
@@ -58,7 +59,7 @@ class PointLayer:
     skyline_deg: NDArray[np.floating]
     postings_m: FloatArray
     radius_m: float
-    planes_on_m: tuple[float, float, float] | None = None
+    planes: PlanesMeta | None = None
 
     def subset(self, keep: NDArray[np.bool_]) -> "PointLayer":
         """The layer with some of its points."""
@@ -106,8 +107,19 @@ class ControlPointField:
         return self._layer(index).postings_m
 
     def finest_postings_m(self, index: IntArray) -> FloatArray:
-        """(n,) finest posting of each of some points: that of its catalog's terrain."""
-        finest = np.array([float(layer.postings_m[0]) for layer in self.layers])
+        """(n,) finest posting of each of some points: that of its catalog's terrain.
+
+        Patches that are finer than the shape model they are cut from know no more than it does.
+        """
+        finest = np.array(
+            [
+                max(
+                    float(layer.postings_m[0]),
+                    0.0 if layer.planes is None else layer.planes.model_posting_m,
+                )
+                for layer in self.layers
+            ]
+        )
         return np.asarray(finest[self.layer_of[index]])
 
     def name(self, index: int) -> tuple[str, int]:
@@ -170,7 +182,8 @@ class ControlPointField:
         except DataError as error:
             self.damaged[name] = str(error)
             return None
-        reference = Reference(store.point(name[1]), patches, layer.radius_m, layer.planes_on_m)
+        planes_on_m = None if layer.planes is None else layer.planes.radii_m
+        reference = Reference(store.point(name[1]), patches, layer.radius_m, planes_on_m)
         self._references[index] = reference
         if len(self._references) > MOST_REFERENCES:
             self._references.popitem(last=False)

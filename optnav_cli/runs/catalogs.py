@@ -73,5 +73,5 @@ def _layer(catalog: Catalog, folder: Folder) -> PointLayer:
         catalog.records["shadow_limit_deg"][usable],
         np.array([meta.posting_m * 2.0**level for level in range(meta.levels)]),
         meta.radius_m,
-        None if meta.planes is None else meta.planes.radii_m,
+        meta.planes,
     )
