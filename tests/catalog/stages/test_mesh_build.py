@@ -1,14 +1,17 @@
 """A catalog from a shape model: the whole way, on a few cells of Phobos."""
 
+from contextlib import suppress
 from pathlib import Path
 
+import manifold3d
 import msgspec
 import numpy as np
 import pytest
+import trimesh
 
 from catalog.bodies.body import Body, load_body
 from catalog.control_point import Flag
-from catalog.errors import ConfigError, DataError
+from catalog.errors import ConfigError, DataError, NothingToDoError
 from catalog.geometry.tangent_plane import FLAT_RADIUS_M, TangentPlane
 from catalog.stages.build import run
 from catalog.store.reader import Catalog
@@ -122,6 +125,29 @@ def test_finer_cells_have_as_many_levels_as_span_30_deg(folder, tmp_path) -> Non
     run(config, work=tmp_path / "work", stages=("ingest",), workers=1, bbox=BBOX)
     record = msgspec.json.decode((tmp_path / "work" / "manifest.json").read_bytes())
     assert record["config"]["pyramid"]["levels"] == 2  # 8 and 16 deg
+
+
+def test_a_contact_binary_is_built_and_its_overhangs_are_told(tmp_path) -> None:
+    """Two balls that touch, at their neck: lines along the vertical meet the ground four times."""
+    ball = manifold3d.Manifold.sphere(6.0, 96)
+    both = ball.translate([5.4, 0.0, 0.0]) + ball.scale([0.6] * 3).translate([-3.6, 0.0, 0.0])
+    mesh = both.to_mesh64()
+    trimesh.Trimesh(mesh.vert_properties, mesh.tri_verts).export(str(tmp_path / "binary.obj"))
+    path = config_in(tmp_path, cell=15.0)
+    path.write_text(
+        path.read_text().replace(MODEL, '[[mesh]]\npath = "binary.obj"\nunits = "km"\n')
+    )
+    output = tmp_path / "binary.gpkg"
+    # smooth balls have nothing to recognise; what counts is the record
+    with suppress(NothingToDoError):
+        run(path, output=output, workers=1, bbox=(100.0, -8.0, 170.0, 8.0))
+    assert verify(output).sound
+    with Catalog.open(output) as catalog:
+        flags = catalog.records["flags"]
+        assert len(catalog) >= 3
+        assert (flags & int(Flag.OVERHANG) != 0).any()
+        # where the ground has no one height, no point is usable
+        assert not catalog.usable[flags & int(Flag.NO_DATA) != 0].any()
 
 
 @pytest.mark.parametrize(
