@@ -90,12 +90,14 @@ def add_earth(radiance: Image, shot: Shot, camera: Camera, motion: BodyMotion) -
     centre = body_from_inertial @ motion.position_m("earth", shot.tdb_s) - shot.position_m
     distance = float(np.linalg.norm(centre))
     in_camera = shot.camera_from_body.apply(centre) / distance
-    x, y = camera.project(in_camera)
-    reach = radius / distance * camera.focal_length_px * 1.5 + 2.0
-    if not (np.isfinite(x) and np.isfinite(y)):
+    rim = _rim(in_camera, float(np.arcsin(radius / distance)))
+    pixels = camera.project(rim)
+    pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    if not pixels.size:
         return
-    rows = slice(max(int(y - reach), 0), max(min(int(y + reach) + 2, camera.height_px), 0))
-    cols = slice(max(int(x - reach), 0), max(min(int(x + reach) + 2, camera.width_px), 0))
+    (x0, y0), (x1, y1) = pixels.min(axis=0) - 1.0, pixels.max(axis=0) + 2.0
+    rows = slice(max(int(y0), 0), max(min(int(y1) + 1, camera.height_px), 0))
+    cols = slice(max(int(x0), 0), max(min(int(x1) + 1, camera.width_px), 0))
     if rows.start >= rows.stop or cols.start >= cols.stop:
         return
     offset = (np.arange(EARTH_SAMPLES) + 0.5) / EARTH_SAMPLES - 0.5
@@ -122,3 +124,15 @@ def _behind(position_m: FloatArray, directions: FloatArray, radius_m: float) -> 
     """Whether unit rays (..., 3), body frame, from a place (3,) meet the body's sphere."""
     along = directions @ position_m
     return np.asarray((along < 0.0) & (position_m @ position_m - along**2 < radius_m**2))
+
+
+def _rim(axis: FloatArray, half_angle: float) -> FloatArray:
+    """Unit vectors (n, 3) on a cone about a unit vector, and the axis itself."""
+    across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    across /= np.linalg.norm(across)
+    other = np.cross(axis, across)
+    turn = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)[:, None]
+    rim = np.cos(half_angle) * axis + np.sin(half_angle) * (
+        np.cos(turn) * across + np.sin(turn) * other
+    )
+    return np.concatenate([rim, axis[None]])

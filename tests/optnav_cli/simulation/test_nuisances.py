@@ -163,6 +163,26 @@ def test_the_earth_has_its_size_its_place_and_its_phase():
     assert sun @ sun == pytest.approx(1.0)
 
 
+def test_the_earth_far_off_the_axis_of_a_fisheye_is_whole():
+    """At 115 deg a fisheye stretches the disc across by the angle over its sine, 2.2 times."""
+    first = looking(SIRIUS)
+    t = first.tdb_s
+    there = MOTION.body_from_inertial(t) @ MOTION.position_m("earth", t) - first.position_m
+    distance = float(np.linalg.norm(there))
+    camera = Camera("wide", "equidistant", 1000, 400, 220.0, (499.5, 199.5))
+    angle = np.radians(115.0)
+    seen = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    side = np.cross(there, [1.0, 2.0, 3.0])
+    turn, _ = Rotation.align_vectors([seen, [0.0, 1.0, 0.0]], [there / distance, side])
+    lit = replace(first, camera_from_body=turn, sun_body=-there / distance)
+    radiance = np.zeros(camera.shape, np.float32)
+    Surroundings(scenario_with(sky=SkySettings(earth=True)), camera, MOTION).besides(lit, radiance)
+    rows, cols = np.nonzero(radiance > 0.01)
+    across_px = 2.0 * 220.0 * np.arcsin(6371000.0 / distance)
+    assert np.ptp(cols) + 1 == pytest.approx(across_px, abs=1.6)
+    assert np.ptp(rows) + 1 == pytest.approx(across_px * angle / np.sin(angle), abs=1.6)
+
+
 def test_parts_of_the_ship_cover_what_their_outlines_say():
     parts = (
         StructureSettings(((20.0, 30.0), (119.0, 30.0), (119.0, 79.0), (20.0, 79.0))),
