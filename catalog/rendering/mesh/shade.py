@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from catalog.geometry.kernel import kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
+from catalog.terrain.mesh.rays import outward
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
@@ -25,10 +26,7 @@ def facing_the_sun(
     for n in range(faces.size):
         if faces[n] < 0:
             continue
-        a, b, c = corners[faces[n], 0], corners[faces[n], 1], corners[faces[n], 2]
-        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        x, y, z = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+        x, y, z = outward(corners, faces[n])
         if x * sun[0] + y * sun[1] + z * sun[2] <= 0.0:
             continue
         up = lift / np.sqrt(x * x + y * y + z * z)
@@ -47,10 +45,7 @@ def radiance_of(
 ) -> None:  # fmt: skip
     """Put Hapke's radiance factor of the faces that lit rays meet into out (n)."""
     for n in lit:
-        a, b, c = corners[faces[n], 0], corners[faces[n], 1], corners[faces[n], 2]
-        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        x, y, z = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+        x, y, z = outward(corners, faces[n])
         length = np.sqrt(x * x + y * y + z * z)
         mu0 = (x * sun[0] + y * sun[1] + z * sun[2]) / length
         mu = -(x * rays[n, 0] + y * rays[n, 1] + z * rays[n, 2]) / length

@@ -26,6 +26,15 @@ BATCH = 1 << 18  # rays at once: 32-bit copies of 6 MB
 
 
 @kernel
+def outward(corners: FloatArray, face: int) -> tuple[float, float, float]:
+    """The outward normal of a face, twice its area long."""
+    a, b, c = corners[face, 0], corners[face, 1], corners[face, 2]
+    u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    return u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+
+
+@kernel
 def _places(
     corners: FloatArray, origins: FloatArray, rays: FloatArray, found: IntArray,
     distance: FloatArray, cosine: FloatArray,
@@ -35,10 +44,8 @@ def _places(
         distance[n], cosine[n] = np.inf, 0.0
         if found[n] < 0:
             continue
-        a, b, c = corners[found[n], 0], corners[found[n], 1], corners[found[n], 2]
-        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        x, y, z = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+        a = corners[found[n], 0]
+        x, y, z = outward(corners, found[n])
         across = rays[n, 0] * x + rays[n, 1] * y + rays[n, 2] * z
         over = (a[0] - origins[n, 0]) * x + (a[1] - origins[n, 1]) * y + (a[2] - origins[n, 2]) * z
         distance[n] = over / across
