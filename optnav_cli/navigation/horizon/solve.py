@@ -138,7 +138,7 @@ def _over_relief(
         fit, misfit = _robust_fit(kept, limb, lit, position, ground)
         moved = float(np.linalg.norm(fit.position_m - position))
         position = fit.position_m
-        if moved < max(STILL_M, STILL_SIGMAS * float(np.sqrt(np.trace(fit.noise_m2)))):
+        if moved < max(STILL_M, STILL_SIGMAS * float(np.sqrt(np.trace(fit.covariance_m2)))):
             return _Solved(fit, kept, limb.sun_sine[lit], passes, misfit)
     if misfit > MISFIT:
         return _Solved(fit, kept, limb.sun_sine[lit], passes, misfit)

@@ -21,10 +21,11 @@ MOON_COVARIANCE_KM2 = np.array(
 MOON_MEAN_KM = 0.9
 MOON_HEIGHTS_KM = 24.0  # plausible heights of the Moon, lowest to highest
 RELIEF_BINS = 120  # of azimuth, when relief is propagated
-# Where the Sun is low, the faces of crests lie half in shadow and edges are seen too low, px: from
-# simulated limbs of a known skyline, -0.05 at 5 deg of Sun, -0.03 at 15, none above 50.
+# Where the Sun is low, the faces of crests lie half in shadow and edges are seen too low, px:
+# medians over simulated limbs of a known skyline are -0.10 at 5 deg of Sun, -0.06 at 12, -0.03 at
+# 25 and -0.01 at 45, from 50 and 100 km.
 # Pixels larger than the relief, SHADED_PIXEL_M at the limb, see less of it.
-SHADED_PX, SHADED_FALL_DEG, SHADED_SIGMA_PX, SHADED_PIXEL_M = -0.04, 25.0, 0.03, 5e3
+SHADED_PX, SHADED_FALL_DEG, SHADED_SIGMA_PX, SHADED_PIXEL_M = -0.11, 14.0, 0.05, 5e3
 # The light of the ground about a crest moves edges together over some tens of degrees, differently
 # from place to place; the same limbs show 0.05 px at 12 deg of Sun and 0.015 at 40.
 SECTOR_DEG = 30.0
