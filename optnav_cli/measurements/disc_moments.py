@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from catalog.errors import NoSolutionError
 from catalog.photometry import hapke, lambert, lommel_seeliger
-from optnav_cli.measurements.bright_body import lit_blobs, measure_levels
+from optnav_cli.measurements.bright_body import ROUNDING_VARIANCE, lit_blobs, measure_levels
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 LAWS = (hapke.reflectance, lommel_seeliger.reflectance, lambert.reflectance)
 SPHERE_NODES = 60  # a side of the half disc that is integrated
+LEAST_SKY_PIXELS = 100
 LEAST_PIXELS = 3  # lit; a hot pixel is one, two when they touch
 WINGS_PX = 4.0  # beyond the lit area the blur still holds light
 # A second spot this bright beside the first: which of them is the body cannot be told.
@@ -22,7 +23,7 @@ LARGEST_RADIUS_PX = 25.0
 MOST_SATURATED = 0.05
 # Signal to noise of a lit pixel, where the picture is too small a sample to tell its own.
 ASSUMED_SNR = 50.0
-LIT_SHARE = 0.2  # of the brightest pixel: lit, not the blur's wing
+LIT_SHARE = 0.1  # of the brightest pixel: lit, not the blur's wing
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +124,28 @@ def measure_disc(picture: Image, saturation: float | None) -> DiscMoments:
                 f"saturated: {100.0 * share:.0f} % of the disc is at full scale, which moves its "
                 "middle of light; expose shorter"
             )
-    return _moments(window[use] - levels.sky, x[use], y[use], levels.noise)
+    sky, noise = _background(picture, blobs.labels, (cx, cy), reach)
+    return _moments(window[use] - sky, x[use], y[use], noise)
+
+
+def _background(
+    picture: Image, labels: NDArray[np.int32], middle: tuple[float, float], reach: float
+) -> tuple[float, float]:
+    """Level and scatter of the sky about a disc, beyond the reach of its blur."""
+    wide = int(2.0 * reach) + 8
+    x0, y0 = max(round(middle[0]) - wide, 0), max(round(middle[1]) - wide, 0)
+    part = np.s_[y0 : y0 + 2 * wide + 1, x0 : x0 + 2 * wide + 1]
+    values = picture[part].astype(np.float64)
+    y, x = np.mgrid[y0 : y0 + values.shape[0], x0 : x0 + values.shape[1]]
+    sky = values[(labels[part] == 0) & (np.hypot(x - middle[0], y - middle[1]) > reach)]
+    if sky.size < LEAST_SKY_PIXELS:
+        raise NoSolutionError(
+            f"only {sky.size} pixels of sky about the disc, {LEAST_SKY_PIXELS} are needed to tell "
+            "its light from the background's"
+        )
+    level = float(np.median(sky))
+    calm = sky[np.abs(sky - level) <= 4.0 * max(float(np.std(sky)), 0.5)]
+    return float(calm.mean()), float(np.sqrt(max(float(calm.var()), ROUNDING_VARIANCE)))
 
 
 def _light(
@@ -148,7 +170,6 @@ def _moments(
     lit = float(light[light > LIT_SHARE * light.max()].mean())
     variance = noise**2 + np.maximum(light, 0.0) * lit / ASSUMED_SNR**2
     spread = (variance[:, None] * away).T @ away / total**2
-    squares = 0.5 * (away**2).sum(axis=1) - 0.5 * np.trace(second)
-    # the two second moments err together through their sum: half of it stands for each
-    sigma = float(np.sqrt((variance * squares**2).sum())) / total
+    squares = away**2 - np.diag(second)
+    sigma = float(np.sqrt(0.5 * (variance[:, None] * squares**2).sum())) / total
     return DiscMoments(centre, np.asarray(spread), np.asarray(second), sigma)

@@ -1,0 +1,149 @@
+"""Navigation by the brightness centre of a disc of less than about ten pixels.
+
+Source: Zhukov 2025, ch. 2: the direction to a small body is that of its middle of light, corrected
+for the phase; the correction depends on the illumination and hardly on the reflectance law. Ours:
+the range from the second moments, which are the disc's and the blur's together. Neither law nor
+blur is known, so all that fit are weighed against each other; what they leave is the covariance,
+along the line of sight most of all.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.disc_moments import DiscMoments, measure_disc, sphere_moments
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+LARGEST_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
+RADII_PX = np.geomspace(0.3, 25.0, 300)  # equal steps of the logarithm: equally likely
+# Sigma of the blur, the pixel's own width included: what is believed of a camera's optics.
+BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.17
+BLURS_PX = np.linspace(0.35, 1.6, 51)
+# Belief in Hapke's, Lommel-Seeliger's and Lambert's law: ground without air is dark and rough, and
+# the other two stand for how far Hapke's parameters may be off: 1 % of range, 0.003 radii aside.
+LAW_BELIEF = (0.98, 0.01, 0.01)
+# What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
+# (Smith et al., JGR 102, 1997). Maria, which no law knows, are not in it.
+SHAPE_SIGMA = 0.0012
+SMALL_ANGLE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class CentreFix:
+    """A position from a small disc.
+
+    position_m  (3,)  body frame;  covariance_m2 (3, 3)
+    centre_px   (2,)  the body's centre in the picture;  radius_px of its disc
+    range_share 1-sigma error of the range over the range
+    remark      what a reader of the row should know
+    """
+
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    centre_px: FloatArray
+    radius_px: float
+    range_share: float
+    remark: str
+
+
+def navigate(
+    picture: Image,
+    camera: Camera,
+    camera_from_body: Rotation,
+    attitude_sigma_rad: float,
+    sun_body: FloatArray,
+    body: Body,
+    *,
+    saturation: float | None = None,
+) -> CentreFix:
+    """The camera's position from the one small disc in a picture.
+
+    picture  (h, w) counts;  sun_body (3,) unit vector to the Sun, body frame
+    attitude_sigma_rad  1 sigma an axis;  saturation  counts of a full pixel, None if not known
+
+    Raises NoSolutionError with what the picture shows instead.
+    """
+    disc = measure_disc(np.ascontiguousarray(picture, dtype=np.float32), saturation)
+    sun = camera_from_body.apply(sun_body)
+    towards = camera.unproject(disc.centre)
+    phase = float(np.arccos(np.clip(-(towards @ sun), -1.0, 1.0)))
+    if np.degrees(phase) > LARGEST_PHASE_DEG:
+        raise NoSolutionError(
+            f"the phase is {np.degrees(phase):.0f} deg: a crescent that thin says little about "
+            f"the disc's centre; the limit is {LARGEST_PHASE_DEG:.0f} deg"
+        )
+    pixel_from_angle, scale = _tangent(camera, towards, sun)
+    weights, offsets = _weigh(disc, pixel_from_angle / scale, phase)
+    # every radius and law puts the centre elsewhere, and the body at another range
+    shift = offsets * RADII_PX
+    pixels = disc.centre - shift[..., None] * (pixel_from_angle[:, 0] / scale)
+    rays = camera.unproject(pixels)
+    distances = float(np.mean(body.radii_m)) / np.sin(np.arctan(RADII_PX / scale))
+    places = -rays * distances[:, None]
+    position = np.einsum("kn,kni->i", weights, places)
+    about = places - position
+    covariance = np.einsum("kn,kni,knj->ij", weights, about, about)
+    distance = float(np.linalg.norm(position))
+    radius = float((weights * RADII_PX).sum())
+    noise = disc.centre_covariance + (SHAPE_SIGMA * radius) ** 2 * np.eye(2)
+    across = _across(camera, disc.centre) * distance
+    square = np.eye(3) - np.outer(position, position) / distance**2
+    covariance += across @ noise @ across.T + square * (distance * attitude_sigma_rad) ** 2
+    body_from_camera = camera_from_body.inv().as_matrix()
+    share = float(np.sqrt(position @ covariance @ position)) / distance**2
+    return CentreFix(
+        body_from_camera @ position,
+        body_from_camera @ covariance @ body_from_camera.T,
+        np.einsum("kn,kni->i", weights, pixels),
+        radius,
+        share,
+        f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %",
+    )
+
+
+def _tangent(camera: Camera, towards: FloatArray, sun: FloatArray) -> tuple[FloatArray, float]:
+    """Pixels (2, 2) by angle toward the Sun and across, and the px / rad that keep the area."""
+    along = sun - (sun @ towards) * towards
+    length = float(np.linalg.norm(along))
+    # with the Sun behind the camera every direction is as good
+    along = along / length if length > 1e-9 else np.linalg.svd(towards[None])[2][1]
+    steps = np.stack([along, np.cross(towards, along)]) * SMALL_ANGLE
+    moved = camera.project(towards + steps) - camera.project(towards - steps)
+    matrix = moved.T / (2.0 * SMALL_ANGLE)
+    return np.asarray(matrix), float(np.sqrt(abs(np.linalg.det(matrix))))
+
+
+def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
+    """Change (3, 2) of the unit ray by the pixel."""
+    steps = 0.5 * np.eye(2)
+    return np.asarray((camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T)
+
+
+def _weigh(
+    disc: DiscMoments, pixel_from_disc: FloatArray, phase: float
+) -> tuple[FloatArray, FloatArray]:
+    """How likely every law and radius is (laws, radii), and each law's offset (laws, 1)."""
+    spheres = sphere_moments(phase)
+    to_disc = np.linalg.inv(pixel_from_disc)
+    second = to_disc @ disc.second @ to_disc.T
+    round_blur = np.diag(to_disc @ to_disc.T)
+    belief = -0.5 * ((BLURS_PX - BLUR_PX) / BLUR_SIGMA_PX) ** 2
+    logs = np.empty((len(spheres), len(RADII_PX), len(BLURS_PX)))
+    for k, sphere in enumerate(spheres):
+        for axis, moment in enumerate((sphere.along, sphere.across)):
+            expected = RADII_PX[:, None] ** 2 * moment + BLURS_PX**2 * round_blur[axis]
+            # a shape that is not a sphere's changes its moments by twice its share
+            sigma = np.hypot(disc.second_sigma, 2.0 * SHAPE_SIGMA * RADII_PX[:, None] ** 2 * moment)
+            miss = (second[axis, axis] - expected) / sigma
+            term = -0.5 * miss**2 - np.log(sigma)
+            logs[k] = term + belief if axis == 0 else logs[k] + term
+    weights = np.exp(logs - logs.max()).sum(axis=2) * np.array(LAW_BELIEF)[:, None]
+    weights /= weights.sum()
+    return weights, np.array([[sphere.offset] for sphere in spheres])
