@@ -110,7 +110,7 @@ def find_limb(
     """
     picture = np.ascontiguousarray(picture, dtype=np.float32)
     full = np.inf if saturation is None else saturation
-    space = np.eye(3) if stretch is None else stretch / np.linalg.norm(stretch, 2)
+    space = _space(stretch)
     levels = measure_levels(picture)
     blobs = lit_blobs(picture, levels.threshold)
     saturated_share = check_blobs(picture, blobs, levels, full)
@@ -167,6 +167,14 @@ def find_limb(
         cut_by_frame=bool((rim == label).any()),
         saturated_share=saturated_share,
     )
+
+
+def _space(stretch: FloatArray | None) -> FloatArray:
+    """The stretch to unit size; of a sphere, whose stretch only turns, the unit matrix."""
+    if stretch is None:
+        return np.eye(3)
+    unit = stretch / np.linalg.norm(stretch, 2)
+    return np.eye(3) if np.allclose(unit @ unit.T, np.eye(3), atol=1e-9) else unit
 
 
 def _first_cone(
