@@ -52,6 +52,8 @@ FloatArray = NDArray[np.float64]
 FROM_FILE = "frames.csv"
 # So many control points in view, lit and whole, are never all missed where the prior is right.
 WITNESSES = 8
+# From farther off, where the body is less across, the limb gives the better position.
+SMALL_DISC_PX = 2000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +215,9 @@ class Navigator:
         height = float(np.linalg.norm(belief.position_m)) - world.motion.body.radius_m
         sample = max(height, 0.0) / sight.camera.focal_length_px
         coarsest = max(float(layer.postings_m[-1]) for layer in world.points.layers)
+        across = 2.0 * world.motion.body.radius_m / max(sample, 1e-9)
+        if across < SMALL_DISC_PX:
+            return f"the body is {across:.0f} px across: its limb tells more than control points"
         if world.settings.match.finest_posting_per_gsd * sample <= coarsest:
             return ""
         return (

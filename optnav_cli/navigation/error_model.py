@@ -22,9 +22,13 @@ OWN_LEVEL_NODES = 0.005
 OWN_M = 1.0
 OWN_SHADOW_M = 0.15
 # Relief between the nodes of a level that was matched, in nodes: seen obliquely, its lit crests
-# stand for the ground, which then looks higher; a point's own and common to a frame.
-OWN_HEIGHT_NODES = 0.03
-COMMON_HEIGHT_NODES = 0.02
+# stand for the ground, which then looks higher or lower; a point's own and common to a frame. Both
+# grow with the secant of the emission angle, as more of the ground is hidden.
+OWN_HEIGHT_NODES = 0.02
+COMMON_HEIGHT_NODES = 0.012
+# The same relief moves the whole pattern of a frame, in nodes an axis, however far it reaches.
+COMMON_SHIFT_NODES = 0.012
+LEAST_COS_EMISSION = 0.1
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
 # of its elevation, shift in any direction, what relief that the reference does not explain adds to
 # the shift, for a score of 0, and stretch at the points' rms distance from their middle. Catalogs
@@ -71,7 +75,8 @@ def own_covariances_px2(
                          terrain models;  sun_elevation_deg (n,) at the points
     """
     up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
-    rise = np.einsum("nij,nj->ni", by_ground, up) * (OWN_HEIGHT_NODES * postings_m)[:, None]
+    sigma = OWN_HEIGHT_NODES * postings_m / _cos_emission(_sight(by_ground, up), up)
+    rise = np.einsum("nij,nj->ni", by_ground, up) * sigma[:, None]
     # along the ground in every direction alike, by its mean scale in the picture
     level = np.eye(3) - up[:, :, None] * up[:, None, :]
     flat = by_ground @ level
@@ -90,7 +95,7 @@ def common_errors_px(
     finest_postings_m: FloatArray,
     postings_m: FloatArray,
 ) -> FloatArray:
-    """What one sigma of each error common to a frame moves every point by, (n, 2, 12), px.
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 14), px.
 
     points_m  (n, 3)     the points, body frame
     by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
@@ -100,7 +105,8 @@ def common_errors_px(
     postings_m        (n,) of the levels that were matched
     The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
     ground and of the picture, two changing stretches, shifts along the picture's axes, a rise of
-    the ground, alike on all sides and different toward the Sun and across it.
+    the ground, alike on all sides and different toward the Sun and across it, shifts of the whole
+    pattern.
     """
     middle = points_m.mean(axis=0)
     up = middle / np.linalg.norm(middle)
@@ -131,13 +137,26 @@ def common_errors_px(
     moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
     own_up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
-    rise = np.einsum("nij,nj->ni", by_ground, own_up) * (COMMON_HEIGHT_NODES * postings_m)[:, None]
-    # a step along the line of sight moves nothing in the picture
+    sight = _sight(by_ground, own_up)
+    sigma = COMMON_HEIGHT_NODES * postings_m / _cos_emission(sight, own_up)
+    rise = np.einsum("nij,nj->ni", by_ground, own_up) * sigma[:, None]
+    moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
+    for axis in (along, across):
+        moved.append(
+            np.einsum("nij,j->ni", by_ground, axis) * COMMON_SHIFT_NODES * postings_m[:, None]
+        )
+    return np.stack(moved, axis=2)
+
+
+def _sight(by_ground: FloatArray, up: FloatArray) -> FloatArray:
+    """Unit vectors (n, 3) from the points to the camera: a step along them moves no pixel."""
     sight = np.cross(by_ground[:, 0], by_ground[:, 1])
     sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-30)
-    sight = sight * np.sign(np.einsum("ni,ni->n", sight, own_up))[:, None]
-    moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
-    return np.stack(moved, axis=2)
+    return np.asarray(sight * np.where(np.einsum("ni,ni->n", sight, up) < 0.0, -1.0, 1.0)[:, None])
+
+
+def _cos_emission(sight: FloatArray, up: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(np.einsum("ni,ni->n", sight, up), LEAST_COS_EMISSION))
 
 
 def _of_size(field_px: FloatArray, rms_px: float) -> FloatArray:

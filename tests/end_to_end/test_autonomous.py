@@ -28,7 +28,7 @@ from tests.optnav_cli.conftest import RoughWorld
 
 MOON = load_body("moon")
 MOTION = AnalyticMotion(MOON)
-WIDE = Camera("wide", "equidistant", 400, 400, 110.0, (199.5, 199.5))
+WIDE = Camera("wide", "equidistant", 400, 400, 120.0, (199.5, 199.5))
 START_S = utc_to_tdb_s("2026-02-01T00:00:00Z")
 NIGHT = np.zeros((400, 400), dtype=np.float32)
 ARCSEC = np.pi / 648000.0

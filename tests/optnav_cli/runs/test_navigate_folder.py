@@ -95,7 +95,7 @@ BAD = {
     "colour.png": "in colour",
     "turned.png": "quaternion",
     "unturned.png": "no attitude: the quaternion is empty",
-    "nowhere.png": "no prior: no body in the picture",
+    "nowhere.png": "no prior: no limb in view",
     "farside.png": "no control point of the catalog in the frame",
     "night.png": "lit well",
     "noise.png": "control points",
