@@ -27,6 +27,8 @@ SETTLED_SIGMAS = 1e-3
 # Further ahead than the orbit takes for one radian an arc of a few minutes says little, and the
 # frames may belong to another flight.
 LONGEST_GAP_RAD = 1.0
+# A craft on its way to the body is faster than a circular orbit is there.
+EXCESS_M_S = 1000.0
 # A prediction with a larger share of the distance as its sigma says nothing of use.
 WIDEST_SHARE = 0.005
 
@@ -153,7 +155,7 @@ class OrbitArc:
         if self._fitted is not None:
             return self._fitted
         last = self._fixes[-1]
-        speed = self._model.circular_speed(last.position_m)
+        speed = float(np.hypot(self._model.circular_speed(last.position_m), EXCESS_M_S))
         state = np.concatenate([last.position_m, self._first_velocity(speed)])
         times = np.array([fix.tdb_s for fix in self._fixes])
         for _ in range(ITERATIONS):
@@ -189,7 +191,7 @@ class OrbitArc:
             if scatter < (0.1 * speed) ** 2 and float(np.linalg.norm(chord)) < 2.0 * speed:
                 # the chord's velocity is that of its middle; the pull since then turns it
                 away = last.position_m
-                pull = -(speed**2) * away / float(away @ away)
+                pull = -(self._model.circular_speed(away) ** 2) * away / float(away @ away)
                 return np.asarray(chord + pull * gap / 2.0)
         return np.zeros(3)
 

@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 # Cameras that are triggered together; a low orbit goes 2 m in it.
 SAME_TIME_S = 1e-3
 MOST_ESCAPES = 2.0
+# Far from the body a craft comes with a speed of its own, m/s.
+FASTEST_FAR_M_S = 3000.0
 GATE_SIGMAS = 5.0
 
 
@@ -90,7 +92,8 @@ class Track:
     def beyond_reach(self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray) -> str:
         """Why no craft can have come there since the last fix, in words; empty when one can.
 
-        Twice the speed that escapes the body from the lower of both places is taken as too fast.
+        Too fast is twice the speed that escapes the body from the lower of both places, and more
+        than any craft comes with from elsewhere.
         """
         if self._last is None:
             return ""
@@ -100,7 +103,8 @@ class Track:
         away = float(np.linalg.norm(now - before))
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1]))
         lower = min(float(np.linalg.norm(before)), float(np.linalg.norm(now)))
-        fastest = MOST_ESCAPES * float(np.sqrt(2.0 * self._motion.body.gm_m3_s2 / lower))
+        escape = float(np.sqrt(2.0 * self._motion.body.gm_m3_s2 / lower))
+        fastest = max(MOST_ESCAPES * escape, FASTEST_FAR_M_S)
         if away - GATE_SIGMAS * sigma <= fastest * max(since, 0.0):
             return ""
         return f"{away / 1e3:.0f} km from the fix {since:.0f} s before"
