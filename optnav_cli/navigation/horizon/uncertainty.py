@@ -21,6 +21,8 @@ MOON_COVARIANCE_KM2 = np.array(
 MOON_MEAN_KM = 0.9
 MOON_HEIGHTS_KM = 24.0  # plausible heights of the Moon, lowest to highest
 RELIEF_BINS = 120  # of azimuth, when relief is propagated
+# Common to all edges besides what their finder states: heights from 800 km, where it counts most.
+SKYLINE_SIGMA_PX = 0.02
 # Where the Sun is low, the faces of crests lie half in shadow and edges are seen too low, px:
 # medians over simulated limbs of a known skyline are -0.10 at 5 deg of Sun, -0.06 at 12, -0.03 at
 # 25 and -0.01 at 45, from 50 and 100 km.
@@ -69,7 +71,8 @@ def edge_errors(
     sectors = round(360.0 / SECTOR_DEG)
     sector = np.floor((azimuths / (2.0 * np.pi) + 0.5) * sectors).astype(np.int64) % sectors
     size = SECTOR_PX + SECTOR_LOW_PX * np.exp(-elevation / SECTOR_FALL_DEG)
-    shapes = [np.full(len(sight), sight.common_px), SHADED_SIGMA_PX * shaded]
+    common = np.full(len(sight), np.hypot(sight.common_px, SKYLINE_SIGMA_PX))
+    shapes = [common, SHADED_SIGMA_PX * shaded]
     shapes += [np.where(sector == number, size, 0.0) for number in range(sectors)]
     return SharedErrors(
         SHADED_PX * shaded * sight.pixel_angle,
