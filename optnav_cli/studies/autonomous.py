@@ -14,7 +14,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,11 +30,8 @@ from optnav_cli.output.evaluation import pool
 from optnav_cli.output.evaluation_files import evaluate_run
 from optnav_cli.output.figures import FrameError, figures_of
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.runs.simulate_folder import simulate_folder
-from optnav_cli.simulation.run import scenario_copy
-from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
-from optnav_cli.simulation.sections import AttitudeSettings, PriorSettings
-from optnav_cli.studies.navigation import STAR_SENSOR_ARCSEC, STAR_SENSOR_M_PER_KM
+from optnav_cli.studies.navigation import STAR_SENSOR_M_PER_KM
+from optnav_cli.studies.pictures import shipped_pictures, with_star_sensor
 
 FloatArray = NDArray[np.float64]
 
@@ -226,7 +222,7 @@ def _flown(
     progress: Progress,
 ) -> tuple[list[FrameError], list[float]]:
     """A scenario's frames against their truth, and the arcs of lit limb in them."""
-    pictures = _pictures(output, name, frames, progress)
+    pictures = _told_nothing(shipped_pictures(output, name, frames, progress))
     place = output / "runs" / name
     place.parent.mkdir(exist_ok=True)
     # without a solution the run is written all the same, and that is a figure too
@@ -246,21 +242,15 @@ def _flown(
     return errors, arcs
 
 
-def _pictures(output: Path, name: str, frames: int | None, progress: Progress) -> Path:
-    """The picture folder of a shipped scenario with no prior told; made unless it is there."""
-    scenario = msgspec.structs.replace(
-        load_scenario(resource(f"configs/scenarios/{name}.toml")),
-        prior=PriorSettings(given=False),
-        attitude=AttitudeSettings(sigma_arcsec=STAR_SENSOR_ARCSEC),
-    )
-    if frames is not None:
-        scenario = fewer_pictures(scenario, frames)
-    place = output / "pictures" / name
-    place.parent.mkdir(exist_ok=True)
-    mark = place / "scenario.json"
-    if not (mark.is_file() and mark.read_bytes() == scenario_copy(scenario)):
-        simulate_folder(scenario, place, progress)
-    return place
+def _told_nothing(pictures: Path) -> Path:
+    """The same pictures without a prior, attitudes off as a star sensor's are.
+
+    Scenarios that are flown without a prior tell such attitudes themselves.
+    """
+    frames = read_folder(pictures).frames
+    if all(frame.position_m is None for frame in frames):
+        return pictures
+    return with_star_sensor(pictures, priors=False)
 
 
 def _surroundings(output: Path, progress: Progress) -> Path:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body
-from catalog.config import resource
 from catalog.errors import NoSolutionError, NothingToDoError
 from catalog.progress import Progress
 from catalog.terrain.dem_file import path_of
@@ -29,17 +28,12 @@ from optnav_cli.imagery.picture import load_picture
 from optnav_cli.imagery.truth import read_truth
 from optnav_cli.navigation import horizon
 from optnav_cli.navigation.outline import limb_of
-from optnav_cli.runs.simulate_folder import simulate_folder
-from optnav_cli.simulation.run import scenario_copy
-from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
 from optnav_cli.studies.horizon_table import CaseFigures, FrameResult, Row, figures_of
+from optnav_cli.studies.pictures import ARCSEC, SEED, STAR_SENSOR_ARCSEC, shipped_pictures
 
 FloatArray = NDArray[np.float64]
 
 GLOBE = "shared:moon/moon_gld100_32ppd.tif"
-ARCSEC = np.pi / 648000.0
-STAR_SENSOR_ARCSEC = 10.0
-SEED = 10
 
 ROWS = (
     Row("nadir 50 km", "horizon_050km", 250.0, 280.0, 100.0),
@@ -85,7 +79,7 @@ def run(
     output.mkdir(parents=True, exist_ok=True)
     results = []
     for row in chosen:
-        folder = read_folder(_pictures(output, row.scenario, frames, progress))
+        folder = read_folder(shipped_pictures(output, row.scenario, frames, progress))
         results.append(measure(row, folder, load_relief(str(globe), folder.body)))
         _write(output / "figures.json", results)
     return results
@@ -160,19 +154,6 @@ def _compared(
         arc_deg=fix.arc_deg,
         seconds=seconds,
     )  # fmt: skip
-
-
-def _pictures(output: Path, name: str, frames: int | None, progress: Progress) -> Path:
-    """The picture folder of a shipped scenario; made unless the same one is there."""
-    scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
-    if frames is not None:
-        scenario = fewer_pictures(scenario, frames)
-    place = output / "pictures" / name
-    place.parent.mkdir(exist_ok=True)
-    mark = place / "scenario.json"
-    if not (mark.is_file() and mark.read_bytes() == scenario_copy(scenario)):
-        simulate_folder(scenario, place, progress)
-    return place
 
 
 def _write(path: Path, results: list[RowResult]) -> None:

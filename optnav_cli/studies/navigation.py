@@ -7,29 +7,22 @@ the navigator attitudes that are off by 10 arc seconds an axis.
 """
 
 import json
-import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import Progress
 from catalog.stages import build
-from optnav_cli.imagery.folder import read_folder, write_folder
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.evaluation import Evaluation, pool
 from optnav_cli.output.evaluation_files import evaluate_run, summary_of
 from optnav_cli.output.figures import Figures
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.runs.simulate_folder import simulate_folder
-from optnav_cli.simulation.run import scenario_copy
-from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
+from optnav_cli.studies.pictures import STAR_SENSOR_ARCSEC, shipped_pictures, with_star_sensor
 
-ARCSEC = np.pi / 648000.0
-STAR_SENSOR_ARCSEC = 10.0
 # What 10 arc seconds of attitude cost on the ground, both axes: 1.41 x 10" = 0.069 m a kilometre.
 STAR_SENSOR_M_PER_KM = 0.07
 
@@ -80,9 +73,9 @@ def run(
         for star_sensor in (False, True):
             parts = []
             for name in row.scenarios:
-                pictures = _pictures(output, name, frames, progress)
+                pictures = shipped_pictures(output, name, frames, progress)
                 if star_sensor:
-                    pictures = _with_star_sensor(pictures)
+                    pictures = with_star_sensor(pictures)
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
                 navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", place, progress)
@@ -140,38 +133,6 @@ def _catalog(output: Path, cell_deg: float, progress: Progress) -> Path:
     catalog = config.with_suffix(".gpkg")
     build.run(config, output=catalog, progress=progress)
     return catalog
-
-
-def _pictures(output: Path, name: str, frames: int | None, progress: Progress) -> Path:
-    """The picture folder of a shipped scenario; made unless the same one is there."""
-    scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
-    if frames is not None:
-        scenario = fewer_pictures(scenario, frames)
-    place = output / "pictures" / name
-    place.parent.mkdir(exist_ok=True)
-    mark = place / "scenario.json"
-    if not (mark.is_file() and mark.read_bytes() == scenario_copy(scenario)):
-        simulate_folder(scenario, place, progress)
-    return place
-
-
-def _with_star_sensor(pictures: Path) -> Path:
-    """The same pictures with attitudes that are off as a star sensor's are."""
-    place = pictures.with_name(pictures.name + "-10arcsec")
-    folder = read_folder(pictures)
-    rng = np.random.default_rng(10)
-    sigma = STAR_SENSOR_ARCSEC * ARCSEC
-    frames = []
-    for frame in folder.frames:
-        turn = Rotation.from_rotvec(rng.normal(0.0, sigma, 3))
-        attitude = None if frame.camera_from_body is None else turn * frame.camera_from_body
-        frames.append(replace(frame, camera_from_body=attitude, attitude_sigma_rad=sigma))
-    write_folder(place, folder.settings, folder.cameras.values(), frames)
-    for name in [*(frame.file for frame in frames), "truth.csv"]:
-        link = place / name
-        link.unlink(missing_ok=True)
-        os.link(pictures / name, link)
-    return place
 
 
 def _write(path: Path, results: list[RowResult]) -> None:
