@@ -1,8 +1,8 @@
 """`make golden`: the frozen values and the README's pictures made anew. Look at the difference.
 
-The pictures come from the demo, the Apollo study and a fisheye frame over the demo's ground, a
-few minutes in all; what they leave stands in build/golden. The curves come from their studies, ten
-minutes in all.
+The pictures come from the demo, the Apollo study, a fisheye frame over the demo's ground and the
+catalog of Phobos, some minutes in all; what they leave stands in build/golden. The curves come from
+their studies, ten minutes in all.
 """
 
 from pathlib import Path
@@ -63,9 +63,13 @@ def _pictures(work: Path) -> dict[str, sketch.Picture]:
     navigate_folder(seen, [tycho], NavigateSettings(), "ncc", run, progress)
     flown = apollo.run(work / "apollo", progress).run
     config = resource("configs/catalogs/tycho.toml")
+    phobos = work / "phobos.gpkg"
+    build = ["build", str(resource("configs/catalogs/phobos.toml")), "-o", str(phobos)]
+    cli.main(build, standalone_mode=False)
     return {
         "opening": pictures.opening(run, seen, tycho),
         "catalog": pictures.catalog_map(tycho, config, work),
+        "phobos": pictures.body_sides(phobos),
         "point": pictures.point_levels(tycho, *CENTRAL_PEAK_DEG),
         "frame": pictures.frame_overlay(place / "run", place / "pictures", DEMO_FRAME, tycho),
         "apollo": pictures.frame_overlay(flown, work / "apollo" / "pictures", APOLLO_FRAME, None),

@@ -19,6 +19,7 @@ from optnav_cli.imagery.folder import read_folder
 from optnav_cli.imagery.picture import read_picture
 from optnav_cli.imagery.truth import read_truth
 from optnav_cli.output.overlay import draw_overlay, patch_outlines
+from optnav_cli.output.report.body_figure import sides_picture
 from optnav_cli.output.run_folder import RunFolder, read_run
 from tests.golden import sketch
 from tests.golden.sketch import Picture
@@ -117,6 +118,14 @@ def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> Picture:
     return np.asarray(
         cv2.resize(picture, (WIDE_PX, height), interpolation=cv2.INTER_AREA), np.uint8
     )
+
+
+def body_sides(catalog_path: Path) -> Picture:
+    """A small body with its points from its six sides."""
+    with Catalog.open(catalog_path) as catalog:
+        picture = sides_picture(catalog)
+    size = WIDE_PX, round(WIDE_PX * picture.shape[0] / picture.shape[1])
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _patch_outlines(

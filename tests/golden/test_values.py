@@ -62,7 +62,9 @@ def test_descriptors_have_unit_length():
 
 def test_the_pictures_of_the_readme_are_small_and_can_be_read():
     paths = sorted(README.glob("*.png"))
-    assert {"opening", "catalog", "point", "frame", "apollo"} <= {path.stem for path in paths}
+    assert {"opening", "catalog", "phobos", "point", "frame", "apollo"} <= {
+        path.stem for path in paths
+    }
     for path in paths:
         picture = cv2.imread(str(path))
         assert picture is not None, f"{path.name} cannot be read"

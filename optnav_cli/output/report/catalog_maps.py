@@ -33,8 +33,12 @@ REASONS = {
     Flag.SHADOWED: "foreign shadows at most Suns",
     Flag.NOT_RECOGNISED: "recognition trials failed",
     Flag.CROWDED: "too near to a neighbour's point",
+    Flag.OVERHANG: "ground hangs over its patch",
 }
 UNTOLD = "no reason given"
+# By the kinds that `first_reasons` tells.
+POINT_COLOURS = (USABLE, *REASON_COLOURS, OTHER)
+POINT_WORDS = ("usable", *REASONS.values(), UNTOLD)
 NO_SOURCE = "none: no ground at the point"
 
 
@@ -90,8 +94,7 @@ def first_reasons(catalog: Catalog) -> NDArray[np.int64]:
 def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
     """Usable points and why others are not, on shaded relief; with a drawing beside the caps."""
     kinds = first_reasons(catalog)
-    colours = (USABLE, *REASON_COLOURS, OTHER)
-    words = ("usable", *REASONS.values(), UNTOLD)
+    colours, words = POINT_COLOURS, POINT_WORDS
     whole = maps[0].view.whole
     dots = not whole and len(catalog) <= MOST_DOTS
     strength = np.where(kinds == 0, TINT, STRONG_TINT)
@@ -107,7 +110,7 @@ def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
             pictures.append(data_uri(panel.painted(tints)))
         plot = panel.plot(*pictures)
         if dots:
-            _dots(plot, panel.view, catalog, kinds, [colours[k] for k in kinds.tolist()], words)
+            _dots(plot, panel.view, catalog, kinds)
         drawings.append(plot.svg(f"Map of usable control points: {panel.view.name}"))
     present = [k for k in range(len(words)) if (kinds == k).any()]
     shown = list(colours)
@@ -174,21 +177,20 @@ def _arranged(drawings: Sequence[str], whole: bool) -> str:
     return f'{drawings[0]}<div class="triple">{"".join(drawings[1:])}</div>'
 
 
-def _dots(
-    plot: Plot,
-    view: View,
-    catalog: Catalog,
-    kinds: NDArray[np.int64],
-    colours: Sequence[str],
-    words: Sequence[str],
-) -> None:
-    x, y = view.places(catalog.lat_deg, catalog.lon_deg)
+def titles_of(catalog: Catalog, kinds: NDArray[np.int64]) -> list[str]:
+    """What is told of each point under the pointer; kinds (n,) as `first_reasons` tells them."""
     scores = catalog.records["localisation_px"]
-    titles = [
-        f"{point}: {words[kind]}, predicted error {score:.2f} nodes"
+    return [
+        f"{point}: {POINT_WORDS[kind]}, predicted error {score:.2f} nodes"
         for point, kind, score in zip(catalog.ids.tolist(), kinds.tolist(), scores, strict=True)
     ]
-    plot.dots(x, y, "ringed", float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5)), titles, colours)
+
+
+def _dots(plot: Plot, view: View, catalog: Catalog, kinds: NDArray[np.int64]) -> None:
+    x, y = view.places(catalog.lat_deg, catalog.lon_deg)
+    colours = [POINT_COLOURS[kind] for kind in kinds.tolist()]
+    radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
+    plot.dots(x, y, "ringed", radius, titles_of(catalog, kinds), colours)
 
 
 def _bgra(colours: Sequence[str], strength: NDArray[np.int64]) -> NDArray[np.uint8]:

@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.control_point import Flag
+from catalog.errors import DataError
 from catalog.store.reader import Catalog
+from optnav_cli.output.report.body_figure import sides_figure
+from optnav_cli.output.report.body_sides import has_sides
 from optnav_cli.output.report.catalog_maps import (
     NO_SOURCE,
     REASONS,
@@ -68,6 +71,8 @@ def catalog_page(catalog: Catalog) -> str:
     sections = [_main_numbers(catalog), *_warnings(catalog)]
     if len(catalog):
         maps = panels(catalog)
+        if has_sides(catalog):
+            sections.append(_sides(catalog))
         sections.append(
             section(
                 "Usable control points",
@@ -82,7 +87,8 @@ def catalog_page(catalog: Catalog) -> str:
     sections.append(_made_from(catalog))
     subtitle = (
         f"{counted(len(catalog), 'control point')}, {grouped(_usable(catalog))} usable; "
-        f"{meta.levels} levels of {meta.size} nodes, {meta.posting_m:.6g} m between the finest."
+        f"{counted(meta.levels, 'level')} of {meta.size} nodes, {meta.posting_m:.6g} m between the "
+        "finest."
     )
     title = f"{meta.body.capitalize()}: catalog {catalog.path.name}"
     return page(title, subtitle, [text for text in sections if text])
@@ -213,6 +219,14 @@ def _reasons(catalog: Catalog) -> str:
     return paragraph(
         f"{counted(flags.size, 'point')} not usable; one may have several reasons."
     ) + table(header, rows)
+
+
+def _sides(catalog: Catalog) -> str:
+    try:
+        drawing = sides_figure(catalog)
+    except DataError as fault:  # damaged relief, or a machine without embree: the rest can be shown
+        drawing = note(str(fault))
+    return section("On the body", drawing)
 
 
 def _sources(catalog: Catalog, maps: Sequence[Panel]) -> str:

@@ -27,6 +27,7 @@ svg .line.s3, svg .mark.s3 { stroke: var(--c3); } svg .line.s4, svg .mark.s4 { s
 svg .line.s5, svg .mark.s5 { stroke: var(--c5); } svg .mark.muted { stroke: var(--soft); }
 svg .line.muted { stroke: var(--soft); } svg .line.faint { stroke: var(--soft); opacity: .35; }
 svg .line.graticule { stroke: #ffffff; stroke-opacity: .45; stroke-width: .8; }
+svg .line.scale { stroke: #ffffff; stroke-width: 2.5; }
 svg .line.rim { stroke: var(--soft); stroke-width: 1.4; } svg .area.ground { fill: var(--none); }
 svg text.halo { fill: #ffffff; paint-order: stroke; stroke: #00000099; stroke-width: 2.5px; }
 svg .dot.ringed { stroke: #10151c; stroke-width: 1.2; }

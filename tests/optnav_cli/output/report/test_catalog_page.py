@@ -127,7 +127,7 @@ def test_a_point_is_coloured_by_the_first_check_it_failed(tmp_path):
 
     path = a_catalog(tmp_path / "c.gpkg", count=6, change=change)
     with Catalog.open(path) as catalog:
-        assert first_reasons(catalog).tolist() == [1, 2, 4, 7, 0, 0]
+        assert first_reasons(catalog).tolist() == [1, 2, 4, 8, 0, 0]
     page = report_of(path, tmp_path)
     assert "no reason given: 1" in page.text
     assert "a patch has holes 1 16.7 % 0 1" in page.text
