@@ -39,7 +39,9 @@ def profiles_across(
     distance, inward = distances(cone, where)
     along = np.stack([-inward[:, 1], inward[:, 0]], axis=1)
     slope = np.hypot(where.by_x @ cone.axis, where.by_y @ cone.axis)
-    rad_per_px = np.asarray(slope / np.sin(cone.angle), dtype=np.float64)
+    # of the ray, not of the cone: a small body's limb may lie a tenth of its radius off the curve
+    sine = np.sqrt(np.maximum(1.0 - (where.rays @ cone.axis) ** 2, 1e-30))
+    rad_per_px = np.asarray(slope / sine, dtype=np.float64)
     rays = stretched_rays(camera, places.astype(np.float64), cone.stretch)
     depth = cone.depth(rays) / rad_per_px[:, None]
     # two pixels along the curve's tangent the curve has bent away by 2^2 / 2 radius
