@@ -81,12 +81,11 @@ def settle_world(
     relief: ReliefRecord | None
     if config.mesh:
         (settings,) = config.mesh
-        terrain, mesh = ingest_mesh(
-            workspace, settings, config_path.parent, body, progress, account
-        )
-        pyramid = settle_pyramid(config.pyramid, config_path, config.grid.cell_deg, terrain)
+        pyramid, posting = settle_pyramid(config.pyramid, config_path, config.grid.cell_deg, body)
         config = msgspec.structs.replace(config, pyramid=pyramid)
-        posting = pyramid.posting_m or terrain.posting_m
+        terrain, mesh = ingest_mesh(
+            workspace, settings, config_path.parent, body, posting, progress, account
+        )
         _check_cells(config, config_path, body, posting)
         cells = covered_cells(terrain, grid, bbox)
         relief = settle_mesh_relief(workspace, terrain, mesh, account)

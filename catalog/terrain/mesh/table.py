@@ -7,6 +7,7 @@ quadrilaterals).
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,17 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ANGLE_TOLERANCE_DEG = 1e-4  # of what tables print
+
+
+class RadiiGrid(NamedTuple):
+    """Radii (rows, cols) at latitudes (rows), pole to pole, and longitudes (cols), a whole turn.
+
+    Angles are deg, ascending; the last column stands where the first does.
+    """
+
+    lats: FloatArray
+    lons: FloatArray
+    radii: FloatArray
 
 
 def read_table(path: Path, longitude: str) -> tuple[FloatArray, IntArray]:
@@ -35,10 +47,18 @@ def read_table(path: Path, longitude: str) -> tuple[FloatArray, IntArray]:
         return _plates(path, int(first[0]))
     if len(first) != 3:
         raise ValueError(f"{len(first)} columns; wanted latitude, longitude, radius")
-    return _grid(np.loadtxt(path, ndmin=2), longitude)
+    return surface_of(read_grid(path), longitude)
 
 
-def _grid(rows: FloatArray, longitude: str) -> tuple[FloatArray, IntArray]:
+def is_grid(path: Path) -> bool:
+    """Whether a table that can be read is a grid of radii."""
+    with path.open(encoding="ascii") as file:
+        return len(next((line.split() for line in file if line.split()), [])) == 3
+
+
+def read_grid(path: Path) -> RadiiGrid:
+    """The radii of a table. Raises ValueError where they do not cover the body once."""
+    rows = np.loadtxt(path, ndmin=2)
     lats, lons = np.unique(rows[:, 0]), np.unique(rows[:, 1])
     shape = lats.size, lons.size
     if len(rows) != lats.size * lons.size or min(shape) < 3:
@@ -59,6 +79,12 @@ def _grid(rows: FloatArray, longitude: str) -> tuple[FloatArray, IntArray]:
         lons, radii = np.append(lons, lons[0] + 360.0), np.column_stack([radii, radii[:, 0]])
     if not radii.min() > 0.0:
         raise ValueError(f"a radius of {radii.min():g}; wanted all above 0, each place once")
+    return RadiiGrid(lats, lons, radii)
+
+
+def surface_of(grid: RadiiGrid, longitude: str) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3) and triangles (m, 3), counter-clockwise from outside, of a grid of radii."""
+    lats, lons, radii = grid
     sign = -1.0 if longitude == "west" else 1.0
     lat, lon = np.radians(lats)[:, None], np.radians(sign * lons)[None, :]
     vertices = xyz_from_latlon(lat, lon, radii).reshape(-1, 3)
