@@ -22,8 +22,10 @@ from optnav_cli.simulation.frame import Renderer
 from optnav_cli.simulation.globe_frame import GlobeRenderer
 from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
 from optnav_cli.simulation.globe_terrain import GlobeTerrain
+from optnav_cli.simulation.mesh_frame import MeshRenderer
 from optnav_cli.simulation.scenario import (
     AnyScenario,
+    Portraits,
     load_scenario,
     scenario_cameras,
     scenario_motion,
@@ -32,6 +34,7 @@ from optnav_cli.simulation.sensor import Counts, expose
 from optnav_cli.simulation.shot import Shot
 from optnav_cli.simulation.surroundings import Surroundings
 from optnav_cli.simulation.trajectory import shots
+from optnav_cli.simulation.truth_mesh import TruthMesh
 from optnav_cli.simulation.truth_terrain import TruthTerrain
 
 SENSOR = 17  # stream of random numbers, apart from those of the trajectory
@@ -82,8 +85,11 @@ def simulate(
 
 def _renderers(
     scenario: AnyScenario, body: Body, cameras: list[Camera], flight: list[Shot]
-) -> list[Renderer] | list[GlobeRenderer]:
+) -> list[Renderer] | list[GlobeRenderer] | list[MeshRenderer]:
     """One renderer a camera; they share the ground."""
+    if isinstance(scenario, Portraits):
+        ground = TruthMesh(scenario, body)
+        return [MeshRenderer(ground, camera) for camera in cameras]
     if scenario.dem:
         terrain = truth_terrain(scenario, body)
         return [
@@ -132,6 +138,9 @@ def scenario_copy(scenario: AnyScenario) -> bytes:
         ),
         spice=SpiceSettings(tuple(Path(name).name for name in scenario.spice.kernels)),
     )
+    if isinstance(bare, Portraits):
+        mesh = msgspec.structs.replace(bare.mesh, path=Path(bare.mesh.path).name)
+        bare = msgspec.structs.replace(bare, mesh=mesh)
     return msgspec.json.format(msgspec.json.encode(bare), indent=2) + b"\n"
 
 

@@ -10,6 +10,7 @@ from catalog.bodies.motion import BodyMotion, motion_of
 from catalog.config import load_toml, resource
 from catalog.errors import ConfigError
 from catalog.terrain.dem_file import BUNDLED, SHARED, path_of
+from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
@@ -31,6 +32,7 @@ from optnav_cli.simulation.sections import (
     GlobeSettings,
     OrbitSettings,
     PointingSettings,
+    PortraitSettings,
     PriorSettings,
     SensorSettings,
     SunSettings,
@@ -78,7 +80,15 @@ class Voyage(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True
     transfer: TransferSettings | None = None
 
 
-AnyScenario = Scenario | Voyage
+class Portraits(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Single pictures of a small body, whose ground is a shape model refined by [detail]."""
+
+    mesh: MeshSettings
+    portraits: PortraitSettings
+    dem: tuple[DemSettings, ...] = ()
+
+
+AnyScenario = Scenario | Voyage | Portraits
 
 
 def load_scenario(path: str | Path) -> AnyScenario:
@@ -88,9 +98,12 @@ def load_scenario(path: str | Path) -> AnyScenario:
     Raises ConfigError.
     """
     path = Path(path)
-    scenario = load_toml(path, Voyage) if _is_voyage(path) else load_toml(path, Scenario)
+    scenario: AnyScenario = load_toml(path, _kind(path))
     _check(scenario, path)
     base = path.resolve().parent
+    if isinstance(scenario, Portraits) and not scenario.mesh.path.startswith((BUNDLED, SHARED)):
+        mesh = msgspec.structs.replace(scenario.mesh, path=str(base / scenario.mesh.path))
+        scenario = msgspec.structs.replace(scenario, mesh=mesh)
     dems = tuple(
         msgspec.structs.replace(dem, path=_data_file(dem.path, base, path))
         for dem in sorted(scenario.dem, key=lambda d: d.priority)
@@ -131,13 +144,17 @@ def fewer_pictures(scenario: AnyScenario, frames: int) -> AnyScenario:
     """The same scenario with fewer pictures a camera, for a quick look.
 
     Passes keep all grounds and Suns as long as there is a picture for each; a flight ends earlier;
-    an approach takes larger steps.
+    an approach and portraits take larger steps.
     """
     if isinstance(scenario, Scenario):
         orbit = scenario.orbit
         passes = min(orbit.passes, frames)
         short = msgspec.structs.replace(orbit, passes=passes, frames=max(1, frames // passes))
         return msgspec.structs.replace(scenario, orbit=short)
+    if isinstance(scenario, Portraits):
+        fewer = min(scenario.portraits.frames, frames)
+        portraits = msgspec.structs.replace(scenario.portraits, frames=fewer)
+        return msgspec.structs.replace(scenario, portraits=portraits)
     flight, transfer = scenario.flight, scenario.transfer
     if flight is not None:
         flight = msgspec.structs.replace(flight, frames=min(flight.frames, frames))
@@ -146,13 +163,15 @@ def fewer_pictures(scenario: AnyScenario, frames: int) -> AnyScenario:
     return msgspec.structs.replace(scenario, flight=flight, transfer=transfer)
 
 
-def _is_voyage(path: Path) -> bool:
-    """Whether a file has a section that only a voyage has; reading it reports what is wrong."""
+def _kind(path: Path) -> type[Scenario] | type[Voyage] | type[Portraits]:
+    """Of which kind a file is by its sections; reading it as that reports what is wrong."""
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
-        return False
-    return "flight" in data or "transfer" in data
+        return Scenario
+    if "mesh" in data or "portraits" in data:
+        return Portraits
+    return Voyage if "flight" in data or "transfer" in data else Scenario
 
 
 def _camera_file(name: str, base: Path) -> str:
@@ -186,6 +205,9 @@ def _check(scenario: AnyScenario, where: Path) -> None:
     if isinstance(scenario, Voyage):
         _check_voyage(scenario, where)
         return
+    if isinstance(scenario, Portraits):
+        _check_portraits(scenario, where)
+        return
     low, high = scenario.sun.elevation_deg
     if low > high:
         raise ConfigError(f"{where}: [sun] elevation_deg is {low}..{high}; put the lower one first")
@@ -194,6 +216,16 @@ def _check(scenario: AnyScenario, where: Path) -> None:
         raise ConfigError(
             f"{where}: [orbit] box_deg has south {south} above north {north}; "
             "wanted west, south, east, north"
+        )
+
+
+def _check_portraits(scenario: Portraits, where: Path) -> None:
+    if scenario.dem:
+        raise ConfigError(f"{where}: there are [[dem]] and mesh; give one of them")
+    low, high = scenario.portraits.phase_deg
+    if low > high:
+        raise ConfigError(
+            f"{where}: [portraits] phase_deg is {low:g}..{high:g}; put the lower one first"
         )
 
 

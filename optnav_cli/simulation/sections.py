@@ -12,6 +12,7 @@ NotNegative = Annotated[float, Meta(ge=0.0)]
 Count = Annotated[int, Meta(ge=1)]
 Latitude = Annotated[float, Meta(ge=-90.0, le=90.0)]
 Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
+Phase = Annotated[float, Meta(ge=0.0, le=180.0)]
 
 
 class GlobeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -55,6 +56,22 @@ class OrbitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     heading_deg: tuple[float, float] = (-180.0, 180.0)
     start_utc: str = "2026-01-01T00:00:00Z"
     pass_interval_s: Positive = 7200.0
+
+
+class PortraitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Single pictures of a whole body from all sides.
+
+    distance_km            from the body's centre: of the first picture and of the last one
+    phase_deg              lowest and highest angle at the body between the camera and the Sun
+    subsolar_latitude_deg  how far from the equator the Sun stands overhead at most
+    """
+
+    distance_km: tuple[Positive, Positive]
+    frames: Count = 1
+    phase_deg: tuple[Phase, Phase] = (20.0, 70.0)
+    subsolar_latitude_deg: NotNegative = 26.0
+    start_utc: str = "2026-01-01T00:00:00Z"
+    interval_s: Positive = 86400.0
 
 
 class PointingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -7,7 +7,8 @@ from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import AnalyticMotion, BodyMotion
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
-from optnav_cli.simulation.scenario import AnyScenario, Scenario, Voyage
+from optnav_cli.simulation.portraits import portrait_moments
+from optnav_cli.simulation.scenario import AnyScenario, Portraits, Scenario, Voyage
 from optnav_cli.simulation.sections import SunSettings
 from optnav_cli.simulation.shot import PLACE, Moment, Shot, shots_of
 from optnav_cli.simulation.voyage import moments_of
@@ -18,11 +19,13 @@ FloatArray = NDArray[np.float64]
 def shots(scenario: AnyScenario, body: Body, motion: BodyMotion | None = None) -> list[Shot]:
     """All pictures of a scenario in order of time, those of a pass together.
 
-    motion  how the body turns; the analytic theory if None. Passes do not need it
+    motion  how the body turns; the analytic theory if None. Passes and portraits do not need it
     Raises ConfigError for a path that cannot be flown.
     """
     if isinstance(scenario, Voyage):
         return shots_of(scenario, moments_of(scenario, motion or AnalyticMotion(body)))
+    if isinstance(scenario, Portraits):
+        return shots_of(scenario, portrait_moments(scenario, body))
     return shots_of(scenario, _passes(scenario, body))
 
 
