@@ -104,6 +104,21 @@ def fit_limb(
     return LimbFit(position, covariance, noise, gain, rates, weights * shares, residuals, shares)
 
 
+def correlated_covariance(
+    rates: FloatArray,
+    residuals: FloatArray,
+    information: FloatArray,
+    noise_m2: FloatArray,
+    azimuths: FloatArray,
+) -> FloatArray:
+    """Covariance (3, 3), m^2, of a fit whose neighbouring points err together; see `LimbFit`.
+
+    azimuths (n,) rad about the nadir, -pi..pi
+    """
+    meat, expected, windows = _meat(rates, residuals, information, noise_m2, azimuths)
+    return np.asarray(_sandwich(noise_m2, meat, expected, windows))
+
+
 def _checked(directions: ArrayLike, radii_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
     rays = np.ascontiguousarray(directions, dtype=np.float64)
     if rays.ndim != 2 or rays.shape[1] != 3:

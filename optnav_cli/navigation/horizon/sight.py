@@ -15,6 +15,9 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 ARC_BIN_DEG = 2.0
+LEAST_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
+# What a single edge keeps of light and slope that no model has.
+EDGE_NOISE_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +39,10 @@ class Sight:
 
     def __len__(self) -> int:
         return len(self.rays)
+
+    def own_sigmas(self) -> FloatArray:
+        """(n,) rad, error of each point that is its own."""
+        return np.asarray(np.hypot(self.sigma_px, EDGE_NOISE_PX) * self.pixel_angle)
 
     def azimuths(self, position: FloatArray) -> FloatArray:
         """(n,) rad about the nadir of a position (3,), as `nadir_axes` counts them."""
@@ -67,6 +74,22 @@ def sight_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> 
 
 
 def arc_deg(azimuths: FloatArray) -> float:
-    """Azimuth, in degrees, that points (rad) cover, in steps of ARC_BIN_DEG."""
-    bins = np.floor(np.degrees(azimuths) / ARC_BIN_DEG).astype(np.int64)
-    return float(np.unique(np.mod(bins, round(360.0 / ARC_BIN_DEG))).size * ARC_BIN_DEG)
+    """Azimuth, in degrees, that points (rad) cover, in steps of about ARC_BIN_DEG.
+
+    The few points of a small disc lie further apart: their steps are wide enough to hold one each.
+    """
+    gaps = np.diff(np.sort(np.degrees(azimuths)))
+    wide = max(ARC_BIN_DEG, 1.5 * float(np.median(gaps))) if gaps.size else ARC_BIN_DEG
+    count = max(round(360.0 / wide), 1)
+    bins = np.floor(azimuths * (count / (2.0 * np.pi))).astype(np.int64)
+    return float(np.unique(np.mod(bins, count)).size * (360.0 / count))
+
+
+def enough_arc(arc: float) -> float:
+    """The same arc, in degrees. Raises NoSolutionError for less than a position wants."""
+    if arc < LEAST_ARC_DEG:
+        raise NoSolutionError(
+            f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "
+            f"{LEAST_ARC_DEG:.0f} deg or more"
+        )
+    return arc

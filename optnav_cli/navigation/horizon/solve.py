@@ -19,7 +19,9 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.limb_fit import LimbFit, fit_limb
 from optnav_cli.measurements.limb_points import LimbPoints
 from optnav_cli.navigation.horizon.fix import HorizonFix
-from optnav_cli.navigation.horizon.sight import Sight, arc_deg, sight_of
+from optnav_cli.navigation.horizon.shape_limb import is_shape
+from optnav_cli.navigation.horizon.shape_solve import over_shape
+from optnav_cli.navigation.horizon.sight import Sight, arc_deg, enough_arc, sight_of
 from optnav_cli.navigation.horizon.terrain_limb import (
     LimbGround,
     TerrainLimb,
@@ -35,7 +37,6 @@ from optnav_cli.navigation.horizon.uncertainty import (
 
 FloatArray = NDArray[np.float64]
 
-LEAST_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
 SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
 MAX_PASSES = 8
 STILL_M = 5.0  # a pass that moves the position by less, or by less than STILL_SIGMAS, is the last
@@ -46,8 +47,6 @@ LEAST_CUT_PX = 0.2
 # Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
 # side of shadows.
 LEAST_SUN_SINE = 0.05
-# What a single edge keeps of light and slope that no model has.
-EDGE_NOISE_PX = 0.05
 # A limb that scatters by so many times what is expected does not belong to this relief, attitude
 # and time: 60 simulated limbs at 50 to 20 000 km, Sun from 9 deg on, stay below 1.5. From 100 km a
 # clock off by an hour or a focal length by 1 % reaches 4, an inverse rotation 20.
@@ -84,9 +83,16 @@ def navigate(
     """
     sun = None if sun_body is None else np.asarray(sun_body, dtype=np.float64)
     sight = sight_of(points, camera, camera_from_body)
-    fit = fit_limb(sight.rays, _own_sigmas(sight), body.radii_m)
+    fit = fit_limb(sight.rays, sight.own_sigmas(), body.radii_m)
     if relief is None:
         return _bare(points, sight, fit, attitude_sigma_rad, sun, body)
+    if is_shape(relief):
+        shaped = over_shape(sight, fit.position_m, sun, relief)
+        attitude = attitude_covariance(shaped.position_m, attitude_sigma_rad)
+        return _fix(
+            points, shaped.kept, shaped.fit, shaped.position_m, shaped.covariance_m2 + attitude,
+            shaped.arc_deg, shaped.passes,
+        )  # fmt: skip
     ground = limb_ground(relief)
     solved = _over_relief(sight, fit.position_m, sun, ground)
     if solved.misfit > MISFIT:
@@ -102,7 +108,7 @@ def _bare(
 ) -> HorizonFix:  # fmt: skip
     position = fit.position_m
     azimuths = sight.azimuths(position)
-    arc = _enough(arc_deg(azimuths))
+    arc = enough_arc(arc_deg(azimuths))
     distance = float(np.linalg.norm(position))
     sine = min(float(np.mean(body.radii_m)) / distance, 1.0)
     away = distance * float(np.sqrt(1.0 - sine * sine))
@@ -118,7 +124,7 @@ def _terrain_fix(
 ) -> HorizonFix:
     fit, kept = solved.fit, solved.kept
     azimuths = kept.azimuths(fit.position_m)
-    arc = _enough(arc_deg(azimuths[fit.weights > 0.0]))
+    arc = enough_arc(arc_deg(azimuths[fit.weights > 0.0]))
     away = _limb_distance(fit.position_m, ground)
     errors = edge_errors(kept, azimuths, solved.sun_sine, away)
     errors = errors.with_constant(ground.crest_sigma_m / away)
@@ -135,7 +141,7 @@ def _over_relief(
         limb = terrain_limb(ground, position, sight, sun)
         lit = limb.lit & (limb.sun_sine > LEAST_SUN_SINE)
         kept = sight.subset(lit)
-        _enough(arc_deg(kept.azimuths(position)))
+        enough_arc(arc_deg(kept.azimuths(position)))
         fit, misfit = _robust_fit(kept, limb, lit, position, ground)
         moved = float(np.linalg.norm(fit.position_m - position))
         position = fit.position_m
@@ -154,7 +160,7 @@ def _robust_fit(
     """A fit to the skyline without its outliers, and its scatter over the expected one."""
     radii = np.full(3, ground.radius_m)
     sizes = limb.sizes[lit]
-    sigmas = np.hypot(_own_sigmas(kept), ground.crest_noise_m / _limb_distance(position, ground))
+    sigmas = np.hypot(kept.own_sigmas(), ground.crest_noise_m / _limb_distance(position, ground))
     least = LEAST_CUT_PX * float(np.median(kept.pixel_angle))
     fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
     for _ in range(2):
@@ -177,7 +183,7 @@ def _misfit_reason(
     )
     sight = sight_of(points, camera, camera_from_body.inv())
     try:
-        fit = fit_limb(sight.rays, _own_sigmas(sight), body.radii_m)
+        fit = fit_limb(sight.rays, sight.own_sigmas(), body.radii_m)
         # the Sun was turned into the picture by the same attitude: what is lit is not known
         other = _over_relief(sight, fit.position_m, None, ground)
     except NoSolutionError:
@@ -187,22 +193,9 @@ def _misfit_reason(
     return reason + "; it fits the inverse rotation: is the quaternion body_from_camera?"
 
 
-def _own_sigmas(sight: Sight) -> FloatArray:
-    return np.asarray(np.hypot(sight.sigma_px, EDGE_NOISE_PX) * sight.pixel_angle)
-
-
 def _limb_distance(position: FloatArray, ground: LimbGround) -> float:
     """From a position (3,) to where a sphere's limb lies, m."""
     return float(np.sqrt(max(float(position @ position) - ground.radius_m**2, 1.0)))
-
-
-def _enough(arc: float) -> float:
-    if arc < LEAST_ARC_DEG:
-        raise NoSolutionError(
-            f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "
-            f"{LEAST_ARC_DEG:.0f} deg or more"
-        )
-    return arc
 
 
 def _sun_sine(sight: Sight, position: FloatArray, sun: FloatArray | None) -> FloatArray:

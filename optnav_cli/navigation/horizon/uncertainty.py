@@ -56,6 +56,21 @@ class SharedErrors:
         more = np.full((len(self.shapes), 1), angle)
         return SharedErrors(self.expected, np.concatenate([self.shapes, more], axis=1))
 
+    def with_sectors(self, azimuths: FloatArray, angle: float) -> "SharedErrors":
+        """The same and an error of one angle (rad) in each sector about the nadir.
+
+        azimuths (n,) rad
+        """
+        more = np.where(np.stack(_sectors(azimuths), axis=1), angle, 0.0)
+        return SharedErrors(self.expected, np.concatenate([self.shapes, more], axis=1))
+
+
+def _sectors(azimuths: FloatArray) -> list[NDArray[np.bool_]]:
+    """Which azimuths (n,) about the nadir, rad, lie in each sector of SECTOR_DEG."""
+    count = round(360.0 / SECTOR_DEG)
+    sector = np.floor((azimuths / (2.0 * np.pi) + 0.5) * count).astype(np.int64) % count
+    return [sector == number for number in range(count)]
+
 
 def edge_errors(
     sight: Sight, azimuths: FloatArray, sun_sine: FloatArray, distance_m: float
@@ -68,12 +83,10 @@ def edge_errors(
     elevation = np.degrees(np.arcsin(np.clip(sun_sine, 0.0, 1.0)))
     seen = 1.0 / (1.0 + sight.pixel_angle * distance_m / SHADED_PIXEL_M)
     shaded = seen * np.exp(-elevation / SHADED_FALL_DEG)
-    sectors = round(360.0 / SECTOR_DEG)
-    sector = np.floor((azimuths / (2.0 * np.pi) + 0.5) * sectors).astype(np.int64) % sectors
     size = SECTOR_PX + SECTOR_LOW_PX * np.exp(-elevation / SECTOR_FALL_DEG)
     common = np.full(len(sight), np.hypot(sight.common_px, SKYLINE_SIGMA_PX))
     shapes = [common, SHADED_SIGMA_PX * shaded]
-    shapes += [np.where(sector == number, size, 0.0) for number in range(sectors)]
+    shapes += [np.where(part, size, 0.0) for part in _sectors(azimuths)]
     return SharedErrors(
         SHADED_PX * shaded * sight.pixel_angle,
         np.asarray(np.stack(shapes, axis=1) * sight.pixel_angle[:, None]),
