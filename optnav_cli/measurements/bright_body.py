@@ -4,6 +4,7 @@ The threshold adapts to the picture: well above the sky's noise, and a small sha
 lit ground's level, so that a faint cusp still belongs to the body and stray light does not.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -23,6 +24,7 @@ ROUGH_SHARE = 0.15  # of the way to the brightest pixels: what is lit at first s
 LEAST_CONTRAST_SIGMAS = 12.0
 # Rounding to whole counts hides a smaller noise: the variance of a uniform step of 1.
 ROUNDING_VARIANCE = 1.0 / 12.0
+HALO_PX = 6  # about a lit area its blur still shines
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,13 @@ def lit_blobs(picture: Image, threshold: float) -> Blobs:
         stats[order, cv2.CC_STAT_AREA].astype(np.int64),
         stats[order, :4].astype(np.int64),
     )
+
+
+def without_blobs(picture: Image, blobs: Blobs, labels: Sequence[int], sky: float) -> Image:
+    """A picture (h, w) with the sky's level in place of some lit areas and of their blur."""
+    mask = np.isin(blobs.labels, labels).astype(np.uint8)
+    wide = cv2.dilate(mask, np.ones((2 * HALO_PX + 1, 2 * HALO_PX + 1), dtype=np.uint8))
+    return np.where(wide > 0, np.float32(sky), picture)
 
 
 def _spread(sample: Image, level: float) -> float:

@@ -41,6 +41,7 @@ from optnav_cli.navigation.frame_answer import (
     spoken,
 )
 from optnav_cli.navigation.frame_match import Prior
+from optnav_cli.navigation.neighbour import other_body
 from optnav_cli.navigation.outline import Outline
 from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
@@ -158,6 +159,7 @@ class Navigator:
             sight.sun_body,
             self._world.motion.body,
             self._world.relief,
+            other_body(self._world.motion, sight.tdb_s),
         )
 
     def _by_outline(self, sight: Sight, found: Outline) -> Answer:

@@ -42,6 +42,7 @@ class CentreFix:
     position_m  (3,)  body frame;  covariance_m2 (3, 3)
     centre_px   (2,)  the body's centre in the picture;  radius_px of its disc
     range_share 1-sigma error of the range over the range
+    width_sigmas  by which the disc is wider than a point's picture
     remark      what a reader of the row should know
     """
 
@@ -50,6 +51,7 @@ class CentreFix:
     centre_px: FloatArray
     radius_px: float
     range_share: float
+    width_sigmas: float
     remark: str
 
 
@@ -80,7 +82,7 @@ def navigate(
             f"the disc's centre; the limit is {LARGEST_PHASE_DEG:.0f} deg"
         )
     pixel_from_angle, scale = _tangent(camera, towards, sun)
-    weights, offsets = _weigh(disc, pixel_from_angle / scale, phase)
+    weights, offsets, width_sigmas = _weigh(disc, pixel_from_angle / scale, phase)
     # every radius and law puts the centre elsewhere, and the body at another range
     shift = offsets * RADII_PX
     pixels = disc.centre - shift[..., None] * (pixel_from_angle[:, 0] / scale)
@@ -104,6 +106,7 @@ def navigate(
         np.einsum("kn,kni->i", weights, pixels),
         radius,
         share,
+        width_sigmas,
         f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %",
     )
 
@@ -128,8 +131,11 @@ def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
 
 def _weigh(
     disc: DiscMoments, pixel_from_disc: FloatArray, phase: float
-) -> tuple[FloatArray, FloatArray]:
-    """How likely every law and radius is (laws, radii), and each law's offset (laws, 1)."""
+) -> tuple[FloatArray, FloatArray, float]:
+    """How likely every law and radius is (laws, radii), and each law's offset (laws, 1).
+
+    And by how many sigmas the likeliest of all is likelier than a point.
+    """
     spheres = sphere_moments(phase)
     to_disc = np.linalg.inv(pixel_from_disc)
     second = to_disc @ disc.second @ to_disc.T
@@ -146,4 +152,6 @@ def _weigh(
             logs[k] = term + belief if axis == 0 else logs[k] + term
     weights = np.exp(logs - logs.max()).sum(axis=2) * np.array(LAW_BELIEF)[:, None]
     weights /= weights.sum()
-    return weights, np.array([[sphere.offset] for sphere in spheres])
+    beyond_point = float(logs.max() - logs[:, 0].max())
+    offsets = np.array([[sphere.offset] for sphere in spheres])
+    return weights, offsets, float(np.sqrt(2.0 * beyond_point))

@@ -1,0 +1,198 @@
+"""The other body in the picture: where it must stand if a lit disc is the body itself.
+
+On the way to the Moon the Earth shines beside it, and one lit disc looks like another. Time and
+attitude tell them apart: a disc taken for the Moon gives a position, and from there the Earth has
+one direction and one size. Light time and aberration move it by 20" and 2 km, which is left out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.body import load_body
+from catalog.bodies.motion import BodyMotion, Neighbour
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.bright_body import Blobs
+
+FloatArray = NDArray[np.float64]
+
+_OTHERS: dict[str, Neighbour] = {"moon": "earth", "earth": "moon"}
+SIGMAS = 3.0
+# Of a neighbour that must be seen: a thinner crescent or a smaller disc may be missed.
+LARGEST_PHASE = np.radians(120.0)
+LEAST_DIAMETER_PX = 5.0
+MARGIN_PX = 6.0
+# Half extent of a lit spot over the disc's radius: cusps are dark, blur and a bent lens widen.
+EXTENTS = (0.5, 1.35)
+BLUR_PX = 2.0
+MOST_PIXELS = 4000  # of a spot that are looked at
+# From a body's neighbourhood, so near, the neighbour is what a camera shows that misses the body.
+NEAR_RADII = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class OtherBody:
+    """A neighbour at a time: its centre (3,) from the body's, body frame, m, and its radius."""
+
+    name: str
+    centre_m: FloatArray
+    radius_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera at a time: where it may look, and what it is lit by.
+
+    attitude_sigma_rad  1 sigma an axis;  sun_body (3,) unit vector, body frame
+    """
+
+    camera: Camera
+    camera_from_body: Rotation
+    attitude_sigma_rad: float
+    sun_body: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Disc:
+    """A disc as a position predicts it.
+
+    towards  (3,) unit vector to its centre, camera frame
+    angle    its angular radius;  sigma  1-sigma error of `towards`, rad
+    phase    of its illumination, rad
+    """
+
+    towards: FloatArray
+    angle: float
+    sigma: float
+    phase: float
+
+
+@dataclass(frozen=True, eq=False)
+class Spot:
+    """A lit area: unit vector (3,) to its middle, camera frame, and its farthest pixel, rad."""
+
+    label: int
+    towards: FloatArray
+    extent: float
+    rad_per_px: float
+
+
+def other_body(motion: BodyMotion, tdb_s: float) -> OtherBody | None:
+    """The neighbour that shines like the body itself; None for a body without one."""
+    name = _OTHERS.get(motion.body.name)
+    if name is None:
+        return None
+    centre = motion.body_from_inertial(tdb_s) @ motion.position_m(name, tdb_s)
+    return OtherBody(name, np.asarray(centre), load_body(name).radius_m)
+
+
+def predicted(
+    view: View, centre_m: FloatArray, radius_m: float, position_m: FloatArray, sigma_m: float
+) -> Disc:
+    """A sphere's disc from a position that is good to sigma_m; all in the body frame."""
+    away = centre_m - position_m
+    distance = float(np.linalg.norm(away))
+    towards = away / distance
+    phase = float(np.arccos(np.clip(-(towards @ view.sun_body), -1.0, 1.0)))
+    sigma = float(np.hypot(sigma_m / distance, view.attitude_sigma_rad))
+    angle = float(np.arcsin(min(radius_m / distance, 1.0)))
+    return Disc(view.camera_from_body.apply(towards), angle, sigma, phase)
+
+
+def must_be_seen(view: View, disc: Disc, before: Disc) -> bool:
+    """Whether a disc lies whole in the picture, large, lit and clear of another one before it."""
+    if disc.phase > LARGEST_PHASE:
+        return False
+    apart = _angle(disc.towards, before.towards)
+    if apart < before.angle + disc.angle + SIGMAS * disc.sigma:
+        return False
+    per_px = _rad_per_px(view.camera, disc.towards)
+    reach_px = (disc.angle + SIGMAS * disc.sigma) / per_px
+    if 2.0 * disc.angle / per_px < LEAST_DIAMETER_PX:
+        return False
+    return _inside(view.camera, disc.towards, reach_px + MARGIN_PX)
+
+
+def spots_of(camera: Camera, blobs: Blobs, numbers: NDArray[np.int64]) -> list[Spot]:
+    """The blobs of these numbers as directions."""
+    found = []
+    for number in numbers:
+        left, top, wide, high = (int(value) for value in blobs.box[number])
+        label = int(blobs.label[number])
+        rows, cols = np.nonzero(blobs.labels[top : top + high, left : left + wide] == label)
+        some = slice(None, None, 1 + len(rows) // MOST_PIXELS)
+        rays = camera.unproject(np.stack([cols[some] + left, rows[some] + top], axis=1) * 1.0)
+        rays = rays[np.isfinite(rays).all(axis=1)]
+        if not len(rays):
+            continue
+        middle = rays.mean(axis=0)
+        middle /= np.linalg.norm(middle)
+        extent = float(np.linalg.norm(np.cross(rays, middle), axis=1).max())
+        found.append(Spot(label, middle, extent, _rad_per_px(camera, middle)))
+    return found
+
+
+def is_seen(disc: Disc, spot: Spot) -> bool:
+    """Whether a lit spot is the disc: in its place and of its size."""
+    blur = BLUR_PX * spot.rad_per_px
+    if _angle(disc.towards, spot.towards) > disc.angle + SIGMAS * disc.sigma + blur:
+        return False
+    return EXTENTS[0] * disc.angle - blur < spot.extent < EXTENTS[1] * disc.angle + blur
+
+
+def is_lit(disc: Disc, spots: list[Spot]) -> bool:
+    """Whether any light comes from where a disc is predicted."""
+    reach = disc.angle + SIGMAS * disc.sigma
+    return any(_angle(disc.towards, spot.towards) < reach + spot.extent for spot in spots)
+
+
+def is_within(spot: Spot, disc: Disc) -> bool:
+    """Whether a lit spot's middle lies on a disc."""
+    return _angle(disc.towards, spot.towards) < disc.angle
+
+
+def is_rather(
+    view: View, other: OtherBody, position_m: FloatArray, sigma_m: float, body_radius_m: float
+) -> bool:
+    """Whether a disc taken for the body is the neighbour as the body's surroundings show it.
+
+    position_m, sigma_m  where the disc puts the camera as the body, body frame
+    It must be of the direction and the size that the neighbour has from near the body, and the
+    body itself out of view or dark there.
+    """
+    distance = float(np.linalg.norm(position_m))
+    towards = -position_m / distance
+    share = max(SIGMAS * sigma_m / distance, 0.01)
+    from_there = other.radius_m * distance / body_radius_m
+    along = float(other.centre_m @ towards)
+    along = float(np.clip(along, from_there * (1.0 - share), from_there * (1.0 + share)))
+    place = other.centre_m - along * towards
+    if float(np.linalg.norm(place)) > NEAR_RADII * body_radius_m:
+        return False
+    body = predicted(view, np.zeros(3), body_radius_m, place, 0.0)
+    return body.phase > LARGEST_PHASE or not _inside(view.camera, body.towards, 0.0)
+
+
+def _inside(camera: Camera, towards: FloatArray, margin_px: float) -> bool:
+    pixel = camera.project(towards[None])
+    if not np.isfinite(pixel).all() or not bool(camera.contains(pixel, margin_px)[0]):
+        return False
+    circle = camera.image_circle_radius_px
+    off = float(np.linalg.norm(pixel[0] - np.array(camera.principal_point_px)))
+    return circle is None or off < circle - margin_px
+
+
+def _angle(one: FloatArray, other: FloatArray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other))
+
+
+def _rad_per_px(camera: Camera, towards: FloatArray) -> float:
+    """The wider of a pixel's two sides there; the focal length's where nothing is projected."""
+    pixel = camera.project(towards[None])[0]
+    if not np.isfinite(pixel).all():
+        return 1.0 / camera.focal_length_px
+    steps = camera.unproject(pixel + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    sides = np.linalg.norm(steps[1:] - steps[0], axis=1)
+    return float(sides.max()) if np.isfinite(sides).all() else 1.0 / camera.focal_length_px
