@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 FloatArray = NDArray[np.float64]
 Status = Literal["solved", "unsolved"]
+GAP_STEPS, GAP_PX = 5.0, 12.0  # a limb is drawn in pieces where its points stand farther apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,44 @@ class MatchRow:
     sun_elevation_deg: float | None = None
     residual_px: FloatArray | None = None
     catalog: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineMarks:
+    """Where a picture showed the body's outline, to be drawn.
+
+    points_px     (n, 2)  limb points, along the limb; or one, the centre of a small disc
+    inward        (n, 2)  unit vectors across the limb, from the sky to the body
+    residuals_px  (n,)    how far the points lie from the fitted limb, positive away from the body;
+                          NaN of those that the solution leaves out
+    is_disc       whether the point is a disc's centre; inward and residuals are then empty
+    """
+
+    points_px: FloatArray
+    inward: FloatArray
+    residuals_px: FloatArray
+    is_disc: bool = False
+
+    @classmethod
+    def of_disc(cls, centre_px: FloatArray) -> "OutlineMarks":
+        """The centre (2,) of a disc that is too small for a limb."""
+        return cls(centre_px[None], np.empty((0, 2)), np.empty(0), is_disc=True)
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """(n,) which limb points the solution rests on."""
+        return np.isfinite(self.residuals_px)
+
+    def curves(self, enlarged: float) -> list[FloatArray]:
+        """The fitted limb, (m, 2) px a piece, moved by so many times the residuals; 0: as it is."""
+        used = self.used
+        if used.sum() < 2:
+            return []
+        residuals, inward = self.residuals_px[used, None], self.inward[used]
+        fitted = self.points_px[used] + residuals * inward
+        steps = np.linalg.norm(np.diff(fitted, axis=0), axis=1)
+        gaps = np.flatnonzero(steps > max(GAP_STEPS * float(np.median(steps)), GAP_PX)) + 1
+        return np.split(fitted - enlarged * residuals * inward, gaps)
 
 
 def unsolved(

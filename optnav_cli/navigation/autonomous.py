@@ -115,7 +115,7 @@ class Navigator:
         row = points.solution
         if row.solved:
             row = replace(row, n_limb=found.n_used, arc_deg=found.arc_deg)
-            points = replace(points, solution=row, limb_px=found.limb_px)
+            points = replace(points, solution=row, marks=found.marks)
             return self._kept(sight, remarked(points, apart(row, found)), sure=True)
         if len(points.tried) < WITNESSES:
             answer = replace(remarked(answer, f"control points: {row.reason}"), tried=points.tried)
@@ -126,7 +126,7 @@ class Navigator:
             "the outline is wrong"
         )
         row = unsolved(*sight.row, reason, method=found.method, prior=found.method)
-        answer = Answer(row, points.tried, found.limb_px)
+        answer = Answer(row, points.tried, found.marks)
         return remarked(answer, self._inversion(sight, None))
 
     def _predicted(self, sight: Sight, why_no_outline: str) -> Answer:
@@ -175,7 +175,7 @@ class Navigator:
             arc_deg=found.arc_deg,
             reason=found.remark,
         )
-        return Answer(row, [], found.limb_px)
+        return Answer(row, [], found.marks)
 
     def _by_points(self, sight: Sight, belief: Belief) -> Answer:
         """Control points searched from a belief."""

@@ -13,7 +13,7 @@ from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.picture import Picture
 from optnav_cli.navigation.control_points import ControlPointFix, TriedPoint
 from optnav_cli.navigation.outline import Outline
-from optnav_cli.solution import Solution, solved
+from optnav_cli.solution import OutlineMarks, Solution, solved
 
 FloatArray = NDArray[np.float64]
 
@@ -22,11 +22,11 @@ CONTROL_POINTS = "control_points"
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A frame's row, the control points tried for it, and the limb points found in it."""
+    """A frame's row, the control points tried for it, and the marks of the body's outline."""
 
     solution: Solution
     tried: list[TriedPoint]
-    limb_px: FloatArray | None = None
+    marks: OutlineMarks | None = None
 
 
 @dataclass(frozen=True, eq=False)

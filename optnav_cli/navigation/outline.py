@@ -33,6 +33,7 @@ from optnav_cli.navigation.neighbour import (
     predicted,
     spots_of,
 )
+from optnav_cli.solution import OutlineMarks
 
 FloatArray = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ class Outline:
     position_m       (3,)    body frame;  covariance_m2 (3, 3)
     residual_rms_px  across the limb, of the points used; None for a disc
     n_used           limb points used; None for a disc
-    limb_px          (n, 2)  limb points, or the disc's centre, for drawing
+    marks            of the outline in the picture, for drawing
     """
 
     method: str
@@ -65,7 +66,7 @@ class Outline:
     residual_rms_px: float | None
     n_used: int | None
     arc_deg: float | None
-    limb_px: FloatArray
+    marks: OutlineMarks
     remark: str
 
 
@@ -233,7 +234,7 @@ def _solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None
         fix.residual_rms_px,
         fix.n_used,
         fix.arc_deg,
-        limb.pixels,
+        OutlineMarks(limb.pixels, limb.inward, fix.residuals_px),
         fix.remark,
     )
 
@@ -265,6 +266,6 @@ def _by_centre(picture: Picture, view: View, body: Body, why_no_limb: str) -> Ou
         None,
         None,
         None,
-        disc.centre_px[None],
+        OutlineMarks.of_disc(disc.centre_px),
         disc.remark,
     )

@@ -13,7 +13,7 @@ NUMBER: Schema = {"type": "number"}
 TEXT: Schema = {"type": "string"}
 COUNT: Schema = {"type": "integer", "minimum": 0}
 DEBUG, INFO, WARNING, ERROR = 1, 2, 3, 4  # of foxglove.LogLevel
-POINTS, LINE_LIST = 1, 4  # of foxglove.PointsAnnotationType
+POINTS, LINE_STRIP = 1, 3  # of foxglove.PointsAnnotationType
 
 
 def _message(title: str, description: str, **fields: Schema) -> Schema:
@@ -97,7 +97,7 @@ IMAGE_ANNOTATIONS = _message(
             timestamp=_TIME,
             type=_choice(
                 "foxglove.PointsAnnotationType",
-                UNKNOWN=0, POINTS=POINTS, LINE_LOOP=2, LINE_STRIP=3, LINE_LIST=LINE_LIST,
+                UNKNOWN=0, POINTS=POINTS, LINE_LOOP=2, LINE_STRIP=LINE_STRIP, LINE_LIST=4,
             ),
             points=_list(_POINT2),
             outline_color=_COLOR,

@@ -1,79 +1,37 @@
 """overlays/*.png: a frame with what was expected, what was found, and by how much they differ."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from catalog.geometry.tangent_plane import MapProjection
 from optnav_cli.camera.camera import Camera
+from optnav_cli.output.canvas import (
+    DISC,
+    FOUND,
+    OUTLINE,
+    PREDICTED,
+    REJECTED,
+    RESIDUAL,
+    RESIDUALS_ENLARGED,
+    SUBPIXEL_BITS,
+    Canvas,
+    dimmed,
+    text_width,
+)
 from optnav_cli.output.display import Colour, eight_bits, encoded, resized, shrink_factor
+from optnav_cli.output.outline_overlay import draw_outline, put_inset
 from optnav_cli.output.recording import describe
-from optnav_cli.solution import MatchRow, Solution
+from optnav_cli.solution import MatchRow, OutlineMarks, Solution
 
 FloatArray = NDArray[np.float64]
 Outlines = Mapping[tuple[str, int], Sequence[FloatArray]]
 LONGEST_PX = 1200
-RESIDUALS_ENLARGED = 50.0
-GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's bytes, nobody sees it
-SHADE = 0.8  # the picture is dimmed a little under the marks
-# Blue, green, red. Told apart by people with colour-blindness too, and by shape.
-PREDICTED = (255, 190, 60)
-FOUND = (90, 240, 110)
-REJECTED = (80, 90, 255)
-RESIDUAL = (60, 220, 255)
-OUTLINE = (210, 170, 80)
-LIMB = (60, 200, 255)
 FADING = 0.75  # of the patch outlines from level to level, so that the large ones stay behind
-FONT = cv2.FONT_HERSHEY_SIMPLEX
 EDGE_POINTS = 5  # a patch's side is drawn through so many points, for fisheyes
-SUBPIXEL_BITS = 4  # OpenCV draws at sixteenths of a pixel
-
-
-@dataclass(frozen=True)
-class _Canvas:
-    """A colour picture and the way from the frame's pixels to its own."""
-
-    image: Colour
-    factor: float
-
-    def place(self, pixels: FloatArray) -> NDArray[np.int32]:
-        """(..., 2) frame pixels as OpenCV's fixed-point canvas coordinates."""
-        scaled = (np.asarray(pixels) + 0.5) * self.factor - 0.5
-        return np.asarray(np.rint(scaled * 2**SUBPIXEL_BITS), dtype=np.int32)
-
-    def line(
-        self, pixels: FloatArray, colour: tuple[int, int, int], width: int, closed: bool = False
-    ) -> None:
-        points = self.place(pixels)
-        cv2.polylines(self.image, [points], closed, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
-
-    def ring(self, pixel: FloatArray, radius: float, colour: tuple[int, int, int]) -> None:
-        x, y = (int(v) for v in self.place(pixel))
-        r = int(radius * 2**SUBPIXEL_BITS)
-        cv2.circle(self.image, (x, y), r, colour, 2, cv2.LINE_AA, SUBPIXEL_BITS)
-
-    def cross(self, pixel: FloatArray, arm: float, colour: tuple[int, int, int]) -> None:
-        reach = arm / self.factor
-        for dx, dy in ((reach, reach), (reach, -reach)):
-            self.line(np.array([pixel - (dx, dy), pixel + (dx, dy)]), colour, 2)
-
-    def dot(self, pixel: FloatArray, colour: tuple[int, int, int]) -> None:
-        x, y = (int(v) for v in self.place(pixel))
-        cv2.circle(self.image, (x, y), 2 << SUBPIXEL_BITS, colour, -1, cv2.LINE_AA, SUBPIXEL_BITS)
-
-    def text(self, words: str, x: float, y: float, colour: tuple[int, int, int]) -> None:
-        """Words with a dark rim, their lower left corner at canvas pixel x, y."""
-        at = round(x), round(y)
-        # A rim by shifting: OpenCV 5 spaces thick letters wider, so a thick copy would not fit.
-        for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            shifted = at[0] + dx, at[1] + dy
-            cv2.putText(self.image, words, shifted, FONT, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
-        cv2.putText(self.image, words, at, FONT, 0.45, colour, 1, cv2.LINE_AA)
 
 
 def draw_overlay(
@@ -83,31 +41,32 @@ def draw_overlay(
     outlines: Outlines | None = None,
     longest_px: int = LONGEST_PX,
     *,
-    limb_px: FloatArray | None = None,
+    marks: OutlineMarks | None = None,
 ) -> Colour:
-    """Draw a frame's control points on its picture.
+    """Draw a frame's control points, and what is known of the body's outline, on its picture.
 
     picture   (h, w)  as read, any number type
     outlines  closed lines (n, 2), px, by catalog and control point id, see `patch_outlines`
-    limb_px   (n, 2) limb points, drawn as dots
+    marks     limb points with the fitted limb, or a disc's centre
     Returns (h', w', 3) uint8 in OpenCV's order of colours, its longer side at most longest_px,
     with a strip below for the legend and the result.
     """
     matches = list(matches)
     factor = shrink_factor(picture.shape[1], picture.shape[0], longest_px)
-    gray = resized(eight_bits(picture), factor)
-    gray = np.asarray(gray * SHADE, dtype=np.uint8) // GRAY_STEP * GRAY_STEP
-    canvas = _Canvas(np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8), factor)
+    gray = eight_bits(picture)
+    canvas = Canvas(dimmed(resized(gray, factor)), factor)
     for match in matches:
         for level, outline in enumerate((outlines or {}).get((match.catalog, match.cp_id), ())):
             if match.used and np.isfinite(outline).all():
                 blue, green, red = (round(v * FADING**level) for v in OUTLINE)
                 canvas.line(outline, (blue, green, red), 1, closed=True)
-    for pixel in () if limb_px is None else limb_px:
-        canvas.dot(pixel, LIMB)
+    if marks is not None:
+        draw_outline(canvas, marks)
     for match in matches:
         _draw_match(canvas, match)
-    return np.vstack([canvas.image, _legend(canvas.image.shape[1], solution, matches, limb_px)])
+    if marks is not None:
+        put_inset(canvas, gray, marks)
+    return np.vstack([canvas.image, _legend(canvas.image.shape[1], solution, matches, marks)])
 
 
 def write_overlay(
@@ -117,12 +76,12 @@ def write_overlay(
     matches: Iterable[MatchRow],
     outlines: Outlines | None = None,
     *,
-    limb_px: FloatArray | None = None,
+    marks: OutlineMarks | None = None,
 ) -> Path:
     """Write folder/NAME.png for a frame and return its path; the folder is made when missing."""
     path = overlay_path(folder, solution.file)
     path.parent.mkdir(parents=True, exist_ok=True)
-    drawn = draw_overlay(picture, solution, matches, outlines, limb_px=limb_px)
+    drawn = draw_overlay(picture, solution, matches, outlines, marks=marks)
     path.write_bytes(encoded(drawn, ".png"))
     return path
 
@@ -159,7 +118,7 @@ def patch_outlines(
     ]
 
 
-def _draw_match(canvas: _Canvas, match: MatchRow) -> None:
+def _draw_match(canvas: Canvas, match: MatchRow) -> None:
     if not np.isfinite(match.predicted_px).all():
         return
     canvas.ring(match.predicted_px, 7.0, PREDICTED)
@@ -176,22 +135,39 @@ def _draw_match(canvas: _Canvas, match: MatchRow) -> None:
     canvas.text(str(match.cp_id), x + 10.0, y - 8.0, mark)
 
 
+def _entries(
+    matches: Sequence[MatchRow], marks: OutlineMarks | None
+) -> list[tuple[str, tuple[int, int, int], str]]:
+    """Signs, colours and words of the legend; those of control points unless only a limb is."""
+    residual = ("-", RESIDUAL, f"residual x{RESIDUALS_ENLARGED:.0f}")
+    items = []
+    if marks is None or matches:
+        found = sum(match.measured_px is not None for match in matches)
+        used = sum(match.used for match in matches)
+        items += [
+            ("o", PREDICTED, f"predicted ({len(matches)})"),
+            ("x", FOUND, f"found and used ({used})"),
+            ("x", REJECTED, f"found, not used ({found - used})"),
+        ]
+    if marks is not None and marks.is_disc:
+        return [*items, ("+", DISC, "centre of the disc")]
+    if marks is not None:
+        kept = int(marks.used.sum())
+        items += [
+            (".", FOUND, f"limb points used ({kept})"),
+            (".", REJECTED, f"limb points left out ({len(marks.used) - kept})"),
+            ("-", PREDICTED, "fitted limb"),
+        ]
+    return [*items, residual]
+
+
 def _legend(
-    width: int, solution: Solution, matches: Sequence[MatchRow], limb_px: FloatArray | None
+    width: int, solution: Solution, matches: Sequence[MatchRow], marks: OutlineMarks | None
 ) -> Colour:
-    found = sum(match.measured_px is not None for match in matches)
-    used = sum(match.used for match in matches)
-    items = [
-        ("o", PREDICTED, f"predicted ({len(matches)})"),
-        ("x", FOUND, f"found and used ({used})"),
-        ("x", REJECTED, f"found, not used ({found - used})"),
-        ("-", RESIDUAL, f"residual x{RESIDUALS_ENLARGED:.0f}"),
-    ]
-    if limb_px is not None:
-        items.append((".", LIMB, f"limb ({len(limb_px)})"))
-    widths = [_text_width(words) + 44 for *_, words in items]
+    items = _entries(matches, marks)
+    widths = [text_width(words) + 44 for *_, words in items]
     rows = _rows_of(widths, width)
-    strip = _Canvas(np.full((26 * (len(rows) + 1) + 6, width, 3), 24, dtype=np.uint8), 1.0)
+    strip = Canvas(np.full((26 * (len(rows) + 1) + 6, width, 3), 24, dtype=np.uint8), 1.0)
     strip.text(_shortened(describe(solution), width - 20), 10, 20, (235, 235, 235))
     for number, row in enumerate(rows):
         x, y = 18.0, 26.0 * (number + 1) + 16.0
@@ -204,6 +180,8 @@ def _legend(
                 strip.dot(at, colour)
             elif kind == "x":
                 strip.cross(at, 5.0, colour)
+            elif kind == "+":
+                strip.aim(at, 8.0, colour)
             else:
                 strip.line(np.array([at - (7.0, 0.0), at + (7.0, 0.0)]), colour, 2)
             strip.text(words, x + 13.0, y, (235, 235, 235))
@@ -226,11 +204,6 @@ def _rows_of(widths: Sequence[int], available: int) -> list[list[int]]:
 
 def _shortened(words: str, available: int) -> str:
     words = words.encode("ascii", "replace").decode("ascii")  # the font has nothing else
-    while len(words) > 4 and _text_width(words) > available:
+    while len(words) > 4 and text_width(words) > available:
         words = words[:-4] + "..."
     return words
-
-
-def _text_width(words: str) -> int:
-    (width, _), _ = cv2.getTextSize(words, FONT, 0.45, 1)
-    return int(width)

@@ -1,8 +1,8 @@
 """run.mcap: a run as time-stamped Foxglove messages in JSON, to be looked at in a robotics viewer.
 
-For each frame: the picture with its calibration, the predicted and the found control points, the
-camera's pose in the body frame, the transform body to camera, and one log line. Message times are
-the frames' UTC, so the same run gives the same bytes.
+For each frame: the picture with its calibration, the predicted and the found control points, what
+is known of the body's outline, the camera's pose in the body frame, the transform body to camera,
+and one log line. Message times are the frames' UTC, so the same run gives the same bytes.
 """
 
 import base64
@@ -22,16 +22,13 @@ from numpy.typing import NDArray
 from catalog.geometry.rotations import quaternion_from_rotation
 from optnav_cli.camera.camera import Camera
 from optnav_cli.output import foxglove
+from optnav_cli.output.annotations import Annotations
 from optnav_cli.output.display import eight_bits, encoded, resized, shrink_factor
-from optnav_cli.solution import MatchRow, Solution
+from optnav_cli.solution import MatchRow, OutlineMarks, Solution
 
 Message = dict[str, Any]
 LONGEST_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it
 JPEG_QUALITY = 80
-MARK_PX, TEXT_PX = 14.0, 12.0  # for a picture of LONGEST_PX
-PREDICTED, FOUND, REJECTED = (0.20, 0.75, 1.0), (0.25, 0.95, 0.35), (1.0, 0.35, 0.30)  # RGB
-LIMB = (1.0, 0.85, 0.2)
-_CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 _TIME = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d):(\d\d)(?::(\d\d)(?:\.(\d*))?)?", re.ASCII)
 
 
@@ -70,12 +67,12 @@ class Recording:
         matches: Iterable[MatchRow] = (),
         camera: Camera | None = None,
         picture: NDArray[np.generic] | None = None,
-        limb_px: NDArray[np.float64] | None = None,
+        marks: OutlineMarks | None = None,
     ) -> None:
         """Add what is known of one frame.
 
         picture  (h, w) as read; camera may be None only where the picture is
-        limb_px  (n, 2) limb points found in it
+        marks    of the body's outline in it
         A frame whose time cannot be understood keeps the time of the frame before.
         """
         self._last_ns = nanoseconds(solution.utc, self._last_ns)
@@ -85,7 +82,12 @@ class Recording:
             if picture is not None:
                 self._write(f"{place}/image", self._image(camera, picture, factor))
             self._write(f"{place}/calibration", self._calibration(camera, factor))
-            self._write(f"{place}/annotations", self._annotations(camera, matches, factor, limb_px))
+            size = factor * max(camera.width_px, camera.height_px) / LONGEST_PX
+            drawn = Annotations(self._stamp(), factor, size)
+            drawn.add_matches(matches)
+            if marks is not None:
+                drawn.add_outline(marks)
+            self._write(f"{place}/annotations", drawn.message)
         if solution.position_m is not None and solution.camera_from_body is not None:
             self._write("/pose", self._pose(solution))
             self._write("/tf", self._transform(solution, camera))
@@ -142,61 +144,6 @@ class Recording:
             "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             "P": [focal, 0.0, cx, 0.0, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         }
-
-    def _annotations(
-        self,
-        camera: Camera,
-        matches: Iterable[MatchRow],
-        factor: float,
-        limb_px: NDArray[np.float64] | None,
-    ) -> tuple[foxglove.Schema, Message]:
-        size = factor * max(camera.width_px, camera.height_px) / LONGEST_PX
-        circles, texts = [], []
-        for match in matches:
-            marks = [(match.predicted_px, PREDICTED, 1.6 * MARK_PX)]
-            if match.measured_px is not None:
-                marks.append((match.measured_px, FOUND if match.used else REJECTED, MARK_PX))
-            for pixel, rgb, diameter in marks:
-                if not np.isfinite(pixel).all():
-                    continue
-                circles.append(
-                    {
-                        "timestamp": self._stamp(),
-                        "position": _point(pixel, factor),
-                        "diameter": diameter * size,
-                        "thickness": 2.0 * size,
-                        "fill_color": _CLEAR,
-                        "outline_color": _color(rgb),
-                        "metadata": _about(match),
-                    }
-                )
-            if np.isfinite(marks[-1][0]).all():
-                texts.append(
-                    {
-                        "timestamp": self._stamp(),
-                        "position": _point(marks[-1][0] + MARK_PX * size / factor, factor),
-                        "text": str(match.cp_id),
-                        "font_size": TEXT_PX * size,
-                        "text_color": _color(marks[-1][1]),
-                        "background_color": _CLEAR,
-                        "metadata": [],
-                    }
-                )
-        points = []
-        if limb_px is not None:
-            points.append(
-                {
-                    "timestamp": self._stamp(),
-                    "type": foxglove.POINTS,
-                    "points": [_point(pixel, factor) for pixel in limb_px],
-                    "outline_color": _color(LIMB),
-                    "outline_colors": [],
-                    "fill_color": _CLEAR,
-                    "thickness": 3.0 * size,
-                    "metadata": [],
-                }
-            )
-        return foxglove.IMAGE_ANNOTATIONS, {"circles": circles, "points": points, "texts": texts}
 
     def _pose(self, solution: Solution) -> tuple[foxglove.Schema, Message]:
         position, orientation = _camera_in_body(solution)
@@ -266,21 +213,3 @@ def _camera_in_body(solution: Solution) -> tuple[Message, Message]:
         float(v) for v in quaternion_from_rotation(solution.camera_from_body.inv())
     )  # the camera's axes seen from the body
     return {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
-
-
-def _point(pixel: NDArray[np.float64], factor: float) -> Message:
-    x, y = ((float(v) + 0.5) * factor for v in pixel)
-    return {"x": x, "y": y}
-
-
-def _color(rgb: tuple[float, float, float]) -> Message:
-    return {**dict(zip("rgb", rgb, strict=True)), "a": 1.0}
-
-
-def _about(match: MatchRow) -> list[Message]:
-    about = {"id": str(match.cp_id), "level": str(match.level)}
-    if match.score is not None:
-        about["score"] = f"{match.score:.3f}"
-    if match.reason:
-        about["why not used"] = match.reason
-    return [{"key": key, "value": value} for key, value in about.items()]

@@ -16,7 +16,7 @@ from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.picture import load_picture
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.control_points import TriedPoint
-from optnav_cli.solution import MatchRow, Solution, unsolved
+from optnav_cli.solution import MatchRow, OutlineMarks, Solution, unsolved
 
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 
@@ -25,14 +25,14 @@ MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 class FrameResult:
     """A frame's row, the control points tried, and the picture for recording, where it was read.
 
-    limb_px (n, 2) the limb points found in it, None where none were looked for
+    marks  of the body's outline in it, None where none was looked for
     """
 
     solution: Solution
     matches: list[MatchRow]
     camera: Camera | None
     picture: NDArray[np.float32] | None
-    limb_px: NDArray[np.float64] | None = None
+    marks: OutlineMarks | None = None
 
 
 def in_order(folder: Folder) -> Iterator[int]:
@@ -64,7 +64,7 @@ def solve_frame(folder: Folder, frame: Frame, navigator: Navigator) -> FrameResu
         values = None if picture is None else picture.values
         return FrameResult(unsolved(frame.file, frame.utc, str(error)), [], camera, values)
     matches = _match_rows(frame.file, answer.tried)
-    return FrameResult(answer.solution, matches, camera, picture.values, answer.limb_px)
+    return FrameResult(answer.solution, matches, camera, picture.values, answer.marks)
 
 
 def _match_rows(file: str, points: Sequence[TriedPoint]) -> list[MatchRow]:

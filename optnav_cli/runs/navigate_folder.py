@@ -110,7 +110,7 @@ def _navigate_frames(
             solutions[number] = result.solution
             matches[number] = result.matches
             recording.add_frame(
-                result.solution, result.matches, result.camera, result.picture, result.limb_px
+                result.solution, result.matches, result.camera, result.picture, result.marks
             )
             if result.picture is not None:
                 _draw(place / OVERLAYS, result, world.points)
@@ -154,4 +154,4 @@ def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:
                 solution.position_m,
                 solution.camera_from_body,
             )
-    write_overlay(place, result.picture, solution, result.matches, outlines, limb_px=result.limb_px)
+    write_overlay(place, result.picture, solution, result.matches, outlines, marks=result.marks)

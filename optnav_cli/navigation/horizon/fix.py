@@ -16,6 +16,7 @@ class HorizonFix:
     covariance_m2    (3, 3)
     arc_deg          azimuth about the nadir that the used points cover
     residual_rms_px  across the limb, of the used points
+    residuals_px     (n_points,) of each, positive away from the body; NaN of those left out
     n_points         offered
     n_used           kept: lit by the relief, and not outvoted
     terrain          whether the relief's skyline was the model, or the bare ellipsoid
@@ -27,6 +28,7 @@ class HorizonFix:
     covariance_m2: FloatArray
     arc_deg: float
     residual_rms_px: float
+    residuals_px: FloatArray
     n_points: int
     n_used: int
     terrain: bool

@@ -29,6 +29,7 @@ class Sight:
     sigma_px     (n,)   stated error of each point, its own
     blur         rad    sigma of what one point averages along the limb
     common_px    sigma of an edge error that all points share
+    numbers      (n,)   of the limb points among those that were found
     """
 
     rays: FloatArray
@@ -36,6 +37,7 @@ class Sight:
     sigma_px: FloatArray
     blur: float
     common_px: float
+    numbers: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.rays)
@@ -52,7 +54,12 @@ class Sight:
     def subset(self, kept: BoolArray) -> "Sight":
         """The rays of a mask."""
         return Sight(
-            self.rays[kept], self.pixel_angle[kept], self.sigma_px[kept], self.blur, self.common_px
+            self.rays[kept],
+            self.pixel_angle[kept],
+            self.sigma_px[kept],
+            self.blur,
+            self.common_px,
+            self.numbers[kept],
         )
 
 
@@ -70,6 +77,7 @@ def sight_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> 
         points.sigma_px[seen],
         points.blur_px * float(np.median(angle)),
         points.common_sigma_px,
+        np.flatnonzero(seen),
     )
 
 

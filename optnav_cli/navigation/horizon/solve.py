@@ -212,11 +212,14 @@ def _fix(
 ) -> HorizonFix:  # fmt: skip
     used = fit.weights > 0.0
     in_pixels = fit.residuals[used] / sight.pixel_angle[used]
+    residuals = np.full(len(points), np.nan)
+    residuals[sight.numbers[used]] = in_pixels
     return HorizonFix(
         position_m=position,
         covariance_m2=np.asarray(covariance),
         arc_deg=arc,
         residual_rms_px=float(np.sqrt(np.mean(in_pixels**2))),
+        residuals_px=residuals,
         n_points=len(points),
         n_used=int(used.sum()),
         terrain=passes > 0,

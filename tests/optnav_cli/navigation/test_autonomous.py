@@ -23,11 +23,13 @@ from optnav_cli.navigation.autonomous import Navigator, World
 from optnav_cli.navigation.control_points import UnsolvedFrameError
 from optnav_cli.navigation.outline import Outline
 from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.solution import OutlineMarks
 
 MOON = load_body("moon")
 MOTION = AnalyticMotion(MOON)
 START_S = 8.2e8
 SUN = np.array([1.0, 0.0, 0.0])
+MARKS = OutlineMarks.of_disc(np.array([31.5, 31.5]))
 WIDE = Camera("wide", "pinhole", 64, 64, 100.0, (31.5, 31.5))
 NARROW = Camera("narrow", "pinhole", 64, 64, 1000.0, (31.5, 31.5))
 PICTURE = Picture(np.zeros((64, 64), dtype=np.float32), 255.0)
@@ -88,9 +90,7 @@ class Sky:
                 known if isinstance(known, str) else "the Sun is on the dark side"
             )
         place = self.truth[self.frame] + known
-        return Outline(
-            "horizon", place, np.eye(3) * 200.0**2, 0.1, 900, 200.0, np.zeros((3, 2)), ""
-        )
+        return Outline("horizon", place, np.eye(3) * 200.0**2, 0.1, 900, 200.0, MARKS, "")
 
     def points(self, picture, camera, prior, *_):
         self.priors.append(prior)

@@ -8,18 +8,16 @@ from scipy.spatial.transform import Rotation
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from optnav_cli.camera.camera import Camera
+from optnav_cli.output.canvas import DISC, FOUND, PREDICTED, REJECTED, RESIDUAL
+from optnav_cli.output.display import eight_bits
 from optnav_cli.output.overlay import (
-    FOUND,
     LONGEST_PX,
-    PREDICTED,
-    REJECTED,
-    RESIDUAL,
     draw_overlay,
     overlay_path,
     patch_outlines,
     write_overlay,
 )
-from optnav_cli.solution import MatchRow, solved, unsolved
+from optnav_cli.solution import MatchRow, OutlineMarks, solved, unsolved
 
 RADIUS_M = 1737400.0
 
@@ -63,6 +61,62 @@ def test_marks_stand_where_the_frames_pixels_are(side):
     assert at(150, 450, PREDICTED) < 60
     assert at(150, 450, FOUND) > 100
     assert at(300, 500, PREDICTED) > 100
+
+
+def a_limb(centre, radius, count, out=()):
+    """Marks of a circle's upper half, 0.2 px outside the fitted one but for points left out."""
+    angle = np.linspace(-np.pi, 0.0, count)
+    outward = np.column_stack([np.cos(angle), np.sin(angle)])
+    residuals = np.full(count, 0.2)
+    residuals[list(out)] = np.nan
+    return OutlineMarks(centre + radius * outward, -outward, residuals)
+
+
+def test_a_limb_is_drawn_with_its_fit_and_what_was_left_out():
+    marks = a_limb(np.array([300.0, 400.0]), 200.0, 400, range(300, 320))
+    # the fitted limb has a gap where 20 points are missing
+    fitted = marks.curves(0.0)
+    assert [len(piece) for piece in fitted] == [300, 80]
+    np.testing.assert_allclose(np.hypot(*(fitted[0] - [300.0, 400.0]).T), 199.8)
+    image = draw_overlay(np.zeros((600, 600), np.uint8), unsolved("a.png", "", ""), [], marks=marks)
+    angle = np.radians(-150.0)
+    x, y = 300.0 + 200.0 * np.cos(angle), 400.0 + 200.0 * np.sin(angle)
+    assert near(image, x, y, FOUND, 3) < 60
+    assert near(image, x, y, PREDICTED, 3) < 60
+    # residuals stand outwards, 50 times 0.2 px
+    x, y = 300.0 + 209.8 * np.cos(angle), 400.0 + 209.8 * np.sin(angle)
+    assert near(image, x, y, RESIDUAL, 1) < 60
+    angle = np.pi * (310.0 / 399.0 - 1.0)
+    x, y = 300.0 + 200.0 * np.cos(angle), 400.0 + 200.0 * np.sin(angle)
+    assert near(image, x, y, REJECTED, 3) < 60
+    assert near(image, x, y, PREDICTED, 3) > 100
+
+
+@pytest.mark.parametrize("centre", [(100.0, 120.0), (900.0, 120.0), (500.0, 950.0)])
+def test_a_small_outline_is_shown_enlarged_away_from_it(centre):
+    picture = np.zeros((1000, 1000), np.float32)
+    disc = OutlineMarks.of_disc(np.array(centre))
+    cv2.circle(picture, (int(centre[0]), int(centre[1])), 9, 200.0, -1)
+    image = draw_overlay(picture, unsolved("a.png", "", ""), [], marks=disc)
+    assert near(image, centre[0] + 20, centre[1], DISC, 3) < 60
+    left = 0 if centre[0] > 500 else 600
+    top = 0 if centre[1] > 500 else 600
+    inset = image[top : top + 400, left : left + 400]
+    # 48 px of the frame are 400 here: the disc of 19 px is 158
+    assert 140 < (inset[200 - 30, :, 0] > 150).sum() < 170
+    assert near(inset, 220, 200, DISC, 3) < 60
+
+
+def test_a_small_disc_in_a_noisy_sky_is_stretched_by_its_own_light():
+    rng = np.random.default_rng(7)
+    picture = rng.normal(20.0, 1.5, (1000, 1000)).astype(np.float32)
+    cv2.circle(picture, (500, 500), 15, 180.0, -1)
+    picture[500:, 500:515] *= 0.5
+    shown = eight_bits(picture)
+    # noise of 1.5 in a range of 160; stretched by percentiles it would fill all 255 levels
+    assert np.ptp(np.percentile(shown[:400], [1.0, 99.0])) < 25
+    assert shown[490, 500] == 255
+    assert 100 < shown[508, 506] < 200
 
 
 def test_a_line_tells_the_result_and_long_reasons_are_cut(tmp_path):

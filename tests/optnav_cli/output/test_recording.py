@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from optnav_cli.camera.camera import Camera
 from optnav_cli.output.recording import Recording, nanoseconds
-from optnav_cli.solution import MatchRow, solved, unsolved
+from optnav_cli.solution import MatchRow, OutlineMarks, solved, unsolved
 
 UTC = "2023-08-17T05:23:10.250Z"
 NS = 1692249790_250000000  # date -u -d 2023-08-17T05:23:10 +%s
@@ -144,6 +144,26 @@ def test_marks_count_pixels_from_the_corner_and_skip_what_has_no_place(recorded)
     places = [(c["position"]["x"], c["position"]["y"]) for c in marks["circles"]]
     assert places == [(10.5, 20.5), (11.5, 21.0), (30.5, 40.5), (70.5, 80.5)]
     assert [t["text"] for t in marks["texts"]] == ["7", "8"]
+
+
+def test_the_outline_is_recorded_with_its_fit(tmp_path):
+    corners = np.array([[10.0, 5.0], [11.0, 5.0], [12.0, 5.0], [13.0, 5.0]])
+    down = np.tile([0.0, 1.0], (4, 1))
+    limb = OutlineMarks(corners, down, np.array([0.5, 0.5, np.nan, 0.5]))
+    disc = OutlineMarks.of_disc(np.array([30.0, 40.0]))
+    with Recording(tmp_path / "run.mcap", "moon") as recording:
+        for marks in (limb, disc):
+            recording.add_frame(unsolved("b.png", UTC, ""), (), UNK, marks=marks)
+    drawn = [c for s, _, _, c in read(tmp_path / "run.mcap") if "ImageAnnotations" in s.name]
+    used, left_out, fitted = (
+        [(p["x"], p["y"]) for p in part["points"]] for part in drawn[0]["points"]
+    )
+    assert [part["type"] for part in drawn[0]["points"]] == [1, 1, 3]  # points, points, line strip
+    assert used == [(10.5, 5.5), (11.5, 5.5), (13.5, 5.5)]
+    assert left_out == [(12.5, 5.5)]
+    assert fitted == [(10.5, 6.0), (11.5, 6.0), (13.5, 6.0)]  # half a pixel nearer to the body
+    (circle,) = drawn[1]["circles"]
+    assert (circle["position"]["x"], circle["position"]["y"]) == (30.5, 40.5)
 
 
 def test_a_large_picture_is_recorded_smaller_with_its_calibration(recorded):
