@@ -2,9 +2,10 @@
 
 Source: Zhukov 2025, ch. 2: the direction to a small body is that of its middle of light, corrected
 for the phase; the correction depends on the illumination and hardly on the reflectance law. Ours:
-the range from the second moments, which are the disc's and the blur's together. Neither law nor
-blur is known, so all that fit are weighed against each other; what they leave is the covariance,
-along the line of sight most of all.
+bodies that are no sphere are corrected for their shape too (`shape_moments`), and the range comes
+from the second moments, which are the disc's and the blur's together. Neither law nor blur is
+known, so all that fit are weighed against each other; what they leave is the covariance, along the
+line of sight most of all.
 """
 
 from dataclasses import dataclass
@@ -15,8 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
+from catalog.terrain.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.disc_moments import DiscMoments, measure_disc, sphere_moments
+from optnav_cli.measurements.disc_moments import DiscMoments, measure_disc
+from optnav_cli.measurements.shape_moments import LightMoments, is_round, light_moments
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -32,6 +35,9 @@ LAW_BELIEF = (0.98, 0.01, 0.01)
 # What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
 # (Smith et al., JGR 102, 1997). Maria, which no law knows, are not in it.
 SHAPE_SIGMA = 0.0012
+# The same of a body that is no sphere: shadows that its known relief throws, which are not reckoned
+# with (tried on Phobos at phases of 20-70 deg), and the ground over its ellipsoid.
+RELIEF_SIGMA, ELLIPSOID_SIGMA = 0.015, 0.05
 SMALL_ANGLE = 1e-5
 
 
@@ -64,11 +70,13 @@ def navigate(
     body: Body,
     *,
     saturation: float | None = None,
+    relief: GlobalRelief | None = None,
 ) -> CentreFix:
     """The camera's position from the one small disc in a picture.
 
     picture  (h, w) counts;  sun_body (3,) unit vector to the Sun, body frame
     attitude_sigma_rad  1 sigma an axis;  saturation  counts of a full pixel, None if not known
+    relief  of a body that is no sphere, where it is known
 
     Raises NoSolutionError with what the picture shows instead.
     """
@@ -81,11 +89,17 @@ def navigate(
             f"the phase is {np.degrees(phase):.0f} deg: a crescent that thin says little about "
             f"the disc's centre; the limit is {LARGEST_PHASE_DEG:.0f} deg"
         )
-    pixel_from_angle, scale = _tangent(camera, towards, sun)
-    weights, offsets, width_sigmas = _weigh(disc, pixel_from_angle / scale, phase)
+    body_from_camera = camera_from_body.inv().as_matrix()
+    pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
+    shape_sigma = SHAPE_SIGMA
+    if not is_round(body):
+        shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA
+    seen = np.vstack([axes, -towards]) @ body_from_camera.T
+    moments = light_moments(body, relief, seen, sun_body, phase)
+    weights, width_sigmas = _weigh(disc, pixel_from_angle / scale, moments, shape_sigma)
     # every radius and law puts the centre elsewhere, and the body at another range
-    shift = offsets * RADII_PX
-    pixels = disc.centre - shift[..., None] * (pixel_from_angle[:, 0] / scale)
+    offsets = np.array([m.offset for m in moments]) @ (pixel_from_angle / scale).T
+    pixels = disc.centre - offsets[:, None] * RADII_PX[:, None]
     rays = camera.unproject(pixels)
     distances = float(np.mean(body.radii_m)) / np.sin(np.arctan(RADII_PX / scale))
     places = -rays * distances[:, None]
@@ -94,11 +108,10 @@ def navigate(
     covariance = np.einsum("kn,kni,knj->ij", weights, about, about)
     distance = float(np.linalg.norm(position))
     radius = float((weights * RADII_PX).sum())
-    noise = disc.centre_covariance + (SHAPE_SIGMA * radius) ** 2 * np.eye(2)
+    noise = disc.centre_covariance + (shape_sigma * radius) ** 2 * np.eye(2)
     across = _across(camera, disc.centre) * distance
     square = np.eye(3) - np.outer(position, position) / distance**2
     covariance += across @ noise @ across.T + square * (distance * attitude_sigma_rad) ** 2
-    body_from_camera = camera_from_body.inv().as_matrix()
     share = float(np.sqrt(position @ covariance @ position)) / distance**2
     return CentreFix(
         body_from_camera @ position,
@@ -111,16 +124,22 @@ def navigate(
     )
 
 
-def _tangent(camera: Camera, towards: FloatArray, sun: FloatArray) -> tuple[FloatArray, float]:
-    """Pixels (2, 2) by angle toward the Sun and across, and the px / rad that keep the area."""
+def _tangent(
+    camera: Camera, towards: FloatArray, sun: FloatArray
+) -> tuple[FloatArray, float, FloatArray]:
+    """Pixels (2, 2) by angle toward the Sun and across, and the px / rad that keep the area.
+
+    And the two directions (2, 3), camera frame.
+    """
     along = sun - (sun @ towards) * towards
     length = float(np.linalg.norm(along))
     # with the Sun behind the camera every direction is as good
     along = along / length if length > 1e-9 else np.linalg.svd(towards[None])[2][1]
-    steps = np.stack([along, np.cross(towards, along)]) * SMALL_ANGLE
+    axes = np.stack([along, np.cross(towards, along)])
+    steps = axes * SMALL_ANGLE
     moved = camera.project(towards + steps) - camera.project(towards - steps)
     matrix = moved.T / (2.0 * SMALL_ANGLE)
-    return np.asarray(matrix), float(np.sqrt(abs(np.linalg.det(matrix))))
+    return np.asarray(matrix), float(np.sqrt(abs(np.linalg.det(matrix)))), axes
 
 
 def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
@@ -130,28 +149,30 @@ def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
 
 
 def _weigh(
-    disc: DiscMoments, pixel_from_disc: FloatArray, phase: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """How likely every law and radius is (laws, radii), and each law's offset (laws, 1).
+    disc: DiscMoments,
+    pixel_from_disc: FloatArray,
+    moments: list[LightMoments],
+    shape_sigma: float,
+) -> tuple[FloatArray, float]:
+    """How likely every law and radius is (laws, radii).
 
     And by how many sigmas the likeliest of all is likelier than a point.
     """
-    spheres = sphere_moments(phase)
     to_disc = np.linalg.inv(pixel_from_disc)
     second = to_disc @ disc.second @ to_disc.T
     round_blur = np.diag(to_disc @ to_disc.T)
     belief = -0.5 * ((BLURS_PX - BLUR_PX) / BLUR_SIGMA_PX) ** 2
-    logs = np.empty((len(spheres), len(RADII_PX), len(BLURS_PX)))
-    for k, sphere in enumerate(spheres):
-        for axis, moment in enumerate((sphere.along, sphere.across)):
+    logs = np.empty((len(moments), len(RADII_PX), len(BLURS_PX)))
+    for k, light in enumerate(moments):
+        for axis, moment in enumerate(np.diag(light.second)):
             expected = RADII_PX[:, None] ** 2 * moment + BLURS_PX**2 * round_blur[axis]
             # a shape that is not a sphere's changes its moments by twice its share
-            sigma = np.hypot(disc.second_sigma, 2.0 * SHAPE_SIGMA * RADII_PX[:, None] ** 2 * moment)
+            of_shape = 2.0 * shape_sigma * RADII_PX[:, None] ** 2 * moment
+            sigma = np.hypot(disc.second_sigma, of_shape)
             miss = (second[axis, axis] - expected) / sigma
             term = -0.5 * miss**2 - np.log(sigma)
             logs[k] = term + belief if axis == 0 else logs[k] + term
     weights = np.exp(logs - logs.max()).sum(axis=2) * np.array(LAW_BELIEF)[:, None]
     weights /= weights.sum()
     beyond_point = float(logs.max() - logs[:, 0].max())
-    offsets = np.array([[sphere.offset] for sphere in spheres])
-    return weights, offsets, float(np.sqrt(2.0 * beyond_point))
+    return weights, float(np.sqrt(2.0 * beyond_point))

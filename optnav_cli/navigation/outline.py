@@ -17,6 +17,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.picture import Picture
 from optnav_cli.measurements.bright_body import lit_blobs, measure_levels, without_blobs
 from optnav_cli.measurements.limb_points import LimbPoints, find_limb
+from optnav_cli.measurements.sun_side import doubt_of_sun
 from optnav_cli.navigation import brightness_centre, horizon
 from optnav_cli.navigation.horizon.shape_limb import stand_off
 from optnav_cli.navigation.neighbour import (
@@ -226,7 +227,14 @@ def _solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None
             relief,
         )
     except NoSolutionError as no_limb:
-        return _by_centre(picture, view, body, str(no_limb))
+        doubt = _doubt_of_sun(picture, view)
+        if doubt:
+            raise NoSolutionError(f"{doubt}; {no_limb}") from None
+        return _by_centre(picture, view, body, relief, str(no_limb))
+    # close to the body the limb's own relief tells a wrong Sun
+    doubt = _doubt_of_sun(picture, view) if limb.cone_angle < NEAR_ANGLE else ""
+    if doubt:
+        raise NoSolutionError(f"{doubt}: attitude or time is wrong")
     return Outline(
         "horizon" if fix.terrain else "horizon_sphere",
         fix.position_m,
@@ -239,7 +247,19 @@ def _solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None
     )
 
 
-def _by_centre(picture: Picture, view: View, body: Body, why_no_limb: str) -> Outline:
+def _doubt_of_sun(picture: Picture, view: View) -> str:
+    """What the side of the limb that is lit says against the Sun, in words, if anything."""
+    try:
+        limb = find_limb(picture.values, view.camera, None, saturation=picture.saturation)
+    except NoSolutionError:
+        return ""
+    rays = view.camera.unproject(limb.pixels)
+    return doubt_of_sun(limb, rays, view.camera_from_body.apply(view.sun_body))
+
+
+def _by_centre(
+    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, why_no_limb: str
+) -> Outline:
     """A position from the middle of light of a small disc."""
     try:
         disc = brightness_centre.navigate(
@@ -250,6 +270,7 @@ def _by_centre(picture: Picture, view: View, body: Body, why_no_limb: str) -> Ou
             view.sun_body,
             body,
             saturation=picture.saturation,
+            relief=relief,
         )
     except NoSolutionError as no_disc:
         both = dict.fromkeys((why_no_limb, str(no_disc)))
