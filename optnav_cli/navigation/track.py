@@ -101,7 +101,8 @@ class Track:
         before = self._motion.body_from_inertial(self._last.tdb_s).T @ self._last.belief.position_m
         now = self._motion.body_from_inertial(tdb_s).T @ position_m
         away = float(np.linalg.norm(now - before))
-        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1]))
+        spreads = covariance_m2, self._last.belief.covariance_m2
+        sigma = float(np.sqrt(sum(np.linalg.eigvalsh(spread)[-1] for spread in spreads)))
         lower = min(float(np.linalg.norm(before)), float(np.linalg.norm(now)))
         escape = float(np.sqrt(2.0 * self._motion.body.gm_m3_s2 / lower))
         fastest = max(MOST_ESCAPES * escape, FASTEST_FAR_M_S)
