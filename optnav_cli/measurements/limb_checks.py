@@ -26,6 +26,7 @@ LEAST_EXPECTED = 15  # of the azimuths: fewer say nothing about what hides the o
 # Lit ground outside the limb over lit ground inside it: the limb belongs to something else.
 MOST_OUTSIDE_SHARE = 0.3
 SECOND_BODY_SHARE = 0.5  # of a lit area's rim that lies on a circle of its own
+LUMPY = 0.03  # relief, in body radii, of a body whose own lobes may look like another one
 GRID_PX = 8
 
 
@@ -167,6 +168,9 @@ def _check_second(camera: Camera, outside: Candidates, cone: Cone, relief: float
         return
     other, agrees = second
     if agrees.sum() < 20 or other.angle > 1.0:
+        return
+    apart = float(np.arccos(np.clip(cone.axis @ other.axis, -1.0, 1.0)))
+    if relief > LUMPY and apart < cone.angle + other.angle:
         return
     arc = arc_deg(other, where.rays[agrees], 3.0, float(np.linalg.norm(where.by_x[0])))
     inside = other.depth(where.rays) > -3.0 * np.linalg.norm(where.by_x, axis=1)

@@ -29,7 +29,7 @@ SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phob
 # Ground with 20 m rms of relief (hills and craters) below the 319 m of the 2 deg model of Phobos
 # has its silhouette 12.7 m above that of the model's cells of 159 m; a single crest then errs by
 # 12 m (six views from 100 km, 1440 crests each). Other shapes: in units of their cells.
-LIFT, LIFT_SIGMA = 0.080, 0.3
+LIFT, LIFT_SIGMA = 0.080, 0.4
 CREST_NOISE, SECTOR_NOISE = 0.075, 0.02
 SHADOW_CLEARANCE = 0.16
 LEAST_AZIMUTHS, MOST_AZIMUTHS = 360, 2880
