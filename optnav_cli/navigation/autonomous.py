@@ -136,7 +136,7 @@ class Navigator:
             reason = f"no prior: {why_no_outline}; and no frame before leads here"
             answer = Answer(unsolved(*sight.row, reason), [])
             return remarked(answer, self._inversion(sight, None))
-        beyond = self._out_of_reach(sight, belief)
+        beyond = self._too_coarse(sight, belief)
         if beyond:
             reason = f"{why_no_outline}; from the {belief.source}: {beyond}"
             return Answer(unsolved(*sight.row, reason, prior=belief.source), [])
@@ -212,20 +212,28 @@ class Navigator:
         return Answer(replace(row_of_points(sight, fix), prior=belief.source), fix.tried)
 
     def _out_of_reach(self, sight: Sight, belief: Belief) -> str:
-        """Why no control point can be matched from there; empty when some may."""
-        world = self._world
-        height = float(np.linalg.norm(belief.position_m)) - world.motion.body.radius_m
-        sample = max(height, 0.0) / sight.camera.focal_length_px
-        coarsest = max(float(layer.postings_m[-1]) for layer in world.points.layers)
-        across = 2.0 * world.motion.body.radius_m / max(sample, 1e-9)
+        """Why control points have nothing to add to an outline; empty when some may."""
+        radius = self._world.motion.body.radius_m
+        across = 2.0 * radius / max(self._pixel_m(sight, belief), 1e-9)
         if across < SMALL_DISC_PX:
             return f"the body is {across:.0f} px across: its limb tells more than control points"
+        return self._too_coarse(sight, belief)
+
+    def _too_coarse(self, sight: Sight, belief: Belief) -> str:
+        """Why no control point can be matched from there; empty when some may."""
+        world, sample = self._world, self._pixel_m(sight, belief)
+        coarsest = max(float(layer.postings_m[-1]) for layer in world.points.layers)
         if world.settings.match.finest_posting_per_gsd * sample <= coarsest:
             return ""
         return (
             f"a pixel sees {sample:.0f} m, too much for the catalog's coarsest level "
             f"of {coarsest:.0f} m"
         )
+
+    def _pixel_m(self, sight: Sight, belief: Belief) -> float:
+        """Ground that a pixel sees below."""
+        height = float(np.linalg.norm(belief.position_m)) - self._world.motion.body.radius_m
+        return max(height, 0.0) / sight.camera.focal_length_px
 
     def _kept(self, sight: Sight, answer: Answer, *, sure: bool) -> Answer:
         """An answer by control points, taken into the track; a remark where the arc disagrees."""

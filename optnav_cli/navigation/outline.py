@@ -17,6 +17,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.picture import Picture
 from optnav_cli.measurements.bright_body import lit_blobs, measure_levels, without_blobs
 from optnav_cli.measurements.limb_points import LimbPoints, find_limb
+from optnav_cli.measurements.shape_moments import is_round
 from optnav_cli.measurements.sun_side import doubt_of_sun
 from optnav_cli.navigation import brightness_centre, horizon
 from optnav_cli.navigation.horizon.shape_limb import stand_off
@@ -47,6 +48,7 @@ FARTHEST = 1.5  # from the body, in distances of the other one
 ROUGH_SHARE = 0.3  # error of a range from the extent of a spot
 # Wider uncertain, the other body's direction speaks for nothing.
 WIDEST_SIGMA = 0.06
+SMOOTH = 0.01  # relief, in body radii, of a body that is lit as a sphere is
 LEAST_WIDTH_SIGMAS = 3.0  # of a disc over a point
 
 
@@ -227,12 +229,12 @@ def _solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None
             relief,
         )
     except NoSolutionError as no_limb:
-        doubt = _doubt_of_sun(picture, view)
+        doubt = _doubt_of_sun(picture, view, body)
         if doubt:
             raise NoSolutionError(f"{doubt}; {no_limb}") from None
         return _by_centre(picture, view, body, relief, str(no_limb))
     # close to the body the limb's own relief tells a wrong Sun
-    doubt = _doubt_of_sun(picture, view) if limb.cone_angle < NEAR_ANGLE else ""
+    doubt = _doubt_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
         raise NoSolutionError(f"{doubt}: attitude or time is wrong")
     return Outline(
@@ -247,14 +249,15 @@ def _solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None
     )
 
 
-def _doubt_of_sun(picture: Picture, view: View) -> str:
-    """What the side of the limb that is lit says against the Sun, in words, if anything."""
+def _doubt_of_sun(picture: Picture, view: View, body: Body) -> str:
+    """What the lit part of a disc says against the Sun, in words, if anything."""
+    if stand_off(body) > SMOOTH:
+        return ""
     try:
         limb = find_limb(picture.values, view.camera, None, saturation=picture.saturation)
     except NoSolutionError:
         return ""
-    rays = view.camera.unproject(limb.pixels)
-    return doubt_of_sun(limb, rays, view.camera_from_body.apply(view.sun_body))
+    return doubt_of_sun(limb, view.camera, view.camera_from_body.apply(view.sun_body))
 
 
 def _by_centre(
