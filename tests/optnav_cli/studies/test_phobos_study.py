@@ -1,0 +1,74 @@
+"""The Phobos study's table, and that its rows name scenarios and cameras that are there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.config import resource
+from catalog.errors import NothingToDoError
+from catalog.progress import SilentProgress
+from catalog.stages.account import Account, StageAccount
+from optnav_cli.output.figures import FrameError
+from optnav_cli.simulation.scenario import Portraits, load_scenario
+from optnav_cli.solution import solved, unsolved
+from optnav_cli.studies.phobos import ROWS, Results, Row, RowResult, format_results, run
+
+UTC = "2026-01-01T00:00:00Z"
+ACCOUNT = Account(
+    "optnav", 2, 412, 412, 266, stages=[StageAccount("render", done=412, seconds=90.0, cpu_s=150.0)]
+)
+
+
+def found(error_rnb_m: list[float], sigma_m: float, distance_m: float) -> FrameError:
+    error = np.array(error_rnb_m)
+    solution = solved("a.png", UTC, "horizon", error, np.eye(3), Rotation.identity(), 0.0)
+    nees = float(error @ error) / sigma_m**2
+    return FrameError(
+        "a.png", UTC, solution, "motion", distance_m - 11e3, error, np.full(3, sigma_m), nees,
+        distance_m=distance_m,
+    )  # fmt: skip
+
+
+def missed(reason: str) -> FrameError:
+    return FrameError("b.png", UTC, unsolved("b.png", UTC, reason), "motion", 89e3)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_every_row_has_a_scenario_with_its_camera_and_prior(row: Row) -> None:
+    scenario = load_scenario(resource(f"configs/scenarios/{row.scenario}.toml"))
+    assert isinstance(scenario, Portraits)
+    assert row.camera in [mount.name for mount in scenario.mounts()]
+    assert scenario.prior.given or not row.prior
+    assert scenario.portraits.frames >= 12
+    assert scenario.portraits.phase_deg == (20.0, 70.0)
+
+
+def test_the_table_says_what_is_found_asked_and_missed() -> None:
+    frames = (
+        found([-100.0, 6.0, 8.0], 50.0, 100e3),
+        found([100.0, 0.0, 10.0], 50.0, 100e3),
+        missed("no limb in view; and no frame before leads here"),
+    )
+    text = format_results(Results(ACCOUNT, (RowResult(ROWS[3], frames),)))
+    assert "266 of 412 points usable, 90 s (≤ 180)" in text
+    assert "150 s of processors" in text
+    line = next(line for line in text.splitlines() if line.startswith("limb, 100 km"))
+    assert "2/3" in line
+    assert "10.0 (≤ 15)" in line
+    assert "0.100 (≤ 0.1)" in line
+    assert "1.35" in line  # 10100 / 2500 / 3
+    assert "2.0 σ  2 horizon" in line
+    assert "limb, 100 km: 1 not solved: no limb in view" in text
+
+
+def test_a_row_without_solutions_says_so() -> None:
+    text = format_results(Results(ACCOUNT, (RowResult(ROWS[-1], (missed("dark"),)),)))
+    assert "none solved" in text
+    assert "1 not solved: dark" in text
+
+
+def test_a_row_that_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(NothingToDoError, match="no row of the study is called 'deimos'"):
+        run(tmp_path / "out", SilentProgress(), rows="deimos")
