@@ -48,7 +48,6 @@ FARTHEST = 1.5  # from the body, in distances of the other one
 ROUGH_SHARE = 0.3  # error of a range from the extent of a spot
 # Wider uncertain, the other body's direction speaks for nothing.
 WIDEST_SIGMA = 0.06
-SMOOTH = 0.01  # relief, in body radii, of a body that is lit as a sphere is
 LEAST_WIDTH_SIGMAS = 3.0  # of a disc over a point
 
 
@@ -251,7 +250,7 @@ def _solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None
 
 def _doubt_of_sun(picture: Picture, view: View, body: Body) -> str:
     """What the lit part of a disc says against the Sun, in words, if anything."""
-    if stand_off(body) > SMOOTH:
+    if not is_round(body):
         return ""
     try:
         limb = find_limb(picture.values, view.camera, None, saturation=picture.saturation)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb_points import find_limb
-from optnav_cli.measurements.sun_side import doubt_of_sun
+from optnav_cli.measurements.sun_side import doubt_of_sun, sun_side_angle
 from tests.optnav_cli.measurements.drawn_discs import (
     RADIUS_M,
     blurred_disc,
@@ -168,17 +168,21 @@ def test_structure_over_half_of_the_limb_is_told():
         find_limb(picture, camera, sun)
 
 
-def test_the_sun_s_side_betrays_an_inverse_rotation():
-    camera, centre, sun, light, rng = scene(60, 70)
-    picture = expose(light, 50.0, rng)
-    limb = find_limb(picture, camera, None)
+@pytest.mark.parametrize("phase_deg", [30, 70, 110])
+def test_the_lit_side_tells_where_the_sun_is_not(phase_deg):
+    camera, centre, sun, light, rng = scene(60, phase_deg)
+    limb = find_limb(expose(light, 50.0, rng), camera, None)
     rays = camera.unproject(limb.pixels)
-    turn = Rotation.from_rotvec([0.4, -0.7, 1.9])
-    sun_body = turn.inv().apply(sun)
-    assert doubt_of_sun(limb, rays, turn, sun_body) == ""
-    assert "inverse rotation would agree" in doubt_of_sun(limb, rays, turn.inv(), sun_body)
-    half = Rotation.from_rotvec(np.pi * centre / np.linalg.norm(centre))
-    assert "check attitude" in doubt_of_sun(limb, rays, half * turn, sun_body)
+    assert doubt_of_sun(limb, camera, sun) == ""
+    for turn in (-40.0, 90.0, 180.0):
+        other = Rotation.from_rotvec(np.radians(turn) * centre / np.linalg.norm(centre)).apply(sun)
+        side = sun_side_angle(limb, rays, other)
+        assert side.angle == pytest.approx(np.radians(abs(turn)), abs=side.sigma)
+        assert "from where attitude and time put the Sun" in doubt_of_sun(limb, camera, other)
+    # with the Sun behind the camera no side is the lit one, but then all of the disc is lit
+    back = -centre / np.linalg.norm(centre)
+    doubt = doubt_of_sun(limb, camera, back)
+    assert ("of the disc is lit, and 100 % should be" in doubt) == (phase_deg > 45)
 
 
 def test_the_wrong_sun_gives_no_limb():
