@@ -21,6 +21,9 @@ BoolArray = NDArray[np.bool_]
 PROPOSALS = 600
 MOST_SCORED = 2500  # candidates that vote, drawn at random from more
 BASE_TOLERANCE_PX = 1.5
+# A camera lower than this many times the relief sees no limb of a body but of the nearest hill; in
+# the flat cones of such heights the tolerance for relief would take in all edges.
+LEAST_HEIGHT_RELIEFS = 2.0
 LEAST_COSINE = np.cos(np.radians(40.0))  # between a candidate's gradient and the cone's normal
 _REFITS = 6
 
@@ -134,8 +137,9 @@ def _consensus(
     base_px: float,
     relief: float,
     least_cosine: float,
+    most_s2: float,
 ) -> tuple[float, FloatArray]:
-    """The best-scored cone among those through triples of candidates."""
+    """The best-scored cone, |s|^2 up to `most_s2`, among those through triples of candidates."""
     best, best_s = 0.0, np.zeros(3)
     for k in range(samples.shape[0]):
         a, b, c = rays[samples[k, 0]], rays[samples[k, 1]], rays[samples[k, 2]]
@@ -145,7 +149,7 @@ def _consensus(
         if abs(volume) < 1e-14:
             continue
         s = normal / volume
-        if not np.dot(s, s) > 1.0:
+        if not 1.0 < np.dot(s, s) < most_s2:
             continue
         score = _score(s, rays, by_x, by_y, gradient, base_px, relief, least_cosine)
         if score > best:
@@ -176,6 +180,7 @@ def find_cone(
         BASE_TOLERANCE_PX,
         relief,
         float(LEAST_COSINE),
+        _flattest(relief),
     )
     if score <= 0.0:
         return None
@@ -193,6 +198,12 @@ def find_cone(
             break
         agrees = again
     return cone, agrees
+
+
+def _flattest(relief: float) -> float:
+    """Squared length of s = axis / cos(angle) at the lowest height; infinite without relief."""
+    sine = 1.0 / (1.0 + LEAST_HEIGHT_RELIEFS * relief)
+    return 1.0 / (1.0 - sine * sine) if relief > 0.0 else np.inf
 
 
 def agreeing(cone: Cone, where: PixelRays, gradient: FloatArray, relief: float) -> BoolArray:
