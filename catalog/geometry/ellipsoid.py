@@ -27,6 +27,19 @@ def surface_at(directions: ArrayLike, radii: ArrayLike) -> FloatArray:
     return np.asarray(directions / scaled[..., None])
 
 
+def height_above(points: ArrayLike, up: ArrayLike, radii: ArrayLike) -> FloatArray:
+    """How far (...) from points (..., 3) along a unit vector (3,) an ellipsoid's near side lies.
+
+    NaN where the line along the vector misses the ellipsoid.
+    """
+    radii = np.asarray(radii, dtype=np.float64)
+    start, way = np.asarray(points, np.float64) / radii, np.asarray(up, np.float64) / radii
+    a, b = way @ way, start @ way
+    under = b * b - a * ((start * start).sum(axis=-1) - 1.0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray((np.sqrt(under) - b) / a)
+
+
 def foot_of(points: ArrayLike, radii: ArrayLike) -> FloatArray:
     """The nearest points (..., 3) of an ellipsoid: where its normal goes through `points`.
 

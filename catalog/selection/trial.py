@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.correlation.blur import low_pass
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher, match_similarity
 from catalog.rendering.map_view import render_map
@@ -31,11 +32,14 @@ class Level(NamedTuple):
     truth         (t, t)  heights of the ground that is seen, posting / FINER, m; sub-posting
                           relief included
     posting_m             of the reference
+    blur_nodes            sigma of a blur on both sides, where the reference is finer than what is
+                          known
     """
 
     reference: Grid
     truth: Grid
     posting_m: float
+    blur_nodes: float = 0.0
 
 
 class Circumstances(NamedTuple):
@@ -217,6 +221,9 @@ def run_trial(
             circumstances.snr,
             rng,
         )
+        if level.blur_nodes:
+            template = low_pass(template, level.blur_nodes)
+            picture = low_pass(picture, level.blur_nodes)
         if coarsest:
             match, roll, scale = match_similarity(
                 template, picture, search.rolls, search.scales, matcher

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.control_point import Patch
+from catalog.correlation.blur import blur_nodes
 from catalog.geometry.projection import Stereographic
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.tangent_plane import MapProjection, TangentPlane
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.trial import (
     Gate,
@@ -74,7 +75,10 @@ def trial_levels(
         truth = truth + _relief(
             ground % GROUNDS, posting, known, smallest, size, mosaic.body.radius_m, slope_deg
         )
-        levels.append(Level(patch.heights_m, truth, patch.posting_m))
+        # as navigation does, which is told the posting of shape models only
+        planes = isinstance(projection, TangentPlane)
+        blur = blur_nodes(patch.posting_m, mosaic.posting_m) if planes else 0.0
+        levels.append(Level(patch.heights_m, truth, patch.posting_m, blur))
     return levels
 
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.correlation.peak import Match
+from catalog.correlation.blur import low_pass
+from catalog.correlation.peak import NODES_PER_SAMPLE, Match
 from catalog.correlation.similarity import Matcher, match_similarity
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
@@ -77,11 +78,13 @@ def match_point(
     matcher: Matcher,
     gates: MatchGates,
     distortion: Distortion = NO_DISTORTION,
+    blur_nodes: float = 0.0,
 ) -> PointMatch:
     """Search a control point within `search_nodes` of where the pose expects it.
 
     template_nodes  side of the reference; search_nodes  room on every side, nodes of the level
     distortion      rolls and scales to try, where the pose may be off by so much that it shows
+    blur_nodes      sigma of a blur on both sides, where patches are finer than what is known
     """
     posting = reference.patches[level].posting_m
     template = reference.render(level, template_nodes + 2 * MARGIN_NODES, sun_body, pose.position_m)
@@ -95,6 +98,8 @@ def match_point(
     pixels = camera.project_from_body(surface, pose.position_m, turn)
     window = picture.sample(pixels, posting / metres_per_pixel)
     middle = window[border : size - border, border : size - border]
+    if blur_nodes:
+        template, window = low_pass(template, blur_nodes), low_pass(window, blur_nodes)
     if np.isfinite(middle).mean() < LEAST_VALID_SHARE:
         return PointMatch(level, None, None, None, None, None, "outside the frame")
     if distortion == NO_DISTORTION:
@@ -110,7 +115,9 @@ def match_point(
     reason = _doubt(match, gates)
     if not np.isfinite(match.covariance).all():
         return PointMatch(level, place, None, offset, match.score, match.runner_up, reason)
-    covariance = jacobian @ match.covariance @ jacobian.T
+    # White noise under a Gaussian of sigma s is alike over 2 pi s^2 nodes: fewer samples are left.
+    each = (NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2) / NODES_PER_SAMPLE
+    covariance = jacobian @ (match.covariance * each) @ jacobian.T
     return PointMatch(level, place, covariance, offset, match.score, match.runner_up, reason)
 
 

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.control_point import ControlPoint, Patch
+from catalog.geometry.ellipsoid import height_above
 from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import kernel
 from catalog.geometry.projection import node_grid
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.tangent_plane import MapProjection, TangentPlane
 from catalog.rendering.map_view import render_map
 
 FloatArray = NDArray[np.float64]
@@ -34,6 +35,20 @@ def _fill_from(window: Grid, posting: float, patch: Grid, patch_posting: float) 
                 continue
             if window[row, col] != window[row, col]:
                 window[row, col] = bicubic_at(patch, r, c)
+
+
+def _carried_on(
+    heights: Grid, plane: TangentPlane, x: FloatArray, y: FloatArray, radii_m: tuple[float, ...]
+) -> Grid:
+    """Heights (n, n) with those of the known square's border, over the ellipsoid, beyond it."""
+    known = np.flatnonzero(np.isfinite(heights).any(axis=1))
+    if known.size in (0, heights.shape[0]):
+        return heights
+    inner = slice(known[0], known[-1] + 1)
+    base = height_above(plane.points(x, y, 0.0), plane.body_from_local[:, 2], radii_m)
+    room = known[0], heights.shape[0] - 1 - known[-1]
+    over = np.pad(heights[inner, inner] - base[inner, inner], (room, room), mode="edge")
+    return np.where(np.isnan(heights), base + over, heights).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -80,9 +95,17 @@ class Reference:
         return window
 
     def surface(self, level: int, size: int) -> FloatArray:
-        """Body-fixed points (size, size, 3), m, of a window's nodes."""
+        """Body-fixed points (size, size, 3), m, of a window's nodes.
+
+        Of a small body the ground goes on beyond the coarsest patch, which is hardly wider than
+        what is looked for, as high above the ellipsoid as the patch's border is.
+        """
         x, y = node_grid(size, self.patches[level].posting_m)
-        return self.projection.points(x, y, self.heights(level, size))
+        heights = self.heights(level, size)
+        projection = self.projection
+        if isinstance(projection, TangentPlane) and self.planes_on_m is not None:
+            heights = _carried_on(heights, projection, x, y, self.planes_on_m)
+        return projection.points(x, y, heights)
 
     def render(
         self, level: int, size: int, sun_body: FloatArray, camera_position_m: FloatArray

@@ -55,6 +55,7 @@ def expected_in_view(
     sun_body: FloatArray,
     limits: ViewLimits,
     skyline_deg: FloatArray | None = None,
+    verticals: FloatArray | None = None,
 ) -> View:
     """Choose the control points that a frame should show whole.
 
@@ -64,8 +65,10 @@ def expected_in_view(
     sun_body      (3,)    unit vector to the Sun
     skyline_deg   (n, azimuths) terrain skyline by azimuth from north; a camera below it sees
                   nothing of the point
+    verticals     (n, 3) unit normals at the points; None: radial, as on a sphere
     """
-    verticals = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
+    if verticals is None:
+        verticals = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
     to_camera = pose.position_m - points_m
     distance = np.linalg.norm(to_camera, axis=1)
     cos_emission = np.einsum("ni,ni->n", verticals, to_camera) / distance
@@ -78,13 +81,13 @@ def expected_in_view(
     )
     index = np.flatnonzero(limits_ok)
     if skyline_deg is not None and len(index):
-        index = index[_above_skyline(points_m[index], to_camera[index], skyline_deg[index])]
+        index = index[_above_skyline(verticals[index], to_camera[index], skyline_deg[index])]
     if len(index) == 0:
         return _empty_view()
     turn = pose.camera_from_body.as_matrix()
     centres = (points_m[index] - pose.position_m) @ turn.T
     pixels, by_point = camera.project_with_jacobian(centres)
-    east, north = _horizontals(points_m[index])
+    east, north = _horizontals(verticals[index])
     ground = np.stack([east @ turn.T, north @ turn.T], axis=-1)
     jacobian = by_point @ ground
     with np.errstate(invalid="ignore"):
@@ -117,9 +120,9 @@ def _inside(pixels: FloatArray, frame_size_px: tuple[int, int]) -> NDArray[np.bo
     return np.asarray(inside.all(axis=1))
 
 
-def _horizontals(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """East and north unit vectors (n, 3) at body-fixed points."""
-    lat, lon, _ = latlon_from_xyz(points_m)
+def _horizontals(verticals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """East and north unit vectors (n, 3) of verticals (n, 3)."""
+    lat, lon, _ = latlon_from_xyz(verticals)
     zero = np.zeros_like(lat)
     east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
     north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
@@ -127,10 +130,9 @@ def _horizontals(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _above_skyline(
-    points_m: FloatArray, to_camera: FloatArray, skyline_deg: FloatArray
+    up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArray
 ) -> NDArray[np.bool_]:
-    east, north = _horizontals(points_m)
-    up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
+    east, north = _horizontals(up)
     distance = np.linalg.norm(to_camera, axis=1)
     elevation = np.degrees(np.arcsin(np.einsum("ni,ni->n", up, to_camera) / distance))
     azimuth = np.degrees(
@@ -138,4 +140,4 @@ def _above_skyline(
     )
     bins = skyline_deg.shape[1]
     nearest = np.rint(azimuth / (360.0 / bins)).astype(int) % bins
-    return np.asarray(elevation > skyline_deg[np.arange(len(points_m)), nearest])
+    return np.asarray(elevation > skyline_deg[np.arange(len(up)), nearest])

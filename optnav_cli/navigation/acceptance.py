@@ -33,12 +33,21 @@ PRIOR_PROBABILITY = 1e-6
 PRIOR_FLOOR_M = 1000.0
 
 
-def decades_against_chance(scores: ArrayLike, tried: int, template_nodes: int) -> float:
+def independent_side(template_nodes: int, blur_nodes: float) -> float:
+    """Side of a template that tells as much against chance and is not blurred, nodes.
+
+    White noise under a Gaussian of sigma s is alike over an area of 2 pi s^2 nodes.
+    """
+    area = CHANCE_NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2
+    return float(template_nodes * np.sqrt(CHANCE_NODES_PER_SAMPLE / area))
+
+
+def decades_against_chance(scores: ArrayLike, tried: int, template_nodes: float) -> float:
     """How many powers of ten speak against chance for the scores of the used points.
 
     scores          (k,) of the points that the solution uses
     tried           number of points searched, k or more: picking k of them helps chance
-    template_nodes  side of the reference
+    template_nodes  side of the reference, of nodes that err each for itself
     """
     scores = np.asarray(scores, dtype=np.float64)
     strength = scores * template_nodes / np.sqrt(CHANCE_NODES_PER_SAMPLE)
@@ -49,7 +58,7 @@ def decades_against_chance(scores: ArrayLike, tried: int, template_nodes: int) -
 
 
 def doubt_of_matches(
-    solution: RobustResection, scores: ArrayLike, tried: int, template_nodes: int
+    solution: RobustResection, scores: ArrayLike, tried: int, template_nodes: float
 ) -> str:
     """Why the matches do not carry the solution; empty when they do.
 

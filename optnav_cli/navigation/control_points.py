@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.control_point import ControlPoint
+from catalog.correlation.blur import blur_nodes
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
@@ -19,7 +20,7 @@ from optnav_cli.estimation.robust import RobustResection
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.matching.visibility import View
-from optnav_cli.navigation.acceptance import doubt_of_matches, doubt_of_place
+from optnav_cli.navigation.acceptance import doubt_of_matches, doubt_of_place, independent_side
 from optnav_cli.navigation.expectation import FrameContext, expected, spread, why_nothing_in_view
 from optnav_cli.navigation.frame_match import Prior, match_all, solve
 from optnav_cli.navigation.point_field import ControlPointField
@@ -119,13 +120,7 @@ def navigate(
         raise UnsolvedFrameError("no pass was made", tried)
     scores = [t.match.score for t in tried if t.used and t.match.score is not None]
     searched = sum(t.match.score is not None for t in tried)
-    template = min(
-        frame.template_nodes(
-            float(points.postings_m(t.index)[t.match.level]), _sample_m(frame, pose, t)
-        )
-        for t in tried
-        if t.used
-    )
+    template = min(_template_side(frame, pose, t) for t in tried if t.used)
     doubt = doubt_of_matches(solution, scores, searched, template)
     if doubt:
         raise UnsolvedFrameError(doubt, [replace(t, used=False, reason=doubt) for t in tried])
@@ -151,6 +146,14 @@ def _sample_m(frame: FrameContext, pose: Pose, tried: TriedPoint) -> float:
     """Ground sample distance at a point, m, along the picture plane."""
     distance = float(np.linalg.norm(tried.point.xyz_m - pose.position_m))
     return distance / frame.camera.focal_length_px
+
+
+def _template_side(frame: FrameContext, pose: Pose, tried: TriedPoint) -> float:
+    """Side of the template that a point was matched with, as far as its nodes are independent."""
+    posting = float(frame.points.postings_m(tried.index)[tried.match.level])
+    known = float(frame.points.finest_postings_m(np.array([tried.index]))[0])
+    side = frame.template_nodes(posting, _sample_m(frame, pose, tried))
+    return independent_side(side, blur_nodes(posting, known))
 
 
 def _tried(

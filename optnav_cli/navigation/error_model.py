@@ -29,6 +29,12 @@ COMMON_HEIGHT_NODES = 0.012
 # The same relief moves the whole pattern of a frame, in nodes an axis, however far it reaches.
 COMMON_SHIFT_NODES = 0.012
 LEAST_COS_EMISSION = 0.1
+# The same where a shape model is coarser than the patches that were cut from it, shares of its
+# posting: a point's own shift an axis, and a rise and a shift that are common to a frame. Fitted at
+# Phobos, with relief of 20 m rms below 319 m.
+HIDDEN_OWN = 0.12
+HIDDEN_RISE = 0.03
+HIDDEN_SHIFT = 0.035
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
 # of its elevation, shift in any direction, what relief that the reference does not explain adds to
 # the shift, for a score of 0, and stretch at the points' rms distance from their middle. Catalogs
@@ -67,12 +73,14 @@ def own_covariances_px2(
     postings_m: FloatArray,
     finest_postings_m: FloatArray,
     sun_elevation_deg: FloatArray,
+    hidden_m: FloatArray,
 ) -> FloatArray:
     """What points err by that their peaks do not show, each for itself, (n, 2, 2), px^2.
 
     points_m, by_ground  as `common_errors_px`
     postings_m           (n,) of the levels that were matched; finest_postings_m (n,) of the
                          terrain models;  sun_elevation_deg (n,) at the points
+    hidden_m             (n,) posting of the terrain model where the patch is finer, else 0
     """
     up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
     sigma = OWN_HEIGHT_NODES * postings_m / _cos_emission(_sight(by_ground, up), up)
@@ -83,7 +91,7 @@ def own_covariances_px2(
     area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
     pairs = zip(postings_m, finest_postings_m, sun_elevation_deg, strict=True)
     sigmas = np.array([own_sigma_m(*(float(v) for v in three)) for three in pairs])
-    spread = sigmas**2 * np.sqrt(np.maximum(area, 0.0))
+    spread = (sigmas**2 + (HIDDEN_OWN * hidden_m) ** 2) * np.sqrt(np.maximum(area, 0.0))
     return np.asarray(rise[:, :, None] * rise[:, None, :] + spread[:, None, None] * np.eye(2))
 
 
@@ -94,6 +102,7 @@ def common_errors_px(
     sun_body: FloatArray,
     finest_postings_m: FloatArray,
     postings_m: FloatArray,
+    hidden_m: FloatArray,
 ) -> FloatArray:
     """What one sigma of each error common to a frame moves every point by, (n, 2, 14), px.
 
@@ -103,6 +112,7 @@ def common_errors_px(
     sun_body  (3,)       unit vector to the Sun
     finest_postings_m (n,) of the terrain models that the points' catalogs were made from
     postings_m        (n,) of the levels that were matched
+    hidden_m          (n,) posting of the terrain model where the patch is finer, else 0
     The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
     ground and of the picture, two changing stretches, shifts along the picture's axes, a rise of
     the ground, alike on all sides and different toward the Sun and across it, shifts of the whole
@@ -138,13 +148,13 @@ def common_errors_px(
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
     own_up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
     sight = _sight(by_ground, own_up)
-    sigma = COMMON_HEIGHT_NODES * postings_m / _cos_emission(sight, own_up)
+    rises = COMMON_HEIGHT_NODES * postings_m + HIDDEN_RISE * hidden_m
+    sigma = rises / _cos_emission(sight, own_up)
     rise = np.einsum("nij,nj->ni", by_ground, own_up) * sigma[:, None]
     moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
+    own_shifts = COMMON_SHIFT_NODES * postings_m + HIDDEN_SHIFT * hidden_m
     for axis in (along, across):
-        moved.append(
-            np.einsum("nij,j->ni", by_ground, axis) * COMMON_SHIFT_NODES * postings_m[:, None]
-        )
+        moved.append(np.einsum("nij,j->ni", by_ground, axis) * own_shifts[:, None])
     return np.stack(moved, axis=2)
 
 

@@ -65,6 +65,7 @@ def expected(frame: FrameContext, pose: Pose, whole: bool) -> View:
         frame.sun_body,
         ViewLimits(view.sun_min_deg, view.sun_max_deg, view.emission_max_deg),
         points.skyline_deg[near],
+        points.verticals[near],
     )
     return replace(seen, index=near[seen.index])
 
@@ -73,8 +74,7 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
     """Say which condition emptied the view."""
     points, camera, sun_body = frame.points, frame.camera, frame.sun_body
     settings = frame.settings
-    up = points.xyz_m / np.linalg.norm(points.xyz_m, axis=1, keepdims=True)
-    sun = np.degrees(np.arcsin(np.clip(up @ sun_body, -1.0, 1.0)))
+    sun = np.degrees(np.arcsin(np.clip(points.verticals @ sun_body, -1.0, 1.0)))
     height = float(np.linalg.norm(pose.position_m)) - points.radius_m
     if height <= 0.0:
         return "the prior position is inside the body"
@@ -86,6 +86,7 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
         pose,
         pose.position_m / np.linalg.norm(pose.position_m),
         ViewLimits(-90.0, 90.0, settings.view.emission_max_deg),
+        verticals=points.verticals,
     )
     if len(seen) == 0:
         return "no control point of the catalog in the frame at the prior pose"

@@ -5,18 +5,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.correlation.blur import blur_nodes
 from optnav_cli.estimation.resection import Pose, Sightings, predict
 from optnav_cli.estimation.robust import RobustResection, resect_robustly
-from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
+from optnav_cli.matching.point_match import (
+    MatchGates,
+    PointMatch,
+    match_point,
+)
 from optnav_cli.matching.visibility import View
+from optnav_cli.navigation.acceptance import independent_side
 from optnav_cli.navigation.error_model import common_errors_px, own_covariances_px2
 from optnav_cli.navigation.expectation import FrameContext
-from optnav_cli.navigation.search_plan import ground_uncertainty_m, plan_distortion, plan_search
+from optnav_cli.navigation.search_plan import (
+    LEAST_TEMPLATE_NODES,
+    ground_uncertainty_m,
+    plan_distortion,
+    plan_search,
+)
 
 FloatArray = NDArray[np.float64]
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
 DISTORTION_SIGMAS = 2.0
+# A score that is asked for is never above this.
+MOST_SCORE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +60,7 @@ def match_all(
     points, camera, settings = frame.points, frame.camera, frame.settings
     _, jacobian = predict(camera, pose, points.xyz_m[view.index])
     uncertainty = ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
-    gates = MatchGates(settings.match.min_score, settings.match.rival_ratio)
+    known = points.finest_postings_m(view.index)
     boresight = pose.camera_from_body.as_matrix()[2]
     height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
     roll_sigma = float(np.sqrt(covariance[5, 5]))
@@ -75,6 +88,12 @@ def match_all(
         distortion = plan_distortion(
             template, roll_sigma, height_sigma / float(ranges[k]), DISTORTION_SIGMAS
         )
+        blur = blur_nodes(float(postings[plan.level]), float(known[k]))
+        # as good against chance as the smallest template must be
+        few = max(1.0, LEAST_TEMPLATE_NODES / independent_side(template, blur))
+        gates = MatchGates(
+            min(settings.match.min_score * few, MOST_SCORE), settings.match.rival_ratio
+        )
         matches.append(
             match_point(
                 reference,
@@ -89,6 +108,7 @@ def match_all(
                 frame.matcher,
                 gates,
                 distortion,
+                blur,
             )
         )
     return matches, at_finest
@@ -118,11 +138,15 @@ def solve(
         by_ground = -jacobian[:, :, :3]  # a point that moves one way looks as if the camera moved
         finest = points.finest_postings_m(index)
         postings = np.array([points.postings_m(int(view.index[k]))[matches[k].level] for k in kept])
+        hidden = np.where(postings < finest, finest, 0.0)
         postings = np.maximum(postings, finest)  # of what is known, not of the nodes
-        own = own_covariances_px2(places, by_ground, postings, finest, view.sun_elevation_deg[kept])
+        suns = view.sun_elevation_deg[kept]
+        own = own_covariances_px2(places, by_ground, postings, finest, suns, hidden)
         sightings = replace(sightings, covariances_px2=sightings.covariances_px2 + own)
         scores = np.array([matches[k].score or 0.0 for k in kept])
-        common = common_errors_px(places, by_ground, scores, frame.sun_body, finest, postings)
+        common = common_errors_px(
+            places, by_ground, scores, frame.sun_body, finest, postings, hidden
+        )
     free = prior.attitude_sigma_rad is None
     attitude = (pose if free else prior.pose).camera_from_body
     return resect_robustly(

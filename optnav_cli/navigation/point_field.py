@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
+from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.store.manifest import PlanesMeta
 from optnav_cli.matching.reference import Reference
@@ -61,6 +62,14 @@ class PointLayer:
     radius_m: float
     planes: PlanesMeta | None = None
 
+    @property
+    def verticals(self) -> FloatArray:
+        """(n, 3) outward normals at the points: of the ellipsoid where patches lie in planes."""
+        if self.planes is None:
+            radial = self.xyz_m / np.linalg.norm(self.xyz_m, axis=1, keepdims=True)
+            return np.asarray(radial)
+        return normal_at(foot_of(self.xyz_m, self.planes.radii_m), self.planes.radii_m)
+
     def subset(self, keep: NDArray[np.bool_]) -> "PointLayer":
         """The layer with some of its points."""
         return replace(
@@ -77,6 +86,7 @@ class ControlPointField:
     layers       one a catalog; an earlier one has priority: a point of a later one that lies
                  within a cell's size of an earlier one's point is left out
     xyz_m        (n, 3) body-fixed
+    verticals    (n, 3) outward normals at the points
     skyline_deg  (n, 36) terrain skyline by azimuth
     layer_of     (n,) which layer a point is of
     damaged      why the patches of a point could not be read, by catalog and id; it is never used
@@ -91,6 +101,7 @@ class ControlPointField:
         self._first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
         self.layer_of: IntArray = np.repeat(np.arange(len(kept)), counts)
         self.xyz_m: FloatArray = np.concatenate([layer.xyz_m for layer in kept])
+        self.verticals: FloatArray = np.concatenate([layer.verticals for layer in kept])
         self.skyline_deg = np.concatenate([layer.skyline_deg for layer in kept])
         self.radius_m = kept[0].radius_m
         self.damaged: dict[tuple[str, int], str] = {}
@@ -98,6 +109,10 @@ class ControlPointField:
         self._lowest_m = [
             float(np.linalg.norm(layer.xyz_m, axis=1).min(initial=np.inf)) for layer in kept
         ]
+        outward = self.xyz_m / np.linalg.norm(self.xyz_m, axis=1, keepdims=True)
+        across = np.linalg.norm(outward - self.verticals, axis=1)
+        # how far normals lean from the radius, a superset's margin for what is seen
+        self._lean_deg = float(np.degrees(2.0 * np.arcsin(across.max(initial=0.0) / 2.0)))
 
     def __len__(self) -> int:
         return len(self.xyz_m)
@@ -153,7 +168,7 @@ class ControlPointField:
                 continue
             # the lower a point lies, the farther from the camera's foot it is still seen
             lowest = self._lowest_m[number]
-            emission = np.radians(min(emission_max_deg, 90.0))
+            emission = np.radians(min(emission_max_deg + self._lean_deg, 90.0))
             sine = min(lowest * float(np.sin(emission)) / distance, 1.0)
             reach_deg = max(float(np.degrees(emission - np.arcsin(sine))), 0.0)
             cells = layer.grid.within(np.degrees(lat), np.degrees(lon), reach_deg + CELL_SLACK_DEG)

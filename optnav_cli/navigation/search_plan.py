@@ -19,6 +19,9 @@ MOST_STEPS = 3
 WIDEST_TEMPLATE = 0.45
 # Fewer nodes hold too little to be told from chance.
 LEAST_TEMPLATE_NODES = 32
+# Where patches have so few levels there is no coarse one to search far at: the finest is searched
+# so many times as far.
+FEW_LEVELS, WIDER = 2, 2
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,8 @@ def plan_search(
     max_search_nodes: int,
 ) -> SearchPlan:
     """The finest level at which the uncertainty (1 sigma, m on the ground) fits the search room."""
+    if len(postings_m) <= FEW_LEVELS:
+        max_search_nodes *= WIDER
     for level in range(finest, len(postings_m)):
         nodes = int(np.ceil(search_sigmas * uncertainty_m / postings_m[level] + MARGIN_NODES))
         if nodes <= max_search_nodes:

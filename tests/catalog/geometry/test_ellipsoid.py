@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from catalog.geometry.ellipsoid import foot_of, normal_at, surface_at
+from catalog.geometry.ellipsoid import foot_of, height_above, normal_at, surface_at
 from catalog.geometry.tangent_plane import TangentPlane
 
 PHOBOS = np.array([13.0e3, 11.4e3, 9.1e3])
@@ -20,6 +20,18 @@ def test_a_foot_is_found_again_from_any_height_over_it(height: float) -> None:
     foot = surface_at(directions(500), PHOBOS)
     found = foot_of(foot + height * normal_at(foot, PHOBOS), PHOBOS)
     assert np.abs(found - foot).max() < 1e-7 * max(1.0, height / 1e6)
+
+
+def test_heights_along_a_planes_normal_lead_to_the_near_side() -> None:
+    plane = TangentPlane.below([6.0e3, 7.0e3, 3.0e3], PHOBOS)
+    x, y = np.meshgrid(np.linspace(-6e3, 6e3, 9), np.linspace(-5e3, 5e3, 9))
+    up = plane.body_from_local[:, 2]
+    height = height_above(plane.points(x, y, 0.0), up, PHOBOS)
+    found = plane.points(x, y, height)
+    assert np.square(found / PHOBOS).sum(axis=-1) == pytest.approx(np.ones((9, 9)), abs=1e-12)
+    assert (normal_at(found, PHOBOS) @ up > 0.0).all()
+    assert height[4, 4] == pytest.approx(0.0, abs=1e-8)
+    assert np.isnan(height_above(plane.points(2e4, 0.0, 0.0), up, PHOBOS))
 
 
 def test_surface_points_satisfy_the_ellipsoids_equation() -> None:

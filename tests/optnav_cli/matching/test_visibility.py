@@ -51,6 +51,17 @@ def test_a_point_is_seen_only_when_its_whole_square_is_in_the_frame():
     assert last_centre - last_whole == pytest.approx(10e3, rel=0.15)
 
 
+def test_light_and_view_are_reckoned_from_the_points_own_normals():
+    """A slope of 8 deg to the east, as the normals of an ellipsoid lean."""
+    pose, lean = nadir(0.0, 0.0), np.radians(8.0)
+    point = np.array([[RADIUS_M, 0.0, 0.0]])
+    normal = np.array([[np.cos(lean), np.sin(lean), 0.0]])
+    sun = np.array([np.cos(1.0), np.sin(1.0), 0.0])
+    view = expected_in_view(point, np.zeros(1), CAMERA, SIZE, pose, sun, ANY_LIGHT, None, normal)
+    assert view.emission_deg[0] == pytest.approx(8.0, abs=1e-6)
+    assert view.sun_elevation_deg[0] == pytest.approx(98.0 - np.degrees(1.0), abs=1e-6)
+
+
 def test_beyond_the_limb_nothing_is_seen_even_by_a_fisheye():
     pose = nadir(0.0, 0.0)
     angle = np.radians(np.linspace(0.0, 180.0, 721))

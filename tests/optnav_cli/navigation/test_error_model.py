@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
-from optnav_cli.navigation.error_model import common_errors_px, own_sigma_m
+from optnav_cli.navigation.error_model import common_errors_px, own_covariances_px2, own_sigma_m
 
 RADIUS_M, POSTING_M = 1_737_400.0, 118.45
 ENU = body_from_local(-0.75, -0.2)
@@ -22,12 +22,13 @@ def sun(elevation_deg, azimuth_deg=90.0):
     return ENU @ np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
 
 
-def errors(offsets, elevation_deg=30.0, score=1.0):
+def errors(offsets, elevation_deg=30.0, score=1.0, hidden_m=0.0):
     place = points(offsets)
     n = len(place)
     ground, postings = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
+    hidden = np.full(n, hidden_m)
     return common_errors_px(
-        place, ground, np.full(n, score), sun(elevation_deg), postings, postings
+        place, ground, np.full(n, score), sun(elevation_deg), postings, postings, hidden
     )
 
 
@@ -78,3 +79,22 @@ def test_the_stretch_points_outward_and_has_no_net_shift():
 
 def test_a_single_point_has_finite_errors():
     assert np.isfinite(errors([(0.0, 0.0)])).all()
+
+
+def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points_own():
+    known, hidden = errors(SQUARE), errors(SQUARE, hidden_m=300.0)
+    growth = np.linalg.norm(hidden, axis=1) - np.linalg.norm(known, axis=1)
+    grown = np.flatnonzero((growth > 1e-9).all(axis=0))
+    # the rise that is alike on all sides, and both shifts
+    assert {9, 12, 13} <= set(grown.tolist())
+    assert (growth > -1e-12).all()
+    place = points(SQUARE)
+    n = len(place)
+    flat = [
+        own_covariances_px2(
+            place, np.broadcast_to(BY_GROUND, (n, 2, 3)), *[np.full(n, POSTING_M)] * 2,
+            np.full(n, 30.0), np.full(n, metres),
+        )
+        for metres in (0.0, 300.0)
+    ]  # fmt: skip
+    assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()

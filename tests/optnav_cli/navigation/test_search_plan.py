@@ -38,6 +38,13 @@ def test_an_uncertainty_beyond_all_levels_takes_the_coarsest_at_full_width():
     assert (plan.level, plan.search_nodes) == (4, 24)
 
 
+@pytest.mark.parametrize("levels", [1, 2])
+def test_without_coarse_levels_the_last_is_searched_twice_as_far(levels):
+    plan = plan_search(POSTINGS[:levels], 0, 1e6, 3.5, 24)
+    assert (plan.level, plan.search_nodes) == (levels - 1, 48)
+    assert plan_search(POSTINGS[:1], 0, 118.0 * 10.0, 3.5, 24).search_nodes == 37
+
+
 def test_the_finest_level_is_the_first_that_the_pixels_resolve():
     assert finest_level(POSTINGS, 10.0, 0.6) == 0
     assert finest_level(POSTINGS, 118.0 / 0.6, 0.6) == 0

@@ -1,0 +1,29 @@
+"""The blur before matching grids that are finer than what is known."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from catalog.correlation.blur import blur_nodes, low_pass
+
+
+def test_only_grids_finer_than_the_model_are_blurred_and_the_finer_the_more() -> None:
+    assert blur_nodes(320.0, 320.0) == blur_nodes(640.0, 320.0) == 0.0
+    sigmas = [blur_nodes(posting, 320.0) * posting for posting in (40.0, 80.0, 160.0)]
+    assert sigmas == pytest.approx([sigmas[0]] * 3)
+    assert sigmas[0] > 0.0
+
+
+def test_the_blur_is_a_gaussian() -> None:
+    grid = np.random.default_rng(3).standard_normal((60, 60)).astype(np.float32)
+    inner = (slice(15, -15),) * 2
+    expected = gaussian_filter(grid.astype(np.float64), 2.0, truncate=6.0)
+    assert low_pass(grid, 2.0)[inner] == pytest.approx(expected[inner], abs=5e-3)
+
+
+def test_holes_stay_and_take_no_part() -> None:
+    grid = np.full((40, 40), 7.0, np.float32)
+    grid[10:20, 5:15] = np.nan
+    blurred = low_pass(grid, 3.0)
+    assert (np.isnan(blurred) == np.isnan(grid)).all()
+    assert blurred[np.isfinite(blurred)] == pytest.approx(7.0, rel=1e-5)
