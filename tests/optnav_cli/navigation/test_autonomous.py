@@ -191,6 +191,17 @@ def test_the_narrow_camera_begins_where_the_wide_one_is_at_the_same_time(sky):
     assert "no frame before leads here" in sky.see(1, NARROW).reason
 
 
+def test_a_part_of_a_small_disc_is_left_to_control_points(sky):
+    """A narrow camera that shows no limb of a body whose whole limb would tell more."""
+    sky.truth[0] = np.array([8e6, 0.0, 0.0])
+    sky.outlines[0] = np.array([500.0, 0.0, 0.0])
+    assert "px across" in sky.see(0).reason
+    sky.outlines[0] = "the body fills the picture"
+    row = sky.see(0, NARROW)
+    assert row.method == "control_points"
+    assert row.prior == "wide camera, wide_0.png"
+
+
 def test_the_arc_serves_where_no_limb_is_in_view(sky):
     for number in range(4):
         sky.outlines[number] = np.zeros(3)
