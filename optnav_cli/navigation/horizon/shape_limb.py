@@ -26,11 +26,13 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5
-# Ground with 20 m rms of relief (hills and craters) below the 319 m of the 2 deg model of Phobos
-# has its silhouette 12.7 m above that of the model's cells of 159 m; a single crest then errs by
-# 12 m (six views from 100 km, 1440 crests each). Other shapes: in units of their cells.
-LIFT, LIFT_SIGMA = 0.080, 0.4
-CREST_NOISE, SECTOR_NOISE = 0.075, 0.02
+# Round ground with 19 m rms of relief (hills and craters) below the 319 m of the 2 deg model of
+# Phobos has its silhouette 14.3 m above that of the cells of 159 m that its catalog carries, and a
+# single crest errs by 13 m (ten views from 100 km, 1440 crests each); pictures of it show the limb
+# 2 m higher still (eight). A truth of the model's flat faces stands 6 m above the cells. Other
+# shapes: in units of their cells.
+LIFT, LIFT_SIGMA = 0.100, 0.35
+CREST_NOISE, SECTOR_NOISE = 0.080, 0.02
 SHADOW_CLEARANCE = 0.16
 LEAST_AZIMUTHS, MOST_AZIMUTHS = 360, 2880
 STEEPEST_COSINE = 0.35  # where a limb leans more against the circle's, azimuths are no measure
