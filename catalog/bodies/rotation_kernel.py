@@ -1,7 +1,8 @@
 """Compiled rotation of a body: series of pole and prime meridian, and the turn that corrects them.
 
 Orbits ask for it at every step, one time at a call: numpy takes 60 microseconds for the Moon's 133
-terms, this about 10 (3 of them in the kernel). Angles of terms are polynomials (n, 3) in centuries, rad.
+terms, this about 10 (3 of them in the kernel). Angles of terms are polynomials (n, 3) in centuries,
+rad.
 """
 
 import math

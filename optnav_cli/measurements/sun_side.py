@@ -25,6 +25,7 @@ DISAGREE_SIGMAS = 3.0
 # threshold and by shadows at the terminator; blur widens a small disc by about a pixel.
 SHARE_LIMIT, BLUR_PX = 0.12, 1.0
 LEAST_RADIUS_PX = 8.0
+LARGEST_DISC = 0.25  # rad; of a body close by a cap is seen, whose lit share is another
 RIM_POINTS = 180
 LEAST_SINE = 0.05  # of the angle between the Sun and the body's centre: below it no side
 
@@ -68,10 +69,12 @@ def sun_side_angle(limb: LimbPoints, rays: FloatArray, sun_camera: FloatArray) -
 
 
 def lit_share(limb: LimbPoints, camera: Camera) -> float | None:
-    """Share of a whole disc that is lit; None where the frame cuts it or it is too small.
+    """Share of a whole disc that is lit; None where the frame cuts it or it is too small or near.
 
     limb  of a sphere, found without the Sun
     """
+    if limb.cone_angle > LARGEST_DISC:
+        return None
     axis = limb.cone_axis_camera
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u /= np.linalg.norm(u)
