@@ -91,6 +91,11 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
     if len(seen) == 0:
         return "no control point of the catalog in the frame at the prior pose"
     lit = sun[seen.index]
+    if ((lit >= settings.view.sun_min_deg) & (lit <= settings.view.sun_max_deg)).any():
+        return (
+            f"the {len(seen)} control points in the frame stand in the shadow of the terrain "
+            "about them, or the frame cuts the ground that is compared"
+        )
     return (
         f"none of the {len(seen)} control points in the frame is lit well: Sun elevation "
         f"{lit.min():.1f} to {lit.max():.1f} deg, wanted {settings.view.sun_min_deg:.0f} to "

@@ -290,7 +290,8 @@ def test_a_pickled_mosaic_reads_the_same(tmp_path, dems, moon):
     lat, lon = on_the_sphere(np.random.default_rng(10), 50)
     before = mosaic.heights(lat, lon, mosaic.posting_m)
     blob = pickle.dumps(mosaic)
-    assert len(blob) < 10_000
+    # no heights travel; the Moon itself does, with a rotation of over a hundred terms
+    assert len(blob) < len(pickle.dumps(moon)) + 5_000
     np.testing.assert_array_equal(pickle.loads(blob).heights(lat, lon, mosaic.posting_m), before)
 
 
