@@ -1,0 +1,113 @@
+"""A camera file or a clock that is wrong, on pictures of a rough Moon: a reason, never a place."""
+
+import csv
+import re
+import shutil
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
+from catalog.config import resource
+from catalog.errors import NothingToDoError
+from catalog.progress import SilentProgress
+from catalog.store.manifest import CatalogMeta
+from catalog.store.writer import write_catalog
+from optnav_cli.imagery.folder import read_folder, write_folder
+from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.output.evaluation_files import evaluate_run
+from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.runs.simulate_folder import simulate_folder
+from tests.optnav_cli.conftest import RoughWorld
+
+LATE_S = 4.0 * 3600.0
+CAMERA = """
+name = "wide"
+model = "equidistant"
+width_px = 1000
+height_px = 1000
+focal_length_px = 320.0
+principal_point_px = [499.5, 499.5]
+"""
+# Over the far side's highlands; relief is added to what the navigator knows.
+SCENARIO = """
+seed = 11
+dem = []
+globe = { path = "moon_gld100_4ppd.tif" }
+detail = { seeds = [7], smallest_m = 3000.0, rms_slope_deg = 3.0 }
+camera = { name = "wide.toml" }
+prior = { given = false }
+attitude = { sigma_arcsec = 10.0, relative_to = "inertial" }
+[orbit]
+altitude_km = 100.0
+box_deg = [150.0, -30.0, -160.0, 30.0]
+passes = 2
+[sun]
+elevation_deg = [30.0, 60.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("faults")
+    (place / "wide.toml").write_text(CAMERA)
+    (place / "flight.toml").write_text(SCENARIO)
+    simulate_folder(place / "flight.toml", place / "pictures", SilentProgress())
+    return place / "pictures"
+
+
+def navigated(pictures: Path, run: Path) -> list[dict[str, str]]:
+    """Rows of solution.csv by the limb alone: the catalog's points lie elsewhere."""
+    world = RoughWorld(seed=1, levels=5)
+    catalog = run.with_suffix(".gpkg")
+    meta = CatalogMeta("moon", 1737400.0, world.cell_deg, 5, world.nodes, 120.0, 0.5)
+    write_catalog(catalog, meta, world.control_points[:9])
+    relief = Path(str(resource("data/moon_gld100_4ppd.tif")))
+    with suppress(NothingToDoError):  # the run is written, with the reasons
+        navigate_folder(
+            pictures, [catalog], NavigateSettings(), "ncc", run, SilentProgress(), relief
+        )
+    with (run / "solution.csv").open(encoding="utf-8", newline="") as lines:
+        return list(csv.DictReader(lines))
+
+
+def test_without_a_fault_all_are_solved_inside_five_sigmas(pictures: Path, tmp_path: Path) -> None:
+    rows = navigated(pictures, tmp_path / "run")
+    assert [row["method"] for row in rows] == ["horizon", "horizon"]
+    errors = evaluate_run(tmp_path / "run", pictures / "truth.csv").frames
+    assert all(frame.nees is not None and frame.nees < 25.0 for frame in errors)
+
+
+def test_a_focal_length_off_by_a_tenth_is_no_position(pictures: Path, tmp_path: Path) -> None:
+    faulty = Path(shutil.copytree(pictures, tmp_path / "pictures"))
+    camera = faulty / "cameras" / "wide.toml"
+    camera.write_text(re.sub(r"focal_length_px = .*", "focal_length_px = 352.0", CAMERA))
+    rows = navigated(faulty, tmp_path / "run")
+    assert [row["status"] for row in rows] == ["unsolved", "unsolved"]
+    assert all("it scatters by" in row["reason"] for row in rows)
+
+
+def test_a_clock_off_by_four_hours_is_no_position(pictures: Path, tmp_path: Path) -> None:
+    faulty = Path(shutil.copytree(pictures, tmp_path / "pictures"))
+    folder = read_folder(faulty)
+    frames = []
+    for frame in folder.frames:
+        assert frame.tdb_s is not None
+        assert frame.camera_from_body is not None
+        # stars tell the same attitude at any time; what turns on is the body
+        before, after = (
+            Rotation.from_matrix(folder.motion.body_from_inertial(frame.tdb_s + late))
+            for late in (0.0, LATE_S)
+        )
+        turn = frame.camera_from_body * before * after.inv()
+        utc = utc_from_tdb_s(frame.tdb_s + LATE_S)
+        frames.append(
+            replace(frame, utc=utc, tdb_s=utc_to_tdb_s(utc), camera_from_body=turn)
+        )  # fmt: skip
+    write_folder(faulty, folder.settings, folder.cameras.values(), frames)
+    rows = navigated(faulty, tmp_path / "run")
+    assert [row["status"] for row in rows] == ["unsolved", "unsolved"]
+    assert all("check attitude, time" in row["reason"] for row in rows)
