@@ -25,9 +25,9 @@ OWN_SHADOW_M = 0.15
 # stand for the ground, which then looks higher or lower; a point's own and common to a frame. Both
 # grow with the secant of the emission angle, as more of the ground is hidden.
 OWN_HEIGHT_NODES = 0.02
-COMMON_HEIGHT_NODES = 0.012
+COMMON_HEIGHT_NODES = 0.0095
 # The same relief moves the whole pattern of a frame, in nodes an axis, however far it reaches.
-COMMON_SHIFT_NODES = 0.012
+COMMON_SHIFT_NODES = 0.0095
 LEAST_COS_EMISSION = 0.1
 # Over a view that reaches round the body Sun and line of sight change from point to point, and with
 # them how relief is seen: the pattern stretches, alike or changing from side to side, in nodes at
