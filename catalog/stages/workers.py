@@ -11,6 +11,7 @@ import os
 import pickle
 import signal
 import threading
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -115,23 +116,31 @@ class ExecutorWorkers:
     ) -> Iterator[tuple[int, R]]:
         """See Workers. Raises OptnavError when workers die again and again."""
         todo = list(range(len(chunks)))
+        lost: Counter[int] = Counter()  # how often each piece took a worker with it
         packed = self._pool.pack(context)
         losses = 0
         while todo:
             try:
-                for position, result in self._once(function, packed, chunks, todo):
+                for position, result in self._once(function, packed, chunks, todo, lost):
                     losses = 0
                     todo.remove(position)
                     yield position, result
             except self._pool.lost as loss:
                 losses += 1
-                self._pool.survive(loss, losses)
+                # none is given up while a piece that was lost less often may yet go through
+                least = min((lost[piece] for piece in todo if piece in lost), default=losses)
+                self._pool.survive(loss, min(losses, least))
 
     def _once(
-        self, function: Callable[[Any, T], R], packed: bytes, chunks: Sequence[T], todo: list[int]
+        self,
+        function: Callable[[Any, T], R],
+        packed: bytes,
+        chunks: Sequence[T],
+        todo: list[int],
+        lost: Counter[int],
     ) -> Iterator[tuple[int, R]]:
         pool = self._pool
-        waiting = iter(list(todo))
+        waiting = deque(todo)
         under_way: dict[Future[R], int] = {}
         # not concurrent.futures.wait: an interrupt in it can leave a future locked, and the thread
         # that wants to end it then keeps the whole process from ending
@@ -140,10 +149,11 @@ class ExecutorWorkers:
         try:
             executor = pool.executor()
             while True:
-                while len(under_way) < AHEAD * pool.count:
-                    position = next(waiting, None)
-                    if position is None:
+                while waiting and len(under_way) < AHEAD * pool.count:
+                    # what took its worker with it goes alone, or it takes others' results with it
+                    if under_way and waiting[0] in lost:
                         break
+                    position = waiting.popleft()
                     with uninterrupted():
                         future = executor.submit(pool.call, packed, function, chunks[position])
                         under_way[future] = position
@@ -152,12 +162,14 @@ class ExecutorWorkers:
                     break
                 done = _taken(ended, pool.patience_s)
                 pool.look()
+                for future in filter(_failed, done):  # next time last: it may be what kills
+                    position = under_way[future]
+                    todo.append(todo.pop(todo.index(position)))
+                    lost[position] += 1
+                todo.sort(key=lost.__getitem__)
                 # sorted: a death must not hide results that came with it
                 for future in sorted(done, key=_failed):
-                    position = under_way.pop(future)
-                    if _failed(future):  # next time last: it may be what kills
-                        todo.append(todo.pop(todo.index(position)))
-                    yield position, future.result()
+                    yield under_way.pop(future), future.result()
             finished = True
         finally:
             if not finished:

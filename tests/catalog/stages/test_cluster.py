@@ -91,7 +91,10 @@ def test_a_piece_of_work_that_kills_worker_after_worker_is_a_clear_error(
     tmp_path, modules, work, monkeypatch
 ):
     monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES", "0")
-    with cluster_of(tmp_path, modules, 3) as own, workers_at(own.address) as workers:
+    # pieces that wait on a worker would be counted as its killers, too
+    monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__WORKER_SATURATION", "1.0")
+    # one for each death, and one that is left to say so
+    with cluster_of(tmp_path, modules, 4) as own, workers_at(own.address) as workers:
         going = workers.run(work.die, {}, list(range(6)))
         # it is tried again when the others are done
         assert {next(going)[0] for _ in range(5)} == {1, 2, 3, 4, 5}
