@@ -14,6 +14,12 @@ from catalog.errors import ConfigError
 Attitude = Literal["camera_from_body", "camera_from_inertial"]
 
 
+class SpiceSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """SPICE kernels for the body's rotation and its Sun; none: analytic theory."""
+
+    kernels: tuple[str, ...] = ()
+
+
 class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """run.toml as it is written."""
 

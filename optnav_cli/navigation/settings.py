@@ -7,6 +7,7 @@ import msgspec
 
 from catalog.config import load_toml
 from catalog.terrain.dem_file import path_of
+from optnav_cli.imagery.run_settings import SpiceSettings
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
@@ -43,12 +44,6 @@ class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     max_first_pass_points: Annotated[int, msgspec.Meta(ge=4)] = 24
     # in the later rounds: a wide picture shows more than its accuracy gains from
     max_points: Annotated[int, msgspec.Meta(ge=4)] = 200
-
-
-class SpiceSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """SPICE kernels for the body's rotation and its Sun; none: analytic theory."""
-
-    kernels: tuple[str, ...] = ()
 
 
 class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -63,10 +63,4 @@ class MountedCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     roll_deg: float = 0.0
 
 
-class SpiceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """kernels: SPICE files that the body's rotation and the Sun are taken from; none: theory."""
-
-    kernels: tuple[str, ...] = ()
-
-
 AttitudeFrame = Literal["body", "inertial"]

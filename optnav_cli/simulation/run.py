@@ -15,9 +15,8 @@ from catalog.terrain.source import DemSettings, DemSource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import write_folder
 from optnav_cli.imagery.frames import ARCSEC, Frame
-from optnav_cli.imagery.run_settings import Attitude, RunSettings
+from optnav_cli.imagery.run_settings import Attitude, RunSettings, SpiceSettings
 from optnav_cli.imagery.truth import Truth, write_truth
-from optnav_cli.simulation.flight_settings import SpiceSettings
 from optnav_cli.simulation.frame import Renderer
 from optnav_cli.simulation.globe_frame import GlobeRenderer
 from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe

@@ -14,10 +14,10 @@ from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
+from optnav_cli.imagery.run_settings import SpiceSettings
 from optnav_cli.simulation.flight_settings import (
     FlightSettings,
     MountedCamera,
-    SpiceSettings,
     TransferSettings,
 )
 from optnav_cli.simulation.nuisance_settings import (

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from catalog.config import resource
 from catalog.progress import Progress
 from optnav_cli.imagery.folder import read_folder, write_folder
+from optnav_cli.imagery.frames import ARCSEC
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.run import scenario_copy
 from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
 
-ARCSEC = np.pi / 648000.0
 STAR_SENSOR_ARCSEC = 10.0
 SEED = 10
 
