@@ -63,7 +63,7 @@ def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
 class ClusterPool:
     """A Pool (see workers.py) of a cluster's worker processes, one chunk at a time each."""
 
-    patience_s: float | None = LOOK_S
+    patience_s: float = LOOK_S
 
     def __init__(self, address: str) -> None:
         self.address = address

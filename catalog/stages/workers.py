@@ -24,6 +24,8 @@ from catalog.stages.interrupts import uninterrupted
 T = TypeVar("T")
 R = TypeVar("R")
 
+# An interrupt that comes just before a wait begins is seen only when the wait is over.
+NOTICE_S = 0.5
 AHEAD = 2  # chunks a worker waits on or works at; more would only be lost by a kill
 # A worker that dies takes unfinished chunks with it; they are tried again while work gets done.
 DEATHS_WITHOUT_PROGRESS = 2
@@ -66,12 +68,12 @@ class Pool(Protocol):
     """Where an ExecutorWorkers gets its executor from, and what it does when workers die.
 
     lost        what a future raises whose worker, not whose work, failed
-    patience_s  seconds to wait for a result before a look; None for as long as it takes
+    patience_s  seconds to wait for a result before a look
     call        call(packed context, function, chunk) in a worker
     """
 
     lost: tuple[type[Exception], ...]
-    patience_s: float | None
+    patience_s: float
     call: Callable[..., Any]
 
     @property
@@ -181,7 +183,7 @@ class ExecutorWorkers:
         self._pool.close()
 
 
-def _taken(ended: "SimpleQueue[Future[R]]", patience_s: float | None) -> "list[Future[R]]":
+def _taken(ended: "SimpleQueue[Future[R]]", patience_s: float) -> "list[Future[R]]":
     """What has ended, once something has; nothing when that takes longer than patience."""
     taken: list[Future[R]] = []
     try:
@@ -200,7 +202,7 @@ class LocalPool:
     """Worker processes on this machine; new ones are started after one died."""
 
     lost: tuple[type[Exception], ...] = (BrokenProcessPool,)
-    patience_s: float | None = None
+    patience_s: float = NOTICE_S
 
     def __init__(self, count: int) -> None:
         self.count = count

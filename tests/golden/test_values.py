@@ -75,9 +75,13 @@ def test_the_pictures_of_the_readme_are_small_and_can_be_read():
 
 def test_the_curves_of_the_readme_are_small_drawings():
     paths = sorted(README.glob("*.svg"))
-    assert {"arc", "resection", "matching"} <= {path.stem for path in paths}
+    assert {"arc", "resection", "matching", "transfer"} <= {path.stem for path in paths}
     for path in paths:
         assert path.stat().st_size <= 80_000
         root = ET.parse(path).getroot()
-        lines = list(root.iter("{http://www.w3.org/2000/svg}polyline"))
-        assert len(lines) > 10, f"{path.name} is nearly empty"
+        drawn = [
+            element
+            for shape in ("polyline", "path", "circle")
+            for element in root.iter("{http://www.w3.org/2000/svg}" + shape)
+        ]
+        assert len(drawn) > 30, f"{path.name} is nearly empty"
