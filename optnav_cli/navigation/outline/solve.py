@@ -1,0 +1,142 @@
+"""A position from the outline of the one body in a picture: its limb, or its small disc."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from catalog.terrain.relief import GlobalRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.imagery.picture import Picture
+from optnav_cli.measurements.limb_points import LimbPoints, find_limb
+from optnav_cli.measurements.shape_moments import is_round
+from optnav_cli.measurements.sun_side import doubt_of_sun
+from optnav_cli.navigation import brightness_centre, horizon
+from optnav_cli.navigation.horizon.shape_limb import stand_off
+from optnav_cli.navigation.neighbour import View
+from optnav_cli.solution import OutlineMarks
+
+FloatArray = NDArray[np.float64]
+
+# A disc of a larger radius, rad, is that of a body close by: it is not asked which.
+NEAR_ANGLE = 0.25
+LEAST_WIDTH_SIGMAS = 3.0  # of a disc over a point
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A position from the outline.
+
+    method           "horizon", "horizon_sphere" or "brightness_centre"
+    position_m       (3,)    body frame;  covariance_m2 (3, 3)
+    residual_rms_px  across the limb, of the points used; None for a disc
+    n_used           limb points used; None for a disc
+    marks            of the outline in the picture, for drawing
+    """
+
+    method: str
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    residual_rms_px: float | None
+    n_used: int | None
+    arc_deg: float | None
+    marks: OutlineMarks
+    remark: str
+
+
+def limb_of(
+    picture: Picture, camera: Camera, camera_from_body: Rotation, sun_body: FloatArray, body: Body
+) -> LimbPoints:
+    """The lit limb under an attitude. Raises NoSolutionError when the picture shows none."""
+    body_from_camera = camera_from_body.as_matrix().T
+    return find_limb(
+        picture.values,
+        camera,
+        camera_from_body.apply(sun_body),
+        saturation=picture.saturation,
+        stretch=body_from_camera / np.array(body.radii_m)[:, None],
+        relief=stand_off(body),
+    )
+
+
+def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None) -> Outline:
+    """A position from the one body of a picture: by its limb, else by its middle of light."""
+    try:
+        limb = limb_of(picture, view.camera, view.camera_from_body, view.sun_body, body)
+        fix = horizon.navigate(
+            limb,
+            view.camera,
+            view.camera_from_body,
+            view.attitude_sigma_rad,
+            view.sun_body,
+            body,
+            relief,
+        )
+    except NoSolutionError as no_limb:
+        doubt = _doubt_of_sun(picture, view, body)
+        if doubt:
+            raise NoSolutionError(f"{doubt}; {no_limb}") from None
+        return _by_centre(picture, view, body, relief, str(no_limb))
+    # close to the body the limb's own relief tells a wrong Sun
+    doubt = _doubt_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
+    if doubt:
+        raise NoSolutionError(f"{doubt}: attitude or time is wrong")
+    return Outline(
+        "horizon" if fix.terrain else "horizon_sphere",
+        fix.position_m,
+        fix.covariance_m2,
+        fix.residual_rms_px,
+        fix.n_used,
+        fix.arc_deg,
+        OutlineMarks(limb.pixels, limb.inward, fix.residuals_px),
+        fix.remark,
+    )
+
+
+def _doubt_of_sun(picture: Picture, view: View, body: Body) -> str:
+    """What the lit part of a disc says against the Sun, in words, if anything."""
+    if not is_round(body):
+        return ""
+    try:
+        limb = find_limb(picture.values, view.camera, None, saturation=picture.saturation)
+    except NoSolutionError:
+        return ""
+    return doubt_of_sun(limb, view.camera, view.camera_from_body.apply(view.sun_body))
+
+
+def _by_centre(
+    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, why_no_limb: str
+) -> Outline:
+    """A position from the middle of light of a small disc."""
+    try:
+        disc = brightness_centre.navigate(
+            picture.values,
+            view.camera,
+            view.camera_from_body,
+            view.attitude_sigma_rad,
+            view.sun_body,
+            body,
+            saturation=picture.saturation,
+            relief=relief,
+        )
+    except NoSolutionError as no_disc:
+        both = dict.fromkeys((why_no_limb, str(no_disc)))
+        raise NoSolutionError("; ".join(both)) from None
+    if disc.width_sigmas < LEAST_WIDTH_SIGMAS:
+        raise NoSolutionError(
+            f"{why_no_limb}; one bright spot, no wider than a point's picture "
+            f"({disc.width_sigmas:.1f} sigmas): a star or a planet looks the same"
+        )
+    return Outline(
+        "brightness_centre",
+        disc.position_m,
+        disc.covariance_m2,
+        None,
+        None,
+        None,
+        OutlineMarks.of_disc(disc.centre_px),
+        disc.remark,
+    )

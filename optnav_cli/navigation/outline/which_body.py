@@ -1,0 +1,182 @@
+"""Which lit disc of a picture is the body, where another one may be in the picture too.
+
+Each disc is taken for the body in turn, and the one stands whose position puts the other body
+where the picture shows it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from catalog.terrain.relief import GlobalRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.imagery.picture import Picture
+from optnav_cli.measurements.bright_body import Blobs, lit_blobs, measure_levels, without_blobs
+from optnav_cli.navigation.neighbour import (
+    BLUR_PX,
+    Disc,
+    OtherBody,
+    Spot,
+    View,
+    is_lit,
+    is_rather,
+    is_seen,
+    is_within,
+    must_be_seen,
+    predicted,
+    spots_of,
+)
+from optnav_cli.navigation.outline.solve import NEAR_ANGLE, Outline, solve
+
+FloatArray = NDArray[np.float64]
+
+LEAST_SPOT_PIXELS = 9
+MOST_SPOTS = 30  # the largest; the rest are stars
+MOST_BODIES = 4  # of them are taken for the body
+FARTHEST = 1.5  # from the body, in distances of the other one
+ROUGH_SHARE = 0.3  # error of a range from the extent of a spot
+# Wider uncertain, the other body's direction speaks for nothing.
+WIDEST_SIGMA = 0.06
+
+
+def navigate(
+    picture: Picture,
+    camera: Camera,
+    camera_from_body: Rotation,
+    attitude_sigma_rad: float,
+    sun_body: FloatArray,
+    body: Body,
+    relief: GlobalRelief | None,
+    other: OtherBody | None = None,
+) -> Outline:
+    """The camera's position from the outline; relief of the body where it is known.
+
+    A disc too small for a limb is solved by its brightness centre.
+    sun_body (3,) unit vector, body frame;  other  the neighbour that may be in the picture as well.
+    Raises NoSolutionError with what the picture shows instead.
+    """
+    view = View(camera, camera_from_body, attitude_sigma_rad, sun_body)
+    alone, reason = None, ""
+    try:
+        alone = solve(picture, view, body, relief)
+    except NoSolutionError as error:
+        reason = str(error)
+    if other is not None and (alone is None or _disc(view, body, alone).angle < NEAR_ANGLE):
+        return _one_of_two(picture, view, body, relief, other, alone, reason)
+    if alone is None:
+        raise NoSolutionError(reason)
+    return alone
+
+
+def _one_of_two(
+    picture: Picture,
+    view: View,
+    body: Body,
+    relief: GlobalRelief | None,
+    other: OtherBody,
+    alone: Outline | None,
+    reason: str,
+) -> Outline:
+    """The outline that another body in the picture speaks for, or does not speak against.
+
+    alone, reason  what the picture gives without asking which body it is
+    """
+    names = f"the {other.name}", f"the {body.name}"
+    try:
+        levels = measure_levels(picture.values)
+    except NoSolutionError:
+        raise NoSolutionError(reason) from None
+    blobs = lit_blobs(picture.values, levels.threshold)
+    spots = spots_of(
+        view.camera, blobs, np.flatnonzero(blobs.area >= LEAST_SPOT_PIXELS)[:MOST_SPOTS]
+    )
+    if alone is not None:
+        # lit peaks beyond the terminator are the body's own
+        own = _disc(view, body, alone)
+        spots = [spot for spot in spots if spot.extent > own.angle or not is_within(spot, own)]
+    if len(spots) > 1:
+        agreed = _agreed(picture, view, body, relief, other, blobs, spots, levels.sky)
+        if len(agreed) == 1:
+            remark = f"{names[0]} is in the picture too, where this position puts it"
+            return replace(agreed[0], remark="; ".join(filter(None, (agreed[0].remark, remark))))
+        if agreed:
+            raise NoSolutionError(
+                f"two bodies in the picture: either may be {names[1]}, for each puts {names[0]} "
+                "where the other one is"
+            )
+    if alone is None:
+        raise NoSolutionError(reason)
+    expected = _other_disc(view, other, alone)
+    if must_be_seen(view, expected, _disc(view, body, alone)) and not is_lit(expected, spots):
+        x, y = view.camera.project(expected.towards)
+        raise NoSolutionError(
+            f"if the disc were {names[1]}, {names[0]} should be seen about ({x:.0f}, {y:.0f}) and "
+            "is not: another body, or attitude, time or focal length are wrong"
+        )
+    if is_rather(view, other, alone.position_m, _sigma(alone), body.radius_m):
+        raise NoSolutionError(
+            f"the disc is where {names[0]} stands as seen from near {names[1]}, and of its size: "
+            f"it is {names[0]}, or cannot be told from it"
+        )
+    return alone
+
+
+def _agreed(
+    picture: Picture,
+    view: View,
+    body: Body,
+    relief: GlobalRelief | None,
+    other: OtherBody,
+    blobs: Blobs,
+    spots: list[Spot],
+    sky: float,
+) -> list[Outline]:
+    """The outline of each spot taken for the body that puts the other body where a spot is."""
+    agreed = []
+    for spot in spots[:MOST_BODIES]:
+        rest = [one for one in spots if one is not spot]
+        if not _may_be(view, body, other, spot, rest):
+            continue
+        values = without_blobs(picture.values, blobs, [one.label for one in rest], sky)
+        try:
+            found = solve(replace(picture, values=values), view, body, relief)
+        except NoSolutionError:
+            continue
+        if np.linalg.norm(found.position_m) > FARTHEST * np.linalg.norm(other.centre_m):
+            continue
+        seen = _other_disc(view, other, found)
+        if seen.sigma < WIDEST_SIGMA and any(is_seen(seen, one) for one in rest):
+            agreed.append(found)
+    return agreed
+
+
+def _may_be(view: View, body: Body, other: OtherBody, spot: Spot, rest: list[Spot]) -> bool:
+    """Whether a spot taken for the body puts the other body about where one of the rest is."""
+    if spot.extent > NEAR_ANGLE:
+        return True
+    towards = view.camera_from_body.inv().apply(spot.towards)
+    distance = body.radius_m / np.sin(spot.extent)
+    blur = BLUR_PX * spot.rad_per_px / spot.extent
+    seen = predicted(
+        view, other.centre_m, other.radius_m, -distance * towards, (ROUGH_SHARE + blur) * distance
+    )
+    reach = seen.angle + seen.sigma
+    return any(
+        float(seen.towards @ one.towards) > np.cos(min(reach + one.extent, np.pi)) for one in rest
+    )
+
+
+def _sigma(found: Outline) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(found.covariance_m2)[-1]))
+
+
+def _disc(view: View, body: Body, found: Outline) -> Disc:
+    return predicted(view, np.zeros(3), body.radius_m, found.position_m, 0.0)
+
+
+def _other_disc(view: View, other: OtherBody, found: Outline) -> Disc:
+    return predicted(view, other.centre_m, other.radius_m, found.position_m, _sigma(found))
