@@ -30,42 +30,12 @@ def body_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:
 
     tdb_s  (...)  TDB seconds past J2000
     """
-    times, rotations = _by_series(body.rotation, tdb_s)
+    times = np.ascontiguousarray(tdb_s, dtype=np.float64).reshape(-1)
+    rotations = np.empty((len(times), 3, 3))
+    rotation_kernel.rotate_by_series(times, *_series_table(body.rotation), rotations)
     if body.rotation_correction is not None:
         rotation_kernel.turn_on(times, *_correction_table(body.rotation_correction), rotations)
     return rotations.reshape(*np.shape(tdb_s), 3, 3)
-
-
-def published_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:
-    """The same rotation (..., 3, 3) by the published series alone."""
-    _, rotations = _by_series(body.rotation, tdb_s)
-    return rotations.reshape(*np.shape(tdb_s), 3, 3)
-
-
-def pole_and_meridian(
-    series: RotationSeries, tdb_s: ArrayLike
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Right ascension and declination of the pole and prime-meridian angle W, rad, each (...).
-
-    tdb_s  (...)  TDB seconds past J2000
-    """
-    times = _flat(tdb_s)
-    angles = np.empty((len(times), 3))
-    rotation_kernel.poles(times, *_series_table(series), angles)
-    ra, dec, meridian = angles.T.reshape(3, *np.shape(tdb_s))
-    return ra, dec, meridian
-
-
-def _by_series(series: RotationSeries, tdb_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) and their rotations (n, 3, 3)."""
-    times = _flat(tdb_s)
-    rotations = np.empty((len(times), 3, 3))
-    rotation_kernel.rotate_by_series(times, *_series_table(series), rotations)
-    return times, rotations
-
-
-def _flat(tdb_s: ArrayLike) -> FloatArray:
-    return np.ascontiguousarray(tdb_s, dtype=np.float64).reshape(-1)
 
 
 @lru_cache

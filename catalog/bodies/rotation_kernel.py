@@ -63,19 +63,6 @@ def _turn(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArr
 
 
 @kernel
-def poles(
-    times_s: FloatArray,
-    slow: FloatArray,
-    angles: FloatArray,
-    amplitudes: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write right ascension, declination and prime meridian (n, 3), rad, of times (n,)."""
-    for i in range(times_s.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = _pole(times_s[i], slow, angles, amplitudes)
-
-
-@kernel
 def rotate_by_series(
     times_s: FloatArray,
     slow: FloatArray,

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import DAY_S, J2000_JD
-from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
 
 FloatArray = NDArray[np.float64]
@@ -24,11 +23,6 @@ FloatArray = NDArray[np.float64]
 LIGHT_AU_PER_DAY = 173.1446326846693  # c * 86400 s / 149597870700 m
 AU_M = 149597870700.0
 MARS_NUMBER = 4  # of SOFA's plan94
-
-
-def sun_direction_body(body: Body, tdb_s: float) -> FloatArray:
-    """Unit vector (3,) to the Sun in the body-fixed frame; tdb_s in TDB seconds past J2000."""
-    return np.asarray(body_from_inertial(body, tdb_s) @ sun_direction_inertial(body, tdb_s))
 
 
 def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:

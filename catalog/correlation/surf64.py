@@ -159,12 +159,6 @@ def cell_weights(cells: int) -> NDArray[np.float32]:
     return np.outer(line, line).astype(np.float32)
 
 
-def reach_px(cell_px: int, cells: int = CELLS) -> tuple[int, int]:
-    """Nodes that a descriptor needs before and behind its position (it needs its own too)."""
-    half = cells * cell_px // 2
-    return half, cells * cell_px - half
-
-
 def descriptors(
     image: Image, rows: IntArray, cols: IntArray, cell_px: int, cells: int = CELLS
 ) -> NDArray[np.float32]:
@@ -179,7 +173,8 @@ def descriptors(
     image = np.ascontiguousarray(image, dtype=np.float32)
     rows = np.ascontiguousarray(rows, dtype=np.int64).ravel()
     cols = np.ascontiguousarray(cols, dtype=np.int64).ravel()
-    before, behind = reach_px(cell_px, cells)
+    before = cells * cell_px // 2
+    behind = cells * cell_px - before
     height, width = image.shape
     if rows.size and (
         min(rows.min(), cols.min()) < before
@@ -188,22 +183,6 @@ def descriptors(
     ):
         raise ValueError(f"a square of {cells * cell_px} nodes leaves the {height} x {width} image")
     return _gather(_cell_sums(image, cell_px), rows, cols, cell_px, cell_weights(cells))
-
-
-def dense_descriptors(image: Image, cell_px: int, cells: int = CELLS) -> NDArray[np.float32]:
-    """Descriptors at every node whose square fits: (m, k, 4 cells²).
-
-    Entry [0, 0] belongs to node (before, before) of `reach_px`.
-    Raises ValueError when the image is smaller than one square.
-    """
-    before, behind = reach_px(cell_px, cells)
-    height, width = image.shape
-    m, k = height - before - behind, width - before - behind
-    if m < 1 or k < 1:
-        raise ValueError(f"a square of {cells * cell_px} nodes leaves the {height} x {width} image")
-    rows, cols = np.meshgrid(np.arange(m) + before, np.arange(k) + before, indexing="ij")
-    flat = descriptors(image, rows, cols, cell_px, cells)
-    return flat.reshape(m, k, flat.shape[1])
 
 
 def similarity_surface(reference: Image, search: Image) -> NDArray[np.float32]:

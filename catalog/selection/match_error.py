@@ -5,12 +5,13 @@ tensor: the sum over the template of the products of the brightness gradient. Th
 mean brightness over a signal-to-noise ratio, so that no radiometric unit enters.
 
 A place can have sharp edges and yet too little contrast to be told from noise: correlation then
-refuses it. `predicted_correlation` says how high the peak will stand, and a bound over it is the
+refuses it. The predicted correlation says how high the peak will stand, and a bound over it is the
 score that orders candidates (the division is ours: on real ground it chose points that were
 recognised 1 % more often than the bound alone did, and 2 % more than the closed form).
 """
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,11 +21,11 @@ from catalog.correlation.ncc import high_pass
 from catalog.geometry.kernel import kernel
 
 Grid = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 
 @kernel
 def _structure_tensor(brightness: Grid) -> tuple[float, float, float, float]:
+    """Its elements xx, xy and yy, x along columns, y along rows, and the mean brightness."""
     rows, cols = brightness.shape
     mxx = mxy = myy = total = 0.0
     count = 0
@@ -43,45 +44,34 @@ def _structure_tensor(brightness: Grid) -> tuple[float, float, float, float]:
     return mxx, mxy, myy, total / max(count, 1)
 
 
-def structure_tensor(brightness: Grid) -> FloatArray:
-    """Structure tensor (2, 2) of a brightness grid, x along columns, y along rows.
+@dataclass(frozen=True)
+class MatchPrediction:
+    """How well a rendered template would match its own picture under white noise.
 
-    brightness (rows, cols), NaN for no data (which adds nothing); unit of brightness² a node².
+    error_px     1-sigma error along the worst direction, nodes; infinite without contrast in some
+                 direction or without any light
+    correlation  0..1, of template and picture, both high-passed; zero without light
     """
-    mxx, mxy, myy, _ = _structure_tensor(np.ascontiguousarray(brightness, dtype=np.float32))
-    return np.array([[mxx, mxy], [mxy, myy]])
+
+    error_px: float
+    correlation: float
+
+    @property
+    def score(self) -> float:
+        """Error over correlation, nodes; infinite where there is nothing to match."""
+        return self.error_px / self.correlation if self.correlation > 0.0 else math.inf
 
 
-def predicted_error_px(brightness: Grid, snr: float) -> float:
-    """Predicted 1-sigma error of a match along its worst direction, nodes.
+def predict_match(brightness: Grid, snr: float) -> MatchPrediction:
+    """What a template promises.
 
-    brightness  (n, n)  rendered template, any unit, NaN for no data
+    brightness  (n, n)  any unit, NaN for no data (which adds nothing)
     snr                 mean brightness over the standard deviation of a node's noise
-    Returns infinity for a template without contrast in some direction or without any light.
-    """
-    mxx, mxy, myy, mean = _structure_tensor(np.ascontiguousarray(brightness, dtype=np.float32))
-    return _error_px(mxx, mxy, myy, mean, snr)
-
-
-def predicted_correlation(brightness: Grid, snr: float) -> float:
-    """Correlation, 0..1, of a template with its own picture under white noise, both high-passed.
-
-    Arguments as `predicted_error_px`; zero without light.
-    """
-    brightness = np.ascontiguousarray(brightness, dtype=np.float32)
-    return _correlation(brightness, _structure_tensor(brightness)[3], snr)
-
-
-def predicted_error_over_correlation(brightness: Grid, snr: float) -> float:
-    """The score of a template: `predicted_error_px` over `predicted_correlation`, nodes.
-
-    Infinite where there is nothing to match.
     """
     brightness = np.ascontiguousarray(brightness, dtype=np.float32)
     mxx, mxy, myy, mean = _structure_tensor(brightness)
-    correlation = _correlation(brightness, mean, snr)
     error = _error_px(mxx, mxy, myy, mean, snr)
-    return error / correlation if correlation > 0.0 else float("inf")
+    return MatchPrediction(error, _correlation(brightness, mean, snr))
 
 
 def _error_px(mxx: float, mxy: float, myy: float, mean: float, snr: float) -> float:

@@ -16,7 +16,7 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.map_view import render_map
 from catalog.selection.localisation import hessian_eigenvalue
-from catalog.selection.match_error import predicted_error_over_correlation
+from catalog.selection.match_error import predict_match
 from catalog.stages.context import StageContext
 from catalog.stages.ground import FINE_LEVELS, blurred, missing_share, suns_of
 from catalog.stages.shortlist import shortlists
@@ -162,9 +162,7 @@ def _scores(
                 )
             )
             for i, inside in enumerate(windows[level]):
-                errors[i, level, k] = predicted_error_over_correlation(
-                    picture[inside], settings.snr
-                )
+                errors[i, level, k] = predict_match(picture[inside], settings.snr).score
     for inside, error in zip(windows[0], errors, strict=True):
         yield hessian_eigenvalue(grids[0][inside], context.posting_m), error
 

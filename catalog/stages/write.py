@@ -24,7 +24,7 @@ from catalog.store.manifest import PLAIN_VERSION, PLANES_VERSION, CatalogMeta, P
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
-from catalog.store.writer import Written, write_prepared
+from catalog.store.writer import Written, write_catalog
 from catalog.terrain.mesh.terrain import MeshTerrain
 
 CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
@@ -100,7 +100,7 @@ def write(
     chunks = [ordered[i : i + CHUNK_POINTS] for i in range(0, len(ordered), CHUNK_POINTS)]
     with progress.stage("write", len(ordered), "point") as shown:
         ready = results.make(prepare_chunk, context, chunks, workers, account, shown)
-        return write_prepared(output, meta, _in_order(results, ready), relief=relief)
+        return write_catalog(output, meta, _in_order(results, ready), relief=relief)
 
 
 def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list[PreparedPoint]:

@@ -162,11 +162,6 @@ class Catalog:
             raise DataError(f"{self.path}: holds no control point")
         return int(self.ids[row])
 
-    def in_cell(self, cell: int) -> tuple[int, ...]:
-        """Ids of the points in a cell: one, or none."""
-        row = int(self.ids.searchsorted(cell))
-        return (cell,) if row < len(self.ids) and self.ids[row] == cell else ()
-
     def within(self, lat_deg: float, lon_deg: float, radius_deg: float) -> IntArray:
         """Ids of all points within an angle of a place, ascending."""
         lon = float(wrap_longitude_deg(lon_deg))

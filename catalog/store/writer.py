@@ -2,21 +2,21 @@
 
 import math
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from catalog.control_point import ControlPoint, Patch
+from catalog.control_point import ControlPoint
 from catalog.geometry.cells import CellGrid
 from catalog.store.digest import CatalogDigest, point_digest
 from catalog.store.features import feature_row
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import RELIEF_VERSION, CatalogMeta, rows_from_meta
 from catalog.store.partial import replacing
-from catalog.store.patches import PreparedPoint, prepare_point
+from catalog.store.patches import PreparedPoint
 from catalog.store.records import (
     Record,
     checksum,
@@ -57,30 +57,16 @@ class Written:
 def write_catalog(
     path: str | Path,
     meta: CatalogMeta,
-    points: Iterable[tuple[ControlPoint, Sequence[Patch]]],
-    progress: Callable[[int], None] | None = None,
+    points: Iterable[PreparedPoint],
+    relief: PreparedRelief | None = None,
 ) -> Written:
-    """Write points and their patches, in the order of their ids, as one catalog file.
+    """Write prepared points, in the order of their ids, and perhaps a relief as one catalog file.
 
-    A point has `meta.levels` patches, or none at all if it is not usable. progress(n) hears of
-    every point. The old file at `path` stays whole until the new one is complete and on the disk.
+    A point has `meta.levels` patches, or none at all if it is not usable. The old file at `path`
+    stays whole until the new one is complete and on the disk.
     Raises OutputError for a place that cannot be written, a full disk, or a file at `path` that
     is no optnav catalog; ValueError for points out of order or outside their cells.
     """
-    prepared = (
-        prepare_point(p, patches, (meta.height_step_m,) * len(patches)) for p, patches in points
-    )
-    return write_prepared(path, meta, prepared, progress)
-
-
-def write_prepared(
-    path: str | Path,
-    meta: CatalogMeta,
-    points: Iterable[PreparedPoint],
-    progress: Callable[[int], None] | None = None,
-    relief: PreparedRelief | None = None,
-) -> Written:
-    """As `write_catalog`, for points, and perhaps a relief, that were prepared elsewhere."""
     path = Path(path)
     with replacing(path) as partial:
         with closing(_connect_new(partial)) as db:
@@ -89,7 +75,7 @@ def write_prepared(
                 create_relief_table(db)
                 version = max(meta.format_version, RELIEF_VERSION)
                 meta = replace(meta, relief=relief.meta, format_version=version)
-            meta = _fill(db, meta, points, progress, relief.rows if relief is not None else ())
+            meta = _fill(db, meta, points, relief.rows if relief is not None else ())
             db.execute("COMMIT")
         put_seal(partial)
     return Written(path, meta.count, meta.usable, meta.digest, path.stat().st_size)
@@ -109,7 +95,6 @@ def _fill(
     db: sqlite3.Connection,
     meta: CatalogMeta,
     points: Iterable[PreparedPoint],
-    progress: Callable[[int], None] | None,
     relief_rows: Sequence[ReliefRow],
 ) -> CatalogMeta:
     """Insert everything; returns the manifest with counts and digest."""
@@ -136,8 +121,6 @@ def _fill(
         if len(chunk) == RECORDS_A_ROW:
             _insert_records(db, chunks, chunk)
             chunks, chunk = chunks + 1, []
-        if progress is not None:
-            progress(1)
     if chunk:
         _insert_records(db, chunks, chunk)
     meta = replace(meta, point_sources=tuple(sources), count=count, usable=usable)

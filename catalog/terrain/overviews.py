@@ -40,8 +40,6 @@ LONGEST_STRIP = 4096
 WHOLE_BLOCK = 8  # pixels a side of the blocks that are known to be without holes or not
 
 HeightGrid = NDArray[np.float32]
-Box = tuple[int, int, int, int]  # first row, first column, height, width
-Extremes = tuple[float, float, int, int]
 
 
 class PyramidRecord(msgspec.Struct, frozen=True):

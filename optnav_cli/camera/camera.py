@@ -118,11 +118,6 @@ class Camera:
         inside_x = (x >= low) & (x <= self.width_px - 1 - low)
         return np.asarray(inside_x & (y >= low) & (y <= self.height_px - 1 - low))
 
-    def pixel_grid(self) -> FloatArray:
-        """Coordinates (height, width, 2) of all pixel centres."""
-        x, y = np.meshgrid(np.arange(self.width_px), np.arange(self.height_px))
-        return np.stack([x, y], axis=-1).astype(np.float64)
-
 
 def _rows(values: ArrayLike, width: int) -> tuple[FloatArray, tuple[int, ...]]:
     array = np.asarray(values, dtype=np.float64)

@@ -36,11 +36,6 @@ class Picture:
     saturation: float | None
 
 
-def read_picture(path: str | Path, camera: Camera) -> NDArray[np.float32]:
-    """Values (height, width) float32 of a picture taken with a camera; see `load_picture`."""
-    return load_picture(path, camera).values
-
-
 def load_picture(path: str | Path, camera: Camera) -> Picture:
     """Read a picture of a camera.
 

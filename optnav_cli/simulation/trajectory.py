@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import AnalyticMotion, BodyMotion
-from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
+from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.simulation.portraits import portrait_moments
 from optnav_cli.simulation.scenario import AnyScenario, Portraits, Scenario, Voyage
 from optnav_cli.simulation.sections import SunSettings
@@ -95,9 +95,3 @@ def sun_over(
     cosine = np.clip(sine / reach, -1.0, 1.0)
     hour = np.arccos(cosine) * (1.0 if rng.uniform() < 0.5 else -1.0)
     return xyz_from_latlon(declination, lon + hour, 1.0)
-
-
-def sun_elevation(sun_body: FloatArray, position_m: FloatArray) -> float:
-    """Height of the Sun (rad) over the sphere's horizon below a position."""
-    lat, lon, _ = latlon_from_xyz(position_m)
-    return float(np.arcsin(np.clip(xyz_from_latlon(lat, lon, 1.0) @ sun_body, -1.0, 1.0)))

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
@@ -19,8 +18,6 @@ from optnav_cli.navigation.settings import MatchSettings
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 from optnav_cli.studies.matching_scene import RIGHT, Scene, Wrong, wrong_pose
-
-FloatArray = NDArray[np.float64]
 
 MATCHERS: dict[str, Matcher] = {"NCC": match_ncc, "SURF-64": match_surf}
 TEMPLATE_NODES, SEARCH_NODES, SHIFT_NODES = 64, 8, 5.0

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from catalog.config import resource
 from catalog.errors import NothingToDoError
@@ -26,8 +25,6 @@ from optnav_cli.output.evaluation_files import evaluate_run
 from optnav_cli.output.figures import FrameError, figures_of
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies.pictures import shipped_pictures, with_star_sensor
-
-FloatArray = NDArray[np.float64]
 
 WIDE, NARROW = "tsnn_shtk", "tsnn_utk"
 POINTS_M = 195.0  # half of the model's posting, 2 degrees of the equator

@@ -17,7 +17,6 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from catalog.bodies.body import load_body
 from catalog.config import resource
@@ -34,7 +33,6 @@ from catalog.stages.settings import BuildConfig
 from catalog.terrain.mosaic import Mosaic
 from catalog.terrain.source import DemSettings
 
-FloatArray = NDArray[np.float64]
 Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
 
 DEM = "data/tycho_gld100_256ppd.tif"

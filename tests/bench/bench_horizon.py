@@ -11,6 +11,7 @@ from optnav_cli.estimation.limb_fit import fit_limb
 from optnav_cli.imagery.picture import Picture
 from optnav_cli.navigation.outline import navigate
 from tests.bench.timing import one_core
+from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.navigation.horizon.limbs import CAMERA, MOON, attitude, place
 
 pytestmark = pytest.mark.bench
@@ -86,7 +87,7 @@ def _drawn(relief, position, turned):
     axes = nadir_axes(position)
     table = np.linspace(-np.pi, np.pi, 4001)
     line = limb_ground(relief).limb.skyline(position, axes, table)
-    rays = turned.inv().apply(CAMERA.unproject(CAMERA.pixel_grid()).reshape(-1, 3)) @ axes.T
+    rays = turned.inv().apply(CAMERA.unproject(pixel_grid(CAMERA)).reshape(-1, 3)) @ axes.T
     off_nadir = np.arccos(np.clip(-rays[:, 2], -1.0, 1.0))
     edge = np.interp(np.arctan2(rays[:, 1], rays[:, 0]), table, line.off_nadir)
     depth = (edge - off_nadir) / CAMERA.angular_resolution

@@ -15,7 +15,7 @@ from catalog.store.reader import Catalog
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.imagery.apollo import write_apollo_folder
 from optnav_cli.imagery.folder import Folder, read_folder
-from optnav_cli.imagery.picture import read_picture
+from optnav_cli.imagery.picture import load_picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.navigation.expectation import FrameContext, expected
@@ -83,7 +83,7 @@ def test_a_control_point_over_all_levels(scene, matcher):
     frame = scene.folder.frames[0]
     camera = scene.folder.cameras[frame.camera]
     solved = solve_frame(scene.folder, frame, scene.points, NavigateSettings(), match_ncc).solution
-    picture = PicturePyramid(read_picture(scene.folder.picture_path(frame), camera))
+    picture = PicturePyramid(load_picture(scene.folder.picture_path(frame), camera).values)
     context = FrameContext(
         picture, camera, frame.sun_body, scene.points, NavigateSettings(), MATCHERS[matcher]
     )

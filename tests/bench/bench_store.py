@@ -27,7 +27,7 @@ from catalog.store.patches import prepare_point
 from catalog.store.reader import Catalog
 from catalog.store.relief import prepare_relief
 from catalog.store.verify import verify
-from catalog.store.writer import write_prepared
+from catalog.store.writer import write_catalog
 from catalog.terrain.relief_of_dem import load_relief
 
 LEVELS, SIZE, POSTING_M = 5, 80, 118.45
@@ -113,7 +113,7 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
     meta = CatalogMeta("moon", 1737400.0, 1.0, LEVELS, SIZE, POSTING_M, STEPS_M[0])
     started = time.process_time()
     prepared = (prepare_point(point, patches, STEPS_M) for point, patches in points())
-    written = write_prepared(path, meta, prepared)
+    written = write_catalog(path, meta, prepared)
     write_s = time.process_time() - started
     open_ms = 1e3 * best(lambda: Catalog.open(path).close(), 5)
     with Catalog.open(path) as catalog:
@@ -126,7 +126,7 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
         places = [xyz_from_latlon(*np.radians((a, b)), 1.0) for a, b in zip(lat, lon)]
         by_tree = best(lambda: [tree.query(place) for place in places], 3) / 5000 * 1e6
         ids = [int(i) for i in rng.choice(catalog.ids, 400, replace=False)]
-        cell = best(lambda: [catalog.in_cell(i) for i in ids], 3) / 400 * 1e6
+        cell = best(lambda: [catalog.row_of(i) for i in ids], 3) / 400 * 1e6
         load = best(lambda: [catalog.patches(i) for i in ids], 5) / 400 * 1e3
         data = b"".join(catalog.patches(i)[0].heights_m.tobytes() for i in ids)
         layers = {
@@ -150,7 +150,7 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
         f"\n  open     {open_ms:8.2f} ms   {open_ms / OPEN_MS:5.2f} of the limit"
         f"\n  nearest  {near:8.2f} us   {near / NEAREST_US:5.2f} of the limit, "
         f"{near / by_tree:.2f} of scipy's cKDTree"
-        f"\n  in_cell  {cell:8.2f} us   {cell / CELL_US:5.2f} of the limit"
+        f"\n  row_of   {cell:8.2f} us   {cell / CELL_US:5.2f} of the limit"
         f"\n  patches  {load:8.3f} ms   {load / LOAD_MS:5.2f} of the limit, "
         f"{load / copy_ms:.0f} x a copy of the heights in memory"
         f"\n  verify   {verify_s:8.1f} s    every patch unpacked"
@@ -174,8 +174,8 @@ def test_speed_and_size_of_a_relief(
     relief = load_relief(str(dem), load_body("moon"))
     made = time.process_time() - start
     meta = CatalogMeta("moon", relief.radius_m, 1.0, LEVELS, SIZE, POSTING_M, STEPS_M[0])
-    plain = write_prepared(tmp_path / "plain.gpkg", meta, [])
-    written = write_prepared(tmp_path / "c.gpkg", meta, [], relief=prepare_relief(relief))
+    plain = write_catalog(tmp_path / "plain.gpkg", meta, [])
+    written = write_catalog(tmp_path / "c.gpkg", meta, [], relief=prepare_relief(relief))
     with Catalog.open(written.path) as catalog:
         start = time.process_time()
         catalog.relief()

@@ -15,7 +15,6 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.bodies.motion import AnalyticMotion
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
-from catalog.store.writer import write_catalog
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit import OrbitMotion
@@ -24,7 +23,8 @@ from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.run_settings import RunSettings
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.navigate_folder import navigate_folder
-from tests.optnav_cli.conftest import RoughWorld
+from tests.catalog.store.written import write_points
+from tests.optnav_cli.conftest import RoughWorld, pixel_grid
 
 MOON = load_body("moon")
 MOTION = AnalyticMotion(MOON)
@@ -38,7 +38,7 @@ def picture(position, turn, sun, seed):
     """The lit sphere by 3 x 3 exact rays a pixel, blurred, with noise; 8 bits."""
     offset = (np.arange(3) + 0.5) / 3.0 - 0.5
     total = np.zeros((400, 400))
-    grid = WIDE.pixel_grid()
+    grid = pixel_grid(WIDE)
     for dx in offset:
         for dy in offset:
             rays = WIDE.unproject(grid + [dx, dy]) @ turn.as_matrix()
@@ -118,7 +118,7 @@ def run(tmp_path_factory):
     write_folder(place / "pictures", settings, [WIDE], frames[::-1])
     world = RoughWorld(seed=1, levels=5)
     meta = CatalogMeta("moon", MOON.radius_m, world.cell_deg, 5, world.nodes, 120.0, 0.5)
-    write_catalog(place / "rough.gpkg", meta, world.control_points[:9])
+    write_points(place / "rough.gpkg", meta, world.control_points[:9])
     navigate_folder(
         place / "pictures", [place / "rough.gpkg"], NavigateSettings(), "ncc",
         place / "run", SilentProgress(),

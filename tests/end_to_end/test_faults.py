@@ -15,12 +15,12 @@ from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
-from catalog.store.writer import write_catalog
 from optnav_cli.imagery.folder import read_folder, write_folder
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.evaluation_files import evaluate_run
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
+from tests.catalog.store.written import write_points
 from tests.optnav_cli.conftest import RoughWorld
 
 LATE_S = 4.0 * 3600.0
@@ -64,7 +64,7 @@ def navigated(pictures: Path, run: Path) -> list[dict[str, str]]:
     world = RoughWorld(seed=1, levels=5)
     catalog = run.with_suffix(".gpkg")
     meta = CatalogMeta("moon", 1737400.0, world.cell_deg, 5, world.nodes, 120.0, 0.5)
-    write_catalog(catalog, meta, world.control_points[:9])
+    write_points(catalog, meta, world.control_points[:9])
     relief = Path(str(resource("data/moon_gld100_4ppd.tif")))
     with suppress(NothingToDoError):  # the run is written, with the reasons
         navigate_folder(

@@ -16,7 +16,7 @@ from catalog.store.drawing import draw_pyramid
 from catalog.store.reader import Catalog
 from catalog.terrain.mosaic import Mosaic
 from optnav_cli.imagery.folder import read_folder
-from optnav_cli.imagery.picture import read_picture
+from optnav_cli.imagery.picture import load_picture
 from optnav_cli.imagery.truth import read_truth
 from optnav_cli.output.overlay import draw_overlay, patch_outlines
 from optnav_cli.output.report.body_figure import sides_picture
@@ -154,7 +154,7 @@ def frame_overlay(run: Path, pictures: Path, file: str, catalog_path: Path | Non
     solution = next(s for s in found.solutions if s.file == file)
     matches = [m for m in found.matches if m.file == file]
     outlines = _patch_outlines(found, file, catalog_path) if catalog_path else {}
-    picture = read_picture(pictures / file, found.cameras[file])
+    picture = load_picture(pictures / file, found.cameras[file]).values
     return draw_overlay(picture, solution, matches, outlines, FRAME_PX)
 
 
@@ -162,7 +162,7 @@ def opening(run: Path, pictures: Path, catalog_path: Path) -> Picture:
     """The fisheye picture as it came, and with what was found in it."""
     found = read_run(run)
     solution, camera = found.solutions[0], found.cameras[found.solutions[0].file]
-    picture = read_picture(pictures / solution.file, camera)
+    picture = load_picture(pictures / solution.file, camera).values
     rows, cols = (np.flatnonzero((picture > 40).any(axis=axis)) for axis in (1, 0))
     half = max(np.ptp(rows), np.ptp(cols)) // 2 + 20
     row, col = (int(edges[0] + edges[-1]) // 2 for edges in (rows, cols))

@@ -23,6 +23,12 @@ LAT, LON = np.radians(-43.0), np.radians(-11.0)
 CAMERA_FROM_LOCAL = np.diag([1.0, -1.0, -1.0])  # nadir, north at the picture's top
 
 
+def pixel_grid(camera):
+    """Coordinates (height, width, 2) of all pixel centres."""
+    x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
+    return np.stack([x, y], axis=-1).astype(np.float64)
+
+
 def half_of(grid):
     """Area means of two by two nodes."""
     return cv2.resize(grid, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -152,7 +158,7 @@ class RoughWorld:
     def _nodes_of_pixels(self, pose):
         """Columns and rows of the ground's nodes that the pixels see: rays against the relief."""
         turn = self.projection.body_from_local
-        rays = self.camera.unproject(self.camera.pixel_grid()) @ pose.camera_from_body.as_matrix()
+        rays = self.camera.unproject(pixel_grid(self.camera)) @ pose.camera_from_body.as_matrix()
         rays, origin = rays @ turn, pose.position_m @ turn
         half = (self.size - 1) / 2.0
         height = np.zeros(rays.shape[:2], dtype=np.float32)

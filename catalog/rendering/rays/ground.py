@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from catalog.geometry.kernel import kernel, parallel_kernel
 
-FloatArray = NDArray[np.float64]
 HeightGrid = NDArray[np.float32]
 
 

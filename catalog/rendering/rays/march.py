@@ -8,12 +8,9 @@ than 7 deg to a pole the anchor moves more often.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from catalog.geometry.kernel import kernel
 from catalog.rendering.rays.ground import Ground, bilinear
-
-FloatArray = NDArray[np.float64]
 
 LEFT, HIT, DARK = 0, 1, 2  # how a walk ends: out of the grid or the range, on the ground, in shadow
 ANCHOR_REACH = 0.006  # rad

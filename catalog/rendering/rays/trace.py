@@ -1,14 +1,11 @@
 """Where rays meet the terrain: a fine grid over a region, a smooth grid of the body around it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import kernel
 from catalog.rendering.rays.ground import Ground, grid_place
 from catalog.rendering.rays.march import HIT, walk
-
-FloatArray = NDArray[np.float64]
 
 SKY, FINE, WIDE = 0, 1, 2  # what a ray meets
 # Steeper slopes than this do not occur on a grid of kilometres (a 35 deg wall between two nodes);

@@ -7,7 +7,6 @@ import pytest
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.surf64 import (
     cell_weights,
-    dense_descriptors,
     descriptors,
     match_surf,
     own_similarity_surface,
@@ -69,22 +68,16 @@ def test_flat_ground_has_a_zero_descriptor_and_holes_do_not_spread():
     assert np.isfinite(far).all()
 
 
-def test_dense_descriptors_are_the_descriptors_of_all_nodes():
-    image = relief(50, 4)
-    dense = dense_descriptors(image, 8)
-    assert dense.shape == (18, 18, 64)
-    one = descriptors(image, np.array([16 + 7]), np.array([16 + 2]), 8)[0]
-    np.testing.assert_array_equal(dense[7, 2], one)
-
-
 def test_a_square_that_leaves_the_image_is_refused():
     image = relief(40, 5)
     with pytest.raises(ValueError, match="leaves the 40 x 40 image"):
         descriptors(image, np.array([15]), np.array([20]), 8)
     with pytest.raises(ValueError, match="leaves"):
         descriptors(image, np.array([20]), np.array([24]), 8)
+    middle = np.array([16])
     with pytest.raises(ValueError, match="leaves"):
-        dense_descriptors(relief(32, 5), 8)
+        descriptors(relief(32, 5), middle, middle, 8)
+    assert descriptors(relief(33, 5), middle, middle, 8).shape == (1, 64)
 
 
 @pytest.mark.parametrize("size", [32, 64, 80])

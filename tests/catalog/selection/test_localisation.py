@@ -14,11 +14,7 @@ from catalog.selection.localisation import (
     hessian_eigenvalue_map,
     sun_products,
 )
-from catalog.selection.match_error import (
-    predicted_correlation,
-    predicted_error_px,
-    structure_tensor,
-)
+from catalog.selection.match_error import predict_match
 
 POSTING_M = 118.45
 MOON_M = 1_737_400.0
@@ -121,7 +117,7 @@ def test_the_closed_form_ranks_ground_as_renders_do(tycho):
             cut = np.s_[row : row + 64, col : col + 64]
             value = hessian_eigenvalue(smooth[cut], POSTING_M, sun_products(direction[None]))
             predicted.append(1.0 / (20.0 * np.sqrt(value)))
-            rendered.append(predicted_error_px(picture[cut], 20.0))
+            rendered.append(predict_match(picture[cut], 20.0).error_px)
     ratio = np.array(rendered) / np.array(predicted)
     assert np.corrcoef(np.log(predicted), np.log(rendered))[0, 1] > 0.9
     assert 0.7 < np.median(ratio) < 1.4
@@ -141,15 +137,17 @@ def test_matches_of_noisy_pictures_scatter_as_predicted(tycho):
     noise = rng.normal(0.0, inner.mean() / snr, (2000, inner.size))
     shifts = noise @ np.linalg.pinv(design).T
     worst = np.sqrt(np.linalg.eigvalsh(np.cov(shifts.T))[-1])
-    assert predicted_error_px(picture, snr) == pytest.approx(worst, rel=0.08)
-    tensor = structure_tensor(picture)
-    np.testing.assert_allclose(tensor, design.T @ design, rtol=1e-5)
+    found = predict_match(picture, snr).error_px
+    assert found == pytest.approx(worst, rel=0.08)
+    least = np.linalg.eigvalsh(design.T @ design)[0]
+    assert found == pytest.approx(inner.mean() / (snr * np.sqrt(least)), rel=1e-5)
 
 
 def test_darkness_and_uniform_light_cannot_be_matched():
-    assert predicted_error_px(np.zeros((32, 32), np.float32), 20.0) == np.inf
-    assert predicted_error_px(np.full((32, 32), 0.3, np.float32), 20.0) == np.inf
-    assert predicted_correlation(np.zeros((32, 32), np.float32), 20.0) == 0.0
+    dark = predict_match(np.zeros((32, 32), np.float32), 20.0)
+    assert (dark.error_px, dark.correlation, dark.score) == (np.inf, 0.0, np.inf)
+    even = predict_match(np.full((32, 32), 0.3, np.float32), 20.0)
+    assert even.error_px == even.score == np.inf
 
 
 def test_the_predicted_correlation_is_what_correlation_with_noise_gives(tycho):
@@ -161,7 +159,9 @@ def test_the_predicted_correlation_is_what_correlation_with_noise_gives(tycho):
         noisy = picture + rng.normal(0.0, picture.mean() / snr, picture.shape).astype(np.float32)
         scores.append(np.corrcoef(high_pass(picture).ravel(), high_pass(noisy).ravel())[0, 1])
     # the high-pass takes a little of the noise too
-    assert predicted_correlation(picture, snr) == pytest.approx(np.mean(scores), abs=0.03)
+    found = predict_match(picture, snr)
+    assert found.correlation == pytest.approx(np.mean(scores), abs=0.03)
+    assert found.score == found.error_px / found.correlation
 
 
 def test_a_window_that_does_not_fit_is_refused(tycho):

@@ -13,7 +13,7 @@ from catalog.control_point import Flag
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
 from catalog.rendering.map_view import render_map
-from catalog.selection.match_error import predicted_correlation, predicted_error_px
+from catalog.selection.match_error import predict_match
 from catalog.stages import certificate, check, ground, render, select
 from catalog.stages.context import BodySettings, PyramidSettings, StageContext
 from catalog.stages.records import decode_records, encode_records
@@ -106,8 +106,7 @@ def test_errors_predicted_from_one_ground_are_those_of_each_place(context, rende
                         continue
                     picture = render_map(window, posting, sun, radius_m=context.body.radius_m)
                     picture = ground.blurred(picture)
-                    bound = predicted_error_px(picture, settings.snr)
-                    alone = bound / predicted_correlation(picture, settings.snr)
+                    alone = predict_match(picture, settings.snr).score
                     ratios.append(candidate.error_px[level, k] / alone)
     off = np.abs(np.log(ratios))
     assert np.median(off) < 0.02

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.store.manifest import CatalogMeta
-from catalog.store.writer import Written, write_catalog
+from catalog.store.writer import Written
+from tests.catalog.store.written import write_points
 
 RADIUS_M = 1737400.0
 POSTING_M = 118.45
@@ -61,7 +62,7 @@ class World:
 
     def write(self, path: Path) -> Written:
         """The catalog file of this world."""
-        return write_catalog(path, self.meta, self.points)
+        return write_points(path, self.meta, self.points)
 
 
 def make_world(

@@ -53,12 +53,6 @@ def test_within_agrees_with_angles(catalog: Catalog) -> None:
     assert catalog.within(12.0, 34.0, 180.0).size == len(catalog)
 
 
-def test_a_cell_holds_its_point_or_none(catalog: Catalog) -> None:
-    filled = set(catalog.ids.tolist())
-    for cell in range(catalog.grid.total):
-        assert catalog.in_cell(cell) == ((cell,) if cell in filled else ())
-
-
 def test_arrays_and_points_agree(catalog: Catalog) -> None:
     for row, point in enumerate(catalog.points()):
         assert catalog.row_of(point.id) == row
@@ -67,10 +61,11 @@ def test_arrays_and_points_agree(catalog: Catalog) -> None:
 
 
 def test_an_id_that_is_not_there_is_told(catalog: Catalog) -> None:
-    missing = next(c for c in range(catalog.grid.total) if c not in catalog.ids)
-    for ask in (catalog.point, catalog.patches):
-        with pytest.raises(DataError, match=f"no control point {missing}"):
-            ask(missing)
+    missing = set(range(-1, catalog.grid.total + 1)) - set(catalog.ids.tolist())
+    for cell in missing:
+        for ask in (catalog.row_of, catalog.point, catalog.patches):
+            with pytest.raises(DataError, match=f"no control point {cell};"):
+                ask(cell)
 
 
 def test_a_catalog_travels_to_another_process(catalog: Catalog) -> None:

@@ -25,7 +25,7 @@ from catalog.store.relief import prepare_relief
 from catalog.store.seal import SealState
 from catalog.store.summary import describe
 from catalog.store.verify import verify
-from catalog.store.writer import Written, write_prepared
+from catalog.store.writer import Written, write_catalog
 from catalog.terrain.relief import GlobalRelief
 from tests.catalog.store.test_format import heights_of, read_as_described
 
@@ -58,7 +58,7 @@ def put(world: Any, tmp_path: Path) -> Callable[..., Written]:
         steps = (world.meta.height_step_m,) * world.meta.levels
         points = (prepare_point(point, patches, steps) for point, patches in world.points)
         ready = prepare_relief(relief) if relief is not None else None
-        return write_prepared(tmp_path / name, world.meta, points, relief=ready)
+        return write_catalog(tmp_path / name, world.meta, points, relief=ready)
 
     return write
 

@@ -14,7 +14,8 @@ import pytest
 from catalog.errors import OutputError
 from catalog.store.reader import Catalog
 from catalog.store.records import rounded_point
-from catalog.store.writer import Written, write_catalog
+from catalog.store.writer import Written
+from tests.catalog.store.written import write_points
 
 
 def test_points_and_patches_come_back(world: Any, written: Written) -> None:
@@ -47,7 +48,7 @@ def test_unknown_numbers_come_back_as_unknown(make: Callable[..., Any], tmp_path
         shadow_limit_deg=(),
     )
     path = tmp_path / "c.gpkg"
-    write_catalog(path, world.meta, [(odd, patches)])
+    write_points(path, world.meta, [(odd, patches)])
     with Catalog.open(path) as catalog:
         back = catalog.point(point.id)
     assert np.isnan(back.radius_m)
@@ -76,7 +77,7 @@ def test_the_digest_does_not_know_time_place_or_program(
     meta = replace(
         world.meta, created_utc="2031-01-01T00:00:00Z", software="optnav 9", config="", sources={}
     )
-    assert write_catalog(tmp_path / "x.gpkg", meta, world.points).digest == written.digest
+    assert write_points(tmp_path / "x.gpkg", meta, world.points).digest == written.digest
 
 
 def changed_worlds(world: Any) -> Iterator[tuple[str, Any, Any]]:
@@ -99,7 +100,7 @@ def test_any_change_of_content_changes_the_digest(
     digests = {"unchanged": written.digest}
     for name, meta, changed in changed_worlds(world):
         points = [*world.points[:4], changed, *world.points[5:]]
-        digests[name] = write_catalog(tmp_path / "x.gpkg", meta, points).digest
+        digests[name] = write_points(tmp_path / "x.gpkg", meta, points).digest
     assert len(set(digests.values())) == len(digests)
 
 
@@ -110,34 +111,34 @@ def test_differences_in_the_last_bits_do_not_change_the_digest(
         (replace(point, localisation_px=point.localisation_px * (1 + 1e-13)), patches)
         for point, patches in world.points
     ]
-    assert write_catalog(tmp_path / "x.gpkg", world.meta, points).digest == written.digest
+    assert write_points(tmp_path / "x.gpkg", world.meta, points).digest == written.digest
 
 
 def test_points_out_of_order_or_outside_their_cells_are_refused(world: Any, tmp_path: Path) -> None:
     path = tmp_path / "x.gpkg"
     with pytest.raises(ValueError, match="ascend"):
-        write_catalog(path, world.meta, world.points[::-1])
+        write_points(path, world.meta, world.points[::-1])
     point, patches = world.points[0]
     astray = replace(point, lat_deg=-point.lat_deg)
     with pytest.raises(ValueError, match="not in its cell"):
-        write_catalog(path, world.meta, [(astray, patches)])
+        write_points(path, world.meta, [(astray, patches)])
     nowhere = replace(point, usable=True, radius_m=float("nan"))
     with pytest.raises(ValueError, match="radius is unknown"):
-        write_catalog(path, world.meta, [(nowhere, patches)])
+        write_points(path, world.meta, [(nowhere, patches)])
     with pytest.raises(ValueError, match="patches"):
-        write_catalog(path, world.meta, [(replace(point, usable=True), patches[:2])])
+        write_points(path, world.meta, [(replace(point, usable=True), patches[:2])])
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_point_that_is_not_usable_may_have_no_patches(world: Any, tmp_path: Path) -> None:
     point = replace(world.points[0][0], usable=False)
-    write_catalog(tmp_path / "x.gpkg", world.meta, [(point, ())])
+    write_points(tmp_path / "x.gpkg", world.meta, [(point, ())])
     with Catalog.open(tmp_path / "x.gpkg") as catalog:
         assert catalog.patches(point.id) == ()
 
 
 def test_a_catalog_without_points_can_be_written(world: Any, tmp_path: Path) -> None:
-    write_catalog(tmp_path / "x.gpkg", world.meta, [])
+    write_points(tmp_path / "x.gpkg", world.meta, [])
     with Catalog.open(tmp_path / "x.gpkg") as catalog:
         assert len(catalog) == 0
 
@@ -150,7 +151,7 @@ def test_the_old_catalog_stays_whole_when_the_new_one_fails(world: Any, catalog_
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_catalog(catalog_copy, world.meta, failing())
+        write_points(catalog_copy, world.meta, failing())
     assert catalog_copy.read_bytes() == before
     assert list(catalog_copy.parent.iterdir()) == [catalog_copy]
 

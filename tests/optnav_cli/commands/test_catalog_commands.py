@@ -12,8 +12,9 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
 from catalog.store.manifest import CatalogMeta
-from catalog.store.writer import Written, write_catalog
+from catalog.store.writer import Written
 from optnav_cli.main import run
+from tests.catalog.store.written import write_points
 
 TYCHO = (-43.3, -11.2)
 
@@ -35,7 +36,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
         )  # fmt: skip
         points.append((point, [Patch(118.45, heights)]))
     meta = CatalogMeta("moon", 1737400.0, 1.0, 1, 64, 118.45, 0.5, {"tycho": "sha256 0"})
-    return write_catalog(tmp_path_factory.mktemp("tycho") / "tycho.gpkg", meta, points)
+    return write_points(tmp_path_factory.mktemp("tycho") / "tycho.gpkg", meta, points)
 
 
 def lines(text: str) -> dict[str, str]:

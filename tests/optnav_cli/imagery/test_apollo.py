@@ -15,7 +15,7 @@ from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.imagery.apollo import CAMERA, CAMERA_FROM_ISIS, apollo_frame, write_apollo_folder
 from optnav_cli.imagery.folder import read_folder
 from optnav_cli.imagery.frames import Frame
-from optnav_cli.imagery.picture import read_picture
+from optnav_cli.imagery.picture import load_picture
 
 RADIUS = 1737400.0
 POSTING = 474.0
@@ -93,7 +93,7 @@ def test_only_this_orientation_of_the_eight_fits_the_terrain(
 ) -> None:
     """Measured: 0.87 at 1.7 km from the label's place, and 0.10 for the next best."""
     frame = apollo_frame(cube, photo.name)
-    image = cv2.GaussianBlur(read_picture(photo, preset_camera(CAMERA)), (0, 0), 1.2)
+    image = cv2.GaussianBlur(load_picture(photo, preset_camera(CAMERA)).values, (0, 0), 1.2)
     scores = []
     for swap in (np.eye(3), np.eye(3)[[1, 0, 2]]):
         for x in (1.0, -1.0):
@@ -111,7 +111,7 @@ def test_the_cube_runs_as_the_picture_does(cube: Path, photo: Path) -> None:
         crop = dataset.read(1) / 100.0
     side = round(500 * 15.976 / 22900 * 1013)
     small = cv2.resize(crop.astype(np.float32), (side, side), interpolation=cv2.INTER_AREA)
-    image = read_picture(photo, preset_camera(CAMERA))
+    image = load_picture(photo, preset_camera(CAMERA)).values
     scores = cv2.matchTemplate(image, small, cv2.TM_CCOEFF_NORMED)
     row, column = np.unravel_index(scores.argmax(), scores.shape)
     assert scores.max() > 0.97
@@ -135,7 +135,7 @@ def test_the_folder_reads_back_with_its_footprint_in_the_crop(
     assert frame.problem is None
     assert frame.attitude_sigma_rad is None
     camera = folder.cameras[frame.camera]
-    assert read_picture(folder.picture_path(frame), camera).shape == (1012, 1012)
+    assert load_picture(folder.picture_path(frame), camera).values.shape == (1012, 1012)
     assert frame.position_m is not None
     assert frame.camera_from_body is not None
     corners = camera.unproject([[0, 0], [1011, 0], [1011, 1011], [0, 1011]])

@@ -10,7 +10,7 @@ import rasterio
 
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.picture import load_picture, read_picture
+from optnav_cli.imagery.picture import load_picture
 
 CAMERA = Camera("test", "pinhole", 200, 160, 300.0, (99.5, 79.5))
 
@@ -54,7 +54,7 @@ def test_a_float_tiff_has_no_saturation(tmp_path: Path) -> None:
 
 def refused(path: Path, message: str) -> None:
     with pytest.raises(DataError, match=message) as caught:
-        read_picture(path, CAMERA)
+        load_picture(path, CAMERA)
     assert path.name in str(caught.value)
     assert "\n" not in str(caught.value)
 

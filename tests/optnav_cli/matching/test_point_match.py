@@ -15,6 +15,7 @@ from optnav_cli.estimation.resection import Pose, predict
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import Distortion, MatchGates, match_point
 from optnav_cli.matching.reference import Reference
+from tests.optnav_cli.conftest import pixel_grid
 
 CAMERA = Camera("small", "pinhole", 300, 300, 830.0, (149.5, 149.5))
 METRES_PER_PIXEL = 120.5
@@ -44,7 +45,7 @@ def picture_of(reference, pose, sun, level=0, size=200):
     """
     rendered = reference.render(level, size, sun, pose.position_m)
     posting = reference.patches[level].posting_m
-    rays = CAMERA.unproject(CAMERA.pixel_grid()) @ pose.camera_from_body.as_matrix()
+    rays = CAMERA.unproject(pixel_grid(CAMERA)) @ pose.camera_from_body.as_matrix()
     heights = np.nan_to_num(reference.heights(level, size))
     ground = np.zeros(rays.shape[:2])
     for _ in range(8):

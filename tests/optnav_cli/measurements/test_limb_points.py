@@ -9,6 +9,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb_points import find_limb
 from optnav_cli.measurements.sun_side import doubt_of_sun, sun_side_angle
+from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.measurements.drawn_discs import (
     RADIUS_M,
     blurred_disc,
@@ -162,7 +163,7 @@ def test_structure_over_half_of_the_limb_is_told():
     limb = find_limb(picture, camera, sun)
     middle = limb.pixels.mean(axis=0)
     across = np.array([-limb.inward.mean(axis=0)[1], limb.inward.mean(axis=0)[0]])
-    side = (camera.pixel_grid() - middle) @ across > 0.0
+    side = (pixel_grid(camera) - middle) @ across > 0.0
     picture[side] = 3.0
     with pytest.raises(NoSolutionError, match="covers the rest"):
         find_limb(picture, camera, sun)

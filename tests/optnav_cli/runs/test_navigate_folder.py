@@ -18,13 +18,13 @@ from catalog.errors import DataError, NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
-from catalog.store.writer import write_catalog
 from optnav_cli.imagery.folder import read_folder, write_folder
 from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.run_settings import RunSettings
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
 from optnav_cli.runs.catalogs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
+from tests.catalog.store.written import write_points
 
 SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))
 UTC = "2024-05-01T12:00:00Z"
@@ -48,7 +48,7 @@ def write_rough(world, path, body):
         posting_m=float(world.postings()[0]),
         height_step_m=0.5,
     )
-    write_catalog(path, meta, world.control_points)
+    write_points(path, meta, world.control_points)
 
 
 @pytest.fixture(scope="session")

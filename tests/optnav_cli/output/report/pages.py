@@ -9,8 +9,8 @@ import numpy as np
 from catalog.control_point import ControlPoint, Flag, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.store.manifest import CatalogMeta
-from catalog.store.writer import write_catalog
 from optnav_cli.output.report import write_report
+from tests.catalog.store.written import write_points
 
 RADIUS_M = 1737400.0
 VOID = {"meta", "link", "img", "br"}
@@ -107,5 +107,5 @@ def a_catalog(path, count=40, lat=(-48.0, -38.0), lon=(-17.0, -5.0), step_deg=0.
         body, radius_m, step_deg, levels, 32, 118.0, 0.1, {"dem.tif": "<sha>"}, "[body]\n",
         "optnav 0", "", ("dem.tif",),
     )  # fmt: skip
-    write_catalog(path, meta, pyramids)
+    write_points(path, meta, pyramids)
     return path

@@ -12,7 +12,7 @@ from catalog.store.manifest import CatalogMeta, PlanesMeta
 from catalog.store.patches import prepare_point
 from catalog.store.reader import Catalog
 from catalog.store.relief import prepare_relief
-from catalog.store.writer import write_prepared
+from catalog.store.writer import write_catalog
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.main import run
 from optnav_cli.output.report import body_figure
@@ -60,7 +60,7 @@ def phobos(tmp_path):
         "optnav 0", "", ("made.obj",), planes=PlanesMeta(RADII_M, 380.0),
     )  # fmt: skip
     points.sort(key=lambda prepared: int(prepared.point.id))
-    write_prepared(tmp_path / "phobos.gpkg", meta, points, relief=prepare_relief(an_ellipsoid()))
+    write_catalog(tmp_path / "phobos.gpkg", meta, points, relief=prepare_relief(an_ellipsoid()))
     return tmp_path / "phobos.gpkg"
 
 

@@ -13,11 +13,11 @@ from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
-from catalog.store.writer import write_catalog
 from optnav_cli.main import run
 from optnav_cli.output.report import write_report
 from optnav_cli.output.report.catalog_maps import first_reasons
 from optnav_cli.output.report.catalog_page import catalog_page, quantities
+from tests.catalog.store.written import write_points
 from tests.optnav_cli.output.report.pages import RADIUS_M, a_catalog, report_of
 
 WHOLE = {"lat": (-90.0, 90.0), "lon": (-180.0, 180.0)}
@@ -84,7 +84,7 @@ def test_a_catalog_without_a_usable_point_says_so(tmp_path):
 
 def test_a_catalog_without_any_point_says_so(tmp_path):
     path = tmp_path / "c.gpkg"
-    write_catalog(path, CatalogMeta("moon", RADIUS_M, 1.0, 2, 32, 118.0, 0.1), [])
+    write_points(path, CatalogMeta("moon", RADIUS_M, 1.0, 2, 32, 118.0, 0.1), [])
     page = report_of(path, tmp_path)
     assert "The catalog holds no control point" in page.text
     assert "does not name its terrain models" in page.text
