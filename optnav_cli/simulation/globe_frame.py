@@ -9,6 +9,7 @@ from optnav_cli.simulation.globe_heights import GlobeHeights
 from optnav_cli.simulation.globe_terrain import (
     CENTRES,
     LARGEST_LEVEL,
+    LEVEL_POSTINGS,
     MOST_NODES,
     NODES_A_PIXEL,
     GlobeTerrain,
@@ -62,23 +63,26 @@ class GlobeRenderer:
             return None
         radius = self._heights.radius_m
         horizon = np.sqrt(max(distance**2 - radius**2, 1e6))
-        posting = self._posting(horizon * self._camera.angular_resolution / NODES_A_PIXEL)
+        wanted = horizon * self._camera.angular_resolution / NODES_A_PIXEL
         centre = fixed_centre(seen.mean(axis=0))
         box = _box(seen @ level_frame(centre).T)
+        there = next(iter(self._grounds.values())).postings()
         if box is None:
             centre = fixed_centre(position)
             nodes = 2.0 * np.pi * np.radians(102.0)
+            posting = _posting(there, wanted)
         else:
+            posting = _posting(there[:LEVEL_POSTINGS], wanted)
             nodes = (box[2] - box[0]) * (box[3] - box[1])
         while nodes * (radius / posting) ** 2 > MOST_NODES:
             posting *= 2.0
         return View(tuple(centre.tolist()), box, posting)
 
-    def _posting(self, wanted_m: float) -> float:
-        """The coarsest posting that is not above the wanted one, or the finest there is."""
-        there = next(iter(self._grounds.values())).postings()
-        fine_enough = there[there <= wanted_m]
-        return float(fine_enough[-1] if fine_enough.size else there[0])
+
+def _posting(there: FloatArray, wanted_m: float) -> float:
+    """The coarsest of postings (n,), finest first, not above the wanted one, else the finest."""
+    fine_enough = there[there <= wanted_m]
+    return float(fine_enough[-1] if fine_enough.size else there[0])
 
 
 def _seen(

@@ -241,6 +241,26 @@ def test_neighbouring_windows_hold_the_same_ground():
     assert abs(found[0]) > 200.0
 
 
+def test_grounds_far_away_keep_the_crests_of_their_limb():
+    """Coarse means lower a limb; the whole ring must stand as high as that of the finest grid."""
+    rng = np.random.default_rng(3)
+    rough = rng.normal(0.0, 400.0, (360, 720)).astype(np.float32)
+    globe = GlobeHeights(rough, RADIUS_M)
+    terrain = GlobeTerrain(globe, Detail(2, globe.posting_m, RADIUS_M, smallest_m=globe.posting_m))
+    sun = np.array([1.0, 0.0, 0.0])
+    centre = tuple(fixed_centre(np.array([0.2, -0.9, 0.3])).tolist())
+    skylines = []
+    for posting in terrain.postings()[:3]:
+        _, ring, _ = terrain.window(View(centre, None, float(posting)), sun)
+        lat = ring.north - ring.step_lat * np.arange(len(ring.heights))
+        across = (RADIUS_M + ring.heights) * np.cos(lat)[:, None]
+        skylines.append(float(across.max(axis=0).mean()) - RADIUS_M)
+    finest, *coarser = skylines
+    assert finest > 400.0
+    # without what they are raised by they would be a third and nine tenths lower
+    assert coarser == pytest.approx([finest, finest], abs=0.1 * finest)
+
+
 def test_a_shared_model_is_asked_for_when_it_is_needed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
