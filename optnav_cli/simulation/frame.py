@@ -49,7 +49,7 @@ class Renderer:
             between = None
             if box != WHOLE:
                 between = self._terrain.window(shot.ground_seed, 1, WHOLE)
-            self._scene = Scene(fine, self._terrain.wide, shot.sun_body, between)
+            self._scene = Scene(fine, self._terrain.wide(shot.ground_seed), shot.sun_body, between)
             self._scene_key = key
         return self._scene.picture(shot.position_m, self._rays(shot))
 

@@ -1,5 +1,6 @@
 """A whole scenario into a picture folder."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -29,6 +30,7 @@ from optnav_cli.simulation.scenario import (
     scenario_cameras,
     scenario_motion,
 )
+from optnav_cli.simulation.sections import DetailSettings, GlobeDetailSettings
 from optnav_cli.simulation.sensor import Counts, expose
 from optnav_cli.simulation.shot import Shot
 from optnav_cli.simulation.surroundings import Surroundings
@@ -90,7 +92,7 @@ def _renderers(
         ground = TruthMesh(scenario, body)
         return [MeshRenderer(ground, camera) for camera in cameras]
     if scenario.dem:
-        terrain = truth_terrain(scenario, body)
+        terrain = truth_terrain(scenario, body, flight)
         return [
             Renderer(terrain, camera, [shot for shot in flight if shot.camera == number])
             for number, camera in enumerate(cameras)
@@ -99,7 +101,7 @@ def _renderers(
     grounds = {
         seed: GlobeTerrain(
             heights,
-            None if seed is None else _detail(seed, scenario, body, heights.posting_m),
+            None if seed is None else _detail(seed, scenario.detail, body, heights.posting_m),
             kept=len(cameras),
         )
         for seed in scenario.detail.seeds or (None,)
@@ -107,8 +109,9 @@ def _renderers(
     return [GlobeRenderer(heights, grounds, camera) for camera in cameras]
 
 
-def _detail(seed: int, scenario: AnyScenario, body: Body, posting_m: float) -> Detail:
-    settings = scenario.detail
+def _detail(
+    seed: int, settings: DetailSettings | GlobeDetailSettings, body: Body, posting_m: float
+) -> Detail:
     return Detail(
         seed, posting_m, body.radius_m,
         smallest_m=min(settings.smallest_m, posting_m),
@@ -116,13 +119,22 @@ def _detail(seed: int, scenario: AnyScenario, body: Body, posting_m: float) -> D
     )  # fmt: skip
 
 
-def truth_terrain(scenario: AnyScenario, body: Body) -> TruthTerrain:
+def truth_terrain(scenario: AnyScenario, body: Body, flight: Sequence[Shot]) -> TruthTerrain:
     """The ground of a scenario. Raises ConfigError or DataError for terrain that cannot be used."""
     first = DemSource.open(scenario.dem[0], Path.cwd(), body)
     details: dict[int | None, Detail | None] = {None: None}
     for seed in scenario.detail.seeds:
-        details[seed] = _detail(seed, scenario, body, first.posting_m)
-    return TruthTerrain(body, scenario.dem, DemSettings(scenario.globe.path), details)
+        details[seed] = _detail(seed, scenario.detail, body, first.posting_m)
+    globe = DemSettings(scenario.globe.path)
+    if not scenario.globe.detail:
+        return TruthTerrain(body, scenario.dem, globe, details)
+    posting_m = DemSource.open(globe, Path.cwd(), body).posting_m
+    around: dict[int | None, Detail] = {
+        seed: _detail(seed, scenario.globe.detail, body, posting_m)
+        for seed in scenario.detail.seeds
+    }
+    cameras_m = [shot.position_m for shot in flight]
+    return TruthTerrain(body, scenario.dem, globe, details, around, cameras_m)
 
 
 def scenario_copy(scenario: AnyScenario) -> bytes:

@@ -112,7 +112,9 @@ def load_scenario(path: str | Path) -> AnyScenario:
     return msgspec.structs.replace(
         scenario,
         dem=dems,
-        globe=GlobeSettings(_data_file(scenario.globe.path, base, path)),
+        globe=msgspec.structs.replace(
+            scenario.globe, path=_data_file(scenario.globe.path, base, path)
+        ),
         camera=CameraSettings(_camera_file(scenario.camera.name, base)),
         beside=tuple(
             msgspec.structs.replace(mount, name=_camera_file(mount.name, base))
@@ -202,6 +204,11 @@ def _check(scenario: AnyScenario, where: Path) -> None:
                 f"{where}: [[dem]] feather_km is {dem.feather_km:g}; wanted 0: "
                 "simulated ground has hard edges, only builds blend"
             )
+    if scenario.globe.detail and not scenario.dem:
+        raise ConfigError(
+            f"{where}: [globe] has detail, and there is no [[dem]] that it could lie around; "
+            "put the relief of a whole body into [detail]"
+        )
     if isinstance(scenario, Voyage):
         _check_voyage(scenario, where)
         return

@@ -15,10 +15,23 @@ Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
 Phase = Annotated[float, Meta(ge=0.0, le=180.0)]
 
 
+class GlobeDetailSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Relief below the globe's posting around terrain models; see DetailSettings for the rest."""
+
+    smallest_m: Positive
+    rms_slope_deg: NotNegative
+    saturation: NotNegative = 0.05
+
+
 class GlobeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The ground outside the terrain models, all round the body; smooth where there are some."""
+    """The ground outside the terrain models, all round the body.
+
+    detail  relief to add there, with the seeds of [detail]; smooth when unset
+    """
 
     path: str = "moon_gld100_4ppd.tif"
+    # unset, not null, so that the copy of a scenario without it has no such line
+    detail: GlobeDetailSettings | msgspec.UnsetType = msgspec.UNSET
 
 
 class DetailSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -6,7 +6,9 @@ runs smoothly into what lies below: the next model, in the end the globe.
 """
 
 from collections import OrderedDict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +16,12 @@ from numpy.typing import NDArray
 from catalog.bodies.body import Body
 from catalog.errors import ConfigError
 from catalog.geometry.grid import sample_bicubic
-from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
+from catalog.rendering.rays.ground import Ground, make_ground
 from catalog.terrain.detail import Detail
 from catalog.terrain.source import DemSettings, DemSource
 from optnav_cli.simulation import spline
 from optnav_cli.simulation.globe_heights import read_globe
+from optnav_cli.simulation.wide_ground import WideGround
 
 FloatArray = NDArray[np.float64]
 HeightGrid = NDArray[np.float32]
@@ -34,14 +37,18 @@ POLAR_LATITUDE = np.radians(86.0)  # beyond it a lattice of longitudes is no goo
 class TruthTerrain:
     """Grounds of one scenario; tiles and windows are kept from picture to picture.
 
-    dems     terrain models in order of priority, with absolute paths
-    globe    a terrain model that goes all round
-    detail   the relief to add by seed
+    dems           terrain models in order of priority, with absolute paths
+    globe          a terrain model that goes all round
+    details        the relief to add to the first of the models by seed
+    globe_details  the relief to add to the globe by seed; none: smooth
+    cameras_m      (n, 3) m, body frame, where the ground is looked at from; see `WideGround`
     """
 
     def __init__(
         self, body: Body, dems: tuple[DemSettings, ...], globe: DemSettings,
-        details: dict[int | None, Detail | None],
+        details: Mapping[int | None, Detail | None],
+        globe_details: Mapping[int | None, Detail] = MappingProxyType({}),
+        cameras_m: Sequence[FloatArray] = (),
     ) -> None:  # fmt: skip
         self.body, self._details = body, details
         self._sources = [DemSource.open(dem, Path.cwd(), body) for dem in dems]
@@ -56,12 +63,14 @@ class TruthTerrain:
         self._stretch = 1.0 / float(np.cos(0.5 * (south + north)))
         self._tiles: OrderedDict[tuple[int | None, int, int, int], HeightGrid] = OrderedDict()
         self._windows: OrderedDict[tuple[int | None, int, Box], Ground] = OrderedDict()
-        self.wide = self._globe(globe)
+        self._wide = WideGround(
+            read_globe(globe, body), body.radius_m, 0.5 * (self.box[0] + self.box[2]) + np.pi,
+            globe_details, cameras_m,
+        )  # fmt: skip
 
-    def _globe(self, settings: DemSettings) -> Ground:
-        heights = read_globe(settings, self.body)
-        middle = 0.5 * (self.box[0] + self.box[2])
-        return whole_sphere(heights, self.body.radius_m, middle + np.pi)
+    def wide(self, seed: int | None) -> Ground:
+        """The ground of a seed outside the terrain models, all round the body."""
+        return self._wide.of(seed)
 
     def factor_for(self, gsd_m: float) -> int:
         """How many times finer than the terrain model the ground of a picture is: 4 or 2.
@@ -138,7 +147,7 @@ class TruthTerrain:
         step_lat, step_lon = self._steps(factor)
         lat = -(tile_row * TILE + np.arange(TILE, dtype=np.float64)) * step_lat
         lon = (tile_col * TILE + np.arange(TILE, dtype=np.float64)) * step_lon
-        wide = self.wide
+        wide = self.wide(seed)
         east = np.mod(lon - wide.west, 2.0 * np.pi)
         row, col = np.meshgrid(
             (wide.north - lat) / wide.step_lat, east / wide.step_lon, indexing="ij"

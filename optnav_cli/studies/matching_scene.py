@@ -92,7 +92,7 @@ def scenes(
     with progress.stage("look", count * len(off_nadir_deg), "picture") as bar:
         for number in range(count):
             sun = local @ _sun_local(number)
-            ground = LitGround(terrain.window(number, FINER, WHOLE), terrain.wide, sun)
+            ground = LitGround(terrain.window(number, FINER, WHOLE), terrain.wide(number), sun)
             for angle in off_nadir_deg:
                 pose = _pose(local, middle, range_m, angle if number % 2 else -angle)
                 rays = corners @ pose.camera_from_body.as_matrix()

@@ -198,7 +198,7 @@ def test_a_run_writes_a_folder_that_reads_back_and_the_same_bytes_again(
 def test_passes_over_different_seeds_see_different_ground(scenario_file: Path):
     scenario = load_scenario(scenario_file)
     body = load_body("moon")
-    terrain = run.truth_terrain(scenario, body)
+    terrain = run.truth_terrain(scenario, body, shots(scenario, body))
     box = (np.radians(-11.1), np.radians(-43.1), np.radians(-11.0), np.radians(-43.0))
     one, two, bare = (terrain.window(seed, 2, box).heights for seed in (1, 2, None))
     assert 0.5 < np.std(one - bare) < 5.0
@@ -208,7 +208,7 @@ def test_passes_over_different_seeds_see_different_ground(scenario_file: Path):
 def test_ground_between_the_model_nodes_passes_through_them_and_joins_the_globe(
     scenario_file: Path,
 ):
-    terrain = run.truth_terrain(load_scenario(scenario_file), load_body("moon"))
+    terrain = run.truth_terrain(load_scenario(scenario_file), load_body("moon"), [])
     with rasterio.open(terrain._sources[0].path) as dataset:
         heights = dataset.read(1).astype(float)
     source = terrain._sources[0]
@@ -224,7 +224,7 @@ def test_ground_between_the_model_nodes_passes_through_them_and_joins_the_globe(
     np.testing.assert_allclose(ground.heights[:40, :40][near], heights[r, c], atol=1.0)
     west, south, _, _ = terrain.box
     edge = terrain.window(None, 2, (west, south, west + 1e-3, south + 1e-3))
-    wide = terrain.wide
+    wide = terrain.wide(None)
     row = (wide.north - edge.north + np.arange(len(edge.heights)) * edge.step_lat) / wide.step_lat
     col = np.mod(edge.west - wide.west, 2 * np.pi) / wide.step_lon
     from catalog.geometry.grid import sample_bicubic
@@ -280,7 +280,7 @@ def test_a_peak_appears_where_the_camera_projects_it(tmp_path: Path, model: str)
                 shots(scenario, body)[0], index=0, position_m=position, sun_body=sun,
                 camera_from_body=rotation,
             )  # fmt: skip
-            renderer = Renderer(run.truth_terrain(scenario, body), camera, [shot])
+            renderer = Renderer(run.truth_terrain(scenario, body, [shot]), camera, [shot])
             pictures[name].append(renderer.radiance(shot).astype(float))
     change = np.abs(sum(pictures["peak"]) - sum(pictures["flat"]))
     rows, cols = np.mgrid[:91, :101]
