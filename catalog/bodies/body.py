@@ -91,6 +91,23 @@ class GravityField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     kaula: float
 
 
+class LockedOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The orbit of a moon that always turns one side to its planet, see `locked_orbit`.
+
+    around               the planet, which stands over the prime meridian in the mean
+    semi_major_axis_km   of the orbit about it;  eccentricity as well
+    mean_anomaly_deg_by_century  a polynomial in Julian centuries of TDB; the rotation's terms of
+                         the same argument are the forced libration
+    tide_error           share of the planet's tide that is in error, its flattening included
+    """
+
+    around: SunTheory
+    semi_major_axis_km: float
+    eccentricity: float
+    mean_anomaly_deg_by_century: Polynomial
+    tide_error: float
+
+
 class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A body file as it is written."""
 
@@ -103,6 +120,7 @@ class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotation: RotationSeries
     rotation_correction: RotationCorrection | None = None
     gravity: GravityField | None = None
+    orbit: LockedOrbit | None = None
 
 
 @dataclass(frozen=True)
@@ -118,6 +136,7 @@ class Body:
     sun                  which analytic theory gives the Sun's direction, see `catalog.bodies.sun`
     rotation_correction  what a fit to better data adds to the rotation, where there is one
     gravity              its field beside the point mass; None where the file says nothing
+    orbit                about its planet, for a moon whose planet no theory here gives otherwise
     """
 
     name: str
@@ -129,6 +148,7 @@ class Body:
     sun: SunTheory
     rotation_correction: RotationCorrection | None = None
     gravity: GravityField | None = None
+    orbit: LockedOrbit | None = None
 
     def rotation_error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis; 0: not stated.
@@ -178,4 +198,5 @@ def read_body(path: Path) -> Body:
         sun=settings.sun,
         rotation_correction=settings.rotation_correction,
         gravity=settings.gravity,
+        orbit=settings.orbit,
     )

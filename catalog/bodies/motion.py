@@ -96,7 +96,7 @@ class AnalyticMotion:
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
         """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
 
-        Raises DataError for a pair without a theory here: Mars as seen from Phobos.
+        Raises DataError for a pair without a theory here: a body and itself.
         """
         return position_inertial(self.body, of, tdb_s)
 
@@ -151,10 +151,15 @@ class SpiceMotion:
 
         Raises DataError for a time or body that the kernels do not cover.
         """
-        if not self._orbits:
+        orbit = self.body.orbit
+        own = orbit is not None and of == orbit.around and not self._has_own_orbit()
+        if own or not self._orbits:
             return self._analytic.position_m(of, tdb_s)
         centre, there = self._number(self.body.name, _NUMBERS), self._number(of, _NUMBERS)
         return self._kernels.position_m(there, centre, tdb_s, apparent=False)
+
+    def _has_own_orbit(self) -> bool:
+        return any(self._kernels.has_orbit(number) for number in _NUMBERS[self.body.name])
 
     def _number(self, name: str, numbers: Mapping[str, Sequence[int]]) -> int:
         for number in numbers[name]:

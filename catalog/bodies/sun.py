@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import DAY_S, J2000_JD
+from catalog.bodies.locked_orbit import planet_body
+from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
 
 FloatArray = NDArray[np.float64]
@@ -37,9 +39,12 @@ def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
     """Position (3,) of the centre of `of` from the body's centre at the same time, inertial, m.
 
     of  sun, earth, moon or mars. For Phobos all but Mars are seen from Mars, 9400 km off.
-    Raises DataError for the body that is the other's own centre: Mars seen from Phobos.
+    Raises DataError for a moon's planet where the moon's file has no [orbit].
     """
     day = tdb_s / DAY_S
+    if body.orbit is not None and of == body.orbit.around:
+        turn = body_from_inertial(body, tdb_s)
+        return np.asarray(turn.T @ planet_body(body, body.orbit, tdb_s))
     if of == body.name or of == body.sun:
         raise DataError(
             f"there is no theory here of {of} as seen from {body.name}; "

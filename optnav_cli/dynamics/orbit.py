@@ -43,10 +43,15 @@ class OrbitMotion:
         return states, transitions
 
     def noise(self, state: FloatArray, seconds: float) -> FloatArray:
-        """Covariance (6, 6) that the forces left out add in a time: white acceleration."""
+        """Covariance (6, 6) that the forces left out add in a time.
+
+        The rough field as white acceleration, the error of a planet's tide as a steady one.
+        """
         t = abs(seconds)
         density = self._forces.unmodelled(state[:3]).spectral_density
+        steady = self._forces.tide_error_m_s2(state[:3]) ** 2
         block = density * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
+        block += steady * np.array([[t**4 / 4.0, t**3 / 2.0], [t**3 / 2.0, t**2]])
         if seconds < 0.0:
             block[0, 1] = block[1, 0] = -block[0, 1]
         return np.kron(block, np.eye(3)).astype(np.float64)

@@ -51,8 +51,7 @@ class Track:
 
     def __init__(self, motion: BodyMotion) -> None:
         self._motion = motion
-        orbits = motion.body.gravity is not None
-        self._arc = OrbitArc(OrbitMotion(Forces(motion))) if orbits else None
+        self._arc = OrbitArc(OrbitMotion(Forces(motion)))
         self._last: _Solved | None = None
 
     def at_same_time(self, tdb_s: float) -> Belief | None:
@@ -63,7 +62,7 @@ class Track:
 
     def predict(self, tdb_s: float) -> Belief | None:
         """Where the orbit arc leads; None where it says nothing of use."""
-        found = None if self._arc is None else self._arc.predict(tdb_s)
+        found = self._arc.predict(tdb_s)
         if found is None:
             return None
         turn = self._motion.body_from_inertial(tdb_s)
@@ -76,8 +75,6 @@ class Track:
 
         sure  the fix rests on two methods that agree, so that it is the arc that no longer holds
         """
-        if self._arc is None:
-            return None
         turn = self._motion.body_from_inertial(tdb_s).T
         fix = Fix(tdb_s, turn @ position_m, turn @ covariance_m2 @ turn.T)
         found = self._arc.add(fix, sure=sure)
