@@ -51,6 +51,25 @@ class TransferSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     frames: Annotated[int, Meta(ge=2)] = 60
 
 
+class ApproachSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A slow way to the lowest point of a path past a small body; see `approach`.
+
+    from_km, to_km   from the body's centre: the first picture and the last, lowest one
+    speed_m_s        at the lowest point, against the body
+    frames           pictures at distances from the centre in even ratios
+    inclination_deg, node_deg, lowest_at_deg  as in [flight], at the arrival
+    """
+
+    from_km: Positive = 300.0
+    to_km: Positive = 20.0
+    speed_m_s: Positive = 30.0
+    inclination_deg: Inclination = 90.0
+    node_deg: float = 0.0
+    lowest_at_deg: float = 0.0
+    arrival_utc: str = "2026-01-01T00:00:00Z"
+    frames: Annotated[int, Meta(ge=2)] = 60
+
+
 class MountedCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A camera of a ship that has several; it looks down unless turned, as in [pointing].
 

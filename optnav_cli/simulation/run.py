@@ -25,7 +25,7 @@ from optnav_cli.simulation.globe_terrain import GlobeTerrain
 from optnav_cli.simulation.mesh_frame import MeshRenderer
 from optnav_cli.simulation.scenario import (
     AnyScenario,
-    Portraits,
+    ShapeScenario,
     load_scenario,
     scenario_cameras,
     scenario_motion,
@@ -88,7 +88,7 @@ def _renderers(
     scenario: AnyScenario, body: Body, cameras: list[Camera], flight: list[Shot]
 ) -> list[Renderer] | list[GlobeRenderer] | list[MeshRenderer]:
     """One renderer a camera; they share the ground."""
-    if isinstance(scenario, Portraits):
+    if isinstance(scenario, ShapeScenario):
         ground = TruthMesh(scenario, body)
         return [MeshRenderer(ground, camera) for camera in cameras]
     if scenario.dem:
@@ -149,7 +149,7 @@ def scenario_copy(scenario: AnyScenario) -> bytes:
         ),
         spice=SpiceSettings(tuple(Path(name).name for name in scenario.spice.kernels)),
     )
-    if isinstance(bare, Portraits):
+    if isinstance(bare, ShapeScenario):
         mesh = msgspec.structs.replace(bare.mesh, path=Path(bare.mesh.path).name)
         bare = msgspec.structs.replace(bare, mesh=mesh)
     return msgspec.json.format(msgspec.json.encode(bare), indent=2) + b"\n"

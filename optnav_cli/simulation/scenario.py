@@ -16,6 +16,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.imagery.run_settings import SpiceSettings
 from optnav_cli.simulation.flight_settings import (
+    ApproachSettings,
     FlightSettings,
     MountedCamera,
     TransferSettings,
@@ -80,15 +81,26 @@ class Voyage(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True
     transfer: TransferSettings | None = None
 
 
-class Portraits(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Single pictures of a small body, whose ground is a shape model refined by [detail]."""
+class ShapeScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is flown over is a small body, whose ground is a shape model refined by [detail]."""
 
     mesh: MeshSettings
-    portraits: PortraitSettings
     dem: tuple[DemSettings, ...] = ()
 
 
-AnyScenario = Scenario | Voyage | Portraits
+class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Single pictures of a small body from all sides."""
+
+    portraits: PortraitSettings
+
+
+class Approach(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A real path past a small body under the Sun of its date."""
+
+    approach: ApproachSettings
+
+
+AnyScenario = Scenario | Voyage | Portraits | Approach
 
 
 def load_scenario(path: str | Path) -> AnyScenario:
@@ -101,7 +113,7 @@ def load_scenario(path: str | Path) -> AnyScenario:
     scenario: AnyScenario = load_toml(path, _kind(path))
     _check(scenario, path)
     base = path.resolve().parent
-    if isinstance(scenario, Portraits) and not scenario.mesh.path.startswith((BUNDLED, SHARED)):
+    if isinstance(scenario, ShapeScenario) and not scenario.mesh.path.startswith((BUNDLED, SHARED)):
         mesh = msgspec.structs.replace(scenario.mesh, path=str(base / scenario.mesh.path))
         scenario = msgspec.structs.replace(scenario, mesh=mesh)
     dems = tuple(
@@ -157,6 +169,10 @@ def fewer_pictures(scenario: AnyScenario, frames: int) -> AnyScenario:
         fewer = min(scenario.portraits.frames, frames)
         portraits = msgspec.structs.replace(scenario.portraits, frames=fewer)
         return msgspec.structs.replace(scenario, portraits=portraits)
+    if isinstance(scenario, Approach):
+        fewer = max(2, min(scenario.approach.frames, frames))
+        approach = msgspec.structs.replace(scenario.approach, frames=fewer)
+        return msgspec.structs.replace(scenario, approach=approach)
     flight, transfer = scenario.flight, scenario.transfer
     if flight is not None:
         flight = msgspec.structs.replace(flight, frames=min(flight.frames, frames))
@@ -165,12 +181,14 @@ def fewer_pictures(scenario: AnyScenario, frames: int) -> AnyScenario:
     return msgspec.structs.replace(scenario, flight=flight, transfer=transfer)
 
 
-def _kind(path: Path) -> type[Scenario] | type[Voyage] | type[Portraits]:
+def _kind(path: Path) -> type[AnyScenario]:
     """Of which kind a file is by its sections; reading it as that reports what is wrong."""
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
         return Scenario
+    if "approach" in data:
+        return Approach
     if "mesh" in data or "portraits" in data:
         return Portraits
     return Voyage if "flight" in data or "transfer" in data else Scenario
@@ -212,8 +230,8 @@ def _check(scenario: AnyScenario, where: Path) -> None:
     if isinstance(scenario, Voyage):
         _check_voyage(scenario, where)
         return
-    if isinstance(scenario, Portraits):
-        _check_portraits(scenario, where)
+    if isinstance(scenario, ShapeScenario):
+        _check_shape(scenario, where)
         return
     low, high = scenario.sun.elevation_deg
     if low > high:
@@ -226,9 +244,17 @@ def _check(scenario: AnyScenario, where: Path) -> None:
         )
 
 
-def _check_portraits(scenario: Portraits, where: Path) -> None:
+def _check_shape(scenario: Portraits | Approach, where: Path) -> None:
     if scenario.dem:
         raise ConfigError(f"{where}: there are [[dem]] and mesh; give one of them")
+    if isinstance(scenario, Approach):
+        from_km, to_km = scenario.approach.from_km, scenario.approach.to_km
+        if to_km >= from_km:
+            raise ConfigError(
+                f"{where}: [approach] to_km is {to_km:g}, not below from_km {from_km:g}; "
+                "the path comes from far and ends near"
+            )
+        return
     low, high = scenario.portraits.phase_deg
     if low > high:
         raise ConfigError(

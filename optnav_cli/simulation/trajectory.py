@@ -7,11 +7,12 @@ from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import AnalyticMotion, BodyMotion
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
+from optnav_cli.simulation.approach import approach_states
 from optnav_cli.simulation.portraits import portrait_moments
-from optnav_cli.simulation.scenario import AnyScenario, Portraits, Scenario, Voyage
+from optnav_cli.simulation.scenario import AnyScenario, Approach, Portraits, Scenario, Voyage
 from optnav_cli.simulation.sections import SunSettings
 from optnav_cli.simulation.shot import PLACE, Moment, Shot, shots_of
-from optnav_cli.simulation.voyage import moments_of
+from optnav_cli.simulation.voyage import moments_of, voyage_states
 
 FloatArray = NDArray[np.float64]
 
@@ -22,8 +23,11 @@ def shots(scenario: AnyScenario, body: Body, motion: BodyMotion | None = None) -
     motion  how the body turns; the analytic theory if None. Passes and portraits do not need it
     Raises ConfigError for a path that cannot be flown.
     """
+    motion = motion or AnalyticMotion(body)
     if isinstance(scenario, Voyage):
-        return shots_of(scenario, moments_of(scenario, motion or AnalyticMotion(body)))
+        return shots_of(scenario, moments_of(scenario, motion, voyage_states(scenario, motion)))
+    if isinstance(scenario, Approach):
+        return shots_of(scenario, moments_of(scenario, motion, approach_states(scenario, motion)))
     if isinstance(scenario, Portraits):
         return shots_of(scenario, portrait_moments(scenario, body))
     return shots_of(scenario, _passes(scenario, body))

@@ -11,7 +11,7 @@ from catalog.terrain.mesh.file import MOST_FACES
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.refine import refined, roughened
 from catalog.terrain.mesh.shape import load_shape
-from optnav_cli.simulation.scenario import Portraits
+from optnav_cli.simulation.scenario import ShapeScenario
 
 
 class TruthMesh:
@@ -20,7 +20,7 @@ class TruthMesh:
     Raises ConfigError or DataError for a shape model that cannot be used.
     """
 
-    def __init__(self, scenario: Portraits, body: Body) -> None:
+    def __init__(self, scenario: ShapeScenario, body: Body) -> None:
         self._scenario, self._body = scenario, body
         model = load_shape(scenario.mesh, Path.cwd(), body)
         smallest = scenario.detail.smallest_m

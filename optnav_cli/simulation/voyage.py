@@ -15,27 +15,34 @@ from catalog.errors import ConfigError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit import OrbitMotion
 from optnav_cli.simulation.flight_settings import FlightSettings, TransferSettings
-from optnav_cli.simulation.scenario import Voyage
+from optnav_cli.simulation.scenario import AnyScenario, Voyage
 from optnav_cli.simulation.shot import ROUGHNESS, Moment
 
 FloatArray = NDArray[np.float64]
+States = tuple[FloatArray, FloatArray]
 
 LONGEST_APPROACH_S = 20 * 86400.0
 APPROACH_STEPS = 400  # places that times are found between: 1e-6 of the distance
 
 
-def moments_of(voyage: Voyage, motion: BodyMotion) -> list[Moment]:
-    """All times when pictures are taken, with the ship's place in the body-fixed frame.
+def voyage_states(voyage: Voyage, motion: BodyMotion) -> States:
+    """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a voyage's pictures.
 
-    Raises ConfigError for a path that meets the body or does not come from as far as wanted.
+    Raises ConfigError for a path that does not come from as far as wanted.
     """
     if voyage.flight is not None:
-        times, states = flight_states(voyage.flight, motion, voyage.seed)
-    else:
-        times, states = transfer_states(voyage.transfer or TransferSettings(), motion)
+        return flight_states(voyage.flight, motion, voyage.seed)
+    return transfer_states(voyage.transfer or TransferSettings(), motion)
+
+
+def moments_of(scenario: AnyScenario, motion: BodyMotion, states: States) -> list[Moment]:
+    """All times when pictures are taken, with the ship's place in the body-fixed frame.
+
+    Raises ConfigError for a path that meets the body.
+    """
     found: list[Moment] = []
-    seeds = voyage.detail.seeds
-    for number, (tdb_s, state) in enumerate(zip(times, states, strict=True)):
+    seeds = scenario.detail.seeds
+    for number, (tdb_s, state) in enumerate(zip(*states, strict=True)):
         turn = motion.body_from_inertial(float(tdb_s))
         position, velocity = turn @ state[:3], turn @ state[3:]
         up = position / np.linalg.norm(position)
@@ -53,25 +60,21 @@ def moments_of(voyage: Voyage, motion: BodyMotion) -> list[Moment]:
                 position_m=position,
                 forward=level / np.linalg.norm(level),
                 sun_body=motion.sun_body(float(tdb_s)),
-                told_sun=voyage.attitude.relative_to == "body",
+                told_sun=scenario.attitude.relative_to == "body",
                 ground_seed=seeds[0] if seeds else None,
             )
         )
     return found
 
 
-def flight_states(
-    flight: FlightSettings, motion: BodyMotion, seed: int
-) -> tuple[FloatArray, FloatArray]:
+def flight_states(flight: FlightSettings, motion: BodyMotion, seed: int) -> States:
     """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a [flight]."""
     body = motion.body
     low, high = (body.radius_m + 1e3 * h for h in (flight.lowest_km, flight.highest_km))
     speed = float(np.sqrt(2.0 * body.gm_m3_s2 * high / (low * (low + high))))
     start = utc_to_tdb_s(flight.start_utc)
     times = start + flight.spacing_s * np.arange(flight.frames, dtype=np.float64)
-    frame = _path_frame(
-        motion, start, flight.inclination_deg, flight.node_deg, flight.lowest_at_deg
-    )
+    frame = path_frame(motion, start, flight.inclination_deg, flight.node_deg, flight.lowest_at_deg)
     place, velocity = _on_conic(
         body.gm_m3_s2, low, speed, np.radians(flight.start_at_deg - flight.lowest_at_deg)
     )
@@ -89,16 +92,14 @@ def flight_states(
     return times, np.array(states)
 
 
-def transfer_states(
-    transfer: TransferSettings, motion: BodyMotion
-) -> tuple[FloatArray, FloatArray]:
+def transfer_states(transfer: TransferSettings, motion: BodyMotion) -> States:
     """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a [transfer]."""
     body = motion.body
     low, far = (body.radius_m + 1e3 * h for h in (transfer.to_km, transfer.from_km))
     excess = 1e3 * transfer.excess_speed_km_s
     speed = float(np.sqrt(excess**2 + 2.0 * body.gm_m3_s2 / low))
     arrival = utc_to_tdb_s(transfer.arrival_utc)
-    frame = _path_frame(
+    frame = path_frame(
         motion, arrival, transfer.inclination_deg, transfer.node_deg, transfer.lowest_at_deg
     )
     state = np.concatenate([frame @ [low, 0.0, 0.0], frame @ [0.0, speed, 0.0]])
@@ -123,7 +124,7 @@ def transfer_states(
     return times, orbit.propagate(state, arrival, times)[0]
 
 
-def _path_frame(
+def path_frame(
     motion: BodyMotion, tdb_s: float, inclination_deg: float, node_deg: float, lowest_at_deg: float
 ) -> FloatArray:
     """Rotation (3, 3), inertial from a path's own axes: x to the lowest point, y onward, z up."""

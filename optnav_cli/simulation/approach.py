@@ -1,0 +1,144 @@
+"""The path past a small body that is itself on its way about a planet, by Newton's law alone.
+
+It is not made from the forces that the navigator predicts with. Body and ship both fall about the
+planet, in axes that stay with it, under its point mass and J2; the body pulls the ship by the mass
+of its whole shape at even density, centred where its frame is. So the truth holds what the
+navigator leaves out or has in error: the planet's flattening, the body's true place and the rest
+of its field. The Sun's tide between the two, 1e-7 of the planet's, is left out.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from catalog.bodies.body import Body, load_body
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.motion import AnalyticMotion, BodyMotion
+from catalog.errors import ConfigError
+from catalog.terrain.mesh.shape import Shape, load_shape
+from optnav_cli.simulation.scenario import Approach
+from optnav_cli.simulation.voyage import States, path_frame
+
+FloatArray = NDArray[np.float64]
+
+RELATIVE = 1e-12
+TOLERANCE = np.array([1e-3] * 3 + [1e-7] * 3)  # m and m/s: planets are 1e7 m away
+LAYERS = 4  # masses from the centre to each face: the field at two radii is right to 1e-4
+APART_S = 10.0  # places of the body that its velocity is found from
+LONGEST_S = 5 * 86400.0
+STEPS = 4000  # times that distances are looked up between: 1e-5 of them
+
+
+def approach_states(scenario: Approach, motion: BodyMotion) -> States:
+    """Times (n,), TDB s, and inertial states (n, 6) about the body, m and m/s, of an [approach].
+
+    Raises ConfigError for a path that does not come from as far as wanted, DataError for a shape
+    model that cannot be used.
+    """
+    settings, body = scenario.approach, motion.body
+    pull = _Pull(motion, masses_of(load_shape(scenario.mesh, Path.cwd(), body), body))
+    arrival = utc_to_tdb_s(settings.arrival_utc)
+    low, far = 1e3 * settings.to_km, 1e3 * settings.from_km
+    frame = path_frame(
+        motion, arrival, settings.inclination_deg, settings.node_deg, settings.lowest_at_deg
+    )
+    state = np.concatenate([low * frame[:, 0], settings.speed_m_s * frame[:, 1]])
+    centre = pull.body_state(arrival)
+    longest = min(5.0 * far / settings.speed_m_s, LONGEST_S)
+
+    def rates(t: float, y: FloatArray) -> FloatArray:
+        ship, moon = y[:6], y[6:]
+        by_body = pull.of_body(t, ship[:3] - moon[:3])
+        return np.concatenate(
+            [ship[3:], pull.of_planet(t, ship[:3]) + by_body, moon[3:], pull.of_planet(t, moon[:3])]
+        )
+
+    start = np.concatenate([centre + state, centre])
+    path = solve_ivp(
+        rates, (arrival, arrival - longest), start, "DOP853",
+        dense_output=True, rtol=RELATIVE, atol=np.tile(TOLERANCE, 2),
+    )  # fmt: skip
+    back = longest * np.linspace(0.0, 1.0, STEPS) ** 2
+    flown = path.sol(arrival - back)
+    distances = np.linalg.norm(flown[:3] - flown[6:9], axis=0)
+    rising = distances[1:] > distances[:-1]
+    end = STEPS if rising.all() else int(np.argmin(rising)) + 1
+    if distances[end - 1] < far:
+        raise ConfigError(
+            f"[approach] comes from {distances[end - 1] / 1e3:.0f} km at most within "
+            f"{longest / 3600.0:.0f} hours, not from {settings.from_km:g} km; raise speed_m_s or "
+            "change the arrival"
+        )
+    wanted = np.geomspace(far, low, settings.frames)
+    # distance grows as the square of time near the lowest point
+    rise = np.sqrt(np.maximum(distances[:end] - low, 0.0))
+    times = arrival - np.interp(np.sqrt(wanted - low), rise, back[:end])
+    flown = path.sol(times)
+    return times, np.asarray((flown[:6] - flown[6:]).T)
+
+
+@dataclass(frozen=True, eq=False)
+class Masses:
+    """Point masses (n, 3), m, body frame, and what each pulls with (n,), m^3/s^2."""
+
+    places_m: FloatArray
+    gm_m3_s2: FloatArray
+
+
+def masses_of(shape: Shape, body: Body) -> Masses:
+    """A shape at even density as point masses, their centre at the origin of the body's frame."""
+    corners = shape.vertices[shape.faces]
+    # a pyramid from the centre to each face; on a hollow they cancel by their sign
+    volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    cuts = np.linspace(0.0, 1.0, LAYERS + 1)
+    cubes = np.diff(cuts**3)
+    heights = 0.75 * np.diff(cuts**4) / cubes
+    places = (heights[:, None, None] * corners.mean(axis=1)).reshape(-1, 3)
+    shares = (cubes[:, None] * volumes).ravel() / volumes.sum()
+    return Masses(places - shares @ places, body.gm_m3_s2 * shares)
+
+
+class _Pull:
+    """Gravity of a body and of its planet, axes of the stars; none of a planet without [orbit]."""
+
+    def __init__(self, motion: BodyMotion, masses: Masses) -> None:
+        self._motion, self._masses = motion, masses
+        orbit = motion.body.orbit
+        self._planet = None if orbit is None else load_body(orbit.around)
+        self._planet_turns = None if self._planet is None else AnalyticMotion(self._planet)
+
+    def body_state(self, tdb_s: float) -> FloatArray:
+        """The body's place and velocity (6,) about its planet; zero without one."""
+        orbit = self._motion.body.orbit
+        if orbit is None:
+            return np.zeros(6)
+        now, before, after = (
+            -self._motion.position_m(orbit.around, tdb_s + dt) for dt in (0.0, -APART_S, APART_S)
+        )
+        return np.concatenate([now, (after - before) / (2.0 * APART_S)])
+
+    def of_body(self, tdb_s: float, offset_m: FloatArray) -> FloatArray:
+        """On a ship `offset_m` (3,) from the body, m/s^2."""
+        turn = self._motion.body_from_inertial(tdb_s)
+        away = turn @ offset_m - self._masses.places_m
+        share = self._masses.gm_m3_s2 / np.einsum("ij,ij->i", away, away) ** 1.5
+        return np.asarray(-(share @ away) @ turn)
+
+    def of_planet(self, tdb_s: float, place_m: FloatArray) -> FloatArray:
+        """At a place (3,) about the planet, m/s^2: point mass and J2."""
+        planet, turns = self._planet, self._planet_turns
+        if planet is None or turns is None:
+            return np.zeros(3)
+        r = float(np.linalg.norm(place_m))
+        pull = -planet.gm_m3_s2 * place_m / r**3
+        if planet.gravity is None:
+            return pull
+        pole = turns.body_from_inertial(tdb_s)[2]
+        up = float(pole @ place_m) / r
+        size = 1.5 * planet.gravity.j2 * (1e3 * planet.gravity.radius_km / r) ** 2
+        # the textbook's J2 (Vallado, "Fundamentals of Astrodynamics"), written with the pole
+        bent = (1.0 - 5.0 * up**2) * place_m / r + 2.0 * up * pole
+        return np.asarray(pull - planet.gm_m3_s2 / r**2 * size * bent)
