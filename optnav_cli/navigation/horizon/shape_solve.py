@@ -86,7 +86,7 @@ def over_shape(
     _check_misfit(fit, sigmas)
     arc = enough_arc(arc_deg(azimuths[fit.weights > 0.0]))
     away = float(np.median(limb.ranges[usable]))
-    errors = edge_errors(kept, azimuths, limb.sun_sine[usable], away)
+    errors = edge_errors(kept, azimuths, limb.sun_sine[usable])
     errors = errors.with_constant(ground.crest_sigma_m / away)
     errors = errors.with_sectors(azimuths, ground.sector_sigma_m / away)
     position, covariance = with_shared_errors(fit, errors)

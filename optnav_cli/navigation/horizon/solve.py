@@ -115,7 +115,7 @@ def _bare(
     away = distance * float(np.sqrt(1.0 - sine * sine))
     covariance = fit.noise_m2 + attitude_covariance(position, attitude_sigma)
     covariance += relief_covariance(fit, body, azimuths, away, circle=float(np.arccos(sine)))
-    errors = edge_errors(sight, azimuths, _sun_sine(sight, position, sun), away)
+    errors = edge_errors(sight, azimuths, _sun_sine(sight, position, sun))
     shift = fit.gain_m @ errors.shapes
     return _fix(points, sight, fit, position, covariance + shift @ shift.T, arc, 0)
 
@@ -127,7 +127,7 @@ def _terrain_fix(
     azimuths = kept.azimuths(fit.position_m)
     arc = enough_arc(arc_deg(azimuths[fit.weights > 0.0]))
     away = _limb_distance(fit.position_m, ground)
-    errors = edge_errors(kept, azimuths, solved.sun_sine, away)
+    errors = edge_errors(kept, azimuths, solved.sun_sine)
     errors = errors.with_constant(ground.crest_sigma_m / away)
     position, covariance = with_shared_errors(fit, errors)
     covariance = covariance + attitude_covariance(position, attitude_sigma)

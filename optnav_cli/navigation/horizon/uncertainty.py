@@ -21,17 +21,11 @@ MOON_COVARIANCE_KM2 = np.array(
 MOON_MEAN_KM = 0.9
 MOON_HEIGHTS_KM = 24.0  # plausible heights of the Moon, lowest to highest
 RELIEF_BINS = 120  # of azimuth, when relief is propagated
-# Common to all edges besides what their finder states: heights from 800 km, where it counts most.
-SKYLINE_SIGMA_PX = 0.02
-# Where the Sun is low, the faces of crests lie half in shadow and edges are seen too low, px:
-# medians over simulated limbs of a known skyline are -0.10 at 5 deg of Sun, -0.06 at 12, -0.03 at
-# 25 and -0.01 at 45, from 50 and 100 km.
-# Pixels larger than the relief, SHADED_PIXEL_M at the limb, see less of it.
-SHADED_PX, SHADED_FALL_DEG, SHADED_SIGMA_PX, SHADED_PIXEL_M = -0.11, 14.0, 0.05, 5e3
 # The light of the ground about a crest moves edges together over some tens of degrees, differently
-# from place to place; the same limbs show 0.05 px at 12 deg of Sun and 0.015 at 40.
+# from place to place: limbs of a known skyline, from 50 to 200 km, show 0.05 px at 5 deg of Sun,
+# 0.02 from 10 to 40 and 0.01 above.
 SECTOR_DEG = 30.0
-SECTOR_PX, SECTOR_LOW_PX, SECTOR_FALL_DEG = 0.015, 0.10, 12.0
+SECTOR_PX, SECTOR_LOW_PX, SECTOR_FALL_DEG = 0.013, 0.09, 6.0
 
 
 def attitude_covariance(position: FloatArray, sigma_rad: float) -> FloatArray:
@@ -44,17 +38,15 @@ def attitude_covariance(position: FloatArray, sigma_rad: float) -> FloatArray:
 class SharedErrors:
     """What the edges of a limb have wrong together.
 
-    expected (n,)    rad, taken off the edges
-    shapes   (n, k)  rad, one sigma of each of k errors about that
+    shapes (n, k)  rad, one sigma of each of k errors
     """
 
-    expected: FloatArray
     shapes: FloatArray
 
     def with_constant(self, angle: float) -> "SharedErrors":
         """The same and one more error, of one angle (rad) at all points."""
         more = np.full((len(self.shapes), 1), angle)
-        return SharedErrors(self.expected, np.concatenate([self.shapes, more], axis=1))
+        return SharedErrors(np.concatenate([self.shapes, more], axis=1))
 
     def with_sectors(self, azimuths: FloatArray, angle: float) -> "SharedErrors":
         """The same and an error of one angle (rad) in each sector about the nadir.
@@ -62,7 +54,7 @@ class SharedErrors:
         azimuths (n,) rad
         """
         more = np.where(np.stack(_sectors(azimuths), axis=1), angle, 0.0)
-        return SharedErrors(self.expected, np.concatenate([self.shapes, more], axis=1))
+        return SharedErrors(np.concatenate([self.shapes, more], axis=1))
 
 
 def _sectors(azimuths: FloatArray) -> list[NDArray[np.bool_]]:
@@ -72,25 +64,16 @@ def _sectors(azimuths: FloatArray) -> list[NDArray[np.bool_]]:
     return [sector == number for number in range(count)]
 
 
-def edge_errors(
-    sight: Sight, azimuths: FloatArray, sun_sine: FloatArray, distance_m: float
-) -> SharedErrors:
+def edge_errors(sight: Sight, azimuths: FloatArray, sun_sine: FloatArray) -> SharedErrors:
     """What the edges have wrong together by their light.
 
     azimuths (n,) about the nadir;  sun_sine (n,) sine of the Sun's elevation at each limb point
-    distance_m  to the limb
     """
     elevation = np.degrees(np.arcsin(np.clip(sun_sine, 0.0, 1.0)))
-    seen = 1.0 / (1.0 + sight.pixel_angle * distance_m / SHADED_PIXEL_M)
-    shaded = seen * np.exp(-elevation / SHADED_FALL_DEG)
     size = SECTOR_PX + SECTOR_LOW_PX * np.exp(-elevation / SECTOR_FALL_DEG)
-    common = np.full(len(sight), np.hypot(sight.common_px, SKYLINE_SIGMA_PX))
-    shapes = [common, SHADED_SIGMA_PX * shaded]
+    shapes = [np.full(len(sight), sight.common_px)]
     shapes += [np.where(part, size, 0.0) for part in _sectors(azimuths)]
-    return SharedErrors(
-        SHADED_PX * shaded * sight.pixel_angle,
-        np.asarray(np.stack(shapes, axis=1) * sight.pixel_angle[:, None]),
-    )
+    return SharedErrors(np.asarray(np.stack(shapes, axis=1) * sight.pixel_angle[:, None]))
 
 
 def with_shared_errors(fit: LimbFit, errors: SharedErrors) -> tuple[FloatArray, FloatArray]:
@@ -102,13 +85,11 @@ def with_shared_errors(fit: LimbFit, errors: SharedErrors) -> tuple[FloatArray, 
     """
     shift = fit.gain_m @ errors.shapes
     seen = errors.shapes + fit.rates @ shift  # what the fit leaves of each shape in the residuals
-    moved = fit.gain_m @ errors.expected
-    residuals = fit.residuals - errors.expected - fit.rates @ moved
     excess = max(float(np.trace(np.linalg.solve(fit.noise_m2, fit.covariance_m2))) / 3.0, 1.0)
     weighted = seen * (fit.information / excess)[:, None]
     spread = np.linalg.inv(np.eye(seen.shape[1]) + weighted.T @ seen)
-    found = spread @ (weighted.T @ residuals)
-    position = fit.position_m - moved - shift @ found
+    found = spread @ (weighted.T @ fit.residuals)
+    position = fit.position_m - shift @ found
     return position, fit.covariance_m2 + shift @ spread @ shift.T
 
 
