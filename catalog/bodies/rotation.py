@@ -19,10 +19,9 @@ from catalog.bodies.body import (
     RotationCorrection,
     RotationSeries,
 )
+from catalog.geometry.rotations import ARCSEC
 
 FloatArray = NDArray[np.float64]
-
-ARCSEC = np.pi / 648000.0
 
 
 def body_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:

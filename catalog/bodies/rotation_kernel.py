@@ -10,12 +10,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.bodies.epochs import DAY_S
 from catalog.geometry.kernel import kernel
 
 FloatArray = NDArray[np.float64]
 Axes = tuple[float, float, float]
 
-DAY_S = 86400.0
 CENTURY_S = 36525.0 * DAY_S
 _DEGREE = math.pi / 180.0
 

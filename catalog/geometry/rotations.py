@@ -6,6 +6,8 @@ from scipy.spatial.transform import Rotation
 
 FloatArray = NDArray[np.float64]
 
+ARCSEC = np.pi / 648000.0  # rad
+
 
 def rotation_from_quaternion(qw: float, qx: float, qy: float, qz: float) -> Rotation:
     """Rotation of a scalar-first quaternion of any non-zero length.

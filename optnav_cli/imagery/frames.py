@@ -13,7 +13,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import BodyMotion
 from catalog.config import nearest_name
 from catalog.errors import DataError
-from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from optnav_cli.imagery.csv_table import number, numbers, read_rows, write_rows
 from optnav_cli.imagery.run_settings import (
     Attitude,
@@ -35,7 +35,6 @@ COLUMNS = (
     "position_sigma_m",
     *SUN,
 )
-ARCSEC = np.pi / 648000.0
 # Unit vectors and quaternions are written with a few digits; further off, columns are mixed up.
 UNIT_TOLERANCE = 0.01
 

@@ -14,6 +14,7 @@ from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import latlon_from_xyz
+from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import PlanesMeta
 from optnav_cli.matching.reference import Reference
 
@@ -22,8 +23,6 @@ IntArray = NDArray[np.intp]
 
 # References kept ready to render; one of 80 nodes and 5 levels takes 130 kB.
 MOST_REFERENCES = 2000
-# Places are rounded to 1e-7 deg, which may take a point across its cell's border.
-CELL_SLACK_DEG = 1e-6
 
 
 class PointStore(Protocol):

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.output.figures import FrameError
 from optnav_cli.output.motion import directions_of_motion
 from optnav_cli.output.run_folder import RunFolder
-from optnav_cli.output.tables import ARCSEC, Row, fixed, optional_number, read_table
+from optnav_cli.output.tables import Row, fixed, optional_number, read_table
 
 FloatArray = NDArray[np.float64]
 EVALUATION_COLUMNS = (

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from catalog.errors import DataError
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.imagery.truth import read_truth
 from optnav_cli.output.error_rows import EVALUATION_COLUMNS, row_of
 from optnav_cli.output.evaluation import WRONG_PX, Evaluation, evaluate
@@ -12,7 +13,7 @@ from optnav_cli.output.figures import Figures
 from optnav_cli.output.method_table import method_lines, method_summary, spread_summary
 from optnav_cli.output.replace import replacing_file, starts_with
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.output.tables import ARCSEC, fixed, write_table
+from optnav_cli.output.tables import fixed, write_table
 
 EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
 

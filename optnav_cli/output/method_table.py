@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.output.figures import MethodFigures, Spread
 from optnav_cli.output.methods import method_words
-from optnav_cli.output.tables import ARCSEC, fixed
+from optnav_cli.output.tables import fixed
 
 
 def spread_summary(values: Spread) -> dict[str, float | None]:

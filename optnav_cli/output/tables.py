@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from optnav_cli.imagery.csv_table import number, numbers
 from optnav_cli.imagery.frames import QUATERNION
 from optnav_cli.output.attitude import FileAttitude
@@ -22,7 +22,6 @@ from optnav_cli.solution import MatchRow, Solution, Status
 
 FloatArray = NDArray[np.float64]
 Row = dict[str, str]
-ARCSEC = np.pi / 648000.0
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # where those stand in the matrix
 SOLUTION_COLUMNS = (

@@ -10,12 +10,13 @@ import numpy as np
 
 from catalog.bodies.body import Body, load_body
 from catalog.errors import OutputError
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.detail import Detail
 from catalog.terrain.source import DemSettings, DemSource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import write_folder
-from optnav_cli.imagery.frames import ARCSEC, Frame
+from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.run_settings import Attitude, RunSettings, SpiceSettings
 from optnav_cli.imagery.truth import Truth, write_truth
 from optnav_cli.simulation.frame import Renderer

@@ -31,11 +31,10 @@ from optnav_cli.output.evaluation_files import evaluate_run
 from optnav_cli.output.figures import FrameError, figures_of
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies.navigation import STAR_SENSOR_M_PER_KM
-from optnav_cli.studies.pictures import shipped_pictures, with_star_sensor
+from optnav_cli.studies.pictures import GLOBE, shipped_pictures, with_star_sensor
 
 FloatArray = NDArray[np.float64]
 
-GLOBE = "shared:moon/moon_gld100_32ppd.tif"
 WIDE, NARROW = "shnk", "unk"
 # What the loop must see of the ground about Tycho from 400 km: 20 deg of arc about the flights.
 SURROUNDINGS_DEG = (-50.0, -66.0, 28.0, -20.0)

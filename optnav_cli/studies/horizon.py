@@ -19,22 +19,21 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError, NothingToDoError
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from catalog.terrain.dem_file import path_of
 from catalog.terrain.relief import GlobalRelief
 from catalog.terrain.relief_of_dem import load_relief
 from optnav_cli.imagery.folder import Folder, read_folder
-from optnav_cli.imagery.frames import ARCSEC
 from optnav_cli.imagery.picture import load_picture
 from optnav_cli.imagery.truth import read_truth
 from optnav_cli.navigation import horizon
 from optnav_cli.navigation.outline import limb_of
 from optnav_cli.studies.horizon_table import CaseFigures, FrameResult, Row, figures_of
-from optnav_cli.studies.pictures import SEED, STAR_SENSOR_ARCSEC, shipped_pictures
+from optnav_cli.studies.pictures import GLOBE, SEED, STAR_SENSOR_ARCSEC, shipped_pictures
 
 FloatArray = NDArray[np.float64]
 
-GLOBE = "shared:moon/moon_gld100_32ppd.tif"
 
 ROWS = (
     Row("nadir 50 km", "horizon_050km", 250.0, 280.0, 100.0),

@@ -12,13 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.config import resource
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.imagery.folder import read_folder, write_folder
-from optnav_cli.imagery.frames import ARCSEC
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.run import scenario_copy
 from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
 
+GLOBE = "shared:moon/moon_gld100_32ppd.tif"  # the ground of shipped scenarios
 STAR_SENSOR_ARCSEC = 10.0
 SEED = 10
 

@@ -20,8 +20,9 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import Body, CorrectionTerm, RotationCorrection
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.motion import SpiceMotion
-from catalog.bodies.rotation import ARCSEC, body_from_inertial
+from catalog.bodies.rotation import body_from_inertial
 from catalog.bodies.rotation_kernel import CENTURY_S
+from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.estimation.line_spectrum import Line, LineFit
 

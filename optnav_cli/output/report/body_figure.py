@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.store.reader import Catalog
+from optnav_cli.output.canvas import FONT, SUBPIXEL_BITS
 from optnav_cli.output.report.body_sides import Side, sides
 from optnav_cli.output.report.catalog_maps import (
     POINT_COLOURS,
@@ -31,8 +32,6 @@ LINE = (255, 255, 255)
 LINE_STRENGTH = 0.35
 DOT_PX = 4.5
 BAR_SHARE = 0.25  # of a side's width that a scale bar has at most
-FONT = cv2.FONT_HERSHEY_SIMPLEX
-SUBPIXEL_BITS = 4  # OpenCV draws at sixteenths of a pixel
 
 
 def sides_figure(catalog: Catalog) -> str:

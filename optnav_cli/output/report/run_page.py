@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from catalog.errors import DataError
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.output.display import resized, shrink_factor
 from optnav_cli.output.evaluation_files import EVALUATION_JSON
 from optnav_cli.output.manifest import read_manifest
@@ -32,7 +33,7 @@ from optnav_cli.output.report.page import (
 )
 from optnav_cli.output.report.run_plots import ground_plot, residual_plots
 from optnav_cli.output.run_folder import OVERLAYS, RunFolder, read_run
-from optnav_cli.output.tables import ARCSEC, fixed
+from optnav_cli.output.tables import fixed
 from optnav_cli.solution import Solution
 
 MOST_THUMBNAILS = 24

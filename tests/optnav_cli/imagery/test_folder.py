@@ -11,9 +11,10 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import AnalyticMotion
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import ConfigError, DataError, OptnavError
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.folder import read_folder, write_folder
-from optnav_cli.imagery.frames import ARCSEC, Frame
+from optnav_cli.imagery.frames import Frame
 from optnav_cli.imagery.run_settings import RunSettings
 
 HEADER = (
