@@ -1,6 +1,7 @@
-"""Means of a raster over the footprints of points.
+"""Heights of points from one level of a raster, each the mean over the point's footprint.
 
-Toward the poles of a cylindrical map columns crowd. A point there reads the rows of its level with
+Points are sorted to the windows that are read for them; `footprint_means` takes the means. Toward
+the poles of a cylindrical map columns crowd. A point there reads the rows of its level with
 columns averaged two and two as often as its footprint is wide, so that two or three samples do
 wherever it lies.
 """
@@ -8,8 +9,8 @@ wherever it lies.
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.geometry.grid import bicubic_at, cubic_weights
 from catalog.geometry.kernel import kernel
+from catalog.terrain.footprint_means import means_over_footprints
 from catalog.terrain.level_window import LevelWindows, halvings_for
 from catalog.terrain.map_nodes import Pixels
 
@@ -21,10 +22,6 @@ HeightGrid = NDArray[np.float32]
 # whole raster into memory.
 LARGEST_WINDOW = 16 << 20
 PIECE = 512  # pixels a side of the raster that pieces are sorted by
-# Columns averaged into one node. Beyond it (the last postings about a pole) samples are spread:
-# rasters are oversampled there, so neighbours in a row say the same.
-MOST_COLUMNS = 64
-MOST_ROWS = 16  # the same of rows: more only where a posting is far coarser than the last level
 
 
 def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> HeightGrid:
@@ -111,7 +108,7 @@ def _through_window(
 ) -> None:
     extent = _extent(*pixels, chosen)
     row0, col0, height, width = _bounds(sheet, rows_wide, extent)
-    _means(
+    means_over_footprints(
         sheet.window(row0, col0, height, width),
         pixels.row,
         pixels.col,
@@ -150,173 +147,3 @@ def _halvings(crowding: FloatArray, rows_wide: float, most: int) -> NDArray[np.i
     for i in range(crowding.size):
         out[i] = halvings_for(crowding[i] * rows_wide, most)
     return out
-
-
-@kernel
-def _means(
-    window: HeightGrid,
-    rows: FloatArray,
-    cols: FloatArray,
-    crowding: FloatArray,
-    chosen: IntArray,
-    per_row: float,
-    per_col: float,
-    row0: int,
-    col0: int,
-    rows_wide: float,
-    crowding_wide: float,
-    widest: float,
-    most_crowding: float,
-    out: HeightGrid,
-) -> None:
-    """Means of cubic samples over footprints of `rows_wide` rows and crowding-wide columns.
-
-    A footprint below 1.5 pixels is one sample: the level was chosen to fit.
-    """
-    down = samples_across(rows_wide, MOST_ROWS)
-    single = (
-        down == 1 and samples_across(min(most_crowding * crowding_wide, widest), MOST_COLUMNS) == 1
-    )
-    if single:
-        for i in chosen:
-            row = (rows[i] + 0.5) * per_row - 0.5 - row0
-            col = (cols[i] + 0.5) * per_col - 0.5 - col0
-            # a place that the raster's projection cannot show is NaN; others lie well inside
-            value = _cubic(window, row, col) if row == row and col == col else np.nan
-            out[i] = value if value == value else bicubic_at(window, row, col)
-        return
-    row_weights, col_weights = np.zeros(2 * MOST_ROWS + 8), np.zeros(2 * MOST_COLUMNS + 8)
-    for i in chosen:
-        row = (rows[i] + 0.5) * per_row - 0.5 - row0
-        col = (cols[i] + 0.5) * per_col - 0.5 - col0
-        wide = min(crowding[i] * crowding_wide, widest)
-        along = samples_across(wide, MOST_COLUMNS)
-        if down == 1 and along == 1:
-            out[i] = _single(window, row, col)
-            continue
-        if not (row == row and col == col):  # a place that the raster's projection cannot show
-            out[i] = np.nan
-            continue
-        # samples further apart than two pixels leave pixels between them: nothing to add up
-        if rows_wide > 2.0 * MOST_ROWS or wide > 2.0 * MOST_COLUMNS:
-            out[i] = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
-            continue
-        # cubic weights of all samples of the footprint, added up: it is separable
-        first_row, rows_used = add_weights(row, rows_wide, down, row_weights)
-        rows_used += -rows_used % 4  # further weights are zeros
-        first_col, cols_used = add_weights(col, wide, along, col_weights)
-        total = np.nan
-        if (
-            first_row >= 0
-            and first_row + rows_used <= window.shape[0]
-            and first_col >= 0
-            and first_col + cols_used <= window.shape[1]
-        ):
-            total = 0.0
-            for a in range(0, rows_used, 4):
-                total += _four_rows(
-                    window, first_row + a, row_weights, a, first_col, cols_used, col_weights
-                )
-        if total != total:
-            total = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
-        out[i] = total
-
-
-@kernel
-def samples_across(wide: float, most: int) -> int:
-    """Samples over a footprint some pixels wide."""
-    return int(min(max(1.0, np.floor(wide + 0.5)), most))
-
-
-@kernel
-def _single(window: HeightGrid, row: float, col: float) -> float:
-    """One cubic sample; bilinear beside holes and borders, NaN outside."""
-    if 1.0 <= row < window.shape[0] - 2.0 and 1.0 <= col < window.shape[1] - 2.0:
-        value = _cubic(window, row, col)
-        if value == value:
-            return value
-    return bicubic_at(window, row, col)
-
-
-@kernel
-def _cubic(window: HeightGrid, row: float, col: float) -> float:
-    """Cubic convolution where all sixteen neighbours are inside; NaN beside a hole."""
-    r, c = np.uint64(row - 1.0), np.uint64(col - 1.0)
-    a, b, d, e = cubic_weights(row - np.floor(row))
-    one = np.uint64(1)
-    r1, r2, r3 = r + one, r + one + one, r + one + one + one
-    c1, c2, c3 = c + one, c + one + one, c + one + one + one
-    # down first: four columns side by side
-    v0 = a * window[r, c] + b * window[r1, c] + d * window[r2, c] + e * window[r3, c]
-    v1 = a * window[r, c1] + b * window[r1, c1] + d * window[r2, c1] + e * window[r3, c1]
-    v2 = a * window[r, c2] + b * window[r1, c2] + d * window[r2, c2] + e * window[r3, c2]
-    v3 = a * window[r, c3] + b * window[r1, c3] + d * window[r2, c3] + e * window[r3, c3]
-    a, b, d, e = cubic_weights(col - np.floor(col))
-    return float(a * v0 + b * v1 + d * v2 + e * v3)
-
-
-@kernel
-def add_weights(at: float, wide: float, samples: int, out: FloatArray) -> tuple[int, int]:
-    """Mean weights of cubics spread over a footprint; the first pixel and the number of them."""
-    share = 1.0 / samples
-    first = int(np.floor(at + (0.5 * share - 0.5) * wide)) - 1
-    used = int(np.floor(at + ((samples - 0.5) * share - 0.5) * wide)) + 3 - first
-    for k in range(used + 3):
-        out[np.uint64(k)] = 0.0
-    for k in range(samples):
-        place = at + ((k + 0.5) * share - 0.5) * wide
-        whole = np.floor(place)
-        start = np.uint64(int(whole) - 1 - first)
-        for weight in cubic_weights(place - whole):
-            out[start] += weight * share
-            start += np.uint64(1)
-    return first, used
-
-
-@kernel
-def _four_rows(
-    window: HeightGrid,
-    row: int,
-    row_weights: FloatArray,
-    a: int,
-    col: int,
-    cols_used: int,
-    col_weights: FloatArray,
-) -> float:
-    """Weighted sum over four rows from `row` on, whose weights are those from place `a` on."""
-    # unsigned: an index that cannot count from the end needs no test
-    one = np.uint64(1)
-    w, r, c = np.uint64(a), np.uint64(row), np.uint64(col)
-    w0, w1 = row_weights[w], row_weights[w + one]
-    w2, w3 = row_weights[w + one + one], row_weights[w + one + one + one]
-    r1, r2, r3 = r + one, r + one + one, r + one + one + one
-    total = 0.0
-    for k in range(cols_used):
-        b = np.uint64(k)
-        at = c + b
-        total += col_weights[b] * (
-            w0 * window[r, at] + w1 * window[r1, at] + w2 * window[r2, at] + w3 * window[r3, at]
-        )
-    return total
-
-
-@kernel
-def _mean_of_what_is_there(
-    window: HeightGrid,
-    row: float,
-    col: float,
-    rows_wide: float,
-    wide: float,
-    down: int,
-    along: int,
-) -> float:
-    """The same mean over the samples that have a height; NaN where that is less than half."""
-    total, valid = 0.0, 0
-    for r in range(down):
-        at_row = row + ((r + 0.5) / down - 0.5) * rows_wide
-        for c in range(along):
-            value = bicubic_at(window, at_row, col + ((c + 0.5) / along - 0.5) * wide)
-            if value == value:
-                total += value
-                valid += 1
-    return total / valid if valid > 0 and 2 * valid >= down * along else np.nan

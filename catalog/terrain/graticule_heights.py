@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from catalog.geometry.graticule import Graticule, Part
 from catalog.geometry.kernel import kernel
-from catalog.terrain.footprint import MOST_COLUMNS, MOST_ROWS, add_weights, samples_across
+from catalog.terrain.footprint_means import MOST_COLUMNS, MOST_ROWS, add_weights, samples_across
 from catalog.terrain.georeference import CYLINDRICAL
 from catalog.terrain.level_window import LevelWindows, halvings_for
 from catalog.terrain.mosaic import Mosaic

@@ -20,9 +20,9 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from catalog.errors import DataError, OutputError
-from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
-from catalog.terrain.conversion import HEIGHTS, is_height
+from catalog.terrain.conversion import HEIGHTS
+from catalog.terrain.overview_kernels import extremes, halve_raw, mark_holes
 from catalog.terrain.source import DemSettings, DemSource
 
 FORMAT = 2  # of the overview folder; another number means: make it again
@@ -165,16 +165,16 @@ def _cascade(
                 row, col, height, width = window
                 raw = dataset.read(1, window=Window(col, row, width, height))
         limits = convert.limits
-        part = _extremes(raw, convert.scale_m, convert.offset_m, *limits)
+        part = extremes(raw, convert.scale_m, convert.offset_m, *limits)
         if first == 0 and part[2] < part[3]:
             # windows begin at whole blocks: each writes its own part
             at = window[0] // WHOLE_BLOCK, window[1] // WHOLE_BLOCK
-            _mark_holes(raw, *limits, WHOLE_BLOCK, whole[at[0] :, at[1] :])
+            mark_holes(raw, *limits, WHOLE_BLOCK, whole[at[0] :, at[1] :])
         grids = []
         if made > 0:
-            grids.append(_halve_raw(raw, convert.scale_m, convert.offset_m, *limits, step))
+            grids.append(halve_raw(raw, convert.scale_m, convert.offset_m, *limits, step))
         while len(grids) < made:
-            grids.append(_halve_raw(grids[-1], 1.0, 0.0, -math.inf, math.nan, math.nan, step))
+            grids.append(halve_raw(grids[-1], 1.0, 0.0, -math.inf, math.nan, math.nan, step))
         return part, grids
 
     outputs = [_create(source, folder, first + 1 + k) for k in range(made)]
@@ -273,73 +273,3 @@ def _copy_into_tiles(source: DemSource, folder: Path, progress: Progress) -> Non
             raw = source.read_raw(row, 0, height, cols)
             copy.write(raw, 1, window=Window(0, row, cols, height))
             stage.advance()
-
-
-@kernel
-def _extremes(
-    raw: NDArray[Any],
-    scale: float,
-    offset: float,
-    lowest_valid: float,
-    nodata: float,
-    nodata32: float,
-) -> tuple[float, float, int, int]:
-    """Lowest and highest height, number of valid and of all values."""
-    lowest, highest, valid = np.inf, -np.inf, 0
-    for i in range(raw.shape[0]):
-        for j in range(raw.shape[1]):
-            value = float(raw[i, j])
-            if is_height(value, lowest_valid, nodata, nodata32):
-                height = value * scale + offset
-                lowest, highest = min(lowest, height), max(highest, height)
-                valid += 1
-    return lowest, highest, valid, raw.size
-
-
-@kernel
-def _mark_holes(
-    raw: NDArray[Any],
-    lowest_valid: float,
-    nodata: float,
-    nodata32: float,
-    block: int,
-    whole: NDArray[np.bool_],
-) -> None:
-    """Clear the blocks that have a pixel without data."""
-    for i in range(raw.shape[0]):
-        for j in range(raw.shape[1]):
-            if not is_height(float(raw[i, j]), lowest_valid, nodata, nodata32):
-                whole[i // block, j // block] = False
-
-
-@kernel
-def _halve_raw(
-    raw: NDArray[Any],
-    scale: float,
-    offset: float,
-    lowest_valid: float,
-    nodata: float,
-    nodata32: float,
-    step: float,
-) -> HeightGrid:
-    """Means of 2 x 2 counts as heights rounded to `step`; at least half of what is there is valid.
-
-    An odd last row or column has fewer than four counts to average.
-    """
-    rows, cols = raw.shape
-    out = np.empty(((rows + 1) // 2, (cols + 1) // 2), np.float32)
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            total, valid, there = 0.0, 0, 0
-            for r in range(2 * i, min(2 * i + 2, rows)):
-                for c in range(2 * j, min(2 * j + 2, cols)):
-                    value = float(raw[r, c])
-                    there += 1
-                    if is_height(value, lowest_valid, nodata, nodata32):
-                        total += value
-                        valid += 1
-            if 2 * valid >= there and valid > 0:
-                out[i, j] = np.round((total / valid * scale + offset) / step) * step
-            else:
-                out[i, j] = np.nan
-    return out

@@ -168,10 +168,7 @@ def _add_overlaps(
                     wide = min(east, c + 1.0) - max(west, float(c))
                     if wide <= SLIVER * (east - west):
                         continue
-                    k = c % cols
-                    sums[r, k] += value * tall * wide
-                    weights[r, k] += tall * wide
-                    tops[r, k] = max(tops[r, k], value)
+                    _put(value, tall * wide, r, c % cols, sums, weights, tops)
     return lowest, highest
 
 
@@ -194,11 +191,24 @@ def _add_middles(
                 continue
             lowest, highest = min(lowest, value), max(highest, value)
             r = min(max(int(np.floor(down[i, j])), 0), rows - 1)
-            k = int(np.floor(along[i, j])) % cols
-            sums[r, k] += value
-            weights[r, k] += 1.0
-            tops[r, k] = max(tops[r, k], value)
+            _put(value, 1.0, r, int(np.floor(along[i, j])) % cols, sums, weights, tops)
     return lowest, highest
+
+
+@kernel
+def _put(
+    height: float,
+    weight: float,
+    row: int,
+    col: int,
+    sums: FloatArray,
+    weights: HeightGrid,
+    tops: HeightGrid,
+) -> None:
+    """Add a pixel's height to one cell."""
+    sums[row, col] += height * weight
+    weights[row, col] += weight
+    tops[row, col] = max(tops[row, col], height)
 
 
 @kernel

@@ -6,10 +6,6 @@ angle chi: e_i . e_0 = cos chi. With s = e_0 / cos chi that is linear, e_i . s =
 answer is biased on short arcs, so it only starts a least-squares fit of true angles: those between
 the measured rays and the body's tangent cone, by their first-order distance F / |grad F|, exact
 for the sphere up to the cube of the angle.
-
-Neighbouring limb points err together (relief, edge model), so the covariance is a sandwich: scores
-are summed over bins of azimuth about the nadir and correlated over CORRELATION_DEG. What the fit
-has taken of them with its three unknowns is put back (`_meat`).
 """
 
 from dataclasses import dataclass
@@ -19,14 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
+from optnav_cli.estimation.limb_covariance import azimuths_about_nadir, correlated_covariance
+from optnav_cli.estimation.symmetric import inverse_of, mirrored
 
 FloatArray = NDArray[np.float64]
 
 MIN_LIMB_POINTS = 4  # three unknowns, one equation a point, and one left to see an error by
-CORRELATION_DEG = 30.0  # errors of points farther apart count as independent
-BINS = 72
-LEAST_LEFT = 0.05  # of a direction's scatter; the fit takes more of it on the shortest arcs
-LEAST_FREEDOM = 2.0
 MAX_ITERATIONS = 20
 STEP_SIGMAS = 1e-3  # a step below this share of its own sigma changes nothing that matters
 
@@ -95,28 +89,16 @@ def fit_limb(
         start = _begin(stretched, weights, radii)
     else:
         start = np.array(start_m, dtype=np.float64)
-    done, position, noise, gain, rates, residuals, shares, meat, expected, windows = _fit(
-        rays, stretched, lengths, weights, radii, sizes, start, float(cut)
+    done, position, noise, gain, rates, residuals, shares = _fit(
+        stretched, lengths, weights, radii, sizes, start, float(cut)
     )
     if not done:
         raise NoSolutionError("the fit of the limb does not settle on a position outside the body")
-    covariance = _sandwich(noise, meat, expected, windows)
-    return LimbFit(position, covariance, noise, gain, rates, weights * shares, residuals, shares)
-
-
-def correlated_covariance(
-    rates: FloatArray,
-    residuals: FloatArray,
-    information: FloatArray,
-    noise_m2: FloatArray,
-    azimuths: FloatArray,
-) -> FloatArray:
-    """Covariance (3, 3), m^2, of a fit whose neighbouring points err together; see `LimbFit`.
-
-    azimuths (n,) rad about the nadir, -pi..pi
-    """
-    meat, expected, windows = _meat(rates, residuals, information, noise_m2, azimuths)
-    return np.asarray(_sandwich(noise_m2, meat, expected, windows))
+    information = weights * shares
+    covariance = correlated_covariance(
+        rates, residuals, information, noise, azimuths_about_nadir(rays, position)
+    )
+    return LimbFit(position, covariance, noise, gain, rates, information, residuals, shares)
 
 
 def _checked(directions: ArrayLike, radii_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -133,24 +115,6 @@ def _begin(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> Flo
     if not np.isfinite(start[0]):
         raise NoSolutionError("the limb points do not lie on a cone about the body")
     return start
-
-
-@kernel
-def _inverse(m: FloatArray) -> FloatArray:
-    """Inverse of a symmetric 3 x 3 matrix by cofactors; NaN when it is singular."""
-    out = np.empty((3, 3))
-    a = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
-    b = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
-    c = m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]
-    det = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
-    size = m[0, 0] * m[1, 1] * m[2, 2]
-    scale = 1.0 / det if det > 1e-14 * size else np.nan
-    out[0, 0], out[0, 1], out[0, 2] = a * scale, b * scale, c * scale
-    out[1, 0], out[1, 1] = out[0, 1], (m[0, 0] * m[2, 2] - m[0, 2] * m[2, 0]) * scale
-    out[1, 2] = (m[0, 1] * m[2, 0] - m[0, 0] * m[2, 1]) * scale
-    out[2, 0], out[2, 1] = out[0, 2], out[1, 2]
-    out[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) * scale
-    return out
 
 
 @kernel
@@ -180,7 +144,7 @@ def _linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> Fl
             right[k] += scaled
             for m in range(k, 3):
                 normal[k, m] += scaled * stretched[i, m]
-    inverse = _inverse(_mirrored(normal))
+    inverse = inverse_of(mirrored(normal))
     s = inverse @ right
     square = s[0] ** 2 + s[1] ** 2 + s[2] ** 2
     # R = -R_0 e_0 / sin chi, and with |s| = 1 / cos chi: e_0 / sin chi = s / sqrt(|s|^2 - 1)
@@ -188,15 +152,6 @@ def _linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> Fl
         return np.full(3, np.nan)
     position: FloatArray = -s * radii / np.sqrt(square - 1.0)
     return position
-
-
-@kernel
-def _mirrored(upper: FloatArray) -> FloatArray:
-    """A symmetric matrix (3, 3) whose upper triangle is filled, with the lower one too."""
-    for k in range(3):
-        for m in range(k):
-            upper[k, m] = upper[m, k]
-    return upper
 
 
 @kernel
@@ -230,79 +185,16 @@ def _residual(
 
 
 @kernel
-def _azimuths(rays: FloatArray, position: FloatArray) -> FloatArray:
-    """Azimuth of each ray about the nadir, rad, from an origin fixed by the position."""
-    u = position / np.sqrt((position * position).sum())
-    least = np.argmin(np.abs(u))
-    first = -u[least] * u
-    first[least] += 1.0
-    first /= np.sqrt((first * first).sum())
-    second = np.cross(u, first)
-    out = np.empty(rays.shape[0])
-    for i in range(out.size):
-        x = rays[i, 0] * first[0] + rays[i, 1] * first[1] + rays[i, 2] * first[2]
-        y = rays[i, 0] * second[0] + rays[i, 1] * second[1] + rays[i, 2] * second[2]
-        out[i] = np.arctan2(y, x)
-    return out
-
-
-@kernel
-def _meat(
-    rows: FloatArray, residuals: FloatArray, weights: FloatArray, inverse: FloatArray,
-    azimuths: FloatArray,
-) -> tuple[FloatArray, FloatArray, float]:  # fmt: skip
-    """Products of scores, those apart weighted by Bartlett's triangle, and their expectation.
-
-    The expectation is for errors of the stated size that bins do not share. With N_b the part of a
-    bin in the normal matrix N, the fit leaves E g_b g_c' = (b = c) N_b - N_b inv(N) N_c.
-    Returns both (3, 3), and how many windows of CORRELATION_DEG the points fill.
-    """
-    scores, normals = np.zeros((BINS, 3)), np.zeros((BINS, 3, 3))
-    for i in range(azimuths.size):
-        at = int((azimuths[i] / (2.0 * np.pi) + 0.5) * BINS) % BINS
-        for k in range(3):
-            scaled = weights[i] * rows[i, k]
-            scores[at, k] += scaled * residuals[i]
-            for m in range(k, 3):
-                normals[at, k, m] += scaled * rows[i, m]
-    for i in range(BINS):
-        _mirrored(normals[i])
-    reach = round(CORRELATION_DEG * BINS / 360.0)
-    meat, expected, seen = np.zeros((3, 3)), np.zeros((3, 3)), 0
-    score, normal = np.empty(3), np.empty((3, 3))
-    for i in range(BINS):
-        if normals[i, 0, 0] + normals[i, 1, 1] + normals[i, 2, 2] == 0.0:
-            continue
-        seen += 1
-        score[:] = 0.0
-        normal[:] = 0.0
-        for lag in range(1 - reach, reach):
-            share = 1.0 - abs(lag) / reach
-            other = (i + lag) % BINS
-            for k in range(3):
-                score[k] += share * scores[other, k]
-                for m in range(3):
-                    normal[k, m] += share * normals[other, k, m]
-        for k in range(3):
-            for m in range(3):
-                meat[k, m] += scores[i, k] * score[m]
-                left = normals[i, k, m]
-                for a in range(3):
-                    for b in range(3):
-                        left -= normals[i, k, a] * inverse[a, b] * normal[b, m]
-                expected[k, m] += left
-    return meat, expected, seen * (360.0 / BINS) / CORRELATION_DEG
-
-
-@kernel
 def _fit(
-    rays: FloatArray, stretched: FloatArray, lengths: FloatArray, weights: FloatArray,
-    radii: FloatArray, sizes: FloatArray, start: FloatArray, cut: float,
+    stretched: FloatArray, lengths: FloatArray, weights: FloatArray, radii: FloatArray,
+    sizes: FloatArray, start: FloatArray, cut: float,
 ) -> tuple[
-    bool, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
-    FloatArray, float,
+    bool, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
 ]:  # fmt: skip
-    n = rays.shape[0]
+    """Whether the fit settled; position, inverse of the normal matrix, and as `LimbFit` has them
+    gain, rates, residuals and weights.
+    """
+    n = stretched.shape[0]
     position, scale = start.copy(), 1.0 / radii
     rows, residuals, shares, used = np.empty((n, 3)), np.empty(n), np.ones(n), np.empty(n)
     inverse, row, largest = np.full((3, 3), np.nan), np.empty(3), sizes.max()
@@ -326,7 +218,7 @@ def _fit(
                 right[k] -= scaled * r
                 for m in range(k, 3):
                     normal[k, m] += scaled * row[m]
-        inverse = _inverse(_mirrored(normal))
+        inverse = inverse_of(mirrored(normal))
         step = inverse @ right
         gained = (step * right).sum()  # squared size of the step in its own sigmas
         if not gained < np.inf:
@@ -341,30 +233,4 @@ def _fit(
             gain[k, i] = -used[i] * (
                 inverse[k, 0] * rows[i, 0] + inverse[k, 1] * rows[i, 1] + inverse[k, 2] * rows[i, 2]
             )
-    meat, expected, windows = _meat(rows, residuals, used, inverse, _azimuths(rays, position))
-    return done, position, inverse, gain, rows, residuals, shares, meat, expected, windows
-
-
-@kernel
-def _sandwich(
-    noise: FloatArray, meat: FloatArray, expected: FloatArray, windows: float
-) -> FloatArray:
-    """Covariance (3, 3) from scores that are correlated over a window.
-
-    In units of the stated noise the scatter of the scores is compared with what the fit would have
-    left of it. Few windows know the scatter of a direction badly: half of the answer is that of
-    all three together. It is raised for what an estimate from so few may miss, and in no
-    direction falls below the stated noise.
-    """
-    lower = np.linalg.cholesky(noise)
-    upper = np.ascontiguousarray(lower.T)
-    seen, left = upper @ meat @ lower, upper @ expected @ lower
-    values, vectors = np.linalg.eigh(left)
-    root = vectors / np.sqrt(np.maximum(values, LEAST_LEFT)) @ vectors.T
-    pooled = np.trace(seen) / max(np.trace(left), 3.0 * LEAST_LEFT)
-    own = 0.5 * (root @ seen @ root + pooled * np.eye(3))
-    own *= 1.0 + 2.0 / max(1.5 * windows - 3.0, LEAST_FREEDOM)
-    values, vectors = np.linalg.eigh(0.5 * (own + own.T))
-    raised = vectors * np.maximum(values, 1.0) @ vectors.T
-    covariance: FloatArray = lower @ raised @ upper
-    return covariance
+    return done, position, inverse, gain, rows, residuals, shares

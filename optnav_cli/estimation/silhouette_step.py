@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.errors import NoSolutionError
-from optnav_cli.estimation.limb_fit import MIN_LIMB_POINTS, LimbFit, correlated_covariance
+from optnav_cli.estimation.limb_covariance import correlated_covariance
+from optnav_cli.estimation.limb_fit import MIN_LIMB_POINTS, LimbFit
 
 FloatArray = NDArray[np.float64]
 
