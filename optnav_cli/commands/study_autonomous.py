@@ -29,7 +29,8 @@ def command(progress: ConsoleProgress, output: Path, frames: int | None, rows: s
     Example:
       optnav study autonomous --frames 4 --rows wide
     """
-    from optnav_cli.studies.autonomous import format_results, run
+    from optnav_cli.studies.autonomous import run
+    from optnav_cli.studies.autonomous_table import format_results
 
     announce_compilation()
     click.echo(format_results(run(output, progress, frames, rows)))

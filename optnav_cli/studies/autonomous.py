@@ -8,10 +8,8 @@ solved, by which arc of lit limb they truly show. None may be wrong by more than
 sigmas.
 """
 
-import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +26,9 @@ from optnav_cli.imagery.truth import Truth, read_truth
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.evaluation import pool
 from optnav_cli.output.evaluation_files import evaluate_run
-from optnav_cli.output.figures import FrameError, figures_of
+from optnav_cli.output.figures import FrameError
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.navigation import STAR_SENSOR_M_PER_KM
+from optnav_cli.studies.autonomous_table import Results, Row, RowResult, ShareResult, write_figures
 from optnav_cli.studies.pictures import GLOBE, shipped_pictures, with_star_sensor
 
 FloatArray = NDArray[np.float64]
@@ -38,27 +36,7 @@ FloatArray = NDArray[np.float64]
 WIDE, NARROW = "shnk", "unk"
 # What the loop must see of the ground about Tycho from 400 km: 20 deg of arc about the flights.
 SURROUNDINGS_DEG = (-50.0, -66.0, 28.0, -20.0)
-ENOUGH_ARC_DEG = 140.0
-LEAST_SOLVED = 0.95
-MOST_SIGMAS = 5.0
 AZIMUTHS = 720
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the table: a scenario, whose camera counts, and the figures to reach, m.
-
-    star_sensor  whether horizontal_m is for exact attitudes, so that the star sensor's part is
-                 added in quadrature
-    """
-
-    name: str
-    scenario: str
-    camera: str
-    horizontal_m: float
-    height_m: float
-    star_sensor: bool = False
-
 
 ROWS = (
     Row("wide camera, 100 km", "tycho_100km", WIDE, 30.0, 30.0),
@@ -68,32 +46,6 @@ ROWS = (
     Row("narrow camera, 400 km", "tycho_400km", NARROW, 20.0, 50.0, star_sensor=True),
 )
 SHARES = ("horizon_050km", "horizon_100km", "horizon_200km", "horizon_800km")
-
-
-@dataclass(frozen=True, eq=False)
-class RowResult:
-    """The frames of a row's camera; `limit_m` is what the horizontal error may be."""
-
-    row: Row
-    frames: tuple[FrameError, ...]
-    limit_m: float
-
-
-@dataclass(frozen=True, eq=False)
-class ShareResult:
-    """The frames of a scenario and the arc of lit limb that each truly shows, deg."""
-
-    scenario: str
-    frames: tuple[FrameError, ...]
-    arcs_deg: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Results:
-    """Both tables."""
-
-    rows: tuple[RowResult, ...]
-    shares: tuple[ShareResult, ...]
 
 
 def run(output: Path, progress: Progress, frames: int | None = None, rows: str = "") -> Results:
@@ -118,13 +70,13 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
                 output, row.scenario, frames, catalogs, relief, progress
             )
         own = tuple(frame for frame in flown[row.scenario] if frame.camera == row.camera)
-        found.append(RowResult(row, own, _limit(row, own)))
-        _write(output / "figures.json", found, [])
+        found.append(RowResult(row, own))
+        write_figures(output / "figures.json", found, [])
     shares: list[ShareResult] = []
     for name in (s for s in SHARES if rows in s):
         errors, arcs = _flown(output, name, frames, catalogs, relief, progress)
         shares.append(ShareResult(name, tuple(errors), tuple(arcs)))
-        _write(output / "figures.json", found, shares)
+        write_figures(output / "figures.json", found, shares)
     if not found and not shares:
         raise NothingToDoError(f"no row of the study is called '{rows}'")
     return Results(tuple(found), tuple(shares))
@@ -149,67 +101,6 @@ def lit_arc_deg(camera: Camera, truth: Truth, sun_body: FloatArray, radius_m: fl
         inside = (pixels > -0.5).all(axis=1)
         inside &= (pixels[:, 0] < width - 0.5) & (pixels[:, 1] < height - 0.5)
     return float((inside & (normal @ sun_body > 0.0)).mean()) * 360.0
-
-
-def sigmas_off(frame: FrameError) -> float:
-    """How far a solved frame is off in its own sigmas; 0 for an unsolved one."""
-    return 0.0 if frame.nees is None else float(np.sqrt(frame.nees))
-
-
-def format_results(results: Results) -> str:
-    """Both tables in text."""
-    lines = []
-    if results.rows:
-        lines.append(
-            f"{'case':<24}{'solved':>8}{'horizontal':>18}{'height':>18}{'NEES':>7}{'worst':>8}"
-        )
-    for result in results.rows:
-        solved = [frame for frame in result.frames if frame.nees is not None]
-        start = f"{result.row.name:<24}{len(solved):>4}/{len(result.frames):<3}"
-        if not solved:
-            lines.append(f"{start}  none solved")
-            continue
-        f = figures_of(result.frames)
-        worst = max(sigmas_off(frame) for frame in solved)
-        lines.append(
-            f"{start}{f.horizontal_rms_m:>8.1f} (≤ {result.limit_m:.0f}) m"
-            f"{f.height_rms_m:>9.1f} (≤ {result.row.height_m:.0f}) m{f.nees:>7.2f}{worst:>6.1f} σ"
-        )
-    if results.shares:
-        lines += ["", f"{'arc of lit limb':<24}{'≥ 140°':>12}{'less':>12}{'worst':>10}  methods"]
-    for share in results.shares:
-        lines.append(_share_line(share.scenario, [share]))
-    if len(results.shares) > 1:
-        lines.append(_share_line("together", results.shares))
-        lines.append(f"wanted: {100 * LEAST_SOLVED:.0f} % of those with an arc of 140°")
-    every = [f for row in results.rows for f in row.frames]
-    every += [f for share in results.shares for f in share.frames]
-    wrong = sum(sigmas_off(frame) > MOST_SIGMAS for frame in every)
-    lines.append(
-        f"wrong by more than {MOST_SIGMAS:.0f} of their own sigmas: {wrong} of {len(every)}"
-    )
-    return "\n".join(lines)
-
-
-def _share_line(name: str, shares: Sequence[ShareResult]) -> str:
-    pairs = [pair for s in shares for pair in zip(s.frames, s.arcs_deg, strict=True)]
-    counts = []
-    for wide in (True, False):
-        group = [frame for frame, arc in pairs if (arc >= ENOUGH_ARC_DEG) is wide]
-        counts.append(f"{sum(f.nees is not None for f in group):>5}/{len(group):<4}")
-    worst = max((sigmas_off(frame) for frame, _ in pairs), default=0.0)
-    methods = [frame.solution.method for frame, _ in pairs if frame.nees is not None]
-    tally = ", ".join(f"{methods.count(m)} {m.replace('_', ' ')}" for m in sorted(set(methods)))
-    return f"{name:<24}{counts[0]:>12}{counts[1]:>12}{worst:>8.1f} σ  {tally}"
-
-
-def _limit(row: Row, frames: Iterable[FrameError]) -> float:
-    """A row's horizontal limit; what the star sensor adds at its heights in quadrature."""
-    if not row.star_sensor:
-        return row.horizontal_m
-    heights_km = np.array([frame.height_m for frame in frames]) / 1e3
-    extra = float(np.mean((STAR_SENSOR_M_PER_KM * heights_km) ** 2))
-    return float(np.hypot(row.horizontal_m, np.sqrt(extra)))
 
 
 def _flown(
@@ -271,40 +162,3 @@ def _catalog(
     place = output / f"{name}.gpkg"
     build.run(config, output=place, bbox=bbox, progress=progress)
     return place
-
-
-def _write(path: Path, rows: Sequence[RowResult], shares: Sequence[ShareResult]) -> None:
-    content = {
-        "rows": [
-            {
-                "case": result.row.name,
-                "horizontal_limit_m": result.limit_m,
-                "height_limit_m": result.row.height_m,
-                "frames": [_frame(frame) for frame in result.frames],
-            }
-            for result in rows
-        ],
-        "shares": [
-            {
-                "scenario": share.scenario,
-                "frames": [
-                    {"lit_arc_deg": arc, **_frame(frame)}
-                    for frame, arc in zip(share.frames, share.arcs_deg, strict=True)
-                ],
-            }
-            for share in shares
-        ],
-    }
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-
-
-def _frame(frame: FrameError) -> dict[str, object]:
-    error = None if frame.error_rnb_m is None else [float(v) for v in frame.error_rnb_m]
-    return {
-        "file": frame.file,
-        "method": frame.solution.method,
-        "prior": frame.solution.prior,
-        "error_rnb_m": error,
-        "sigmas": sigmas_off(frame) if error else None,
-        "reason": frame.solution.reason,
-    }

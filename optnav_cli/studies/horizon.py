@@ -34,7 +34,6 @@ from optnav_cli.studies.pictures import GLOBE, SEED, STAR_SENSOR_ARCSEC, shipped
 
 FloatArray = NDArray[np.float64]
 
-
 ROWS = (
     Row("nadir 50 km", "horizon_050km", 250.0, 280.0, 100.0),
     Row("nadir 100 km", "horizon_100km", 200.0, 230.0, 100.0),

@@ -1,6 +1,5 @@
 """The page about a run: how good, where, which control points, and what went wrong."""
 
-import json
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -13,11 +12,11 @@ import numpy as np
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.output.display import resized, shrink_factor
-from optnav_cli.output.evaluation_files import EVALUATION_JSON
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.methods import method_words
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.report.error_plots import error_plots
+from optnav_cli.output.report.error_tables import errors_table, length_words, read_evaluation
 from optnav_cli.output.report.page import (
     data_uri,
     figure,
@@ -27,7 +26,6 @@ from optnav_cli.output.report.page import (
     page,
     paragraph,
     section,
-    subsection,
     table,
     tiles,
 )
@@ -38,18 +36,17 @@ from optnav_cli.solution import Solution
 
 MOST_THUMBNAILS = 24
 THUMBNAIL_PX = 560
-IN_KM_M = 10e3  # lengths from here on are told in km
 ROWS_OPEN = 40  # longer tables are folded
 
 
 def run_page(folder: Path) -> str:
     """The HTML page about a run folder. Raises DataError for a folder that is no run."""
     run = read_run(folder)
-    evaluation = _evaluation(folder)
+    evaluation = read_evaluation(folder)
     solved = [solution for solution in run.solutions if solution.solved]
     sections = [_main_numbers(run, evaluation)]
     if evaluation is not None:
-        sections.append(_errors_table(evaluation))
+        sections.append(errors_table(evaluation))
     if solved:
         sections.append(section("Errors and stated sigmas", *error_plots(run)))
         sections.append(section("On the ground", ground_plot(run)))
@@ -66,26 +63,13 @@ def run_page(folder: Path) -> str:
     )
 
 
-def _evaluation(folder: Path) -> dict[str, Any] | None:
-    path = folder / EVALUATION_JSON
-    if not path.exists():
-        return None
-    try:
-        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        for axis in "rnb":  # touched here, so that a damaged file is told at once
-            summary[axis]["bias_m"], summary["share_inside_3_sigma"][axis]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path}: is damaged ({error}); run `optnav evaluate` again") from error
-    return summary
-
-
 def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
     solved = [s for s in run.solutions if s.solved]
     values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
     if evaluation is not None:
         values += [
-            (_length(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
-            (_length(evaluation["height_rms_m"]), "height error, rms"),
+            (length_words(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
+            (length_words(evaluation["height_rms_m"]), "height error, rms"),
             (
                 f"{evaluation['normalised_error_squared']:.2f}",
                 "error squared over stated covariance (1 is honest)",
@@ -101,95 +85,6 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
         values.append((f"{rms:.2f} px", "residual, rms a coordinate"))
     note = "" if evaluation else paragraph("Not compared with a truth: see `optnav evaluate`.")
     return tiles(values) + note
-
-
-def _errors_table(evaluation: dict[str, Any]) -> str:
-    names = {"r": "R (height)", "n": "N (along the motion)", "b": "B (across)"}
-    largest = max(evaluation[axis]["max_m"] for axis in names)
-    unit, unit_name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
-    rows = []
-    for axis, name in names.items():
-        spread = evaluation[axis]
-        sigma = "-" if spread["sigma_m"] is None else f"{spread['sigma_m'] / unit:.1f}"
-        rows.append(
-            (
-                name,
-                f"{spread['bias_m'] / unit:+.1f}",
-                sigma,
-                f"{spread['rms_m'] / unit:.1f}",
-                f"{spread['max_m'] / unit:.1f}",
-                f"{100.0 * evaluation['share_inside_3_sigma'][axis]:.1f} %",
-            )
-        )
-    rms, farthest = (evaluation[f"horizontal_{name}_m"] / unit for name in ("rms", "max"))
-    rows.append(("horizontal", "", "", f"{rms:.1f}", f"{farthest:.1f}", ""))
-    points = evaluation["control_points"]
-    low, high = evaluation["normalised_error_squared_95_percent"]
-    notes = [
-        f"An honest covariance keeps the normalised error squared between {low:.2f} and "
-        f"{high:.2f} in 95 % of cases; here it is {evaluation['normalised_error_squared']:.2f}."
-    ]
-    if points["checked"]:
-        notes.append(
-            f"Of {points['checked']} control points used, {points['wrong']} were found more than "
-            "3 px from their true place."
-        )
-    if evaluation["frames_with_local_north"]:
-        notes.append(
-            f"N is local north for {evaluation['frames_with_local_north']} frames without a "
-            "neighbour in their pass."
-        )
-    header = (f"error, {unit_name}", "bias", "sigma", "rms", "max", "inside 3 stated sigmas")
-    parts = [table(header, rows), *map(paragraph, notes)]
-    methods = evaluation.get("methods", [])
-    if len(methods) > 1:
-        parts.append(_methods_table(methods))
-    return section("Against the truth", *parts)
-
-
-def _methods_table(methods: Sequence[dict[str, Any]]) -> str:
-    """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
-    header = (
-        *("method", "solved", "R", "N", "B"),
-        *("range, %", "direction, ″", "in 3 sigmas", "NEES"),
-    )
-    rows = []
-    for method in methods:
-        name, camera = method_words(method["method"]), method["camera"]
-        inside = method["share_inside_3_sigma"]
-        least = min(inside[axis] for axis in "rnb")
-        rows.append(
-            (
-                f"{name}, {camera}" if camera else name,
-                f"{method['solved']} of {method['frames_of_camera']}",
-                *(_spread(method[axis]) for axis in "rnb"),
-                "" if method["range_rms_percent"] is None else f"{method['range_rms_percent']:.2g}",
-                f"{method['direction_rms_arcsec']:.3g}",
-                f"{100.0 * least:.0f} %",
-                f"{method['normalised_error_squared']:.2f}",
-            )
-        )
-    note = (
-        "R, N, B: bias / sigma / greatest error. Range (of the height) and direction to the centre "
-        "are rms. In 3 sigmas: the least share of R, N, B. NEES is 1 for an honest covariance."
-    )
-    return subsection("By method", table(header, rows), paragraph(note))
-
-
-def _spread(values: dict[str, float]) -> str:
-    """Bias, sigma and greatest error in one unit."""
-    largest = values["max_m"]
-    unit, name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
-    decimals = 0 if largest / unit >= 100.0 else 1
-    bias, sigma, most = (
-        "-" if v is None else fixed(v / unit, decimals).replace("-", "\N{MINUS SIGN}")
-        for v in (values["bias_m"], values["sigma_m"], largest)
-    )
-    return f"{bias} / {sigma} / {most} {name}"
-
-
-def _length(metres: float) -> str:
-    return f"{metres / 1e3:.1f} km" if metres >= IN_KM_M else f"{metres:.1f} m"
 
 
 def _refusals(run: RunFolder) -> str:
