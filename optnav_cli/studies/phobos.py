@@ -3,7 +3,8 @@
 The truth is the 2 degree shape model, refined and with relief of 20 m rms below its posting
 (configs/scenarios/phobos_*.toml); the navigator has the catalog of the plain model. Attitudes are
 off by a star sensor's 10 arc seconds an axis. Rows are flown without any prior, so that each frame
-is solved by what it shows, but those named so, which are told a position to 100 m.
+is solved by what it shows, but those named so, which are told a position to 100 m. The approach is
+one flight, whose frames have those before them.
 """
 
 import json
@@ -38,6 +39,8 @@ class Row:
     """One line of the table, the pictures of a scenario by one camera.
 
     prior        whether a position is told
+    flown        whether the scenario tells attitudes as a star sensor does, so that none are made
+    distance_km  only frames between these distances from the centre
     across_m     asked of the error across the line of sight, rms;  range_share along it
     """
 
@@ -45,6 +48,8 @@ class Row:
     scenario: str
     camera: str = WIDE
     prior: bool = False
+    flown: bool = False
+    distance_km: tuple[float, float] = (0.0, np.inf)
     across_m: float | None = None
     range_share: float | None = None
 
@@ -61,6 +66,9 @@ ROWS = (
     Row("loop, 60 km", "phobos_points_060km", across_m=POINTS_M),
     Row("loop, 40 km", "phobos_points_040km", across_m=POINTS_M),
     Row("loop, 20 km", "phobos_points_020km"),
+    Row("approach, 300-70 km", "phobos_approach", flown=True, distance_km=(70.0, 301.0)),
+    Row("approach, 70-40 km", "phobos_approach", flown=True, distance_km=(40.0, 70.0)),
+    Row("approach, 40-20 km", "phobos_approach", flown=True, distance_km=(19.0, 40.0)),
     Row("narrow camera, 1000-500 km", "phobos_narrow", NARROW),
 )
 
@@ -96,18 +104,31 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
     config = resource("configs/catalogs/phobos.toml")
     account = build.run(config, output=catalog, progress=progress).account
     found: list[RowResult] = []
+    runs: dict[str, tuple[FrameError, ...]] = {}
     for row in chosen:
-        pictures = shipped_pictures(output, row.scenario, frames, progress)
-        told = with_star_sensor(pictures, priors=row.prior)
-        place = output / "runs" / told.name
-        place.parent.mkdir(exist_ok=True)
-        # without a solution the run is written all the same, and that is a figure too
-        with suppress(NothingToDoError):
-            navigate_folder(told, [catalog], NavigateSettings(), "ncc", place, progress)
-        errors = evaluate_run(place, told / "truth.csv").frames
-        found.append(RowResult(row, tuple(e for e in errors if e.camera == row.camera)))
+        told = shipped_pictures(output, row.scenario, frames, progress)
+        if not row.flown:
+            told = with_star_sensor(told, priors=row.prior)
+        if told.name not in runs:
+            runs[told.name] = _navigated(told, catalog, output / "runs" / told.name, progress)
+        found.append(RowResult(row, tuple(e for e in runs[told.name] if _is_of(row, e))))
         _write(output / FIGURES, account, found)
     return Results(account, tuple(found))
+
+
+def _navigated(
+    pictures: Path, catalog: Path, place: Path, progress: Progress
+) -> tuple[FrameError, ...]:
+    place.parent.mkdir(exist_ok=True)
+    # without a solution the run is written all the same, and that is a figure too
+    with suppress(NothingToDoError):
+        navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", place, progress)
+    return tuple(evaluate_run(place, pictures / "truth.csv").frames)
+
+
+def _is_of(row: Row, frame: FrameError) -> bool:
+    nearest, farthest = row.distance_km
+    return frame.camera == row.camera and nearest <= frame.distance_m / 1e3 < farthest
 
 
 def format_results(results: Results) -> str:

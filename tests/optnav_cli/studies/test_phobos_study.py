@@ -11,7 +11,7 @@ from catalog.errors import NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.stages.account import Account, StageAccount
 from optnav_cli.output.figures import FrameError
-from optnav_cli.simulation.scenario import Portraits, load_scenario
+from optnav_cli.simulation.scenario import Approach, Portraits, load_scenario
 from optnav_cli.solution import solved, unsolved
 from optnav_cli.studies.phobos import ROWS, Results, Row, RowResult, format_results, run
 
@@ -38,9 +38,16 @@ def missed(reason: str) -> FrameError:
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
 def test_every_row_has_a_scenario_with_its_camera_and_prior(row: Row) -> None:
     scenario = load_scenario(resource(f"configs/scenarios/{row.scenario}.toml"))
-    assert isinstance(scenario, Portraits)
     assert row.camera in [mount.name for mount in scenario.mounts()]
     assert scenario.prior.given or not row.prior
+    assert row.flown == isinstance(scenario, Approach)
+    if isinstance(scenario, Approach):
+        assert scenario.attitude.sigma_arcsec == 10.0
+        lowest, highest = row.distance_km
+        assert lowest < scenario.approach.from_km
+        assert highest > scenario.approach.to_km
+        return
+    assert isinstance(scenario, Portraits)
     assert scenario.portraits.frames >= 12
     assert scenario.portraits.phase_deg == (20.0, 70.0)
 
