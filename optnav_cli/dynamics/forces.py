@@ -66,12 +66,13 @@ class Forces:
             (name, load_body(name).gm_m3_s2) for name in (*_NEIGHBOURS.get(body.name, ()), *planet)
         ]
         self._neighbours.append(("sun", SUN_GM_M3_S2))
-        self._tide_error = 0.0
+        self._tide_error = self.planet_rate = 0.0  # the rate: rad/s of the body's own orbit
         if body.orbit is not None:
+            square = load_body(body.orbit.around).gm_m3_s2
+            square /= (1e3 * body.orbit.semi_major_axis_km) ** 3
+            self.planet_rate = float(np.sqrt(square))
             # along the line to the planet, where its tide is strongest
-            stretch = 2.0 * load_body(body.orbit.around).gm_m3_s2
-            stretch /= (1e3 * body.orbit.semi_major_axis_km) ** 3
-            self._tide_error = body.orbit.tide_error * stretch
+            self._tide_error = 2.0 * body.orbit.tide_error * square
 
     def acceleration(self, tdb_s: float, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Acceleration (3,), m/s^2, and its derivative (3, 3) by position at an inertial place."""

@@ -60,6 +60,14 @@ class OrbitMotion:
         """Of a circular orbit through a place, m/s."""
         return float(np.sqrt(self._forces.gm / np.linalg.norm(position_m)))
 
+    def radian_s(self, position_m: FloatArray) -> float:
+        """How long a circular orbit there, or the body's own about its planet, takes a radian, s.
+
+        The shorter of both rules: far from a small moon its planet bends the path.
+        """
+        own = self._forces.gm / float(np.linalg.norm(position_m)) ** 3
+        return float(1.0 / np.sqrt(own + self._forces.planet_rate**2))
+
     def _path(self, state: FloatArray, from_s: float, since: FloatArray) -> FloatArray:
         """(42, n) state and transition, row by row, at times after (or before) the first."""
 

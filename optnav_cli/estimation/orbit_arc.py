@@ -50,6 +50,10 @@ class OrbitModel(Protocol):
         """Of a circular orbit through a place, m/s."""
         ...
 
+    def radian_s(self, position_m: FloatArray) -> float:
+        """How long the motion there takes for one radian, s."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Fix:
@@ -142,10 +146,7 @@ class OrbitArc:
         if not self._fixes:
             return False
         last = self._fixes[-1]
-        radian_s = float(np.linalg.norm(last.position_m)) / self._model.circular_speed(
-            last.position_m
-        )
-        return tdb_s - last.tdb_s > LONGEST_GAP_RAD * radian_s
+        return tdb_s - last.tdb_s > LONGEST_GAP_RAD * self._model.radian_s(last.position_m)
 
     def _restart(self, fixes: list[Fix]) -> None:
         self._fixes, self._doubted, self._fitted = fixes[-MOST_FIXES:], None, None

@@ -31,7 +31,7 @@ SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phob
 # single crest errs by 13 m (ten views from 100 km, 1440 crests each); pictures of it show the limb
 # 2 m higher still (eight). A truth of the model's flat faces stands 6 m above the cells. Other
 # shapes: in units of their cells.
-LIFT, LIFT_SIGMA = 0.100, 0.35
+LIFT, LIFT_SIGMA = 0.100, 0.25
 CREST_NOISE, SECTOR_NOISE = 0.080, 0.02
 SHADOW_CLEARANCE = 0.16
 LEAST_AZIMUTHS, MOST_AZIMUTHS = 360, 2880

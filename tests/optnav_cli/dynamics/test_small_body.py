@@ -106,3 +106,13 @@ def test_an_unknown_field_is_that_of_the_even_ellipsoid():
         assert even_field(body).j2 == pytest.approx(body.gravity.j2, rel=share)
     # Kaula's own planet
     assert even_field(load_body("earth")).kaula == pytest.approx(1e-5, rel=0.02)
+
+
+def test_fixes_a_day_apart_are_no_arc():
+    """Phobos goes round Mars three times a day: what flew past it yesterday says nothing today."""
+    arc = OrbitArc(OrbitMotion(Forces(MOTION)))
+    place, spread = np.array([0.0, 1.0e6, 0.0]), np.eye(3) * 1e4
+    for day in range(4):
+        assert arc.predict(NOON + 86400.0 * day) is None
+        assert arc.add(Fix(NOON + 86400.0 * day, place, spread)) is None
+    assert arc.predict(NOON + 86400.0 * 3 + 1.0) is not None
