@@ -46,14 +46,14 @@ class Filtered(NamedTuple):
     floor: float
 
 
-def filtered(grid: Grid, sigma_nodes: float = HIGH_PASS_NODES, margin_nodes: int = 0) -> Filtered:
+def filtered(grid: Grid, margin_nodes: int = 0) -> Filtered:
     """High-pass a grid (rows, cols) and take off a margin that only the high-pass sees.
 
     A high-pass that ends at the reference's own border bends it there, which moves the peak by
     0.15-0.2 nodes; with 8 nodes of margin 0.01-0.02 are left.
     """
     floor = LEAST_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0))
-    return Filtered(cropped(high_pass(grid, sigma_nodes), margin_nodes), floor)
+    return Filtered(cropped(high_pass(grid), margin_nodes), floor)
 
 
 def correlated(template: Filtered, image: Filtered) -> Grid:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from catalog.correlation.blur import low_pass
 from catalog.correlation.ncc import match_ncc
-from catalog.correlation.similarity import Matcher, match_similarity
+from catalog.correlation.similarity import match_similarity
 from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import shadow_field
 from catalog.selection.trial_picture import FINER, picture_of, side_under
@@ -102,6 +102,7 @@ class Search(NamedTuple):
 
 # A window turned by 6 deg and shrunk by 10 % reaches over this much more ground.
 WINDOW_REACH = 1.25
+MAX_SHIFT_NODES = 5.0  # of a point from where the search believes it
 
 
 def truth_size(search: Search) -> int:
@@ -118,15 +119,11 @@ def draw_circumstances(
     max_roll_deg: float = 6.0,
     max_scale: float = 0.1,
     max_off_nadir_deg: float = 25.0,
-    max_shift_nodes: float = 5.0,
     snr: tuple[float, float] = (10.0, 50.0),
-    rectified: bool = False,
 ) -> Circumstances:
     """One trial's circumstances; errors uniform within limits, noise uniform in its logarithm.
 
-    suns       (n, 3)  Sun directions to choose from
-    rectified          the resampling knows the view: foreshortening is taken out, what remains of
-                       an off-nadir view is its photometry
+    suns  (n, 3)  Sun directions to choose from
     """
     roll, scale, off_nadir = rng.uniform(-1.0, 1.0, 3)
     azimuth = rng.uniform(0.0, 2.0 * np.pi)
@@ -140,8 +137,8 @@ def draw_circumstances(
         roll=float(np.radians(roll * max_roll_deg)),
         scale=float(1.0 + scale * max_scale),
         stretch_azimuth=float(azimuth),
-        stretch=1.0 if rectified else float(np.cos(angle)),
-        shift_m=rng.uniform(-max_shift_nodes, max_shift_nodes, 2) * posting_m,
+        stretch=float(np.cos(angle)),
+        shift_m=rng.uniform(-MAX_SHIFT_NODES, MAX_SHIFT_NODES, 2) * posting_m,
         snr=float(np.exp(rng.uniform(np.log(snr[0]), np.log(snr[1])))),
     )
 
@@ -161,7 +158,6 @@ def run_trial(
     radius_m: float,
     search: Search = Search(),
     gate: Gate = Gate(),
-    matcher: Matcher = match_ncc,
     outer: Sequence[tuple[Grid, float]] = (),
 ) -> Outcome:
     """Look for a point once.
@@ -226,12 +222,12 @@ def run_trial(
             picture = low_pass(picture, level.blur_nodes)
         if coarsest:
             match, roll, scale = match_similarity(
-                template, picture, search.rolls, search.scales, matcher
+                template, picture, search.rolls, search.scales, match_ncc
             )
             believed = _similarity(roll, scale)
             step = np.array([match.dx, -match.dy])
         else:
-            match = matcher(template, picture)
+            match = match_ncc(template, picture)
             step = believed @ np.array([match.dx, -match.dy])
         place = place + step * level.posting_m
         if not np.isfinite(match.covariance).all():

@@ -34,25 +34,19 @@ _FRAME = (60, 160, 255)
 _NO_DATA = (200, 190, 190)
 
 
-def draw_pyramid(
-    pyramid: Pyramid,
-    radius_m: float,
-    sun_azimuth_deg: float = SUN_AZIMUTH_DEG,
-    sun_elevation_deg: float = SUN_ELEVATION_DEG,
-) -> Picture:
+def draw_pyramid(pyramid: Pyramid, radius_m: float) -> Picture:
     """Draw the levels of a point side by side, the finest left.
 
     Above: heights by colour with relief shading. Below: brightness by Hapke with cast shadows,
-    seen from above, under a Sun at the given azimuth (east of north) and elevation. A box in each
-    level marks the ground of the level before.
+    seen from above. A box in each level marks the ground of the level before.
     """
     levels = pyramid.levels
     columns = max(len(levels), 3)  # the head needs room
     width = GAP_PX + columns * (TILE_PX + GAP_PX)
     height = HEAD_PX + 2 * (TILE_PX + LABEL_PX) + GAP_PX
     picture: Picture = np.full((height, width, 3), _PAPER, dtype=np.uint8)
-    _head(picture, pyramid, sun_azimuth_deg, sun_elevation_deg)
-    azimuth, elevation = np.radians(sun_azimuth_deg), np.radians(sun_elevation_deg)
+    _head(picture, pyramid)
+    azimuth, elevation = np.radians(SUN_AZIMUTH_DEG), np.radians(SUN_ELEVATION_DEG)
     sun = np.array(
         [
             np.cos(elevation) * np.sin(azimuth),
@@ -104,7 +98,7 @@ def _is_ours(path: Path) -> bool:
         return file.read(HEADER_BYTES + len(OUR_MARK))[HEADER_BYTES:] == OUR_MARK
 
 
-def _head(picture: Picture, pyramid: Pyramid, azimuth_deg: float, elevation_deg: float) -> None:
+def _head(picture: Picture, pyramid: Pyramid) -> None:
     point = pyramid.point
     verdict = "usable" if point.usable else "not usable"
     reasons = reasons_text(point.flags)
@@ -116,7 +110,7 @@ def _head(picture: Picture, pyramid: Pyramid, azimuth_deg: float, elevation_deg:
     second = (
         f"{tried if point.trials else 'never tried'}   "
         f"localisation {point.localisation_px:.3f} px   north up   "
-        f"Sun azimuth {azimuth_deg:.0f}, elevation {elevation_deg:.0f} deg"
+        f"Sun azimuth {SUN_AZIMUTH_DEG:.0f}, elevation {SUN_ELEVATION_DEG:.0f} deg"
     )
     _write(picture, first, GAP_PX, 24, 0.55)
     _write(picture, second, GAP_PX, 48)

@@ -20,10 +20,9 @@ FEWEST_COLUMNS = 16  # left of a level whose columns are averaged
 
 
 class TileCache:
-    """The tiles used last, over all pyramids of a mosaic, up to a number of bytes."""
+    """The tiles used last, over all pyramids of a mosaic, up to CACHE_BYTES."""
 
-    def __init__(self, limit_bytes: int = CACHE_BYTES) -> None:
-        self.limit_bytes = limit_bytes
+    def __init__(self) -> None:
         self.held_bytes = 0
         self._tiles: OrderedDict[tuple[int, ...], HeightGrid] = OrderedDict()
 
@@ -36,7 +35,7 @@ class TileCache:
         made = make()
         self._tiles[key] = made
         self.held_bytes += made.nbytes
-        while self.held_bytes > self.limit_bytes and len(self._tiles) > 1:
+        while self.held_bytes > CACHE_BYTES and len(self._tiles) > 1:
             _, dropped = self._tiles.popitem(last=False)
             self.held_bytes -= dropped.nbytes
         return made

@@ -18,7 +18,6 @@ from catalog.bodies.body import Body
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from catalog.geometry.tangent_plane import MapProjection
-from catalog.progress import Progress
 from catalog.terrain.feather import Feather
 from catalog.terrain.footprint import sample_level
 from catalog.terrain.georeference import Georeference
@@ -76,8 +75,6 @@ class Mosaic:
         base_dir: Path,
         body: Body,
         overview_dir: Path,
-        workers: int = 1,
-        progress: Progress | None = None,
     ) -> "Mosaic":
         """A mosaic of [[dem]] sections; overviews that `overview_dir` does not hold yet are made.
 
@@ -86,9 +83,7 @@ class Mosaic:
         ordered = sorted(settings, key=lambda s: s.priority)
         return cls(
             [
-                HeightPyramid.load_or_build(
-                    one, base_dir, body, overview_dir / f"dem-{i:02d}", workers, progress
-                )
+                HeightPyramid.load_or_build(one, base_dir, body, overview_dir / f"dem-{i:02d}")
                 for i, one in enumerate(ordered)
             ]
         )

@@ -165,11 +165,10 @@ class HeightPyramid:
         body: Body,
         folder: Path,
         workers: int = 1,
-        progress: Progress | None = None,
     ) -> "HeightPyramid":
         """The pyramid of a [[dem]] section, made if the folder does not hold it yet."""
         source = DemSource.open(settings, base_dir, body)
-        return cls.load(source, folder) or cls.build(source, folder, workers, progress)
+        return cls.load(source, folder) or cls.build(source, folder, workers)
 
 
 def _reading(settings: DemSettings) -> DemSettings:

@@ -120,14 +120,12 @@ def resect(
     attitude_sigma_rad: float | None,
     *,
     measured_attitude: Rotation | None = None,
-    weights: FloatArray | None = None,
 ) -> Resection:
     """Solve for the pose that explains the sightings best.
 
     start               first guess; its position is never a measurement
     attitude_sigma_rad  0: the attitude is exact; None: free; else the sigma per axis of
                         `measured_attitude` (camera_from_body; the start's when not given)
-    weights             (n,) factors on the information of each sighting, all 1 when not given
 
     Raises NoSolutionError for too few sightings, degenerate geometry or no convergence.
     """
@@ -140,8 +138,6 @@ def resect(
             f"{len(sightings)} control points are too few for {unknowns} unknowns"
         )
     information: FloatArray = np.linalg.inv(sightings.covariances_px2).astype(np.float64)
-    if weights is not None:
-        information = information * weights[:, None, None]
     reference = start.camera_from_body if measured_attitude is None else measured_attitude
     pose = start
     cost = np.inf

@@ -58,7 +58,6 @@ def resect_robustly(
     *,
     common_errors_px: FloatArray | None = None,
     gate_probability: float = 0.999,
-    seed: int = 0,
 ) -> RobustResection:
     """Solve for the pose with wrong matches among the sightings.
 
@@ -69,7 +68,7 @@ def resect_robustly(
     attitude) sightings agree.
     """
     gate = float(chi2.ppf(gate_probability, 2))
-    used = _consensus(camera, sightings, start, attitude_sigma_rad, gate, seed)
+    used = _consensus(camera, sightings, start, attitude_sigma_rad, gate)
     least = 2 if attitude_sigma_rad is not None else 3
     for _ in range(MAX_GATE_ROUNDS):
         if used.sum() < least:
@@ -168,7 +167,6 @@ def _consensus(
     start: Pose,
     attitude_sigma_rad: float | None,
     gate: float,
-    seed: int,
 ) -> BoolArray:
     """The largest set of sightings that one pose explains, among poses from small samples."""
     size = 2 if attitude_sigma_rad is not None else 3
@@ -176,7 +174,7 @@ def _consensus(
     if n < size:
         raise NoSolutionError(f"{n} matched control points; {size} are needed")
     samples = np.array(list(combinations(range(n), size))) if n <= 40 else None
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     if samples is None:
         samples = np.array([generator.choice(n, size, replace=False) for _ in range(MAX_PROPOSALS)])
     elif len(samples) > MAX_PROPOSALS:

@@ -13,7 +13,7 @@ from catalog.bodies.body import CorrectionTerm, RotationCorrection, load_body
 from catalog.bodies.rotation import body_from_inertial
 from catalog.progress import SilentProgress
 from optnav_cli.studies import rotation
-from optnav_cli.studies.rotation import format_table, format_toml, run
+from optnav_cli.studies.rotation import RotationFit, format_table, format_toml, run
 
 MADE = RotationCorrection(
     years=(2000.0, 2010.0),
@@ -39,9 +39,14 @@ class MadeKernels:
         return body_from_inertial(self.body, tdb_s)
 
 
-def test_known_terms_are_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rotation, "SpiceMotion", MadeKernels)
-    fit = run(SilentProgress(), load_body("moon"), [], (2000.0, 2010.0), 2)
+@pytest.fixture(scope="module")
+def fit() -> RotationFit:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rotation, "SpiceMotion", MadeKernels)
+        return run(SilentProgress(), load_body("moon"), [], (2000.0, 2010.0), 2)
+
+
+def test_known_terms_are_found_again(fit: RotationFit) -> None:
     assert fit.before_m[0] > 30.0
     # a frequency is found to 1e-3 turns in the span: 1/300 of an amplitude of 2" (18 m), twice
     assert fit.after_m[1] < 0.12
@@ -51,9 +56,7 @@ def test_known_terms_are_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 360.0 * 36525.0 / other.angle[1] == pytest.approx(41.3, rel=2e-5)
 
 
-def test_what_is_printed_is_a_section_of_a_body_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rotation, "SpiceMotion", MadeKernels)
-    fit = run(SilentProgress(), load_body("moon"), [], (2000.0, 2010.0), 2)
+def test_what_is_printed_is_a_section_of_a_body_file(fit: RotationFit) -> None:
     section = tomllib.loads(format_toml(fit))["rotation_correction"]
     assert msgspec.convert(section, RotationCorrection) == fit.correction
     assert "# 2F - 2D, 173.3" in format_toml(fit)
