@@ -8,7 +8,8 @@ pattern away from a low Sun; shading and sampling leave a small shift across it 
 the frame's middle. Without the common part the covariance of many points together would come out
 too small.
 
-The numbers are fitted to simulated frames over ground richer than the catalog's (study navigation).
+The numbers are fitted to simulated frames over ground richer than the catalog's (study navigation,
+study autonomous).
 """
 
 import numpy as np
@@ -25,22 +26,29 @@ OWN_SHADOW_M = 0.15
 # stand for the ground, which then looks higher or lower; a point's own and common to a frame. Both
 # grow with the secant of the emission angle, as more of the ground is hidden.
 OWN_HEIGHT_NODES = 0.02
-COMMON_HEIGHT_NODES = 0.0095
-# The same relief moves the whole pattern of a frame, in nodes an axis, however far it reaches.
-COMMON_SHIFT_NODES = 0.0095
+COMMON_HEIGHT_NODES = 0.004
+# The same relief moves the whole pattern of a frame, in nodes, however far it reaches: away from
+# the Sun, whose light falls on it from one side, by 0.01 on average over catalogs of 118 m and
+# 948 m whatever the Sun's elevation, and less in other directions.
+SUNWARD_SHIFT_NODES = 0.017
+COMMON_SHIFT_NODES = 0.006
 LEAST_COS_EMISSION = 0.1
-# Over a view that reaches round the body Sun and line of sight change from point to point, and with
-# them how relief is seen: the pattern stretches, alike or changing from side to side, in nodes at
-# the points' rms distance from their middle for a distance of 1 rad. From 800 to 4000 km heights
-# and attitudes were off by as much.
-CURVED_STRETCH_NODES = 0.06
-CURVED_KEYSTONE_NODES = 0.04
+# A coarse level is a mean of heights, a picture of it a mean of brightness. Over a view that
+# reaches round the body Sun and line of sight change from point to point, and with them how the
+# relief is seen that the mean took away: the pattern stretches, alike or changing from side to
+# side, in nodes beyond the terrain model's own posting, at the points' rms distance from their
+# middle for a distance of 1 rad. From 800 km heights and attitudes were off by as much; from
+# 400 km, with the finest level in most places, by no more than the rest allows.
+CURVED_STRETCH_NODES = 0.13
+CURVED_KEYSTONE_NODES = 0.09
 # The same where a shape model is coarser than the patches that were cut from it, shares of its
-# posting: a point's own shift an axis, and a rise and a shift that are common to a frame. Fitted at
-# Phobos, with relief of 20 m rms below 319 m.
+# posting: a point's own shift an axis, and a rise, a shift and stretches that are common to a
+# frame. Fitted at Phobos, with relief of 20 m rms below 319 m.
 HIDDEN_OWN = 0.12
-HIDDEN_RISE = 0.03
-HIDDEN_SHIFT = 0.035
+HIDDEN_RISE = 0.0355
+HIDDEN_SHIFT = 0.033
+HIDDEN_STRETCH = 0.06
+HIDDEN_KEYSTONE = 0.04
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
 # of its elevation, shift in any direction, what relief that the reference does not explain adds to
 # the shift, for a score of 0, and stretch at the points' rms distance from their middle. Catalogs
@@ -151,9 +159,11 @@ def common_errors_px(
     moved = [*shifts, stretch * (region * STRETCH_M / max(reach, 1.0))]
     moved.append(_of_size(stretch, STRETCH_PX))
     moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
-    per_m = postings_m[:, None] / float(np.linalg.norm(middle))
-    moved.append(stretch * (CURVED_STRETCH_NODES * per_m))
-    moved += [field * (CURVED_KEYSTONE_NODES * per_m) for field in (one_way, other_way)]
+    averaged, distance = postings_m - finest_postings_m, float(np.linalg.norm(middle))
+    alike = CURVED_STRETCH_NODES * averaged + HIDDEN_STRETCH * hidden_m
+    changing = CURVED_KEYSTONE_NODES * averaged + HIDDEN_KEYSTONE * hidden_m
+    moved.append(stretch * (alike / distance)[:, None])
+    moved += [field * (changing / distance)[:, None] for field in (one_way, other_way)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
     own_up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
     sight = _sight(by_ground, own_up)
@@ -161,8 +171,8 @@ def common_errors_px(
     sigma = rises / _cos_emission(sight, own_up)
     rise = np.einsum("nij,nj->ni", by_ground, own_up) * sigma[:, None]
     moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
-    own_shifts = COMMON_SHIFT_NODES * postings_m + HIDDEN_SHIFT * hidden_m
-    for axis in (along, across):
+    for axis, nodes in ((along, SUNWARD_SHIFT_NODES), (across, COMMON_SHIFT_NODES)):
+        own_shifts = nodes * postings_m + HIDDEN_SHIFT * hidden_m
         moved.append(np.einsum("nij,j->ni", by_ground, axis) * own_shifts[:, None])
     return np.stack(moved, axis=2)
 

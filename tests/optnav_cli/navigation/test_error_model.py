@@ -98,3 +98,23 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
         for metres in (0.0, 300.0)
     ]  # fmt: skip
     assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()
+
+
+def test_a_view_round_the_body_stretches_only_what_a_coarse_level_averages():
+    place = points(SQUARE)
+    ground, finest = np.tile(BY_GROUND, (4, 1, 1)), np.full(4, POSTING_M)
+    levels = POSTING_M * np.array([1.0, 2.0, 3.0, 1.0])
+    curved = common_errors_px(
+        place, ground, np.ones(4), sun(30.0), finest, levels, np.zeros(4)
+    )[:, :, 7:10]  # fmt: skip
+    size = np.linalg.norm(curved, axis=1)
+    assert np.allclose(size[[0, 3]], 0.0)
+    assert np.allclose(size[2], 2.0 * size[1])
+    assert (size[1] > 0.0).all()
+
+
+def test_the_pattern_moves_along_the_sun_more_than_across_it():
+    along, across = errors(SQUARE)[0, :, 15], errors(SQUARE)[0, :, 16]
+    assert abs(along @ across) < 1e-9
+    assert abs(along[1]) < 1e-2 * abs(along[0])  # the Sun stands in the east
+    assert np.linalg.norm(along) > 2.0 * np.linalg.norm(across)
