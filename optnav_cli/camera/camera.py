@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 Model = Literal["pinhole", "equidistant", "kannala_brandt"]
 Distortion = Literal["none", "brown"]
 
+PIXEL_SIGMA_PX = math.sqrt(1.0 / 12.0)  # of the square that a pixel is
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -29,6 +31,8 @@ class Camera:
                             model "kannala_brandt": k1 k2 k3 k4; else empty
     image_circle_radius_px  about the principal point; pixels beyond it see nothing
     pixel_pitch_um          size of a pixel, where known; only written back to files
+    psf_sigma_px            blur by the optics, without the pixel's own width, as calibrated;
+                            psf_error_px  its 1-sigma error. Both None where not known
     """
 
     name: str
@@ -41,6 +45,8 @@ class Camera:
     coefficients: tuple[float, ...] = ()
     image_circle_radius_px: float | None = None
     pixel_pitch_um: float | None = None
+    psf_sigma_px: float | None = None
+    psf_error_px: float | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -51,6 +57,15 @@ class Camera:
     def angular_resolution(self) -> float:
         """Angle of one pixel at the principal point, rad."""
         return 1.0 / self.focal_length_px
+
+    @property
+    def known_blur_px(self) -> tuple[float, float] | None:
+        """Sigma of the blur as calibrated, with the pixel's own width, and its 1-sigma error."""
+        if self.psf_sigma_px is None or self.psf_error_px is None:
+            return None
+        whole = math.hypot(self.psf_sigma_px, PIXEL_SIGMA_PX)
+        # an optics much sharper than the pixel hardly widens it, however badly it is known
+        return whole, self.psf_error_px * max(self.psf_sigma_px, self.psf_error_px) / whole
 
     @cached_property
     def _lens(self) -> tuple[int, FloatArray]:

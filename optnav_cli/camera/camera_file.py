@@ -12,6 +12,7 @@ from optnav_cli.camera.camera import Camera, Distortion, Model
 # Focal length, pitch and their ratio are each printed with about four digits.
 AGREEMENT = 1e-3
 LARGEST_SIDE_PX = 100_000
+LARGEST_PSF_PX = 50.0  # beyond any lens: the key is not in pixels
 _TERMS = {"pinhole": 5, "kannala_brandt": 4}
 _TERM_NAMES = {"pinhole": "[k1, k2, p1, p2, k3]", "kannala_brandt": "[k1, k2, k3, k4]"}
 
@@ -30,6 +31,8 @@ class CameraSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=T
     distortion: Distortion = "none"
     coefficients: tuple[float, ...] = ()
     image_circle_radius_px: float | None = None
+    psf_sigma_px: float | None = None
+    psf_error_px: float | None = None
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -41,6 +44,7 @@ def load_camera(path: str | Path) -> Camera:
     where = str(path)
     _check_picture(settings, where)
     _check_lens(settings, where)
+    _check_blur(settings, where)
     return Camera(
         name=settings.name,
         model=settings.model,
@@ -52,6 +56,8 @@ def load_camera(path: str | Path) -> Camera:
         coefficients=settings.coefficients,
         image_circle_radius_px=settings.image_circle_radius_px,
         pixel_pitch_um=settings.pixel_pitch_um,
+        psf_sigma_px=settings.psf_sigma_px,
+        psf_error_px=settings.psf_error_px,
     )
 
 
@@ -86,6 +92,10 @@ def camera_toml(camera: Camera) -> str:
         lines.append(f"coefficients = [{', '.join(repr(float(c)) for c in camera.coefficients)}]")
     if camera.image_circle_radius_px is not None:
         lines.append(f"image_circle_radius_px = {float(camera.image_circle_radius_px)!r}")
+    if camera.psf_sigma_px is not None:
+        lines.append(f"psf_sigma_px = {float(camera.psf_sigma_px)!r}")
+    if camera.psf_error_px is not None:
+        lines.append(f"psf_error_px = {float(camera.psf_error_px)!r}")
     return "\n".join(lines) + "\n"
 
 
@@ -119,6 +129,22 @@ def _check_lens(settings: CameraSettings, where: str) -> None:
         raise ConfigError(
             f'{where}: {given} coefficients; model "{model}" wants '
             f"{_TERMS[model]}: coefficients = {_TERM_NAMES[model]}"
+        )
+
+
+def _check_blur(settings: CameraSettings, where: str) -> None:
+    sigma, error = settings.psf_sigma_px, settings.psf_error_px
+    if (sigma is None) != (error is None):
+        missing = "psf_error_px" if error is None else "psf_sigma_px"
+        raise ConfigError(f"{where}: psf_sigma_px and psf_error_px belong together; add {missing}")
+    if sigma is None or error is None:
+        return
+    if not 0.0 <= sigma <= LARGEST_PSF_PX:
+        raise ConfigError(f"{where}: psf_sigma_px is {sigma}; wanted 0 to {LARGEST_PSF_PX:g}")
+    if not 0.0 < error <= LARGEST_PSF_PX:
+        raise ConfigError(
+            f"{where}: psf_error_px is {error}; wanted the 1-sigma error of psf_sigma_px, over 0 "
+            f"and up to {LARGEST_PSF_PX:g}"
         )
 
 

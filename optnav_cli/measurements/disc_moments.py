@@ -1,6 +1,7 @@
 """Moments of a small disc in a picture, and of an illuminated sphere, of which it is the blur."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,16 @@ from optnav_cli.measurements.bright_body import ROUNDING_VARIANCE, lit_blobs, me
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-LAWS = (hapke.reflectance, lommel_seeliger.reflectance, lambert.reflectance)
+# Of Hapke's parameters the roughness moves a disc's light, by 0.006 radii and 2 % of its width;
+# the others do by a tenth of that.
+SMOOTH, ROUGH = (hapke.LUNAR._replace(theta_bar=np.radians(mean)) for mean in (15.0, 30.0))
+LAWS = (
+    hapke.reflectance,
+    lommel_seeliger.reflectance,
+    lambert.reflectance,
+    partial(hapke.reflectance, surface=SMOOTH),
+    partial(hapke.reflectance, surface=ROUGH),
+)
 SPHERE_NODES = 60  # a side of the half disc that is integrated
 LEAST_SKY_PIXELS = 100
 LEAST_PIXELS = 3  # lit; a hot pixel is one, two when they touch
@@ -20,9 +30,11 @@ WINGS_PX = 4.0  # beyond the lit area the blur still holds light
 # A second spot this bright beside the first: which of them is the body cannot be told.
 RIVAL_SHARE = 0.3
 LARGEST_RADIUS_PX = 25.0
-MOST_SATURATED = 0.05
+MOST_SATURATED = 0.05  # of the pixels that hold its light
+MOST_SATURATED_CORE = 0.25  # of those above half of the brightest
 # Signal to noise of a lit pixel, where the picture is too small a sample to tell its own.
 ASSUMED_SNR = 50.0
+UNDITHERED = 0.4  # counts: scatter of a sky whose rounding is the same in all pixels
 LIT_SHARE = 0.1  # of the brightest pixel: lit, not the blur's wing
 
 
@@ -31,14 +43,14 @@ class DiscMoments:
     """Light of a small disc.
 
     centre         (2,)    x, y of its middle of light, px;  centre_covariance (2, 2), px^2
-    second         (2, 2)  second moments about it, px^2, the blur's included
-    second_sigma   1-sigma error of a second moment, px^2
+    second         (3,)    second moments about it, px^2, the blur's included: xx, yy, xy
+    second_covariance      (3, 3), px^4
     """
 
     centre: FloatArray
     centre_covariance: FloatArray
     second: FloatArray
-    second_sigma: float
+    second_covariance: FloatArray
 
 
 @dataclass(frozen=True)
@@ -118,20 +130,23 @@ def measure_disc(picture: Image, saturation: float | None) -> DiscMoments:
     own = (labels == 0) | (labels == blobs.label[chosen])
     use = own & (np.hypot(x - cx, y - cy) <= reach)
     if saturation is not None:
-        share = float((window[use] >= saturation).mean())
-        if share > MOST_SATURATED:
+        full = window[use] >= saturation
+        # a star that is burnt out looks as wide as a disc
+        core = window[use] - levels.sky > 0.5 * float((window[use] - levels.sky).max())
+        share = float(full.mean())
+        if share > MOST_SATURATED or float(full[core].mean()) > MOST_SATURATED_CORE:
             raise NoSolutionError(
                 f"saturated: {100.0 * share:.0f} % of the disc is at full scale, which moves its "
                 "middle of light; expose shorter"
             )
-    sky, noise = _background(picture, blobs.labels, (cx, cy), reach)
-    return _moments(window[use] - sky, x[use], y[use], noise)
+    sky, noise, sky_sigma = _background(picture, blobs.labels, (cx, cy), reach)
+    return _moments(window[use] - sky, x[use], y[use], noise, sky_sigma)
 
 
 def _background(
     picture: Image, labels: NDArray[np.int32], middle: tuple[float, float], reach: float
-) -> tuple[float, float]:
-    """Level and scatter of the sky about a disc, beyond the reach of its blur."""
+) -> tuple[float, float, float]:
+    """Level and scatter of the sky about a disc, beyond the blur's reach; error of the level."""
     wide = int(2.0 * reach) + 8
     x0, y0 = max(round(middle[0]) - wide, 0), max(round(middle[1]) - wide, 0)
     part = np.s_[y0 : y0 + 2 * wide + 1, x0 : x0 + 2 * wide + 1]
@@ -145,7 +160,11 @@ def _background(
         )
     level = float(np.median(sky))
     calm = sky[np.abs(sky - level) <= 4.0 * max(float(np.std(sky)), 0.5)]
-    return float(calm.mean()), float(np.sqrt(max(float(calm.var()), ROUNDING_VARIANCE)))
+    scatter = float(calm.std())
+    # noise below half a count does not average the rounding away
+    hidden = ROUNDING_VARIANCE if scatter < UNDITHERED else 0.0
+    error = float(np.sqrt(scatter**2 / calm.size + hidden))
+    return float(calm.mean()), float(np.sqrt(max(scatter**2, ROUNDING_VARIANCE))), error
 
 
 def _light(
@@ -157,19 +176,29 @@ def _light(
 
 
 def _moments(
-    light: FloatArray, x: NDArray[np.int64], y: NDArray[np.int64], noise: float
+    light: FloatArray,
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    noise: float,
+    sky_sigma: float,
 ) -> DiscMoments:
-    """Moments of pixels (n,) above the sky, with the errors of noise."""
+    """Moments of pixels (n,) above the sky, with the errors of noise and of the sky's level."""
     total = float(light.sum())
     if not total > 0.0:
         raise NoSolutionError("no disc: the light of the brightest spot drowns in the noise")
     places = np.stack([x, y], axis=1).astype(np.float64)
     centre = light @ places / total
     away = places - centre
-    second = (light[:, None] * away).T @ away / total
+    products = np.stack([away[:, 0] ** 2, away[:, 1] ** 2, away[:, 0] * away[:, 1]], axis=1)
+    second = light @ products / total
     lit = float(light[light > LIT_SHARE * light.max()].mean())
     variance = noise**2 + np.maximum(light, 0.0) * lit / ASSUMED_SNR**2
     spread = (variance[:, None] * away).T @ away / total**2
-    squares = away**2 - np.diag(second)
-    sigma = float(np.sqrt(0.5 * (variance[:, None] * squares**2).sum())) / total
-    return DiscMoments(centre, np.asarray(spread), np.asarray(second), sigma)
+    # what a count more in one pixel changes the second moments by
+    change = (products - second) / total
+    covariance = (variance[:, None] * change).T @ change
+    lifted = sky_sigma * change.sum(axis=0)
+    covariance += np.outer(lifted, lifted)
+    moved = sky_sigma * away.sum(axis=0) / total
+    spread = spread + np.outer(moved, moved)
+    return DiscMoments(centre, spread, second, covariance)

@@ -2,8 +2,7 @@
 
 A sphere's moments follow from the phase alone. Those of an elongated body turn with it, so they are
 summed up over its ground as a camera far away and the Sun see it: its relief where that is known,
-else its ellipsoid. Ground that other ground hides or shades counts as if it stood free, which is
-right for convex bodies.
+with the shadows that it throws and the ground that it hides, else its ellipsoid.
 """
 
 from dataclasses import dataclass
@@ -13,15 +12,19 @@ from numpy.typing import NDArray
 
 from catalog.bodies.body import Body
 from catalog.geometry.ellipsoid import surface_at
+from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief import GlobalRelief, relief_height
 from optnav_cli.measurements.disc_moments import LAWS, sphere_moments
 
 FloatArray = NDArray[np.float64]
+HeightGrid = NDArray[np.float32]
 
 STEPS = 60  # from pole to pole: moments are right to 0.2 %
 # Half axes that differ by less of their mean: a sphere.
 ROUND = 0.01
+# Of the radius, along a ray from the ground: a cell's own bend hides nothing, nor less than a step.
+FIRST_STEP, LEAST_STEP = 0.05, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,12 @@ def light_moments(
     normals = across / areas[:, None]
     mu, mu0 = normals @ axes_body[2], normals @ sun_body
     lit = (mu > 0.0) & (mu0 > 0.0)
+    if relief is not None:
+        places = np.ascontiguousarray(middles * np.mean(body.radii_m))
+        highest = relief.radius_m + float(relief.heights.max())
+        for direction in (sun_body, axes_body[2]):
+            towards = np.ascontiguousarray(direction, dtype=np.float64)
+            _shade(relief.heights, relief.radius_m, highest, places, towards, lit)
     places = middles[lit] @ axes_body[:2].T
     found = []
     for law in LAWS:
@@ -73,6 +82,37 @@ def light_moments(
         away = places - offset
         found.append(LightMoments(offset, (light[:, None] * away).T @ away))
     return found
+
+
+@kernel
+def _shade(
+    heights: HeightGrid,
+    radius: float,
+    highest: float,
+    places: FloatArray,
+    direction: FloatArray,
+    free: NDArray[np.bool_],
+) -> None:
+    """Clear `free` (n,) where ground stands in a direction (3,) from places (n, 3), m.
+
+    highest  distance from the centre, m, beyond which there is no ground
+    """
+    for i in range(len(places)):
+        if not free[i]:
+            continue
+        along = FIRST_STEP * radius
+        while True:
+            x = places[i, 0] + along * direction[0]
+            y = places[i, 1] + along * direction[1]
+            z = places[i, 2] + along * direction[2]
+            out = np.sqrt(x * x + y * y + z * z)
+            if out > highest:
+                break
+            above = out - radius - relief_height(heights, np.arcsin(z / out), np.arctan2(y, x))
+            if above < 0.0:
+                free[i] = False
+                break
+            along += max(0.5 * above, LEAST_STEP * radius)
 
 
 def _ground(body: Body, relief: GlobalRelief | None) -> tuple[FloatArray, FloatArray]:

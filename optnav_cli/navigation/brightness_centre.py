@@ -18,26 +18,22 @@ from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.disc_moments import DiscMoments, measure_disc
-from optnav_cli.measurements.shape_moments import LightMoments, is_round, light_moments
+from optnav_cli.measurements.disc_moments import measure_disc
+from optnav_cli.measurements.disc_size import weigh_sizes
+from optnav_cli.measurements.shape_moments import is_round, light_moments
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 LARGEST_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
-RADII_PX = np.geomspace(0.3, 25.0, 300)  # equal steps of the logarithm: equally likely
-# Sigma of the blur, the pixel's own width included: what is believed of a camera's optics.
-BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.17
-BLURS_PX = np.linspace(0.35, 1.6, 51)
-# Belief in Hapke's, Lommel-Seeliger's and Lambert's law: ground without air is dark and rough, and
-# the other two stand for how far Hapke's parameters may be off: 1 % of range, 0.003 radii aside.
-LAW_BELIEF = (0.98, 0.01, 0.01)
 # What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
 # (Smith et al., JGR 102, 1997). Maria, which no law knows, are not in it.
 SHAPE_SIGMA = 0.0012
-# The same of a body that is no sphere: shadows that its known relief throws, which are not reckoned
-# with (tried on Phobos at phases of 20-70 deg), and the ground over its ellipsoid.
-RELIEF_SIGMA, ELLIPSOID_SIGMA = 0.015, 0.05
+# The same of a body that is no sphere: the ground below its known relief, at a full phase, and the
+# ground over its ellipsoid. What the first throws shadows on grows as the lit share shrinks.
+RELIEF_SIGMA, ELLIPSOID_SIGMA = 0.004, 0.05
+SHADOW_POWER = 1.3  # of one over the lit share
+LARGEST_MISFIT = 5.0  # sigmas of the three second moments together
 SMALL_ANGLE = 1e-5
 
 
@@ -93,21 +89,29 @@ def navigate(
     pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
     shape_sigma = SHAPE_SIGMA
     if not is_round(body):
-        shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA
+        lit = np.cos(0.5 * phase) ** 2
+        shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA / lit**SHADOW_POWER
     seen = np.vstack([axes, -towards]) @ body_from_camera.T
     moments = light_moments(body, relief, seen, sun_body, phase)
-    weights, width_sigmas = _weigh(disc, pixel_from_angle / scale, moments, shape_sigma)
+    size = weigh_sizes(disc, pixel_from_angle / scale, moments, shape_sigma, camera.known_blur_px)
+    weights, radii = size.weights, size.radii_px
+    if size.misfit_sigmas > LARGEST_MISFIT:
+        raise NoSolutionError(
+            f"the light of the brightest spot is not spread as that of a disc under this Sun "
+            f"({size.misfit_sigmas:.0f} sigmas): a blend of stars, hot pixels, a trail "
+            "or another body"
+        )
     # every radius and law puts the centre elsewhere, and the body at another range
     offsets = np.array([m.offset for m in moments]) @ (pixel_from_angle / scale).T
-    pixels = disc.centre - offsets[:, None] * RADII_PX[:, None]
+    pixels = disc.centre - offsets[:, None] * radii[:, None]
     rays = camera.unproject(pixels)
-    distances = float(np.mean(body.radii_m)) / np.sin(np.arctan(RADII_PX / scale))
+    distances = float(np.mean(body.radii_m)) / np.sin(np.arctan(radii / scale))
     places = -rays * distances[:, None]
     position = np.einsum("kn,kni->i", weights, places)
     about = places - position
     covariance = np.einsum("kn,kni,knj->ij", weights, about, about)
     distance = float(np.linalg.norm(position))
-    radius = float((weights * RADII_PX).sum())
+    radius = float((weights * radii).sum())
     noise = disc.centre_covariance + (shape_sigma * radius) ** 2 * np.eye(2)
     across = _across(camera, disc.centre) * distance
     square = np.eye(3) - np.outer(position, position) / distance**2
@@ -119,7 +123,7 @@ def navigate(
         np.einsum("kn,kni->i", weights, pixels),
         radius,
         share,
-        width_sigmas,
+        size.width_sigmas,
         f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %",
     )
 
@@ -146,33 +150,3 @@ def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
     """Change (3, 2) of the unit ray by the pixel."""
     steps = 0.5 * np.eye(2)
     return np.asarray((camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T)
-
-
-def _weigh(
-    disc: DiscMoments,
-    pixel_from_disc: FloatArray,
-    moments: list[LightMoments],
-    shape_sigma: float,
-) -> tuple[FloatArray, float]:
-    """How likely every law and radius is (laws, radii).
-
-    And by how many sigmas the likeliest of all is likelier than a point.
-    """
-    to_disc = np.linalg.inv(pixel_from_disc)
-    second = to_disc @ disc.second @ to_disc.T
-    round_blur = np.diag(to_disc @ to_disc.T)
-    belief = -0.5 * ((BLURS_PX - BLUR_PX) / BLUR_SIGMA_PX) ** 2
-    logs = np.empty((len(moments), len(RADII_PX), len(BLURS_PX)))
-    for k, light in enumerate(moments):
-        for axis, moment in enumerate(np.diag(light.second)):
-            expected = RADII_PX[:, None] ** 2 * moment + BLURS_PX**2 * round_blur[axis]
-            # a shape that is not a sphere's changes its moments by twice its share
-            of_shape = 2.0 * shape_sigma * RADII_PX[:, None] ** 2 * moment
-            sigma = np.hypot(disc.second_sigma, of_shape)
-            miss = (second[axis, axis] - expected) / sigma
-            term = -0.5 * miss**2 - np.log(sigma)
-            logs[k] = term + belief if axis == 0 else logs[k] + term
-    weights = np.exp(logs - logs.max()).sum(axis=2) * np.array(LAW_BELIEF)[:, None]
-    weights /= weights.sum()
-    beyond_point = float(logs.max() - logs[:, 0].max())
-    return weights, float(np.sqrt(2.0 * beyond_point))

@@ -1,6 +1,7 @@
 """A whole scenario into a picture folder."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -79,7 +80,8 @@ def simulate(
     attitude: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
     settings = RunSettings(body=body.name, attitude=attitude)
     frames = [_frame(shot, scenario, cameras[shot.camera].name) for shot in flight]
-    write_folder(folder, settings, cameras, frames, motion)
+    calibrated = [_calibrated(camera, scenario) for camera in cameras]
+    write_folder(folder, settings, calibrated, frames, motion)
     truths = [Truth(s.file, s.utc, s.tdb_s, s.position_m, s.camera_from_body) for s in flight]
     write_truth(folder / "truth.csv", settings, truths, motion)
     (folder / "scenario.json").write_bytes(scenario_copy(scenario))
@@ -172,6 +174,13 @@ def _frame(shot: Shot, scenario: AnyScenario, camera: str) -> Frame:
         ),
         sun_body=shot.sun_body if shot.told_sun else None,
     )
+
+
+def _calibrated(camera: Camera, scenario: AnyScenario) -> Camera:
+    """The camera as its calibration knows it: of a known blur, that of these pictures."""
+    if camera.psf_sigma_px is None:
+        return camera
+    return replace(camera, psf_sigma_px=scenario.sensor.psf_sigma_px)
 
 
 def _write_png(path: Path, counts: Counts) -> None:

@@ -1,5 +1,6 @@
 """A position from the outline of the one body in a picture: its limb, or its small disc."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +12,11 @@ from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.imagery.picture import Picture
+from optnav_cli.measurements.disc_fit import rad_per_px
 from optnav_cli.measurements.limb_points import LimbPoints, find_limb
 from optnav_cli.measurements.shape_moments import is_round
 from optnav_cli.measurements.sun_side import doubt_of_sun
-from optnav_cli.navigation import brightness_centre, horizon
+from optnav_cli.navigation import brightness_centre, horizon, whole_disc
 from optnav_cli.navigation.horizon.shape_limb import stand_off
 from optnav_cli.navigation.neighbour import View
 from optnav_cli.solution import OutlineMarks
@@ -24,6 +26,9 @@ FloatArray = NDArray[np.float64]
 # A disc of a larger radius, rad, is that of a body close by: it is not asked which.
 NEAR_ANGLE = 0.25
 LEAST_WIDTH_SIGMAS = 3.0  # of a disc over a point
+# Radius up to which the light of a body of known shape, whose ground is of one kind, says more than
+# its limb: to 0.005 radii up to a phase of 80 deg, to 0.02 at 120.
+KNOWN_SHAPE_PX = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +85,9 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
         if doubt:
             raise NoSolutionError(f"{doubt}; {no_limb}") from None
         return _by_centre(picture, view, body, relief, str(no_limb))
+    small = _by_disc(picture, view, body, relief, limb)
+    if small is not None:
+        return small
     # close to the body the limb's own relief tells a wrong Sun
     doubt = _doubt_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
@@ -94,6 +102,44 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
         OutlineMarks(limb.pixels, limb.inward, fix.residuals_px),
         fix.remark,
     )
+
+
+def _by_disc(
+    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, limb: LimbPoints
+) -> Outline | None:
+    """A position from all of a small disc; None for one whose limb is the better measurement.
+
+    Raises NoSolutionError for a sphere's disc that cannot be lit by this Sun.
+    """
+    if is_round(body) and whole_disc.is_for(limb, view.camera):
+        fix = whole_disc.navigate(
+            picture.values,
+            view.camera,
+            view.camera_from_body,
+            view.attitude_sigma_rad,
+            view.sun_body,
+            body,
+            limb,
+            saturation=picture.saturation,
+        )
+        if not fix.trusted:
+            return None
+        return Outline(
+            "horizon_sphere",
+            fix.position_m,
+            fix.covariance_m2,
+            None,
+            len(limb),
+            limb.arc_deg,
+            OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb))),
+            f"disc of {2.0 * fix.radius_px:.1f} px fitted whole",
+        )
+    radius_px = limb.cone_angle / rad_per_px(view.camera, limb.cone_axis_camera)
+    if relief is None or is_round(body) or radius_px > KNOWN_SHAPE_PX:
+        return None
+    with suppress(NoSolutionError):
+        return _by_centre(picture, view, body, relief, "")
+    return None
 
 
 def _doubt_of_sun(picture: Picture, view: View, body: Body) -> str:
@@ -126,9 +172,12 @@ def _by_centre(
         both = dict.fromkeys((why_no_limb, str(no_disc)))
         raise NoSolutionError("; ".join(both)) from None
     if disc.width_sigmas < LEAST_WIDTH_SIGMAS:
+        remedy = "a nearer picture or a longer lens tells"
+        if view.camera.known_blur_px is None:
+            remedy = "a blur calibrated in the camera file (psf_sigma_px) would tell more"
         raise NoSolutionError(
             f"{why_no_limb}; one bright spot, no wider than a point's picture "
-            f"({disc.width_sigmas:.1f} sigmas): a star or a planet looks the same"
+            f"({disc.width_sigmas:.1f} sigmas): a star or a planet looks the same; {remedy}"
         )
     return Outline(
         "brightness_centre",

@@ -4,7 +4,7 @@ Each disc is taken for the body in turn, and the one stands whose position puts 
 where the picture shows it.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,34 @@ def navigate(
     Raises NoSolutionError with what the picture shows instead.
     """
     view = View(camera, camera_from_body, attitude_sigma_rad, sun_body)
+    return _choose(picture, view, body, relief, other).outline
+
+
+def without_other(
+    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, other: OtherBody | None
+) -> Picture:
+    """The picture that `navigate` solves: with sky in place of the neighbour where it shows both.
+
+    Raises NoSolutionError as `navigate` does.
+    """
+    return _choose(picture, view, body, relief, other).picture
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """An outline and the picture, of one body, that it was found in."""
+
+    outline: Outline
+    picture: Picture
+
+
+def _choose(
+    picture: Picture,
+    view: View,
+    body: Body,
+    relief: GlobalRelief | None,
+    other: OtherBody | None,
+) -> _Choice:
     alone, reason = None, ""
     try:
         alone = solve(picture, view, body, relief)
@@ -69,7 +97,7 @@ def navigate(
         return _one_of_two(picture, view, body, relief, other, alone, reason)
     if alone is None:
         raise NoSolutionError(reason)
-    return alone
+    return _Choice(alone, picture)
 
 
 def _one_of_two(
@@ -80,7 +108,7 @@ def _one_of_two(
     other: OtherBody,
     alone: Outline | None,
     reason: str,
-) -> Outline:
+) -> _Choice:
     """The outline that another body in the picture speaks for, or does not speak against.
 
     alone, reason  what the picture gives without asking which body it is
@@ -102,7 +130,9 @@ def _one_of_two(
         agreed = _agreed(picture, view, body, relief, other, blobs, spots, levels.sky)
         if len(agreed) == 1:
             remark = f"{names[0]} is in the picture too, where this position puts it"
-            return replace(agreed[0], remark="; ".join(filter(None, (agreed[0].remark, remark))))
+            found = agreed[0].outline
+            remark = "; ".join(filter(None, (found.remark, remark)))
+            return replace(agreed[0], outline=replace(found, remark=remark))
         if agreed:
             raise NoSolutionError(
                 f"two bodies in the picture: either may be {names[1]}, for each puts {names[0]} "
@@ -122,7 +152,7 @@ def _one_of_two(
             f"the disc is where {names[0]} stands as seen from near {names[1]}, and of its size: "
             f"it is {names[0]}, or cannot be told from it"
         )
-    return alone
+    return _Choice(alone, picture)
 
 
 def _agreed(
@@ -134,7 +164,7 @@ def _agreed(
     blobs: Blobs,
     spots: list[Spot],
     sky: float,
-) -> list[Outline]:
+) -> list[_Choice]:
     """The outline of each spot taken for the body that puts the other body where a spot is."""
     agreed = []
     for spot in spots[:MOST_BODIES]:
@@ -142,15 +172,16 @@ def _agreed(
         if not _may_be(view, body, other, spot, rest):
             continue
         values = without_blobs(picture.values, blobs, [one.label for one in rest], sky)
+        masked = replace(picture, values=values)
         try:
-            found = solve(replace(picture, values=values), view, body, relief)
+            found = solve(masked, view, body, relief)
         except NoSolutionError:
             continue
         if np.linalg.norm(found.position_m) > FARTHEST * np.linalg.norm(other.centre_m):
             continue
         seen = _other_disc(view, other, found)
         if seen.sigma < WIDEST_SIGMA and any(is_seen(seen, one) for one in rest):
-            agreed.append(found)
+            agreed.append(_Choice(found, masked))
     return agreed
 
 

@@ -60,6 +60,18 @@ def test_a_focal_length_in_millimetres_needs_the_pitch(tmp_path: Path) -> None:
         ),
         ('name = "wide"', 'name = "../wide"', "plain word"),
         ("width_px = 640", "width_px = 640\nimage_circle_radius_px = -1.0", "image_circle"),
+        ("width_px = 640", "width_px = 640\npsf_sigma_px = 0.7", "add psf_error_px"),
+        ("width_px = 640", "width_px = 640\npsf_error_px = 0.7", "add psf_sigma_px"),
+        (
+            "width_px = 640",
+            "width_px = 640\npsf_sigma_px = -0.7\npsf_error_px = 0.1",
+            "psf_sigma_px is -0.7",
+        ),
+        (
+            "width_px = 640",
+            "width_px = 640\npsf_sigma_px = 0.7\npsf_error_px = 0.0",
+            "psf_error_px is 0.0",
+        ),
     ],
 )
 def test_a_wrong_camera_file_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
