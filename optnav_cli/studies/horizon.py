@@ -28,7 +28,8 @@ from optnav_cli.imagery.folder import Folder, read_folder
 from optnav_cli.imagery.picture import load_picture
 from optnav_cli.imagery.truth import read_truth
 from optnav_cli.navigation import horizon
-from optnav_cli.navigation.outline import limb_of
+from optnav_cli.navigation.neighbour import View, other_body
+from optnav_cli.navigation.outline import limb_of, without_other
 from optnav_cli.studies.horizon_table import CaseFigures, FrameResult, Row, figures_of
 from optnav_cli.studies.pictures import GLOBE, SEED, STAR_SENSOR_ARCSEC, shipped_pictures
 
@@ -89,7 +90,7 @@ def measure(row: Row, folder: Folder, relief: GlobalRelief) -> RowResult:
     found: dict[tuple[bool, bool], list[FrameResult]] = {
         (terrain, star): [] for terrain in (False, True) for star in (False, True)
     }
-    for frame in _frames(folder, relief):
+    for frame in _frames(row, folder, relief):
         found[frame.terrain, frame.star_sensor].append(frame)
     figures = {case: figures_of(frames) for case, frames in found.items()}
     return RowResult(
@@ -97,7 +98,7 @@ def measure(row: Row, folder: Folder, relief: GlobalRelief) -> RowResult:
     )
 
 
-def _frames(folder: Folder, relief: GlobalRelief) -> Iterator[FrameResult]:
+def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[FrameResult]:
     rng = np.random.default_rng(SEED)
     sigma = STAR_SENSOR_ARCSEC * ARCSEC
     truths = {t.file: t for t in read_truth(folder.path / "truth.csv", folder.settings)}
@@ -107,10 +108,14 @@ def _frames(folder: Folder, relief: GlobalRelief) -> Iterator[FrameResult]:
         if attitude is None or sun is None:
             continue
         camera = folder.cameras[frame.camera]
-        picture = load_picture(folder.path / frame.file, camera)
+        picture = loaded = load_picture(folder.path / frame.file, camera)
         for star_sensor, turned in ((False, attitude), (True, slip * attitude)):
-            begin = time.process_time()
             try:
+                if row.far and frame.tdb_s is not None:
+                    view = View(camera, turned, sigma if star_sensor else 0.0, sun)
+                    other = other_body(folder.motion, frame.tdb_s)
+                    picture = without_other(loaded, view, folder.body, relief, other)
+                begin = time.process_time()
                 limb = limb_of(picture, camera, turned, sun, folder.body)
             except NoSolutionError as error:
                 for terrain in (False, True):

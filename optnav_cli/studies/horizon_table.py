@@ -29,6 +29,11 @@ class Row:
     height_m: float | None = None
     range_share: float | None = None
 
+    @property
+    def far(self) -> bool:
+        """Whether the Earth may stand beside the Moon."""
+        return self.range_share is not None
+
 
 @dataclass(frozen=True)
 class FrameResult:
