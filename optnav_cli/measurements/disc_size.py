@@ -110,8 +110,9 @@ class _Weighing:
         for k, light in enumerate(self.moments):
             along, beside = light.second[0, 0], light.second[1, 1]
             shape = np.array([along, beside, light.second[0, 1]])
-            # a shape that is not the known one changes its moments by twice its share
-            off = 2.0 * self.shape_sigma * np.array([along, beside, 0.5 * np.sqrt(along * beside)])
+            # a shape that is not the known one changes its moments by twice its share, and its
+            # shadows by half as much again
+            off = 3.0 * self.shape_sigma * np.array([along, beside, 0.5 * np.sqrt(along * beside)])
             covariance = self.noise + (area**2)[..., None] * np.diag(off**2)
             miss = self.second - area[..., None] * shape - blurs[:, None] ** 2 * self.round_blur
             inverse = np.linalg.inv(covariance)
