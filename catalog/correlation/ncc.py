@@ -4,7 +4,7 @@ The high-pass takes out albedo, slope trends and the slow change of illumination
 rendered reference does not know (Zhukov 2025, ch. 3, uses plain correlation).
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from catalog.correlation.peak import Match, locate_peak
 from catalog.geometry.kernel import kernel
 
 Grid = NDArray[np.float32]
+Number = TypeVar("Number", np.float32, np.float64)
 
 # Standard deviation of the Gaussian that is subtracted, nodes.
 HIGH_PASS_NODES = 5.0
@@ -105,8 +106,8 @@ def _void_flat_windows(
             columns[c] -= image[first, c] * image[first, c]
 
 
-def cropped(grid: Grid, margin: int) -> Grid:
-    """A grid without its outer `margin` nodes, contiguous."""
+def cropped(grid: NDArray[Number], margin: int) -> NDArray[Number]:
+    """A grid (rows, cols, ...) without its outer `margin` nodes, contiguous."""
     return np.ascontiguousarray(
         grid[margin : grid.shape[0] - margin, margin : grid.shape[1] - margin]
     )

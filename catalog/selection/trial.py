@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.correlation.blur import low_pass
+from catalog.correlation.blur import thinned, thinning
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import match_similarity
 from catalog.rendering.map_view import render_map
@@ -217,9 +217,12 @@ def run_trial(
             circumstances.snr,
             rng,
         )
+        step_m = level.posting_m
         if level.blur_nodes:
-            template = low_pass(template, level.blur_nodes)
-            picture = low_pass(picture, level.blur_nodes)
+            even = search.template_nodes % 2 == 0
+            template = thinned(template, level.blur_nodes, even)
+            picture = thinned(picture, level.blur_nodes, even)
+            step_m *= thinning(level.blur_nodes)
         if coarsest:
             match, roll, scale = match_similarity(
                 template, picture, search.rolls, search.scales, match_ncc
@@ -229,7 +232,7 @@ def run_trial(
         else:
             match = match_ncc(template, picture)
             step = believed @ np.array([match.dx, -match.dy])
-        place = place + step * level.posting_m
+        place = place + step * step_m
         if not np.isfinite(match.covariance).all():
             break
     error = (place - circumstances.shift_m) / levels[0].posting_m

@@ -57,12 +57,15 @@ def resect_robustly(
     attitude_sigma_rad: float | None,
     *,
     common_errors_px: FloatArray | None = None,
+    alike: FloatArray | None = None,
     gate_probability: float = 0.999,
 ) -> RobustResection:
     """Solve for the pose with wrong matches among the sightings.
 
     common_errors_px  (n, 2, k) what one sigma of each of k errors that all sightings share moves
                       them by; they are not solved for, but their effect is in the covariance
+    alike             (n, n) correlation of the sightings' own errors; None: each errs for itself.
+                      They are weighted as if it were so, but the covariance is the true one's
     gate_probability  a sighting is dropped when its normalised residual is rarer than this
     Arguments otherwise as `resect`. Raises NoSolutionError when no two (three with a free
     attitude) sightings agree.
@@ -103,10 +106,14 @@ def resect_robustly(
     )
     factor = _variance_factor(solution)
     covariance = _scaled(solution, factor, attitude_sigma_rad)
+    kept, each = sightings.subset(used), covariance / factor
+    if alike is not None:
+        together = alike[np.ix_(used, used)]
+        shared = _shared_part(camera, kept, solution.pose, each, together)
+        covariance = covariance + shared * factor
     if common_errors_px is not None:
-        kept = sightings.subset(used)
         covariance = covariance + _common_part(
-            camera, kept, solution.pose, covariance / factor, common_errors_px[used]
+            camera, kept, solution.pose, each, common_errors_px[used]
         )
     scaled = replace(solution, covariance=covariance)
     pixels, _ = predict(camera, solution.pose, sightings.points_body_m)
@@ -132,6 +139,22 @@ def _scaled(
     prior[3:, 3:] = np.eye(3) / attitude_sigma_rad**2
     sighted = np.linalg.inv(solution.covariance) - prior
     return np.asarray(np.linalg.inv(sighted / factor + prior))
+
+
+def _shared_part(
+    camera: ProjectingCamera,
+    sightings: Sightings,
+    pose: Pose,
+    covariance: FloatArray,
+    alike: FloatArray,
+) -> FloatArray:
+    """What sightings that err alike add to a covariance that takes each for itself."""
+    _, jacobian = predict(camera, pose, sightings.points_body_m)
+    # with S S' the covariance of a sighting, its weight times S is the inverse of S'
+    root = np.linalg.inv(np.linalg.cholesky(sightings.covariances_px2))
+    moved = np.einsum("lk,nik,nji->nlj", covariance, jacobian[:, :, : len(covariance)], root)
+    others = alike - np.diag(np.diag(alike))
+    return np.asarray(np.einsum("nlj,nm,mkj->lk", moved, others, moved))
 
 
 def _common_part(
@@ -168,7 +191,7 @@ def _consensus(
     attitude_sigma_rad: float | None,
     gate: float,
 ) -> BoolArray:
-    """The largest set of sightings that one pose explains, among poses from small samples."""
+    """The largest set of sightings that one pose explains, of all and of small samples."""
     size = 2 if attitude_sigma_rad is not None else 3
     n = len(sightings)
     if n < size:
@@ -187,7 +210,8 @@ def _consensus(
     wide = 9.0 * gate
     best_count, best_cost = 0, np.inf
     best = np.zeros(n, dtype=bool)
-    for sample in samples:
+    # All first: where most are right and lie close together, a pair tells less than they do.
+    for sample in (np.arange(n), *samples):
         try:
             pose = _propose(camera, sightings.subset(sample), start, sigma)
         except NoSolutionError:

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.correlation.blur import low_pass
+from catalog.correlation.blur import thinned, thinning
+from catalog.correlation.masked import match_masked
+from catalog.correlation.ncc import cropped, match_ncc
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
 from catalog.correlation.similarity import Matcher, match_similarity
 from optnav_cli.camera.camera import Camera
@@ -19,6 +21,12 @@ Grid = NDArray[np.float32]
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 LEAST_VALID_SHARE = 0.6
 LEAST_LIT_SHARE = 0.1
+# Of a template that the frame may cut, this share must be in it.
+LEAST_CUT_SHARE = 0.25
+# A match behind a blur has so much room to every side, nodes of those that are kept.
+LEAST_ROOM = 3
+# Nodes of a reference that is not blurred that tell as much against chance as one sample.
+CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
 MARGIN_NODES = 8
 
@@ -29,10 +37,12 @@ class MatchGates:
 
     min_score       correlation at the peak
     rival_ratio     the best rival's score over the peak's must stay below it
+    least_strength  correlation times the root of the samples compared, where the frame may cut
     """
 
     min_score: float = 0.5
     rival_ratio: float = 0.9
+    least_strength: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -46,6 +56,21 @@ class Distortion:
 NO_DISTORTION = Distortion()
 
 
+@dataclass(frozen=True, eq=False)
+class SeenPart:
+    """The part of a template that the frame shows, where the template may be cut.
+
+    place_m     (3,) body-fixed middle of the part's ground, and pixel (2,) where it was found
+    corners_px  (4, 2) of the whole template, in turn
+    samples     that were compared, each of which errs for itself
+    """
+
+    place_m: FloatArray
+    pixel: FloatArray
+    corners_px: FloatArray
+    samples: float
+
+
 @dataclass(frozen=True)
 class PointMatch:
     """Where a control point was found, or why not.
@@ -54,6 +79,7 @@ class PointMatch:
     covariance_px2  (2, 2) of the pixel from the peak's curvature
     offset_m        (2,) east and north of the place where the pose expected it
     reason          empty when the match is believed
+    part            what was compared, of patches finer than what is known
     """
 
     level: int
@@ -63,6 +89,7 @@ class PointMatch:
     score: float | None
     runner_up: float | None
     reason: str
+    part: SeenPart | None = None
 
 
 def match_point(
@@ -86,39 +113,77 @@ def match_point(
     distortion      rolls and scales to try, where the pose may be off by so much that it shows
     blur_nodes      sigma of a blur on both sides, where patches are finer than what is known
     """
+    if blur_nodes:
+        margin = int(np.ceil(MARGIN_NODES * thinning(blur_nodes)))
+        search_nodes = max(search_nodes, int(np.ceil(LEAST_ROOM * thinning(blur_nodes))))
+    else:
+        margin = MARGIN_NODES
     posting = reference.patches[level].posting_m
-    template = reference.render(level, template_nodes + 2 * MARGIN_NODES, sun_body, pose.position_m)
-    refusal = _unfit(template)
+    template = reference.render(level, template_nodes + 2 * margin, sun_body, pose.position_m)
+    refusal = _unfit(cropped(template, margin) if blur_nodes else template)
     if refusal:
         return PointMatch(level, None, None, None, None, None, refusal)
-    border = search_nodes + MARGIN_NODES
+    border = search_nodes + margin
     size = template_nodes + 2 * border
     surface = reference.surface(level, size)
     turn = pose.camera_from_body.as_matrix()
     pixels = camera.project_from_body(surface, pose.position_m, turn)
     window = picture.sample(pixels, posting / metres_per_pixel)
-    middle = window[border : size - border, border : size - border]
-    if blur_nodes:
-        template, window = low_pass(template, blur_nodes), low_pass(window, blur_nodes)
-    if np.isfinite(middle).mean() < LEAST_VALID_SHARE:
+    shown = np.isfinite(cropped(window, border))
+    if shown.mean() < (LEAST_CUT_SHARE if blur_nodes else LEAST_VALID_SHARE):
         return PointMatch(level, None, None, None, None, None, "outside the frame")
+    step = thinning(blur_nodes)
+    if blur_nodes:
+        even = template_nodes % 2 == 0
+        template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
+        # what the frame cuts is told from what is there only by correlation with holes
+        matcher = match_masked if matcher is match_ncc else matcher
     if distortion == NO_DISTORTION:
         match = matcher(template, window, MARGIN_NODES)
     else:
         match = match_similarity(
             template, window, distortion.rolls, distortion.scales, matcher, MARGIN_NODES
         ).match
+    samples = 0.0
+    if blur_nodes:
+        samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)
+        match = match._replace(
+            dx=match.dx * step, dy=match.dy * step, covariance=match.covariance * step**2
+        )
     shift, jacobian = _displacement(pixels, match, template_nodes)
     expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, turn)
     place = expected + shift
+    part = None
+    if blur_nodes:
+        middle = cropped(surface, border)[shown].mean(axis=0)
+        seen = camera.project_from_body(middle, pose.position_m, turn) + shift
+        corners = cropped(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
+        part = SeenPart(middle, seen, corners, samples)
     offset = np.array([match.dx, -match.dy]) * posting
-    reason = _doubt(match, gates)
+    reason = _doubt(match, gates, samples)
     if not np.isfinite(match.covariance).all():
-        return PointMatch(level, place, None, offset, match.score, match.runner_up, reason)
+        return PointMatch(level, place, None, offset, match.score, match.runner_up, reason, part)
     # White noise under a Gaussian of sigma s is alike over 2 pi s^2 nodes: fewer samples are left.
-    each = (NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2) / NODES_PER_SAMPLE
+    each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
     covariance = jacobian @ (match.covariance * each) @ jacobian.T
-    return PointMatch(level, place, covariance, offset, match.score, match.runner_up, reason)
+    return PointMatch(level, place, covariance, offset, match.score, match.runner_up, reason, part)
+
+
+def nodes_a_sample(blur_nodes: float) -> float:
+    """Nodes that tell as much against chance as one sample.
+
+    White noise under a Gaussian of sigma s is alike over an area of 2 pi s^2 nodes.
+    """
+    return CHANCE_NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2
+
+
+def _common_nodes(template: Grid, window: Grid, match: Match) -> int:
+    """Nodes of a template without its margin that the window has too, where it was found."""
+    inner = cropped(template, MARGIN_NODES)
+    border = (window.shape[0] - inner.shape[0]) // 2
+    row, col = border + int(np.rint(match.dy)), border + int(np.rint(match.dx))
+    seen = window[row : row + inner.shape[0], col : col + inner.shape[1]]
+    return int((np.isfinite(inner) & np.isfinite(seen)).sum())
 
 
 def _unfit(template: Grid) -> str:
@@ -130,11 +195,15 @@ def _unfit(template: Grid) -> str:
     return ""
 
 
-def _doubt(match: Match, gates: MatchGates) -> str:
+def _doubt(match: Match, gates: MatchGates, samples: float) -> str:
+    # samples are counted behind a blur only
     if not np.isfinite(match.covariance).all():
         return "peak at the border of the search"
     if match.score < gates.min_score:
         return f"score {match.score:.2f} below {gates.min_score:.2f}"
+    if samples and match.score * np.sqrt(samples) < gates.least_strength:
+        wanted = gates.least_strength / np.sqrt(samples)
+        return f"score {match.score:.2f} below {wanted:.2f} over {samples:.0f} samples"
     if match.runner_up > gates.rival_ratio * match.score:
         return f"rival {match.runner_up:.2f} near score {match.score:.2f}"
     return ""

@@ -56,6 +56,7 @@ def expected_in_view(
     limits: ViewLimits,
     skyline_deg: FloatArray | None = None,
     verticals: FloatArray | None = None,
+    beyond_px: FloatArray | None = None,
 ) -> View:
     """Choose the control points that a frame should show whole.
 
@@ -66,6 +67,7 @@ def expected_in_view(
     skyline_deg   (n, azimuths) terrain skyline by azimuth from north; a camera below it sees
                   nothing of the point
     verticals     (n, 3) unit normals at the points; None: radial, as on a sphere
+    beyond_px     (n,) how far out of the frame a point may lie of which a part is enough
     """
     if verticals is None:
         verticals = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
@@ -92,12 +94,13 @@ def expected_in_view(
     jacobian = by_point @ ground
     with np.errstate(invalid="ignore"):
         metres_per_pixel = 1.0 / np.sqrt(np.abs(np.linalg.det(jacobian)))
-    inside = _inside(pixels, frame_size_px) & np.isfinite(metres_per_pixel)
+    room = np.zeros(len(index)) if beyond_px is None else beyond_px[index]
+    inside = _inside(pixels, frame_size_px, room) & np.isfinite(metres_per_pixel)
     for sx in (-1.0, 1.0):
         for sy in (-1.0, 1.0):
             offset = half_width_m[index, None] * (sx * east + sy * north)
             corner, _ = camera.project_with_jacobian(centres + offset @ turn.T)
-            inside &= _inside(corner, frame_size_px)
+            inside &= _inside(corner, frame_size_px, room)
     chosen = index[inside]
     return View(
         chosen,
@@ -113,10 +116,13 @@ def _empty_view() -> View:
     return View(np.empty(0, dtype=np.intp), np.empty((0, 2)), none, none, none)
 
 
-def _inside(pixels: FloatArray, frame_size_px: tuple[int, int]) -> NDArray[np.bool_]:
+def _inside(
+    pixels: FloatArray, frame_size_px: tuple[int, int], room_px: FloatArray
+) -> NDArray[np.bool_]:
+    room = room_px[:, None]
     width, height = frame_size_px
     with np.errstate(invalid="ignore"):
-        inside = (pixels > -0.5) & (pixels < np.array([width - 0.5, height - 0.5]))
+        inside = (pixels > -0.5 - room) & (pixels < np.array([width - 0.5, height - 0.5]) + room)
     return np.asarray(inside.all(axis=1))
 
 

@@ -14,32 +14,31 @@ from scipy.stats import chi2
 
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.estimation.robust import RobustResection
+from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
 
 FloatArray = NDArray[np.float64]
 
 # Best scores on unrelated ground, from 14 000 searches of other, mirrored and random pictures
 # with templates of 80 and 32 nodes: score x nodes a side / sqrt(6) passes CHANCE_LEVEL + d
 # CHANCE_DECADE in at most one search of 10^d.
-CHANCE_NODES_PER_SAMPLE = 6.0
 CHANCE_LEVEL = 4.0
 CHANCE_DECADE = 2.1
+# Behind a blur, searched over NEAR_POSTINGS of the model to every side, score x root of the samples
+# passes PART_LEVEL + d PART_DECADE as often: from 7900 searches for other and mirrored patches in
+# pictures of Phobos from 20 km that cut them, under the same Sun.
+PART_LEVEL = 2.0
+PART_DECADE = 1.15
+NEAR_POSTINGS = 1.5
 # Matches that chance could offer more often than once in 10^6 frames are no evidence.
 LEAST_DECADES = 6.0
+# From so near a prior that it leaves no other place: then the prior would have to be wrong too.
+LEAST_NEAR_DECADES = 4.0
 # Small templates under a low Sun err by twice their stated sigma and are still right.
 MOST_VARIANCE_FACTOR = 9.0
 # As improbable is a distance from the prior that this share of right priors exceeds.
 PRIOR_PROBABILITY = 1e-6
 # A search always has room for a few nodes more, so a prior with a tiny sigma may be off by so much.
 PRIOR_FLOOR_M = 1000.0
-
-
-def independent_side(template_nodes: int, blur_nodes: float) -> float:
-    """Side of a template that tells as much against chance and is not blurred, nodes.
-
-    White noise under a Gaussian of sigma s is alike over an area of 2 pi s^2 nodes.
-    """
-    area = CHANCE_NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2
-    return float(template_nodes * np.sqrt(CHANCE_NODES_PER_SAMPLE / area))
 
 
 def decades_against_chance(scores: ArrayLike, tried: int, template_nodes: float) -> float:
@@ -52,17 +51,41 @@ def decades_against_chance(scores: ArrayLike, tried: int, template_nodes: float)
     scores = np.asarray(scores, dtype=np.float64)
     strength = scores * template_nodes / np.sqrt(CHANCE_NODES_PER_SAMPLE)
     each = np.maximum(strength - CHANCE_LEVEL, 0.0) / CHANCE_DECADE
-    k, n = len(scores), max(tried, len(scores))
-    choices = gammaln(n + 1.0) - gammaln(k + 1.0) - gammaln(n - k + 1.0)
-    return float(each.sum() - choices / np.log(10.0))
+    return float(each.sum()) - _choices(len(scores), tried)
+
+
+def decades_of_parts(
+    strengths: ArrayLike, own_shares: ArrayLike, tried: int, searched_postings: float
+) -> float:
+    """The same of templates behind a blur, of which a frame may show parts that overlap.
+
+    strengths   (k,) scores times the root of the samples that were compared
+    own_shares  (k,) of each one's evidence, as `overlap.own_shares`
+    tried       number of points searched, k or more
+    searched_postings  how far the first search went, in postings of the terrain model
+    """
+    strengths = np.asarray(strengths, dtype=np.float64)
+    each = np.maximum(strengths - PART_LEVEL, 0.0) / PART_DECADE
+    # so many times as many places were offered as where the law was measured
+    each = np.maximum(each - 2.0 * np.log10(max(searched_postings / NEAR_POSTINGS, 1.0)), 0.0)
+    shares = np.asarray(own_shares, dtype=np.float64)
+    # points that see the same ground are not chosen one by one either
+    return float((each * shares).sum() - _choices(len(strengths), tried) * shares.mean())
+
+
+def _choices(used: int, tried: int) -> float:
+    """Powers of ten of the ways to pick the used points of those that were tried."""
+    most = max(tried, used)
+    choices = gammaln(most + 1.0) - gammaln(used + 1.0) - gammaln(most - used + 1.0)
+    return float(choices / np.log(10.0))
 
 
 def doubt_of_matches(
-    solution: RobustResection, scores: ArrayLike, tried: int, template_nodes: float
+    solution: RobustResection, decades: float, tried: int, least_decades: float = LEAST_DECADES
 ) -> str:
     """Why the matches do not carry the solution; empty when they do.
 
-    Arguments as `decades_against_chance`.
+    decades  against chance, of `decades_against_chance` or `decades_of_parts`;  tried as there
     """
     used = int(solution.used.sum())
     if solution.resection.degrees_of_freedom < 1:
@@ -72,8 +95,7 @@ def doubt_of_matches(
             f"the matches scatter {np.sqrt(solution.variance_factor):.1f} times as wide as they "
             "should: they do not belong to one position"
         )
-    decades = decades_against_chance(scores, tried, template_nodes)
-    if decades < LEAST_DECADES:
+    if decades < least_decades:
         return f"{used} of {tried} control points agree, no more than by chance"
     return ""
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.control_point import ControlPoint
-from catalog.correlation.blur import blur_nodes
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
@@ -20,9 +19,18 @@ from optnav_cli.estimation.robust import RobustResection
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.matching.visibility import View
-from optnav_cli.navigation.acceptance import doubt_of_matches, doubt_of_place, independent_side
+from optnav_cli.navigation.acceptance import (
+    LEAST_DECADES,
+    LEAST_NEAR_DECADES,
+    NEAR_POSTINGS,
+    decades_against_chance,
+    decades_of_parts,
+    doubt_of_matches,
+    doubt_of_place,
+)
 from optnav_cli.navigation.expectation import FrameContext, expected, spread, why_nothing_in_view
-from optnav_cli.navigation.frame_match import Prior, match_all, solve
+from optnav_cli.navigation.frame_match import Prior, match_all, search_postings, solve
+from optnav_cli.navigation.overlap import footprints, own_shares
 from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
 
@@ -86,6 +94,7 @@ def navigate(
     solution: RobustResection | None = None
     tried: list[TriedPoint] = []
     previous_finest = False
+    searched_postings = np.inf
     for number in range(settings.solve.max_passes):
         first = number == 0
         view = expected(frame, pose, whole=not first)
@@ -94,6 +103,8 @@ def navigate(
         if len(view) == 0:
             reason = why_nothing_in_view(frame, pose)
             raise UnsolvedFrameError(reason, tried)
+        if first:
+            searched_postings = search_postings(frame, view, pose, covariance)
         matches, at_finest = match_all(frame, view, pose, covariance)
         believed = [k for k, match in enumerate(matches) if not match.reason]
         tried = _tried(points, view, matches, None, believed)
@@ -118,10 +129,12 @@ def navigate(
         previous_finest = at_finest
     if solution is None:
         raise UnsolvedFrameError("no pass was made", tried)
-    scores = [t.match.score for t in tried if t.used and t.match.score is not None]
     searched = sum(t.match.score is not None for t in tried)
-    template = min(_template_side(frame, pose, t) for t in tried if t.used)
-    doubt = doubt_of_matches(solution, scores, searched, template)
+    used = [t for t in tried if t.used]
+    decades = _decades(frame, pose, used, searched, searched_postings)
+    near = searched_postings <= NEAR_POSTINGS and all(t.match.part is not None for t in used)
+    least = LEAST_NEAR_DECADES if near else LEAST_DECADES
+    doubt = doubt_of_matches(solution, decades, searched, least)
     if doubt:
         raise UnsolvedFrameError(doubt, [replace(t, used=False, reason=doubt) for t in tried])
     return ControlPointFix(solution, tried)
@@ -148,12 +161,34 @@ def _sample_m(frame: FrameContext, pose: Pose, tried: TriedPoint) -> float:
     return distance / frame.camera.focal_length_px
 
 
-def _template_side(frame: FrameContext, pose: Pose, tried: TriedPoint) -> float:
-    """Side of the template that a point was matched with, as far as its nodes are independent."""
+def _decades(
+    frame: FrameContext,
+    pose: Pose,
+    used: list[TriedPoint],
+    searched: int,
+    searched_postings: float,
+) -> float:
+    """What speaks against chance for the used points, powers of ten."""
+    whole = [t for t in used if t.match.part is None]
+    cut = [(t.match.score or 0.0, t.match.part) for t in used if t.match.part is not None]
+    decades = 0.0
+    if whole:
+        template = min(_template_side(frame, pose, t) for t in whole)
+        scores = [t.match.score or 0.0 for t in whole]
+        decades += decades_against_chance(scores, searched - len(cut), template)
+    if cut:
+        strengths = [score * np.sqrt(part.samples) for score, part in cut]
+        size_px = frame.camera.width_px, frame.camera.height_px
+        shares = own_shares(footprints([part for _, part in cut], size_px))
+        decades += decades_of_parts(strengths, shares, searched - len(whole), searched_postings)
+    return decades
+
+
+def _template_side(frame: FrameContext, pose: Pose, tried: TriedPoint) -> int:
+    """Side of the template that a point was matched with, nodes."""
     posting = float(frame.points.postings_m(tried.index)[tried.match.level])
     known = float(frame.points.finest_postings_m(np.array([tried.index]))[0])
-    side = frame.template_nodes(posting, _sample_m(frame, pose, tried))
-    return independent_side(side, blur_nodes(posting, known))
+    return frame.template_nodes(posting, _sample_m(frame, pose, tried), known)
 
 
 def _tried(

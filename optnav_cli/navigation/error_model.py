@@ -42,13 +42,14 @@ LEAST_COS_EMISSION = 0.1
 CURVED_STRETCH_NODES = 0.13
 CURVED_KEYSTONE_NODES = 0.09
 # The same where a shape model is coarser than the patches that were cut from it, shares of its
-# posting: a point's own shift an axis, and a rise, a shift and stretches that are common to a
-# frame. Fitted at Phobos, with relief of 20 m rms below 319 m.
+# posting: a point's own shift an axis, shared with templates of the same ground (`overlap`), and
+# a rise, a shift and stretches that are common to a frame. Fitted at Phobos, with relief of 20 m
+# rms below 319 m.
 HIDDEN_OWN = 0.12
-HIDDEN_RISE = 0.0355
-HIDDEN_SHIFT = 0.033
-HIDDEN_STRETCH = 0.06
-HIDDEN_KEYSTONE = 0.04
+HIDDEN_RISE = 0.009
+HIDDEN_SHIFT = 0.004
+HIDDEN_STRETCH = 0.018
+HIDDEN_KEYSTONE = 0.012
 # Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
 # of its elevation, shift in any direction, what relief that the reference does not explain adds to
 # the shift, for a score of 0, and stretch at the points' rms distance from their middle. Catalogs

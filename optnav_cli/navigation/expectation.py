@@ -16,6 +16,9 @@ from optnav_cli.navigation.settings import NavigateSettings
 
 FloatArray = NDArray[np.float64]
 
+# A point may lie so far beyond the frame, share of its template's side, if a part is enough.
+BEYOND_SHARE = 0.3
+
 
 @dataclass(frozen=True)
 class FrameContext:
@@ -33,29 +36,41 @@ class FrameContext:
         share = self.settings.match.finest_posting_per_gsd
         return finest_level(postings_m, metres_per_pixel, share)
 
-    def template_nodes(self, posting_m: float, metres_per_pixel: float) -> int:
-        """Side of the template at a level's posting, nodes."""
+    def template_nodes(self, posting_m: float, metres_per_pixel: float, known_m: float) -> int:
+        """Side of the template at a level's posting, nodes.
+
+        known_m  posting of the terrain model. A frame may cut what is cut from a coarser model: a
+                 smaller template would hold too little that is known.
+        """
+        if posting_m < known_m:
+            return self.settings.match.template_nodes
         width_m = metres_per_pixel * min(self.camera.width_px, self.camera.height_px)
         return template_nodes(posting_m, width_m, self.settings.match.template_nodes)
 
 
 def expected(frame: FrameContext, pose: Pose, whole: bool) -> View:
-    """Points expected in the frame, whole with their finest template or with their centre only."""
+    """Points expected in the frame, whole with their finest template or with their centre only.
+
+    Of templates that the frame may cut a part is enough; it may be without the centre.
+    """
     points, camera, view = frame.points, frame.camera, frame.settings.view
     near = points.near(pose.position_m, view.emission_max_deg)
-    half = np.zeros(len(near))
-    if whole:
-        distances = np.linalg.norm(points.xyz_m[near] - pose.position_m, axis=1)
-        samples = distances / camera.focal_length_px
-        # far fewer distinct answers than points: steps of a tenth are finer than any level needs
-        steps = np.floor(np.log(np.maximum(samples, 1e-3)) / np.log(1.1))
-        for number, layer in enumerate(points.layers):
-            own = points.layer_of[near] == number
-            for step in np.unique(steps[own]):
-                sample = float(1.1 ** (step + 0.5))
-                posting = float(layer.postings_m[frame.finest_level(layer.postings_m, sample)])
-                side = frame.template_nodes(posting, sample) * posting
-                half[own & (steps == step)] = side / 2.0
+    distances = np.linalg.norm(points.xyz_m[near] - pose.position_m, axis=1)
+    samples = np.maximum(distances / camera.focal_length_px, 1e-3)
+    half, beyond = np.zeros(len(near)), np.zeros(len(near))
+    # far fewer distinct answers than points: steps of a tenth are finer than any level needs
+    steps = np.floor(np.log(samples) / np.log(1.1))
+    for number, layer in enumerate(points.layers):
+        own = points.layer_of[near] == number
+        for step in np.unique(steps[own]):
+            these = own & (steps == step)
+            sample = float(1.1 ** (step + 0.5))
+            posting = float(layer.postings_m[frame.finest_level(layer.postings_m, sample)])
+            side = frame.template_nodes(posting, sample, layer.known_m) * posting
+            if posting < layer.known_m:
+                beyond[these] = BEYOND_SHARE * side / samples[these]
+            elif whole:
+                half[these] = side / 2.0
     seen = expected_in_view(
         points.xyz_m[near],
         half,
@@ -66,6 +81,7 @@ def expected(frame: FrameContext, pose: Pose, whole: bool) -> View:
         ViewLimits(view.sun_min_deg, view.sun_max_deg, view.emission_max_deg),
         points.skyline_deg[near],
         points.verticals[near],
+        beyond,
     )
     return replace(seen, index=near[seen.index])
 

@@ -14,11 +14,10 @@ from optnav_cli.matching.point_match import (
     match_point,
 )
 from optnav_cli.matching.visibility import View
-from optnav_cli.navigation.acceptance import independent_side
 from optnav_cli.navigation.error_model import common_errors_px, own_covariances_px2
 from optnav_cli.navigation.expectation import FrameContext
+from optnav_cli.navigation.overlap import alikeness, footprints
 from optnav_cli.navigation.search_plan import (
-    LEAST_TEMPLATE_NODES,
     ground_uncertainty_m,
     plan_distortion,
     plan_search,
@@ -28,8 +27,9 @@ FloatArray = NDArray[np.float64]
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
 DISTORTION_SIGMAS = 2.0
-# A score that is asked for is never above this.
-MOST_SCORE = 0.9
+# Behind a blur a score is worth what the samples are that were compared: least of their root's
+# multiples.
+LEAST_STRENGTH = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,7 @@ def match_all(
     covariance (6, 6) of the pose that the search starts from: position m, rotation rad
     """
     points, camera, settings = frame.points, frame.camera, frame.settings
-    _, jacobian = predict(camera, pose, points.xyz_m[view.index])
-    uncertainty = ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
+    uncertainty = _uncertainty_m(frame, view, pose, covariance)
     known = points.finest_postings_m(view.index)
     boresight = pose.camera_from_body.as_matrix()[2]
     height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
@@ -84,16 +83,13 @@ def match_all(
             settings.match.max_search_nodes,
         )
         at_finest = at_finest and plan.level == finest
-        template = frame.template_nodes(float(postings[plan.level]), sample)
+        posting = float(postings[plan.level])
+        template = frame.template_nodes(posting, sample, float(known[k]))
         distortion = plan_distortion(
             template, roll_sigma, height_sigma / float(ranges[k]), DISTORTION_SIGMAS
         )
-        blur = blur_nodes(float(postings[plan.level]), float(known[k]))
-        # as good against chance as the smallest template must be
-        few = max(1.0, LEAST_TEMPLATE_NODES / independent_side(template, blur))
-        gates = MatchGates(
-            min(settings.match.min_score * few, MOST_SCORE), settings.match.rival_ratio
-        )
+        blur = blur_nodes(posting, float(known[k]))
+        gates = MatchGates(settings.match.min_score, settings.match.rival_ratio, LEAST_STRENGTH)
         matches.append(
             match_point(
                 reference,
@@ -114,6 +110,20 @@ def match_all(
     return matches, at_finest
 
 
+def search_postings(frame: FrameContext, view: View, pose: Pose, covariance: FloatArray) -> float:
+    """How far a view is searched from a pose, in postings of the terrain model (median)."""
+    sigmas = _uncertainty_m(frame, view, pose, covariance)
+    known = frame.points.finest_postings_m(view.index)
+    return float(frame.settings.match.search_sigmas * np.median(sigmas / known))
+
+
+def _uncertainty_m(
+    frame: FrameContext, view: View, pose: Pose, covariance: FloatArray
+) -> FloatArray:
+    _, jacobian = predict(frame.camera, pose, frame.points.xyz_m[view.index])
+    return ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
+
+
 def solve(
     frame: FrameContext,
     view: View,
@@ -127,12 +137,23 @@ def solve(
     kept = [k for k in believed if matches[k].covariance_px2 is not None]
     index = view.index[kept]
     places = points.xyz_m[index]
+    pixels = np.array([matches[k].pixel for k in kept]).reshape(-1, 2)
+    parts = {i: part for i, k in enumerate(kept) if (part := matches[k].part) is not None}
+    for i, part in parts.items():
+        # what the frame shows of a cut template is not centred on the point
+        places[i], pixels[i] = part.place_m, part.pixel
     sightings = Sightings(
         places,
-        np.array([matches[k].pixel for k in kept]).reshape(-1, 2),
+        pixels,
         np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2),
     )
-    common = None
+    common = alike = None
+    if parts:
+        size_px = frame.camera.width_px, frame.camera.height_px
+        alike = np.eye(len(kept))
+        alike[np.ix_(list(parts), list(parts))] = alikeness(
+            footprints(list(parts.values()), size_px)
+        )
     if kept:
         _, jacobian = predict(frame.camera, pose, places)
         by_ground = -jacobian[:, :, :3]  # a point that moves one way looks as if the camera moved
@@ -155,5 +176,6 @@ def solve(
         Pose(pose.position_m, attitude),
         prior.attitude_sigma_rad,
         common_errors_px=common,
+        alike=alike,
         gate_probability=frame.settings.solve.gate_probability,
     )

@@ -69,6 +69,12 @@ class PointLayer:
             return np.asarray(radial)
         return normal_at(foot_of(self.xyz_m, self.planes.radii_m), self.planes.radii_m)
 
+    @property
+    def known_m(self) -> float:
+        """Finest posting that tells something: patches know no more than the model they are of."""
+        posting = float(self.postings_m[0])
+        return posting if self.planes is None else max(posting, self.planes.model_posting_m)
+
     def subset(self, keep: NDArray[np.bool_]) -> "PointLayer":
         """The layer with some of its points."""
         return replace(
@@ -121,19 +127,8 @@ class ControlPointField:
         return self._layer(index).postings_m
 
     def finest_postings_m(self, index: IntArray) -> FloatArray:
-        """(n,) finest posting of each of some points: that of its catalog's terrain.
-
-        Patches that are finer than the shape model they are cut from know no more than it does.
-        """
-        finest = np.array(
-            [
-                max(
-                    float(layer.postings_m[0]),
-                    0.0 if layer.planes is None else layer.planes.model_posting_m,
-                )
-                for layer in self.layers
-            ]
-        )
+        """(n,) finest posting of each of some points: that of its catalog's terrain."""
+        finest = np.array([layer.known_m for layer in self.layers])
         return np.asarray(finest[self.layer_of[index]])
 
     def name(self, index: int) -> tuple[str, int]:

@@ -98,7 +98,7 @@ def test_a_control_point_over_all_levels(scene, matcher):
         return [
             match_point(
                 reference, level,
-                context.template_nodes(reference.patches[level].posting_m, sample),
+                context.template_nodes(reference.patches[level].posting_m, sample, 0.0),
                 COARSEST_NODES if level >= levels[-2] else NEXT_NODES,
                 picture, camera, pose, frame.sun_body, sample, MATCHERS[matcher],
                 MatchGates(0.0, 1.1),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from catalog.correlation.blur import blur_nodes, low_pass
+from catalog.correlation.blur import blur_nodes, low_pass, thinned, thinning
 
 
 def test_only_grids_finer_than_the_model_are_blurred_and_the_finer_the_more() -> None:
@@ -27,3 +27,19 @@ def test_holes_stay_and_take_no_part() -> None:
     blurred = low_pass(grid, 3.0)
     assert (np.isnan(blurred) == np.isnan(grid)).all()
     assert blurred[np.isfinite(blurred)] == pytest.approx(7.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("side", [80, 81])
+def test_thinned_nodes_lie_about_the_same_centre(side: int) -> None:
+    """A ramp gives the places of its nodes back; at the border the blur bends it."""
+    ramp = np.tile(np.arange(side, dtype=np.float32) - (side - 1) / 2.0, (side, 1))
+    for even in (True, False):
+        kept = thinned(ramp, 2.2, even)
+        assert kept.shape[0] % 2 == (0 if even else 1)
+        places = (np.arange(kept.shape[1]) - (kept.shape[1] - 1) / 2.0) * thinning(2.2)
+        assert kept[10, 5:-5] == pytest.approx(places[5:-5], abs=1e-3)
+
+
+def test_a_blur_below_a_node_keeps_all_nodes() -> None:
+    grid = np.random.default_rng(3).standard_normal((40, 40)).astype(np.float32)
+    assert thinned(grid, 0.7, True) == pytest.approx(low_pass(grid, 0.7))

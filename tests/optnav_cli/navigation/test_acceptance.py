@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.navigation.acceptance import (
     LEAST_DECADES,
+    LEAST_NEAR_DECADES,
     decades_against_chance,
+    decades_of_parts,
     doubt_of_matches,
     doubt_of_place,
 )
@@ -33,12 +35,12 @@ def robust(count, freedom=3, factor=1.0):
 
 def test_two_good_matches_of_two_are_a_solution():
     assert decades_against_chance([0.85, 0.8], 2, 80) > 2 * LEAST_DECADES
-    assert doubt_of_matches(robust(2, freedom=1), [0.85, 0.8], 2, 80) == ""
+    assert doubt_of_matches(robust(2, freedom=1), LEAST_DECADES + 0.1, 2) == ""
 
 
 def test_two_weak_matches_of_twenty_are_what_chance_offers():
     assert decades_against_chance([0.34, 0.31], 20, 80) < LEAST_DECADES
-    assert "by chance" in doubt_of_matches(robust(2, freedom=1), [0.34, 0.31], 20, 80)
+    assert "by chance" in doubt_of_matches(robust(2, freedom=1), LEAST_DECADES - 0.1, 20)
 
 
 def test_many_weak_matches_among_many_more_are_no_evidence():
@@ -62,13 +64,27 @@ def test_evidence_grows_with_scores_points_and_template_and_falls_with_points_tr
 
 
 def test_three_points_cannot_check_a_free_attitude():
-    assert "at least 4" in doubt_of_matches(robust(3, freedom=0), [0.9] * 3, 3, 80)
-    assert doubt_of_matches(robust(4, freedom=2), [0.9] * 4, 4, 80) == ""
+    assert "at least 4" in doubt_of_matches(robust(3, freedom=0), 30.0, 3)
+    assert doubt_of_matches(robust(4, freedom=2), 30.0, 4) == ""
 
 
 def test_matches_that_scatter_far_beyond_their_sigmas_are_no_solution():
-    assert "scatter 5.0 times" in doubt_of_matches(robust(9, factor=25.0), [0.9] * 9, 9, 80)
-    assert doubt_of_matches(robust(9, factor=4.0), [0.9] * 9, 9, 80) == ""
+    assert "scatter 5.0 times" in doubt_of_matches(robust(9, factor=25.0), 30.0, 9)
+    assert doubt_of_matches(robust(9, factor=4.0), 30.0, 9) == ""
+
+
+def test_ground_that_two_templates_show_is_evidence_once():
+    apart = decades_of_parts([6.0, 6.0], [1.0, 1.0], 2, 1.0)
+    assert decades_of_parts([6.0, 6.0], [0.5, 0.5], 2, 1.0) == pytest.approx(apart / 2.0)
+    assert decades_of_parts([6.0], [1.0], 1, 1.0) == pytest.approx(apart / 2.0)
+    assert decades_of_parts([6.0, 6.0], [1.0, 1.0], 9, 1.0) < apart
+
+
+def test_a_wide_search_offers_more_places_by_chance():
+    near = decades_of_parts([7.0, 7.0], [1.0, 1.0], 2, 1.0)
+    assert near > LEAST_NEAR_DECADES
+    # ten times as far to either side are a hundred times as many places for each template
+    assert decades_of_parts([7.0, 7.0], [1.0, 1.0], 2, 15.0) == pytest.approx(near - 4.0)
 
 
 @pytest.mark.parametrize(("away_m", "right"), [(9e3, True), (14e3, True), (20e3, False)])

@@ -1,0 +1,65 @@
+"""Normalised correlation of grids with holes: at every place over the nodes that both have.
+
+Source: D. Padfield, "Masked object registration in the Fourier domain", IEEE Trans. Image Process.
+21 (2012). A frame that shows a part of a template's ground is compared in that part.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.correlation.ncc import LEAST_CONTRAST, cropped, high_pass
+from catalog.correlation.peak import Match, locate_peak
+
+Grid = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+
+# A place where both have less than this share of the nodes that they have at the best is none: few
+# nodes are alike by chance.
+LEAST_COMMON_SHARE = 0.7
+
+
+def match_masked(reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
+    """Find a reference (n, n) in a search grid (m, m), m - n even; NaN of either takes no part.
+
+    Both are float32 and carry `margin_nodes` that only the high-pass sees. The reference is cut as
+    the search grid is about its middle before the high-pass, which bends alike at the same edges.
+    """
+    room = (search.shape[0] - reference.shape[0]) // 2
+    reference = np.where(np.isfinite(cropped(search, room)), reference, np.float32(np.nan))
+    sides = [cropped(high_pass(grid), margin_nodes) for grid in (reference, search)]
+    masks = [
+        np.isfinite(cropped(grid, margin_nodes)).astype(np.float32) for grid in (reference, search)
+    ]
+    # a side without contrast has no correlation: rounding noise would decide
+    floors = [
+        LEAST_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0)) for grid in (reference, search)
+    ]
+    surface, common = _surface(sides[0], masks[0], sides[1], masks[1], floors)
+    row, col = np.unravel_index(int(np.argmax(surface)), surface.shape)
+    return locate_peak(surface, int(common[row, col]))
+
+
+def _surface(
+    template: Grid, has: Grid, image: Grid, shows: Grid, floors: list[float]
+) -> tuple[Grid, FloatArray]:
+    """Scores at every place where the template fits, -1 with too few nodes; and common nodes."""
+    common = _sums(shows, has)
+    n = np.maximum(common, 1.0)
+    of_template, of_image = _sums(shows, template), _sums(image, has)
+    product = _sums(image, template) - of_template * of_image / n
+    squares = (
+        _sums(shows, template * template) - of_template**2 / n,
+        _sums(image * image, has) - of_image**2 / n,
+    )
+    enough = common >= max(LEAST_COMMON_SHARE * common.max(), 1.0)
+    for square, floor in zip(squares, floors, strict=True):
+        enough &= square > n * floor**2
+    square = np.where(enough, squares[0] * squares[1], 1.0)
+    surface = np.where(enough, product / np.sqrt(square), -1.0)
+    return np.clip(surface, -1.0, 1.0).astype(np.float32), common
+
+
+def _sums(image: Grid, kernel: Grid) -> FloatArray:
+    """Sums of products at every place where the kernel fits."""
+    return np.asarray(cv2.matchTemplate(image, kernel, cv2.TM_CCORR), dtype=np.float64)
