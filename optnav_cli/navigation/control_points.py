@@ -22,6 +22,8 @@ from optnav_cli.matching.visibility import View
 from optnav_cli.navigation.acceptance import (
     LEAST_DECADES,
     LEAST_NEAR_DECADES,
+    MOST_PART_FACTOR,
+    MOST_VARIANCE_FACTOR,
     NEAR_POSTINGS,
     decades_against_chance,
     decades_of_parts,
@@ -132,9 +134,11 @@ def navigate(
     searched = sum(t.match.score is not None for t in tried)
     used = [t for t in tried if t.used]
     decades = _decades(frame, pose, used, searched, searched_postings)
-    near = searched_postings <= NEAR_POSTINGS and all(t.match.part is not None for t in used)
+    parts = all(t.match.part is not None for t in used)
+    near = parts and searched_postings <= NEAR_POSTINGS
     least = LEAST_NEAR_DECADES if near else LEAST_DECADES
-    doubt = doubt_of_matches(solution, decades, searched, least)
+    most = MOST_PART_FACTOR if parts else MOST_VARIANCE_FACTOR
+    doubt = doubt_of_matches(solution, decades, searched, least, most)
     if doubt:
         raise UnsolvedFrameError(doubt, [replace(t, used=False, reason=doubt) for t in tried])
     return ControlPointFix(solution, tried)
