@@ -137,8 +137,8 @@ def navigate(
     parts = all(t.match.part is not None for t in used)
     near = parts and searched_postings <= NEAR_POSTINGS
     least = LEAST_NEAR_DECADES if near else LEAST_DECADES
-    most = MOST_PART_FACTOR if parts else MOST_VARIANCE_FACTOR
-    doubt = doubt_of_matches(solution, decades, searched, least, most)
+    scatter = MOST_PART_FACTOR if parts else MOST_VARIANCE_FACTOR
+    doubt = doubt_of_matches(solution, decades, searched, least, scatter)
     if doubt:
         raise UnsolvedFrameError(doubt, [replace(t, used=False, reason=doubt) for t in tried])
     return ControlPointFix(solution, tried)
