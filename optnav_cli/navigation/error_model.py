@@ -25,12 +25,12 @@ OWN_SHADOW_M = 0.15
 # Relief between the nodes of a level that was matched, in nodes: seen obliquely, its lit crests
 # stand for the ground, which then looks higher or lower; a point's own and common to a frame. Both
 # grow with the secant of the emission angle, as more of the ground is hidden.
-OWN_HEIGHT_NODES = 0.02
-COMMON_HEIGHT_NODES = 0.004
+OWN_HEIGHT_NODES = 0.015
+COMMON_HEIGHT_NODES = 0.003
 # The same relief moves the whole pattern of a frame, in nodes, however far it reaches: away from
 # the Sun, whose light falls on it from one side, by 0.01 on average over catalogs of 118 m and
 # 948 m whatever the Sun's elevation, and less in other directions.
-SUNWARD_SHIFT_NODES = 0.017
+SUNWARD_SHIFT_NODES = 0.016
 COMMON_SHIFT_NODES = 0.006
 LEAST_COS_EMISSION = 0.1
 # A coarse level is a mean of heights, a picture of it a mean of brightness. Over a view that
@@ -39,8 +39,12 @@ LEAST_COS_EMISSION = 0.1
 # side, in nodes beyond the terrain model's own posting, at the points' rms distance from their
 # middle for a distance of 1 rad. From 800 km heights and attitudes were off by as much; from
 # 400 km, with the finest level in most places, by no more than the rest allows.
-CURVED_STRETCH_NODES = 0.13
-CURVED_KEYSTONE_NODES = 0.09
+CURVED_STRETCH_NODES = 0.10
+CURVED_KEYSTONE_NODES = 0.07
+# What is left of it at the finest level, in its nodes, with the square of that distance: narrow
+# frames from 3000 km, which tell a shift from a turn of the camera by little else.
+ROUND_STRETCH_NODES = 0.02
+ROUND_KEYSTONE_NODES = 0.08
 # The same where a shape model is coarser than the patches that were cut from it, shares of its
 # posting: a point's own shift an axis, shared with templates of the same ground (`overlap`), and
 # a rise, a shift and stretches that are common to a frame. Fitted at Phobos, with relief of 20 m
@@ -161,8 +165,12 @@ def common_errors_px(
     moved.append(_of_size(stretch, STRETCH_PX))
     moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
     averaged, distance = postings_m - finest_postings_m, float(np.linalg.norm(middle))
+    finest = (hidden_m == 0.0) & (averaged == 0.0)
+    round_m = np.where(finest, finest_postings_m, 0.0) * (reach / distance)
     alike = CURVED_STRETCH_NODES * averaged + HIDDEN_STRETCH * hidden_m
+    alike += ROUND_STRETCH_NODES * round_m
     changing = CURVED_KEYSTONE_NODES * averaged + HIDDEN_KEYSTONE * hidden_m
+    changing += ROUND_KEYSTONE_NODES * round_m
     moved.append(stretch * (alike / distance)[:, None])
     moved += [field * (changing / distance)[:, None] for field in (one_way, other_way)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]

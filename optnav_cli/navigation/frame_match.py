@@ -16,7 +16,7 @@ from optnav_cli.matching.point_match import (
 from optnav_cli.matching.visibility import View
 from optnav_cli.navigation.error_model import common_errors_px, own_covariances_px2
 from optnav_cli.navigation.expectation import FrameContext
-from optnav_cli.navigation.overlap import alikeness, footprints
+from optnav_cli.navigation.overlap import alikeness, footprints, ground_alikeness
 from optnav_cli.navigation.search_plan import (
     ground_uncertainty_m,
     plan_distortion,
@@ -148,19 +148,22 @@ def solve(
         np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2),
     )
     common = alike = None
-    if parts:
-        size_px = frame.camera.width_px, frame.camera.height_px
-        alike = np.eye(len(kept))
-        alike[np.ix_(list(parts), list(parts))] = alikeness(
-            footprints(list(parts.values()), size_px)
-        )
     if kept:
+        levels = np.array([points.postings_m(int(view.index[k]))[matches[k].level] for k in kept])
+        finest = points.finest_postings_m(index)
+        samples = view.metres_per_pixel[kept]
+        triples = zip(levels.tolist(), samples.tolist(), finest.tolist(), strict=True)
+        nodes = [frame.template_nodes(*three) for three in triples]
+        alike = ground_alikeness(places, levels * nodes)
+        if parts:
+            size_px = frame.camera.width_px, frame.camera.height_px
+            alike[np.ix_(list(parts), list(parts))] = alikeness(
+                footprints(list(parts.values()), size_px)
+            )
         _, jacobian = predict(frame.camera, pose, places)
         by_ground = -jacobian[:, :, :3]  # a point that moves one way looks as if the camera moved
-        finest = points.finest_postings_m(index)
-        postings = np.array([points.postings_m(int(view.index[k]))[matches[k].level] for k in kept])
-        hidden = np.where(postings < finest, finest, 0.0)
-        postings = np.maximum(postings, finest)  # of what is known, not of the nodes
+        hidden = np.where(levels < finest, finest, 0.0)
+        postings = np.maximum(levels, finest)  # of what is known, not of the nodes
         suns = view.sun_elevation_deg[kept]
         own = own_covariances_px2(places, by_ground, postings, finest, suns, hidden)
         sightings = replace(sightings, covariances_px2=sightings.covariances_px2 + own)

@@ -1,7 +1,8 @@
 """Templates that show the same ground: how much of their evidence and of their errors is shared.
 
-Patches of a small body that are wide enough to hold what its model knows overlap, and a frame from
-near shows a part of each: relief that the model does not know moves them together.
+Templates of a coarse catalog are wider than its points are apart, and patches of a small body that
+hold what its model knows overlap in the frame: relief that the model does not know moves them
+together.
 """
 
 from collections.abc import Sequence
@@ -48,3 +49,16 @@ def alikeness(masks: Masks) -> FloatArray:
     alike = (flat @ flat.T) / np.outer(size, size)
     np.fill_diagonal(alike, 1.0)
     return np.asarray(alike)
+
+
+def ground_alikeness(places_m: FloatArray, widths_m: FloatArray) -> FloatArray:
+    """(n, n) correlation of errors that ground brings, of templates at places (n, 3), body frame.
+
+    widths_m  (n,) sides of the templates on the ground. Discs of their areas stand for them.
+    """
+    apart = np.linalg.norm(places_m[:, None] - places_m[None], axis=2)
+    wider = np.maximum(widths_m[:, None], widths_m[None])
+    narrower = np.minimum(widths_m[:, None], widths_m[None])
+    t = np.minimum(apart / np.maximum((wider + narrower) / np.sqrt(np.pi), 1e-9), 1.0)
+    common = 2.0 / np.pi * (np.arccos(t) - t * np.sqrt(1.0 - t * t))
+    return np.asarray(common * narrower / wider)

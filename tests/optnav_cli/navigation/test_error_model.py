@@ -100,7 +100,7 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
     assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()
 
 
-def test_a_view_round_the_body_stretches_only_what_a_coarse_level_averages():
+def test_a_view_round_the_body_stretches_what_a_coarse_level_averages():
     place = points(SQUARE)
     ground, finest = np.tile(BY_GROUND, (4, 1, 1)), np.full(4, POSTING_M)
     levels = POSTING_M * np.array([1.0, 2.0, 3.0, 1.0])
@@ -108,9 +108,10 @@ def test_a_view_round_the_body_stretches_only_what_a_coarse_level_averages():
         place, ground, np.ones(4), sun(30.0), finest, levels, np.zeros(4)
     )[:, :, 7:10]  # fmt: skip
     size = np.linalg.norm(curved, axis=1)
-    assert np.allclose(size[[0, 3]], 0.0)
     assert np.allclose(size[2], 2.0 * size[1])
-    assert (size[1] > 0.0).all()
+    # the finest level's part goes with the square of the view, and this view is small
+    assert (size[[0, 3]] > 0.0).all()
+    assert (size[[0, 3]] < 0.1 * size[1]).all()
 
 
 def test_the_pattern_moves_along_the_sun_more_than_across_it():

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from optnav_cli.matching.point_match import SeenPart
-from optnav_cli.navigation.overlap import alikeness, footprints, own_shares
+from optnav_cli.navigation.overlap import (
+    alikeness,
+    footprints,
+    ground_alikeness,
+    own_shares,
+)
 
 SIZE = (1000, 1000)
 
@@ -51,3 +56,23 @@ def test_a_template_whose_corners_are_not_seen_covers_nothing():
     masks = footprints([nowhere, part(100, 100)], SIZE)
     assert own_shares(masks) == pytest.approx([0.0, 1.0])
     assert np.isfinite(alikeness(masks)).all()
+
+
+def test_templates_on_common_ground_err_together():
+    """Against the common area of squares drawn cell by cell; discs stand for them to an eighth."""
+    places = np.array([[0.0, 0.0], [30e3, 0.0], [0.0, 55e3], [40e3, 40e3], [500e3, 0.0]])
+    widths = np.array([76e3, 76e3, 76e3, 38e3, 76e3])
+    found = ground_alikeness(np.column_stack([places, np.full(5, 1737e3)]), widths)
+    assert np.allclose(np.diag(found), 1.0)
+    assert np.allclose(found, found.T)
+    assert (np.linalg.eigvalsh(found) > 0.0).all()
+    grid = np.arange(-100e3, 600e3, 1e3)
+    x, y = np.meshgrid(grid, grid)
+    squares = [
+        (np.abs(x - a) < 0.5 * w) & (np.abs(y - b) < 0.5 * w)
+        for (a, b), w in zip(places, widths, strict=True)
+    ]
+    for i, one in enumerate(squares):
+        for j, other in enumerate(squares):
+            wanted = (one & other).sum() / np.sqrt(one.sum() * other.sum())
+            assert found[i, j] == pytest.approx(wanted, abs=0.125)
