@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from catalog.errors import NoSolutionError
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 BLOCK_PX = 16

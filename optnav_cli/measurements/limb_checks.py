@@ -11,7 +11,6 @@ from optnav_cli.measurements.limb_cone import Cone, find_cone, stretched_rays
 from optnav_cli.measurements.limb_search import BORDER_PX, LEAST_BLOB_PIXELS, rays_of
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Image = NDArray[np.float32]
 
 LEAST_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
@@ -30,11 +29,8 @@ LUMPY = 0.03  # relief, in body radii, of a body whose own lobes may look like a
 GRID_PX = 8
 
 
-def check_blobs(picture: Image, blobs: Blobs, levels: Levels, saturation: float) -> float:
-    """Share of the lit pixels at full scale.
-
-    Raises NoSolutionError for stars alone, a disc too small, no sky, and a picture burnt out.
-    """
+def check_blobs(picture: Image, blobs: Blobs, levels: Levels, saturation: float) -> None:
+    """Raise NoSolutionError for stars alone, a disc too small, no sky, a picture burnt out."""
     largest = int(blobs.area[0]) if len(blobs) else 0
     if largest < LEAST_BODY_PIXELS:
         many = f"{len(blobs)} lit spots" if len(blobs) > 1 else "one lit spot"
@@ -53,7 +49,6 @@ def check_blobs(picture: Image, blobs: Blobs, levels: Levels, saturation: float)
             f"saturated: {100.0 * share:.0f} % of the lit pixels are at full scale, "
             "which hides where the edge is; expose shorter"
         )
-    return share
 
 
 def azimuths(cone: Cone, rays: FloatArray) -> FloatArray:

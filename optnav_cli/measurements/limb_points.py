@@ -70,7 +70,6 @@ class LimbPoints:
     arc_deg           azimuth about the cone's axis that the points cover
     lit_pixels        area of the lit body in the picture
     cut_by_frame      whether the body reaches the picture's edge
-    saturated_share   of the lit area at full scale
     """
 
     pixels: FloatArray
@@ -83,7 +82,6 @@ class LimbPoints:
     arc_deg: float
     lit_pixels: int
     cut_by_frame: bool
-    saturated_share: float
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -114,7 +112,7 @@ def find_limb(
     space = _space(stretch)
     levels = measure_levels(picture)
     blobs = lit_blobs(picture, levels.threshold)
-    saturated_share = check_blobs(picture, blobs, levels, full)
+    check_blobs(picture, blobs, levels, full)
     candidates = find_candidates(picture, camera, levels, blobs)
     cone, lit = _first_cone(
         picture, camera, candidates, levels.threshold, sun_camera, space, relief
@@ -166,7 +164,6 @@ def find_limb(
         arc_deg=arc_deg(cone, where.rays, 3.0, pixel),
         lit_pixels=int(blobs.area[0]),
         cut_by_frame=bool((rim == label).any()),
-        saturated_share=saturated_share,
     )
 
 

@@ -15,7 +15,6 @@ until the next frame says the same; a position of two methods ends the arc inste
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.motion import BodyMotion
@@ -47,8 +46,6 @@ from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.navigation.track import Belief, Track
 from optnav_cli.solution import solved, unsolved
-
-FloatArray = NDArray[np.float64]
 
 FROM_FILE = "frames.csv"
 # So many control points in view, lit and whole, are never all missed where the prior is right.

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 MAX_PASSES = 15
 STILL_SIGMAS = 0.05  # a pass that moves the position by less of its sigma is the last
 LEAST_CUT_PX = 0.5
-LEAST_SUN_SINE = 0.05
+LEAST_SUN_SINE = 0.05  # as over a relief, see solve
 LEAST_KEPT_SHARE = 0.7  # of the lit points; of Phobos' 93 % and more are kept
 # Scatter over the expected one; right limbs stay below 1.3, wrong attitudes begin at 4.
 MISFIT = 2.0

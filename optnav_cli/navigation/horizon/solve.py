@@ -17,6 +17,7 @@ from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.limb_fit import LimbFit, fit_limb
+from optnav_cli.estimation.silhouette_step import MAD_TO_SIGMA, TUKEY
 from optnav_cli.measurements.limb_points import LimbPoints
 from optnav_cli.navigation.horizon.fix import HorizonFix
 from optnav_cli.navigation.horizon.shape_limb import is_shape
@@ -41,8 +42,6 @@ SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
 MAX_PASSES = 8
 STILL_M = 5.0  # a pass that moves the position by less, or by less than STILL_SIGMAS, is the last
 STILL_SIGMAS = 0.1
-TUKEY = 4.685  # 95 % efficient for normal errors
-MAD_TO_SIGMA = 1.4826
 LEAST_CUT_PX = 0.2
 # Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
 # side of shadows.

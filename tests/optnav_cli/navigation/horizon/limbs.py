@@ -79,5 +79,4 @@ def limb_points(
         arc_deg=arc_deg,
         lit_pixels=10**6,
         cut_by_frame=False,
-        saturated_share=0.0,
     )

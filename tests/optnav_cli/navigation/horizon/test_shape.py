@@ -111,7 +111,6 @@ def lit_points(relief, position, sun, camera_from_body, noise_px=0.05):
         arc_deg=180.0,
         lit_pixels=10**5,
         cut_by_frame=False,
-        saturated_share=0.0,
     )
 
 
