@@ -20,7 +20,8 @@ from catalog.stages.relief import ReliefRecord, make_or_keep
 from catalog.stages.workspace import Workspace, stage_key
 from catalog.store.relief import prepare_relief
 from catalog.terrain.dem_file import path_of
-from catalog.terrain.mesh.file import MOST_FACES, MeshSettings
+from catalog.terrain.mesh.file import MeshSettings
+from catalog.terrain.mesh.refine import FINEST_FACES
 from catalog.terrain.mesh.relief import relief_of_mesh
 from catalog.terrain.mesh.shape import METRES, Shape, load_shape
 from catalog.terrain.mesh.smooth import smooth_corners
@@ -107,7 +108,7 @@ def _halvings(shape: Shape, finest_m: float) -> int:
     wanted = math.ceil(math.log2(shape.posting_m / (FACE_NODES * finest_m)) - 1e-9)
     if shape.posting_m <= finest_m or wanted <= 0:
         return 0
-    return max(0, min(wanted, int(math.log(MOST_FACES / len(shape.faces), 4.0))))
+    return max(0, min(wanted, int(math.log(FINEST_FACES / len(shape.faces), 4.0))))
 
 
 def _corners(

@@ -7,9 +7,8 @@ import numpy as np
 from catalog.bodies.body import Body
 from catalog.errors import ConfigError
 from catalog.terrain.detail import Detail
-from catalog.terrain.mesh.file import MOST_FACES
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.mesh.refine import refined, roughened
+from catalog.terrain.mesh.refine import FINEST_FACES, refined, roughened
 from catalog.terrain.mesh.shape import load_shape
 from optnav_cli.simulation.scenario import ShapeScenario
 
@@ -26,11 +25,11 @@ class TruthMesh:
         smallest = scenario.detail.smallest_m
         # halved until there are about two edges to the finest relief
         halvings = max(0, round(float(np.log2(2.0 * model.posting_m / smallest))))
-        if len(model.faces) * 4**halvings > MOST_FACES:
+        if len(model.faces) * 4**halvings > FINEST_FACES:
             raise ConfigError(
                 f"[detail] smallest_m is {smallest:g}, for which the {len(model.faces)} faces of "
                 f"{Path(scenario.mesh.path).name} would become {len(model.faces) * 4**halvings}; "
-                f"up to {MOST_FACES} are possible: raise it"
+                f"up to {FINEST_FACES} are possible: raise it"
             )
         self._model_posting_m = model.posting_m
         self._shape = refined(model, halvings)

@@ -16,6 +16,8 @@ from catalog.terrain.mesh.shape import Shape
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+FINEST_FACES = 4_000_000  # that a coarse model is refined to: a grown mesh must stay in memory
+
 
 def refined(shape: Shape, halvings: int) -> Shape:
     """The shape with each edge cut in two so many times: 4^halvings faces for one."""

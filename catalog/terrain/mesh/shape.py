@@ -35,6 +35,7 @@ METRES = {"m": 1.0, "km": 1000.0}
 SAME_VERTEX = 1e-7
 # A triangle whose height over its longest edge is less has no normal worth the name.
 LEAST_ASPECT = 1e-6
+MANY_FACES = 1_000_000  # from here on a check takes long enough to say so
 NAMED_PLACES = 3
 
 
@@ -77,6 +78,8 @@ def load_shape(
     """
     path = path_of(settings.path, base_dir)
     raw = read_mesh(path, settings.longitude, progress or SilentProgress())
+    if len(raw.faces) >= MANY_FACES:
+        log.info("%s: checking %s faces, some 10 s a million", path, f"{len(raw.faces):,}")
     scaled = RawMesh(raw.vertices * METRES[settings.units], raw.faces)
     _check_size(path, settings, scaled.vertices, body)
     shape = closed_shape(path, scaled)

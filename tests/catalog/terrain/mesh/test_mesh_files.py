@@ -175,8 +175,8 @@ def test_a_moebius_strip_has_no_inside(load) -> None:
 def test_too_many_faces_are_refused_from_the_header_or_one_pass(
     load, ellipsoid_km, monkeypatch
 ) -> None:
-    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face 10000000\n"
-    with pytest.raises(DataError, match=r"10,000,000 faces; .* up to 4,000,000"):
+    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face 20000000\n"
+    with pytest.raises(DataError, match=r"20,000,000 faces; .* up to 12,000,000"):
         load(header + "end_header\n", "huge.ply")
     monkeypatch.setattr(file, "MOST_FACES", 1000)
     with pytest.raises(DataError, match="has 1,280 faces"):
