@@ -48,8 +48,9 @@ from optnav_cli.navigation.track import Belief, Track
 from optnav_cli.solution import solved, unsolved
 
 FROM_FILE = "frames.csv"
-# So many control points in view, lit and whole, are never all missed where the prior is right.
-WITNESSES = 8
+# So many control points in view, lit and whole, are never all missed where the prior is right: but
+# under a Sun as high as trials go, and behind the camera, the ground shows next to no relief.
+WITNESSES, WITNESSES_HIGHEST_SUN_DEG = 8, 55.0
 # From farther off, where the body is less across, the limb gives the better position.
 SMALL_DISC_PX = 2000.0
 
@@ -114,11 +115,12 @@ class Navigator:
             row = replace(row, n_limb=found.n_used, arc_deg=found.arc_deg)
             points = replace(points, solution=row, marks=found.marks)
             return self._kept(sight, remarked(points, apart(row, found)), sure=True)
-        if len(points.tried) < WITNESSES:
+        witnesses = _witnesses(points)
+        if witnesses < WITNESSES:
             answer = replace(remarked(answer, f"control points: {row.reason}"), tried=points.tried)
             return self._checked(sight, answer)
         reason = (
-            f"the {spoken(found.method)} puts {len(points.tried)} well-lit control points into "
+            f"the {spoken(found.method)} puts {witnesses} well-lit control points into "
             f"view, but they are not there ({row.reason}): attitude, time, focal length or "
             "the outline is wrong"
         )
@@ -290,7 +292,12 @@ class Navigator:
                 return ""
         answer = self._by_points(turned_sight, belief)
         # where no points are in view an outline under the right Sun is all that can be had
-        if not answer.solution.solved and (told_belief or len(answer.tried) >= WITNESSES):
+        if not answer.solution.solved and (told_belief or _witnesses(answer) >= WITNESSES):
             return ""
         wanted = "camera_from_inertial" if self._world.inertial else "camera_from_body"
         return f"the picture fits the inverse rotation: wanted the quaternion of {wanted}"
+
+
+def _witnesses(answer: Answer) -> int:
+    """How many control points could not all be missed at the place that an answer tried."""
+    return sum(t.sun_elevation_deg < WITNESSES_HIGHEST_SUN_DEG for t in answer.tried)

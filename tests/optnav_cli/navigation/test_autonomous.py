@@ -74,6 +74,7 @@ class Sky:
         self.truth = flight()
         self.outlines: dict[int, np.ndarray | str] = {}
         self.no_points: dict[int, int] = {}
+        self.point_sun_deg = 30.0
         self.priors: list = []
         self.right = TURN
         self.frame = None
@@ -97,7 +98,9 @@ class Sky:
         wrong = (prior.pose.camera_from_body * self.right.inv()).magnitude() > 0.1
         if self.frame in self.no_points or wrong:
             count = 24 if wrong else self.no_points[self.frame]
-            raise UnsolvedFrameError("no 2 matches agree on a position", tried(count))
+            raise UnsolvedFrameError(
+                "no 2 matches agree on a position", tried(count, self.point_sun_deg)
+            )
         pose = replace(prior.pose, position_m=self.truth[self.frame] + [10.0, -5.0, 8.0])
         return PointFix(Solved(Resection(pose, np.eye(3) * 15.0**2)), [])
 
@@ -123,10 +126,11 @@ class Matched:
 @dataclass
 class Tried:
     match: Matched
+    sun_elevation_deg: float
 
 
-def tried(count):
-    return [Tried(Matched()) for _ in range(count)]
+def tried(count, sun_deg):
+    return [Tried(Matched(), sun_deg) for _ in range(count)]
 
 
 def flight(count=16):
@@ -179,6 +183,15 @@ def test_many_points_that_are_not_there_betray_the_horizon(sky):
     assert not row.solved
     assert "24 well-lit control points into view, but they are not there" in row.reason
     assert "focal length" in row.reason
+
+
+def test_points_under_a_high_sun_betray_nothing(sky):
+    sky.outlines[0] = np.zeros(3)
+    sky.no_points[0] = 24
+    sky.point_sun_deg = 58.0
+    row = sky.see(0)
+    assert (row.method, row.status) == ("horizon", "solved")
+    assert "control points: no 2 matches agree" in row.reason
 
 
 def test_the_narrow_camera_begins_where_the_wide_one_is_at_the_same_time(sky):
