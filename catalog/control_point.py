@@ -4,13 +4,12 @@ from dataclasses import dataclass, field
 from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from catalog.geometry.tangent_plane import TangentPlane
 
-FloatArray = NDArray[np.float64]
 SHADOW_AZIMUTHS = 36  # skyline bins, centred on 0, 10, ... degrees east of north
 
 
@@ -37,7 +36,7 @@ class Patch:
     """
 
     posting_m: float
-    heights_m: NDArray[np.float32]
+    heights_m: Float32Array
 
     @property
     def size(self) -> int:

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import BoolArray, FloatArray
+
 Status = Literal["solved", "unsolved"]
 GAP_STEPS, GAP_PX = 5.0, 12.0  # a limb is drawn in pieces where its points stand farther apart
 
@@ -114,7 +114,7 @@ class OutlineMarks:
         return cls(centre_px[None], np.empty((0, 2)), np.empty(0), is_disc=True)
 
     @property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> BoolArray:
         """(n,) which limb points the solution rests on."""
         return np.isfinite(self.residuals_px)
 

@@ -11,7 +11,7 @@ PACKAGES = ("catalog", "optnav_cli")
 
 # Lowest first. An image arrives with the first floor of optnav_cli.
 FLOORS = (
-    {"catalog.errors"},
+    {"catalog.errors", "catalog.arrays"},
     {"catalog.config", "catalog.progress", "catalog.geometry"},
     {"catalog.bodies"},
     {"catalog.terrain", "catalog.photometry", "catalog.control_point"},

@@ -13,12 +13,11 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import DataError
 
-FloatArray = NDArray[np.float64]
 Span = tuple[float, float]
 
 INERTIAL = "J2000"  # SPICE's name of the ICRF axes

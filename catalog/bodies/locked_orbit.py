@@ -8,12 +8,11 @@ plane of its orbit. Phobos' Mars so found is within 0.02 deg of published epheme
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, LockedOrbit
 from catalog.bodies.epochs import DAY_S
 
-FloatArray = NDArray[np.float64]
 CENTURY_S = 36525.0 * DAY_S
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.bodies.kernels import KernelSet
@@ -25,7 +25,6 @@ from catalog.bodies.rotation import body_from_inertial
 from catalog.bodies.sun import position_inertial, sun_direction_inertial
 from catalog.errors import DataError
 
-FloatArray = NDArray[np.float64]
 Neighbour = Literal["sun", "earth", "moon", "mars"]
 
 SUN_GM_M3_S2 = 1.3271244004127942e20  # NAIF gm_de440.tpc, BODY10_GM

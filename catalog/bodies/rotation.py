@@ -9,8 +9,9 @@ adds a correction that is fitted to that frame; `optnav study rotation` fits and
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.bodies import rotation_kernel
 from catalog.bodies.body import (
     J2000_YEAR,
@@ -20,8 +21,6 @@ from catalog.bodies.body import (
     RotationSeries,
 )
 from catalog.geometry.rotations import ARCSEC
-
-FloatArray = NDArray[np.float64]
 
 
 def body_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:

@@ -7,13 +7,10 @@ rad.
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from catalog.arrays import FloatArray
 from catalog.bodies.epochs import DAY_S
 from catalog.geometry.kernel import kernel
 
-FloatArray = NDArray[np.float64]
 Axes = tuple[float, float, float]
 
 CENTURY_S = 36525.0 * DAY_S

@@ -12,15 +12,13 @@ import warnings
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import DAY_S, J2000_JD
 from catalog.bodies.locked_orbit import planet_body
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
-
-FloatArray = NDArray[np.float64]
 
 LIGHT_AU_PER_DAY = 173.1446326846693  # c * 86400 s / 149597870700 m
 AU_M = 149597870700.0

@@ -7,11 +7,9 @@ few nodes are enough: thinned to one a sigma, they are high-passed as wide as th
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.geometry.grid import sample_bicubic
-
-Grid = NDArray[np.float32]
 
 # Sigma of the blur, share of the model's posting. At Phobos, with relief of 20 m rms below its
 # 319 m, 97 % of lit points are found behind this blur and 53 % without. Twice as much finds 99 %,
@@ -24,7 +22,7 @@ def blur_nodes(posting_m: float, known_m: float) -> float:
     return BLUR_SHARE * known_m / posting_m if posting_m < known_m else 0.0
 
 
-def low_pass(grid: Grid, sigma_nodes: float) -> Grid:
+def low_pass(grid: Float32Array, sigma_nodes: float) -> Float32Array:
     """Gaussian-weighted local mean of a grid (rows, cols); NaN nodes take no part and stay."""
     valid = np.isfinite(grid)
     filled = np.where(valid, grid, np.float32(0.0)).astype(np.float32)
@@ -38,7 +36,7 @@ def thinning(sigma_nodes: float) -> float:
     return max(1.0, sigma_nodes)
 
 
-def thinned(grid: Grid, sigma_nodes: float, even: bool) -> Grid:
+def thinned(grid: Float32Array, sigma_nodes: float, even: bool) -> Float32Array:
     """A square grid (n, n) behind its blur, with nodes `thinning` apart about the same centre.
 
     even  whether the sides are even, so that a template and what it is sought in fit

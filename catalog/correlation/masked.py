@@ -6,20 +6,17 @@ Source: D. Padfield, "Masked object registration in the Fourier domain", IEEE Tr
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.ncc import LEAST_CONTRAST, cropped, high_pass
 from catalog.correlation.peak import Match, locate_peak
-
-Grid = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 # A place where both have less than this share of the nodes that they have at the best is none: few
 # nodes are alike by chance.
 LEAST_COMMON_SHARE = 0.7
 
 
-def match_masked(reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
+def match_masked(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:
     """Find a reference (n, n) in a search grid (m, m), m - n even; NaN of either takes no part.
 
     Both are float32 and carry `margin_nodes` that only the high-pass sees. The reference is cut as
@@ -41,8 +38,12 @@ def match_masked(reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
 
 
 def _surface(
-    template: Grid, has: Grid, image: Grid, shows: Grid, floors: list[float]
-) -> tuple[Grid, FloatArray]:
+    template: Float32Array,
+    has: Float32Array,
+    image: Float32Array,
+    shows: Float32Array,
+    floors: list[float],
+) -> tuple[Float32Array, FloatArray]:
     """Scores at every place where the template fits, -1 with too few nodes; and common nodes."""
     common = _sums(shows, has)
     n = np.maximum(common, 1.0)
@@ -60,6 +61,6 @@ def _surface(
     return np.clip(surface, -1.0, 1.0).astype(np.float32), common
 
 
-def _sums(image: Grid, kernel: Grid) -> FloatArray:
+def _sums(image: Float32Array, kernel: Float32Array) -> FloatArray:
     """Sums of products at every place where the kernel fits."""
     return np.asarray(cv2.matchTemplate(image, kernel, cv2.TM_CCORR), dtype=np.float64)

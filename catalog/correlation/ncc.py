@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.correlation.peak import Match, locate_peak
 from catalog.geometry.kernel import kernel
 
-Grid = NDArray[np.float32]
 Number = TypeVar("Number", np.float32, np.float64)
 
 # Standard deviation of the Gaussian that is subtracted, nodes.
@@ -22,7 +22,7 @@ HIGH_PASS_NODES = 5.0
 LEAST_CONTRAST = 1e-5
 
 
-def high_pass(grid: Grid, sigma_nodes: float = HIGH_PASS_NODES) -> Grid:
+def high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float32Array:
     """Grid less its Gaussian-weighted local mean; NaN nodes take no part and become zero.
 
     grid (rows, cols) float32; returns the same shape, finite.
@@ -43,11 +43,11 @@ class Filtered(NamedTuple):
     floor   contrast below this is rounding
     """
 
-    values: Grid
+    values: Float32Array
     floor: float
 
 
-def filtered(grid: Grid, margin_nodes: int = 0) -> Filtered:
+def filtered(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
     """High-pass a grid (rows, cols) and take off a margin that only the high-pass sees.
 
     A high-pass that ends at the reference's own border bends it there, which moves the peak by
@@ -57,7 +57,7 @@ def filtered(grid: Grid, margin_nodes: int = 0) -> Filtered:
     return Filtered(cropped(high_pass(grid), margin_nodes), floor)
 
 
-def correlated(template: Filtered, image: Filtered) -> Grid:
+def correlated(template: Filtered, image: Filtered) -> Float32Array:
     """Scores of a reference at every place where it fits whole into the search grid.
 
     template (n, n), image (m, m) with m - n even, both of `filtered`.
@@ -82,7 +82,7 @@ def correlated(template: Filtered, image: Filtered) -> Grid:
 
 @kernel
 def _void_flat_windows(
-    image: Grid, height: int, width: int, least_rms: float, surface: Grid
+    image: Float32Array, height: int, width: int, least_rms: float, surface: Float32Array
 ) -> None:
     """Put -1 where the rms of the (height, width) window under a score is least_rms or less."""
     rows, cols = image.shape
@@ -113,7 +113,7 @@ def cropped(grid: NDArray[Number], margin: int) -> NDArray[Number]:
     )
 
 
-def match_ncc(reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
+def match_ncc(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:
     """Find a reference (n, n) in a search grid (m, m), m - n even, by correlation.
 
     Both are float32 with NaN for no data, and carry `margin_nodes` that only the high-pass sees.
@@ -121,7 +121,7 @@ def match_ncc(reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
     return match_in(reference, filtered(search, margin_nodes=margin_nodes), margin_nodes)
 
 
-def match_in(reference: Grid, image: Filtered, margin_nodes: int = 0) -> Match:
+def match_in(reference: Float32Array, image: Filtered, margin_nodes: int = 0) -> Match:
     """`match_ncc` in a search grid that is filtered already."""
     nodes = int(np.isfinite(cropped(reference, margin_nodes)).sum())
     template = filtered(reference, margin_nodes=margin_nodes)

@@ -10,11 +10,9 @@ terrain decorrelates over a few nodes, so it is far below the number of nodes.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
 
 # Nodes of high-passed lunar relief that share one independent brightness error: fitted to the
 # errors of 900 matches on simulated frames, with scores from 0.4 to 0.97.
@@ -47,7 +45,7 @@ _QUADRATIC = np.linalg.pinv(
 )
 
 
-def locate_peak(surface: NDArray[np.float32], nodes: int) -> Match:
+def locate_peak(surface: Float32Array, nodes: int) -> Match:
     """Find the best place of a correlation surface.
 
     surface  (rows, cols)  score at integer offsets; the middle element is offset zero
@@ -68,7 +66,7 @@ def locate_peak(surface: NDArray[np.float32], nodes: int) -> Match:
 
 @kernel
 def _shape(
-    surface: NDArray[np.float32], row: int, col: int
+    surface: Float32Array, row: int, col: int
 ) -> tuple[float, float, float, float, float, float, float]:
     """Sub-node place (x, y) of the peak at (row, col), its score, the runner-up, H^-1 (xx, xy, yy).
 
@@ -98,7 +96,7 @@ def _shape(
 
 
 @kernel
-def _runner_up(surface: NDArray[np.float32], row: int, col: int) -> float:
+def _runner_up(surface: Float32Array, row: int, col: int) -> float:
     """Highest local maximum at least RIVAL_DISTANCE nodes from the peak; its slope is no rival."""
     rows, cols = surface.shape
     best = -1.0

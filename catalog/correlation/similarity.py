@@ -6,8 +6,8 @@ from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.ncc import (
     Filtered,
     cropped,
@@ -18,13 +18,13 @@ from catalog.correlation.ncc import (
 )
 from catalog.correlation.peak import Match
 
-Grid = NDArray[np.float32]
-
 
 class Matcher(Protocol):
     """Finds a reference in a search grid; see `catalog.correlation.ncc.match_ncc`."""
 
-    def __call__(self, reference: Grid, search: Grid, margin_nodes: int = 0) -> Match:
+    def __call__(
+        self, reference: Float32Array, search: Float32Array, margin_nodes: int = 0
+    ) -> Match:
         """Both grids carry `margin_nodes` of border that only filters look at."""
         ...
 
@@ -37,7 +37,9 @@ class SimilarityMatch(NamedTuple):
     scale: float
 
 
-def turned(reference: Grid, roll: float, scale: float, beyond: float = np.nan) -> Grid:
+def turned(
+    reference: Float32Array, roll: float, scale: float, beyond: float = np.nan
+) -> Float32Array:
     """A square grid turned by `roll` (rad) and stretched by `scale` about its centre.
 
     Nodes that the stretched grid does not reach are `beyond`; as NaN they take no part in a match.
@@ -59,8 +61,8 @@ def turned(reference: Grid, roll: float, scale: float, beyond: float = np.nan) -
 
 
 def match_similarity(
-    reference: Grid,
-    search: Grid,
+    reference: Float32Array,
+    search: Float32Array,
     rolls: Sequence[float],
     scales: Sequence[float],
     matcher: Matcher = match_ncc,
@@ -77,7 +79,9 @@ def match_similarity(
     if matcher is match_ncc:
         image = filtered(search, margin_nodes=margin_nodes)
         scored = pair_scores(reference, image, pairs, margin_nodes)
-        find: Callable[[Grid], Match] = partial(match_in, image=image, margin_nodes=margin_nodes)
+        find: Callable[[Float32Array], Match] = partial(
+            match_in, image=image, margin_nodes=margin_nodes
+        )
     else:
         find = partial(matcher, search=search, margin_nodes=margin_nodes)
         scored = [find(turned(reference, *pair)).score for pair in pairs]
@@ -90,7 +94,10 @@ def match_similarity(
 
 
 def pair_scores(
-    reference: Grid, image: Filtered, pairs: Sequence[tuple[float, float]], margin_nodes: int
+    reference: Float32Array,
+    image: Filtered,
+    pairs: Sequence[tuple[float, float]],
+    margin_nodes: int,
 ) -> list[float]:
     """Score of the reference's best place in a filtered image, by pair; nearly `match_ncc`'s.
 
@@ -118,7 +125,7 @@ def pair_scores(
     return scores
 
 
-def _window_contrast(image: Filtered, size: int) -> Grid:
+def _window_contrast(image: Filtered, size: int) -> Float32Array:
     """Root of the sum of squared differences to the mean, of each square window of an image.
 
     Infinite where there is no contrast, so that nothing correlates there.
@@ -139,7 +146,7 @@ def _window_contrast(image: Filtered, size: int) -> Grid:
     return np.asarray(size * np.sqrt(variance), dtype=np.float32)
 
 
-def _parabola_peak(places: Sequence[float], values: NDArray[np.float64], index: int) -> float:
+def _parabola_peak(places: Sequence[float], values: FloatArray, index: int) -> float:
     """Place of the maximum of a parabola through three neighbours; at the ends, the sample."""
     if not 0 < index < len(places) - 1:
         return float(places[index])

@@ -11,14 +11,11 @@ Cells larger than 8 nodes blur the peak: a 64-node square wants 8 x 8 cells (256
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, IntArray
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.peak import RIVAL_DISTANCE, Match
 from catalog.geometry.kernel import kernel
-
-Image = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 CELLS = 4  # a side: 4 x 4 cells of four sums are the 64 numbers
 # Bay et al. weight with sigma = 3.3 s on a square of 20 s: 3.3 / 20 of the side
@@ -35,7 +32,7 @@ MAX_DISTANCE_RATIO = 0.9
 
 
 @kernel
-def _cell_sums(image: Image, cell_px: int) -> NDArray[np.float32]:
+def _cell_sums(image: Float32Array, cell_px: int) -> Float32Array:
     """Sums of dx, dy, |dx|, |dy| over the cell whose first node is (row, col): (rows, 4, cols).
 
     The Haar wavelet spans 2 x 2 nodes: its response belongs to the corner shared by them. The
@@ -83,12 +80,12 @@ def _cell_sums(image: Image, cell_px: int) -> NDArray[np.float32]:
 
 @kernel
 def _gather(
-    sums: NDArray[np.float32],
+    sums: Float32Array,
     rows: IntArray,
     cols: IntArray,
     cell_px: int,
-    weights: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    weights: Float32Array,
+) -> Float32Array:
     """Weighted cell sums of each square, normalised; zeros for a square without contrast."""
     cells = weights.shape[0]
     out = np.empty((rows.size, 4 * cells * cells), np.float32)
@@ -114,13 +111,13 @@ def _gather(
 
 @kernel
 def _similarities(
-    sums: NDArray[np.float32],
-    own: NDArray[np.float32],
+    sums: Float32Array,
+    own: Float32Array,
     first: int,
     positions: int,
     cell_px: int,
-    weights: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    weights: Float32Array,
+) -> Float32Array:
     """Cosines (positions, positions) of `own` and the descriptors that `_gather` would give.
 
     sums   (m, 4, m) cell sums; first: row and column of the first cell at the first position
@@ -152,7 +149,7 @@ def _similarities(
     return out
 
 
-def cell_weights(cells: int) -> NDArray[np.float32]:
+def cell_weights(cells: int) -> Float32Array:
     """(cells, cells) Gaussian weights at the middles of the cells, largest near one."""
     middles = (np.arange(cells) + 0.5) / cells - 0.5
     line = np.exp(-0.5 * (middles / WEIGHT_SIGMA) ** 2)
@@ -160,8 +157,8 @@ def cell_weights(cells: int) -> NDArray[np.float32]:
 
 
 def descriptors(
-    image: Image, rows: IntArray, cols: IntArray, cell_px: int, cells: int = CELLS
-) -> NDArray[np.float32]:
+    image: Float32Array, rows: IntArray, cols: IntArray, cell_px: int, cells: int = CELLS
+) -> Float32Array:
     """Descriptors of the squares of cells x cells cells of cell_px nodes about given nodes.
 
     image       (rows, cols)  brightness, any unit; NaN for no data
@@ -185,7 +182,7 @@ def descriptors(
     return _gather(_cell_sums(image, cell_px), rows, cols, cell_px, cell_weights(cells))
 
 
-def similarity_surface(reference: Image, search: Image) -> NDArray[np.float32]:
+def similarity_surface(reference: Float32Array, search: Float32Array) -> Float32Array:
     """Cosine of the descriptors of a reference and of every place where it fits into a search grid.
 
     reference (n, n), search (m, m) with m - n even, n >= 17.
@@ -202,7 +199,7 @@ def similarity_surface(reference: Image, search: Image) -> NDArray[np.float32]:
     return _similarities(sums, own, margin, m - n + 1, cell_px, cell_weights(cells))
 
 
-def own_similarity_surface(search: Image, side: int) -> NDArray[np.float32]:
+def own_similarity_surface(search: Float32Array, side: int) -> Float32Array:
     """`similarity_surface` of a grid's middle square of `side` nodes; the middle element is 1.
 
     Raises ValueError as `similarity_surface` does.
@@ -224,12 +221,12 @@ def _layout(side: int) -> tuple[int, int, int]:
     return cells, cell_px, (side - 1 - cells * cell_px) // 2
 
 
-def _smoothed(grid: Image) -> Image:
+def _smoothed(grid: Float32Array) -> Float32Array:
     single = grid.astype(np.float32, copy=False)
     return np.asarray(cv2.GaussianBlur(single, (0, 0), MATCH_SMOOTHING_NODES), dtype=np.float32)
 
 
-def match_surf(reference: Image, search: Image, margin_nodes: int = 0) -> Match:
+def match_surf(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:
     """Find a reference in a search grid by SURF; its place and score are then correlation's.
 
     Arguments as `similarity_surface`, margin_nodes as `match_ncc`: the descriptor leaves it out.
@@ -258,7 +255,9 @@ def match_surf(reference: Image, search: Image, margin_nodes: int = 0) -> Match:
     return match
 
 
-def _refined(reference: Image, search: Image, row: int, col: int, margin_nodes: int) -> Match:
+def _refined(
+    reference: Float32Array, search: Float32Array, row: int, col: int, margin_nodes: int
+) -> Match:
     """Correlation within REFINE_NODES of an offset of the surface."""
     last = search.shape[0] - reference.shape[0]
     reach = min(REFINE_NODES, last // 2)

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.latlon import wrap_longitude_deg
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class CellGrid:
         west = -180.0 + 360.0 * column / count
         return west, south, west + 360.0 / count, north
 
-    def bounds_of(self, cells: IntArray) -> NDArray[np.float64]:
+    def bounds_of(self, cells: IntArray) -> FloatArray:
         """(4, n) the same of many cells."""
         bands = self.bands_of(cells)
         count = self.cells_in_band[bands]

@@ -6,9 +6,9 @@ comes from the left without ever stepping over it.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import FloatArray
 
 MOST_STEPS = 100
 CLOSE = 1e-15  # relative step of the root: nothing is left to gain

@@ -6,10 +6,8 @@ Any part of a graticule has the same nodes, whoever asks for it.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from catalog.arrays import FloatArray, IntArray
 
 
 class Graticule(NamedTuple):

@@ -1,12 +1,9 @@
 """Sampling of regular grids, with NaN for no data."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 
 @kernel
@@ -23,7 +20,7 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
 
 
 @kernel
-def _bilinear_at(grid: HeightGrid, row: float, col: float) -> float:
+def _bilinear_at(grid: Float32Array, row: float, col: float) -> float:
     rows, cols = grid.shape
     # half a cell beyond the outer nodes still belongs to the outer pixels
     if not (-0.5 <= row <= rows - 0.5 and -0.5 <= col <= cols - 0.5):
@@ -51,7 +48,7 @@ def _bilinear_at(grid: HeightGrid, row: float, col: float) -> float:
 
 
 @kernel
-def bicubic_at(grid: HeightGrid, row: float, col: float) -> float:
+def bicubic_at(grid: Float32Array, row: float, col: float) -> float:
     """Cubic convolution at one place; bilinear at the border and beside holes; NaN outside."""
     rows, cols = grid.shape
     if not (1.0 <= row < rows - 2.0 and 1.0 <= col < cols - 2.0):
@@ -71,14 +68,14 @@ def bicubic_at(grid: HeightGrid, row: float, col: float) -> float:
 
 
 @kernel
-def _sample_flat(grid: HeightGrid, row: FloatArray, col: FloatArray) -> HeightGrid:
+def _sample_flat(grid: Float32Array, row: FloatArray, col: FloatArray) -> Float32Array:
     out = np.empty(row.size, np.float32)
     for i in range(row.size):
         out[i] = bicubic_at(grid, row[i], col[i])
     return out
 
 
-def sample_bicubic(grid: HeightGrid, row: FloatArray, col: FloatArray) -> HeightGrid:
+def sample_bicubic(grid: Float32Array, row: FloatArray, col: FloatArray) -> Float32Array:
     """Values (float32, shape of `row`) of a grid at fractional rows and columns; NaN outside."""
     row = np.ascontiguousarray(row, dtype=np.float64)
     col = np.ascontiguousarray(col, dtype=np.float64)

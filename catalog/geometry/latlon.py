@@ -1,9 +1,9 @@
 """Latitude, longitude, radius and body-fixed vectors; all angles in radians."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import FloatArray
 
 
 def xyz_from_latlon(lat: ArrayLike, lon: ArrayLike, radius: ArrayLike) -> FloatArray:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

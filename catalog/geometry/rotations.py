@@ -1,10 +1,10 @@
 """Rotations: scalar-first quaternions of files, small rotation vectors, RNB axes."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import FloatArray
 
 ARCSEC = np.pi / 648000.0  # rad
 

@@ -1,12 +1,12 @@
 """Where rays meet a sphere about the origin."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from catalog.arrays import FloatArray
 
 
-def distance_to_sphere(
-    origin: ArrayLike, directions: ArrayLike, radius: float
-) -> NDArray[np.float64]:
+def distance_to_sphere(origin: ArrayLike, directions: ArrayLike, radius: float) -> FloatArray:
     """Distance along unit rays to their first crossing of a sphere, NaN where they miss it.
 
     origin (3,), directions (..., 3) unit vectors, same frame and unit; returns (...).

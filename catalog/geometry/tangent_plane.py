@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
 from catalog.geometry.projection import Stereographic
-
-FloatArray = NDArray[np.float64]
 
 # What reckons with a sphere under the map takes this radius for a plane: over 100 km of it the
 # sphere falls off by 5e-6 m.

@@ -11,11 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
 
 
 class HapkeParameters(NamedTuple):

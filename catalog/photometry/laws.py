@@ -2,13 +2,11 @@
 
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from catalog.arrays import FloatArray
 from catalog.errors import ConfigError
 from catalog.photometry import hapke, lambert, lommel_seeliger, lunar_lambert
 
-Law = Callable[..., NDArray[np.float64]]
+Law = Callable[..., FloatArray]
 
 LAWS: dict[str, Law] = {
     "hapke": hapke.reflectance,

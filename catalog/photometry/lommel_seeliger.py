@@ -1,11 +1,11 @@
 """The Lommel-Seeliger law: single scattering in a dark, smooth layer; the on-board reference's."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
 
-FloatArray = NDArray[np.float64]
 NORMAL_ALBEDO = 0.12  # the Moon's geometric albedo in V (Allen's Astrophysical Quantities, 4th ed.)
 
 

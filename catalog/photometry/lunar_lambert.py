@@ -8,11 +8,10 @@ program ISIS (class LunarLambertMcEwen, written by McEwen): L = 1 - 0.019 g + 0.
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
 
 
 @kernel

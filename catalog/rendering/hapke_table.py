@@ -10,15 +10,11 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
 from catalog.rendering.shading import darken, row_normals
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
-BoolGrid = NDArray[np.bool_]
 
 TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated
 TABLE_SIZE = 129
@@ -92,15 +88,15 @@ def _fill(
 
 @kernel
 def shade_hapke(
-    heights: HeightGrid,
+    heights: Float32Array,
     posting: float,
     radius: float,
     sun: FloatArray,
     view: FloatArray,
     surface: HapkeParameters,
-    lit: BoolGrid,
+    lit: BoolArray,
     table: FloatArray,
-) -> HeightGrid:
+) -> Float32Array:
     """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit.
 
     table  of this Sun, view and surface, see `slope_table`; what is needed is filled in

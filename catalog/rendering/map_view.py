@@ -1,8 +1,9 @@
 """A map grid rendered in its own projection: each node's brightness under a Sun and a view."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.photometry.hapke import LUNAR, HapkeParameters
 from catalog.photometry.laws import law_by_name
 from catalog.photometry.lommel_seeliger import NORMAL_ALBEDO
@@ -10,9 +11,6 @@ from catalog.photometry.lunar_lambert import lunar_weight
 from catalog.rendering import shading
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE, shade_hapke, slope_table
 from catalog.rendering.shadow import Outer, lit_mask
-
-HeightGrid = NDArray[np.float32]
-BoolGrid = NDArray[np.bool_]
 
 LAW_NUMBERS = {
     "hapke": shading.HAPKE,
@@ -23,10 +21,10 @@ LAW_NUMBERS = {
 # A table pays from three nodes to an entry on; still smaller grids are evaluated node by node.
 TABLE_PAYS_NODES = 3 * TABLE_SIZE**2
 SMALL_TABLE_PAYS_NODES = 3 * SMALL_TABLE_SIZE**2
-ALL_LIT: BoolGrid = np.empty((0, 0), dtype=np.bool_)
+ALL_LIT: BoolArray = np.empty((0, 0), dtype=np.bool_)
 
 
-def _unit(vector: ArrayLike, what: str) -> NDArray[np.float64]:
+def _unit(vector: ArrayLike, what: str) -> FloatArray:
     array = np.ascontiguousarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(array))
     if array.shape != (3,) or not np.isfinite(length) or length == 0.0:
@@ -35,7 +33,7 @@ def _unit(vector: ArrayLike, what: str) -> NDArray[np.float64]:
 
 
 def render_map(
-    heights: HeightGrid,
+    heights: Float32Array,
     posting_m: float,
     sun_local: ArrayLike,
     *,
@@ -48,7 +46,7 @@ def render_map(
     surface: HapkeParameters = LUNAR,
     albedo: float = NORMAL_ALBEDO,
     quick: bool = False,
-) -> HeightGrid:
+) -> Float32Array:
     """Radiance factor of every node of a map grid, zero in shadow, NaN where there is no data.
 
     heights       (n, n) float32  m above the reference sphere, NaN for no data; row 0 north

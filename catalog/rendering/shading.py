@@ -9,15 +9,11 @@ more than the flat formula. To first order it is the flat normal with the gradie
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry import hapke, lambert, lommel_seeliger, lunar_lambert
 from catalog.photometry.hapke import HapkeParameters
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
-BoolGrid = NDArray[np.bool_]
 
 HAPKE, LOMMEL_SEELIGER, LUNAR_LAMBERT, LAMBERT = 0, 1, 2, 3
 
@@ -36,7 +32,7 @@ def _slope(before: float, here: float, after: float, posting: float) -> float:
 
 @kernel
 def _row_slopes(
-    heights: HeightGrid, row: int, posting: float, east: FloatArray, north: FloatArray
+    heights: Float32Array, row: int, posting: float, east: FloatArray, north: FloatArray
 ) -> None:
     """Fill east, north (n,) with dh/dx and dh/dy of a row's nodes, by central differences."""
     size = heights.shape[0]
@@ -70,7 +66,7 @@ def _row_slopes(
 
 @kernel
 def row_normals(
-    heights: HeightGrid, row: int, posting: float, radius: float, normals: FloatArray
+    heights: Float32Array, row: int, posting: float, radius: float, normals: FloatArray
 ) -> None:
     """Fill normals (3, n) with a row's outward normals (any length; east, north, up at the centre).
 
@@ -111,7 +107,7 @@ def brightness(
 
 
 @kernel
-def darken(heights: HeightGrid, lit: BoolGrid, row: int, line: HeightGrid) -> None:
+def darken(heights: Float32Array, lit: BoolArray, row: int, line: Float32Array) -> None:
     """Put the row's shadows and holes into its brightness."""
     here = heights[row]
     if lit.shape[0] > 0:
@@ -124,15 +120,15 @@ def darken(heights: HeightGrid, lit: BoolGrid, row: int, line: HeightGrid) -> No
 
 @kernel
 def shade_two_terms(
-    heights: HeightGrid,
+    heights: Float32Array,
     posting: float,
     radius: float,
     sun: FloatArray,
     view: FloatArray,
     weight: float,
     albedo: float,
-    lit: BoolGrid,
-) -> HeightGrid:
+    lit: BoolArray,
+) -> Float32Array:
     """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit.
 
     weight  share of the Lommel-Seeliger term, the rest is Lambert's: all three simple laws are so,
@@ -160,7 +156,7 @@ def shade_two_terms(
 
 @kernel
 def shade_fixed(
-    heights: HeightGrid,
+    heights: Float32Array,
     posting: float,
     radius: float,
     sun: FloatArray,
@@ -168,8 +164,8 @@ def shade_fixed(
     law: int,
     surface: HapkeParameters,
     albedo: float,
-    lit: BoolGrid,
-) -> HeightGrid:
+    lit: BoolArray,
+) -> Float32Array:
     """As `shade_two_terms`, by any law, each node evaluated."""
     size = heights.shape[0]
     out = np.zeros((size, size), np.float32)
@@ -192,7 +188,7 @@ def shade_fixed(
 
 @kernel
 def shade_from_camera(
-    heights: HeightGrid,
+    heights: Float32Array,
     posting: float,
     radius: float,
     sun: FloatArray,
@@ -200,8 +196,8 @@ def shade_from_camera(
     law: int,
     surface: HapkeParameters,
     albedo: float,
-    lit: BoolGrid,
-) -> HeightGrid:
+    lit: BoolArray,
+) -> Float32Array:
     """Every node seen from a place: `camera` (3,) m from the centre's foot on the sphere."""
     size = heights.shape[0]
     out = np.zeros((size, size), np.float32)

@@ -16,19 +16,16 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.geometry.tangent_plane import FLAT_RADIUS_M
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
-BoolGrid = NDArray[np.bool_]
 
 NOTHING = -1e30  # height of no ground
 NODE_TOLERANCE_M = 1e-3  # float32 heights of 1e4 m are good to this
 NO_FIELD: FloatArray = np.empty((0, 0))
-NO_MASK: BoolGrid = np.empty((0, 0), dtype=np.bool_)
+NO_MASK: BoolArray = np.empty((0, 0), dtype=np.bool_)
 
 
 @kernel
@@ -47,7 +44,7 @@ def _sample_field(field: FloatArray, t: float, c: float) -> float:
 
 @kernel
 def _tangent_row(
-    heights: HeightGrid, t: int, posting: float, radius: float, mirror: bool, z: FloatArray
+    heights: Float32Array, t: int, posting: float, radius: float, mirror: bool, z: FloatArray
 ) -> None:
     """Fill z (n,) with the tangent-frame heights of a row, its columns mirrored on demand."""
     size = heights.shape[0]
@@ -65,7 +62,7 @@ def _tangent_row(
 
 @kernel
 def _sweep(
-    heights: HeightGrid,
+    heights: Float32Array,
     posting: float,
     radius: float,
     flip_t: bool,
@@ -75,7 +72,7 @@ def _sweep(
     outer: FloatArray,
     ratio: float,
     field: FloatArray,
-    lit: BoolGrid,
+    lit: BoolArray,
 ) -> None:
     """Sweep a grid away from the Sun, row by row.
 
@@ -149,7 +146,7 @@ class ShadowField(NamedTuple):
     posting_m: float
 
 
-Outer = Sequence[tuple[HeightGrid, float]] | ShadowField
+Outer = Sequence[tuple[Float32Array, float]] | ShadowField
 
 
 class _Sweep(NamedTuple):
@@ -163,12 +160,12 @@ class _Sweep(NamedTuple):
 
 
 def lit_mask(
-    heights: HeightGrid,
+    heights: Float32Array,
     posting_m: float,
     sun_local: ArrayLike,
     radius_m: float,
     outer: Outer = (),
-) -> BoolGrid:
+) -> BoolArray:
     """Which nodes of a map grid see the Sun over the ground between.
 
     heights    (n, n) float32  m above the reference sphere, NaN for no data (casts no shadow)
@@ -198,7 +195,7 @@ def lit_mask(
 
 
 def shadow_field(
-    grids: Sequence[tuple[HeightGrid, float]],
+    grids: Sequence[tuple[Float32Array, float]],
     sun_local: ArrayLike,
     radius_m: float,
     beyond: ShadowField | None = None,
@@ -249,13 +246,13 @@ def _sweep_of(sun_local: ArrayLike) -> tuple[float, _Sweep | None]:
 
 
 def _swept(
-    grid: HeightGrid,
+    grid: Float32Array,
     posting_m: float,
     radius_m: float,
     sweep: _Sweep,
     outer: ShadowField,
     field: FloatArray,
-    lit: BoolGrid,
+    lit: BoolArray,
 ) -> None:
     _sweep(
         _rows_along(grid, sweep.swap), float(posting_m), float(radius_m), sweep.flip_t,
@@ -264,12 +261,12 @@ def _swept(
     )  # fmt: skip
 
 
-def _refuse_shape(grid: HeightGrid, what: str) -> None:
+def _refuse_shape(grid: Float32Array, what: str) -> None:
     if grid.ndim != 2 or grid.shape[0] != grid.shape[1] or grid.shape[0] < 2:
         raise ValueError(f"lit_mask: {what} is square, at least 2 x 2, not {grid.shape}")
 
 
-def _rows_along(grid: HeightGrid, swap: bool) -> HeightGrid:
+def _rows_along(grid: Float32Array, swap: bool) -> Float32Array:
     grid = np.ascontiguousarray(grid, dtype=np.float32)
     return np.asarray(cv2.transpose(grid), dtype=np.float32) if swap else grid
 

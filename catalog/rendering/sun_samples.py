@@ -8,9 +8,8 @@ two grow together into the whole circle, and high elevations do not occur.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import FloatArray
 
 MOON_MAX_DECLINATION = math.radians(1.54)  # tilt of the Moon's equator to the ecliptic
 LOW_ELEVATION = math.radians(8.0)  # below, most of the ground is in shadow

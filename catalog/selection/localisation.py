@@ -12,12 +12,9 @@ exact score): on real ground it chose as well as full renders at a twentieth of 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-
-Grid = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 AZIMUTHS = 8  # over half a turn: the opposite Sun gives the same tensor
 # a window may miss this share of its nodes before its response is unknown
@@ -25,7 +22,9 @@ MAX_MISSING = 0.02
 
 
 @kernel
-def eigenvalue_row(sums: Grid, least: float, directions: Grid, out: Grid) -> None:
+def eigenvalue_row(
+    sums: Float32Array, least: float, directions: Float32Array, out: Float32Array
+) -> None:
     """Worst smallest eigenvalue (cols) for a row of window sums (7, cols).
 
     The first six are of the products; where the last, the number known, is less than `least` or
@@ -56,7 +55,7 @@ def eigenvalue_row(sums: Grid, least: float, directions: Grid, out: Grid) -> Non
 
 
 @kernel
-def _slide_right(columns: FloatArray, window: int, step: int, sums: Grid) -> None:
+def _slide_right(columns: FloatArray, window: int, step: int, sums: Float32Array) -> None:
     """Window sums (7, right) of a row from its column sums (7, cols)."""
     # seven scalars, not an array: the additions of seven chains then overlap
     s0 = s1 = s2 = s3 = s4 = s5 = s6 = 0.0
@@ -85,8 +84,13 @@ def _slide_right(columns: FloatArray, window: int, step: int, sums: Grid) -> Non
 
 @kernel
 def _eigenvalue_map(
-    heights: Grid, scale: float, window: int, least: float, directions: Grid, step: int
-) -> Grid:
+    heights: Float32Array,
+    scale: float,
+    window: int,
+    least: float,
+    directions: Float32Array,
+    step: int,
+) -> Float32Array:
     """One sweep: column sums slide down, window sums slide right, eigenvalues by rows."""
     rows, cols = heights.shape
     down, right = (rows - window) // step + 1, (cols - window) // step + 1
@@ -129,13 +133,13 @@ def _eigenvalue_map(
     return out
 
 
-def azimuth_products(azimuths: int = AZIMUTHS) -> Grid:
+def azimuth_products(azimuths: int = AZIMUTHS) -> Float32Array:
     """(azimuths, 3): e², e n, n² of azimuths over half a turn; e, n the Sun's east and north."""
     angle = np.pi * np.arange(azimuths) / azimuths
     return sun_products(np.stack([np.sin(angle), np.cos(angle), np.ones(azimuths)], axis=1))
 
 
-def sun_products(suns_local: FloatArray) -> Grid:
+def sun_products(suns_local: FloatArray) -> Float32Array:
     """(n, 3) the same for Sun directions (n, 3) east, north, up, times cot² of their elevation.
 
     With these weights an eigenvalue is that of the *relative* brightness, and a match under noise
@@ -148,12 +152,12 @@ def sun_products(suns_local: FloatArray) -> Grid:
 
 
 def hessian_eigenvalue_map(
-    heights: Grid,
+    heights: Float32Array,
     posting_m: float,
     window: int,
-    products: Grid | None = None,
+    products: Float32Array | None = None,
     step: int = 1,
-) -> Grid:
+) -> Float32Array:
     """Smallest eigenvalue, worst Sun, of the summed Hessian products in every window.
 
     heights    (rows, cols)  m, NaN for no data, row 0 north
@@ -182,7 +186,9 @@ def hessian_eigenvalue_map(
     )
 
 
-def hessian_eigenvalue(heights: Grid, posting_m: float, products: Grid | None = None) -> float:
+def hessian_eigenvalue(
+    heights: Float32Array, posting_m: float, products: Float32Array | None = None
+) -> float:
     """The same for one square patch, summed over all of it; NaN when it has holes."""
     side = min(heights.shape)
     return float(hessian_eigenvalue_map(heights[:side, :side], posting_m, side, products)[0, 0])

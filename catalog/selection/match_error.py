@@ -15,16 +15,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.correlation.ncc import high_pass
 from catalog.geometry.kernel import kernel
 
-Grid = NDArray[np.float32]
-
 
 @kernel
-def _structure_tensor(brightness: Grid) -> tuple[float, float, float, float]:
+def _structure_tensor(brightness: Float32Array) -> tuple[float, float, float, float]:
     """Its elements xx, xy and yy, x along columns, y along rows, and the mean brightness."""
     rows, cols = brightness.shape
     mxx = mxy = myy = total = 0.0
@@ -62,7 +60,7 @@ class MatchPrediction:
         return self.error_px / self.correlation if self.correlation > 0.0 else math.inf
 
 
-def predict_match(brightness: Grid, snr: float) -> MatchPrediction:
+def predict_match(brightness: Float32Array, snr: float) -> MatchPrediction:
     """What a template promises.
 
     brightness  (n, n)  any unit, NaN for no data (which adds nothing)
@@ -82,7 +80,7 @@ def _error_px(mxx: float, mxy: float, myy: float, mean: float, snr: float) -> fl
     return mean / (snr * math.sqrt(smallest))
 
 
-def _correlation(brightness: Grid, mean: float, snr: float) -> float:
+def _correlation(brightness: Float32Array, mean: float, snr: float) -> float:
     if mean <= 0.0:
         return 0.0
     # holes are zero after the high-pass and count as nodes without contrast

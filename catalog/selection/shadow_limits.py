@@ -1,9 +1,9 @@
 """How free a patch is of shadows from terrain outside it."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import FloatArray
 
 
 def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:

@@ -8,13 +8,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.latlon import xyz_from_latlon
-
-FloatArray = NDArray[np.float64]
-
 
 RELAXED = 0.5  # of the spacing: what a cell may fall back to that would have no point otherwise
 
@@ -30,9 +27,7 @@ class Choice(NamedTuple):
     spacing: float
 
 
-def strongest_peaks(
-    response: NDArray[np.float32], radius: float, count: int
-) -> list[tuple[int, int]]:
+def strongest_peaks(response: Float32Array, radius: float, count: int) -> list[tuple[int, int]]:
     """Up to `count` nodes of the largest response, no two nearer than `radius` nodes.
 
     response (rows, cols), NaN where unknown; nodes of response <= 0 are never taken.

@@ -9,14 +9,10 @@ times tan(latitude) over the radius, 1e-3 of the second differences of real reli
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.selection.localisation import eigenvalue_row
-
-Grid = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 BLUR_TAPS = 9  # four sigmas of one node, either side
 MARGIN = BLUR_TAPS // 2 + 1  # nodes that blur and second differences want around the tiles
@@ -24,7 +20,7 @@ BLOCK_NODES = 2048  # columns done at once: their rows stay in the processor's n
 
 
 @kernel
-def _blur_down(heights: Grid, taps: Grid, out: Grid) -> None:
+def _blur_down(heights: Float32Array, taps: Float32Array, out: Float32Array) -> None:
     """The middle row of BLUR_TAPS rows, blurred across them."""
     half = taps.size // 2
     middle = heights[half]
@@ -37,7 +33,7 @@ def _blur_down(heights: Grid, taps: Grid, out: Grid) -> None:
 
 
 @kernel
-def _blur_along(line: Grid, taps: Grid, out: Grid) -> None:
+def _blur_along(line: Float32Array, taps: Float32Array, out: Float32Array) -> None:
     half = taps.size // 2
     middle = line[half : half + out.size]
     for c in range(out.size):
@@ -51,7 +47,12 @@ def _blur_along(line: Grid, taps: Grid, out: Grid) -> None:
 
 @kernel
 def _add_products(
-    south: Grid, middle: Grid, north: Grid, scale: np.float32, stretch: np.float32, sums: Grid
+    south: Float32Array,
+    middle: Float32Array,
+    north: Float32Array,
+    scale: np.float32,
+    stretch: np.float32,
+    sums: Float32Array,
 ) -> None:
     """Add a row's products of second differences (6, cols); rows have a node more at each end."""
     cols = sums.shape[1]
@@ -75,7 +76,12 @@ def _add_products(
 
 @kernel
 def _tile_sums(
-    heights: Grid, taps: Grid, scale: np.float32, stretch: Grid, step: int, out: Grid
+    heights: Float32Array,
+    taps: Float32Array,
+    scale: np.float32,
+    stretch: Float32Array,
+    step: int,
+    out: Float32Array,
 ) -> None:
     margin = taps.size // 2 + 1
     rows, cols = out.shape[1] * step, out.shape[2] * step
@@ -105,7 +111,9 @@ def _tile_sums(
                 sums[:] = np.float32(0.0)
 
 
-def tile_sums(heights: Grid, posting_m: float, stretch: FloatArray, step: int) -> Grid:
+def tile_sums(
+    heights: Float32Array, posting_m: float, stretch: FloatArray, step: int
+) -> Float32Array:
     """Sums over tiles of the six products of second differences of blurred heights.
 
     heights    (rows + 2 MARGIN, cols + 2 MARGIN)  m; row 0 south, column 0 west; rows and cols
@@ -130,7 +138,7 @@ def tile_sums(heights: Grid, posting_m: float, stretch: FloatArray, step: int) -
 
 @kernel
 def _window_eigenvalues(
-    tiles: Grid, tall: int, wide: IntArray, directions: Grid, out: Grid
+    tiles: Float32Array, tall: int, wide: IntArray, directions: Float32Array, out: Float32Array
 ) -> None:
     cols = tiles.shape[2]
     down = np.empty((6, cols), np.float32)
@@ -159,7 +167,9 @@ def _window_eigenvalues(
         eigenvalue_row(sums[:, :fit], -np.inf, directions, out[i, :fit])
 
 
-def window_eigenvalues(tiles: Grid, tall: int, wide: IntArray, products: Grid) -> Grid:
+def window_eigenvalues(
+    tiles: Float32Array, tall: int, wide: IntArray, products: Float32Array
+) -> Float32Array:
     """Smallest eigenvalue, worst Sun, of the products summed in every window of tiles.
 
     tiles     (6, rows, cols)  of `tile_sums`
@@ -179,7 +189,7 @@ def window_eigenvalues(tiles: Grid, tall: int, wide: IntArray, products: Grid) -
 
 @kernel
 def strongest_windows(
-    response: Grid,
+    response: Float32Array,
     wide: IntArray,
     west: FloatArray,
     east: FloatArray,

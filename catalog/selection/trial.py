@@ -12,17 +12,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.blur import thinned, thinning
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import match_similarity
 from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import shadow_field
 from catalog.selection.trial_picture import FINER, picture_of, side_under
-
-Grid = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 
 class Level(NamedTuple):
@@ -36,8 +33,8 @@ class Level(NamedTuple):
                           known
     """
 
-    reference: Grid
-    truth: Grid
+    reference: Float32Array
+    truth: Float32Array
     posting_m: float
     blur_nodes: float = 0.0
 
@@ -158,7 +155,7 @@ def run_trial(
     radius_m: float,
     search: Search = Search(),
     gate: Gate = Gate(),
-    outer: Sequence[tuple[Grid, float]] = (),
+    outer: Sequence[tuple[Float32Array, float]] = (),
 ) -> Outcome:
     """Look for a point once.
 
@@ -253,6 +250,6 @@ def _similarity(roll: float, scale: float) -> FloatArray:
     return scale * np.array([[cosine, -sine], [sine, cosine]])
 
 
-def _centre(grid: Grid, size: int) -> Grid:
+def _centre(grid: Float32Array, size: int) -> Float32Array:
     first = (grid.shape[0] - size) // 2
     return grid[first : first + size, first : first + size]

@@ -2,12 +2,9 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-
-Grid = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 FINER = 2  # the picture's ground has this many nodes to one of the reference
 PSF_SIGMA_PX = 0.7
@@ -20,14 +17,14 @@ PICTURE_MARGIN = 8
 
 
 def picture_of(
-    brightness: Grid,
+    brightness: Float32Array,
     ground_from_picture: FloatArray,
     origin: FloatArray,
     size: int,
     averaging: int,
     snr: float,
     rng: np.random.Generator,
-) -> Grid:
+) -> Float32Array:
     """The resampled picture (size, size): blurred, sampled, noisy, in 8 bits.
 
     brightness           (t, t)  on the truth grid
@@ -54,7 +51,7 @@ def picture_of(
 
 
 @kernel
-def exposed(sampled: Grid, noise: Grid, relative_noise: float) -> Grid:
+def exposed(sampled: Float32Array, noise: Float32Array, relative_noise: float) -> Float32Array:
     """Whole counts (rows, cols) of brightness with noise, NaN where the brightness is.
 
     noise           (rows, cols)  of unit variance

@@ -1,19 +1,15 @@
 """Uniqueness: how unlike the true place its best rival in the search region is, by SURF."""
 
-import numpy as np
-from numpy.typing import NDArray
-
+from catalog.arrays import Float32Array
 from catalog.correlation.surf64 import own_similarity_surface
 from catalog.geometry.kernel import kernel
-
-Grid = NDArray[np.float32]
 
 # Nearer than this a peak of the similarity is the place itself.
 LOBE_NODES = 3
 
 
 @kernel
-def best_rival(surface: Grid, search_nodes: float) -> float:
+def best_rival(surface: Float32Array, search_nodes: float) -> float:
     """Highest local maximum of a similarity surface away from its middle, -1 when there is none.
 
     surface       (2k + 1, 2k + 1)  similarity, the true place in the middle
@@ -36,7 +32,7 @@ def best_rival(surface: Grid, search_nodes: float) -> float:
     return best
 
 
-def uniqueness_margin(brightness: Grid, template_nodes: int, search_nodes: float) -> float:
+def uniqueness_margin(brightness: Float32Array, template_nodes: int, search_nodes: float) -> float:
     """One minus the similarity of the best rival: 1 when nothing is alike, 0 for a perfect double.
 
     brightness      (n, n)  a render of the ground about the place, NaN for no data

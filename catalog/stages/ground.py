@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.sun_samples import sun_samples
@@ -20,8 +20,6 @@ from catalog.stages.context import StageContext
 if TYPE_CHECKING:
     from catalog.stages.render import Settings
 
-Grid = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 STEPS_PER_WINDOW = 16  # the response hardly changes over a sixteenth of its window
 BLUR_NODES = 1.0  # optics of 0.7 px, the pixel itself and resampling
@@ -46,13 +44,13 @@ class Ground(NamedTuple):
     """
 
     projection: MapProjection
-    heights: Grid
+    heights: Float32Array
     window: int
     step: int
     lat: FloatArray
     lon: FloatArray
-    inside: NDArray[np.bool_]
-    whole: NDArray[np.bool_]
+    inside: BoolArray
+    whole: BoolArray
     complete: bool
 
 
@@ -106,7 +104,7 @@ def strongest_of(context: StageContext, cell: int, ground: Ground) -> list[tuple
     return peaks
 
 
-def blurred(grid: Grid) -> Grid:
+def blurred(grid: Float32Array) -> Float32Array:
     """A grid as a camera's optics and pixels leave it: detail finer than that helps no match."""
     return np.asarray(cv2.GaussianBlur(grid, (0, 0), BLUR_NODES), dtype=np.float32)
 
@@ -154,7 +152,7 @@ def _ground_side(context: StageContext, cell: int, window: int) -> int:
 
 def _inside(
     context: StageContext, cell: int, lat: FloatArray, lon: FloatArray, inset: float
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Which places (deg) lie in a cell, away from its borders."""
     west, south, east, north = context.grid.bounds_deg(cell)
     margin = inset * (north - south)
@@ -170,7 +168,7 @@ def _inside(
 
 def _fine_patches_cover(
     context: StageContext, projection: MapProjection, extent_m: float
-) -> tuple[NDArray[np.bool_], float, float]:
+) -> tuple[BoolArray, float, float]:
     """Where there is ground for the fine patches of places within `extent_m` of the middle.
 
     Returns a square lattice about the middle, its spacing and half a patch's side, m.
@@ -202,7 +200,7 @@ def _fine_patches_missing(
     nodes = covered.shape[0]
     sums = np.pad(np.cumsum(np.cumsum(covered, axis=0), axis=1), ((1, 0), (1, 0)))
 
-    def index(offset: FloatArray) -> NDArray[np.int64]:
+    def index(offset: FloatArray) -> IntArray:
         at = np.rint(offset / spacing + (nodes - 1) / 2.0)
         return np.asarray(np.clip(at, 0, nodes - 1), dtype=np.int64)
 

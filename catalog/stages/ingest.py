@@ -9,8 +9,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError, UsageError
 from catalog.geometry.cells import CellGrid
@@ -24,7 +24,6 @@ from catalog.terrain.source import DemSettings, DemSource
 from catalog.terrain.terrain import Terrain
 
 Bbox = tuple[float, float, float, float]
-IntArray = NDArray[np.int64]
 
 HASHES = "dem-hashes.json"
 MEGABYTE = 1_000_000
@@ -192,7 +191,7 @@ def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArra
     return cells[covered]
 
 
-def _lattice(grid: CellGrid, cells: IntArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _lattice(grid: CellGrid, cells: IntArray) -> tuple[FloatArray, FloatArray]:
     """Latitudes and longitudes (rad), (n, LATTICE²) each, of points spread over cells."""
     bounds = np.array([grid.bounds_deg(int(cell)) for cell in cells])
     west, south, east, north = bounds.T[:, :, None]
@@ -201,7 +200,7 @@ def _lattice(grid: CellGrid, cells: IntArray) -> tuple[NDArray[np.float64], NDAr
     return np.radians(south + (north - south) * down), np.radians(west + (east - west) * along)
 
 
-def _text(bounds: Sequence[float] | NDArray[np.float64]) -> str:
+def _text(bounds: Sequence[float] | FloatArray) -> str:
     return ",".join(f"{value:.6g}" for value in bounds)
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import ConfigError
 from catalog.progress import Progress
@@ -111,9 +111,7 @@ def _halvings(shape: Shape, finest_m: float) -> int:
     return max(0, min(wanted, int(math.log(FINEST_FACES / len(shape.faces), 4.0))))
 
 
-def _corners(
-    shape: Shape, settings: MeshSettings, path: Path, halvings: int
-) -> NDArray[np.float64]:
+def _corners(shape: Shape, settings: MeshSettings, path: Path, halvings: int) -> FloatArray:
     """Corners (m, 3, 3) m of the faces, or of those of a smooth surface through the vertices."""
     if not halvings:
         return shape.vertices[shape.faces]

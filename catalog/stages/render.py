@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.map_view import render_map
@@ -20,8 +20,6 @@ from catalog.selection.match_error import predict_match
 from catalog.stages.context import StageContext
 from catalog.stages.ground import FINE_LEVELS, blurred, missing_share, suns_of
 from catalog.stages.shortlist import shortlists
-
-FloatArray = NDArray[np.float64]
 
 # Ground about all windows that throws shadows into them. Farther relief is left out: under a Sun of
 # 8 deg what stands higher than a seventh of its distance would count.
@@ -128,7 +126,7 @@ def _offsets(context: StageContext, places: FloatArray) -> tuple[MapProjection, 
 
 def _scores(
     context: StageContext, suns: FloatArray, places: FloatArray
-) -> Iterator[tuple[float, NDArray[np.float32]]]:
+) -> Iterator[tuple[float, Float32Array]]:
     """Hessian eigenvalue, and predicted 1-sigma errors (levels, suns) over correlation, of places.
 
     One ground holds them all, rendered once a level and Sun, with what throws shadows from about.

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.graticule import Graticule, Part
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.selection.localisation import sun_products
@@ -26,9 +26,6 @@ from catalog.stages.ground import (
 )
 from catalog.terrain.graticule_heights import graticule_heights
 from catalog.terrain.mosaic import Mosaic
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ZONE_BANDS = 8  # as high as a block of cells that are in work together
 ZONE_DEG = 16.0  # fewer bands of large cells
@@ -107,7 +104,7 @@ class Spans(NamedTuple):
     first: IntArray
     end: IntArray
 
-    def part(self, chosen: IntArray | NDArray[np.bool_]) -> "Spans":
+    def part(self, chosen: IntArray | BoolArray) -> "Spans":
         """Some of the cells."""
         return Spans(
             self.cells[chosen], self.top[chosen], self.bottom[chosen], self.west[chosen],
@@ -261,5 +258,5 @@ def _swept(
                 yield cell, Shortlist(places[i, : counts[i]], complete=True)
 
 
-def _is_whole(tiles: NDArray[np.float32], first: int, end: int) -> bool:
+def _is_whole(tiles: Float32Array, first: int, end: int) -> bool:
     return bool(np.isfinite(tiles[:, :, first:end]).all())

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.control_point import Patch
 from catalog.correlation.blur import blur_nodes
 from catalog.geometry.projection import Stereographic
@@ -24,8 +24,6 @@ from catalog.selection.trial_picture import FINER
 from catalog.terrain.detail import Detail
 from catalog.terrain.terrain import Terrain
 
-Grid = NDArray[np.float32]
-
 TRIAL_LEVELS = 2  # the search starts one level above the finest
 # Relief below the posting is drawn once for so many grounds and shared by places: the relief of
 # one place says nothing of another's, and drawing it costs more than the trials.
@@ -42,7 +40,7 @@ def _relief(
     size: int,
     radius_m: float,
     slope_deg: float,
-) -> Grid:
+) -> Float32Array:
     """Relief below a DEM's posting on a map grid of `posting_m`, ready to be added."""
     detail = Detail(ground, dem_posting_m, radius_m, smallest_m=smallest_m, rms_slope_deg=slope_deg)
     relief = detail.local(Stereographic(0.0, 0.0, radius_m), posting_m, size)

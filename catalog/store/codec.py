@@ -14,14 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import zstandard
-from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, Float32Array, Int16Array
 from catalog.errors import DataError
 from catalog.geometry.kernel import kernel
-
-HeightGrid = NDArray[np.float32]
-Counts = NDArray[np.int16]
-ByteArray = NDArray[np.uint8]
 
 NO_DATA_COUNT = -32768
 LARGEST_COUNT = 32767
@@ -42,7 +38,7 @@ class Encoded:
     data: bytes
 
 
-def quantise(heights: HeightGrid, step: float) -> tuple[Counts, float, float]:
+def quantise(heights: Float32Array, step: float) -> tuple[Int16Array, float, float]:
     """Counts of a grid together with the step and the offset that they are in.
 
     heights (n, n), NaN for no data; step: wanted height step, same unit. Where the relief does
@@ -62,7 +58,7 @@ def quantise(heights: HeightGrid, step: float) -> tuple[Counts, float, float]:
 
 
 @kernel
-def _planes_from_counts(counts: Counts, planes: ByteArray) -> None:
+def _planes_from_counts(counts: Int16Array, planes: ByteArray) -> None:
     rows, cols = counts.shape
     nodes = rows * cols
     for i in range(rows):
@@ -82,7 +78,7 @@ def _planes_from_counts(counts: Counts, planes: ByteArray) -> None:
 
 
 @kernel
-def _counts_from_planes(planes: ByteArray, counts: Counts) -> None:
+def _counts_from_planes(planes: ByteArray, counts: Int16Array) -> None:
     # three plain loops a row: all but the running sum work on many nodes at once
     rows, cols = counts.shape
     nodes = rows * cols
@@ -108,7 +104,7 @@ def _counts_from_planes(planes: ByteArray, counts: Counts) -> None:
 
 @kernel
 def _heights_from_planes(
-    planes: ByteArray, step: float, offset: float, counts: Counts, heights: HeightGrid
+    planes: ByteArray, step: float, offset: float, counts: Int16Array, heights: Float32Array
 ) -> None:
     _counts_from_planes(planes, counts)
     rows, cols = counts.shape
@@ -118,7 +114,7 @@ def _heights_from_planes(
             heights[i, j] = np.nan if count == NO_DATA_COUNT else offset + step * count
 
 
-def encode_counts(counts: Counts) -> bytes:
+def encode_counts(counts: Int16Array) -> bytes:
     """Compress a square grid of counts."""
     size = counts.shape[0]
     nodes = size * size
@@ -140,7 +136,7 @@ def encode_counts(counts: Counts) -> bytes:
     )
 
 
-def encode(heights: HeightGrid, step: float) -> tuple[Encoded, Counts]:
+def encode(heights: Float32Array, step: float) -> tuple[Encoded, Int16Array]:
     """Compress a square grid of heights; returns the counts too, for the content digest."""
     counts, step, offset = quantise(heights, step)
     return Encoded(counts.shape[0], step, offset, encode_counts(counts)), counts
@@ -167,7 +163,7 @@ def _planes(data: bytes, size: int) -> ByteArray:
     return np.frombuffer(raw, dtype=np.uint8)
 
 
-def decode_counts(data: bytes, size: int) -> Counts:
+def decode_counts(data: bytes, size: int) -> Int16Array:
     """Counts (size, size) of compressed bytes. Raises DataError when they do not unpack."""
     planes = _planes(data, size)
     counts = np.empty((size, size), dtype=np.int16)
@@ -175,7 +171,7 @@ def decode_counts(data: bytes, size: int) -> Counts:
     return counts
 
 
-def decode(encoded: Encoded) -> HeightGrid:
+def decode(encoded: Encoded) -> Float32Array:
     """Heights (size, size), float32, NaN for no data. Raises DataError when they do not unpack."""
     planes = _planes(encoded.data, encoded.size)
     shape = (encoded.size, encoded.size)

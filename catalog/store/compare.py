@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.codec import decode, decode_counts
@@ -19,11 +20,6 @@ from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import StoredPatch
 from catalog.store.provenance import Change, content_changes, provenance_changes
 from catalog.store.reader import Catalog
-from catalog.store.records import Records
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 CERTIFICATE = (
     "localisation_px",
@@ -41,7 +37,7 @@ class Side:
 
     path: Path
     meta: CatalogMeta
-    only: Records  # points whose id the other one has not
+    only: RecordArray  # points whose id the other one has not
 
 
 class ReliefChange(NamedTuple):
@@ -80,8 +76,8 @@ class Comparison:
     settings: tuple[Change, ...]
     provenance: tuple[Change, ...]
     comparable: bool
-    before: Records
-    after: Records
+    before: RecordArray
+    after: RecordArray
     moved_m: FloatArray
     patches: BoolArray
     height_max_m: FloatArray
@@ -251,7 +247,7 @@ def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
 
 
-def _names(meta: CatalogMeta, records: Records) -> NDArray[np.str_]:
+def _names(meta: CatalogMeta, records: RecordArray) -> NDArray[np.str_]:
     """(n,) the texts that the points' `source` stands for."""
     names: NDArray[np.str_] = np.array([*meta.point_sources, ""], dtype=np.str_)
     return np.take(names, records["source"])

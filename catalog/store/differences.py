@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray
 from catalog.control_point import Flag
 from catalog.store.compare import CERTIFICATE, Comparison, Side
 from catalog.store.features import reasons_text
@@ -148,7 +148,7 @@ def _certificates(found: Comparison) -> Iterator[str]:
             yield from _greatest(found, change, chosen, "by {:.4g}")
 
 
-def _largest(changes: NDArray[np.float64]) -> str:
+def _largest(changes: FloatArray) -> str:
     """The median and the largest of some changes, those from or to unknown aside."""
     sizes = np.abs(changes[np.isfinite(changes)])
     unknown = len(changes) - len(sizes)
@@ -156,9 +156,7 @@ def _largest(changes: NDArray[np.float64]) -> str:
     return ", ".join(parts + ([f"{unknown} known in one only"] if unknown else []))
 
 
-def _greatest(
-    found: Comparison, sizes: NDArray[np.float64], chosen: NDArray[np.bool_], form: str
-) -> Iterator[str]:
+def _greatest(found: Comparison, sizes: FloatArray, chosen: BoolArray, form: str) -> Iterator[str]:
     """Lines of the chosen points with the largest sizes."""
     rows = np.flatnonzero(chosen)
     known = np.nan_to_num(np.abs(sizes[rows]), nan=np.inf)

@@ -15,8 +15,8 @@ import struct
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Int16Array
 from catalog.store.manifest import CatalogMeta, content_text
 
 _HEADER = struct.Struct("<4q3d")
@@ -31,7 +31,7 @@ def patch_header(
     return _HEADER.pack(point_id, layer, level, size, posting_m, step, offset)
 
 
-def patches_digest(patches: Iterable[tuple[bytes, NDArray[np.int16]]]) -> bytes:
+def patches_digest(patches: Iterable[tuple[bytes, Int16Array]]) -> bytes:
     """Digest (32 bytes) of the headers and counts of one point's patches."""
     digest = hashlib.sha256()
     for header, counts in patches:

@@ -6,16 +6,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, Float32Array
 from catalog.control_point import Patch, Pyramid
 from catalog.errors import OutputError
 from catalog.rendering.map_view import render_map
 from catalog.store.features import reasons_text
 from catalog.store.partial import check_place, replacing
-
-Picture = NDArray[np.uint8]  # (h, w, 3), blue green red as OpenCV has them
-HeightGrid = NDArray[np.float32]
 
 HEADER_BYTES = 33  # of a PNG: its magic number and its first chunk
 # A text chunk by which we know a picture of ours again: length, type, text, CRC-32 of both.
@@ -34,7 +31,7 @@ _FRAME = (60, 160, 255)
 _NO_DATA = (200, 190, 190)
 
 
-def draw_pyramid(pyramid: Pyramid, radius_m: float) -> Picture:
+def draw_pyramid(pyramid: Pyramid, radius_m: float) -> ByteArray:
     """Draw the levels of a point side by side, the finest left.
 
     Above: heights by colour with relief shading. Below: brightness by Hapke with cast shadows,
@@ -44,7 +41,7 @@ def draw_pyramid(pyramid: Pyramid, radius_m: float) -> Picture:
     columns = max(len(levels), 3)  # the head needs room
     width = GAP_PX + columns * (TILE_PX + GAP_PX)
     height = HEAD_PX + 2 * (TILE_PX + LABEL_PX) + GAP_PX
-    picture: Picture = np.full((height, width, 3), _PAPER, dtype=np.uint8)
+    picture: ByteArray = np.full((height, width, 3), _PAPER, dtype=np.uint8)
     _head(picture, pyramid)
     azimuth, elevation = np.radians(SUN_AZIMUTH_DEG), np.radians(SUN_ELEVATION_DEG)
     sun = np.array(
@@ -69,7 +66,7 @@ def draw_pyramid(pyramid: Pyramid, radius_m: float) -> Picture:
     return picture
 
 
-def write_png(picture: Picture, path: Path) -> None:
+def write_png(picture: ByteArray, path: Path) -> None:
     """Write a picture. Raises OutputError for another ending than .png or an unusable place."""
     check_png_place(path)
     done, data = cv2.imencode(".png", picture)
@@ -98,7 +95,7 @@ def _is_ours(path: Path) -> bool:
         return file.read(HEADER_BYTES + len(OUR_MARK))[HEADER_BYTES:] == OUR_MARK
 
 
-def _head(picture: Picture, pyramid: Pyramid) -> None:
+def _head(picture: ByteArray, pyramid: Pyramid) -> None:
     point = pyramid.point
     verdict = "usable" if point.usable else "not usable"
     reasons = reasons_text(point.flags)
@@ -123,12 +120,12 @@ def _label(level: int, patch: Patch) -> str:
     return f"level {level}  {patch.posting_m:.4g} m  {known.min():.0f}..{known.max():.0f} m"
 
 
-def _write(picture: Picture, text: str, x: int, y: int, size: float = 0.42) -> None:
+def _write(picture: ByteArray, text: str, x: int, y: int, size: float = 0.42) -> None:
     cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, _INK, 1, cv2.LINE_AA)
 
 
 def _tile(
-    picture: Picture, top: int, left: int, tile: Picture, patch: Patch, finer: Patch | None
+    picture: ByteArray, top: int, left: int, tile: ByteArray, patch: Patch, finer: Patch | None
 ) -> None:
     """Put a tile in its place, pixels enlarged, with the box of the finer level."""
     large = cv2.resize(tile, (TILE_PX, TILE_PX), interpolation=cv2.INTER_CUBIC)
@@ -140,7 +137,7 @@ def _tile(
         cv2.rectangle(picture, (x - half, y - half), (x + half, y + half), _FRAME, 1)
 
 
-def _heights_in_colour(patch: Patch) -> Picture:
+def _heights_in_colour(patch: Patch) -> ByteArray:
     heights = patch.heights_m
     known = np.isfinite(heights)
     if not known.any():
@@ -161,7 +158,7 @@ def _heights_in_colour(patch: Patch) -> Picture:
     return np.asarray(toned)
 
 
-def _in_grey(brightness: HeightGrid) -> Picture:
+def _in_grey(brightness: Float32Array) -> ByteArray:
     known = np.isfinite(brightness)
     lit = brightness[known & (brightness > 0.0)]
     top = float(np.percentile(lit, 99.5)) if lit.size else 1.0

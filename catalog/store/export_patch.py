@@ -11,15 +11,12 @@ from typing import Any
 import manifold3d
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.errors import DataError, OutputError
 from catalog.geometry.projection import node_grid
 from catalog.store.partial import replacing
 from catalog.store.reader import Catalog
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NAME = "optnav patch"  # what stands near the beginning of a file that we wrote
 ENDINGS = (".obj", ".glb")

@@ -9,13 +9,10 @@ nearer. Empty cells cost nothing.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # How far outside its cell a point may lie, deg: rounding to 1e-7 may take it across the border.
 CELL_SLACK_DEG = 1e-6

@@ -5,16 +5,17 @@ from collections.abc import Callable
 
 import numpy as np
 
+from catalog.arrays import RecordArray
 from catalog.errors import DataError
 from catalog.store.features import record_from_row
 from catalog.store.manifest import CatalogMeta
-from catalog.store.records import Record, Records, checksum, record_type
+from catalog.store.records import Record, checksum, record_type
 from catalog.store.schema import POINT_COLUMNS, POINTS, RECORDS, srs_of
 
 Report = Callable[[str, object], None]  # told of damage: place, what is wrong
 
 
-def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> Records:
+def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
     """The points from the packed table. Raises DataError when it is damaged."""
     layout = record_type(meta.levels)
     parts: list[bytes] = []
@@ -37,7 +38,7 @@ def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> Records:
     return records
 
 
-def feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> Records:
+def feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> RecordArray:
     """The points whose row in the feature layer is whole; the others are reported.
 
     Raises DataError when the table cannot be read or no point of it is whole.
@@ -62,7 +63,7 @@ def feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -
     return records
 
 
-def read_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> Records:
+def read_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> RecordArray:
     """The points in the order of their ids; damage is reported.
 
     Raises DataError when they cannot be listed at all.

@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from catalog.arrays import Int16Array
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
 from catalog.store.codec import Encoded, decode, decode_counts, encode
@@ -43,7 +41,7 @@ def prepare_point(
     """Round a point's numbers and compress its patches, finest first, each with its height step."""
     rounded = rounded_point(point)
     rows: list[PatchRow] = []
-    contents: list[tuple[bytes, NDArray[np.int16]]] = []
+    contents: list[tuple[bytes, Int16Array]] = []
     for level, (patch, step) in enumerate(zip(patches, steps_m, strict=True)):
         encoded, counts = encode(patch.heights_m, step)
         posting = round(float(patch.posting_m), POSTING_DECIMALS)
@@ -97,9 +95,7 @@ def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
     return Patch(patch.posting_m, decode(patch.encoded))
 
 
-def content_from_row(
-    row: Sequence[object], point_id: int, level: int
-) -> tuple[bytes, NDArray[np.int16]]:
+def content_from_row(row: Sequence[object], point_id: int, level: int) -> tuple[bytes, Int16Array]:
     """Header and counts of a row, for the digest. Raises DataError for a damaged one."""
     patch = stored_patch_from_row(row, point_id, level)
     return patch.header, decode_counts(patch.encoded.data, patch.encoded.size)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from catalog.control_point import ControlPoint, Patch, Pyramid
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
@@ -20,15 +20,13 @@ from catalog.store.index import CellIndex
 from catalog.store.listing import read_records
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import StoredPatch, patch_from_row, stored_patch_from_row
-from catalog.store.records import Records, point_from_record
+from catalog.store.records import point_from_record
 from catalog.store.relief import read_relief
 from catalog.store.schema import HEIGHT_LAYER, PATCH_COLUMNS, PATCHES, patch_key
 from catalog.terrain.relief import GlobalRelief
 
 log = logging.getLogger(__name__)
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 T = TypeVar("T")
 
 SELECT_PATCHES = (
@@ -48,7 +46,7 @@ class Catalog:
     A catalog can be sent to another process: it opens the file again there.
     """
 
-    def __init__(self, path: Path, db: sqlite3.Connection, meta: CatalogMeta, records: Records):
+    def __init__(self, path: Path, db: sqlite3.Connection, meta: CatalogMeta, records: RecordArray):
         self.path = path
         self.meta = meta
         self.grid = CellGrid(meta.cell_deg)
@@ -57,7 +55,7 @@ class Catalog:
         self.lat_deg: FloatArray = np.ascontiguousarray(records["lat_deg"], dtype=np.float64)
         self.lon_deg: FloatArray = np.ascontiguousarray(records["lon_deg"], dtype=np.float64)
         self.radius_m: FloatArray = np.ascontiguousarray(records["radius_m"], dtype=np.float64)
-        self.usable: NDArray[np.bool_] = records["usable"] != 0
+        self.usable: BoolArray = records["usable"] != 0
         self._db = db
 
     @classmethod

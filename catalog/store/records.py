@@ -9,11 +9,9 @@ import zlib
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag
 
-Records = NDArray[np.void]  # (n,) of `record_type`
 Record = np.void  # one of them
 
 LATLON_DECIMALS = 7  # degrees: 3 mm on the Moon

@@ -13,16 +13,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, Int16Array
 from catalog.errors import DataError
-from catalog.store.codec import Counts, Encoded, decode, decode_counts, encode
+from catalog.store.codec import Encoded, decode, decode_counts, encode
 from catalog.store.manifest import CatalogMeta, ReliefMeta
 from catalog.store.records import checksum
 from catalog.store.schema import RELIEF
 from catalog.terrain.relief import GlobalRelief
 
-HeightGrid = NDArray[np.float32]
 ReliefRow = tuple[int, int, int, int, int, float, float, int, bytes]  # as RELIEF_COLUMNS
 
 MEANS, TOPS = 0, 1
@@ -157,7 +156,7 @@ def relief_digest(
     return digest.hexdigest()
 
 
-def add_tile(digest: "hashlib._Hash", header: bytes, counts: Counts) -> None:
+def add_tile(digest: "hashlib._Hash", header: bytes, counts: Int16Array) -> None:
     """Count a tile in a relief's digest."""
     digest.update(header)
     digest.update(np.ascontiguousarray(counts, dtype="<i2").data)
@@ -196,7 +195,7 @@ def _places(number: int, layer: int) -> Iterator[Place]:
             yield Place(layer, row, col)
 
 
-def _encoded(grid: HeightGrid, place: Place, step: float) -> tuple[Encoded, Counts]:
+def _encoded(grid: Float32Array, place: Place, step: float) -> tuple[Encoded, Int16Array]:
     size = _tile_size(grid.shape[0])
     part = grid[
         place.row * size : (place.row + 1) * size, place.col * size : (place.col + 1) * size
@@ -205,7 +204,7 @@ def _encoded(grid: HeightGrid, place: Place, step: float) -> tuple[Encoded, Coun
     return encode(np.pad(part, missing, mode="edge"), step)
 
 
-def _assembled(tiles: Sequence[Encoded], number: int) -> HeightGrid:
+def _assembled(tiles: Sequence[Encoded], number: int) -> Float32Array:
     """The grid (number, 2 number) of all tiles of a layer. Raises DataError."""
     size = _tile_size(number)
     grid = np.empty((number, 2 * number), np.float32)

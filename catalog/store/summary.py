@@ -1,15 +1,13 @@
 """What a catalog holds, in a few lines."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.control_point import ControlPoint, Flag
 from catalog.geometry.latlon import angular_distance
 from catalog.store.features import reasons_text
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
-
-FloatArray = NDArray[np.float64]
 
 
 def rejected_by_reason(catalog: Catalog) -> dict[str, int]:

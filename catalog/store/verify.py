@@ -6,6 +6,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from catalog.arrays import RecordArray
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.connection import connect, live_log, read_meta
@@ -15,7 +16,6 @@ from catalog.store.listing import read_records
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import content_from_row
 from catalog.store.reader import SELECT_PATCHES
-from catalog.store.records import Records
 from catalog.store.relief import relief_digest, tile_places
 from catalog.store.schema import (
     APPLICATION_ID,
@@ -115,7 +115,7 @@ def _integrity(db: sqlite3.Connection, found: Verification) -> None:
         found.add("SQLite", error)
 
 
-def _records(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> Records | None:
+def _records(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> RecordArray | None:
     try:
         records = read_records(db, meta, found.add)
     except DataError as error:
@@ -127,7 +127,7 @@ def _records(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> 
 
 
 def _features(
-    db: sqlite3.Connection, meta: CatalogMeta, records: Records, found: Verification
+    db: sqlite3.Connection, meta: CatalogMeta, records: RecordArray, found: Verification
 ) -> None:
     """The feature layer and its R-tree must say the same as the packed points."""
     srs_id = srs_of(meta.body, meta.radius_m)[0]
@@ -154,7 +154,7 @@ def _features(
         _count(db, table, len(records), found)
 
 
-def _encloses(tree: Sequence[float], record: Records) -> bool:
+def _encloses(tree: Sequence[float], record: RecordArray) -> bool:
     west, east, south, north = tree
     lon, lat = float(record["lon_deg"]), float(record["lat_deg"])
     near = RTREE_TOLERANCE_DEG
@@ -169,7 +169,7 @@ def _encloses(tree: Sequence[float], record: Records) -> bool:
 def _contents(
     db: sqlite3.Connection,
     meta: CatalogMeta,
-    records: Records,
+    records: RecordArray,
     found: Verification,
     stage: Stage,
 ) -> None:

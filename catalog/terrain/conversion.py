@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.geometry.kernel import kernel
-
-HeightGrid = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -31,13 +30,13 @@ class Conversion:
         nodata = math.nan if self.nodata is None else float(self.nodata)
         return self.lowest_valid, nodata, float(np.float32(nodata))
 
-    def __call__(self, raw: NDArray[Any]) -> HeightGrid:
+    def __call__(self, raw: NDArray[Any]) -> Float32Array:
         """Heights (float32, m) of counts (rows, cols) of any number type; NaN for no data."""
         out = np.empty(raw.shape, dtype=np.float32)
         _convert(np.ascontiguousarray(raw), self.scale_m, self.offset_m, *self.limits, out)
         return out
 
-    def average_columns(self, raw: NDArray[Any], many: int, out: HeightGrid) -> None:
+    def average_columns(self, raw: NDArray[Any], many: int, out: Float32Array) -> None:
         """Mean heights over `many` counts of a row; at least half of them must be valid.
 
         raw (rows, cols); out (rows, at least cols / many rounded up)
@@ -63,7 +62,7 @@ def _convert(
     lowest_valid: float,
     nodata: float,
     nodata32: float,
-    out: HeightGrid,
+    out: Float32Array,
 ) -> None:
     for i in range(raw.shape[0]):
         for j in range(raw.shape[1]):
@@ -83,7 +82,7 @@ def _average(
     lowest_valid: float,
     nodata: float,
     nodata32: float,
-    out: HeightGrid,
+    out: Float32Array,
 ) -> None:
     cols = raw.shape[1]
     for i in range(raw.shape[0]):

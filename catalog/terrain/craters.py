@@ -13,13 +13,10 @@ any order, shows the same ground.
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.terrain.hashing import join, unit
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 GEOMETRIC_SATURATION = 1.54  # N(> D) D^2 of the closest packing that craters of one size can show
 REACH = 2.5  # ejecta end here, in crater radii
@@ -191,7 +188,7 @@ def crater_heights_at(
 
 @parallel_kernel
 def stamp(
-    out: HeightGrid, row: FloatArray, col: FloatArray, table: FloatArray,
+    out: Float32Array, row: FloatArray, col: FloatArray, table: FloatArray,
     step_y: FloatArray, step_x: FloatArray,
 ) -> None:  # fmt: skip
     """Add craters to a grid, each node taking the mean over its own cell.

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.latlon import wrap_longitude, xyz_from_latlon
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.terrain import craters, fractal
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class Detail:
 
     def window(
         self, north: float, west: float, step_lat: float, step_lon: float, rows: int, cols: int
-    ) -> HeightGrid:
+    ) -> Float32Array:
         """Heights to add on a regular grid of latitudes and longitudes, means over a node's cell.
 
         north, west         rad  the first node; rows run south, columns east
@@ -107,7 +105,7 @@ class Detail:
     def turned_window(
         self, body_from_grid: FloatArray, north: float, west: float, step: float,
         rows: int, cols: int,
-    ) -> HeightGrid:  # fmt: skip
+    ) -> Float32Array:  # fmt: skip
         """Heights to add on a grid of equal steps in a turned frame, means over a node's cell.
 
         body_from_grid     (3, 3) rotation from the grid's frame to the body's
@@ -149,7 +147,7 @@ class Detail:
             craters.stamp(out, row[seen], col[seen] + shift, table[seen], step_y, step_x)
         return out
 
-    def local(self, projection: Stereographic, posting_m: float, size: int) -> HeightGrid:
+    def local(self, projection: Stereographic, posting_m: float, size: int) -> Float32Array:
         """Heights to add on a map grid (size, size), float32 m, row 0 north: means over a cell."""
         out = np.zeros((size, size), np.float32)
         x, y = node_grid(size, posting_m)
@@ -196,7 +194,7 @@ class Detail:
         return spacing[seen], (amplitude * factor)[seen]
 
     def _add_window_noise(
-        self, out: HeightGrid, lat: FloatArray, lon: FloatArray, posting_m: float
+        self, out: Float32Array, lat: FloatArray, lon: FloatArray, posting_m: float
     ) -> None:
         spacing, amplitude = self._resolved(posting_m)
         fractal.add_noise_window(out, self.seed, spacing, amplitude, self.radius_m, lat, lon)

@@ -10,16 +10,13 @@ do not depend on where one looks from.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.terrain.level_window import TileCache, mirrored_poles
 from catalog.terrain.map_nodes import Pixels
 from catalog.terrain.overviews import WHOLE_BLOCK
 from catalog.terrain.pyramid import HeightPyramid
-
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 TILE = 64  # blocks a side
 FEW_TILES = 16  # so many are looked at whole before points are sorted by them
@@ -44,7 +41,7 @@ class Feather:
         self.turn = place.period / self.block if place.wraps else 0.0
         self.even = cols % 2 == 0 and cols * self.block == place.shape[1]
 
-    def _whole_blocks(self, pyramid: HeightPyramid) -> Mask:
+    def _whole_blocks(self, pyramid: HeightPyramid) -> BoolArray:
         """Which blocks have all their pixels."""
         known = pyramid.whole_blocks()
         factor = self.block // WHOLE_BLOCK
@@ -82,11 +79,11 @@ class Feather:
             out[those] = _linear(self._tile(*at), *inner)
         return np.clip((out - self.block_m) / self.wide_m, 0.0, 1.0)
 
-    def _tile(self, down: int, along: int) -> NDArray[np.float32]:
+    def _tile(self, down: int, along: int) -> Float32Array:
         key = self.index, -1, down, along
         return self.cache.tile(key, lambda: self._distances(down, along))
 
-    def _distances(self, down: int, along: int) -> NDArray[np.float32]:
+    def _distances(self, down: int, along: int) -> Float32Array:
         """Distances (TILE + 1, TILE + 1), m, to the next block that is not whole, to the reach."""
         longest = self.reach * self.block_m
         row0 = down * TILE - self.reach
@@ -101,7 +98,7 @@ class Feather:
             return np.full((TILE + 1, TILE + 1), longest, np.float32)
         return _nearest_hole(whole, width, self.block_m, self.reach, room, TILE + 1, longest)
 
-    def _column_m(self, rows: NDArray[np.int64]) -> FloatArray:
+    def _column_m(self, rows: IntArray) -> FloatArray:
         """Ground width (m) of a block in rows of blocks; rows beyond a pole are those before it."""
         height = self.whole.shape[0]
         inside = np.where(rows < 0, -1 - rows, rows)
@@ -112,7 +109,7 @@ class Feather:
         lat, _ = self.place.latlon_from_pixel(middle, (inside + 0.5) * self.block - 0.5)
         return self.block_m / self.place.columns_per_posting(1.0, lat)
 
-    def _window(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Mask:
+    def _window(self, rows: IntArray, cols: IntArray) -> BoolArray:
         """Which blocks are whole, going on round the body and over its poles."""
         height, width = self.whole.shape
         above, below = rows < 0, rows >= height
@@ -131,14 +128,14 @@ class Feather:
 
 @kernel
 def _nearest_hole(
-    whole: Mask,
+    whole: BoolArray,
     width: FloatArray,
     height: float,
     reach: int,
     room: int,
     size: int,
     longest: float,
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Distances of the middle (size, size) blocks to the next that is not whole.
 
     Along a row first, then over rows: exact for equal blocks (Pythagoras); where rows differ in
@@ -168,7 +165,7 @@ def _nearest_hole(
 
 
 @kernel
-def _linear(tile: NDArray[np.float32], row: FloatArray, col: FloatArray) -> FloatArray:
+def _linear(tile: Float32Array, row: FloatArray, col: FloatArray) -> FloatArray:
     """Linear interpolation inside a tile."""
     out = np.empty(row.size)
     for i in range(row.size):

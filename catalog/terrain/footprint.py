@@ -7,16 +7,12 @@ wherever it lies.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.terrain.footprint_means import means_over_footprints
 from catalog.terrain.level_window import LevelWindows, halvings_for
 from catalog.terrain.map_nodes import Pixels
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-HeightGrid = NDArray[np.float32]
 
 # A window larger than this (pixels, 64 MB) is cut into pieces: scattered points must not pull the
 # whole raster into memory.
@@ -24,7 +20,7 @@ LARGEST_WINDOW = 16 << 20
 PIECE = 512  # pixels a side of the raster that pieces are sorted by
 
 
-def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> HeightGrid:
+def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> Float32Array:
     """Heights (n) float32, NaN for none, of places in the whole raster from one of its levels.
 
     base       the level's windows
@@ -65,7 +61,7 @@ def _inside(base: LevelWindows, extent: Extent) -> bool:
     return base.wraps or (left >= -0.5 and right <= cols - 0.5)
 
 
-def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> NDArray[np.bool_]:
+def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolArray:
     rows, cols = base.raster_shape
     inside = (pixels.row >= -0.5) & (pixels.row <= rows - 0.5)
     if not base.wraps:
@@ -75,7 +71,7 @@ def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> NDArra
 
 
 def _in_pieces(
-    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: HeightGrid
+    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
 ) -> None:
     """Sample through one window, or through one for each part of the raster that is touched."""
     _, _, height, width = _bounds(sheet, rows_wide, _extent(*pixels, chosen))
@@ -104,7 +100,7 @@ def _bounds(sheet: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int,
 
 
 def _through_window(
-    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: HeightGrid
+    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
 ) -> None:
     extent = _extent(*pixels, chosen)
     row0, col0, height, width = _bounds(sheet, rows_wide, extent)
@@ -141,7 +137,7 @@ def _extent(row: FloatArray, col: FloatArray, crowding: FloatArray, chosen: IntA
 
 
 @kernel
-def _halvings(crowding: FloatArray, rows_wide: float, most: int) -> NDArray[np.int8]:
+def _halvings(crowding: FloatArray, rows_wide: float, most: int) -> Int8Array:
     """How often columns are halved for each point."""
     out = np.empty(crowding.size, np.int8)
     for i in range(crowding.size):

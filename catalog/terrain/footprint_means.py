@@ -1,14 +1,10 @@
 """Means of cubic samples of a window over the footprints of points, in compiled code."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.grid import bicubic_at, cubic_weights
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-HeightGrid = NDArray[np.float32]
 
 # Columns averaged into one node. Beyond it (the last postings about a pole) samples are spread:
 # rasters are oversampled there, so neighbours in a row say the same.
@@ -18,7 +14,7 @@ MOST_ROWS = 16  # the same of rows: more only where a posting is far coarser tha
 
 @kernel
 def means_over_footprints(
-    window: HeightGrid,
+    window: Float32Array,
     rows: FloatArray,
     cols: FloatArray,
     crowding: FloatArray,
@@ -31,7 +27,7 @@ def means_over_footprints(
     crowding_wide: float,
     widest: float,
     most_crowding: float,
-    out: HeightGrid,
+    out: Float32Array,
 ) -> None:
     """Means of cubic samples over footprints of `rows_wide` rows and crowding-wide columns.
 
@@ -93,7 +89,7 @@ def samples_across(wide: float, most: int) -> int:
 
 
 @kernel
-def _single(window: HeightGrid, row: float, col: float) -> float:
+def _single(window: Float32Array, row: float, col: float) -> float:
     """One cubic sample; bilinear beside holes and borders, NaN outside."""
     if 1.0 <= row < window.shape[0] - 2.0 and 1.0 <= col < window.shape[1] - 2.0:
         value = _cubic(window, row, col)
@@ -103,7 +99,7 @@ def _single(window: HeightGrid, row: float, col: float) -> float:
 
 
 @kernel
-def _cubic(window: HeightGrid, row: float, col: float) -> float:
+def _cubic(window: Float32Array, row: float, col: float) -> float:
     """Cubic convolution where all sixteen neighbours are inside; NaN beside a hole."""
     r, c = np.uint64(row - 1.0), np.uint64(col - 1.0)
     a, b, d, e = cubic_weights(row - np.floor(row))
@@ -139,7 +135,7 @@ def add_weights(at: float, wide: float, samples: int, out: FloatArray) -> tuple[
 
 @kernel
 def _four_rows(
-    window: HeightGrid,
+    window: Float32Array,
     row: int,
     row_weights: FloatArray,
     a: int,
@@ -166,7 +162,7 @@ def _four_rows(
 
 @kernel
 def _mean_of_what_is_there(
-    window: HeightGrid,
+    window: Float32Array,
     row: float,
     col: float,
     rows_wide: float,

@@ -7,13 +7,10 @@ about the wavelength 1.4 s and hardly any above 4 s.
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.terrain.hashing import join, mix
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 WAVELENGTH = 1.4  # of an octave's strongest power, in lattice spacings
 # rms surface gradient of the noise below on a random plane, lattice spacing 1; found by sampling
@@ -81,7 +78,7 @@ def noise_at(
 
 @parallel_kernel
 def add_noise_window(
-    out: HeightGrid, seed: int, spacing: FloatArray, amplitude: FloatArray, radius: float,
+    out: Float32Array, seed: int, spacing: FloatArray, amplitude: FloatArray, radius: float,
     lat: FloatArray, lon: FloatArray,
 ) -> None:  # fmt: skip
     """Add the octaves to a grid with latitudes (rows,) and longitudes (cols,), in place."""
@@ -99,7 +96,7 @@ def add_noise_window(
 
 @parallel_kernel
 def add_noise_turned(
-    out: HeightGrid, seed: int, spacing: FloatArray, amplitude: FloatArray, radius: float,
+    out: Float32Array, seed: int, spacing: FloatArray, amplitude: FloatArray, radius: float,
     lat: FloatArray, lon: FloatArray, body_from_grid: FloatArray,
 ) -> None:  # fmt: skip
     """Add the octaves to a grid whose latitudes and longitudes are those of a turned frame."""

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import pyproj
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
 
 # a, b, c, d, e, f: x = a col + b row + c, y = d col + e row + f at the corner of a pixel
 Steps = tuple[float, float, float, float, float, float]

@@ -7,8 +7,8 @@ worked out before the part's own corner is taken off them.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.graticule import Graticule, Part
 from catalog.geometry.kernel import kernel
 from catalog.terrain.footprint_means import MOST_COLUMNS, MOST_ROWS, add_weights, samples_across
@@ -16,10 +16,6 @@ from catalog.terrain.georeference import CYLINDRICAL
 from catalog.terrain.level_window import LevelWindows, halvings_for
 from catalog.terrain.mosaic import Mosaic
 from catalog.terrain.pyramid import HeightPyramid
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-HeightGrid = NDArray[np.float32]
 
 BLOCK = 128  # nodes a side: points are read by whole blocks, whichever part is asked for
 
@@ -30,7 +26,7 @@ def graticule_heights(
     part: Part,
     posting_m: float,
     latitudes: tuple[float, float],
-) -> HeightGrid:
+) -> Float32Array:
     """Heights (height, width) m of a part; row 0 south, column 0 west; NaN for none.
 
     posting_m  the spacing that nodes stand for
@@ -56,7 +52,7 @@ def _meets(pyramid: HeightPyramid, latitudes: tuple[float, float]) -> bool:
     return bool(south <= latitudes[1] and north >= latitudes[0])
 
 
-def _by_points(mosaic: Mosaic, graticule: Graticule, part: Part, posting_m: float) -> HeightGrid:
+def _by_points(mosaic: Mosaic, graticule: Graticule, part: Part, posting_m: float) -> Float32Array:
     out = np.empty((part.height, part.width), np.float32)
     down, along = part.rows // BLOCK, np.mod(part.cols, graticule.columns) // BLOCK
     for band in np.unique(down):
@@ -78,7 +74,7 @@ def _by_weights(
     graticule: Graticule,
     part: Part,
     rows_wide: float,
-) -> HeightGrid:
+) -> Float32Array:
     place = pyramid.source.place
     col0, cols_per_rad, row0, rows_per_rad, period = place.parameters
     wide = period / (graticule.columns * base.scale)
@@ -106,7 +102,7 @@ def _by_weights(
 
 
 @kernel
-def _weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, HeightGrid]:
+def _weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, Float32Array]:
     """First pixel and weights (n, taps) of footprints about places, `wide` pixels wide."""
     samples = samples_across(wide, most)
     taps = int(np.ceil(wide)) + 5
@@ -124,12 +120,12 @@ def _weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, HeightGr
 
 @kernel
 def _combine(
-    window: HeightGrid,
+    window: Float32Array,
     first_row: IntArray,
-    row_weights: HeightGrid,
+    row_weights: Float32Array,
     first_col: IntArray,
-    col_weights: HeightGrid,
-    out: HeightGrid,
+    col_weights: Float32Array,
+    out: Float32Array,
 ) -> None:
     """Weighted sums down, then along."""
     line = np.empty(window.shape[1], np.float32)

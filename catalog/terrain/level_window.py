@@ -4,14 +4,12 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.geometry.kernel import kernel
 from catalog.terrain.conversion import HEIGHTS
 from catalog.terrain.georeference import Georeference
 from catalog.terrain.pyramid import POLE_TOLERANCE, HeightPyramid
-
-HeightGrid = NDArray[np.float32]
 
 TILE = 256  # pixels a side; whole tiles of the overviews
 CACHE_BYTES = 128 << 20  # 512 tiles: the ground of some 60 cells of 1° at 118 m, all levels
@@ -24,9 +22,9 @@ class TileCache:
 
     def __init__(self) -> None:
         self.held_bytes = 0
-        self._tiles: OrderedDict[tuple[int, ...], HeightGrid] = OrderedDict()
+        self._tiles: OrderedDict[tuple[int, ...], Float32Array] = OrderedDict()
 
-    def tile(self, key: tuple[int, ...], make: Callable[[], HeightGrid]) -> HeightGrid:
+    def tile(self, key: tuple[int, ...], make: Callable[[], Float32Array]) -> Float32Array:
         """The tile of a key, made if it is not held."""
         found = self._tiles.get(key)
         if found is not None:
@@ -95,7 +93,7 @@ class LevelWindows:
             )
         return self._halved[halvings]
 
-    def window(self, row0: int, col0: int, height: int, width: int) -> HeightGrid:
+    def window(self, row0: int, col0: int, height: int, width: int) -> Float32Array:
         """Heights (height, width); NaN where the sheet has none.
 
         Rows beyond a pole are those of the meridian on its other side.
@@ -117,7 +115,7 @@ class LevelWindows:
             out[bottom:] = mirrored[::-1]
         return out
 
-    def _fill(self, out: HeightGrid, row0: int, col0: int) -> None:
+    def _fill(self, out: Float32Array, row0: int, col0: int) -> None:
         """Copy from tiles into `out`, whose rows lie inside the raster; columns wrap."""
         rows, cols = self.shape
         height, width = out.shape
@@ -144,12 +142,12 @@ class LevelWindows:
                 row += lines
             at += count
 
-    def _tile(self, down: int, along: int) -> HeightGrid:
+    def _tile(self, down: int, along: int) -> Float32Array:
         """Tile (down, along); shorter at the raster's far edges."""
         key = (self.index, self.level, self.halvings, down, along)
         return self.cache.tile(key, lambda: self._make(down, along))
 
-    def _make(self, down: int, along: int) -> HeightGrid:
+    def _make(self, down: int, along: int) -> Float32Array:
         rows, cols = self.shape
         row, col = down * TILE, along * TILE
         height, width = min(TILE, rows - row), min(TILE, cols - col)

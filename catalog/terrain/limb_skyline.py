@@ -10,13 +10,11 @@ whose highest ground (a coarse grid of bounds) cannot reach the skyline found so
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.terrain.relief import GlobalRelief
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 SEGMENT = np.radians(0.5)  # jumped or searched as a whole
 LONGEST_STEP = np.radians(0.03)  # between samples, or half a cell of the relief
@@ -68,7 +66,7 @@ class LimbRelief:
         )  # fmt: skip
         return Skyline(found[0], found[1], found[2])
 
-    def sunlit(self, points: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
+    def sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
         """Whether the Sun (3,), a direction, stands clear of the relief at places (n, 3), m."""
         places = np.ascontiguousarray(points, dtype=np.float64)
         towards = np.asarray(sun, dtype=np.float64) / np.linalg.norm(sun)
@@ -88,14 +86,14 @@ def nadir_axes(position: ArrayLike) -> FloatArray:
     return np.stack([first, np.cross(up, first), up])
 
 
-def _with_borders(grid: HeightGrid) -> HeightGrid:
+def _with_borders(grid: Float32Array) -> Float32Array:
     """One more row and column on every side, so that bilinear needs no exceptions."""
     half = grid.shape[1] // 2
     tall = np.concatenate([np.roll(grid[:1], half, 1), grid, np.roll(grid[-1:], half, 1)])
     return np.ascontiguousarray(np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1))
 
 
-def _bounds(grid: HeightGrid) -> HeightGrid:
+def _bounds(grid: Float32Array) -> Float32Array:
     """Highest ground within a segment about each coarse cell."""
     rows = grid.shape[0]
     count = min(BOUND_CELLS, rows)
@@ -122,7 +120,7 @@ def _bounds(grid: HeightGrid) -> HeightGrid:
 
 
 @kernel
-def _height(grid: HeightGrid, x: float, y: float, z: float) -> float:
+def _height(grid: Float32Array, x: float, y: float, z: float) -> float:
     """Bilinear height at a unit direction, from the grid with borders."""
     per_rad = (grid.shape[0] - 2) / np.pi
     row = (0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad + 0.5
@@ -136,7 +134,7 @@ def _height(grid: HeightGrid, x: float, y: float, z: float) -> float:
 
 
 @kernel
-def _bound(bounds: HeightGrid, x: float, y: float, z: float) -> float:
+def _bound(bounds: Float32Array, x: float, y: float, z: float) -> float:
     per_rad = bounds.shape[0] / np.pi
     row = int((0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad)
     col = int((np.arctan2(y, x) + np.pi) * per_rad)
@@ -153,7 +151,7 @@ def _cot(distance: float, radius: float, angle: float) -> float:
 
 @kernel
 def _ground_cot(
-    grid: HeightGrid, sphere: float, distance: float, axes: FloatArray, cos_az: float,
+    grid: Float32Array, sphere: float, distance: float, axes: FloatArray, cos_az: float,
     sin_az: float, angle: float,
 ) -> tuple[float, float]:  # fmt: skip
     """`_cot` of the ground at an angle from the observer, and its radius."""
@@ -170,7 +168,7 @@ def _ground_cot(
 
 @kernel
 def _skyline(
-    grid: HeightGrid, bounds: HeightGrid, sphere: float, highest: float, distance: float,
+    grid: Float32Array, bounds: Float32Array, sphere: float, highest: float, distance: float,
     axes: FloatArray, azimuths: FloatArray, found: FloatArray,
 ) -> None:  # fmt: skip
     posting = np.pi / (grid.shape[0] - 2)
@@ -232,8 +230,8 @@ def _skyline(
 
 @kernel
 def _sunlit(
-    grid: HeightGrid, sphere: float, highest: float, posting: float, places: FloatArray,
-    sun: FloatArray, lit: NDArray[np.bool_],
+    grid: Float32Array, sphere: float, highest: float, posting: float, places: FloatArray,
+    sun: FloatArray, lit: BoolArray,
 ) -> None:  # fmt: skip
     for n in range(len(places)):
         x, y, z = places[n, 0], places[n, 1], places[n, 2]

@@ -9,14 +9,12 @@ bend more and more.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import body_from_local
 from catalog.geometry.projection import Stereographic
 from catalog.terrain.georeference import CYLINDRICAL, POLAR, Georeference
-
-FloatArray = NDArray[np.float64]
 
 STEPS = (8, 4, 2)  # nodes between those whose place is worked out, the fewer the nearer a pole
 # Cubics over s nodes miss the longitude by at most 0.14 s (s / d)^3 nodes at d nodes from a pole
@@ -38,7 +36,7 @@ class Pixels(NamedTuple):
     col: FloatArray
     crowding: FloatArray
 
-    def part(self, chosen: NDArray[np.int64]) -> "Pixels":
+    def part(self, chosen: IntArray) -> "Pixels":
         """Some of the places."""
         return Pixels(self.row[chosen], self.col[chosen], self.crowding[chosen])
 

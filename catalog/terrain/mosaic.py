@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
 from catalog.bodies.body import Body
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic
@@ -26,10 +27,6 @@ from catalog.terrain.map_nodes import Pixels, pixels_of_grid, pixels_of_points
 from catalog.terrain.pyramid import HeightPyramid
 from catalog.terrain.source import DemSettings
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-HeightGrid = NDArray[np.float32]
-
 
 class Sampled(NamedTuple):
     """Points read from a mosaic.
@@ -39,9 +36,9 @@ class Sampled(NamedTuple):
     used     (sources that were asked, n) whether a source counts at all
     """
 
-    heights: HeightGrid
-    source: NDArray[np.int8]
-    used: NDArray[np.bool_]
+    heights: Float32Array
+    source: Int8Array
+    used: BoolArray
 
 
 class Mosaic:
@@ -136,11 +133,11 @@ class Mosaic:
 
     def beyond(
         self, projection: MapProjection, posting_m: float, size: int
-    ) -> Sequence[tuple[HeightGrid, float]]:
+    ) -> Sequence[tuple[Float32Array, float]]:
         """None: the coarsest patches reach farther than shadows do."""
         return ()
 
-    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> HeightGrid:
+    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> Float32Array:
         """Heights (float32, m above the reference sphere, NaN for none) of points (rad).
 
         lat, lon   (...)  planetocentric latitude, east longitude of any turn
@@ -149,21 +146,19 @@ class Mosaic:
         sampled, shape = self._at(lat, lon, posting_m)
         return sampled.heights.reshape(shape)
 
-    def source_index(self, lat: ArrayLike, lon: ArrayLike) -> NDArray[np.int8]:
+    def source_index(self, lat: ArrayLike, lon: ArrayLike) -> Int8Array:
         """Which source (from 0, by priority) counts most at points (rad); -1 for none."""
         sampled, shape = self._at(lat, lon, self.posting_m)
         return sampled.source.reshape(shape)
 
-    def covers(
-        self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None
-    ) -> NDArray[np.bool_]:
+    def covers(self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None) -> BoolArray:
         """Whether points (rad) have a height; a coarser posting answers from overviews, quicker."""
         if self.whole:
             return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
         sampled, shape = self._at(lat, lon, posting_m or self.posting_m)
         return np.asarray(sampled.source.reshape(shape) >= 0)
 
-    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> HeightGrid:
+    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
         """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
         return self._sample_grid(projection, posting_m, size).heights.reshape(size, size)
 
@@ -252,7 +247,7 @@ class Mosaic:
         return self._sheets[i, level]
 
 
-def _composed(layers: Sequence[tuple[IntArray, HeightGrid, FloatArray]], count: int) -> Sampled:
+def _composed(layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count: int) -> Sampled:
     """One height a point from those of the sources: point numbers, heights, weights, in order.
 
     Each source is laid over what those below it give; where they give nothing it counts wholly.

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array
 from catalog.geometry.kernel import kernel
 from catalog.terrain.conversion import is_height
-
-HeightGrid = NDArray[np.float32]
 
 
 @kernel
@@ -43,7 +42,7 @@ def mark_holes(
     nodata: float,
     nodata32: float,
     block: int,
-    whole: NDArray[np.bool_],
+    whole: BoolArray,
 ) -> None:
     """Clear the blocks that have a pixel without data."""
     for i in range(raw.shape[0]):
@@ -61,7 +60,7 @@ def halve_raw(
     nodata: float,
     nodata32: float,
     step: float,
-) -> HeightGrid:
+) -> Float32Array:
     """Means of 2 x 2 counts as heights rounded to `step`; at least half of what is there is valid.
 
     An odd last row or column has fewer than four counts to average.

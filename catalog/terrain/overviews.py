@@ -15,10 +15,10 @@ from typing import Any
 import msgspec
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
+from catalog.arrays import BoolArray, Float32Array
 from catalog.errors import DataError, OutputError
 from catalog.progress import Progress
 from catalog.terrain.conversion import HEIGHTS
@@ -38,8 +38,6 @@ ROUNDING = 1.0 / 1500.0
 LONGEST_STRIP = 4096
 
 WHOLE_BLOCK = 8  # pixels a side of the blocks that are known to be without holes or not
-
-HeightGrid = NDArray[np.float32]
 
 
 class PyramidRecord(msgspec.Struct, frozen=True):
@@ -139,7 +137,7 @@ def _cascade(
     made: int,
     copied: bool,
     statistics: _Statistics,
-    whole: NDArray[np.bool_],
+    whole: BoolArray,
     workers: int,
     progress: Progress,
 ) -> None:
@@ -154,7 +152,7 @@ def _cascade(
         for col in range(0, shape[1], WINDOW)
     ]
 
-    def work(window: tuple[int, int, int, int]) -> tuple[Any, list[HeightGrid]]:
+    def work(window: tuple[int, int, int, int]) -> tuple[Any, list[Float32Array]]:
         # every window has its own handle: GDAL's are not safe across threads, and opening is cheap
         if path is None:
             reader = source.reopen()
@@ -197,7 +195,7 @@ def _cascade(
 
 def _in_order(
     work: Any, windows: list[tuple[int, int, int, int]], workers: int
-) -> Iterator[tuple[tuple[int, int, int, int], tuple[Any, list[HeightGrid]]]]:
+) -> Iterator[tuple[tuple[int, int, int, int], tuple[Any, list[Float32Array]]]]:
     """Results in order; no more windows in memory than threads and one."""
     if workers <= 1:
         for window in windows:

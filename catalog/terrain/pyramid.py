@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
+from catalog.arrays import BoolArray, Float32Array
 from catalog.bodies.body import Body
 from catalog.errors import DataError, OutputError
 from catalog.progress import Progress, SilentProgress
@@ -31,8 +32,6 @@ from catalog.terrain.overviews import (
     write_levels,
 )
 from catalog.terrain.source import GDAL_CACHE_BYTES, DemSettings, DemSource
-
-HeightGrid = NDArray[np.float32]
 
 POLE_TOLERANCE = 0.02  # rows by which a raster's edge may miss a pole that it is meant to reach
 
@@ -63,13 +62,13 @@ class HeightPyramid:
         ends = [place.reaches_pole(edge, POLE_TOLERANCE) for edge in (-0.5, rows - 0.5)]
         return self.record.valid_share == 1.0 and sorted(ends) == [-1, 1]
 
-    def whole_blocks(self) -> NDArray[np.bool_]:
+    def whole_blocks(self) -> BoolArray:
         """Which blocks of WHOLE_BLOCK pixels a side (fewer in the last ones) have no hole."""
         if self.record.valid_share == 1.0:
             return np.ones(tuple(-(-side // WHOLE_BLOCK) for side in self.source.shape), dtype=bool)
         path = whole_blocks_path(self.folder)
         try:
-            found: NDArray[np.bool_] = np.load(path)
+            found: BoolArray = np.load(path)
         except (OSError, ValueError):
             raise DataError(_torn(path, self.folder)) from None
         return found
@@ -79,7 +78,7 @@ class HeightPyramid:
         ratio = 1.05 * posting_m / self.source.posting_m
         return min(self.levels - 1, max(0, math.floor(math.log2(ratio)))) if ratio > 0.0 else 0
 
-    def read(self, level: int, row: int, col: int, height: int, width: int) -> HeightGrid:
+    def read(self, level: int, row: int, col: int, height: int, width: int) -> Float32Array:
         """Heights of a window that lies inside a level. Raises DataError for a damaged file."""
         raw, convert = self.read_raw(level, row, col, height, width)
         return raw if convert is HEIGHTS else convert(raw)

@@ -8,12 +8,10 @@ terrain model; a catalog may carry one.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +26,8 @@ class GlobalRelief:
     Row 0 lies half a step south of the north pole, column 0 half a step east of longitude -180.
     """
 
-    heights: HeightGrid
-    tops: HeightGrid
+    heights: Float32Array
+    tops: Float32Array
     radius_m: float
     source: str
 
@@ -54,7 +52,7 @@ class GlobalRelief:
 
 
 @kernel
-def relief_height(grid: HeightGrid, lat: float, lon: float) -> float:
+def relief_height(grid: Float32Array, lat: float, lon: float) -> float:
     """The height between the four nearest cells (n, 2n) of a place (rad).
 
     Columns go on across +-180 deg, rows across the poles to the opposite meridian.
@@ -79,6 +77,6 @@ def relief_height(grid: HeightGrid, lat: float, lon: float) -> float:
 
 
 @kernel
-def _heights(grid: HeightGrid, lat: FloatArray, lon: FloatArray, found: FloatArray) -> None:
+def _heights(grid: Float32Array, lat: FloatArray, lon: FloatArray, found: FloatArray) -> None:
     for i in range(lat.size):
         found[i] = relief_height(grid, lat[i], lon[i])

@@ -9,15 +9,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
 from catalog.terrain.georeference import CYLINDRICAL, Georeference
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-HeightGrid = NDArray[np.float32]
 Window = tuple[int, int, int, int]  # first row, first column, height, width
 
 WINDOW = 2048  # pixels a side that are read at once: 25 MB as counts and heights
@@ -41,7 +38,7 @@ class Layer(NamedTuple):
     level: int
     shape: tuple[int, int]
     block: tuple[int, int]
-    read: Callable[[int, int, int, int], HeightGrid]
+    read: Callable[[int, int, int, int], Float32Array]
 
     def windows(self) -> list[Window]:
         """Windows that make up the raster, no larger than WINDOW squared."""
@@ -141,12 +138,12 @@ def _middles(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, Float
 
 @kernel
 def _add_overlaps(
-    pixels: HeightGrid,
+    pixels: Float32Array,
     down: FloatArray,
     along: FloatArray,
     sums: FloatArray,
-    weights: HeightGrid,
-    tops: HeightGrid,
+    weights: Float32Array,
+    tops: Float32Array,
 ) -> tuple[float, float]:
     """Add pixels to all cells that they reach into; returns their lowest and highest height."""
     rows, cols = sums.shape
@@ -174,12 +171,12 @@ def _add_overlaps(
 
 @kernel
 def _add_middles(
-    pixels: HeightGrid,
+    pixels: Float32Array,
     down: FloatArray,
     along: FloatArray,
     sums: FloatArray,
-    weights: HeightGrid,
-    tops: HeightGrid,
+    weights: Float32Array,
+    tops: Float32Array,
 ) -> tuple[float, float]:
     """Add each pixel whole to the cell of its middle; returns their lowest and highest height."""
     rows, cols = sums.shape
@@ -202,8 +199,8 @@ def _put(
     row: int,
     col: int,
     sums: FloatArray,
-    weights: HeightGrid,
-    tops: HeightGrid,
+    weights: Float32Array,
+    tops: Float32Array,
 ) -> None:
     """Add a pixel's height to one cell."""
     sums[row, col] += height * weight
@@ -214,11 +211,11 @@ def _put(
 @kernel
 def _join(
     sums: FloatArray,
-    weights: HeightGrid,
-    new_tops: HeightGrid,
-    means: HeightGrid,
-    shares: HeightGrid,
-    tops: HeightGrid,
+    weights: Float32Array,
+    new_tops: Float32Array,
+    means: Float32Array,
+    shares: Float32Array,
+    tops: Float32Array,
 ) -> None:
     """Let new sums fill what cells still lack; a cell's top is the highest of all that it has."""
     for i in range(sums.shape[0]):
@@ -236,7 +233,7 @@ def _join(
 
 @kernel
 def _of_neighbours(
-    holes: IntArray, means: HeightGrid, shares: HeightGrid, tops: HeightGrid
+    holes: IntArray, means: Float32Array, shares: Float32Array, tops: Float32Array
 ) -> FloatArray:
     """Mean height and mean top (holes, 2) of the known ones of the eight cells around, else NaN."""
     rows, cols = means.shape

@@ -15,12 +15,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 AZIMUTHS = 36
 # A bin covers 10 deg; its limit is the greatest at its middle and its two borders.
@@ -30,7 +27,7 @@ INNER_STEP_NODES = 2.0  # between points of the inside profile
 
 
 @kernel
-def _tangent_heights(grids: HeightGrid, postings: FloatArray, radius: float) -> HeightGrid:
+def _tangent_heights(grids: Float32Array, postings: FloatArray, radius: float) -> Float32Array:
     """Heights over the tangent plane at the centre, of nodes whose heights are over the sphere."""
     levels, size = grids.shape[0], grids.shape[1]
     out = np.empty(grids.shape, np.float32)
@@ -48,7 +45,7 @@ def _tangent_heights(grids: HeightGrid, postings: FloatArray, radius: float) -> 
 
 @kernel
 def _profile(
-    grid: HeightGrid,
+    grid: Float32Array,
     x: float,
     y: float,
     dx: float,
@@ -144,7 +141,7 @@ def _crossing(
 
 @kernel
 def _known_profile(
-    grid: HeightGrid,
+    grid: Float32Array,
     crossing: tuple[float, float, float, float],
     step: float,
     first: int,
@@ -166,7 +163,7 @@ def _known_profile(
 
 @kernel
 def _steepest_outside(
-    grids: HeightGrid,
+    grids: Float32Array,
     tops: FloatArray,
     postings: FloatArray,
     across: float,
@@ -208,7 +205,7 @@ def _steepest_outside(
 
 @kernel
 def _limits_along(
-    grids: HeightGrid, tops: FloatArray, postings: FloatArray, east: float, north: float
+    grids: Float32Array, tops: FloatArray, postings: FloatArray, east: float, north: float
 ) -> tuple[float, float]:
     """Tangents of the greatest elevation of outside ground towards (east, north) and away from it.
 
@@ -240,7 +237,7 @@ def _limits_along(
 
 
 @kernel
-def _limits(heights: HeightGrid, postings: FloatArray, radius: float, per_bin: int) -> FloatArray:
+def _limits(heights: Float32Array, postings: FloatArray, radius: float, per_bin: int) -> FloatArray:
     grids = _tangent_heights(heights, postings, radius)
     tops = np.empty(postings.size)
     for level in range(postings.size):
@@ -258,7 +255,7 @@ def _limits(heights: HeightGrid, postings: FloatArray, radius: float, per_bin: i
 
 
 def skyline_limits_deg(
-    levels: Sequence[tuple[HeightGrid, float]], patch_level: int, radius_m: float
+    levels: Sequence[tuple[Float32Array, float]], patch_level: int, radius_m: float
 ) -> FloatArray:
     """Sun elevation by azimuth above which ground outside a patch throws no shadow into it.
 

@@ -18,6 +18,7 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.terrain.conversion import Conversion
@@ -31,9 +32,6 @@ from catalog.terrain.dem_file import (
     place_of,
 )
 from catalog.terrain.georeference import Georeference
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 METRES = {"m": 1.0, "km": 1000.0, "dm": 0.1, "cm": 0.01}
 # GDAL keeps decoded blocks; its default is 5 % of the machine, which is no bound for a worker.
@@ -218,7 +216,7 @@ class DemSource:
         offset = np.mod(lon - middle + np.pi, 2.0 * np.pi) - np.pi
         return float(middle + offset.min()), south, float(middle + offset.max()), north
 
-    def read_window(self, row0: int, col0: int, height: int, width: int) -> HeightGrid:
+    def read_window(self, row0: int, col0: int, height: int, width: int) -> Float32Array:
         """Heights (height, width) of pixels, m above the reference sphere, NaN for none.
 
         Columns wrap when the raster goes all the way round; beyond its edges all is NaN.

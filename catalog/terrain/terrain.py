@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.tangent_plane import MapProjection
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 
 class Terrain(Protocol):
@@ -44,15 +41,13 @@ class Terrain(Protocol):
         Of the ground (m) where a projection's x and y depend on heights, else directions.
         """
 
-    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> HeightGrid:
+    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> Float32Array:
         """Heights (...) of places above the sphere of the body's radius."""
 
-    def covers(
-        self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None
-    ) -> NDArray[np.bool_]:
+    def covers(self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None) -> BoolArray:
         """Whether places have a height."""
 
-    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> HeightGrid:
+    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
         """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
 
     def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
@@ -60,7 +55,7 @@ class Terrain(Protocol):
 
     def beyond(
         self, projection: MapProjection, posting_m: float, size: int
-    ) -> Sequence[tuple[HeightGrid, float]]:
+    ) -> Sequence[tuple[Float32Array, float]]:
         """Coarser grids (size, size) and postings, finer first, for the rest of a small body.
 
         They go on from a grid of posting_m and throw the shadows that come from beyond all patches;

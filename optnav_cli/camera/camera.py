@@ -9,12 +9,12 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.camera import lens
 from optnav_cli.camera.validity import brown_limit, fisheye_limit
 
-FloatArray = NDArray[np.float64]
 Model = Literal["pinhole", "equidistant", "kannala_brandt"]
 Distortion = Literal["none", "brown"]
 
@@ -126,7 +126,7 @@ class Camera:
         lens.rays_of_pixels(*self._lens, rows, rays)
         return rays.reshape(*shape, 3)
 
-    def contains(self, pixels: ArrayLike, margin_px: float = 0.0) -> NDArray[np.bool_]:
+    def contains(self, pixels: ArrayLike, margin_px: float = 0.0) -> BoolArray:
         """Whether pixels (..., 2) lie in the picture, at least margin_px inside its edge."""
         x, y = np.moveaxis(np.asarray(pixels, dtype=np.float64), -1, 0)
         low = margin_px - 0.5

@@ -14,12 +14,9 @@ because the cache of compiled code sees changes of a kernel's own file only.
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
 
-FloatArray = NDArray[np.float64]
 Derivatives = tuple[float, float, float, float, float, float]
 
 PINHOLE, FISHEYE = 0, 1

@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import FloatArray
 
 # A distortion polynomial fitted to a real lens says nothing at 84 degrees from the axis.
 LARGEST_TANGENT = 10.0

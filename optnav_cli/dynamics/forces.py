@@ -15,12 +15,10 @@ has on a body of such gravity.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, GravityField, load_body
 from catalog.bodies.motion import SUN_GM_M3_S2, BodyMotion, Neighbour
-
-FloatArray = NDArray[np.float64]
 
 # The degrees summed by Kaula's rule; the field falls off with height, so the last hardly matter.
 DEGREES = np.arange(3.0, 121.0)

@@ -1,13 +1,11 @@
 """Where a craft will be: its orbit integrated with the derivative by the state it began with."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.dynamics.forces import Forces
-
-FloatArray = NDArray[np.float64]
 
 # 0.1 mm and 0.1 um/s a step, far below any fix; the transition needs fewer digits.
 RELATIVE = 1e-10

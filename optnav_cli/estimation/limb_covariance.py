@@ -6,12 +6,10 @@ has taken of them with its three unknowns is put back.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
 from optnav_cli.estimation.symmetric import mirrored
-
-FloatArray = NDArray[np.float64]
 
 CORRELATION_DEG = 30.0  # errors of points farther apart count as independent
 BINS = 72

@@ -11,14 +11,13 @@ for the sphere up to the cube of the angle.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
 from optnav_cli.estimation.limb_covariance import azimuths_about_nadir, correlated_covariance
 from optnav_cli.estimation.symmetric import inverse_of, mirrored
-
-FloatArray = NDArray[np.float64]
 
 MIN_LIMB_POINTS = 4  # three unknowns, one equation a point, and one left to see an error by
 MAX_ITERATIONS = 20

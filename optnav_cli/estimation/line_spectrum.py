@@ -9,11 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from catalog.arrays import ComplexArray, FloatArray
+
 Name = tuple[int, ...]
 
 NEAR = 0.15  # of the resolution (one turn in the span): a line so near is the named one

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
-
-FloatArray = NDArray[np.float64]
 
 # A right fix is farther from the arc than this once in a million.
 GATE_PROBABILITY = 1e-6

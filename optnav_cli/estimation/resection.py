@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
-
-FloatArray = NDArray[np.float64]
 
 MAX_ITERATIONS = 30
 # A step below this share of its own sigma changes nothing that matters.
@@ -53,7 +51,7 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.points_body_m)
 
-    def subset(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Sightings":
+    def subset(self, index: IndexArray | BoolArray) -> "Sightings":
         """The sightings that an index array or mask picks."""
         return Sightings(self.points_body_m[index], self.pixels[index], self.covariances_px2[index])
 

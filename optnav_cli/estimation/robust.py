@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from catalog.arrays import BoolArray, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.resection import (
     Pose,
@@ -21,9 +21,6 @@ from optnav_cli.estimation.resection import (
     predict,
     resect,
 )
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MAX_PROPOSALS = 120
 MAX_GATE_ROUNDS = 15

@@ -5,13 +5,11 @@ that follows the scatter: wide while the position is far off, narrow in the end.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.limb_covariance import correlated_covariance
 from optnav_cli.estimation.limb_fit import MIN_LIMB_POINTS, LimbFit
-
-FloatArray = NDArray[np.float64]
 
 TUKEY = 4.685  # 95 % efficient for normal errors
 MAD_TO_SIGMA = 1.4826

@@ -1,11 +1,9 @@
 """Symmetric 3 x 3 matrices in compiled code."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
 
 
 @kernel

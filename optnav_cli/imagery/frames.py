@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import BodyMotion
@@ -21,8 +21,6 @@ from optnav_cli.imagery.run_settings import (
     camera_from_body,
     rotation_for_file,
 )
-
-FloatArray = NDArray[np.float64]
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION = ("x_m", "y_m", "z_m")

@@ -15,13 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from optnav_cli.imagery.pvl import Block, parse_label
-
-FloatArray = NDArray[np.float64]
 
 _TYPES = {"Double": "f8", "Real": "f4", "Integer": "i4"}
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from catalog.arrays import Float32Array
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
 
@@ -32,7 +33,7 @@ class Picture:
     saturation  the highest value the file can hold; None where its type says nothing
     """
 
-    values: NDArray[np.float32]
+    values: Float32Array
     saturation: float | None
 
 

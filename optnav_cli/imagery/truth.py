@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import load_body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import AnalyticMotion, BodyMotion
@@ -30,7 +30,7 @@ class Truth:
     file: str
     utc: str
     tdb_s: float
-    position_m: NDArray[np.float64]
+    position_m: FloatArray
     camera_from_body: Rotation
 
 

@@ -2,12 +2,9 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.grid import sample_bicubic
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 
 class PicturePyramid:
@@ -16,8 +13,8 @@ class PicturePyramid:
     picture (height, width) float32
     """
 
-    def __init__(self, picture: Image) -> None:
-        self._levels: dict[int, Image] = {1: np.ascontiguousarray(picture, dtype=np.float32)}
+    def __init__(self, picture: Float32Array) -> None:
+        self._levels: dict[int, Float32Array] = {1: np.ascontiguousarray(picture, dtype=np.float32)}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -25,7 +22,7 @@ class PicturePyramid:
         height, width = self._levels[1].shape
         return int(height), int(width)
 
-    def sample(self, pixels: FloatArray, pixels_per_node: float) -> Image:
+    def sample(self, pixels: FloatArray, pixels_per_node: float) -> Float32Array:
         """Brightness at pixels (..., 2); NaN outside the picture or where a pixel is NaN.
 
         pixels_per_node  picture pixels that one node of the map grid spans
@@ -53,7 +50,7 @@ class PicturePyramid:
         smallest_side = max(1, min(self.shape) // 8)
         return int(min(max(1.0, np.floor(pixels_per_node + 0.25)), smallest_side))
 
-    def _level(self, factor: int) -> Image:
+    def _level(self, factor: int) -> Float32Array:
         if factor not in self._levels:
             picture = self._levels[1]
             rows, cols = picture.shape[0] // factor, picture.shape[1] // factor

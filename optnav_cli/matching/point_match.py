@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.blur import thinned, thinning
 from catalog.correlation.masked import match_masked
 from catalog.correlation.ncc import cropped, match_ncc
@@ -14,9 +14,6 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
-
-FloatArray = NDArray[np.float64]
-Grid = NDArray[np.float32]
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 LEAST_VALID_SHARE = 0.6
@@ -177,7 +174,7 @@ def nodes_a_sample(blur_nodes: float) -> float:
     return CHANCE_NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2
 
 
-def _common_nodes(template: Grid, window: Grid, match: Match) -> int:
+def _common_nodes(template: Float32Array, window: Float32Array, match: Match) -> int:
     """Nodes of a template without its margin that the window has too, where it was found."""
     inner = cropped(template, MARGIN_NODES)
     border = (window.shape[0] - inner.shape[0]) // 2
@@ -186,7 +183,7 @@ def _common_nodes(template: Grid, window: Grid, match: Match) -> int:
     return int((np.isfinite(inner) & np.isfinite(seen)).sum())
 
 
-def _unfit(template: Grid) -> str:
+def _unfit(template: Float32Array) -> str:
     valid = np.isfinite(template)
     if valid.mean() < LEAST_VALID_SHARE:
         return "no terrain data"

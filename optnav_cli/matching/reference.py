@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.control_point import ControlPoint, Patch
 from catalog.geometry.ellipsoid import height_above
 from catalog.geometry.grid import bicubic_at
@@ -14,12 +14,11 @@ from catalog.geometry.projection import node_grid
 from catalog.geometry.tangent_plane import MapProjection, TangentPlane
 from catalog.rendering.map_view import render_map
 
-FloatArray = NDArray[np.float64]
-Grid = NDArray[np.float32]
-
 
 @kernel
-def _fill_from(window: Grid, posting: float, patch: Grid, patch_posting: float) -> None:
+def _fill_from(
+    window: Float32Array, posting: float, patch: Float32Array, patch_posting: float
+) -> None:
     """Put a patch's heights into the NaN nodes of a centred window; bicubic between the nodes."""
     size = window.shape[0]
     ratio = posting / patch_posting
@@ -38,8 +37,12 @@ def _fill_from(window: Grid, posting: float, patch: Grid, patch_posting: float) 
 
 
 def _carried_on(
-    heights: Grid, plane: TangentPlane, x: FloatArray, y: FloatArray, radii_m: tuple[float, ...]
-) -> Grid:
+    heights: Float32Array,
+    plane: TangentPlane,
+    x: FloatArray,
+    y: FloatArray,
+    radii_m: tuple[float, ...],
+) -> Float32Array:
     """Heights (n, n) with those of the known square's border, over the ellipsoid, beyond it."""
     known = np.flatnonzero(np.isfinite(heights).any(axis=1))
     if known.size in (0, heights.shape[0]):
@@ -73,7 +76,7 @@ class Reference:
             return self.point.tangent_plane(self.planes_on_m)
         return self.point.projection(self.radius_m)
 
-    def heights(self, level: int, size: int) -> Grid:
+    def heights(self, level: int, size: int) -> Float32Array:
         """A centred window of `size` nodes at a level's posting, coarser levels where it is wider.
 
         NaN where no level has data.
@@ -109,7 +112,7 @@ class Reference:
 
     def render(
         self, level: int, size: int, sun_body: FloatArray, camera_position_m: FloatArray
-    ) -> Grid:
+    ) -> Float32Array:
         """Lunar-Lambert brightness of a window with cast shadows, (size, size), 0 in shadow.
 
         Lommel-Seeliger, which Zhukov (2025) takes, is farther from Hapke at oblique views:

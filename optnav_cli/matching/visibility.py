@@ -3,13 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.estimation.resection import Pose, ProjectingCamera
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class View:
     emission_deg       (n,)
     """
 
-    index: IntArray
+    index: IndexArray
     pixels: FloatArray
     metres_per_pixel: FloatArray
     sun_elevation_deg: FloatArray
@@ -116,9 +113,7 @@ def _empty_view() -> View:
     return View(np.empty(0, dtype=np.intp), np.empty((0, 2)), none, none, none)
 
 
-def _inside(
-    pixels: FloatArray, frame_size_px: tuple[int, int], room_px: FloatArray
-) -> NDArray[np.bool_]:
+def _inside(pixels: FloatArray, frame_size_px: tuple[int, int], room_px: FloatArray) -> BoolArray:
     room = room_px[:, None]
     width, height = frame_size_px
     with np.errstate(invalid="ignore"):
@@ -135,9 +130,7 @@ def _horizontals(verticals: FloatArray) -> tuple[FloatArray, FloatArray]:
     return east, north
 
 
-def _above_skyline(
-    up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArray
-) -> NDArray[np.bool_]:
+def _above_skyline(up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArray) -> BoolArray:
     east, north = _horizontals(up)
     distance = np.linalg.norm(to_camera, axis=1)
     elevation = np.degrees(np.arcsin(np.einsum("ni,ni->n", up, to_camera) / distance))

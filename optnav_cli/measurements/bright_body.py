@@ -9,11 +9,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, Int32Array, IntArray
 from catalog.errors import NoSolutionError
-
-Image = NDArray[np.float32]
 
 BLOCK_PX = 16
 SKY_QUANTILE = 0.05  # of the blocks' means: the darkest parts of the picture are sky or night
@@ -53,16 +51,16 @@ class Blobs:
     box     (k, 4) left, top, width, height
     """
 
-    labels: NDArray[np.int32]
-    label: NDArray[np.int64]
-    area: NDArray[np.int64]
-    box: NDArray[np.int64]
+    labels: Int32Array
+    label: IntArray
+    area: IntArray
+    box: IntArray
 
     def __len__(self) -> int:
         return len(self.area)
 
 
-def measure_levels(picture: Image) -> Levels:
+def measure_levels(picture: Float32Array) -> Levels:
     """Levels of a picture (h, w).
 
     Raises NoSolutionError for a picture in which nothing stands out of the noise.
@@ -96,7 +94,7 @@ def measure_levels(picture: Image) -> Levels:
     return Levels(sky, noise, bright, peak, sky + rise)
 
 
-def lit_blobs(picture: Image, threshold: float) -> Blobs:
+def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
     """Areas of a picture (h, w) above a threshold, joined over corners."""
     mask = (picture > threshold).view(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -110,14 +108,16 @@ def lit_blobs(picture: Image, threshold: float) -> Blobs:
     )
 
 
-def without_blobs(picture: Image, blobs: Blobs, labels: Sequence[int], sky: float) -> Image:
+def without_blobs(
+    picture: Float32Array, blobs: Blobs, labels: Sequence[int], sky: float
+) -> Float32Array:
     """A picture (h, w) with the sky's level in place of some lit areas and of their blur."""
     mask = np.isin(blobs.labels, labels).astype(np.uint8)
     wide = cv2.dilate(mask, np.ones((2 * HALO_PX + 1, 2 * HALO_PX + 1), dtype=np.uint8))
     return np.where(wide > 0, np.float32(sky), picture)
 
 
-def _spread(sample: Image, level: float) -> float:
+def _spread(sample: Float32Array, level: float) -> float:
     """Scatter below a level, which no bright thing widens."""
     below = sample[sample <= level]
     if below.size == 0:

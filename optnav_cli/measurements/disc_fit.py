@@ -9,17 +9,14 @@ apart.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.bright_body import measure_levels
 from optnav_cli.measurements.disc_model import draw_disc
 from optnav_cli.measurements.edge_profile import EdgeShape
 from optnav_cli.measurements.limb_cone import Cone
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 ABOUT_PX = 6  # of sky about the disc that is fitted
 LEAST_BLUR_PX = 0.36  # the smallest that `draw_disc` can draw
@@ -50,7 +47,7 @@ class DiscFit:
 
 
 def fit_disc(
-    picture: Image,
+    picture: Float32Array,
     camera: Camera,
     axis: FloatArray,
     angle: float,

@@ -9,15 +9,13 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.bright_body import Levels
 from optnav_cli.measurements.edge_light import three_laws
 from optnav_cli.measurements.edge_profile import EdgeShape, Profiles, locate_edges
 from optnav_cli.measurements.limb_cone import Cone, stretched_rays
-
-FloatArray = NDArray[np.float64]
 
 LARGEST_RADIUS_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
 FINE = 4  # sub-pixels a side
@@ -27,7 +25,7 @@ PIXEL_VARIANCE = 1.0 / 12.0  # of a pixel's own width, which `blur_px` includes
 
 def edge_bias_px(
     profiles: Profiles,
-    places: NDArray[np.int64],
+    places: IntArray,
     camera: Camera,
     cone: Cone,
     sun_camera: FloatArray,
@@ -52,8 +50,8 @@ def draw_disc(
     cone: Cone,
     sun_camera: FloatArray,
     shape: EdgeShape,
-    corner: NDArray[np.int64],
-    size: NDArray[np.int64],
+    corner: IntArray,
+    size: IntArray,
 ) -> FloatArray:
     """Brightness (height, width), any unit, of the body about a cone, blurred, over pixels.
 

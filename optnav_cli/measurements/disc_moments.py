@@ -4,14 +4,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray, Int32Array, IntArray
 from catalog.errors import NoSolutionError
 from catalog.photometry import hapke, lambert, lommel_seeliger
 from optnav_cli.measurements.bright_body import ROUNDING_VARIANCE, lit_blobs, measure_levels
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 # Of Hapke's parameters the roughness moves a disc's light, by 0.006 radii and 2 % of its width;
 # the others do by a tenth of that.
@@ -85,7 +82,7 @@ def sphere_moments(phase: float) -> list[SphereMoments]:
     return found
 
 
-def measure_disc(picture: Image, saturation: float | None) -> DiscMoments:
+def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments:
     """Moments of the brightest spot of a picture (h, w).
 
     Raises NoSolutionError when there is none, when another one rivals it, and for a disc that is
@@ -144,7 +141,7 @@ def measure_disc(picture: Image, saturation: float | None) -> DiscMoments:
 
 
 def _background(
-    picture: Image, labels: NDArray[np.int32], middle: tuple[float, float], reach: float
+    picture: Float32Array, labels: Int32Array, middle: tuple[float, float], reach: float
 ) -> tuple[float, float, float]:
     """Level and scatter of the sky about a disc, beyond the blur's reach; error of the level."""
     wide = int(2.0 * reach) + 8
@@ -168,7 +165,7 @@ def _background(
 
 
 def _light(
-    picture: Image, labels: NDArray[np.int32], box: NDArray[np.int64], label: int, sky: float
+    picture: Float32Array, labels: Int32Array, box: IntArray, label: int, sky: float
 ) -> float:
     left, top, wide, high = (int(value) for value in box)
     part = np.s_[top : top + high, left : left + wide]
@@ -177,8 +174,8 @@ def _light(
 
 def _moments(
     light: FloatArray,
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
+    x: IntArray,
+    y: IntArray,
     noise: float,
     sky_sigma: float,
 ) -> DiscMoments:

@@ -7,12 +7,10 @@ fit the second moments are weighed against each other.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from optnav_cli.measurements.disc_moments import DiscMoments
 from optnav_cli.measurements.shape_moments import LightMoments
-
-FloatArray = NDArray[np.float64]
 
 SMALLEST_PX, LARGEST_PX = 0.3, 30.0  # radii; equal steps of the logarithm are equally likely
 RADII = 200  # first over all of them, then over the likely ones

@@ -10,13 +10,12 @@ import math
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from catalog.arrays import FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry import hapke
 
-FloatArray = NDArray[np.float64]
 LEAST_COSINE = 1e-4  # instead of 0, where a law divides by it
 # Slopes of the ground, as a sine: at the limb no face is seen flatter than about that, so that a
 # rough body's limb is darker than a smooth one's. Without it edges over the Moon lie 0.01-0.02 px

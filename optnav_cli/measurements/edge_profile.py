@@ -9,13 +9,11 @@ each profile's own, blur width and law are common to the picture and found from 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from optnav_cli.measurements.bright_body import Levels
 from optnav_cli.measurements.edge_light import blurred_powers, power_table
-
-FloatArray = NDArray[np.float64]
 
 ITERATIONS = 12
 SETTLED_PX = 2e-4
@@ -50,7 +48,7 @@ class Profiles:
     start: FloatArray
     laws: FloatArray
 
-    def subset(self, kept: NDArray[np.int64]) -> "Profiles":
+    def subset(self, kept: IntArray) -> "Profiles":
         """Those of an index array."""
         laws = np.ascontiguousarray(self.laws[:, kept])
         return Profiles(self.values[kept], self.depth[kept], self.start[kept], laws)

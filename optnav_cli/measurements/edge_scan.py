@@ -8,12 +8,9 @@ so that stars' cores and hot pixels are no rises.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 RUN_PX = 3  # dark pixels before a rise and bright ones after it
 MAX_CANDIDATES = 200_000  # a picture full of texture has no limb worth finding in it
@@ -36,19 +33,19 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def subset(self, kept: NDArray[np.bool_] | NDArray[np.int64]) -> "Candidates":
+    def subset(self, kept: BoolArray | IntArray) -> "Candidates":
         """Those that a mask or an index array keeps."""
         return Candidates(self.pixels[kept], self.scan[kept], self.gradient[kept])
 
 
 @kernel
 def _rises(
-    picture: Image,
+    picture: Float32Array,
     threshold: float,
     least_rise: float,
     row_step: int,
     places: FloatArray,
-    directions: NDArray[np.int64],
+    directions: IntArray,
 ) -> int:
     """Rises along rows (row_step 0) or columns (1), both ways; returns their number."""
     height, width = picture.shape
@@ -90,7 +87,7 @@ def _rises(
 
 
 @kernel
-def _gradients(picture: Image, places: FloatArray, gradients: FloatArray) -> None:
+def _gradients(picture: Float32Array, places: FloatArray, gradients: FloatArray) -> None:
     """Brightness gradient by differences three pixels apart, averaged over five lines."""
     height, width = picture.shape
     for i in range(places.shape[0]):
@@ -105,7 +102,7 @@ def _gradients(picture: Image, places: FloatArray, gradients: FloatArray) -> Non
         gradients[i, 0], gradients[i, 1] = gx / 30.0, gy / 30.0
 
 
-def scan_edges(picture: Image, threshold: float, least_rise: float) -> Candidates:
+def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Candidates:
     """Rises of a picture (h, w) through a threshold that gain least_rise within four pixels."""
     picture = np.ascontiguousarray(picture, dtype=np.float32)
     places, directions = [], []

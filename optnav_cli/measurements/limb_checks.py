@@ -1,17 +1,14 @@
 """Reasons why a picture's limb cannot be used, each in words."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.bright_body import Blobs, Levels
 from optnav_cli.measurements.edge_scan import Candidates
 from optnav_cli.measurements.limb_cone import Cone, find_cone, stretched_rays
 from optnav_cli.measurements.limb_search import BORDER_PX, LEAST_BLOB_PIXELS, rays_of
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LEAST_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
 MOST_SATURATED = 0.8  # of the lit pixels
@@ -29,7 +26,7 @@ LUMPY = 0.03  # relief, in body radii, of a body whose own lobes may look like a
 GRID_PX = 8
 
 
-def check_blobs(picture: Image, blobs: Blobs, levels: Levels, saturation: float) -> None:
+def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation: float) -> None:
     """Raise NoSolutionError for stars alone, a disc too small, no sky, a picture burnt out."""
     largest = int(blobs.area[0]) if len(blobs) else 0
     if largest < LEAST_BODY_PIXELS:
@@ -129,7 +126,7 @@ def check_hidden(
 
 
 def check_others(
-    picture: Image,
+    picture: Float32Array,
     camera: Camera,
     candidates: Candidates,
     cone: Cone,

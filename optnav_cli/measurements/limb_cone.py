@@ -10,13 +10,10 @@ direction of the rise, is fitted to them. Distances are in pixels, along the pic
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 PROPOSALS = 600
 MOST_SCORED = 2500  # candidates that vote, drawn at random from more
@@ -129,7 +126,7 @@ def _score(
 
 @kernel
 def _consensus(
-    samples: NDArray[np.int64],
+    samples: IntArray,
     rays: FloatArray,
     by_x: FloatArray,
     by_y: FloatArray,

@@ -9,8 +9,8 @@ the pixel by a model of the blurred limb.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.bright_body import lit_blobs, measure_levels
@@ -43,9 +43,6 @@ from optnav_cli.measurements.limb_search import (
     rays_of,
     sharpness,
 )
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 MAX_POINTS = 3000
 LEAST_POINTS = 12
@@ -88,7 +85,7 @@ class LimbPoints:
 
 
 def find_limb(
-    picture: Image,
+    picture: Float32Array,
     camera: Camera,
     sun_camera: FloatArray | None,
     *,
@@ -176,7 +173,7 @@ def _space(stretch: FloatArray | None) -> FloatArray:
 
 
 def _first_cone(
-    picture: Image,
+    picture: Float32Array,
     camera: Camera,
     candidates: Candidates,
     threshold: float,

@@ -1,17 +1,14 @@
 """The pixels across a limb, how deep they lie inside the cone's curve, and the light expected."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray, IntArray
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.edge_light import laws_across_limb
 from optnav_cli.measurements.edge_profile import Profiles
 from optnav_cli.measurements.edge_scan import Candidates
 from optnav_cli.measurements.limb_cone import Cone, PixelRays, distances, stretched_rays
 from optnav_cli.measurements.limb_search import BORDER_PX, outward_normals
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 # Profiles reach this far to the dark and to the bright side of the crossing, px along the scan,
 # and so deep inside, px and in radii of the limb's bend: further in the ground's pattern rules.
@@ -20,13 +17,13 @@ DEEPEST_PX, DEEPEST_SHARE = 6.0, 0.35
 
 
 def profiles_across(
-    picture: Image,
+    picture: Float32Array,
     camera: Camera,
     limb: Candidates,
     where: PixelRays,
     cone: Cone,
     sun_camera: FloatArray | None,
-) -> tuple[Profiles, NDArray[np.int64], FloatArray]:
+) -> tuple[Profiles, IntArray, FloatArray]:
     """Profiles across the limb, their pixels (n, m, 2), the bend (n,) of the curve, 1 / px."""
     height, width = picture.shape
     middle = np.rint(limb.pixels).astype(np.int64)

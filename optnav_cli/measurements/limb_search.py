@@ -5,16 +5,12 @@ terminator by the Sun's direction, the sector test about the found centre.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.bright_body import Blobs, Levels
 from optnav_cli.measurements.edge_scan import Candidates, scan_edges
 from optnav_cli.measurements.limb_cone import Cone, PixelRays, agreeing, distances, pixel_rays
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-Image = NDArray[np.float32]
 
 LEAST_BLOB_PIXELS = 25  # a star, even a bright one through a wide blur, is smaller
 BORDER_PX = 4  # from the picture's edge and the image circle: no rise there is a limb
@@ -28,7 +24,9 @@ LEAST_SUN_COSINE, CUSP_SHARE = 0.03, 0.07
 SKY_STEPS_PX = (6.0, 12.0, 24.0, 48.0)  # outside the limb there is no ground
 
 
-def find_candidates(picture: Image, camera: Camera, levels: Levels, blobs: Blobs) -> Candidates:
+def find_candidates(
+    picture: Float32Array, camera: Camera, levels: Levels, blobs: Blobs
+) -> Candidates:
     """Rises at the rim of lit areas that are larger than stars, inside the lens's picture."""
     rise = max(RISE_SIGMAS * levels.noise, RISE_SHARE * (levels.bright - levels.sky))
     found = scan_edges(picture, levels.threshold, rise)
@@ -73,7 +71,7 @@ def facing_sun(
     return np.asarray(cosine > LEAST_SUN_COSINE + CUSP_SHARE * sine)
 
 
-def sharpness(picture: Image, candidates: Candidates) -> FloatArray:
+def sharpness(picture: Float32Array, candidates: Candidates) -> FloatArray:
     """What rises (n,) have gained after three pixels, over what they have after ten.
 
     About 1 at a limb, a third at a terminator, whose brightness grows evenly.
@@ -116,7 +114,11 @@ def rays_of(camera: Camera, candidates: Candidates, stretch: FloatArray) -> Pixe
 
 
 def before_sky(
-    picture: Image, camera: Camera, pixels: FloatArray, gradient: FloatArray, threshold: float
+    picture: Float32Array,
+    camera: Camera,
+    pixels: FloatArray,
+    gradient: FloatArray,
+    threshold: float,
 ) -> BoolArray:
     """Which rises (n,) at pixels (n, 2) have mostly sky on their dark side, and no lit ground."""
     inward = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
@@ -127,7 +129,7 @@ def before_sky(
     return np.asarray(dark >= len(SKY_STEPS_PX) - 1)
 
 
-def _at(picture: Image, pixels: FloatArray) -> FloatArray:
+def _at(picture: Float32Array, pixels: FloatArray) -> FloatArray:
     """Values at the nearest pixels (n, 2), those outside taken from the picture's edge."""
     height, width = picture.shape
     whole = np.nan_to_num(np.rint(pixels)).astype(np.int64)

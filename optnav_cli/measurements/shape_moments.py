@@ -8,17 +8,14 @@ with the shadows that it throws and the ground that it hides, else its ellipsoid
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.ellipsoid import surface_at
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.terrain.relief import GlobalRelief, relief_height
 from optnav_cli.measurements.disc_moments import LAWS, sphere_moments
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 STEPS = 60  # from pole to pole: moments are right to 0.2 %
 # Half axes that differ by less of their mean: a sphere.
@@ -86,12 +83,12 @@ def light_moments(
 
 @kernel
 def _shade(
-    heights: HeightGrid,
+    heights: Float32Array,
     radius: float,
     highest: float,
     places: FloatArray,
     direction: FloatArray,
-    free: NDArray[np.bool_],
+    free: BoolArray,
 ) -> None:
     """Clear `free` (n,) where ground stands in a direction (3,) from places (n, 3), m.
 

@@ -8,12 +8,10 @@ of a whole disc the Sun lights a share that the phase alone decides.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb_points import LimbPoints
-
-FloatArray = NDArray[np.float64]
 
 LEAST_ARC_DEG, FULL_ARC_DEG = 100.0, 300.0  # too little of a limb, or one lit all round: no side
 # Of the middle of an arc that ends at the cusps. Of 17 rendered discs of 60 to 710 px radius, at

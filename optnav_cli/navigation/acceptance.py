@@ -8,15 +8,14 @@ often would unrelated ground offer as many scores as good as these?
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import gammaln
 from scipy.stats import chi2
 
+from catalog.arrays import FloatArray
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.estimation.robust import RobustResection
 from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
-
-FloatArray = NDArray[np.float64]
 
 # Best scores on unrelated ground, from 14 000 searches of other, mirrored and random pictures
 # with templates of 80 and 32 nodes: score x nodes a side / sqrt(6) passes CHANCE_LEVEL + d

@@ -11,9 +11,9 @@ line of sight most of all.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
@@ -21,9 +21,6 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc_moments import measure_disc
 from optnav_cli.measurements.disc_size import weigh_sizes
 from optnav_cli.measurements.shape_moments import is_round, light_moments
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LARGEST_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
 # What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
@@ -58,7 +55,7 @@ class CentreFix:
 
 
 def navigate(
-    picture: Image,
+    picture: Float32Array,
     camera: Camera,
     camera_from_body: Rotation,
     attitude_sigma_rad: float,

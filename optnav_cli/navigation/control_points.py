@@ -8,8 +8,8 @@ pose before the next pass searches finer.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.control_point import ControlPoint
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
@@ -35,8 +35,6 @@ from optnav_cli.navigation.frame_match import Prior, match_all, search_postings,
 from optnav_cli.navigation.overlap import footprints, own_shares
 from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
-
-FloatArray = NDArray[np.float64]
 
 # The pose stands still when a pass moves it by less than this share of its sigma.
 SETTLED_SIGMAS = 0.1

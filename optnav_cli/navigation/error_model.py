@@ -13,9 +13,9 @@ study autonomous).
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import FloatArray
 
 # A point's own, 1 sigma an axis: in nodes of the level that was matched, and, m for a terrain model
 # of REFERENCE_M, at any Sun and for a cotangent of 1 of the Sun's elevation: grows with its square.

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.correlation.similarity import Matcher
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
@@ -13,8 +13,6 @@ from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view
 from optnav_cli.navigation.point_field import ControlPointField
 from optnav_cli.navigation.search_plan import finest_level, template_nodes
 from optnav_cli.navigation.settings import NavigateSettings
-
-FloatArray = NDArray[np.float64]
 
 # A point may lie so far beyond the frame, share of its template's side, if a part is enough.
 BEYOND_SHARE = 0.3

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.orbit_arc import GATE
@@ -14,8 +14,6 @@ from optnav_cli.imagery.picture import Picture
 from optnav_cli.navigation.control_points import ControlPointFix, TriedPoint
 from optnav_cli.navigation.outline import Outline
 from optnav_cli.solution import OutlineMarks, Solution, solved
-
-FloatArray = NDArray[np.float64]
 
 CONTROL_POINTS = "control_points"
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.correlation.blur import blur_nodes
 from optnav_cli.estimation.resection import Pose, Sightings, predict
 from optnav_cli.estimation.robust import RobustResection, resect_robustly
@@ -22,8 +22,6 @@ from optnav_cli.navigation.search_plan import (
     plan_distortion,
     plan_search,
 )
-
-FloatArray = NDArray[np.float64]
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
 DISTORTION_SIGMAS = 2.0

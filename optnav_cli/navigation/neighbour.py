@@ -8,15 +8,13 @@ one direction and one size. Light time and aberration move it by 20" and 2 km, w
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import load_body
 from catalog.bodies.motion import BodyMotion, Neighbour
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.bright_body import Blobs
-
-FloatArray = NDArray[np.float64]
 
 _OTHERS: dict[str, Neighbour] = {"moon": "earth", "earth": "moon"}
 SIGMAS = 3.0
@@ -115,7 +113,7 @@ def must_be_seen(view: View, disc: Disc, before: Disc) -> bool:
     return _inside(view.camera, disc.towards, reach_px + MARGIN_PX)
 
 
-def spots_of(camera: Camera, blobs: Blobs, numbers: NDArray[np.int64]) -> list[Spot]:
+def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
     """The blobs of these numbers as directions."""
     found = []
     for number in numbers:

@@ -9,18 +9,15 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.matching.point_match import SeenPart
-
-FloatArray = NDArray[np.float64]
-Masks = NDArray[np.bool_]
 
 # Side of the grid on which parts of the frame are counted: a template spans dozens of its cells.
 CELLS = 128
 
 
-def footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> Masks:
+def footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> BoolArray:
     """What each part covers of the frame, (n, CELLS, CELLS).
 
     frame_size_px  (width, height)
@@ -35,14 +32,14 @@ def footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> Mas
     return masks.astype(bool)
 
 
-def own_shares(masks: Masks) -> FloatArray:
+def own_shares(masks: BoolArray) -> FloatArray:
     """(n,) share of each part's evidence that is its own: ground seen k times counts once."""
     times = masks.sum(axis=0)
     each = masks / np.maximum(times, 1)
     return np.asarray(each.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1))
 
 
-def alikeness(masks: Masks) -> FloatArray:
+def alikeness(masks: BoolArray) -> FloatArray:
     """(n, n) correlation of errors that ground brings: common ground over the mean of both."""
     flat = masks.reshape(len(masks), -1).astype(np.float64)
     size = np.sqrt(np.maximum(flat.sum(axis=1), 1.0))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from catalog.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
@@ -17,9 +18,6 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import PlanesMeta
 from optnav_cli.matching.reference import Reference
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # References kept ready to render; one of 80 nodes and 5 levels takes 130 kB.
 MOST_REFERENCES = 2000
@@ -54,7 +52,7 @@ class PointLayer:
     name: str
     store: PointStore
     grid: CellGrid
-    ids: NDArray[np.int64]
+    ids: IntArray
     xyz_m: FloatArray
     skyline_deg: NDArray[np.floating]
     postings_m: FloatArray
@@ -75,7 +73,7 @@ class PointLayer:
         posting = float(self.postings_m[0])
         return posting if self.planes is None else max(posting, self.planes.model_posting_m)
 
-    def subset(self, keep: NDArray[np.bool_]) -> "PointLayer":
+    def subset(self, keep: BoolArray) -> "PointLayer":
         """The layer with some of its points."""
         return replace(
             self,
@@ -104,7 +102,7 @@ class ControlPointField:
         self.layers = tuple(kept)
         counts = [len(layer.ids) for layer in kept]
         self._first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
-        self.layer_of: IntArray = np.repeat(np.arange(len(kept)), counts)
+        self.layer_of: IndexArray = np.repeat(np.arange(len(kept)), counts)
         self.xyz_m: FloatArray = np.concatenate([layer.xyz_m for layer in kept])
         self.verticals: FloatArray = np.concatenate([layer.verticals for layer in kept])
         self.skyline_deg = np.concatenate([layer.skyline_deg for layer in kept])
@@ -126,7 +124,7 @@ class ControlPointField:
         """(levels,) postings of a point's patches, finest first."""
         return self._layer(index).postings_m
 
-    def finest_postings_m(self, index: IntArray) -> FloatArray:
+    def finest_postings_m(self, index: IndexArray) -> FloatArray:
         """(n,) finest posting of each of some points: that of its catalog's terrain."""
         finest = np.array([layer.known_m for layer in self.layers])
         return np.asarray(finest[self.layer_of[index]])
@@ -149,7 +147,7 @@ class ControlPointField:
         """The point at a place of the arrays."""
         return self._layer(index).store.point(self.name(index)[1])
 
-    def near(self, position_m: FloatArray, emission_max_deg: float) -> IntArray:
+    def near(self, position_m: FloatArray, emission_max_deg: float) -> IndexArray:
         """Places of all points that a camera may see at less than an emission angle (a superset).
 
         position_m  (3,) body frame. Points are taken by the cells below the camera, so that the
@@ -208,7 +206,7 @@ class ControlPointField:
         return self.layers[int(self.layer_of[index])]
 
 
-def _covered(layer: PointLayer, earlier: Sequence[PointLayer]) -> NDArray[np.bool_]:
+def _covered(layer: PointLayer, earlier: Sequence[PointLayer]) -> BoolArray:
     """(n,) whether an earlier layer has a point within its cell's size of a point."""
     covered = np.zeros(len(layer.ids), dtype=bool)
     for other in earlier:

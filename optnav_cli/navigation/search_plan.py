@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from optnav_cli.matching.point_match import NO_DISTORTION, Distortion
-
-FloatArray = NDArray[np.float64]
 
 # Room beyond the stated uncertainty: half a node of rounding and the error of the terrain itself.
 MARGIN_NODES = 2.0

@@ -6,14 +6,12 @@ Fixes are kept in inertial axes, where orbits are simple; what goes in and out i
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.motion import BodyMotion
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit import OrbitMotion
 from optnav_cli.estimation.orbit_arc import GATE, Fix, OrbitArc, Prediction
-
-FloatArray = NDArray[np.float64]
 
 # Cameras that are triggered together; a low orbit goes 2 m in it.
 SAME_TIME_S = 1e-3

@@ -8,17 +8,14 @@ honest.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc_fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.measurements.limb_points import LimbPoints
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LARGEST_RADIUS_PX = 25.0  # beyond it the limb's profiles are right to a few hundredths of a pixel
 # What the figure moves the fitted centre and radius by, of the radius, at full phase: the Moon's is
@@ -54,7 +51,7 @@ def is_for(limb: LimbPoints, camera: Camera) -> bool:
 
 
 def navigate(
-    picture: Image,
+    picture: Float32Array,
     camera: Camera,
     camera_from_body: Rotation,
     attitude_sigma_rad: float,

@@ -4,12 +4,11 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from optnav_cli.output import foxglove
 from optnav_cli.solution import MatchRow, OutlineMarks
 
-FloatArray = NDArray[np.float64]
 Message = dict[str, Any]
 Rgb = tuple[float, float, float]
 

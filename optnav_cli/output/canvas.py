@@ -4,11 +4,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from optnav_cli.output.display import Colour, Gray
+from catalog.arrays import ByteArray, FloatArray, Int32Array
 
-FloatArray = NDArray[np.float64]
 Bgr = tuple[int, int, int]
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 TEXT_SIZE = 0.45
@@ -33,11 +31,11 @@ class Canvas:
     origin  the frame's pixel at its upper left
     """
 
-    image: Colour
+    image: ByteArray
     factor: float
     origin: tuple[int, int] = (0, 0)
 
-    def place(self, pixels: FloatArray) -> NDArray[np.int32]:
+    def place(self, pixels: FloatArray) -> Int32Array:
         """(..., 2) frame pixels as OpenCV's fixed-point canvas coordinates."""
         scaled = (np.asarray(pixels) - self.origin + 0.5) * self.factor - 0.5
         return np.asarray(np.rint(scaled * 2**SUBPIXEL_BITS), dtype=np.int32)
@@ -87,7 +85,7 @@ def text_width(words: str) -> int:
     return int(width)
 
 
-def dimmed(gray: Gray) -> Colour:
+def dimmed(gray: ByteArray) -> ByteArray:
     """A picture (h, w) as what marks are drawn on."""
     dim = np.asarray(gray * SHADE, dtype=np.uint8) // GRAY_STEP * GRAY_STEP
     return np.asarray(cv2.cvtColor(dim, cv2.COLOR_GRAY2BGR), np.uint8)

@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, Float32Array
 from catalog.errors import OutputError
 
-Gray = NDArray[np.uint8]
-Colour = NDArray[np.uint8]  # (h, w, 3), blue green red as OpenCV has them
 DARK, BRIGHT = 0.5, 99.7  # percentiles that become black and white
 SAMPLES = 1 << 16  # pixels that the percentiles are taken from
 PNG_LEVEL = (
@@ -20,7 +19,7 @@ MAD_TO_SIGMA = 1.4826
 GAMMA = 0.8  # lifts the shadows a little; below 1 is brighter
 
 
-def eight_bits(picture: NDArray[np.generic]) -> Gray:
+def eight_bits(picture: NDArray[np.generic]) -> ByteArray:
     """Stretch a picture (h, w) of any number type to 8 bits; what is not finite is black.
 
     A small disc in a wide sky is stretched by its own light, not by the sky's noise.
@@ -39,7 +38,7 @@ def eight_bits(picture: NDArray[np.generic]) -> Gray:
     return np.asarray(np.rint(255.0 * scaled**GAMMA), dtype=np.uint8)
 
 
-def _light(values: NDArray[np.float32], sample: NDArray[np.float32]) -> float:
+def _light(values: Float32Array, sample: Float32Array) -> float:
     """Nearly the brightest of what is lit in a picture of sky; minus infinity for nothing."""
     sky = float(np.median(sample))
     scatter = MAD_TO_SIGMA * float(np.median(np.abs(sample - sky)))
@@ -54,7 +53,7 @@ def shrink_factor(width_px: int, height_px: int, longest_px: int) -> float:
     return min(1.0, longest_px / max(width_px, height_px, 1))
 
 
-def resized(picture: Gray, factor: float) -> Gray:
+def resized(picture: ByteArray, factor: float) -> ByteArray:
     """A picture scaled by area means; both sides keep at least one pixel."""
     if factor == 1.0:
         return picture
@@ -62,7 +61,7 @@ def resized(picture: Gray, factor: float) -> Gray:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def encoded(picture: NDArray[np.uint8], suffix: str, quality: int = 85) -> bytes:
+def encoded(picture: ByteArray, suffix: str, quality: int = 85) -> bytes:
     """The bytes of a picture as ".png" or ".jpg" (`quality` 0..100 for the latter)."""
     options = (
         [cv2.IMWRITE_JPEG_QUALITY, quality]

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC
@@ -15,7 +15,6 @@ from optnav_cli.output.motion import directions_of_motion
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.output.tables import Row, fixed, optional_number, read_table
 
-FloatArray = NDArray[np.float64]
 EVALUATION_COLUMNS = (
     *("file", "utc", "status", "method", "camera", "forward", "truth_height_m"),
     *("error_r_m", "error_n_m", "error_b_m", "sigma_r_m", "sigma_n_m", "sigma_b_m"),

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
@@ -20,7 +20,6 @@ from optnav_cli.output.figures import (
 from optnav_cli.output.motion import Forward, directions_of_motion
 from optnav_cli.solution import MatchRow, Solution
 
-FloatArray = NDArray[np.float64]
 WRONG_PX = 3.0  # a match further than this from the truth is a wrong one
 SAME_TIME_S = 0.01
 

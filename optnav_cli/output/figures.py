@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from catalog.arrays import FloatArray
 from catalog.errors import DifferenceError, NothingToDoError
 from optnav_cli.output.methods import method_rank
 from optnav_cli.output.motion import Forward
 from optnav_cli.solution import Solution
 
-FloatArray = NDArray[np.float64]
 STATED_SIGMAS = 3.0
 CONFIDENCE = 0.95
 

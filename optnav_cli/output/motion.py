@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.geometry.rotations import rnb_axes
 
-FloatArray = NDArray[np.float64]
 Forward = Literal["motion", "north"]
 # Frames further apart than this in time or on the ground are not neighbours of one pass: the
 # chord between them would no longer tell the direction of motion to a few degrees. Motion slows as

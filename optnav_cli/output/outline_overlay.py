@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from catalog.arrays import ByteArray
 from optnav_cli.output.canvas import (
     DISC,
     FOUND,
@@ -13,7 +14,6 @@ from optnav_cli.output.canvas import (
     Canvas,
     dimmed,
 )
-from optnav_cli.output.display import Gray
 from optnav_cli.solution import OutlineMarks
 
 AIM_PX = 26.0
@@ -37,7 +37,7 @@ def draw_outline(canvas: Canvas, marks: OutlineMarks) -> None:
             canvas.line(curve, colour, 1)
 
 
-def put_inset(canvas: Canvas, gray: Gray, marks: OutlineMarks) -> None:
+def put_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
     """A small outline once more, enlarged, in the corner away from it."""
     low, high = marks.points_px.min(axis=0), marks.points_px.max(axis=0)
     side = round(max(INSET_ROOM * float((high - low).max()), LEAST_INSET_PX))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import ByteArray, FloatArray
 from catalog.geometry.tangent_plane import MapProjection
 from optnav_cli.camera.camera import Camera
 from optnav_cli.output.canvas import (
@@ -22,12 +23,11 @@ from optnav_cli.output.canvas import (
     dimmed,
     text_width,
 )
-from optnav_cli.output.display import Colour, eight_bits, encoded, resized, shrink_factor
+from optnav_cli.output.display import eight_bits, encoded, resized, shrink_factor
 from optnav_cli.output.outline_overlay import draw_outline, put_inset
 from optnav_cli.output.recording import describe
 from optnav_cli.solution import MatchRow, OutlineMarks, Solution
 
-FloatArray = NDArray[np.float64]
 Outlines = Mapping[tuple[str, int], Sequence[FloatArray]]
 LONGEST_PX = 1200
 FADING = 0.75  # of the patch outlines from level to level, so that the large ones stay behind
@@ -42,7 +42,7 @@ def draw_overlay(
     longest_px: int = LONGEST_PX,
     *,
     marks: OutlineMarks | None = None,
-) -> Colour:
+) -> ByteArray:
     """Draw a frame's control points, and what is known of the body's outline, on its picture.
 
     picture   (h, w)  as read, any number type
@@ -163,7 +163,7 @@ def _entries(
 
 def _legend(
     width: int, solution: Solution, matches: Sequence[MatchRow], marks: OutlineMarks | None
-) -> Colour:
+) -> ByteArray:
     items = _entries(matches, marks)
     widths = [text_width(words) + 44 for *_, words in items]
     rows = _rows_of(widths, width)

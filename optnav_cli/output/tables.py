@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
@@ -20,7 +20,6 @@ from optnav_cli.imagery.frames import QUATERNION
 from optnav_cli.output.attitude import FileAttitude
 from optnav_cli.solution import MatchRow, Solution, Status
 
-FloatArray = NDArray[np.float64]
 Row = dict[str, str]
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # where those stand in the matrix

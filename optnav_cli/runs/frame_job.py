@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
 from catalog.correlation.surf64 import match_surf
@@ -31,7 +31,7 @@ class FrameResult:
     solution: Solution
     matches: list[MatchRow]
     camera: Camera | None
-    picture: NDArray[np.float32] | None
+    picture: Float32Array | None
     marks: OutlineMarks | None = None
 
 

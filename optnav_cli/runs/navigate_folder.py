@@ -7,8 +7,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.errors import NothingToDoError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
@@ -29,7 +29,6 @@ from optnav_cli.solution import MatchRow, Solution
 
 log = logging.getLogger(__name__)
 
-FloatArray = NDArray[np.float64]
 
 # A patch that takes up more of the picture's width than this is not outlined.
 WIDEST_OUTLINE = 0.2

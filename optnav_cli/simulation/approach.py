@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import AnalyticMotion, BodyMotion
@@ -21,8 +21,6 @@ from catalog.errors import ConfigError
 from catalog.terrain.mesh.shape import Shape, load_shape
 from optnav_cli.simulation.scenario import Approach
 from optnav_cli.simulation.voyage import States, path_frame
-
-FloatArray = NDArray[np.float64]
 
 RELATIVE = 1e-12
 TOLERANCE = np.array([1e-3] * 3 + [1e-7] * 3)  # m and m/s: planets are 1e7 m away

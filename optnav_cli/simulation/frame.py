@@ -6,14 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.sphere import distance_to_sphere
 from catalog.rendering.rays.scene import Scene
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.shot import Shot
 from optnav_cli.simulation.truth_terrain import Box, TruthTerrain
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 PROBE_PX = 64  # distance of the rays that find out which ground a picture shows
 NARROW = np.radians(60.0)  # wider cameras get all the fine ground there is
@@ -39,7 +37,7 @@ class Renderer:
         self._scene: Scene | None = None
         self._scene_key: tuple[object, ...] = ()
 
-    def radiance(self, shot: Shot) -> HeightGrid:
+    def radiance(self, shot: Shot) -> Float32Array:
         """Mean radiance factor over each pixel (height, width), sky 0, of a shot of the flight."""
         factor, box = self._ground[shot.index]
         key = (shot.ground_seed, factor, box, shot.sun_body.tobytes())

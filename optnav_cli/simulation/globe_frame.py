@@ -1,8 +1,8 @@
 """Pictures of a body without a terrain model of a region: limb, full disc, any place below."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.rendering.rays.scene import Scene
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.globe_heights import GlobeHeights
@@ -18,9 +18,6 @@ from optnav_cli.simulation.globe_terrain import (
     level_frame,
 )
 from optnav_cli.simulation.shot import Shot
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 PROBE_PX = 32  # distance of the rays that find out which ground a picture shows
 ROUND = np.radians(2.0)  # boxes are widened to multiples of it, so that neighbours share them
@@ -39,7 +36,7 @@ class GlobeRenderer:
         x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
         self._corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
 
-    def radiance(self, shot: Shot) -> HeightGrid:
+    def radiance(self, shot: Shot) -> Float32Array:
         """Mean radiance factor over each pixel (height, width) of a shot, sky 0."""
         body_from_camera = shot.camera_from_body.inv().as_matrix()
         view = self._view(shot.position_m, body_from_camera)

@@ -3,21 +3,18 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import ConfigError
 from catalog.terrain.source import DemSettings, DemSource
 from optnav_cli.simulation import spline
 
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
-
 FEWEST_ROWS = 90  # no level is coarser than 2 degrees
 
 
-def read_globe(settings: DemSettings, body: Body) -> HeightGrid:
+def read_globe(settings: DemSettings, body: Body) -> Float32Array:
     """Heights (n, 2n) of a model of the whole body, m above its sphere, float32.
 
     Pixel centres lie half a step inside the poles, the first column half a step east of longitude
@@ -45,12 +42,12 @@ class GlobeHeights:
     heights  see `read_globe`
     """
 
-    def __init__(self, heights: HeightGrid, radius_m: float) -> None:
+    def __init__(self, heights: Float32Array, radius_m: float) -> None:
         self.radius_m = radius_m
         self.lowest_m, self.highest_m = float(heights.min()), float(heights.max())
         self.posting_m = np.pi * radius_m / heights.shape[0]
         self._means = {0: heights}
-        self._splines: dict[int, HeightGrid] = {}
+        self._splines: dict[int, Float32Array] = {}
 
     def level_for(self, posting_m: float) -> int:
         """How often the model is halved for a grid of this posting: its level is about as fine."""
@@ -60,7 +57,7 @@ class GlobeHeights:
             rows, most = rows // 2, most + 1
         return min(wanted, most)
 
-    def sample(self, level: int, lat: FloatArray, lon: FloatArray) -> HeightGrid:
+    def sample(self, level: int, lat: FloatArray, lon: FloatArray) -> Float32Array:
         """Heights (float32, m) of a level at places; lat, lon 2-d arrays, rad."""
         coefficients = self._coefficients(level)
         step = np.pi / (coefficients.shape[0] - 2 * spline.MARGIN)
@@ -68,7 +65,7 @@ class GlobeHeights:
         col = np.mod(lon, 2.0 * np.pi) / step - 0.5 + spline.MARGIN
         return spline.sample(coefficients, row, col)
 
-    def _coefficients(self, level: int) -> HeightGrid:
+    def _coefficients(self, level: int) -> Float32Array:
         """Spline coefficients with margins beyond the poles and the seam, so that neither shows."""
         if level not in self._splines:
             heights, m = self._mean(level), spline.MARGIN
@@ -79,7 +76,7 @@ class GlobeHeights:
             self._splines[level] = spline_filter(wide, order=3, output=np.float32, mode="mirror")
         return self._splines[level]
 
-    def _mean(self, level: int) -> HeightGrid:
+    def _mean(self, level: int) -> Float32Array:
         if level not in self._means:
             fine = self._mean(level - 1)
             rows, cols = fine.shape

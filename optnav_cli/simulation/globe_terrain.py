@@ -12,16 +12,14 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.terrain.detail import Detail
 from optnav_cli.simulation.globe_heights import GlobeHeights
 
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 Box = tuple[float, float, float, float]  # west, south, east, north, rad
 
 CENTRES = np.radians(4.0)  # between the directions that turned frames are made for
@@ -102,7 +100,7 @@ class GlobeTerrain:
             heights += self._raise(view.posting_m, north - step * np.arange(rows))[:, None]
         return make_ground(heights, north, west, step, step, self._heights.radius_m)
 
-    def _raise(self, posting_m: float, lat: FloatArray) -> HeightGrid:
+    def _raise(self, posting_m: float, lat: FloatArray) -> Float32Array:
         """What to add at latitudes (n,), m, for what the limb of coarse means has lost."""
         if posting_m not in self._lost:
             finest, wanted = self._mean_skyline(self.postings()[0]), self._mean_skyline(posting_m)
@@ -136,7 +134,7 @@ class GlobeTerrain:
     def _ground(
         self, turned: FloatArray, north: float, west: float, step: float, rows: int, cols: int,
         posting_m: float,
-    ) -> HeightGrid:  # fmt: skip
+    ) -> Float32Array:  # fmt: skip
         heights = self._sample(turned, north, west, step, rows, cols, posting_m)
         if self._detail is not None:
             heights += self._detail.turned_window(turned.T, north, west, step, rows, cols)
@@ -145,7 +143,7 @@ class GlobeTerrain:
     def _sample(
         self, turned: FloatArray, north: float, west: float, step: float, rows: int, cols: int,
         posting_m: float,
-    ) -> HeightGrid:  # fmt: skip
+    ) -> Float32Array:  # fmt: skip
         level = self._heights.level_for(posting_m)
         lon = west + step * np.arange(cols, dtype=np.float64)
         out = np.empty((rows, cols), np.float32)

@@ -1,15 +1,12 @@
 """Pictures of a body whose truth is a mesh: its whole disc, its limb or its ground, in one way."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.rendering.mesh.scene import MeshScene
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.shot import Shot
 from optnav_cli.simulation.truth_mesh import TruthMesh
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LIMB_SAMPLES = 8  # rays a side of a pixel at the limb: its share of sky is right to 0.01
 MOST_SAMPLES = 32  # rays a side of any pixel: for a body that is smaller than that many faces
@@ -25,7 +22,7 @@ class MeshRenderer:
         x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
         self._corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
 
-    def radiance(self, shot: Shot) -> Image:
+    def radiance(self, shot: Shot) -> Float32Array:
         """Mean radiance factor over each pixel (height, width) of a shot, sky 0."""
         ground = self._truth.ground(shot.ground_seed)
         out = np.zeros(self._camera.shape, np.float32)

@@ -1,15 +1,13 @@
 """Single pictures of a whole small body, each from its own place and under its own Sun."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from optnav_cli.simulation.scenario import Portraits
 from optnav_cli.simulation.shot import PLACE, Moment
-
-FloatArray = NDArray[np.float64]
 
 MOST_TRIES = 1000  # places and Suns drawn for one picture
 GOLDEN = 0.6180339887498949

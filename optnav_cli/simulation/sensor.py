@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, Float32Array, UInt16Array
 from optnav_cli.simulation.sections import SensorSettings
 
-Counts = NDArray[np.uint8] | NDArray[np.uint16]
-Image = NDArray[np.float32]
+Counts = ByteArray | UInt16Array
 
 BRIGHT_SHARE = (
     0.99  # of the lit pixels stay below the exposure's level; a point of opposition may saturate
@@ -28,14 +28,14 @@ class Besides:
     stars              electrons, already blurred; hidden by what shines or covers
     """
 
-    cover: Image | None = None
-    brightness: Image | None = None
-    veil: Image | None = None
-    stars: Image | None = None
+    cover: Float32Array | None = None
+    brightness: Float32Array | None = None
+    veil: Float32Array | None = None
+    stars: Float32Array | None = None
 
 
 def expose(
-    radiance: Image, settings: SensorSettings, rng: np.random.Generator,
+    radiance: Float32Array, settings: SensorSettings, rng: np.random.Generator,
     besides: Besides | None = None,
 ) -> Counts:  # fmt: skip
     """A picture in counts from mean radiance over the pixels (rows, cols), any unit.
@@ -89,7 +89,7 @@ def add_hot_pixels(counts: Counts, number: int, bits: int, rng: np.random.Genera
     flat[places] = np.maximum(flat[places], np.rint(glow).astype(counts.dtype))
 
 
-def _blurred(light: Image, settings: SensorSettings) -> NDArray[np.floating[Any]]:
+def _blurred(light: Float32Array, settings: SensorSettings) -> NDArray[np.floating[Any]]:
     if settings.psf_sigma_px > 0.0:
         return np.asarray(cv2.GaussianBlur(light, (0, 0), settings.psf_sigma_px), np.float32)
     return light

@@ -2,14 +2,11 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.nuisance_settings import GlareSettings, StructureSettings
 from optnav_cli.simulation.shot import Shot
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 FINER = 4  # sub-pixels a side that outlines are drawn on
 UNEVEN = 0.2  # how much the brightness of a part varies over it, of its mean
@@ -18,7 +15,7 @@ UNEVEN_PX = 160.0  # the distance over which it does
 
 def structure_cover(
     parts: tuple[StructureSettings, ...], camera: Camera, seed: int
-) -> tuple[Image, Image]:
+) -> tuple[Float32Array, Float32Array]:
     """Which share of each pixel parts of the ship cover, and their brightness: (rows, cols) each.
 
     Brightness is a share of the bright ground's, uneven as a lit surface is, by the seed. Of parts
@@ -49,7 +46,7 @@ def structure_cover(
     return cover, brightness
 
 
-def glare_veil(shot: Shot, rays_camera: FloatArray, settings: GlareSettings) -> Image:
+def glare_veil(shot: Shot, rays_camera: FloatArray, settings: GlareSettings) -> Float32Array:
     """Stray light (rows, cols) as a share of the bright ground.
 
     rays_camera  (rows, cols, 3) unit rays of the pixels' middles; NaN where the camera sees nothing

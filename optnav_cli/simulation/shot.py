@@ -3,14 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s
 from optnav_cli.simulation.flight_settings import MountedCamera
 from optnav_cli.simulation.scenario import AnyScenario
 
-FloatArray = NDArray[np.float64]
 # streams of random numbers, so that a setting more or less does not move the others
 PLACE, POINTING, PRIOR, ATTITUDE, ROUGHNESS = range(5)
 

@@ -4,18 +4,15 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import load_body
 from catalog.bodies.motion import BodyMotion
 from catalog.config import resource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.shot import Shot
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 STAR_SIGMAS = 5.0  # the peak of a star of the stated magnitude, over the dark noise
 SHARPEST_PX = 0.4  # stars are no sharper than a pixel shows
@@ -44,7 +41,7 @@ def bright_stars() -> Stars:
 
 def star_light(
     shot: Shot, camera: Camera, motion: BodyMotion, to_magnitude: float, sensor: SensorSettings
-) -> Image:
+) -> Float32Array:
     """Electrons (rows, cols) of the stars in view, as the lens blurs them.
 
     to_magnitude  the star whose brightest pixel is STAR_SIGMAS of the dark noise, on the mean over
@@ -72,7 +69,7 @@ def star_light(
     return out
 
 
-def _add_point(out: Image, x: float, y: float, electrons: float, sigma: float) -> None:
+def _add_point(out: Float32Array, x: float, y: float, electrons: float, sigma: float) -> None:
     rows, cols = out.shape
     r0, r1 = max(round(y) - STAMP_PX, 0), min(round(y) + STAMP_PX + 1, rows)
     c0, c1 = max(round(x) - STAMP_PX, 0), min(round(x) + STAMP_PX + 1, cols)
@@ -83,7 +80,7 @@ def _add_point(out: Image, x: float, y: float, electrons: float, sigma: float) -
     out[r0:r1, c0:c1] += (electrons * np.outer(np.diff(down), np.diff(across))).astype(np.float32)
 
 
-def add_earth(radiance: Image, shot: Shot, camera: Camera, motion: BodyMotion) -> None:
+def add_earth(radiance: Float32Array, shot: Shot, camera: Camera, motion: BodyMotion) -> None:
     """The Earth as a lit sphere without features, where nothing stands before it; in place."""
     radius = load_body("earth").radius_m
     body_from_inertial = motion.body_from_inertial(shot.tdb_s)
@@ -120,7 +117,7 @@ def add_earth(radiance: Image, shot: Shot, camera: Camera, motion: BodyMotion) -
     window[window == 0.0] = mean[window == 0.0]
 
 
-def _behind(position_m: FloatArray, directions: FloatArray, radius_m: float) -> NDArray[np.bool_]:
+def _behind(position_m: FloatArray, directions: FloatArray, radius_m: float) -> BoolArray:
     """Whether unit rays (..., 3), body frame, from a place (3,) meet the body's sphere."""
     along = directions @ position_m
     return np.asarray((along < 0.0) & (position_m @ position_m - along**2 < radius_m**2))

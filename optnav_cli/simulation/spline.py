@@ -6,18 +6,15 @@ of curvature at the nodes, which low light makes visible as a grid.
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel, parallel_kernel
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 MARGIN = 16  # nodes beyond which a border no longer matters: 0.27^16 is below 1e-9
 
 
-def coefficients(heights: HeightGrid) -> FloatArray:
+def coefficients(heights: Float32Array) -> FloatArray:
     """Spline coefficients (rows, cols) of a grid without holes."""
     return np.asarray(spline_filter(heights.astype(np.float64), order=3, mode="mirror"))
 
@@ -32,7 +29,7 @@ def _weight(t: float) -> float:
 
 
 @parallel_kernel
-def sample(spline: FloatArray | HeightGrid, row: FloatArray, col: FloatArray) -> HeightGrid:
+def sample(spline: FloatArray | Float32Array, row: FloatArray, col: FloatArray) -> Float32Array:
     """Heights (float32, shape of `row`) at fractional rows and columns, 2-d arrays.
 
     Beyond the outer nodes the grid is mirrored about them.

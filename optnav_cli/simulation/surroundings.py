@@ -1,8 +1,8 @@
 """All that a camera's pictures show besides the body, as a scenario says."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.bodies.motion import BodyMotion
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.scenario import AnyScenario
@@ -28,7 +28,7 @@ class Surroundings:
             x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
             self._rays = camera.unproject(np.stack([x, y], axis=-1).astype(np.float64))
 
-    def besides(self, shot: Shot, radiance: NDArray[np.float32]) -> Besides | None:
+    def besides(self, shot: Shot, radiance: Float32Array) -> Besides | None:
         """What to expose beside the radiance of a shot, None for nothing.
 
         The Earth, where it is wanted and in view, is put into the radiance, in place.

@@ -1,8 +1,8 @@
 """Where the camera is, how it is turned and where the Sun stands, frame by frame."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import AnalyticMotion, BodyMotion
@@ -13,8 +13,6 @@ from optnav_cli.simulation.scenario import AnyScenario, Approach, Portraits, Sce
 from optnav_cli.simulation.sections import SunSettings
 from optnav_cli.simulation.shot import PLACE, Moment, Shot, shots_of
 from optnav_cli.simulation.voyage import moments_of, voyage_states
-
-FloatArray = NDArray[np.float64]
 
 
 def shots(scenario: AnyScenario, body: Body, motion: BodyMotion | None = None) -> list[Shot]:

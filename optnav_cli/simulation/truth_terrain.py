@@ -11,8 +11,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import ConfigError
 from catalog.geometry.grid import sample_bicubic
@@ -23,8 +23,6 @@ from optnav_cli.simulation import spline
 from optnav_cli.simulation.globe_heights import read_globe
 from optnav_cli.simulation.wide_ground import WideGround
 
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 Box = tuple[float, float, float, float]  # west, south, east, north, rad
 
 TILE = 1024  # nodes a side
@@ -61,7 +59,7 @@ class TruthTerrain:
             self.box = (self.box[0], south, self.box[2], north)
         self.posting_m = first.posting_m
         self._stretch = 1.0 / float(np.cos(0.5 * (south + north)))
-        self._tiles: OrderedDict[tuple[int | None, int, int, int], HeightGrid] = OrderedDict()
+        self._tiles: OrderedDict[tuple[int | None, int, int, int], Float32Array] = OrderedDict()
         self._windows: OrderedDict[tuple[int | None, int, Box], Ground] = OrderedDict()
         self._wide = WideGround(
             read_globe(globe, body), body.radius_m, 0.5 * (self.box[0] + self.box[2]) + np.pi,
@@ -139,7 +137,7 @@ class TruthTerrain:
         # without common ground any corner of the model will do: no ray of the picture meets it
         return west, south, max(west, east), max(south, north)
 
-    def _tile(self, seed: int | None, factor: int, tile_row: int, tile_col: int) -> HeightGrid:
+    def _tile(self, seed: int | None, factor: int, tile_row: int, tile_col: int) -> Float32Array:
         key = (seed, factor, tile_row, tile_col)
         if key in self._tiles:
             self._tiles.move_to_end(key)
@@ -182,7 +180,7 @@ class TruthTerrain:
         x = np.clip(metres / FEATHER_M, 0.0, 1.0)
         return np.asarray(x * x * (3.0 - 2.0 * x))
 
-    def _source_heights(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> HeightGrid:
+    def _source_heights(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> Float32Array:
         """Spline heights of one model at the nodes of a tile, NaN beside holes."""
         col, row = source.pixel_from_latlon(lat[:, None], lon[None, :])
         if source.wraps:

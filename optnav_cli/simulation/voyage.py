@@ -6,8 +6,8 @@ leave out is added to a [flight] as noise of its known size, so that no predicti
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.motion import BodyMotion
@@ -18,7 +18,6 @@ from optnav_cli.simulation.flight_settings import FlightSettings, TransferSettin
 from optnav_cli.simulation.scenario import AnyScenario, Voyage
 from optnav_cli.simulation.shot import ROUGHNESS, Moment
 
-FloatArray = NDArray[np.float64]
 States = tuple[FloatArray, FloatArray]
 
 LONGEST_APPROACH_S = 20 * 86400.0

@@ -8,14 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.terrain.detail import Detail
 from optnav_cli.simulation.globe_heights import GlobeHeights
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 FINER = 2  # nodes of a ground with relief against the globe's posting
 CHUNK = 256  # rows made at once
@@ -67,7 +65,7 @@ class WideGround:
     """
 
     def __init__(
-        self, heights: HeightGrid, radius_m: float, seam: float,
+        self, heights: Float32Array, radius_m: float, seam: float,
         details: Mapping[int | None, Detail], cameras_m: Sequence[FloatArray] = (),
     ) -> None:  # fmt: skip
         self._heights, self._radius_m, self._seam = heights, radius_m, seam

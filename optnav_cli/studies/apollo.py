@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.config import resource
 from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
@@ -19,8 +19,6 @@ from optnav_cli.imagery.isis_cube import read_cube_pose
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.runs.navigate_folder import navigate_folder
-
-FloatArray = NDArray[np.float64]
 
 PICTURE = "data/apollo15/AS15-M-0297_SML.png"
 CUBE = "data/apollo15/AS15-M-0297_crop.cub"

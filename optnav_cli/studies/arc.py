@@ -14,15 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.estimation.limb_fit import fit_limb, linear_position
 from optnav_cli.output.report.sheet import Entry, Panel, sheet
 from optnav_cli.output.report.svg import Plot
-
-FloatArray = NDArray[np.float64]
 
 RADIUS_M = 1_737_400.0
 STEP_DEG = 0.01

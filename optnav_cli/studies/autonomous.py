@@ -13,8 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import Progress
@@ -30,8 +30,6 @@ from optnav_cli.output.figures import FrameError
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies.autonomous_table import Results, Row, RowResult, ShareResult, write_figures
 from optnav_cli.studies.pictures import GLOBE, shipped_pictures, with_star_sensor
-
-FloatArray = NDArray[np.float64]
 
 WIDE, NARROW = "shnk", "unk"
 # What the loop must see of the ground about Tycho from 400 km: 20 deg of arc about the flights.

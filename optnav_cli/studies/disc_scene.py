@@ -11,9 +11,9 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.config import resource
 from catalog.terrain.detail import Detail
@@ -35,7 +35,6 @@ from optnav_cli.simulation.sensor import expose
 from optnav_cli.simulation.shot import Shot
 from optnav_cli.simulation.truth_mesh import TruthMesh
 
-FloatArray = NDArray[np.float64]
 Shape = Literal["moon", "phobos"]
 
 GLOBE = "data/moon_gld100_4ppd.tif"
@@ -127,7 +126,7 @@ class DiscScene:
             diameter_px, float(np.degrees(phase)),
         )  # fmt: skip
 
-    def _radiance(self, camera: Camera, shot: Shot) -> NDArray[np.float32]:
+    def _radiance(self, camera: Camera, shot: Shot) -> Float32Array:
         """Radiance over fine pixels."""
         fine = _finer(camera)
         if self._shape == "phobos":

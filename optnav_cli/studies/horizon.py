@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError, NothingToDoError
 from catalog.geometry.rotations import ARCSEC
@@ -32,8 +32,6 @@ from optnav_cli.navigation.neighbour import View, other_body
 from optnav_cli.navigation.outline import limb_of, without_other
 from optnav_cli.studies.horizon_table import CaseFigures, FrameResult, Row, figures_of
 from optnav_cli.studies.pictures import GLOBE, SEED, STAR_SENSOR_ARCSEC, shipped_pictures
-
-FloatArray = NDArray[np.float64]
 
 ROWS = (
     Row("nadir 50 km", "horizon_050km", 250.0, 280.0, 100.0),

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.config import resource
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
@@ -21,9 +21,6 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.reference import Reference
 from optnav_cli.simulation.truth_terrain import TruthTerrain
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 DEM, GLOBE = "data/tycho_gld100_256ppd.tif", "data/moon_gld100_4ppd.tif"
 MIDDLE_DEG = (-43.0, -11.0)  # of the terrain model
@@ -44,7 +41,7 @@ class Scene:
     """
 
     number: int
-    radiance: HeightGrid
+    radiance: Float32Array
     pose: Pose
     sun_body: FloatArray
     off_nadir_deg: float

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.correlation.ncc import high_pass
@@ -25,8 +25,6 @@ from catalog.geometry.projection import Stereographic, node_grid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.terrain.source import DemSettings, DemSource
-
-HeightGrid = NDArray[np.float32]
 
 DEM = "data/tycho_gld100_256ppd.tif"
 POSTING_M = 118.45
@@ -81,7 +79,7 @@ def run(progress: Progress) -> list[PhotometryRow]:
     return rows
 
 
-def tycho_ground(size: int = SIZE) -> tuple[HeightGrid, float]:
+def tycho_ground(size: int = SIZE) -> tuple[Float32Array, float]:
     """A map grid in the middle of the bundled DEM, and the radius of its reference sphere."""
     body = load_body("moon")
     path = resource(DEM)
@@ -95,7 +93,7 @@ def tycho_ground(size: int = SIZE) -> tuple[HeightGrid, float]:
 
 
 def compare(
-    ground: HeightGrid, radius_m: float, sun: NDArray[np.float64], view: NDArray[np.float64]
+    ground: Float32Array, radius_m: float, sun: FloatArray, view: FloatArray
 ) -> dict[str, tuple[float, float]]:
     """Correlation and rms shift (nodes) of each simple law's picture against Hapke's.
 
@@ -113,7 +111,7 @@ def compare(
     return result
 
 
-def _geometries(emission_deg: float) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _geometries(emission_deg: float) -> list[tuple[FloatArray, FloatArray]]:
     """Suns and views of an emission angle with shading to compare."""
     pairs = []
     for elevation in SUN_ELEVATIONS_DEG:
@@ -125,7 +123,7 @@ def _geometries(emission_deg: float) -> list[tuple[NDArray[np.float64], NDArray[
     return pairs
 
 
-def _rms_shift(picture: HeightGrid, reference: HeightGrid, lit: NDArray[np.bool_]) -> float:
+def _rms_shift(picture: Float32Array, reference: Float32Array, lit: BoolArray) -> float:
     """Rms displacement (nodes, both coordinates) of the reference's templates in the picture."""
     squares = []
     for top in range(MARGIN, picture.shape[0] - TEMPLATE - MARGIN + 1, TEMPLATE):
@@ -145,7 +143,7 @@ def _rms_shift(picture: HeightGrid, reference: HeightGrid, lit: NDArray[np.bool_
     return float(np.sqrt(np.mean(squares)))
 
 
-def _direction(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
+def _direction(elevation_deg: float, azimuth_deg: float) -> FloatArray:
     el, az = np.radians([elevation_deg, azimuth_deg])
     return np.array([np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)])
 

@@ -14,17 +14,15 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose, Sightings, predict, resect
 from optnav_cli.output.report.sheet import Entry, Panel, sheet
 from optnav_cli.output.report.svg import Plot
-
-FloatArray = NDArray[np.float64]
 
 HEIGHT_M = 200e3
 RADIUS_M = 1_737_400.0

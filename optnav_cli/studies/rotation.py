@@ -14,9 +14,9 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, CorrectionTerm, RotationCorrection
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.motion import SpiceMotion
@@ -25,8 +25,6 @@ from catalog.bodies.rotation_kernel import CENTURY_S
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.estimation.line_spectrum import Line, LineFit
-
-FloatArray = NDArray[np.float64]
 
 # The Moon's fundamental arguments l, l', F, D, Omega, arcsec by centuries (IERS Conventions 2010,
 # 5.43, whose higher terms are left out: 0.1" in a century).

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import load_body
 from catalog.rendering.mesh.scene import MeshScene
 from catalog.terrain.mesh.file import MeshSettings
@@ -21,7 +21,7 @@ PICTURE_S = 1.0  # what the figures ask for, on one core
 
 
 @pytest.fixture(scope="module")
-def triangles() -> NDArray[np.float64]:
+def triangles() -> FloatArray:
     """Phobos with each triangle cut into 16 and relief of 20 m rms on their corners."""
     settings = MeshSettings("bundled:phobos_thomas.tab", "km", "west")
     shape = load_shape(settings, Path(), load_body("phobos"))
@@ -33,7 +33,7 @@ def triangles() -> NDArray[np.float64]:
     return np.asarray(vertices[faces])
 
 
-def corner_rays(position: NDArray[np.float64], half: float) -> NDArray[np.float64]:
+def corner_rays(position: FloatArray, half: float) -> FloatArray:
     ahead = -position / np.linalg.norm(position)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.config import resource
 from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import lit_mask
@@ -24,12 +24,12 @@ REFERENCE_MS, SKYLINE_MS = 5.0, 5.0  # what the figures ask for
 
 
 @pytest.fixture(scope="module")
-def tile() -> NDArray[np.float32]:
+def tile() -> Float32Array:
     with rasterio.open(resource("data/tycho_gld100_256ppd.tif")) as source:
         return source.read(1)[:SIZE, :SIZE].astype(np.float32)
 
 
-def hillshade_seconds(tile: NDArray[np.float32], folder: Path) -> float:
+def hillshade_seconds(tile: Float32Array, folder: Path) -> float:
     """gdaldem on an uncompressed file, less the time of starting it on a small one."""
     times = []
     for name, grid in (("full", tile), ("small", tile[:16, :16])):

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
@@ -40,7 +40,7 @@ OPEN_MS, NEAREST_US, CELL_US, LOAD_MS, FILE_GB = 100.0, 20.0, 5.0, 0.3, 1.5
 RELIEF_MB, RELIEF_S = 40.0, 0.5
 
 
-def ground_of_sites(size: int = SIZE) -> list[list[NDArray[np.float32]]]:
+def ground_of_sites(size: int = SIZE) -> list[list[Float32Array]]:
     """Heights of all levels at places about Tycho: area means of the bundled 118 m DEM.
 
     size  nodes a side

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, FloatArray
 from catalog.bodies.body import load_body
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.geometry.projection import Stereographic
@@ -22,9 +23,6 @@ from optnav_cli.output.overlay import draw_overlay, patch_outlines
 from optnav_cli.output.report.body_figure import sides_picture
 from optnav_cli.output.run_folder import RunFolder, read_run
 from tests.golden import sketch
-from tests.golden.sketch import Picture
-
-FloatArray = NDArray[np.float64]
 
 # From good to bad, as in the reports (viridis), blue green red.
 CLASSES = ((5, 181, 227), (81, 209, 122), (132, 168, 34), (142, 120, 42))
@@ -34,7 +32,7 @@ MAP_PX, MAP_NODES = 860, 1032
 FRAME_PX, WIDE_PX, HALF_PX = 800, 1000, 500
 
 
-def catalog_map(catalog_path: Path, config: Path, work: Path) -> Picture:
+def catalog_map(catalog_path: Path, config: Path, work: Path) -> ByteArray:
     """The ground of a catalog under one Sun, its cells, its points by expected match error."""
     settings = load_build_config(config)
     body = load_body(settings.body.name)
@@ -85,7 +83,7 @@ def _border(bounds: tuple[float, float, float, float]) -> tuple[FloatArray, Floa
     return lat, np.asarray(wrap_longitude_deg(lon))
 
 
-def _map_legend(catalog: Catalog, limits: NDArray[np.floating]) -> Picture:
+def _map_legend(catalog: Catalog, limits: NDArray[np.floating]) -> ByteArray:
     legend = sketch.strip(MAP_PX, 34)
     x = 14
     edges = [f"< {limits[0]:.2f}", *(f"{a:.2f}-{b:.2f}" for a, b in pairwise(limits))]
@@ -101,7 +99,7 @@ def _map_legend(catalog: Catalog, limits: NDArray[np.floating]) -> Picture:
     return legend
 
 
-def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> Picture:
+def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> ByteArray:
     """The levels of the usable point nearest to a place."""
     with Catalog.open(catalog_path) as catalog:
         usable = catalog.ids[catalog.usable]
@@ -120,7 +118,7 @@ def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> Picture:
     )
 
 
-def body_sides(catalog_path: Path) -> Picture:
+def body_sides(catalog_path: Path) -> ByteArray:
     """A small body with its points from its six sides."""
     with Catalog.open(catalog_path) as catalog:
         picture = sides_picture(catalog)
@@ -148,7 +146,7 @@ def _patch_outlines(
     return outlines
 
 
-def frame_overlay(run: Path, pictures: Path, file: str, catalog_path: Path | None) -> Picture:
+def frame_overlay(run: Path, pictures: Path, file: str, catalog_path: Path | None) -> ByteArray:
     """A navigated frame as `optnav navigate` draws it, smaller; with a catalog, patches too."""
     found = read_run(run)
     solution = next(s for s in found.solutions if s.file == file)
@@ -158,7 +156,7 @@ def frame_overlay(run: Path, pictures: Path, file: str, catalog_path: Path | Non
     return draw_overlay(picture, solution, matches, outlines, FRAME_PX)
 
 
-def opening(run: Path, pictures: Path, catalog_path: Path) -> Picture:
+def opening(run: Path, pictures: Path, catalog_path: Path) -> ByteArray:
     """The fisheye picture as it came, and with what was found in it."""
     found = read_run(run)
     solution, camera = found.solutions[0], found.cameras[found.solutions[0].file]

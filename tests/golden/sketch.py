@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Picture = NDArray[np.uint8]  # (h, w, 3), blue green red as OpenCV has them
+from catalog.arrays import ByteArray, Int32Array
+
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 BITS = 4  # OpenCV draws at sixteenths of a pixel
 WHITE, DARK = (240, 240, 240), (24, 24, 24)
 GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's bytes, nobody sees it
 
 
-def gray_picture(values: NDArray[np.generic], width: int, gamma: float = 0.8) -> Picture:
+def gray_picture(values: NDArray[np.generic], width: int, gamma: float = 0.8) -> ByteArray:
     """A picture (h, w) of any number type, stretched to 8 bits and brought to a width."""
     shown = np.nan_to_num(np.asarray(values, np.float32))
     height = round(width * shown.shape[0] / shown.shape[1])
@@ -26,16 +27,16 @@ def gray_picture(values: NDArray[np.generic], width: int, gamma: float = 0.8) ->
     return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
-def _fixed(points: ArrayLike) -> NDArray[np.int32]:
+def _fixed(points: ArrayLike) -> Int32Array:
     return np.asarray(np.rint(np.asarray(points, np.float64) * 2**BITS), np.int32)
 
 
-def line(image: Picture, points: ArrayLike, colour: tuple[int, int, int], width: int = 1) -> None:
+def line(image: ByteArray, points: ArrayLike, colour: tuple[int, int, int], width: int = 1) -> None:
     """An open line through points (n, 2), px."""
     cv2.polylines(image, [_fixed(points)], False, colour, width, cv2.LINE_AA, BITS)
 
 
-def dot(image: Picture, at: ArrayLike, radius: float, colour: tuple[int, int, int]) -> None:
+def dot(image: ByteArray, at: ArrayLike, radius: float, colour: tuple[int, int, int]) -> None:
     """A filled disc with a dark rim."""
     x, y = (int(v) for v in _fixed(at))
     rim, disc = (round(r * 2**BITS) for r in (radius + 1.5, radius))
@@ -43,7 +44,7 @@ def dot(image: Picture, at: ArrayLike, radius: float, colour: tuple[int, int, in
     cv2.circle(image, (x, y), disc, colour, cv2.FILLED, cv2.LINE_AA, BITS)
 
 
-def cross(image: Picture, at: ArrayLike, arm: float, colour: tuple[int, int, int]) -> None:
+def cross(image: ByteArray, at: ArrayLike, arm: float, colour: tuple[int, int, int]) -> None:
     """A slanted cross with a dark rim."""
     place = np.asarray(at, np.float64)
     for rim, shade in ((3, (0, 0, 0)), (1, colour)):
@@ -52,7 +53,7 @@ def cross(image: Picture, at: ArrayLike, arm: float, colour: tuple[int, int, int
 
 
 def words(
-    image: Picture, text: str, x: int, y: int, size: float = 0.45,
+    image: ByteArray, text: str, x: int, y: int, size: float = 0.45,
     colour: tuple[int, int, int] = WHITE,
 ) -> None:  # fmt: skip
     """Text with a dark rim, its lower left corner at x, y."""
@@ -66,12 +67,12 @@ def text_width(text: str, size: float = 0.45) -> int:
     return int(cv2.getTextSize(text, FONT, size, 1)[0][0])
 
 
-def strip(width: int, height: int) -> Picture:
+def strip(width: int, height: int) -> ByteArray:
     """A dark band for a legend."""
     return np.full((height, width, 3), DARK, np.uint8)
 
 
-def write(picture: Picture, path: Path) -> None:
+def write(picture: ByteArray, path: Path) -> None:
     """A PNG as small as it gets."""
     done, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not done:

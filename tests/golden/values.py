@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.correlation.surf64 import descriptors
@@ -20,14 +20,14 @@ POSTING_M = 118.45
 CELL_PX, CORNERS = 8, (16, 24, 32, 40, 47)  # squares of 32 nodes about these rows and columns
 
 
-def window() -> NDArray[np.float32]:
+def window() -> Float32Array:
     """The heights that are rendered (64, 64), m; the map's own pixels, taken as square."""
     with rasterio.open(resource("data/tycho_gld100_256ppd.tif")) as source:
         place = rasterio.windows.Window(FIRST_COL, FIRST_ROW, NODES, NODES)
         return np.asarray(source.read(1, window=place), np.float32)
 
 
-def golden_values() -> dict[str, NDArray[np.float32]]:
+def golden_values() -> dict[str, Float32Array]:
     """Everything that is frozen, by name: "hapke_low", ..., "surf"."""
     radius = load_body("moon").radius_m
     heights = window()
@@ -46,7 +46,7 @@ def freeze(path: Path = PLACE) -> None:
     np.savez_compressed(path, **golden_values())
 
 
-def frozen(path: Path = PLACE) -> dict[str, NDArray[np.float32]]:
+def frozen(path: Path = PLACE) -> dict[str, Float32Array]:
     """The values as they were frozen."""
     with np.load(path) as held:
         return {name: held[name] for name in held.files}

@@ -1,15 +1,12 @@
 """A closed mesh under one Sun, ready to be looked at from anywhere."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, Int32Array
 from catalog.photometry.hapke import LUNAR, HapkeParameters
 from catalog.rendering.mesh.shade import facing_the_sun, radiance_of
 from catalog.terrain.mesh.rays import MeshRays
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
-Values = NDArray[np.float32]
 
 # Shadow rays start so far over their face, share of the body's reach: 32 bits end at a hundredth.
 LIFT = 1e-5
@@ -29,7 +26,7 @@ class MeshScene:
         sun = np.array(sun_body, dtype=np.float64)
         self.mesh, self.sun, self.surface = mesh, sun / np.linalg.norm(sun), surface
 
-    def radiance(self, origin_m: ArrayLike, rays: ArrayLike) -> tuple[Values, IntArray]:
+    def radiance(self, origin_m: ArrayLike, rays: ArrayLike) -> tuple[Float32Array, Int32Array]:
         """Radiance factors (n) along unit rays (n, 3) from a camera (3,) m outside the body.
 
         Also the face that each meets, -1 for the sky, which is 0; rays may be NaN: sky.
@@ -52,7 +49,9 @@ class MeshScene:
         radiance_of(corners, faces, rays, lit, self.sun, self.surface, out)
         return out, faces
 
-    def picture(self, origin_m: ArrayLike, corner_rays: ArrayLike, samples: int = 5) -> Values:
+    def picture(
+        self, origin_m: ArrayLike, corner_rays: ArrayLike, samples: int = 5
+    ) -> Float32Array:
         """Mean radiance factor (rows, cols) of the pixels of a camera.
 
         origin_m     (3,) the camera, body frame, m, outside the body
@@ -78,8 +77,8 @@ class MeshScene:
         corners: FloatArray,
         down: float,
         along: float,
-        chosen: NDArray[np.bool_] | None,
-    ) -> tuple[Values, IntArray]:
+        chosen: BoolArray | None,
+    ) -> tuple[Float32Array, Int32Array]:
         """Radiance and faces at a place inside all pixels (rows, cols), or chosen ones (n)."""
         rays = np.zeros((corners.shape[0] - 1, corners.shape[1] - 1, 3))
         for i, share in ((0, 1.0 - down), (1, down)):
@@ -94,7 +93,7 @@ class MeshScene:
         return values.reshape(rays.shape[:-1]), faces.reshape(rays.shape[:-1])
 
 
-def _edges(kind: NDArray[np.int8]) -> NDArray[np.bool_]:
+def _edges(kind: Int8Array) -> BoolArray:
     """Which pixels have a neighbour of another kind."""
     out = np.zeros(kind.shape, dtype=bool)
     down, along = kind[1:] != kind[:-1], kind[:, 1:] != kind[:, :-1]

@@ -1,21 +1,17 @@
 """The light of mesh faces that rays meet."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray, Int32Array, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
 from catalog.terrain.mesh.rays import outward
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
-Values = NDArray[np.float32]
-
 
 @kernel
 def facing_the_sun(
-    corners: FloatArray, faces: IntArray, origin: FloatArray, rays: FloatArray,
-    distances: FloatArray, sun: FloatArray, lift: float, numbers: NDArray[np.int64],
+    corners: FloatArray, faces: Int32Array, origin: FloatArray, rays: FloatArray,
+    distances: FloatArray, sun: FloatArray, lift: float, numbers: IntArray,
     starts: FloatArray,
 ) -> int:  # fmt: skip
     """Which rays (n, 3) meet faces turned to the Sun, and points `lift` m over where they do.
@@ -40,8 +36,8 @@ def facing_the_sun(
 
 @kernel
 def radiance_of(
-    corners: FloatArray, faces: IntArray, rays: FloatArray, lit: NDArray[np.int64],
-    sun: FloatArray, surface: HapkeParameters, out: Values,
+    corners: FloatArray, faces: Int32Array, rays: FloatArray, lit: IntArray,
+    sun: FloatArray, surface: HapkeParameters, out: Float32Array,
 ) -> None:  # fmt: skip
     """Put Hapke's radiance factor of the faces that lit rays meet into out (n)."""
     for n in lit:

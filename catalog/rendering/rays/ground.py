@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.geometry.kernel import kernel, parallel_kernel
-
-HeightGrid = NDArray[np.float32]
 
 
 class Ground(NamedTuple):
@@ -24,16 +22,16 @@ class Ground(NamedTuple):
     tops_4 .. tops_256     highest node of each block, borders shared with the next block
     """
 
-    heights: HeightGrid
+    heights: Float32Array
     north: float
     west: float
     step_lat: float
     step_lon: float
     radius_m: float
-    tops_4: HeightGrid
-    tops_16: HeightGrid
-    tops_64: HeightGrid
-    tops_256: HeightGrid
+    tops_4: Float32Array
+    tops_16: Float32Array
+    tops_64: Float32Array
+    tops_256: Float32Array
     lowest_m: float
     highest_m: float
 
@@ -44,7 +42,7 @@ class Ground(NamedTuple):
 
 
 def make_ground(
-    heights: HeightGrid, north: float, west: float, step_lat: float, step_lon: float,
+    heights: Float32Array, north: float, west: float, step_lat: float, step_lon: float,
     radius_m: float,
 ) -> Ground:  # fmt: skip
     """A ground from heights; the arguments are those of `Ground`.
@@ -66,7 +64,7 @@ def make_ground(
     )  # fmt: skip
 
 
-def whole_sphere(heights: HeightGrid, radius_m: float, seam: float) -> Ground:
+def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
     """A ground all round the body from pixels that cover the sphere once.
 
     heights  (n, 2n) m, pixel centres half a step inside the poles, first column half a step east
@@ -114,7 +112,7 @@ def surroundings(wide: Ground, inner: Ground, margin: float) -> Ground:
 
 
 @parallel_kernel
-def _block_tops(heights: HeightGrid) -> HeightGrid:
+def _block_tops(heights: Float32Array) -> Float32Array:
     rows, cols = heights.shape
     out = np.empty(((rows + 3) // 4, (cols + 3) // 4), np.float32)
     for i in numba.prange(out.shape[0]):
@@ -130,7 +128,7 @@ def _block_tops(heights: HeightGrid) -> HeightGrid:
 
 
 @kernel
-def _join_tops(tops: HeightGrid) -> HeightGrid:
+def _join_tops(tops: Float32Array) -> Float32Array:
     rows, cols = tops.shape
     out = np.empty(((rows + 3) // 4, (cols + 3) // 4), np.float32)
     for i in range(out.shape[0]):
@@ -140,7 +138,7 @@ def _join_tops(tops: HeightGrid) -> HeightGrid:
 
 
 @kernel
-def bilinear(grid: HeightGrid, row: float, col: float) -> float:
+def bilinear(grid: Float32Array, row: float, col: float) -> float:
     """Value between four nodes; the place must lie inside."""
     r = min(max(int(row), 0), grid.shape[0] - 2)
     c = min(max(int(col), 0), grid.shape[1] - 2)

@@ -2,16 +2,12 @@
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
 from catalog.rendering.rays.ground import Ground
 from catalog.rendering.rays.march import DARK, walk
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
-Mask = NDArray[np.uint8]
 
 SUN_RADIUS = 0.00465  # rad, as seen from 1 au
 BLOCK = 32  # nodes a side of the blocks that are lit and shaded together
@@ -127,7 +123,12 @@ def shade_node(
 
 @parallel_kernel
 def light_blocks(
-    ground: Ground, second: Ground, third: Ground, sun: FloatArray, wanted: Mask, lit: Mask
+    ground: Ground,
+    second: Ground,
+    third: Ground,
+    sun: FloatArray,
+    wanted: ByteArray,
+    lit: ByteArray,
 ) -> None:
     """Lit shares of the nodes in wanted blocks, 0..255, into `lit`, in place.
 
@@ -150,7 +151,7 @@ def light_blocks(
 @parallel_kernel
 def shade_blocks(
     ground: Ground, sun: FloatArray, camera: FloatArray, surface: HapkeParameters,
-    wanted: Mask, lit: Mask, out: HeightGrid,
+    wanted: ByteArray, lit: ByteArray, out: Float32Array,
 ) -> None:  # fmt: skip
     """Radiance factors of the nodes in wanted blocks (1), cast shadows included, into `out`."""
     rows, cols = ground.heights.shape

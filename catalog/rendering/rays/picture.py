@@ -2,18 +2,14 @@
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.photometry.hapke import HapkeParameters
 from catalog.rendering.rays.ground import Ground, bilinear
 from catalog.rendering.rays.light import BLOCK, shade
 from catalog.rendering.rays.trace import FINE, SKY, WIDE, trace
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
-Mask = NDArray[np.uint8]
 
 # Rays within 37 deg of the vertical: ground that rises by less than 53 deg hides nothing from them.
 STEEP = 0.8
@@ -45,8 +41,8 @@ def _pixel_angle(corners: FloatArray, i: int, j: int) -> float:
 
 @parallel_kernel
 def first_hits(
-    fine: Ground, wide: Ground, origin: FloatArray, corners: FloatArray, kind: Mask,
-    distance: HeightGrid, row: HeightGrid, col: HeightGrid,
+    fine: Ground, wide: Ground, origin: FloatArray, corners: FloatArray, kind: ByteArray,
+    distance: Float32Array, row: Float32Array, col: Float32Array,
 ) -> None:  # fmt: skip
     """What the middle of each pixel sees, into arrays of the picture's shape.
 
@@ -73,7 +69,9 @@ def first_hits(
 
 
 @kernel
-def mark_blocks(which: int, kind: Mask, row: HeightGrid, col: HeightGrid, wanted: Mask) -> None:
+def mark_blocks(
+    which: int, kind: ByteArray, row: Float32Array, col: Float32Array, wanted: ByteArray
+) -> None:
     """Set the blocks that pixels of a kind fall on, and their neighbours, to 1 where they are 0."""
     seen = np.zeros(wanted.shape, np.uint8)
     for i in range(kind.shape[0]):
@@ -84,7 +82,7 @@ def mark_blocks(which: int, kind: Mask, row: HeightGrid, col: HeightGrid, wanted
 
 
 @kernel
-def add_with_neighbours(seen: Mask, wanted: Mask) -> None:
+def add_with_neighbours(seen: ByteArray, wanted: ByteArray) -> None:
     """Set blocks that are 1 in `seen`, and their neighbours, to 1 where they are 0 in `wanted`."""
     rows, cols = wanted.shape
     for i in range(rows):
@@ -98,7 +96,7 @@ def add_with_neighbours(seen: Mask, wanted: Mask) -> None:
 
 @kernel
 def _wide_radiance(
-    wide: Ground, row: float, col: float, lit: Mask, sun: FloatArray, origin: FloatArray,
+    wide: Ground, row: float, col: float, lit: ByteArray, sun: FloatArray, origin: FloatArray,
     surface: HapkeParameters,
 ) -> float:  # fmt: skip
     h = wide.heights
@@ -122,7 +120,14 @@ def _wide_radiance(
 
 @kernel
 def _samples(
-    kind: Mask, i: int, j: int, distance: float, angle: float, posting: float, most: int, limb: int
+    kind: ByteArray,
+    i: int,
+    j: int,
+    distance: float,
+    angle: float,
+    posting: float,
+    most: int,
+    limb: int,
 ) -> int:
     """Rays a side of a pixel: as many as its ground has nodes, `limb` of them at the limb."""
     rows, cols = kind.shape
@@ -143,7 +148,7 @@ def _samples(
 
 
 @kernel
-def _smooth_at(kind: Mask, row: HeightGrid, col: HeightGrid, i: int, j: int) -> bool:
+def _smooth_at(kind: ByteArray, row: Float32Array, col: Float32Array, i: int, j: int) -> bool:
     """Whether a pixel and its eight neighbours see fine ground without a jump between them."""
     if not (0 < i < kind.shape[0] - 1 and 0 < j < kind.shape[1] - 1):
         return False
@@ -161,9 +166,10 @@ def _smooth_at(kind: Mask, row: HeightGrid, col: HeightGrid, i: int, j: int) -> 
 
 @parallel_kernel
 def mean_radiance(
-    fine: Ground, wide: Ground, origin: FloatArray, corners: FloatArray, kind: Mask,
-    distance: HeightGrid, row: HeightGrid, col: HeightGrid, shaded: HeightGrid, wide_lit: Mask,
-    sun: FloatArray, surface: HapkeParameters, most: int, limb: int, missing: Mask, out: HeightGrid,
+    fine: Ground, wide: Ground, origin: FloatArray, corners: FloatArray, kind: ByteArray,
+    distance: Float32Array, row: Float32Array, col: Float32Array, shaded: Float32Array,
+    wide_lit: ByteArray, sun: FloatArray, surface: HapkeParameters, most: int, limb: int,
+    missing: ByteArray, out: Float32Array,
 ) -> None:  # fmt: skip
     """Mean radiance factor of each pixel that is NaN in `out`, sky 0.
 

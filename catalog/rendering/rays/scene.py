@@ -1,8 +1,9 @@
 """A piece of ground under one Sun, ready to be looked at from anywhere."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.photometry.hapke import LUNAR, HapkeParameters
 from catalog.rendering.rays.ground import Ground, surroundings
 from catalog.rendering.rays.light import BLOCK, light_blocks, shade_blocks
@@ -13,10 +14,6 @@ from catalog.rendering.rays.picture import (
     mean_radiance,
 )
 from catalog.rendering.rays.trace import FINE, WIDE
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
-Mask = NDArray[np.uint8]
 
 SHADOW_REACH = 0.06  # rad
 
@@ -50,7 +47,7 @@ class Scene:
 
     def picture(
         self, origin_m: ArrayLike, corner_rays: ArrayLike, samples: int = 5, limb_samples: int = 5
-    ) -> HeightGrid:
+    ) -> Float32Array:
         """Mean radiance factor (rows, cols) of the pixels of a camera.
 
         origin_m     (3,) the camera, body frame, m
@@ -89,7 +86,7 @@ class Scene:
             add_with_neighbours(missing, wanted)
             wanted[done] = 0
 
-    def _shade(self, wanted: Mask, origin: FloatArray, shaded: HeightGrid) -> None:
+    def _shade(self, wanted: ByteArray, origin: FloatArray, shaded: Float32Array) -> None:
         # blocks that an earlier picture lit stay lit
         self._fine_wanted[(wanted == 1) & (self._fine_wanted == 0)] = 1
         light_blocks(
@@ -98,7 +95,7 @@ class Scene:
         shade_blocks(self.fine, self.sun, origin, self.surface, wanted, self._fine_lit, shaded)
 
 
-def _masks(ground: Ground) -> tuple[Mask, Mask]:
+def _masks(ground: Ground) -> tuple[ByteArray, ByteArray]:
     """Lit shares of the nodes and the state of their blocks, both empty."""
     rows, cols = ground.heights.shape
     blocks = (rows + BLOCK - 1) // BLOCK, (cols + BLOCK - 1) // BLOCK

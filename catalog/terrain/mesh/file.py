@@ -15,14 +15,11 @@ from typing import Annotated, Any, BinaryIO, Literal, NamedTuple
 import msgspec
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.errors import DataError
 from catalog.progress import Progress
 from catalog.terrain.mesh.table import read_table
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # 275 bytes a face while an OBJ is read, 500 while a mesh is checked (measured: 5 GB and 2 minutes
 # for 10 million); Phobos' finest published model has 3.1 million.

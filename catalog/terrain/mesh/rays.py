@@ -12,13 +12,11 @@ for: they are a few lit pixels in a million.)
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, FloatArray, Int32Array
 from catalog.errors import DataError
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 ASIDE = 1e-6  # of the body's reach: ten steps of a 32-bit number
 START = 1.001  # rays begin on a ball that holds the mesh with a little room
@@ -36,7 +34,7 @@ def outward(corners: FloatArray, face: int) -> tuple[float, float, float]:
 
 @kernel
 def _places(
-    corners: FloatArray, origins: FloatArray, rays: FloatArray, found: IntArray,
+    corners: FloatArray, origins: FloatArray, rays: FloatArray, found: Int32Array,
     distance: FloatArray, cosine: FloatArray,
 ) -> None:  # fmt: skip
     """Distances to the planes of found triangles, and cosines of rays on their outward normals."""
@@ -97,7 +95,7 @@ class MeshRays:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_index": None}
 
-    def first_hits(self, origins_m: ArrayLike, rays: ArrayLike) -> tuple[IntArray, FloatArray]:
+    def first_hits(self, origins_m: ArrayLike, rays: ArrayLike) -> tuple[Int32Array, FloatArray]:
         """First faces that unit rays (n, 3) from outside meet (-1: none), and distances (n) m.
 
         origins_m  (n, 3) or (3,), body frame; distances are infinite where nothing is met
@@ -117,7 +115,7 @@ class MeshRays:
         return found, distance
 
     def _again(
-        self, origins: FloatArray, rays: FloatArray, sign: float, found: IntArray,
+        self, origins: FloatArray, rays: FloatArray, sign: float, found: Int32Array,
         distance: FloatArray, cosine: FloatArray,
     ) -> None:  # fmt: skip
         """Trace rays that met a face from within once more, a hair aside."""
@@ -135,14 +133,14 @@ class MeshRays:
 
     def next_hits(
         self, origins_m: FloatArray, rays: FloatArray, beyond_m: FloatArray
-    ) -> tuple[IntArray, FloatArray]:
+    ) -> tuple[Int32Array, FloatArray]:
         """As `first_hits`, from either side and beyond distances (n) m along the rays."""
         found = self._run(origins_m + beyond_m[:, None] * rays, rays, "INTERSECT")
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
         _places(self.corners, origins_m, rays, found, distance, cosine)
         return found, distance
 
-    def are_blocked(self, origins_m: FloatArray, ray: FloatArray) -> NDArray[np.bool_]:
+    def are_blocked(self, origins_m: FloatArray, ray: FloatArray) -> BoolArray:
         """Whether the mesh stands between origins (n, 3) m and the far end of one unit ray (3,)."""
         blocked = np.empty(len(origins_m), dtype=bool)
         for part in _parts(len(origins_m)):
@@ -160,7 +158,7 @@ class MeshRays:
         missed = (length > ball) & ((within <= 0.0) | (move <= 0.0))
         return origins + move[:, None] * rays, missed
 
-    def _run(self, origins: FloatArray, rays: FloatArray, query: str) -> IntArray:
+    def _run(self, origins: FloatArray, rays: FloatArray, query: str) -> Int32Array:
         scaled = np.ascontiguousarray(origins / self.reach_m, dtype=np.float32)
         directions = np.ascontiguousarray(rays, dtype=np.float32)
         return np.asarray(self._scene().run(scaled, directions, query=query), dtype=np.int32)

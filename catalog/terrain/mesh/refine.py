@@ -7,14 +7,11 @@ normals: craters and random relief below the model's posting.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.terrain.detail import Detail
 from catalog.terrain.mesh.shape import Shape
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 FINEST_FACES = 4_000_000  # that a coarse model is refined to: a grown mesh must stay in memory
 

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import manifold3d
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
@@ -23,9 +23,6 @@ from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem_file import path_of
 from catalog.terrain.mesh.file import MeshSettings, RawMesh, read_mesh
 from catalog.terrain.mesh.winding import Edges, edges_of, pieces_of, turns_about, volume_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 log = logging.getLogger(__name__)
 

@@ -9,15 +9,12 @@ subdivision for meshes with arbitrary topology", SIGGRAPH 1996). Both keep the m
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.terrain.mesh.table import RadiiGrid, is_grid, read_grid, surface_of
 from catalog.terrain.mesh.winding import edges_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Rows that a spline is carried on over a pole: what lies beyond is felt by less than 1e-3.
 OVER_POLE = 6

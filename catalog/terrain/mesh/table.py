@@ -10,12 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.latlon import xyz_from_latlon
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ANGLE_TOLERANCE_DEG = 1e-4  # of what tables print
 

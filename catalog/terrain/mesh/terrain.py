@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.geometry.tangent_plane import MapProjection, TangentPlane
 from catalog.terrain.mesh.rays import MeshRays
-
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 SMALL_BODY_M = 100e3  # mean diameter
 # A coarse node is the mean of so many rays a side that none stands for more than a mesh's own
@@ -96,18 +94,16 @@ class MeshTerrain:
         _, distance = self.rays.first_hits(start * outward, -outward)
         return (outward * (start - distance)[:, None]).reshape(directions.shape)
 
-    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> HeightGrid:
+    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> Float32Array:
         """Heights (...) of places (rad) above the sphere of the body's radius, m."""
         radius = np.linalg.norm(self.points(lat, lon), axis=-1)
         return np.asarray(radius - self.body.radius_m, dtype=np.float32)
 
-    def covers(
-        self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None
-    ) -> NDArray[np.bool_]:
+    def covers(self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None) -> BoolArray:
         """True: a closed mesh has ground everywhere."""
         return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
 
-    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> HeightGrid:
+    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
         """Heights (size, size) of a centred map grid; NaN beside the body and under overhangs."""
         return self._grid(projection, posting_m, size, self._single)
 
@@ -119,7 +115,7 @@ class MeshTerrain:
 
     def beyond(
         self, projection: MapProjection, posting_m: float, size: int
-    ) -> Sequence[tuple[HeightGrid, float]]:
+    ) -> Sequence[tuple[Float32Array, float]]:
         """Coarser grids, each of twice the posting of the one before, until all of the body is in.
 
         Overhanging ground stands in them with its top: it throws shadows.
@@ -137,7 +133,7 @@ class MeshTerrain:
         return self.name
 
     def _grid(self, projection: MapProjection, posting_m: float, size: int, heights: Any
-              ) -> HeightGrid:  # fmt: skip
+              ) -> Float32Array:  # fmt: skip
         """Means of heights over the cells of a grid's nodes."""
         aside = int(np.clip(np.ceil(posting_m / self._posting_m - 0.05), 1, MOST_RAYS_ASIDE))
         x, y = node_grid(size * aside, posting_m / aside)

@@ -3,12 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Edges(NamedTuple):
@@ -23,7 +20,7 @@ class Edges(NamedTuple):
     open: IntArray
     crowded: IntArray
     other: IntArray
-    same: NDArray[np.bool_]
+    same: BoolArray
 
 
 def edges_of(faces: IntArray) -> Edges:
@@ -45,7 +42,7 @@ def edges_of(faces: IntArray) -> Edges:
 
 
 @kernel
-def _flood(other: IntArray, same: NDArray[np.bool_], piece: IntArray, turned: NDArray[np.bool_]
+def _flood(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray
            ) -> int:  # fmt: skip
     """Number pieces and say which faces are to turn so that each agrees with its first face.
 
@@ -80,7 +77,7 @@ def _flood(other: IntArray, same: NDArray[np.bool_], piece: IntArray, turned: ND
     return count
 
 
-def pieces_of(edges: Edges) -> tuple[int, IntArray, NDArray[np.bool_]]:
+def pieces_of(edges: Edges) -> tuple[int, IntArray, BoolArray]:
     """How many pieces faces make (-1: one-sided), each face's, and which faces are to turn."""
     piece = np.full(edges.other.size // 3, -1, dtype=np.int64)
     turned = np.zeros(piece.size, dtype=bool)

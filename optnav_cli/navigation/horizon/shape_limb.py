@@ -13,17 +13,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.terrain.limb_skyline import LimbRelief, nadir_axes
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.measurements.limb_points import RELIEF
 from optnav_cli.navigation.horizon.sight import Sight
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5
 # Round ground with 19 m rms of relief (hills and craters) below the 319 m of the 2 deg model of

@@ -8,8 +8,8 @@ a limb that mostly loses it, or scatters more than the model allows, is refused.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.estimation.limb_fit import LimbFit
@@ -17,8 +17,6 @@ from optnav_cli.estimation.silhouette_step import MAD_TO_SIGMA, silhouette_step
 from optnav_cli.navigation.horizon.shape_limb import shape_ground, shape_limb
 from optnav_cli.navigation.horizon.sight import Sight, arc_deg, enough_arc
 from optnav_cli.navigation.horizon.uncertainty import edge_errors, with_shared_errors
-
-FloatArray = NDArray[np.float64]
 
 MAX_PASSES = 15
 STILL_SIGMAS = 0.05  # a pass that moves the position by less of its sigma is the last

@@ -3,16 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.terrain.limb_skyline import nadir_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb_points import LimbPoints
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 ARC_BIN_DEG = 2.0
 LEAST_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
@@ -37,7 +34,7 @@ class Sight:
     sigma_px: FloatArray
     blur: float
     common_px: float
-    numbers: NDArray[np.int64]
+    numbers: IntArray
 
     def __len__(self) -> int:
         return len(self.rays)

@@ -9,9 +9,10 @@ wide while the position is kilometres off, narrow in the end.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
@@ -35,8 +36,6 @@ from optnav_cli.navigation.horizon.uncertainty import (
     relief_covariance,
     with_shared_errors,
 )
-
-FloatArray = NDArray[np.float64]
 
 SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
 MAX_PASSES = 8
@@ -155,7 +154,7 @@ def _over_relief(
 
 
 def _robust_fit(
-    kept: Sight, limb: TerrainLimb, lit: NDArray[np.bool_], position: FloatArray, ground: LimbGround
+    kept: Sight, limb: TerrainLimb, lit: BoolArray, position: FloatArray, ground: LimbGround
 ) -> tuple[LimbFit, float]:
     """A fit to the skyline without its outliers, and its scatter over the expected one."""
     radii = np.full(3, ground.radius_m)

@@ -4,15 +4,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.terrain.limb_skyline import LimbRelief, nadir_axes
 from catalog.terrain.relief import GlobalRelief
 from optnav_cli.navigation.horizon.sight import Sight
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Skylines of cells' means lie low, of their tops high. What meets the ground of 32 cells a degree
 # with seeded relief below, from 50 to 20 000 km: 0.8 of the way from means to tops at 16 cells a
@@ -116,7 +113,7 @@ def terrain_limb(
     )
 
 
-def _near(places: NDArray[np.int64], count: int, reach: int) -> BoolArray:
+def _near(places: IntArray, count: int, reach: int) -> BoolArray:
     """Which of `count` places round a circle lie within `reach` of some of these."""
     hit = np.zeros(count, np.int64)
     hit[places % count] = 1

@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from optnav_cli.estimation.limb_fit import LimbFit
 from optnav_cli.navigation.horizon.sight import Sight
-
-FloatArray = NDArray[np.float64]
 
 # The limb of the Moon (GLD100, 16 cells a degree, 150 places at each of 50, 200, 800, 20 000 km):
 # its height over the mean sphere averages 0.9 km, being made of crests, and its covariance between
@@ -57,7 +55,7 @@ class SharedErrors:
         return SharedErrors(np.concatenate([self.shapes, more], axis=1))
 
 
-def _sectors(azimuths: FloatArray) -> list[NDArray[np.bool_]]:
+def _sectors(azimuths: FloatArray) -> list[BoolArray]:
     """Which azimuths (n,) about the nadir, rad, lie in each sector of SECTOR_DEG."""
     count = round(360.0 / SECTOR_DEG)
     sector = np.floor((azimuths / (2.0 * np.pi) + 0.5) * count).astype(np.int64) % count

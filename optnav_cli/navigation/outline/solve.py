@@ -4,9 +4,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
@@ -20,8 +20,6 @@ from optnav_cli.navigation import brightness_centre, horizon, whole_disc
 from optnav_cli.navigation.horizon.shape_limb import stand_off
 from optnav_cli.navigation.neighbour import View
 from optnav_cli.solution import OutlineMarks
-
-FloatArray = NDArray[np.float64]
 
 # A disc of a larger radius, rad, is that of a body close by: it is not asked which.
 NEAR_ANGLE = 0.25

@@ -7,9 +7,9 @@ where the picture shows it.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief import GlobalRelief
@@ -31,8 +31,6 @@ from optnav_cli.navigation.neighbour import (
     spots_of,
 )
 from optnav_cli.navigation.outline.solve import NEAR_ANGLE, Outline, solve
-
-FloatArray = NDArray[np.float64]
 
 LEAST_SPOT_PIXELS = 9
 MOST_SPOTS = 30  # the largest; the rest are stars

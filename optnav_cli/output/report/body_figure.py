@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, FloatArray, IntArray
 from catalog.store.reader import Catalog
 from optnav_cli.output.canvas import FONT, SUBPIXEL_BITS
 from optnav_cli.output.report.body_sides import Side, sides
@@ -19,9 +19,6 @@ from optnav_cli.output.report.page import counted, data_uri, figure, grouped, le
 from optnav_cli.output.report.shades import bgr_of
 from optnav_cli.output.report.svg import Plot
 from optnav_cli.output.report.views import THIRD
-
-FloatArray = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 COLUMNS = 3
 SIDE_PX = 400
@@ -62,7 +59,7 @@ def sides_figure(catalog: Catalog) -> str:
     )
 
 
-def sides_picture(catalog: Catalog) -> Picture:
+def sides_picture(catalog: Catalog) -> ByteArray:
     """The six sides with their points, a scale and a legend, (h, w, 3) blue, green, red.
 
     Raises as `sides` does.
@@ -81,15 +78,15 @@ def sides_picture(catalog: Catalog) -> Picture:
     return np.vstack([head, *rows, _legend(width, kinds)])
 
 
-def _entries(kinds: NDArray[np.int64]) -> list[tuple[str, str]]:
+def _entries(kinds: IntArray) -> list[tuple[str, str]]:
     present = [k for k in range(len(POINT_WORDS)) if (kinds == k).any()]
     return [
         (POINT_COLOURS[k], f"{POINT_WORDS[k]}: {grouped(int((kinds == k).sum()))}") for k in present
     ]
 
 
-def _tile(side: Side, kinds: NDArray[np.int64]) -> Picture:
-    bare: Picture = np.repeat(side.gray[..., None], 3, axis=2)
+def _tile(side: Side, kinds: IntArray) -> ByteArray:
+    bare: ByteArray = np.repeat(side.gray[..., None], 3, axis=2)
     lined = bare.copy()
     for line in side.lines:
         _polyline(lined, _pixels(line, side), LINE, 1)
@@ -122,7 +119,7 @@ def _pixels(places: FloatArray, side: Side) -> FloatArray:
 
 
 def _polyline(
-    picture: Picture, points: FloatArray, colour: tuple[int, int, int], width: int
+    picture: ByteArray, points: FloatArray, colour: tuple[int, int, int], width: int
 ) -> None:
     """A line through points (n, 2) px, broken where one is not finite."""
     for run in np.split(points, np.flatnonzero(~np.isfinite(points[:, 0]))):
@@ -131,14 +128,14 @@ def _polyline(
         cv2.polylines(picture, [fixed], False, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def _dot(picture: Picture, x: float, y: float, colour: str) -> None:
+def _dot(picture: ByteArray, x: float, y: float, colour: str) -> None:
     at = round(x * 2**SUBPIXEL_BITS), round(y * 2**SUBPIXEL_BITS)
     for radius, shade in ((DOT_PX, RIM), (DOT_PX - 1.1, bgr_of(colour))):
         fixed = round(radius * 2**SUBPIXEL_BITS)
         cv2.circle(picture, at, fixed, shade, -1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def _joined(tiles: Sequence[Picture]) -> Picture:
+def _joined(tiles: Sequence[ByteArray]) -> ByteArray:
     """Tiles in a row on paper, with gaps about them."""
     edged = [
         cv2.copyMakeBorder(tile, 0, GAP_PX, GAP_PX if k == 0 else 0, GAP_PX, cv2.BORDER_CONSTANT,
@@ -148,7 +145,7 @@ def _joined(tiles: Sequence[Picture]) -> Picture:
     return np.hstack([np.asarray(tile, np.uint8) for tile in edged])
 
 
-def _legend(width: int, kinds: NDArray[np.int64]) -> Picture:
+def _legend(width: int, kinds: IntArray) -> ByteArray:
     """What the dots mean, in columns as wide as the sides."""
     entries = _entries(kinds)
     column = SIDE_PX + GAP_PX
@@ -163,6 +160,6 @@ def _legend(width: int, kinds: NDArray[np.int64]) -> Picture:
 
 
 def _write(
-    picture: Picture, words: str, x: int, y: int, colour: tuple[int, int, int], size: float = 0.45
+    picture: ByteArray, words: str, x: int, y: int, colour: tuple[int, int, int], size: float = 0.45
 ) -> None:
     cv2.putText(picture, words, (x, y), FONT, size, colour, 1, cv2.LINE_AA)

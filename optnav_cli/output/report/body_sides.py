@@ -7,16 +7,14 @@ What is in shadow gets some light from the lower right: this is a map of the bod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray, FloatArray
 from catalog.errors import DataError, UsageError
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.mesh.scene import MeshScene
 from catalog.store.reader import Catalog
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief import GlobalRelief
-
-FloatArray = NDArray[np.float64]
 
 # Where the viewer stands, what is up for him, what the side is called.
 SIDES = (
@@ -53,7 +51,7 @@ class Side:
 
     name: str
     half_m: float
-    gray: NDArray[np.uint8]
+    gray: ByteArray
     places: FloatArray
     lines: list[FloatArray]
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from catalog.control_point import Flag
 from catalog.store.reader import Catalog
 from optnav_cli.output.report.page import data_uri, figure, grouped, legend
@@ -22,7 +22,6 @@ from optnav_cli.output.report.shades import (
 from optnav_cli.output.report.svg import Plot
 from optnav_cli.output.report.views import View, rows_of_pixels, views
 
-FloatArray = NDArray[np.float64]
 MOST_DOTS = 1500  # more points are shown by their cells instead of one by one
 TINT, STRONG_TINT, SOLID = 105, 205, 255  # of 255, over the relief
 # In the order in which the checks run: a point is shown by the first that it fails.
@@ -49,9 +48,9 @@ class Panel:
     view: View
     lat_deg: FloatArray
     lon_deg: FloatArray
-    rows: NDArray[np.int32]  # (h, w), -1 for no point
+    rows: Int32Array  # (h, w), -1 for no point
 
-    def painted(self, colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def painted(self, colours: ByteArray) -> ByteArray:
         """Picture (h, w, 4) of the points' colours (n, 4); clear where there is no point."""
         clear = np.zeros((1, 4), np.uint8)
         return np.asarray(np.concatenate([colours, clear])[self.rows], np.uint8)
@@ -78,7 +77,7 @@ def panels(catalog: Catalog) -> list[Panel]:
     return found
 
 
-def first_reasons(catalog: Catalog) -> NDArray[np.int64]:
+def first_reasons(catalog: Catalog) -> IntArray:
     """For each point 0 where it is usable, or 1 + the place in REASONS of its first failed check.
 
     A point without any known flag gets 1 + len(REASONS).
@@ -177,7 +176,7 @@ def _arranged(drawings: Sequence[str], whole: bool) -> str:
     return f'{drawings[0]}<div class="triple">{"".join(drawings[1:])}</div>'
 
 
-def titles_of(catalog: Catalog, kinds: NDArray[np.int64]) -> list[str]:
+def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
     """What is told of each point under the pointer; kinds (n,) as `first_reasons` tells them."""
     scores = catalog.records["localisation_px"]
     return [
@@ -186,20 +185,20 @@ def titles_of(catalog: Catalog, kinds: NDArray[np.int64]) -> list[str]:
     ]
 
 
-def _dots(plot: Plot, view: View, catalog: Catalog, kinds: NDArray[np.int64]) -> None:
+def _dots(plot: Plot, view: View, catalog: Catalog, kinds: IntArray) -> None:
     x, y = view.places(catalog.lat_deg, catalog.lon_deg)
     colours = [POINT_COLOURS[kind] for kind in kinds.tolist()]
     radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
     plot.dots(x, y, "ringed", radius, titles_of(catalog, kinds), colours)
 
 
-def _bgra(colours: Sequence[str], strength: NDArray[np.int64]) -> NDArray[np.uint8]:
+def _bgra(colours: Sequence[str], strength: IntArray) -> ByteArray:
     table = {colour: bgr_of(colour) for colour in set(colours)}
     bgr = np.array([table[colour] for colour in colours], np.uint8).reshape(-1, 3)
     return np.column_stack([bgr, strength.astype(np.uint8)])
 
 
-def _with_edge(gray: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _with_edge(gray: ByteArray, known: BoolArray) -> ByteArray:
     """A gray picture that is clear where no ground is known."""
     if known.all():
         return gray

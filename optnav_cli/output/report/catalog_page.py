@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.control_point import Flag
 from catalog.errors import DataError
 from catalog.store.reader import Catalog
@@ -47,8 +48,6 @@ from optnav_cli.output.report.page import (
     tiles,
 )
 from optnav_cli.output.report.shades import Scale
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,6 +276,6 @@ def _finite(values: NDArray[np.floating[Any]]) -> FloatArray:
     return np.where(np.isfinite(values), values, np.nan).astype(np.float64)
 
 
-def _extreme(values: NDArray[np.float32], pick: np.ufunc) -> FloatArray:
+def _extreme(values: Float32Array, pick: np.ufunc) -> FloatArray:
     """The least or highest known value of each row (n, m), NaN where none is known."""
     return np.asarray(pick.reduce(_finite(values), axis=1), np.float64)

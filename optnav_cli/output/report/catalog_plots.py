@@ -3,8 +3,8 @@
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.control_point import SHADOW_AZIMUTHS
 from catalog.store.reader import Catalog
 from optnav_cli.output.report.page import figure
@@ -12,7 +12,6 @@ from optnav_cli.output.report.shades import Scale
 from optnav_cli.output.report.svg import HALF, WIDE, Plot
 from optnav_cli.output.report.views import THIRD
 
-FloatArray = NDArray[np.float64]
 BINS = 32
 BAND_DEG = 10.0
 LEAST_TOP = 5.0  # of a histogram, so that its ticks are whole numbers
@@ -23,7 +22,7 @@ MOST_EXACT_TRIALS = 24  # rates of so many trials have a bar each
 
 def histogram(
     values: FloatArray,
-    usable: NDArray[np.bool_],
+    usable: BoolArray,
     scale: Scale,
     edges: FloatArray,
     name: str,
@@ -85,7 +84,7 @@ def edges_of(scale: Scale) -> FloatArray:
     return np.asarray(space(scale.low, scale.high, BINS + 1))
 
 
-def rate_edges(trials: NDArray[np.int64]) -> FloatArray:
+def rate_edges(trials: IntArray) -> FloatArray:
     """Bars for success rates: one for each possible rate where all points had as many trials."""
     numbers = np.unique(trials[trials > 0])
     steps = int(numbers[0]) if len(numbers) == 1 else 20
@@ -93,7 +92,7 @@ def rate_edges(trials: NDArray[np.int64]) -> FloatArray:
     return np.asarray((np.arange(steps + 2) - 0.5) / steps)
 
 
-def spread_words(values: FloatArray, usable: NDArray[np.bool_], form: str) -> str:
+def spread_words(values: FloatArray, usable: BoolArray, form: str) -> str:
     """Median and spread of the usable points' values in words, "" without any."""
     known = values[usable & np.isfinite(values)]
     if known.size == 0:
@@ -137,5 +136,5 @@ def shadow_plot(catalog: Catalog) -> str:
     )
 
 
-def _titles(spans: list[str], counts: NDArray[np.int64], what: str) -> list[str]:
+def _titles(spans: list[str], counts: IntArray, what: str) -> list[str]:
     return [f"{span}: {count} {what}" for span, count in zip(spans, counts.tolist(), strict=True)]

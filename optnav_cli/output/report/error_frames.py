@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, IndexArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from optnav_cli.output.error_rows import ErrorRow, read_error_rows, stated_rows
@@ -12,7 +12,6 @@ from optnav_cli.output.evaluation_files import EVALUATION_CSV
 from optnav_cli.output.methods import method_rank
 from optnav_cli.output.run_folder import RunFolder
 
-FloatArray = NDArray[np.float64]
 SIGNS = {
     "brightness_centre": ("s3", "diamond"),
     "horizon_sphere": ("s5", "square"),
@@ -50,7 +49,7 @@ class Frames:
         found = {(row.method, row.camera) for row in self.rows if row.solved}
         return sorted(found, key=lambda key: (*method_rank(key[0]), key[1]))
 
-    def of(self, method: str, camera: str) -> NDArray[np.intp]:
+    def of(self, method: str, camera: str) -> IndexArray:
         """Places of a series' solved frames."""
         return np.array(
             [
@@ -72,7 +71,7 @@ class Frames:
         heights = np.array([row.height_m or np.nan for row in self.rows]) / 1e3
         return np.where(heights > 0.0, heights, np.nan)
 
-    def stretches(self) -> list[tuple[str, NDArray[np.intp]]]:
+    def stretches(self) -> list[tuple[str, IndexArray]]:
         """Series and places of frames that follow one another in a camera by the same method."""
         found = []
         for camera in sorted({row.camera for row in self.rows}):

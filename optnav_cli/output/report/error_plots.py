@@ -7,8 +7,8 @@ direction over a transfer, the methods told apart.
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.output.methods import method_words
 from optnav_cli.output.report.error_frames import OTHER_SIGN, SIGNS, Frames, frames_of
 from optnav_cli.output.report.marks import key_mark
@@ -17,7 +17,6 @@ from optnav_cli.output.report.sheet import Entry, Panel, sheet
 from optnav_cli.output.report.svg import Plot, span
 from optnav_cli.output.run_folder import RunFolder
 
-FloatArray = NDArray[np.float64]
 AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
 UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small ones
 BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
@@ -165,9 +164,7 @@ def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
     return panels, caption
 
 
-def _marks(
-    plot: Plot, frames: Frames, x: FloatArray, y: FloatArray, outside: NDArray[np.bool_]
-) -> None:
+def _marks(plot: Plot, frames: Frames, x: FloatArray, y: FloatArray, outside: BoolArray) -> None:
     for method, camera in frames.series:
         series, shape = frames.sign(method, camera)
         places = frames.of(method, camera)

@@ -2,8 +2,8 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import ByteArray
 from catalog.control_point import Patch
 from catalog.errors import DataError
 from catalog.store.reader import Catalog
@@ -92,7 +92,7 @@ def _short(value: float) -> str:
     return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
-def coloured(patch: Patch) -> NDArray[np.uint8]:
+def coloured(patch: Patch) -> ByteArray:
     """A patch's heights by colour (cividis) with relief shading, nodes enlarged."""
     heights = patch.heights_m
     known = np.isfinite(heights)

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from catalog.geometry.latlon import (
     angular_distance,
     latlon_from_xyz,
@@ -15,7 +16,6 @@ from catalog.geometry.projection import Stereographic
 from optnav_cli.output.report.svg import WIDE, Plot, span
 from optnav_cli.output.report.ticks import number_text
 
-FloatArray = NDArray[np.float64]
 LARGEST_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
 STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 LABEL_ROOM_PX = 45.0

@@ -6,9 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from catalog.arrays import ByteArray
 from optnav_cli.output.display import encoded
 from optnav_cli.output.report.style import DARK, DRAWINGS, LIGHT, PRINTED
 
@@ -185,7 +183,7 @@ def listing(values: Mapping[str, Any] | str) -> str:
     return f"<pre>{escape(text)}</pre>"
 
 
-def data_uri(picture: NDArray[np.uint8], suffix: str = ".png", quality: int = 80) -> str:
+def data_uri(picture: ByteArray, suffix: str = ".png", quality: int = 80) -> str:
     """A picture as an address that holds it."""
     kind = "jpeg" if suffix == ".jpg" else "png"
     data = base64.b64encode(encoded(picture, suffix, quality)).decode("ascii")

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
+from catalog.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from catalog.config import resource
 from catalog.control_point import Patch
 from catalog.errors import DataError
@@ -20,8 +20,6 @@ from catalog.store.reader import Catalog
 
 log = logging.getLogger(__name__)
 
-FloatArray = NDArray[np.float64]
-HeightGrid = NDArray[np.float32]
 
 MOON_FILE, MOON_RADIUS_M = "data/moon_gld100_4ppd.tif", 1737400.0
 MOON_WORDS = "Relief: LROC WAC GLD100 at 4 px/deg, bundled."
@@ -36,7 +34,7 @@ GRAY, DEPTH = 150.0, 95.0  # level ground, and how much light and shade differ f
 
 def relief(
     catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_], str] | None:
+) -> tuple[ByteArray, BoolArray, str] | None:
     """Gray picture (h, w) of the ground under a map's pixels, lit from the map's upper left.
 
     lat_deg, lon_deg  (h, w)  places of the pixels, not finite off the body
@@ -62,7 +60,7 @@ def relief(
     return shaded(heights, pixel_m), np.isfinite(heights), words
 
 
-def shaded(heights_m: HeightGrid, posting_m: float) -> NDArray[np.uint8]:
+def shaded(heights_m: Float32Array, posting_m: float) -> ByteArray:
     """Heights (h, w) as relief in gray, lit from the upper left; NaN is level.
 
     Exaggerated until slopes read well, whatever the terrain's: this is a map, not a view.
@@ -83,7 +81,7 @@ def _pixel_m(lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float) -> float
     return float(np.linalg.norm(second - first))
 
 
-def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> HeightGrid:
+def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> Float32Array:
     with rasterio.open(resource(MOON_FILE)) as source:
         heights = source.read(1).astype(np.float32)
     rows, columns = heights.shape
@@ -100,7 +98,9 @@ def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> HeightGrid:
     return np.where(known, sampled, np.nan).astype(np.float32)
 
 
-def _whole_heights(catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray) -> HeightGrid | None:
+def _whole_heights(
+    catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray
+) -> Float32Array | None:
     """Heights of the pixels from the relief of the whole body, if the catalog carries one."""
     carried = catalog.relief()
     if carried is None:
@@ -113,7 +113,7 @@ def _whole_heights(catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray) -
 
 def _own_heights(
     catalog: Catalog, lat_deg: FloatArray, lon_deg: FloatArray, pixel_m: float
-) -> HeightGrid | None:
+) -> Float32Array | None:
     """Heights of the pixels from the patches of the nearest points, as far as those reach."""
     known = np.isfinite(lat_deg)
     chosen = _spread(catalog)
@@ -160,7 +160,7 @@ def _level(catalog: Catalog, chosen: int) -> tuple[int, float]:
     return level, float(np.sqrt(2.0) * 2.0**level * half_m)
 
 
-def _spread(catalog: Catalog) -> NDArray[np.int64]:
+def _spread(catalog: Catalog) -> IntArray:
     """Rows of points that hold patches, thinned evenly over the body to a bearable number."""
     rows = np.flatnonzero(catalog.records["levels"] > 0)
     step = catalog.meta.cell_deg
@@ -179,7 +179,7 @@ def _patch(catalog: Catalog, row: int, level: int) -> Patch | None:
     return levels[min(level, len(levels) - 1)]
 
 
-def _sampled(patch: Patch, x: FloatArray, y: FloatArray, pixel_m: float) -> HeightGrid:
+def _sampled(patch: Patch, x: FloatArray, y: FloatArray, pixel_m: float) -> Float32Array:
     """Heights at map places (n,) of a patch, smoothed to the map's pixel; NaN outside."""
     heights = patch.heights_m
     sigma = 0.4 * pixel_m / patch.posting_m

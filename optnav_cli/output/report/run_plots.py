@@ -1,8 +1,8 @@
 """Drawings of a run's page: the map, residuals and scores; for errors see `error_plots`."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.sphere import distance_to_sphere
 from optnav_cli.output.report.ground import GroundMap
@@ -11,7 +11,6 @@ from optnav_cli.output.report.svg import HALF, Plot, span
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.solution import Solution
 
-FloatArray = NDArray[np.float64]
 MOST_FOOTPRINTS = 60
 MOST_DOTS = 4000
 BORDER_POINTS = 12  # of a footprint, along each side of the picture

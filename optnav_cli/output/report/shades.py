@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from catalog.arrays import ByteArray, FloatArray
+
 USABLE = "#0072b2"
 REASON_COLOURS = (
     "#ffffff", "#d55e00", "#cc79a7", "#000000", "#f0e442", "#009e73", "#56b4e9",
@@ -58,11 +58,11 @@ class Scale:
         values = np.asarray(values, np.float64)
         return np.log10(np.maximum(values, self.low)) if self.log else values
 
-    def bgr(self, values: FloatArray) -> NDArray[np.uint8]:
+    def bgr(self, values: FloatArray) -> ByteArray:
         """Colours (n, 3) of finite values (n,)."""
         return self._bgr(self.along(values))
 
-    def _bgr(self, along: FloatArray) -> NDArray[np.uint8]:
+    def _bgr(self, along: FloatArray) -> ByteArray:
         low, high = self.along(np.array([self.low, self.high]))
         share = np.clip((along - low) / (high - low), 0.0, 1.0)
         share = share if self.more_is_better else 1.0 - share

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from catalog.arrays import FloatArray
 from optnav_cli.output.report.marks import mark
 from optnav_cli.output.report.ticks import log_text, log_ticks, number_text, ticks
 
-FloatArray = NDArray[np.float64]
 LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
 # Plots across the page and of a pair: at these widths their letters are as large as the text's.
 WIDE, HALF = 960, 470

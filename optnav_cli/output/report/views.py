@@ -9,17 +9,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import Proj
 
+from catalog.arrays import FloatArray, Int32Array, IntArray
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg
 from optnav_cli.output.report.ground import DEGREE, GroundMap
 from optnav_cli.output.report.svg import HALF, WIDE, Plot
 from optnav_cli.output.report.ticks import number_text
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Places = Callable[[ArrayLike, ArrayLike], tuple[FloatArray, FloatArray]]
 
 SHARPNESS = 1.75  # pixels of a picture for each pixel of the page: screens have up to 2
@@ -74,7 +73,7 @@ def views(
 
 def rows_of_pixels(
     grid: CellGrid, ids: IntArray, lat_deg: FloatArray, lon_deg: FloatArray
-) -> NDArray[np.int32]:
+) -> Int32Array:
     """Row in the ascending `ids` of the cell under each place (...), -1 without one."""
     known = np.isfinite(lat_deg) & np.isfinite(lon_deg)
     cells = grid.cell_of(np.where(known, lat_deg, 0.0), np.where(known, lon_deg, 0.0))

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.store.reader import Catalog
 from tests.bench.timing import best
@@ -42,7 +42,7 @@ def catalog_lines(path: Path, whole: bool) -> Iterator[str]:
         yield f"  nearest against brute force: {wrong} of {lat.size} places differ"
 
 
-def places(rng: np.random.Generator, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def places(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
     """Random places (deg), with the poles, both sides of ±180° and their corners among them."""
     lat = np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, count)))
     lon = rng.uniform(-180.0, 180.0, count)
@@ -55,7 +55,7 @@ def places(rng: np.random.Generator, count: int) -> tuple[NDArray[np.float64], N
     return lat, lon
 
 
-def disagreements(catalog: Catalog, lat: NDArray[np.float64], lon: NDArray[np.float64]) -> int:
+def disagreements(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> int:
     """Places (deg) whose nearest point is not at the least angle over all points."""
     asked = xyz_from_latlon(np.radians(lat), np.radians(lon), 1.0)
     wrong = 0

@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.config import resource
-
-FloatArray = NDArray[np.float64]
 
 # Lower edges of the octaves of wavelength that are compared, m.
 OCTAVES_M = (237.0, 474.0, 948.0, 1896.0, 3792.0)

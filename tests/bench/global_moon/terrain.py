@@ -24,14 +24,12 @@ import msgspec
 import numba
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 from rasterio.windows import Window
 from scipy import ndimage
 
+from catalog.arrays import Float32Array, Int16Array
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.terrain import fractal
-
-Grid = NDArray[np.float32]
 
 FORMAT = 1  # another number: rasters made before are made anew
 SEED = 1
@@ -85,7 +83,7 @@ class Ground:
         self.spacings = np.array(SPACINGS_M)[seen]
         self.amplitudes = np.array(AMPLITUDES_M)[seen]
 
-    def window(self, row: int, col: int, height: int, width: int) -> NDArray[np.int16]:
+    def window(self, row: int, col: int, height: int, width: int) -> Int16Array:
         """Heights, m; columns of any turn, rows of the raster."""
         noise = np.zeros((height, width), np.float32)
         rows, cols = self.shape
@@ -101,7 +99,7 @@ class Ground:
         _compose(heights, gains, noise, row - first * self.factor, col, self.factor, out)
         return out
 
-    def _model_rows(self, first: int, end: int) -> tuple[Grid, Grid]:
+    def _model_rows(self, first: int, end: int) -> tuple[Float32Array, Float32Array]:
         """Spline coefficients of the heights, and the relief's gains, for whole model rows."""
         rows, cols = self._model.shape
         index = np.arange(first - HALO, end + HALO)
@@ -184,7 +182,7 @@ def is_made(target: Path, recipe: Recipe) -> bool:
 
 
 @kernel
-def _weights(t: float, out: NDArray[np.float32]) -> None:
+def _weights(t: float, out: Float32Array) -> None:
     """Cubic spline weights of the four coefficients about a place t past the second."""
     out[0] = (1.0 - t) ** 3 / 6.0
     out[1] = (4.0 - 6.0 * t * t + 3.0 * t**3) / 6.0
@@ -194,8 +192,8 @@ def _weights(t: float, out: NDArray[np.float32]) -> None:
 
 @parallel_kernel
 def _compose(
-    heights: Grid, gains: Grid, noise: Grid, row: int, col: int, factor: int,
-    out: NDArray[np.int16],
+    heights: Float32Array, gains: Float32Array, noise: Float32Array, row: int, col: int,
+    factor: int, out: Int16Array,
 ) -> None:  # fmt: skip
     """Spline plus gain times noise, rounded to metres.
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.store.manifest import CatalogMeta
@@ -23,7 +23,7 @@ LEVELS = 3
 CREATED = "2026-01-02T03:04:05Z"
 
 
-def rough_ground(rng: np.random.Generator, size: int, relief_m: float) -> NDArray[np.float32]:
+def rough_ground(rng: np.random.Generator, size: int, relief_m: float) -> Float32Array:
     """Heights (size, size): white noise smoothed at three scales."""
     total = np.zeros((size, size))
     for sigma, share in ((1.5, 0.1), (4.0, 0.3), (12.0, 1.0)):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import rasterio
 import zstandard
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.config import resource
 from catalog.errors import DataError
 from catalog.store.codec import (
@@ -20,14 +20,14 @@ from catalog.store.codec import (
 BYTES_A_POINT = 36_000  # 41 252 points in 1.5 GB
 
 
-def tycho(size: int) -> NDArray[np.float32]:
+def tycho(size: int) -> Float32Array:
     """A square of the bundled Tycho DEM, central peak and floor, m."""
     with rasterio.open(resource("data/tycho_gld100_256ppd.tif")) as source:
         window = rasterio.windows.Window(1400, 1200, size, size)
         return source.read(1, window=window).astype(np.float32)
 
 
-def as_the_text_says(encoded: Encoded) -> NDArray[np.float64]:
+def as_the_text_says(encoded: Encoded) -> FloatArray:
     """A decoder written from the description alone, with nothing of ours."""
     size = encoded.size
     raw = zstandard.ZstdDecompressor().decompress(encoded.data, max_output_size=2 * size * size)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray
 from catalog.control_point import Flag, Patch
 from catalog.errors import DataError, OutputError
 from catalog.geometry.latlon import angular_distance
@@ -120,7 +120,7 @@ def test_changed_heights_are_measured(
     assert found.ids.tolist() == [point.id]
     with Catalog.open(written.path) as a, Catalog.open(tmp_path / "other.gpkg") as b:
         pairs = zip(a.patches(point.id), b.patches(point.id))
-        apart: NDArray[np.float64] = np.concatenate(
+        apart: FloatArray = np.concatenate(
             [(p.heights_m.astype(float) - q.heights_m).ravel() for p, q in pairs]
         )
     known = apart[np.isfinite(apart)]

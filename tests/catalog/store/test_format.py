@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import zstandard
-from numpy.typing import NDArray
 
+from catalog.arrays import FloatArray, Int16Array
 from catalog.geometry.projection import node_grid
 from catalog.store.reader import Catalog
 from catalog.store.writer import Written
@@ -18,7 +18,7 @@ from catalog.store.writer import Written
 Row = tuple[Any, ...]
 
 
-def heights_of(row: Row) -> tuple[NDArray[np.int16], NDArray[np.float64]]:
+def heights_of(row: Row) -> tuple[Int16Array, FloatArray]:
     """Counts and heights of a row (size, step, value_offset, data)."""
     size, step, offset, data = row
     raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=2 * size * size)

@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.store.index import CellIndex
 
-FloatArray = NDArray[np.float64]
-
 
 def points_in(
-    grid: CellGrid, cells: NDArray[np.int64], rng: np.random.Generator
+    grid: CellGrid, cells: IntArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """A point anywhere in each cell, corners and edges among them (deg)."""
     box = np.array([grid.bounds_deg(int(cell)) for cell in cells])
@@ -37,7 +35,7 @@ def queries(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 def check_against_tree(
-    grid: CellGrid, cells: NDArray[np.int64], places: FloatArray, rng: np.random.Generator
+    grid: CellGrid, cells: IntArray, places: FloatArray, rng: np.random.Generator
 ) -> None:
     lat, lon = points_in(grid, cells, rng)
     direction = xyz_from_latlon(np.radians(lat), np.radians(lon), 1.0)

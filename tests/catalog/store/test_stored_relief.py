@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array
 from catalog.errors import DataError, OutputError
 from catalog.store import relief as stored
 from catalog.store.compare import compare, require_whole
@@ -243,7 +243,7 @@ def test_gdal_reads_the_export_where_it_lies(carried: Written, tmp_path: Path) -
         assert spheroid.get("R", spheroid.get("a")) == 1737400.0
         assert file.bounds == (-180.0, -90.0, 180.0, 90.0)
         assert file.descriptions == ("mean height, m", "highest place, m")
-        sample: NDArray[np.float32] = next(iter(file.sample([(10.0, 50.0)])))
+        sample: Float32Array = next(iter(file.sample([(10.0, 50.0)])))
         np.testing.assert_array_equal(file.read(1), relief.heights)
         np.testing.assert_array_equal(file.read(2), relief.tops)
     row, col = int(40.0 / 4.5), int(190.0 / 4.5)

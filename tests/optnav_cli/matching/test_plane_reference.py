@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.control_point import ControlPoint, Patch
 from catalog.correlation.blur import blur_nodes
@@ -26,8 +26,6 @@ from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
-
-FloatArray = NDArray[np.float64]
 
 POSTING_M = 48.0
 PLACES_DEG = [(5.0, -8.0), (-20.0, 12.0), (15.0, 18.0), (-5.0, 22.0), (12.0, -14.0)]

@@ -2,12 +2,11 @@
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from catalog.arrays import Float32Array, FloatArray
 from catalog.photometry.laws import law_by_name
 from optnav_cli.camera.camera import Camera
 
-FloatArray = NDArray[np.float64]
 RADIUS_M = 1_737_400.0
 FINE = 4  # sub-pixels a side
 
@@ -64,9 +63,7 @@ def blurred_disc(
     return np.asarray(cv2.resize(blurred, (width, height), interpolation=cv2.INTER_AREA))
 
 
-def expose(
-    image: FloatArray, snr: float, rng: np.random.Generator, bits: int = 8
-) -> NDArray[np.float32]:
+def expose(image: FloatArray, snr: float, rng: np.random.Generator, bits: int = 8) -> Float32Array:
     """Shot noise for a signal-to-noise ratio at the lit mean, read noise, and counts."""
     full = 2**bits - 1
     bright = float(np.quantile(image[image > 0.05 * image.max()], 0.99))
