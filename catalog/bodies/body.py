@@ -133,7 +133,7 @@ class Body:
     plausible_heights_m  (lowest, highest) a height above the reference sphere may be; beyond it a
                          terrain model has the wrong units or the wrong body
     rotation             how the body-fixed frame turns, as published
-    sun                  which analytic theory gives the Sun's direction, see `catalog.bodies.sun`
+    sun                  which analytic theory gives the Sun's direction, see `bodies.ephemeris`
     rotation_correction  what a fit to better data adds to the rotation, where there is one
     gravity              its field beside the point mass; None where the file says nothing
     orbit                about its planet, for a moon whose planet no theory here gives otherwise

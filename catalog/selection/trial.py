@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.blur import thinned, thinning
+from catalog.correlation.masked import thinned, thinning
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import match_similarity
 from catalog.rendering.map_view import render_map

@@ -20,7 +20,7 @@ from catalog.store.codec import Encoded, decode, decode_counts, encode
 from catalog.store.manifest import CatalogMeta, ReliefMeta
 from catalog.store.records import checksum
 from catalog.store.schema import RELIEF
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
 
 ReliefRow = tuple[int, int, int, int, int, float, float, int, bytes]  # as RELIEF_COLUMNS
 

@@ -12,10 +12,9 @@ from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.connection import connect, live_log, read_meta
 from catalog.store.digest import CatalogDigest, patches_digest, point_digest
 from catalog.store.features import record_from_row
-from catalog.store.listing import read_records
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import content_from_row
-from catalog.store.reader import SELECT_PATCHES
+from catalog.store.reader import SELECT_PATCHES, read_records
 from catalog.store.relief import relief_digest, tile_places
 from catalog.store.schema import (
     APPLICATION_ID,

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.camera import lens
-from optnav_cli.camera.validity import brown_limit, fisheye_limit
+from optnav_cli.camera.lens import brown_limit, fisheye_limit
 
 Model = Literal["pinhole", "equidistant", "kannala_brandt"]
 Distortion = Literal["none", "brown"]

@@ -59,8 +59,8 @@ def command(
       optnav build moon.toml -o moon.gpkg --check release.gpkg
       optnav build moon.toml -o moon.gpkg --scheduler tcp://head:8786
     """
-    from catalog.stages.build import run
-    from optnav_cli.commands.catalog_compare import compare_and_tell, require_reference
+    from catalog.build.build import run
+    from optnav_cli.commands.catalog import compare_and_tell, require_reference
     from optnav_cli.output.account_table import account_lines
 
     announce_compilation()

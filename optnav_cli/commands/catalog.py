@@ -1,21 +1,17 @@
 """`optnav catalog`: look at, compare, verify and export a catalog."""
 
+from pathlib import Path
+
 import click
 
-from optnav_cli.lazy_group import Entry, LazyGroup
-
-_HERE = "optnav_cli.commands"
-COMMANDS = {
-    "info": Entry(f"{_HERE}.catalog_info", "What a catalog holds, a `key: value` a line."),
-    "nearest": Entry(f"{_HERE}.catalog_nearest", "The control point nearest to a place."),
-    "show": Entry(f"{_HERE}.catalog_show", "A control point's attributes and a picture of it."),
-    "compare": Entry(f"{_HERE}.catalog_compare", "What differs between two catalogs."),
-    "verify": Entry(f"{_HERE}.catalog_verify", "Read everything and check every checksum."),
-    "export": Entry(f"{_HERE}.catalog_export", "Write the points as a layer for GIS programs."),
-}
+from catalog.errors import DataError
+from catalog.progress import Progress
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.lazy_group import LazyGroup
+from optnav_cli.options import NumberArguments, latitude, longitude, output_option, path_argument
 
 
-@click.group(cls=LazyGroup, table=lambda: COMMANDS, short_help="Look at, compare, verify, export.")
+@click.group(cls=LazyGroup, short_help="Look at, compare, verify, export.")
 def command() -> None:
     """Look at, compare, verify and export a catalog.
 
@@ -24,3 +20,222 @@ def command() -> None:
       optnav catalog info tycho.gpkg
       optnav catalog nearest tycho.gpkg -43.3 -11.2
     """
+
+
+@command.command("info", short_help="What a catalog holds.")
+@path_argument("catalog")
+def catalog_info(catalog: Path) -> None:
+    """Print what CATALOG holds, a `key: value` a line, its content digest among them.
+
+    The digest is the one that the catalog states; `optnav catalog verify` tells whether it is true.
+
+    \b
+    Example:
+      optnav catalog info tycho.gpkg
+    """
+    from catalog.inspect.summary import describe
+    from catalog.store.reader import Catalog
+
+    with Catalog.open(catalog) as opened:
+        for key, value in describe(opened).items():
+            click.echo(f"{key}: {value}")
+
+
+@command.command("nearest", cls=NumberArguments, short_help="The control point nearest to a place.")
+@path_argument("catalog")
+@click.argument("lat", type=float, callback=latitude)
+@click.argument("lon", type=float, callback=longitude)
+def catalog_nearest(catalog: Path, lat: float, lon: float) -> None:
+    """Print the control point of CATALOG nearest to LAT LON (degrees, east positive).
+
+    \b
+    Example:
+      optnav catalog nearest tycho.gpkg -43.3 -11.2
+    """
+    from catalog.inspect.summary import describe_point, distance_km
+    from catalog.store.reader import Catalog
+
+    with Catalog.open(catalog) as opened:
+        point = opened.point(opened.nearest(lat, lon))
+        for key, value in describe_point(point).items():
+            click.echo(f"{key}: {value}")
+        click.echo(f"distance_km: {distance_km(opened, point, lat, lon):.3f}")
+
+
+@command.command(
+    "show", cls=NumberArguments, short_help="A picture of a control point, or of a small body."
+)
+@path_argument("catalog")
+@click.argument("point_id", metavar="[ID]", type=int, required=False)
+@output_option(
+    "The picture (PNG); CATALOG-ID.png or CATALOG.png in this folder by default.", required=False
+)
+def catalog_show(catalog: Path, point_id: int | None, output: Path | None) -> None:
+    """Print what CATALOG says about control point ID and draw its levels.
+
+    In the picture: heights by colour with relief shading, and below them the brightness by Hapke
+    with cast shadows, finest level left.
+
+    Without an ID a small body whose shape the catalog carries is drawn from its six sides, with
+    all points, usable or why not.
+
+    \b
+    Example:
+      optnav catalog show tycho.gpkg 6420 -o point.png
+      optnav catalog show phobos.gpkg -o phobos.png
+    """
+    from catalog.inspect.draw import check_png_place, draw_pyramid, write_png
+    from catalog.inspect.summary import describe_point
+    from catalog.store.reader import Catalog
+
+    announce_compilation()
+    place = output or Path(f"{catalog.stem}{'' if point_id is None else f'-{point_id}'}.png")
+    check_png_place(place)
+    with Catalog.open(catalog) as opened:
+        if point_id is None:
+            from optnav_cli.report.body_figure import sides_picture
+
+            write_png(sides_picture(opened), place)
+        else:
+            pyramid = opened.pyramid(point_id)
+            for key, value in describe_point(pyramid.point).items():
+                click.echo(f"{key}: {value}")
+            write_png(draw_pyramid(pyramid, opened.meta.map_radius_m), place)
+    click.echo(f"picture: {place}")
+
+
+@command.command("compare", short_help="What differs between two catalogs.")
+@path_argument("first")
+@path_argument("second")
+@output_option("A table (CSV) of every point that differs.", required=False)
+@pass_progress
+def catalog_compare(
+    progress: ConsoleProgress, first: Path, second: Path, output: Path | None
+) -> None:
+    """Compare the content of the catalogs FIRST and SECOND.
+
+    Ends with exit code 0 when both have the same content and with 5 when it differs: in settings,
+    points, places, usability, heights or certificates. The greatest differences of each kind are
+    printed. Time, program, config and hashes of terrain models are shown, but are no content.
+
+    \b
+    Examples:
+      optnav catalog compare release.gpkg moon.gpkg
+      optnav catalog compare release.gpkg moon.gpkg -o differences.csv
+    """
+    announce_compilation()
+    compare_and_tell(first, second, progress, output)
+
+
+def compare_and_tell(
+    first: Path, second: Path, progress: Progress, table: Path | None = None
+) -> None:
+    """Print what differs. Raises DifferenceError when the content does."""
+    from catalog.errors import DifferenceError
+    from catalog.inspect.compare import compare
+    from catalog.inspect.differences import lines, summary, write_table
+
+    found = compare(first, second, progress)
+    for line in lines(found):
+        click.echo(line)
+    if table is not None:
+        click.echo(f"table: {table}: {write_table(found, table)} points")
+    if not found.same:
+        raise DifferenceError(f"{second}: differs from {first}: {summary(found)}")
+    click.echo("content: the same")
+
+
+def require_reference(reference: Path, output: Path) -> None:
+    """Refuse a catalog to compare with that is damaged, or is the one to be written."""
+    from catalog.errors import UsageError
+    from catalog.inspect.compare import require_whole
+
+    require_whole(reference)
+    if output.exists() and output.samefile(reference):
+        raise UsageError(
+            f"--check {reference}: is the catalog that -o replaces; write the new one to another "
+            "place, or keep a copy of the old one"
+        )
+
+
+SHOWN = 50
+
+
+@command.command("verify", short_help="Read everything and check every checksum.")
+@path_argument("catalog")
+@pass_progress
+def catalog_verify(progress: ConsoleProgress, catalog: Path) -> None:
+    """Read all of CATALOG, check every checksum and compute its content digest anew.
+
+    Prints what is damaged, by table, point and level, and ends with exit code 3 if anything is. A
+    catalog that a GIS program wrote its styles to is whole as long as its own content is.
+
+    \b
+    Example:
+      optnav catalog verify tycho.gpkg
+    """
+    from catalog.store.verify import verify
+
+    announce_compilation()
+    found = verify(catalog, progress)
+    for problem in found.problems[:SHOWN]:
+        click.echo(f"damaged: {problem}")
+    if len(found.problems) > SHOWN:
+        click.echo(f"damaged: and {len(found.problems) - SHOWN} more")
+    click.echo(f"points: {found.points}")
+    click.echo(f"patches: {found.patches}")
+    click.echo(f"digest: {found.computed or 'unknown'}")
+    if found.seal is not None:
+        click.echo(f"file: {found.seal.value}")
+    if not found.sound:
+        raise DataError(
+            f"{catalog}: is damaged ({len(found.problems)} findings); restore it or build it again"
+        )
+
+
+@command.command(
+    "export", short_help="Write the points or the relief as a layer, a patch as a solid."
+)
+@path_argument("catalog")
+@output_option(
+    "The layer: a name ending in .geojson, .csv or .gpkg; .tif for the relief; .obj or .glb for a "
+    "patch."
+)
+@click.option("--point", "point_id", type=int, metavar="ID", help="The point of the patch.")
+@click.option(
+    "--level", type=int, default=0, show_default=True, help="The patch's level, 0 the finest."
+)
+def catalog_export(catalog: Path, output: Path, point_id: int | None, level: int) -> None:
+    """Write the points of CATALOG with their attributes as a layer, on the body's own sphere.
+
+    A CSV gets a .prj and a .csvt file beside it, so that GIS programs know places and types.
+    A .tif gets the relief of the whole body that CATALOG carries: its mean heights and its tops.
+    A .obj or .glb gets the ground of a patch of --point as a closed solid, metres from the point.
+
+    \b
+    Example:
+      optnav catalog export tycho.gpkg -o points.geojson
+      optnav catalog export tycho.gpkg -o relief.tif
+      optnav catalog export tycho.gpkg --point 6420 -o patch.glb
+    """
+    from catalog.errors import UsageError
+    from catalog.inspect.export import (
+        PATCH_ENDINGS,
+        RELIEF_ENDINGS,
+        export,
+        export_patch,
+        export_relief,
+    )
+    from catalog.store.reader import Catalog
+
+    with Catalog.open(catalog) as opened:
+        if output.suffix.lower() in RELIEF_ENDINGS:
+            rows = export_relief(opened, output)
+            click.echo(f"{output}: {rows} x {2 * rows} cells")
+        elif output.suffix.lower() in PATCH_ENDINGS:
+            if point_id is None:
+                raise UsageError(f"{output}: a solid is of one patch; name its point with --point")
+            triangles = export_patch(opened, point_id, level, output)
+            click.echo(f"{output}: {triangles} triangles")
+        else:
+            click.echo(f"{output}: {export(opened, output)} points")

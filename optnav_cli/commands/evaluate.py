@@ -33,8 +33,8 @@ def command(
     Example:
       optnav evaluate run --truth pictures/truth.csv --max-horizontal-m 30
     """
-    from optnav_cli.output.evaluation_files import evaluate_run, format_table, write_evaluation
-    from optnav_cli.output.figures import check_limits
+    from optnav_cli.evaluation.figures import check_limits
+    from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
 
     evaluation = evaluate_run(run, truth)
     click.echo(format_table(evaluation))

@@ -22,7 +22,7 @@ def command(source: Path, output: Path) -> None:
       optnav report run -o errors.svg
       optnav report moon.gpkg -o catalog.html
     """
-    from optnav_cli.output.report import write_report
+    from optnav_cli.report import write_report
 
     write_report(source, output)
     click.echo(output)

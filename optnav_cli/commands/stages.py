@@ -48,7 +48,7 @@ def _stage(name: str) -> click.Command:
         bbox: BoundingBox | None,
         scheduler: str | None = None,
     ) -> None:
-        from catalog.stages.build import run
+        from catalog.build.build import run
         from optnav_cli.output.account_table import account_lines
 
         announce_compilation()
@@ -94,7 +94,7 @@ def write(
     bbox: BoundingBox | None,
 ) -> None:
     """Write the catalog file (its help is given above)."""
-    from catalog.stages.build import run
+    from catalog.build.build import run
     from optnav_cli.output.account_table import account_lines
 
     report = run(

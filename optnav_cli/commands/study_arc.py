@@ -38,7 +38,7 @@ def command(
     Example:
       optnav study arc -o arc.svg
     """
-    from optnav_cli.output.report.sheet import write_sheet
+    from optnav_cli.report.sheet import write_sheet
     from optnav_cli.studies.arc import format_table, picture, run
 
     announce_compilation()

@@ -30,9 +30,8 @@ def command(progress: ConsoleProgress, scenes: int, seed: int, output: Path | No
     Example:
       optnav study matching -o matching.svg
     """
-    from optnav_cli.output.report.sheet import write_sheet
-    from optnav_cli.studies.matching import format_table, run
-    from optnav_cli.studies.matching_picture import picture
+    from optnav_cli.report.sheet import write_sheet
+    from optnav_cli.studies.matching import format_table, picture, run
 
     announce_compilation()
     rows = run(progress, scenes, seed)

@@ -29,7 +29,7 @@ def command(progress: ConsoleProgress, trials: int, seed: int, output: Path | No
     Example:
       optnav study resection --trials 1000 -o resection.svg
     """
-    from optnav_cli.output.report.sheet import write_sheet
+    from optnav_cli.report.sheet import write_sheet
     from optnav_cli.studies.resection import format_table, picture, run
 
     rows = run(progress, trials, seed)

@@ -18,7 +18,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, GravityField, load_body
-from catalog.bodies.motion import SUN_GM_M3_S2, BodyMotion, Neighbour
+from catalog.bodies.ephemeris import SUN_GM_M3_S2, BodyMotion, Neighbour
 
 # The degrees summed by Kaula's rule; the field falls off with height, so the last hardly matter.
 DEGREES = np.arange(3.0, 121.0)

@@ -8,8 +8,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
-from optnav_cli.estimation.limb_covariance import correlated_covariance
-from optnav_cli.estimation.limb_fit import MIN_LIMB_POINTS, LimbFit
+from optnav_cli.estimation.limb_fit import MIN_LIMB_POINTS, LimbFit, correlated_covariance
 
 TUKEY = 4.685  # 95 % efficient for normal errors
 MAD_TO_SIGMA = 1.4826

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import load_body
-from catalog.bodies.motion import BodyMotion, Neighbour
+from catalog.bodies.ephemeris import BodyMotion, Neighbour
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.bright_body import Blobs
+from optnav_cli.measurements.segmentation import Blobs
 
 _OTHERS: dict[str, Neighbour] = {"moon": "earth", "earth": "moon"}
 SIGMAS = 3.0

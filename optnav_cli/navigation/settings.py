@@ -6,8 +6,8 @@ from typing import Annotated
 import msgspec
 
 from catalog.config import load_toml
-from catalog.terrain.dem_file import path_of
-from optnav_cli.imagery.run_settings import SpiceSettings
+from catalog.terrain.dem.file import path_of
+from optnav_cli.frames.run_settings import SpiceSettings
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]

@@ -1,6 +1,6 @@
 """The account of a build as plain lines: what came of its cells, what each stage did and used."""
 
-from catalog.stages.account import Account, Peak, StageAccount
+from catalog.jobs.usage import Account, Peak, StageAccount
 from optnav_cli.output.wording import amount, duration, plural
 
 COLUMNS = ("stage", "done", "kept", "time", "CPU", "memory", "a worker", "read", "written")

@@ -8,8 +8,7 @@ from catalog.bodies.body import load_body
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
-from optnav_cli.imagery.run_settings import RunSettings, read_run_settings
-from optnav_cli.output.attitude import FileAttitude
+from optnav_cli.frames.run_settings import FileAttitude, RunSettings, read_run_settings
 from optnav_cli.output.tables import read_matches, read_solutions, read_table
 from optnav_cli.solution import MatchRow, Solution
 

@@ -15,9 +15,9 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
-from optnav_cli.imagery.csv_table import number, numbers
-from optnav_cli.imagery.frames import QUATERNION
-from optnav_cli.output.attitude import FileAttitude
+from optnav_cli.frames.csv_table import number, numbers
+from optnav_cli.frames.frames import QUATERNION
+from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.solution import MatchRow, Solution, Status
 
 Row = dict[str, str]

@@ -9,10 +9,10 @@ import numpy as np
 
 from catalog.errors import ConfigError, DataError
 from catalog.store.reader import Catalog
-from catalog.terrain.relief import GlobalRelief
-from catalog.terrain.relief_of_dem import load_relief
-from optnav_cli.imagery.folder import Folder
-from optnav_cli.navigation.point_field import ControlPointField, PointLayer
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.relief.sums import load_relief
+from optnav_cli.frames.folder import Folder
+from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
 
 
 @contextmanager

@@ -11,11 +11,11 @@ from catalog.correlation.similarity import Matcher
 from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.folder import Folder
-from optnav_cli.imagery.frames import Frame
-from optnav_cli.imagery.picture import load_picture
+from optnav_cli.frames.folder import Folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import load_picture
 from optnav_cli.navigation.autonomous import Navigator
-from optnav_cli.navigation.control_points import TriedPoint
+from optnav_cli.navigation.control_points.method import TriedPoint
 from optnav_cli.solution import MatchRow, OutlineMarks, Solution, unsolved
 
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}

@@ -12,11 +12,11 @@ from catalog.arrays import FloatArray
 from catalog.errors import NothingToDoError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.folder import Folder, read_folder
+from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.navigation.autonomous import Navigator, World
-from optnav_cli.navigation.point_field import ControlPointField
+from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.output.attitude import FileAttitude
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import patch_outlines, write_overlay
 from optnav_cli.output.recording import Recording, describe

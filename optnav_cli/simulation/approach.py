@@ -15,8 +15,8 @@ from scipy.integrate import solve_ivp
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
+from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.motion import AnalyticMotion, BodyMotion
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.shape import Shape, load_shape
 from optnav_cli.simulation.scenario import Approach

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.sphere import distance_to_sphere
+from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.rendering.rays.scene import Scene
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.shot import Shot

@@ -2,14 +2,58 @@
 
 from pathlib import Path
 
+import numba
 import numpy as np
 from scipy.ndimage import spline_filter
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import ConfigError
-from catalog.terrain.source import DemSettings, DemSource
-from optnav_cli.simulation import spline
+from catalog.geometry.kernel import kernel, parallel_kernel
+from catalog.terrain.dem.source import DemSettings, DemSource
+
+SPLINE_MARGIN = 16  # nodes beyond which a border no longer matters: 0.27^16 is below 1e-9
+
+
+def spline_coefficients(heights: Float32Array) -> FloatArray:
+    """Spline coefficients (rows, cols) of a grid without holes."""
+    return np.asarray(spline_filter(heights.astype(np.float64), order=3, mode="mirror"))
+
+
+@kernel
+def _weight(t: float) -> float:
+    """The cubic B-"""
+    t = abs(t)
+    if t < 1.0:
+        return 2.0 / 3.0 - t * t + 0.5 * t * t * t
+    return (2.0 - t) ** 3 / 6.0 if t < 2.0 else 0.0
+
+
+@parallel_kernel
+def sample_spline(
+    spline: FloatArray | Float32Array, row: FloatArray, col: FloatArray
+) -> Float32Array:
+    """Heights (float32, shape of `row`) at fractional rows and columns, 2-d arrays.
+
+    Beyond the outer nodes the grid is mirrored about them.
+    """
+    rows, cols = spline.shape
+    out = np.empty(row.shape, np.float32)
+    for i in numba.prange(row.shape[0]):
+        for j in range(row.shape[1]):
+            r, c = int(np.floor(row[i, j])), int(np.floor(col[i, j]))
+            total = 0.0
+            for p in range(r - 1, r + 3):
+                q_row = abs(p) if p < rows else 2 * rows - 2 - p
+                weight = _weight(row[i, j] - p)
+                line = 0.0
+                for q in range(c - 1, c + 3):
+                    q_col = abs(q) if q < cols else 2 * cols - 2 - q
+                    line += _weight(col[i, j] - q) * spline[q_row, q_col]
+                total += weight * line
+            out[i, j] = np.float32(total)
+    return out
+
 
 FEWEST_ROWS = 90  # no level is coarser than 2 degrees
 
@@ -60,15 +104,15 @@ class GlobeHeights:
     def sample(self, level: int, lat: FloatArray, lon: FloatArray) -> Float32Array:
         """Heights (float32, m) of a level at places; lat, lon 2-d arrays, rad."""
         coefficients = self._coefficients(level)
-        step = np.pi / (coefficients.shape[0] - 2 * spline.MARGIN)
-        row = (0.5 * np.pi - lat) / step - 0.5 + spline.MARGIN
-        col = np.mod(lon, 2.0 * np.pi) / step - 0.5 + spline.MARGIN
-        return spline.sample(coefficients, row, col)
+        step = np.pi / (coefficients.shape[0] - 2 * SPLINE_MARGIN)
+        row = (0.5 * np.pi - lat) / step - 0.5 + SPLINE_MARGIN
+        col = np.mod(lon, 2.0 * np.pi) / step - 0.5 + SPLINE_MARGIN
+        return sample_spline(coefficients, row, col)
 
     def _coefficients(self, level: int) -> Float32Array:
         """Spline coefficients with margins beyond the poles and the seam, so that neither shows."""
         if level not in self._splines:
-            heights, m = self._mean(level), spline.MARGIN
+            heights, m = self._mean(level), SPLINE_MARGIN
             opposite = np.roll(heights, heights.shape[0], axis=1)
             tall = np.concatenate([opposite[m - 1 :: -1], heights, opposite[: -m - 1 : -1]])
             wide = np.concatenate([tall[:, -m:], tall, tall[:, :m]], axis=1)

@@ -17,7 +17,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
-from catalog.terrain.detail import Detail
+from catalog.terrain.synthetic.relief import Detail
 from optnav_cli.simulation.globe_heights import GlobeHeights
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad

@@ -13,13 +13,13 @@ from catalog.bodies.body import Body, load_body
 from catalog.errors import OutputError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress, SilentProgress
-from catalog.terrain.detail import Detail
-from catalog.terrain.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.synthetic.relief import Detail
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.folder import write_folder
-from optnav_cli.imagery.frames import Frame
-from optnav_cli.imagery.run_settings import Attitude, RunSettings, SpiceSettings
-from optnav_cli.imagery.truth import Truth, write_truth
+from optnav_cli.frames.folder import write_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.run_settings import Attitude, RunSettings, SpiceSettings
+from optnav_cli.frames.truth import Truth, write_truth
 from optnav_cli.simulation.frame import Renderer
 from optnav_cli.simulation.globe_frame import GlobeRenderer
 from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe

@@ -6,37 +6,33 @@ from pathlib import Path
 import msgspec
 
 from catalog.bodies.body import Body
-from catalog.bodies.motion import BodyMotion, motion_of
+from catalog.bodies.ephemeris import BodyMotion, motion_of
 from catalog.config import load_toml, resource
 from catalog.errors import ConfigError
-from catalog.terrain.dem_file import BUNDLED, SHARED, path_of
+from catalog.terrain.dem.file import BUNDLED, SHARED, path_of
+from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
-from catalog.terrain.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
-from optnav_cli.imagery.run_settings import SpiceSettings
-from optnav_cli.simulation.flight_settings import (
-    ApproachSettings,
-    FlightSettings,
-    MountedCamera,
-    TransferSettings,
-)
-from optnav_cli.simulation.nuisance_settings import (
-    GlareSettings,
-    SkySettings,
-    StructureSettings,
-)
+from optnav_cli.frames.run_settings import SpiceSettings
 from optnav_cli.simulation.sections import (
+    ApproachSettings,
     AttitudeSettings,
     CameraSettings,
     DetailSettings,
+    FlightSettings,
+    GlareSettings,
     GlobeSettings,
+    MountedCamera,
     OrbitSettings,
     PointingSettings,
     PortraitSettings,
     PriorSettings,
     SensorSettings,
+    SkySettings,
+    StructureSettings,
     SunSettings,
+    TransferSettings,
 )
 
 

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_from_tdb_s
-from optnav_cli.simulation.flight_settings import MountedCamera
 from optnav_cli.simulation.scenario import AnyScenario
+from optnav_cli.simulation.sections import MountedCamera
 
 # streams of random numbers, so that a setting more or less does not move the others
 PLACE, POINTING, PRIOR, ATTITUDE, ROUGHNESS = range(5)

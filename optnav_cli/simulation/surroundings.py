@@ -1,15 +1,192 @@
 """All that a camera's pictures show besides the body, as a scenario says."""
 
-import numpy as np
+from dataclasses import dataclass
+from functools import cache
 
-from catalog.arrays import Float32Array
-from catalog.bodies.motion import BodyMotion
+import cv2
+import numpy as np
+from scipy.special import ndtr
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import BodyMotion
+from catalog.config import resource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.scenario import AnyScenario
+from optnav_cli.simulation.sections import GlareSettings, SensorSettings, StructureSettings
 from optnav_cli.simulation.sensor import Besides, Counts, add_hot_pixels
-from optnav_cli.simulation.ship import glare_veil, structure_cover
 from optnav_cli.simulation.shot import Shot
-from optnav_cli.simulation.sky import add_earth, star_light
+
+FINER = 4  # sub-pixels a side that outlines are drawn on
+UNEVEN = 0.2  # how much the brightness of a part varies over it, of its mean
+UNEVEN_PX = 160.0  # the distance over which it does
+
+
+def structure_cover(
+    parts: tuple[StructureSettings, ...], camera: Camera, seed: int
+) -> tuple[Float32Array, Float32Array]:
+    """Which share of each pixel parts of the ship cover, and their brightness: (rows, cols) each.
+
+    Brightness is a share of the bright ground's, uneven as a lit surface is, by the seed. Of parts
+    that overlap the later one lies in front.
+    """
+    rows, cols = camera.shape
+    cover, brightness = np.zeros((rows, cols), np.float32), np.zeros((rows, cols), np.float32)
+    for number, part in enumerate(parts):
+        if part.camera not in ("", camera.name):
+            continue
+        # pixel centres are whole numbers; the drawn grid begins at the picture's corner
+        corners = np.round((np.array(part.outline_px) + 0.5) * FINER).astype(np.int32)
+        drawn = np.zeros((rows * FINER, cols * FINER), np.uint8)
+        if part.width_px > 0.0:
+            width = max(1, round(part.width_px * FINER))
+            cv2.polylines(drawn, [corners], isClosed=False, color=1, thickness=width)
+        else:
+            cv2.fillPoly(drawn, [corners], color=1)
+        share = drawn.reshape(rows, FINER, cols, FINER).mean(axis=(1, 3), dtype=np.float32)
+        rng = np.random.default_rng([seed, number])
+        coarse = rng.normal(
+            size=(max(3, int(rows / UNEVEN_PX) + 2), max(3, int(cols / UNEVEN_PX) + 2))
+        )
+        uneven = cv2.resize(coarse.astype(np.float32), (cols, rows), interpolation=cv2.INTER_CUBIC)
+        own = np.maximum(part.brightness * (1.0 + UNEVEN * uneven), 0.0)
+        brightness = np.where(share > 0.0, own, brightness).astype(np.float32)
+        cover = np.maximum(cover, share)
+    return cover, brightness
+
+
+def glare_veil(shot: Shot, rays_camera: FloatArray, settings: GlareSettings) -> Float32Array:
+    """Stray light (rows, cols) as a share of the bright ground.
+
+    rays_camera  (rows, cols, 3) unit rays of the pixels' middles; NaN where the camera sees nothing
+    """
+    sun = shot.camera_from_body.apply(shot.sun_body)
+    angle = np.degrees(np.arccos(np.clip(rays_camera @ sun, -1.0, 1.0)))
+    nearest = float(np.nanmin(angle))
+    veil = settings.strength * np.exp(-(angle - nearest) / settings.falloff_deg)
+    return np.asarray(np.nan_to_num(veil), dtype=np.float32)
+
+
+STAR_SIGMAS = 5.0  # the peak of a star of the stated magnitude, over the dark noise
+SHARPEST_PX = 0.4  # stars are no sharper than a pixel shows
+STAMP_PX = 6  # half a star's stamp
+EARTH_RADIANCE = 0.3  # radiance factor at zero incidence: Bond albedo 0.3, Lambert's law
+EARTH_SAMPLES = 6  # rays a side of a pixel
+
+
+@dataclass(frozen=True)
+class Stars:
+    """directions (n, 3) unit vectors, ICRF, epoch J1991.25; magnitudes (n,) V."""
+
+    directions: FloatArray
+    magnitudes: FloatArray
+
+
+@cache
+def bright_stars() -> Stars:
+    """The stars that ship with the package, down to V 6.5."""
+    path = resource("data/bright_stars.csv")
+    table = np.loadtxt(path, delimiter=",", skiprows=1, dtype=np.float64)
+    ra, dec = np.radians(table[:, 0]), np.radians(table[:, 1])
+    directions = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+    return Stars(directions, table[:, 2])
+
+
+def star_light(
+    shot: Shot, camera: Camera, motion: BodyMotion, to_magnitude: float, sensor: SensorSettings
+) -> Float32Array:
+    """Electrons (rows, cols) of the stars in view, as the lens blurs them.
+
+    to_magnitude  the star whose brightest pixel is STAR_SIGMAS of the dark noise, on the mean over
+                  places in a pixel
+    The body hides stars as a sphere; the terrain on its limb only where it is lit.
+    Aberration, 20 arc seconds at the Moon's speed about the Sun, is left out: less than half a
+    pixel of a navigation camera. So is proper motion: 10 arc seconds a year at most.
+    """
+    stars = bright_stars()
+    out = np.zeros(camera.shape, np.float32)
+    directions = stars.directions @ motion.body_from_inertial(shot.tdb_s).T
+    chosen = stars.magnitudes <= to_magnitude + 2.0
+    chosen &= ~_behind(shot.position_m, directions, motion.body.radius_m)
+    pixels = camera.project(directions[chosen] @ shot.camera_from_body.as_matrix().T)
+    sigma = max(sensor.psf_sigma_px, SHARPEST_PX)
+    # the middle pixel's share of a star that falls on its middle
+    peak = float((ndtr(0.5 / sigma) - ndtr(-0.5 / sigma)) ** 2)
+    dark = max(sensor.read_noise_e, 1.0)
+    for (x, y), magnitude in zip(pixels, stars.magnitudes[chosen], strict=True):
+        across = -STAMP_PX < x < camera.width_px + STAMP_PX
+        if not (across and -STAMP_PX < y < camera.height_px + STAMP_PX):
+            continue
+        electrons = STAR_SIGMAS * dark / peak * 10.0 ** (-0.4 * (magnitude - to_magnitude))
+        _add_point(out, x, y, electrons, sigma)
+    return out
+
+
+def _add_point(out: Float32Array, x: float, y: float, electrons: float, sigma: float) -> None:
+    rows, cols = out.shape
+    r0, r1 = max(round(y) - STAMP_PX, 0), min(round(y) + STAMP_PX + 1, rows)
+    c0, c1 = max(round(x) - STAMP_PX, 0), min(round(x) + STAMP_PX + 1, cols)
+    if r0 >= r1 or c0 >= c1:
+        return
+    down = ndtr((np.arange(r0, r1 + 1) - 0.5 - y) / sigma)
+    across = ndtr((np.arange(c0, c1 + 1) - 0.5 - x) / sigma)
+    out[r0:r1, c0:c1] += (electrons * np.outer(np.diff(down), np.diff(across))).astype(np.float32)
+
+
+def add_earth(radiance: Float32Array, shot: Shot, camera: Camera, motion: BodyMotion) -> None:
+    """The Earth as a lit sphere without features, where nothing stands before it; in place."""
+    radius = load_body("earth").radius_m
+    body_from_inertial = motion.body_from_inertial(shot.tdb_s)
+    centre = body_from_inertial @ motion.position_m("earth", shot.tdb_s) - shot.position_m
+    distance = float(np.linalg.norm(centre))
+    in_camera = shot.camera_from_body.apply(centre) / distance
+    rim = _rim(in_camera, float(np.arcsin(radius / distance)))
+    pixels = camera.project(rim)
+    pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    if not pixels.size:
+        return
+    (x0, y0), (x1, y1) = pixels.min(axis=0) - 1.0, pixels.max(axis=0) + 2.0
+    rows = slice(max(int(y0), 0), max(min(int(y1) + 1, camera.height_px), 0))
+    cols = slice(max(int(x0), 0), max(min(int(x1) + 1, camera.width_px), 0))
+    if rows.start >= rows.stop or cols.start >= cols.stop:
+        return
+    offset = (np.arange(EARTH_SAMPLES) + 0.5) / EARTH_SAMPLES - 0.5
+    px = (np.arange(cols.start, cols.stop)[:, None] + offset).ravel()
+    py = (np.arange(rows.start, rows.stop)[:, None] + offset).ravel()
+    rays = camera.unproject(np.stack(np.meshgrid(px, py), axis=-1))
+    along = distance * rays @ in_camera
+    square = along**2 - distance**2 + radius**2
+    with np.errstate(invalid="ignore"):
+        hit = (square > 0.0) & (along > 0.0)
+        point = (along - np.sqrt(np.maximum(square, 0.0)))[..., None] * rays
+    normal = (point - distance * in_camera) / radius
+    sun = shot.camera_from_body.apply(shot.sun_body)
+    in_body = rays @ shot.camera_from_body.as_matrix()
+    hit &= ~_behind(shot.position_m, in_body, motion.body.radius_m)
+    value = np.where(hit, EARTH_RADIANCE * np.maximum(normal @ sun, 0.0), 0.0)
+    n = EARTH_SAMPLES
+    mean = value.reshape(value.shape[0] // n, n, value.shape[1] // n, n).mean(axis=(1, 3))
+    window = radiance[rows, cols]
+    window[window == 0.0] = mean[window == 0.0]
+
+
+def _behind(position_m: FloatArray, directions: FloatArray, radius_m: float) -> BoolArray:
+    """Whether unit rays (..., 3), body frame, from a place (3,) meet the body's sphere."""
+    along = directions @ position_m
+    return np.asarray((along < 0.0) & (position_m @ position_m - along**2 < radius_m**2))
+
+
+def _rim(axis: FloatArray, half_angle: float) -> FloatArray:
+    """Unit vectors (n, 3) on a cone about a unit vector, and the axis itself."""
+    across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    across /= np.linalg.norm(across)
+    other = np.cross(axis, across)
+    turn = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)[:, None]
+    rim = np.cos(half_angle) * axis + np.sin(half_angle) * (
+        np.cos(turn) * across + np.sin(turn) * other
+    )
+    return np.concatenate([rim, axis[None]])
+
 
 HOT, STRUCTURE = 23, 29  # streams of random numbers, apart from those of noise and trajectory
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.motion import AnalyticMotion, BodyMotion
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.simulation.approach import approach_states
 from optnav_cli.simulation.portraits import portrait_moments

@@ -6,10 +6,10 @@ import numpy as np
 
 from catalog.bodies.body import Body
 from catalog.errors import ConfigError
-from catalog.terrain.detail import Detail
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.refine import FINEST_FACES, refined, roughened
 from catalog.terrain.mesh.shape import load_shape
+from catalog.terrain.synthetic.relief import Detail
 from optnav_cli.simulation.scenario import ShapeScenario
 
 

@@ -17,10 +17,14 @@ from catalog.bodies.body import Body
 from catalog.errors import ConfigError
 from catalog.geometry.grid import sample_bicubic
 from catalog.rendering.rays.ground import Ground, make_ground
-from catalog.terrain.detail import Detail
-from catalog.terrain.source import DemSettings, DemSource
-from optnav_cli.simulation import spline
-from optnav_cli.simulation.globe_heights import read_globe
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.synthetic.relief import Detail
+from optnav_cli.simulation.globe_heights import (
+    SPLINE_MARGIN,
+    read_globe,
+    sample_spline,
+    spline_coefficients,
+)
 from optnav_cli.simulation.wide_ground import WideGround
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad
@@ -187,7 +191,7 @@ class TruthTerrain:
             period = source.shape[1]
             col = col[:1, :1] + np.mod(col - col[:1, :1] + 0.5 * period, period) - 0.5 * period
         rows, cols = source.shape
-        margin = spline.MARGIN
+        margin = SPLINE_MARGIN
         top = max(int(np.nanmin(row)) - margin, 0)
         bottom = min(int(np.nanmax(row)) + margin + 1, rows)
         left, right = int(np.nanmin(col)) - margin, int(np.nanmax(col)) + margin + 1
@@ -205,6 +209,6 @@ class TruthTerrain:
         if holes.any():
             found = sample_bicubic(heights, y, x)
         else:
-            found = spline.sample(spline.coefficients(heights), y, x)
+            found = sample_spline(spline_coefficients(heights), y, x)
         found[~inside] = np.nan
         return found

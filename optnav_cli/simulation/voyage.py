@@ -9,13 +9,13 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import BodyMotion
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.motion import BodyMotion
 from catalog.errors import ConfigError
 from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.orbit import OrbitMotion
-from optnav_cli.simulation.flight_settings import FlightSettings, TransferSettings
+from optnav_cli.dynamics.integrator import OrbitMotion
 from optnav_cli.simulation.scenario import AnyScenario, Voyage
+from optnav_cli.simulation.sections import FlightSettings, TransferSettings
 from optnav_cli.simulation.shot import ROUGHNESS, Moment
 
 States = tuple[FloatArray, FloatArray]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
-from catalog.terrain.detail import Detail
+from catalog.terrain.synthetic.relief import Detail
 from optnav_cli.simulation.globe_heights import GlobeHeights
 
 FINER = 2  # nodes of a ground with relief against the globe's posting

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
+from catalog.build import build
 from catalog.config import resource
 from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
-from catalog.stages import build
-from optnav_cli.imagery.apollo import apollo_frame, write_apollo_folder
-from optnav_cli.imagery.isis_cube import read_cube_pose
+from optnav_cli.frames.apollo import apollo_frame, write_apollo_folder
+from optnav_cli.frames.isis_cube import read_cube_pose
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.runs.navigate_folder import navigate_folder

@@ -19,8 +19,8 @@ from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.estimation.limb_fit import fit_limb, linear_position
-from optnav_cli.output.report.sheet import Entry, Panel, sheet
-from optnav_cli.output.report.svg import Plot
+from optnav_cli.report.sheet import Entry, Panel, sheet
+from optnav_cli.report.svg import Plot
 
 RADIUS_M = 1_737_400.0
 STEP_DEG = 0.01

@@ -15,18 +15,18 @@ from pathlib import Path
 import numpy as np
 
 from catalog.arrays import FloatArray
+from catalog.build import build
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import Progress
-from catalog.stages import build
-from catalog.terrain.dem_file import path_of
+from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.folder import read_folder
-from optnav_cli.imagery.truth import Truth, read_truth
+from optnav_cli.evaluation.evaluation import pool
+from optnav_cli.evaluation.figures import FrameError
+from optnav_cli.evaluation.files import evaluate_run
+from optnav_cli.frames.folder import read_folder
+from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.output.evaluation import pool
-from optnav_cli.output.evaluation_files import evaluate_run
-from optnav_cli.output.figures import FrameError
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies.autonomous_table import Results, Row, RowResult, ShareResult, write_figures
 from optnav_cli.studies.pictures import GLOBE, shipped_pictures, with_star_sensor

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optnav_cli.output.figures import FrameError, figures_of
+from optnav_cli.evaluation.figures import FrameError, figures_of
 from optnav_cli.studies.navigation import STAR_SENSOR_M_PER_KM
 
 ENOUGH_ARC_DEG = 140.0

@@ -16,15 +16,14 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.config import resource
-from catalog.terrain.detail import Detail
-from catalog.terrain.mesh.relief import relief_of_mesh
+from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.shape import load_shape
-from catalog.terrain.mesh.terrain import MeshTerrain
-from catalog.terrain.relief import GlobalRelief
-from catalog.terrain.source import DemSettings
+from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.synthetic.relief import Detail
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.imagery.picture import Picture
+from optnav_cli.frames.picture import Picture
 from optnav_cli.simulation.globe_frame import GlobeRenderer
 from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
 from optnav_cli.simulation.globe_terrain import GlobeTerrain

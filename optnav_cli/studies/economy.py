@@ -18,15 +18,15 @@ import msgspec
 import numpy as np
 
 from catalog.bodies.body import load_body
+from catalog.build import check, render, select
+from catalog.build.check import CheckedPoint, outcomes_at
+from catalog.build.config import BodySettings, BuildConfig, CheckSettings, RenderSettings
+from catalog.build.context import StageContext
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, Stage
-from catalog.stages import check, render, select
-from catalog.stages.certificate import outcomes_at
-from catalog.stages.context import BodySettings, StageContext
-from catalog.stages.settings import BuildConfig
-from catalog.terrain.mosaic import Mosaic
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings
 from optnav_cli.studies.selection import DEM, SUNS, Z95, free_grounds
 
 ALL = 24  # candidates: the spacing between them leaves no room for more
@@ -41,8 +41,8 @@ class Policy:
     """A way to choose points: what differs from the default settings of a build."""
 
     name: str
-    render: render.Settings
-    check: check.Settings
+    render: RenderSettings
+    check: CheckSettings
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class EconomyRow:
 
 def policies() -> tuple[Policy, ...]:
     """The build's own first; then slower and quicker ones."""
-    own, tests = render.Settings(), check.Settings()
+    own, tests = RenderSettings(), CheckSettings()
     every = msgspec.structs.replace(
         own,
         candidates=ALL,
@@ -140,7 +140,7 @@ def one_size(context: StageContext, progress: Progress, trials: int, seed: int) 
 
 def _built(
     context: StageContext, policy: Policy, cells: Sequence[int]
-) -> tuple[list[check.Record], tuple[float, float]]:
+) -> tuple[list[CheckedPoint], tuple[float, float]]:
     """The points that a policy chooses, and the seconds that render and check took."""
     config = msgspec.structs.replace(context.config, render=policy.render, check=policy.check)
     own = replace(context, config=config)

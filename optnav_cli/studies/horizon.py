@@ -21,12 +21,12 @@ from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError, NothingToDoError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
-from catalog.terrain.dem_file import path_of
-from catalog.terrain.relief import GlobalRelief
-from catalog.terrain.relief_of_dem import load_relief
-from optnav_cli.imagery.folder import Folder, read_folder
-from optnav_cli.imagery.picture import load_picture
-from optnav_cli.imagery.truth import read_truth
+from catalog.terrain.dem.file import path_of
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.relief.sums import load_relief
+from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigation import horizon
 from optnav_cli.navigation.neighbour import View, other_body
 from optnav_cli.navigation.outline import limb_of, without_other

@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
+from catalog.build import build
 from catalog.config import resource
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.progress import Progress
 from catalog.rendering.rays.scene import Scene as LitGround
-from catalog.stages import build
 from catalog.store.reader import Catalog
-from catalog.terrain.detail import Detail
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.synthetic.relief import Detail
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.reference import Reference

@@ -13,7 +13,7 @@ from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import NO_DISTORTION, Distortion, MatchGates, match_point
 from optnav_cli.matching.reference import Reference
-from optnav_cli.navigation.search_plan import plan_distortion
+from optnav_cli.matching.search_plan import plan_distortion
 from optnav_cli.navigation.settings import MatchSettings
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from catalog.build import build
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import Progress
-from catalog.stages import build
+from optnav_cli.evaluation.evaluation import Evaluation, pool
+from optnav_cli.evaluation.figures import Figures
+from optnav_cli.evaluation.files import evaluate_run, summary_of
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.output.evaluation import Evaluation, pool
-from optnav_cli.output.evaluation_files import evaluate_run, summary_of
-from optnav_cli.output.figures import Figures
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies.pictures import STAR_SENSOR_ARCSEC, shipped_pictures, with_star_sensor
 

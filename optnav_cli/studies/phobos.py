@@ -16,14 +16,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from catalog.build import build
 from catalog.config import resource
 from catalog.errors import NothingToDoError
+from catalog.jobs.usage import Account
 from catalog.progress import Progress
-from catalog.stages import build
-from catalog.stages.account import Account
+from optnav_cli.evaluation.figures import FrameError, figures_of
+from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.output.evaluation_files import evaluate_run
-from optnav_cli.output.figures import FrameError, figures_of
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies.pictures import shipped_pictures, with_star_sensor
 

@@ -24,7 +24,7 @@ from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
-from catalog.terrain.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSettings, DemSource
 
 DEM = "data/tycho_gld100_256ppd.tif"
 POSTING_M = 118.45

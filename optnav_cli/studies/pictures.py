@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from catalog.config import resource
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
-from optnav_cli.imagery.folder import read_folder, write_folder
+from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.run import scenario_copy
 from optnav_cli.simulation.scenario import fewer_pictures, load_scenario

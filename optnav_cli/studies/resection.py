@@ -21,8 +21,8 @@ from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose, Sightings, predict, resect
-from optnav_cli.output.report.sheet import Entry, Panel, sheet
-from optnav_cli.output.report.svg import Plot
+from optnav_cli.report.sheet import Entry, Panel, sheet
+from optnav_cli.report.svg import Plot
 
 HEIGHT_M = 200e3
 RADIUS_M = 1_737_400.0

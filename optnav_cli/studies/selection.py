@@ -19,19 +19,19 @@ import cv2
 import numpy as np
 
 from catalog.bodies.body import load_body
+from catalog.build import check, render, select
+from catalog.build.cell_map import Ground, cell_ground, separation_places, suns_of
+from catalog.build.check import outcomes_at
+from catalog.build.config import BodySettings, BuildConfig
+from catalog.build.context import StageContext
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Outcome
-from catalog.stages import check, render, select
-from catalog.stages.certificate import outcomes_at
-from catalog.stages.context import BodySettings, StageContext
-from catalog.stages.ground import Ground, cell_ground, separation_places, suns_of
-from catalog.stages.settings import BuildConfig
-from catalog.terrain.mosaic import Mosaic
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings
 
 Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
 

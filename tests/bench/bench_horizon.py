@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from catalog.terrain.limb_skyline import nadir_axes
-from catalog.terrain.relief_of_dem import load_relief
+from catalog.terrain.relief.sums import load_relief
+from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.estimation.limb_fit import fit_limb
-from optnav_cli.imagery.picture import Picture
+from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.outline import navigate
 from tests.bench.timing import one_core
 from tests.optnav_cli.conftest import pixel_grid

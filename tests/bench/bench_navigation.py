@@ -7,19 +7,19 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from catalog.build import build
 from catalog.config import resource
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.surf64 import match_surf
-from catalog.stages import build
 from catalog.store.reader import Catalog
 from optnav_cli.estimation.resection import Pose
-from optnav_cli.imagery.apollo import write_apollo_folder
-from optnav_cli.imagery.folder import Folder, read_folder
-from optnav_cli.imagery.picture import load_picture
+from optnav_cli.frames.apollo import write_apollo_folder
+from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.picture import load_picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
-from optnav_cli.navigation.expectation import FrameContext, expected
-from optnav_cli.navigation.point_field import ControlPointField
+from optnav_cli.navigation.control_points.expectation import FrameContext, expected
+from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.catalogs import open_field
 from optnav_cli.runs.frame_job import solve_frame

@@ -13,7 +13,7 @@ from catalog.arrays import Float32Array
 from catalog.config import resource
 from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import lit_mask
-from catalog.terrain.skyline import skyline_limits_deg
+from catalog.terrain.skyline.local import skyline_limits_deg
 from tests.bench.timing import best
 
 pytestmark = pytest.mark.bench

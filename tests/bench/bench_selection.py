@@ -8,15 +8,15 @@ import pytest
 import rasterio
 
 from catalog.bodies.body import load_body
+from catalog.build import check, render, select
+from catalog.build.config import BodySettings, BuildConfig
+from catalog.build.context import StageContext
 from catalog.config import resource
 from catalog.correlation.surf64 import descriptors, match_surf
 from catalog.geometry.cells import CellGrid
 from catalog.selection.localisation import hessian_eigenvalue_map
-from catalog.stages import check, render, select
-from catalog.stages.context import BodySettings, StageContext
-from catalog.stages.settings import BuildConfig
-from catalog.terrain.mosaic import Mosaic
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings
 from tests.bench.timing import best, one_core
 
 pytestmark = pytest.mark.bench

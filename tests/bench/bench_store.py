@@ -14,24 +14,24 @@ from scipy.spatial import cKDTree
 
 from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
+from catalog.build.config import WriteSettings
 from catalog.config import resource
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.stages import write
+from catalog.inspect.compare import compare
+from catalog.inspect.export import export
 from catalog.store.codec import encode
-from catalog.store.compare import compare
-from catalog.store.export import export
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import prepare_point
 from catalog.store.reader import Catalog
 from catalog.store.relief import prepare_relief
 from catalog.store.verify import verify
 from catalog.store.writer import write_catalog
-from catalog.terrain.relief_of_dem import load_relief
+from catalog.terrain.relief.sums import load_relief
 
 LEVELS, SIZE, POSTING_M = 5, 80, 118.45
-STEPS_M = write.Settings().steps_m([POSTING_M * 2**level for level in range(LEVELS)])
+STEPS_M = WriteSettings().steps_m([POSTING_M * 2**level for level in range(LEVELS)])
 LARGER = 96  # nodes a side, of which the file's size is told as well
 SITES = 60  # different places that the points' patches are taken from
 GIGABYTE = 1e9

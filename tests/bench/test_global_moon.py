@@ -12,7 +12,7 @@ import pytest
 import rasterio
 
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.stages.account import Account, StageAccount
+from catalog.jobs.usage import Account, StageAccount
 from tests.bench.global_moon import figures, hillshade, likeness, place, terrain
 from tests.bench.global_moon.__main__ import main
 from tests.bench.global_moon.builds import CELLS, Build

@@ -9,6 +9,7 @@ import rasterio
 from rasterio.transform import Affine
 
 from catalog.bodies.body import load_body
+from tests.catalog.made_catalogs import catalog_copy, make, world, written  # noqa: F401, fixtures
 
 SPHERE = "+R=1737400 +no_defs"
 

@@ -11,16 +11,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticMotion
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
-from catalog.bodies.motion import AnalyticMotion
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.orbit import OrbitMotion
-from optnav_cli.imagery.folder import write_folder
-from optnav_cli.imagery.frames import Frame
-from optnav_cli.imagery.run_settings import RunSettings
+from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.frames.folder import write_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.catalog.store.written import write_points

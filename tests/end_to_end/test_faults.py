@@ -15,9 +15,9 @@ from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
-from optnav_cli.imagery.folder import read_folder, write_folder
+from optnav_cli.evaluation.files import evaluate_run
+from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.output.evaluation_files import evaluate_run
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from tests.catalog.store.written import write_points

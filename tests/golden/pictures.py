@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 from catalog.arrays import ByteArray, FloatArray
 from catalog.bodies.body import load_body
+from catalog.build.config import load_build_config
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.geometry.projection import Stereographic
+from catalog.inspect.draw import draw_pyramid
 from catalog.rendering.map_view import render_map
-from catalog.stages.settings import load_build_config
-from catalog.store.drawing import draw_pyramid
 from catalog.store.reader import Catalog
-from catalog.terrain.mosaic import Mosaic
-from optnav_cli.imagery.folder import read_folder
-from optnav_cli.imagery.picture import load_picture
-from optnav_cli.imagery.truth import read_truth
+from catalog.terrain.dem.mosaic import Mosaic
+from optnav_cli.frames.folder import read_folder
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.overlay import draw_overlay, patch_outlines
-from optnav_cli.output.report.body_figure import sides_picture
 from optnav_cli.output.run_folder import RunFolder, read_run
+from optnav_cli.report.body_figure import sides_picture
 from tests.golden import sketch
 
 # From good to bad, as in the reports (viridis), blue green red.

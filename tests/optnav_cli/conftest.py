@@ -16,7 +16,8 @@ from catalog.geometry.projection import Stereographic, node_grid
 from catalog.rendering.map_view import render_map
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
-from optnav_cli.navigation.point_field import ControlPointField, PointLayer
+from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
+from tests.optnav_cli.made_runs import make_run  # noqa: F401, a fixture
 
 RADIUS_M = 1737400.0
 LAT, LON = np.radians(-43.0), np.radians(-11.0)

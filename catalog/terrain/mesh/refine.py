@@ -10,8 +10,8 @@ import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.terrain.detail import Detail
 from catalog.terrain.mesh.shape import Shape
+from catalog.terrain.synthetic.relief import Detail
 
 FINEST_FACES = 4_000_000  # that a coarse model is refined to: a grown mesh must stay in memory
 

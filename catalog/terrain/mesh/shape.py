@@ -20,7 +20,7 @@ from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.progress import Progress, SilentProgress
-from catalog.terrain.dem_file import path_of
+from catalog.terrain.dem.file import path_of
 from catalog.terrain.mesh.file import MeshSettings, RawMesh, read_mesh
 from catalog.terrain.mesh.winding import Edges, edges_of, pieces_of, turns_about, volume_of
 

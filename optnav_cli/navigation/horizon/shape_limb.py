@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
-from catalog.terrain.limb_skyline import LimbRelief, nadir_axes
-from catalog.terrain.relief import GlobalRelief
-from optnav_cli.measurements.limb_points import RELIEF
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from optnav_cli.measurements.limb.detection import RELIEF
 from optnav_cli.navigation.horizon.sight import Sight
 
 SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5

@@ -11,7 +11,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.estimation.limb_fit import LimbFit
 from optnav_cli.estimation.silhouette_step import MAD_TO_SIGMA, silhouette_step
 from optnav_cli.navigation.horizon.shape_limb import shape_ground, shape_limb

@@ -7,9 +7,38 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
-from catalog.terrain.limb_skyline import nadir_axes
+from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.limb_points import LimbPoints
+from optnav_cli.measurements.limb.detection import LimbPoints
+
+
+@dataclass(frozen=True, eq=False)
+class HorizonFix:
+    """A camera position from limb points.
+
+    position_m       (3,)   body frame
+    covariance_m2    (3, 3)
+    arc_deg          azimuth about the nadir that the used points cover
+    residual_rms_px  across the limb, of the used points
+    residuals_px     (n_points,) of each, positive away from the body; NaN of those left out
+    n_points         offered
+    n_used           kept: lit by the relief, and not outvoted
+    terrain          whether the relief's skyline was the model, or the bare ellipsoid
+    passes           over the relief's skyline; 0 without it
+    remark           what a reader should know; empty when nothing
+    """
+
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    arc_deg: float
+    residual_rms_px: float
+    residuals_px: FloatArray
+    n_points: int
+    n_used: int
+    terrain: bool
+    passes: int
+    remark: str
+
 
 ARC_BIN_DEG = 2.0
 LEAST_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)

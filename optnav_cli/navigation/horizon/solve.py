@@ -15,15 +15,14 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.limb_fit import LimbFit, fit_limb
 from optnav_cli.estimation.silhouette_step import MAD_TO_SIGMA, TUKEY
-from optnav_cli.measurements.limb_points import LimbPoints
-from optnav_cli.navigation.horizon.fix import HorizonFix
+from optnav_cli.measurements.limb.detection import LimbPoints
 from optnav_cli.navigation.horizon.shape_limb import is_shape
 from optnav_cli.navigation.horizon.shape_solve import over_shape
-from optnav_cli.navigation.horizon.sight import Sight, arc_deg, enough_arc, sight_of
+from optnav_cli.navigation.horizon.sight import HorizonFix, Sight, arc_deg, enough_arc, sight_of
 from optnav_cli.navigation.horizon.terrain_limb import (
     LimbGround,
     TerrainLimb,

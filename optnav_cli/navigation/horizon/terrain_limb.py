@@ -7,8 +7,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
-from catalog.terrain.limb_skyline import LimbRelief, nadir_axes
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.navigation.horizon.sight import Sight
 
 # Skylines of cells' means lie low, of their tops high. What meets the ground of 32 cells a degree

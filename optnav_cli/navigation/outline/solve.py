@@ -9,14 +9,15 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.picture import Picture
-from optnav_cli.measurements.disc_fit import rad_per_px
-from optnav_cli.measurements.limb_points import LimbPoints, find_limb
-from optnav_cli.measurements.shape_moments import is_round
-from optnav_cli.measurements.sun_side import doubt_of_sun
-from optnav_cli.navigation import brightness_centre, horizon, whole_disc
+from optnav_cli.frames.picture import Picture
+from optnav_cli.measurements.disc.fit import rad_per_px
+from optnav_cli.measurements.disc.moments import is_round
+from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
+from optnav_cli.measurements.limb.sun_check import doubt_of_sun
+from optnav_cli.navigation import horizon
+from optnav_cli.navigation.disc import brightness_centre, whole_disc
 from optnav_cli.navigation.horizon.shape_limb import stand_off
 from optnav_cli.navigation.neighbour import View
 from optnav_cli.solution import OutlineMarks

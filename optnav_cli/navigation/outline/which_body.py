@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.picture import Picture
-from optnav_cli.measurements.bright_body import Blobs, lit_blobs, measure_levels, without_blobs
+from optnav_cli.frames.picture import Picture
+from optnav_cli.measurements.segmentation import Blobs, lit_blobs, measure_levels, without_blobs
 from optnav_cli.navigation.neighbour import (
     BLUR_PX,
     Disc,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from catalog.stages.account import FILE, Account, StageAccount
+from catalog.jobs.usage import FILE, Account, StageAccount
 from tests.bench.global_moon.clock import Used, run
 from tests.bench.global_moon.place import CHECKOUT
 

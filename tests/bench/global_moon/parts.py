@@ -8,7 +8,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from catalog.stages.workers import available_cores
+from catalog.jobs.workers import available_cores
 from optnav_cli.output.account_table import account_lines
 from tests.bench.global_moon import builds, hillshade
 from tests.bench.global_moon.clock import Used

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from catalog.bodies.body import load_body
+from catalog.build import shortlist
+from catalog.build.config import BodySettings, BuildConfig
+from catalog.build.context import StageContext
 from catalog.geometry.cells import CellGrid
-from catalog.stages import shortlist
-from catalog.stages.context import BodySettings, StageContext
-from catalog.stages.settings import BuildConfig
-from catalog.terrain.mosaic import Mosaic
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings
 from tests.bench.global_moon import hillshade
 from tests.bench.timing import one_core
 

@@ -29,7 +29,7 @@ from scipy import ndimage
 
 from catalog.arrays import Float32Array, Int16Array
 from catalog.geometry.kernel import kernel, parallel_kernel
-from catalog.terrain import fractal
+from catalog.terrain.synthetic import fractal
 
 FORMAT = 1  # another number: rasters made before are made anew
 SEED = 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.bodies.motion import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticMotion
 from catalog.bodies.rotation import body_from_inertial
 
 DAY_S = 86400.0

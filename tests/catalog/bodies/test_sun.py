@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticMotion, sun_direction_inertial
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.motion import AnalyticMotion
-from catalog.bodies.sun import sun_direction_inertial
 from catalog.geometry.latlon import latlon_from_xyz
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from catalog.geometry.sphere import distance_to_sphere
+from catalog.geometry.ellipsoid import distance_to_sphere
 
 RADIUS = 1.7
 

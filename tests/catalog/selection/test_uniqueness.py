@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from catalog.selection.shadow_limits import shadowed_share
+from catalog.build.check import shadowed_share
 from catalog.selection.uniqueness import best_rival, uniqueness_margin
 
 

@@ -15,18 +15,18 @@ import rasterio
 
 from catalog.arrays import Float32Array
 from catalog.errors import DataError, OutputError
+from catalog.inspect.compare import compare, require_whole
+from catalog.inspect.differences import lines, summary
+from catalog.inspect.export import export_relief
+from catalog.inspect.summary import describe
 from catalog.store import relief as stored
-from catalog.store.compare import compare, require_whole
-from catalog.store.differences import lines, summary
-from catalog.store.export_relief import export_relief
 from catalog.store.patches import prepare_point
 from catalog.store.reader import Catalog
 from catalog.store.relief import prepare_relief
 from catalog.store.seal import SealState
-from catalog.store.summary import describe
 from catalog.store.verify import verify
 from catalog.store.writer import Written, write_catalog
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
 from tests.catalog.store.test_format import heights_of, read_as_described
 
 TILE = 16

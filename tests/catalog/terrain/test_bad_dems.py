@@ -10,8 +10,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
 from catalog.errors import DataError
-from catalog.terrain.pyramid import HeightPyramid
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.pyramid.pyramid import HeightPyramid
 
 
 def ingest(path, moon, **settings):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from catalog.geometry.projection import Stereographic, node_grid
-from catalog.terrain import craters, fractal
-from catalog.terrain.detail import Detail
+from catalog.terrain.synthetic import craters, fractal
+from catalog.terrain.synthetic.relief import Detail
 
 RADIUS_M = 1_737_400.0
 POSTING_M = 118.45

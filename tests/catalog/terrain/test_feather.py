@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic
-from catalog.terrain.map_nodes import pixels_of_points
-from catalog.terrain.mosaic import Mosaic
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.sampling.map_nodes import pixels_of_points
 
 BIAS_M = 60.0
 

@@ -8,9 +8,9 @@ from rasterio.transform import Affine
 from scipy.ndimage import map_coordinates
 
 from catalog.geometry.projection import Stereographic, node_grid
-from catalog.terrain.map_nodes import POLE_STEPS, STEPS, pixels_of_grid
-from catalog.terrain.mosaic import Mosaic
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.sampling.map_nodes import POLE_STEPS, STEPS, pixels_of_grid
 
 
 def mosaic_of(moon, folder, path) -> Mosaic:

@@ -4,7 +4,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from catalog.terrain.georeference import (
+from catalog.terrain.dem.georeference import (
     CYLINDRICAL,
     OTHER,
     POLAR,

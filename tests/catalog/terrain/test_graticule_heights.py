@@ -5,9 +5,9 @@ import pytest
 from rasterio.transform import Affine
 
 from catalog.geometry.graticule import Graticule, Part
-from catalog.terrain.graticule_heights import graticule_heights
-from catalog.terrain.mosaic import Mosaic
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.sampling.graticule_heights import graticule_heights
 
 
 def mosaic_of(moon, folder, *paths) -> Mosaic:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from catalog.terrain.limb_skyline import LimbRelief, nadir_axes
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 
 RADIUS = 1737400.0
 AZIMUTHS = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)

@@ -6,8 +6,8 @@ import pytest
 from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.geometry.projection import Stereographic
-from catalog.terrain.map_nodes import STEPS, pixels_of_grid, pixels_of_points
-from catalog.terrain.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.sampling.map_nodes import STEPS, pixels_of_grid, pixels_of_points
 
 
 @pytest.fixture(scope="module")

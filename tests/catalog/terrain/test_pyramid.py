@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import rasterio
 
-from catalog.terrain.overviews import level_path
-from catalog.terrain.pyramid import HeightPyramid
-from catalog.terrain.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.pyramid.overviews import level_path
+from catalog.terrain.pyramid.pyramid import HeightPyramid
 
 
 def pyramid_of(path, moon, workers=1, **settings) -> HeightPyramid:
@@ -39,7 +39,7 @@ def test_every_level_holds_area_means_of_the_whole_file(tmp_path, dems, moon):
 def test_windows_larger_than_the_file_or_smaller_give_the_same(tmp_path, dems, moon, monkeypatch):
     values = dems.smooth_grid(600).astype(np.float32)
     whole = pyramid_of(dems.write(tmp_path / "a.tif", values), moon)
-    monkeypatch.setattr("catalog.terrain.overviews.WINDOW", 512)
+    monkeypatch.setattr("catalog.terrain.pyramid.overviews.WINDOW", 512)
     cut = pyramid_of(dems.write(tmp_path / "b.tif", values), moon, workers=2)
     for level in range(1, whole.levels):
         shape = whole.shape(level)
@@ -66,7 +66,7 @@ def test_odd_sides_and_holes_are_averaged_over_what_is_there(tmp_path, dems, moo
 
 
 def test_a_file_of_long_strips_is_copied_into_tiles(tmp_path, dems, moon, monkeypatch):
-    monkeypatch.setattr("catalog.terrain.overviews.LONGEST_STRIP", 500)
+    monkeypatch.setattr("catalog.terrain.pyramid.overviews.LONGEST_STRIP", 500)
     counts = np.round(dems.smooth_grid(300) * 2.0).astype(np.int16)
     path = dems.write(tmp_path / "strips.tif", counts, blockysize=1)
     pyramid = pyramid_of(path, moon, scale=0.5)
@@ -127,8 +127,8 @@ def test_the_file_is_never_whole_in_memory(shared_data, tmp_path, workers):
         import resource
         from pathlib import Path
         from catalog.bodies.body import load_body
-        from catalog.terrain.pyramid import HeightPyramid
-        from catalog.terrain.source import DemSettings
+        from catalog.terrain.pyramid.pyramid import HeightPyramid
+        from catalog.terrain.dem.source import DemSettings
         def peak():
             return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         moon = load_body("moon")
@@ -160,7 +160,7 @@ def test_blocks_with_a_hole_are_known_whatever_the_windows(tmp_path, dems, moon,
     values = dems.smooth_grid(150).astype(np.float32)
     holes = np.random.default_rng(6).integers(0, (150, 300), (30, 2))
     values[holes[:, 0], holes[:, 1]] = np.nan
-    monkeypatch.setattr("catalog.terrain.overviews.WINDOW", 64)
+    monkeypatch.setattr("catalog.terrain.pyramid.overviews.WINDOW", 64)
     pyramid = pyramid_of(dems.write(tmp_path / "globe.tif", values), moon, workers=2)
     expected = np.ones((19, 38), dtype=bool)
     expected[holes[:, 0] // 8, holes[:, 1] // 8] = False

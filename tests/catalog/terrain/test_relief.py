@@ -10,9 +10,9 @@ from rasterio.warp import Resampling, reproject
 
 from catalog.config import resource
 from catalog.errors import DataError
-from catalog.terrain import relief_sums
-from catalog.terrain.relief_of_dem import load_relief, relief_from_dem, rows_of
-from catalog.terrain.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.relief import sums
+from catalog.terrain.relief.sums import load_relief, relief_from_dem, rows_of
 
 MOON = "+proj=longlat +R=1737400 +no_defs"
 NODATA = -32768
@@ -42,7 +42,7 @@ def counts():
 
 @pytest.mark.parametrize("west", [0.0, -180.0])
 def test_blocks_of_pixels_become_means_and_maxima(tmp_path, monkeypatch, moon, counts, west):
-    monkeypatch.setattr(relief_sums, "WINDOW", 50)  # windows end within cells
+    monkeypatch.setattr(sums, "WINDOW", 50)  # windows end within cells
     relief = relief_of(raster(tmp_path / "a.tif", counts, west), moon, rows=60)
     blocks = np.roll(counts, 180 if west == 0.0 else 0, axis=1).reshape(60, 3, 120, 3)
     np.testing.assert_allclose(relief.heights, blocks.mean(axis=(1, 3)), atol=1e-3)

@@ -9,7 +9,7 @@ import rasterio
 
 from catalog.config import resource
 from catalog.rendering.shadow import lit_mask
-from catalog.terrain.skyline import _lowest, _steeper, skyline_limits_deg
+from catalog.terrain.skyline.local import _lowest, _steeper, skyline_limits_deg
 
 MOON_M = 1_737_400.0
 POSTING_M = 118.45

@@ -7,7 +7,7 @@ import pytest
 import rasterio
 from rasterio.transform import Affine
 
-from catalog.terrain.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSettings, DemSource
 
 # file, scale and offset that its label or documentation gives, whether the sum is a radius
 REAL = [
@@ -211,7 +211,7 @@ def test_a_map_with_westward_longitudes_is_read_eastward(tmp_path, dems, moon):
 
 
 def test_isis_saturation_is_no_data(moon):
-    from catalog.terrain.source import ISIS_LOWEST_VALID, Conversion
+    from catalog.terrain.dem.source import ISIS_LOWEST_VALID, Conversion
 
     convert = Conversion(0.5, 0.0, -32768.0, ISIS_LOWEST_VALID["int16"])
     raw = np.array([[-32768, -32767, -32764, -32753, -32752, 10]], dtype=np.int16)

@@ -9,10 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from catalog.bodies.body import load_body
-from catalog.bodies.motion import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticMotion
+from optnav_cli.dynamics.arc import Fix, OrbitArc
 from optnav_cli.dynamics.forces import Forces, even_field
-from optnav_cli.dynamics.orbit import OrbitMotion
-from optnav_cli.estimation.orbit_arc import Fix, OrbitArc
+from optnav_cli.dynamics.integrator import OrbitMotion
 from optnav_cli.simulation.approach import approach_states
 from optnav_cli.simulation.scenario import Approach, load_scenario
 

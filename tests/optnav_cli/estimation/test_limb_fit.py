@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq, least_squares
 
 from catalog.errors import NoSolutionError
-from catalog.terrain.limb_skyline import nadir_axes
+from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.estimation.limb_fit import fit_limb, linear_position
 
 SHAPES = {

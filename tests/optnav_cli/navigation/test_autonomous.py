@@ -11,16 +11,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.motion import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticMotion
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.orbit import OrbitMotion
-from optnav_cli.imagery.frames import Frame
-from optnav_cli.imagery.picture import Picture
+from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation import autonomous
 from optnav_cli.navigation.autonomous import Navigator, World
-from optnav_cli.navigation.control_points import UnsolvedFrameError
+from optnav_cli.navigation.control_points.method import UnsolvedFrameError
 from optnav_cli.navigation.outline import Outline
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.solution import OutlineMarks

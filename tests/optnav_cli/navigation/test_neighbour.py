@@ -6,13 +6,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.motion import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticMotion
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.picture import Picture
+from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation import outline
 from optnav_cli.navigation.neighbour import other_body
-from tests.optnav_cli.measurements.drawn_discs import RADIUS_M, blurred_disc, expose
+from tests.optnav_cli.measurements.disc.drawn_discs import RADIUS_M, blurred_disc, expose
 
 MOON = load_body("moon")
 TDB_S = 8.2e8

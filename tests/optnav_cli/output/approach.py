@@ -9,7 +9,7 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.rotations import quaternion_from_rotation, rnb_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
-from optnav_cli.output.attitude import FileAttitude
+from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.output.tables import write_solutions
 from optnav_cli.solution import Solution
 

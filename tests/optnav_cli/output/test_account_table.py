@@ -1,7 +1,7 @@
 """The account of a build as people read it."""
 
 from catalog.control_point import Flag
-from catalog.stages.account import Account, Peak, StageAccount
+from catalog.jobs.usage import Account, Peak, StageAccount
 from optnav_cli.output.account_table import account_lines
 
 

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from optnav_cli.camera.camera import Camera
-from optnav_cli.output.canvas import DISC, FOUND, PREDICTED, REJECTED, RESIDUAL
-from optnav_cli.output.display import eight_bits
+from optnav_cli.output.canvas import DISC, FOUND, PREDICTED, REJECTED, RESIDUAL, eight_bits
 from optnav_cli.output.overlay import (
     LONGEST_PX,
     draw_overlay,

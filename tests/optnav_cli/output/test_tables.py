@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.errors import DataError
-from optnav_cli.output.attitude import FileAttitude
+from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.output.tables import (
     fixed,
     read_matches,

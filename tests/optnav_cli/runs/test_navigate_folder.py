@@ -12,15 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticMotion, SpiceMotion
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.motion import AnalyticMotion, SpiceMotion
 from catalog.errors import DataError, NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
-from optnav_cli.imagery.folder import read_folder, write_folder
-from optnav_cli.imagery.frames import Frame
-from optnav_cli.imagery.run_settings import RunSettings
+from optnav_cli.frames.folder import read_folder, write_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
 from optnav_cli.runs.catalogs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder

@@ -9,14 +9,14 @@ import pytest
 import trimesh
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticMotion
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.motion import AnalyticMotion
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.shape import Shape, load_shape
 from optnav_cli.simulation.approach import masses_of
-from optnav_cli.simulation.flight_settings import ApproachSettings
 from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
+from optnav_cli.simulation.sections import ApproachSettings
 from optnav_cli.simulation.shot import Shot
 from optnav_cli.simulation.trajectory import shots
 

@@ -11,7 +11,7 @@ from catalog.bodies.body import load_body
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.photometry import hapke
-from catalog.terrain.detail import Detail
+from catalog.terrain.synthetic.relief import Detail
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.globe_frame import GlobeRenderer
 from optnav_cli.simulation.globe_heights import GlobeHeights

@@ -9,19 +9,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.motion import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticMotion
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.nuisance_settings import (
+from optnav_cli.simulation.scenario import Scenario, load_scenario
+from optnav_cli.simulation.sections import (
     GlareSettings,
+    SensorSettings,
     SkySettings,
     StructureSettings,
 )
-from optnav_cli.simulation.scenario import Scenario, load_scenario
-from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import Besides, expose
 from optnav_cli.simulation.shot import Shot
-from optnav_cli.simulation.sky import bright_stars
-from optnav_cli.simulation.surroundings import Surroundings
+from optnav_cli.simulation.surroundings import Surroundings, bright_stars
 from optnav_cli.simulation.trajectory import shots
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -13,9 +13,9 @@ from catalog.bodies.body import load_body
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.folder import read_folder
-from optnav_cli.imagery.picture import load_picture
-from optnav_cli.imagery.truth import read_truth
+from optnav_cli.frames.folder import read_folder
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.truth import read_truth
 from optnav_cli.simulation import run
 from optnav_cli.simulation.frame import Renderer
 from optnav_cli.simulation.scenario import Scenario, SensorSettings, load_scenario

@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticMotion
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.bodies.motion import AnalyticMotion
 from catalog.errors import ConfigError
-from optnav_cli.imagery.folder import read_folder
-from optnav_cli.imagery.truth import read_truth
+from optnav_cli.frames.folder import read_folder
+from optnav_cli.frames.truth import read_truth
 from optnav_cli.simulation.run import simulate
 from optnav_cli.simulation.scenario import (
     Voyage,

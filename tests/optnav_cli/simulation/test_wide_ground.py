@@ -12,8 +12,8 @@ from catalog.errors import ConfigError
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, whole_sphere
-from catalog.terrain.detail import Detail
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.synthetic.relief import Detail
 from optnav_cli.simulation import run
 from optnav_cli.simulation.globe_heights import read_globe
 from optnav_cli.simulation.scenario import load_scenario

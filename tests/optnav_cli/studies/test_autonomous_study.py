@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.config import resource
 from optnav_cli.camera.camera import Camera
-from optnav_cli.imagery.truth import Truth
-from optnav_cli.output.figures import FrameError
+from optnav_cli.evaluation.figures import FrameError
+from optnav_cli.frames.truth import Truth
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.solution import solved, unsolved
 from optnav_cli.studies.autonomous import ROWS, SHARES, lit_arc_deg

@@ -5,14 +5,13 @@ from pathlib import Path
 import pytest
 
 from catalog.bodies.body import load_body
+from catalog.build.config import BodySettings, BuildConfig, CheckSettings, RenderSettings
+from catalog.build.context import StageContext
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import SilentProgress
-from catalog.stages import check, render
-from catalog.stages.context import BodySettings, StageContext
-from catalog.stages.settings import BuildConfig
-from catalog.terrain.mosaic import Mosaic
-from catalog.terrain.source import DemSettings
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings
 from optnav_cli.studies import economy
 
 
@@ -27,8 +26,8 @@ def context(tmp_path):
 
 def test_the_first_policy_is_what_a_build_does():
     own, *others = economy.policies()
-    assert own.render == render.Settings()
-    assert own.check == check.Settings()
+    assert own.render == RenderSettings()
+    assert own.check == CheckSettings()
     assert {policy.name for policy in others} == {"all Suns", "all tried", "fewer"}
     assert all((policy.render, policy.check) != (own.render, own.check) for policy in others)
 

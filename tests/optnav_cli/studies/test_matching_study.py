@@ -11,10 +11,10 @@ from optnav_cli.studies.matching import (
     MatchingRow,
     borne,
     format_table,
+    picture,
     summarise,
     tolerance,
 )
-from optnav_cli.studies.matching_picture import picture
 from optnav_cli.studies.matching_scene import Scene, Wrong, wrong_pose
 from optnav_cli.studies.matching_trials import (
     AXES,

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from catalog.config import resource
 from catalog.errors import NothingToDoError
+from catalog.jobs.usage import Account, StageAccount
 from catalog.progress import SilentProgress
-from catalog.stages.account import Account, StageAccount
-from optnav_cli.output.figures import FrameError
+from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.simulation.scenario import Approach, Portraits, load_scenario
 from optnav_cli.solution import solved, unsolved
 from optnav_cli.studies.phobos import ROWS, Results, Row, RowResult, format_results, run

@@ -8,10 +8,10 @@ import trimesh
 
 from catalog.bodies.body import load_body
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.terrain.detail import Detail
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.refine import refined, roughened
 from catalog.terrain.mesh.shape import Shape, load_shape
+from catalog.terrain.synthetic.relief import Detail
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from catalog.terrain.dem_file import path_of
+from catalog.terrain.dem.file import path_of
 from catalog.terrain.mesh.shape import Shape
 from catalog.terrain.mesh.smooth import butterfly, finer_grid, smooth_corners
 from catalog.terrain.mesh.table import RadiiGrid

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.terrain.limb_skyline import LimbRelief, nadir_axes
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.measurements.limb_points import LimbPoints
+from optnav_cli.measurements.limb.detection import LimbPoints
 
 MOON = load_body("moon")
 CAMERA = preset_camera("shnk")

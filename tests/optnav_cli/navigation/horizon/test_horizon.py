@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.navigation.horizon import navigate
 from tests.optnav_cli.navigation.horizon.limbs import (
     CAMERA,

@@ -12,11 +12,11 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.mesh.scene import MeshScene
-from catalog.terrain.limb_skyline import LimbRelief, nadir_axes
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.relief import GlobalRelief
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.measurements.limb_points import LimbPoints, find_limb
+from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
 from optnav_cli.navigation.horizon import navigate
 from optnav_cli.navigation.horizon.shape_limb import (
     ShapeGround,

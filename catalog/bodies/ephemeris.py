@@ -1,0 +1,289 @@
+"""How a body turns and what stands about it, by analytic theory or by SPICE kernels.
+
+Both sources answer the same questions; a run says in its log which of them it used.
+
+Analytic, without files: rotation by the series of configs/bodies with its fitted correction, the
+Sun and the Earth by SOFA. SPICE: the rotation of the frame that the kernels tie to the body, for
+the Moon always MOON_ME; positions of the SPK kernels. Where no SPK kernel is named (orientation
+kernels reach further than most orbits), Sun and places stay analytic.
+
+Directions to the Sun are apparent ones (light time and stellar aberration), as pictures show it.
+Positions are geometric ones at the very time, as forces and orbits need them.
+"""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, Protocol
+
+import erfa
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.body import Body, LockedOrbit
+from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
+from catalog.bodies.kernels import KernelSet
+from catalog.bodies.rotation import body_from_inertial
+from catalog.errors import DataError
+
+CENTURY_S = 36525.0 * DAY_S
+
+
+def planet_body(body: Body, orbit: LockedOrbit, tdb_s: float) -> FloatArray:
+    """Position (3,) of the planet's centre from the moon's, body frame, m; tdb_s TDB seconds."""
+    century = tdb_s / CENTURY_S
+    argument = orbit.mean_anomaly_deg_by_century
+    mean = float(np.radians(np.polynomial.polynomial.polyval(century, np.array(argument))))
+    e = orbit.eccentricity
+    swing = sum(t.meridian_deg for t in body.rotation.terms if t.angle_deg_by_century == argument)
+    centre = 2.0 * e * np.sin(mean) + 1.25 * e**2 * np.sin(2.0 * mean)
+    longitude = centre - np.radians(swing) * np.sin(mean)
+    # r/a of the ellipse, to the square of e as well
+    share = 1.0 - e * np.cos(mean) + 0.5 * e**2 * (1.0 - np.cos(2.0 * mean))
+    distance = 1e3 * orbit.semi_major_axis_km * share
+    return np.asarray(distance * np.array([np.cos(longitude), np.sin(longitude), 0.0]))
+
+
+LIGHT_AU_PER_DAY = 173.1446326846693  # c * 86400 s / 149597870700 m
+AU_M = 149597870700.0
+MARS_NUMBER = 4  # of SOFA's plan94
+
+
+def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
+    """Unit vector (3,) to the apparent Sun, inertial axes, as seen from the body's centre."""
+    from_sun, velocity = _heliocentric(body.sun, tdb_s / DAY_S)
+    direction = -from_sun / np.linalg.norm(from_sun)
+    apparent = direction + velocity / LIGHT_AU_PER_DAY
+    return np.asarray(apparent / np.linalg.norm(apparent))
+
+
+def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
+    """Position (3,) of the centre of `of` from the body's centre at the same time, inertial, m.
+
+    of  sun, earth, moon or mars. For Phobos all but Mars are seen from Mars, 9400 km off.
+    Raises DataError for a moon's planet where the moon's file has no [orbit].
+    """
+    day = tdb_s / DAY_S
+    if body.orbit is not None and of == body.orbit.around:
+        turn = body_from_inertial(body, tdb_s)
+        return np.asarray(turn.T @ planet_body(body, body.orbit, tdb_s))
+    if of == body.name or of == body.sun:
+        raise DataError(
+            f"there is no theory here of {of} as seen from {body.name}; "
+            "name SPICE kernels that have it"
+        )
+    if {of, body.sun} == {"earth", "moon"}:
+        # the pair itself: the Sun's distance would cost digits
+        sign = 1.0 if of == "moon" else -1.0
+        return sign * _moon(day)[0] * AU_M
+    seen_from = _heliocentric(body.sun, day)[0]
+    there = np.zeros(3) if of == "sun" else _heliocentric(of, day)[0]
+    return np.asarray((there - seen_from) * AU_M)
+
+
+def _heliocentric(of: str, day: float) -> tuple[FloatArray, FloatArray]:
+    """Position from the Sun, AU, and velocity, AU/day, `day` days after J2000."""
+    with warnings.catch_warnings():
+        # Outside 1900-2100 the theories warn; they stay far better than needed.
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        if of == "mars":
+            return _vectors(erfa.plan94(J2000_JD, day, MARS_NUMBER))
+        # The Sun's own barycentric velocity, 15 m/s, changes the aberration by 0.01".
+        heliocentric, _ = erfa.epv00(J2000_JD, day)
+    position, velocity = _vectors(heliocentric)
+    if of == "moon":
+        moon_position, moon_velocity = _moon(day)
+        return position + moon_position, velocity + moon_velocity
+    return position, velocity
+
+
+def _moon(day: float) -> tuple[FloatArray, FloatArray]:
+    """Position of the Moon from the Earth, AU, and velocity, AU/day."""
+    return _vectors(erfa.moon98(J2000_JD, day))
+
+
+def _vectors(pv: object) -> tuple[FloatArray, FloatArray]:
+    record = np.asarray(pv)
+    return np.array(record["p"], dtype=np.float64), np.array(record["v"], dtype=np.float64)
+
+
+Neighbour = Literal["sun", "earth", "moon", "mars"]
+
+SUN_GM_M3_S2 = 1.3271244004127942e20  # NAIF gm_de440.tpc, BODY10_GM
+
+# NAIF numbers; a planet's barycentre serves where its own number is not in the kernels: Mars and
+# its moons share theirs to 0.2 m.
+_NUMBERS = {"sun": (10,), "earth": (399,), "moon": (301,), "mars": (499, 4), "phobos": (401,)}
+# Where Phobos' own orbit is not in the kernels the Sun is seen from Mars, 8" off at most.
+_SEEN_FROM = _NUMBERS | {"phobos": (401, 499, 4)}
+LUNAR_FRAME = "MOON_ME"
+# The ME frames of DE403, DE421 and DE440 lie within about this of each other at the surface.
+LUNAR_FRAME_ERROR_M = 1.0
+# Kernels and series must agree to this, or the kernels are of something else. The widest honest
+# difference is that of the Earth's series, which leaves nutation and UT1 out.
+_AGREEMENT = np.radians(0.5)
+
+
+class BodyMotion(Protocol):
+    """Rotation of a body and the directions and places of its neighbours; times are TDB s."""
+
+    @property
+    def body(self) -> Body:
+        """The body that this is about."""
+
+    @property
+    def name(self) -> str:
+        """The source, for a log."""
+
+    def error_m(self, tdb_s: float) -> float:
+        """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
+
+    def body_from_inertial(self, tdb_s: float) -> FloatArray:
+        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
+
+    def sun_inertial(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes."""
+
+    def sun_body(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
+
+    def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
+        """Geometric position (3,) of a neighbour's centre from the body's, inertial, m."""
+
+
+class AnalyticMotion:
+    """Analytic theories: SOFA and the rotation series of the body's file."""
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.name = "analytic theory (SOFA, rotation series)"
+
+    def error_m(self, tdb_s: float) -> float:
+        """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
+        return self.body.rotation_error_m(tdb_s)
+
+    def body_from_inertial(self, tdb_s: float) -> FloatArray:
+        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
+        return body_from_inertial(self.body, tdb_s)
+
+    def sun_inertial(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes."""
+        return sun_direction_inertial(self.body, tdb_s)
+
+    def sun_body(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
+        return np.asarray(self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s))
+
+    def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
+        """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
+
+        Raises DataError for a pair without a theory here: a body and itself.
+        """
+        return position_inertial(self.body, of, tdb_s)
+
+
+class SpiceMotion:
+    """SPICE kernels. The toolkit is asked anew for every time (some 20 microseconds)."""
+
+    def __init__(self, body: Body, kernels: Sequence[Path]) -> None:
+        """Load the kernels and check that they are about this body.
+
+        Raises DataError for kernels that are missing, damaged, incomplete or of another body.
+        """
+        self.body = body
+        self._analytic = AnalyticMotion(body)
+        self._kernels = KernelSet(kernels)
+        self._orbits = self._kernels.has_orbits
+        rest = "" if self._orbits else "; the Sun by analytic theory (SOFA)"
+        self.name = f"SPICE kernels ({self._kernels.names}){rest}"
+        lunar = body.name == "moon"
+        self._frame = LUNAR_FRAME if lunar else self._kernels.body_frame(body.name)
+        self._check()
+
+    def error_m(self, tdb_s: float) -> float:
+        """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
+        lunar = self._frame == LUNAR_FRAME
+        return LUNAR_FRAME_ERROR_M if lunar else self.body.rotation_error_m(tdb_s)
+
+    def body_from_inertial(self, tdb_s: float) -> FloatArray:
+        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame.
+
+        Raises DataError, with the span the kernels cover, for a time outside it.
+        """
+        return self._kernels.rotation(self._frame, tdb_s)
+
+    def sun_inertial(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes.
+
+        Raises DataError, with the span the kernels cover, for a time outside it.
+        """
+        if not self._orbits:
+            return self._analytic.sun_inertial(tdb_s)
+        of, centre = self._number("sun", _NUMBERS), self._number(self.body.name, _SEEN_FROM)
+        sun = self._kernels.position_m(of, centre, tdb_s, apparent=True)
+        return np.asarray(sun / np.linalg.norm(sun))
+
+    def sun_body(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
+        return np.asarray(self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s))
+
+    def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
+        """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
+
+        Raises DataError for a time or body that the kernels do not cover.
+        """
+        orbit = self.body.orbit
+        own = orbit is not None and of == orbit.around and not self._has_own_orbit()
+        if own or not self._orbits:
+            return self._analytic.position_m(of, tdb_s)
+        centre, there = self._number(self.body.name, _NUMBERS), self._number(of, _NUMBERS)
+        return self._kernels.position_m(there, centre, tdb_s, apparent=False)
+
+    def _has_own_orbit(self) -> bool:
+        return any(self._kernels.has_orbit(number) for number in _NUMBERS[self.body.name])
+
+    def _number(self, name: str, numbers: Mapping[str, Sequence[int]]) -> int:
+        for number in numbers[name]:
+            if self._kernels.has_orbit(number):
+                return number
+        wanted = " or ".join(str(number) for number in numbers[name])
+        raise DataError(
+            f"{self.name}: none has the orbit of {name} (NAIF number {wanted}); "
+            "add the SPK kernel (.bsp) that has it"
+        )
+
+    def _check(self) -> None:
+        """Compare with the analytic theory once, in the middle of what the kernels cover."""
+        if not self._kernels.has_frame(self._frame):
+            raise DataError(
+                f"{self.name}: none defines the frame {self._frame}; add its frame kernel (.tf), "
+                "such as moon_080317.tf, and the orientation kernel (.bpc) that goes with it"
+            )
+        middle = 0.0  # J2000, for constants that hold at all times
+        if self._orbits:
+            sun, centre = self._number("sun", _NUMBERS), self._number(self.body.name, _SEEN_FROM)
+            middle = _middle(self._kernels.orbit_span((sun, centre)), middle)
+            ours, theirs = (m.sun_inertial(middle) for m in (self._analytic, self))
+            self._compare(float(np.linalg.norm(ours - theirs)), "the Sun", middle)
+        middle = _middle(self._kernels.turn_span(), middle)
+        ours, theirs = (m.body_from_inertial(middle) for m in (self._analytic, self))
+        # a rotation by a small angle differs from none by sqrt(2) of it
+        apart = float(np.linalg.norm(ours @ theirs.T - np.eye(3)) / np.sqrt(2.0))
+        self._compare(apart, f"the frame {self._frame}", middle)
+
+    def _compare(self, apart: float, what: str, tdb_s: float) -> None:
+        if not apart < _AGREEMENT:
+            raise DataError(
+                f"{self.name}: {what} is {np.degrees(apart):.3g} deg "
+                f"from the analytic theory of {self.body.name} at {utc_from_tdb_s(tdb_s, 0)}; "
+                "wanted the kernels of this body, with ICRF axes"
+            )
+
+
+def motion_of(body: Body, kernels: Sequence[Path]) -> BodyMotion:
+    """By the kernels where any are named, else by theory. Raises DataError as SpiceMotion does."""
+    return SpiceMotion(body, kernels) if kernels else AnalyticMotion(body)
+
+
+def _middle(span: tuple[float, float] | None, otherwise: float) -> float:
+    return otherwise if span is None else 0.5 * (span[0] + span[1])

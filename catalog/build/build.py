@@ -1,0 +1,288 @@
+"""The build of a catalog, stage by stage on a workspace; what is done is not done again."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import catalog
+from catalog.bodies.body import Body, load_body
+from catalog.build import check, render, select, write
+from catalog.build.check import CheckedPoint
+from catalog.build.config import BuildConfig, load_build_config
+from catalog.build.context import DemRecord
+from catalog.build.ingest import Bbox, MeshRecord
+from catalog.build.inputs import World, settle_world
+from catalog.build.relief import stored_relief
+from catalog.build.render import RenderedCell
+from catalog.build.select import SelectedCell
+from catalog.build.write import find_published, remember_published
+from catalog.control_point import ControlPoint, Flag
+from catalog.errors import ConfigError, NothingToDoError, UsageError
+from catalog.jobs import usage
+from catalog.jobs.chunks import ChunkResults
+from catalog.jobs.cluster import check_address, cluster_workers
+from catalog.jobs.records import encode_records
+from catalog.jobs.usage import Account, StageAccount
+from catalog.jobs.workers import available_cores, workers_of
+from catalog.jobs.workspace import MARK, Workspace, stage_key
+from catalog.progress import Progress, SilentProgress
+from catalog.store.partial import check_place
+from catalog.store.patches import PreparedPoint
+from catalog.terrain.dem.file import path_of
+
+STAGES = ("ingest", "render", "select", "check", "write")
+
+
+@dataclass
+class BuildReport:
+    """What came of a run; output and digest are there once the catalog is written."""
+
+    work: Path
+    account: Account
+    dems: list[DemRecord | MeshRecord] = field(default_factory=list)
+    output: Path | None = None
+    points: int = 0
+    usable: int = 0
+    digest: str = ""
+
+
+def run(
+    config_path: Path,
+    work: Path | None = None,
+    *,
+    stages: Sequence[str] = STAGES,
+    output: Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    bbox: Bbox | None = None,
+    progress: Progress | None = None,
+) -> BuildReport:
+    """Run stages of a build; results of earlier runs with the same settings are used.
+
+    work     the work folder; without it OUTPUT.work beside the output. It is kept.
+    stages   some of STAGES, run in their order
+    output   the catalog, for the write stage
+    workers  processes; 1 works in this one, None takes all cores
+    scheduler  tcp://HOST:PORT of a dask cluster, whose workers do the work instead of processes
+             here; the terrain models and the work folder have the same paths there
+    bbox     west, south, east, north (deg): only cells whose middle lies inside
+    Raises an OptnavError; NothingToDoError when the catalog, though written, has no usable point.
+    """
+    wanted = [stage for stage in STAGES if stage in stages]
+    if "write" in wanted and output is None:
+        raise UsageError("the write stage needs a place for the catalog; name it with -o")
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers {workers}: wanted 1 or more")
+    if output is not None:
+        check_place(output)  # before hours of work for a place that cannot be used
+    if work is None:
+        if output is None:
+            raise UsageError("name a work folder with --work")
+        work = output.with_name(output.name + ".work")
+    if scheduler is not None:
+        check_address(scheduler)
+        # workers elsewhere have another working folder
+        config_path, work = config_path.absolute(), work.absolute()
+    config = load_build_config(config_path)
+    try:
+        body = load_body(config.body.name)
+    except ConfigError as error:
+        raise ConfigError(f"{config_path}: [body] name: {error}") from None
+    workspace = Workspace(work)
+    with workspace.locked():
+        build = _Build(
+            workspace, config, config_path, body, workers, scheduler, progress or SilentProgress()
+        )
+        try:
+            return build.run(wanted, bbox, output)
+        finally:
+            build.workers.close()
+
+
+class _Build:
+    """One run on a workspace that is held."""
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        config: BuildConfig,
+        config_path: Path,
+        body: Body,
+        workers: int | None,
+        scheduler: str | None,
+        progress: Progress,
+    ) -> None:
+        self.workspace, self.config, self.config_path = workspace, config, config_path
+        self.body, self.progress = body, progress
+        self.count = workers or available_cores()
+        if scheduler is None:
+            self.workers = workers_of(self.count)
+        else:  # self.count threads read terrain models, here
+            names = [dem.path for dem in config.dem] + [mesh.path for mesh in config.mesh]
+            named = [path_of(name, config_path.parent) for name in names]
+            self.workers = cluster_workers(scheduler, [workspace.path(MARK), *named])
+        self.account = Account(f"optnav {catalog.__version__}", self.workers.count)
+
+    def run(self, wanted: Sequence[str], bbox: Bbox | None, output: Path | None) -> BuildReport:
+        """All wanted stages in order; a stage whose forerunner is not done is refused."""
+        report = BuildReport(self.workspace.folder, self.account)
+        with self._stage("ingest") as stage:  # every run begins with it
+            world = settle_world(
+                self.workspace,
+                self.config,
+                self.config_path,
+                self.body,
+                bbox,
+                self.count,
+                self.progress,
+                stage,
+            )
+            report.dems, self.account.cells = world.dems, world.cells
+        rendered = self._results(world, "render", RenderedCell)
+        checked = self._results(world, "check", CheckedPoint)
+        points: list[ControlPoint] | None = None
+        if "render" in wanted:
+            with self._stage("render") as stage:
+                self._run_chunks(rendered, render.render_chunk, world, world.chunks, stage)
+        if "select" in wanted:
+            with self._stage("select") as stage:
+                self._select(world, rendered, stage)
+        if "check" in wanted:
+            with self._stage("check") as stage:
+                chosen = self._chosen(world)
+                self._run_chunks(checked, check.check_chunk, world, chosen, stage)
+                points = self._points(world, checked, len(chosen))
+        if "write" in wanted and output is not None:
+            with self._stage("write") as stage:
+                if points is None:
+                    points = self._points(world, checked, len(self._chosen(world)))
+                self._write(world, points, output, report, stage)
+            if report.usable == 0:
+                raise self._nothing_usable(output)
+        return report
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[StageAccount]:
+        """Measure a stage; its account is on the disk before the next one begins."""
+        stage = StageAccount(name)
+        with stage.measured():
+            yield stage
+        self.account.stages.append(stage)
+        data = msgspec.json.format(msgspec.json.encode(self.account), indent=2)
+        self.workspace.put(usage.FILE, data)
+
+    def _results(self, world: World, stage: str, type_: type[Any]) -> ChunkResults:
+        return ChunkResults(self.workspace, stage, world.keys[stage], type_)
+
+    def _run_chunks(
+        self,
+        results: ChunkResults,
+        function: Callable[[Any, Any], Sequence[msgspec.Struct]],
+        world: World,
+        chunks: Sequence[Sequence[Any]],
+        stage: StageAccount,
+    ) -> None:
+        with self.progress.stage(stage.name, sum(map(len, chunks)), "cell") as shown:
+            for _ in results.make(function, world.context, chunks, self.workers, stage, shown):
+                pass
+        self.workspace.keep_only(stage.name, {results.key})
+
+    def _select(self, world: World, rendered: ChunkResults, stage: StageAccount) -> None:
+        key = world.keys["select"]
+        if self.workspace.records(_select_name(key), SelectedCell) is not None:
+            stage.kept = 1
+            return
+        records = rendered.all_records(len(world.chunks))
+        if records is None:
+            raise self._missing("render")
+        with self.progress.stage("select", total=len(records), unit="cell") as shown:
+            chosen = select.select(world.context, records)
+            self.workspace.put(_select_name(key), encode_records(chosen))
+            shown.advance(len(records))
+        stage.done = 1
+        self.workspace.keep_only("select", {key})
+
+    def _chosen(self, world: World) -> list[list[SelectedCell]]:
+        """Selected records cut as their cells were cut for rendering; empty pieces left out."""
+        name = _select_name(world.keys["select"])
+        records = self.workspace.records(name, SelectedCell)
+        if records is None:
+            raise self._missing("select")
+        by_cell = {record.cell: record for record in records}
+        pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in world.chunks]
+        return [piece for piece in pieces if piece]
+
+    def _points(self, world: World, checked: ChunkResults, count: int) -> list[ControlPoint]:
+        """The points of so many checked pieces, judged in the account."""
+        records = checked.all_records(count)
+        if records is None:
+            raise self._missing("check")
+        points: list[ControlPoint] = [record.point(world.context) for record in records]
+        # a cell at a model's edge may have ground, yet none where its place is: no point there
+        points = [point for point in points if math.isfinite(point.radius_m)]
+        self.account.judge((point.usable, Flag(point.flags)) for point in points)
+        return points
+
+    def _write(
+        self,
+        world: World,
+        points: Sequence[ControlPoint],
+        output: Path,
+        report: BuildReport,
+        stage: StageAccount,
+    ) -> None:
+        if not points:
+            raise NothingToDoError(
+                f"{self.config_path}: no cell has room for a control point on the terrain models; "
+                "wanted finest patches that lie on them whole: "
+                "lower [pyramid] size or posting_m, or give more ground"
+            )
+        config_text = self.config_path.read_text(encoding="utf-8-sig")
+        relief = world.relief
+        key = stage_key(world.keys["write"], world.sources(), config_text, relief and relief.key)
+        written = find_published(self.workspace, key, output)
+        if written is not None:
+            stage.kept = math.ceil(len(points) / write.CHUNK_POINTS)
+        else:
+            results = self._results(world, "write", PreparedPoint)
+            self.workspace.keep_only("write", {results.key})  # first, for they are as large as it
+            written = write.write(
+                world.context,
+                points,
+                output,
+                sources=world.sources(),
+                config_text=config_text,
+                relief=stored_relief(self.workspace, relief) if relief is not None else None,
+                results=results,
+                workers=self.workers,
+                progress=self.progress,
+                account=stage,
+            )
+            remember_published(self.workspace, key, written.path)
+        self.workspace.keep_only("write", set())  # the catalog has it all now
+        report.output, report.points = written.path, written.count
+        report.usable, report.digest = written.usable, written.digest
+
+    def _nothing_usable(self, output: Path) -> NothingToDoError:
+        judged = self.account
+        reasons = ", ".join(f"{count} {reason}" for reason, count in judged.reasons.items())
+        return NothingToDoError(
+            f"{output}: written, but none of its {judged.points} control points is usable "
+            f"({reasons}); no data wants more ground around the cells or smaller "
+            "patches ([pyramid] levels, size), the rest is judged by [check]"
+        )
+
+    def _missing(self, stage: str) -> UsageError:
+        return UsageError(
+            f"{self.workspace.folder}: holds no complete result of `{stage}` for this config; "
+            f"first run: optnav {stage} {self.config_path} --work {self.workspace.folder}"
+        )
+
+
+def _select_name(key: str) -> str:
+    return f"select-{key}/records.bin"

@@ -1,0 +1,208 @@
+"""The ground of a cell: a local map grid, and the places in it that a control point may take.
+
+Where a cell's ground is cut by itself: about the poles, beside holes and where cells are few and
+wide. All other cells share sweeps (shortlist.py).
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from catalog.build.config import RenderSettings
+from catalog.build.context import StageContext
+from catalog.geometry.latlon import wrap_longitude_deg
+from catalog.geometry.tangent_plane import MapProjection
+from catalog.rendering.sun_samples import sun_samples
+from catalog.selection.localisation import hessian_eigenvalue_map, sun_products
+from catalog.selection.spacing import strongest_peaks
+
+STEPS_PER_WINDOW = 16  # the response hardly changes over a sixteenth of its window
+BLUR_NODES = 1.0  # optics of 0.7 px, the pixel itself and resampling
+# A patch of the finest levels may miss this share of its nodes.
+FINE_LEVELS = 3
+MAX_MISSING = 0.03
+COVERAGE_LATTICE = 24
+POLAR_DEG = 75.0
+POLAR_AZIMUTHS = 8
+
+
+class Ground(NamedTuple):
+    """The ground of a cell and the places in it.
+
+    projection  about the cell's middle; heights (n, n) m at the finest posting
+    step        nodes between places; place [i, j] is the middle of the window of `window` nodes
+                whose first node is (i step, j step)
+    lat, lon    (m, m) of the places, deg
+    inside      (m, m) whether a place lies in the cell, away from its borders
+    whole       (m, m) whether its finest patches have ground
+    complete    whether the patches of all places have
+    """
+
+    projection: MapProjection
+    heights: Float32Array
+    window: int
+    step: int
+    lat: FloatArray
+    lon: FloatArray
+    inside: BoolArray
+    whole: BoolArray
+    complete: bool
+
+
+def places_step(window: int) -> int:
+    """Nodes between places, and a side of the tiles that windows are summed from."""
+    return max(1, window // STEPS_PER_WINDOW)
+
+
+def cell_ground(context: StageContext, cell: int) -> Ground | None:
+    """The ground of a cell; None where there is none at all."""
+    settings = context.config.render
+    projection = context.projection(*context.grid.centre_deg(cell))
+    window = settings.window_nodes
+    side = _ground_side(context, cell, window)
+    heights = context.mosaic.local_grid(projection, context.posting_m, side)
+    if not np.isfinite(heights).any():
+        return None
+    step = places_step(window)
+    places = np.arange((side - window) // step + 1) * step
+    offsets = (places + (window - 1) / 2.0 - (side - 1) / 2.0) * context.posting_m
+    x, y = np.meshgrid(offsets, -offsets)
+    nodes = places + window // 2
+    middles = np.nan_to_num(heights[np.ix_(nodes, nodes)])
+    lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y, middles))
+    inside = _inside(context, cell, lat, lon, settings.inset_cell)
+    missing = _fine_patches_missing(context, projection, x, y)
+    return Ground(
+        projection, heights, window, step, lat, lon, inside,
+        whole=missing <= MAX_MISSING, complete=not missing.any(),
+    )  # fmt: skip
+
+
+def strongest_of(context: StageContext, cell: int, ground: Ground) -> list[tuple[int, int]]:
+    """Places of a cell's ground with the strongest response under its worst Sun, best first."""
+    latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
+    suns = suns_of(context.config.render, latitude)
+    response = hessian_eigenvalue_map(
+        blurred(ground.heights),
+        context.posting_m,
+        ground.window,
+        sun_products(suns),
+        ground.step,
+    )
+    radius = separation_places(context, ground)
+    free = np.where(ground.inside & ground.whole, response, np.nan)
+    peaks = strongest_peaks(free, radius, context.config.render.candidates)
+    if not peaks:  # holes everywhere, or ground without any relief: kept, for the record
+        known = np.where(ground.inside, response + np.float32(1e-30), np.nan)
+        middle = response.shape[0] // 2
+        peaks = strongest_peaks(known, radius, 1) or [(middle, middle)]
+    return peaks
+
+
+def blurred(grid: Float32Array) -> Float32Array:
+    """A grid as a camera's optics and pixels leave it: detail finer than that helps no match."""
+    return np.asarray(cv2.GaussianBlur(grid, (0, 0), BLUR_NODES), dtype=np.float32)
+
+
+def suns_of(settings: RenderSettings, lat_deg: float) -> FloatArray:
+    """The Suns (n, 3), east, north, up, under which places at a latitude are rendered."""
+    # near a pole an elevation leaves azimuths all around
+    polar = abs(lat_deg) > POLAR_DEG
+    return sun_samples(
+        np.radians(lat_deg),
+        settings.sun_elevations,
+        max(settings.sun_azimuths, POLAR_AZIMUTHS) if polar else settings.sun_azimuths,
+        max_declination=np.radians(settings.sun_declination_deg),
+        lowest=np.radians(settings.sun_min_deg),
+        highest=np.radians(settings.sun_max_deg),
+    )
+
+
+def missing_share(context: StageContext, projection: MapProjection, posting_m: float) -> float:
+    """Share of a patch without ground, from a lattice over it."""
+    spread = posting_m * (context.size - 1) / (COVERAGE_LATTICE - 1)
+    x, y = np.meshgrid(*(2 * [spread * (np.arange(COVERAGE_LATTICE) - (COVERAGE_LATTICE - 1) / 2)]))
+    lat, lon = projection.latlon(x, y)
+    return float(1.0 - context.mosaic.covers(lat, lon, posting_m).mean())
+
+
+def separation_places(context: StageContext, ground: Ground) -> float:
+    """Least distance between the candidates of a cell, in places of its ground."""
+    cell_m = np.radians(context.grid.step_deg) * context.body.radius_m
+    share = context.config.render.separation_cell
+    return float(share * cell_m / (ground.step * context.posting_m))
+
+
+def _ground_side(context: StageContext, cell: int, window: int) -> int:
+    """Nodes of the square map grid that holds a cell and half a window around it."""
+    west, south, east, north = context.grid.bounds_deg(cell)
+    # a cell is widest at its border nearer to the equator; a cap is as wide as its circle
+    parallel = np.cos(np.radians(min(abs(south), abs(north)) if south * north > 0.0 else 0.0))
+    width = 2.0 * np.sin(np.radians(min(east - west, 180.0)) / 2.0) * parallel
+    metres = max(np.radians(north - south), width) * max(
+        context.body.radius_m, *context.body.radii_m
+    )
+    return int(np.ceil(1.02 * metres / context.posting_m)) + window
+
+
+def _inside(
+    context: StageContext, cell: int, lat: FloatArray, lon: FloatArray, inset: float
+) -> BoolArray:
+    """Which places (deg) lie in a cell, away from its borders."""
+    west, south, east, north = context.grid.bounds_deg(cell)
+    margin = inset * (north - south)
+    low = south + margin if south > -90.0 else -90.0
+    high = north - margin if north < 90.0 else 90.0
+    inside = (lat >= low) & (lat <= high)
+    if east - west < 360.0:
+        half = (east - west) / 2.0
+        offset = np.abs(wrap_longitude_deg(lon - (west + half)))
+        inside &= offset <= half * (1.0 - 2.0 * inset)
+    return np.asarray(inside)
+
+
+def _fine_patches_cover(
+    context: StageContext, projection: MapProjection, extent_m: float
+) -> tuple[BoolArray, float, float]:
+    """Where there is ground for the fine patches of places within `extent_m` of the middle.
+
+    Returns a square lattice about the middle, its spacing and half a patch's side, m.
+    """
+    level = min(FINE_LEVELS, context.levels) - 1
+    half = context.postings_m[level] * (context.size - 1) / 2.0
+    reach = extent_m + half
+    nodes = COVERAGE_LATTICE * max(1, round(reach / half))
+    spacing = 2.0 * reach / (nodes - 1)
+    lattice = spacing * (np.arange(nodes) - (nodes - 1) / 2.0)
+    lat, lon = projection.latlon(*np.meshgrid(lattice, -lattice))
+    return context.mosaic.covers(lat, lon, context.postings_m[level]), spacing, half
+
+
+def has_whole_patches(context: StageContext, cell: int) -> bool:
+    """Whether the fine patches of all places of a cell have ground everywhere."""
+    side = _ground_side(context, cell, 0)
+    projection = context.projection(*context.grid.centre_deg(cell))
+    return bool(_fine_patches_cover(context, projection, side * context.posting_m / 2.0)[0].all())
+
+
+def _fine_patches_missing(
+    context: StageContext, projection: MapProjection, x: FloatArray, y: FloatArray
+) -> FloatArray:
+    """Share of the patch of the coarsest of the finest levels, at places (map m), that is holes."""
+    covered, spacing, half = _fine_patches_cover(context, projection, float(np.abs(x).max()))
+    if covered.all():
+        return np.zeros(x.shape)
+    nodes = covered.shape[0]
+    sums = np.pad(np.cumsum(np.cumsum(covered, axis=0), axis=1), ((1, 0), (1, 0)))
+
+    def index(offset: FloatArray) -> IntArray:
+        at = np.rint(offset / spacing + (nodes - 1) / 2.0)
+        return np.asarray(np.clip(at, 0, nodes - 1), dtype=np.int64)
+
+    top, bottom = index(-y - half), index(-y + half) + 1
+    left, right = index(x - half), index(x + half) + 1
+    total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    area = (bottom - top) * (right - left)
+    return np.asarray(1.0 - total / area)

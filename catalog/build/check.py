@@ -1,0 +1,324 @@
+"""Check: certify the places of each cell and take the best one that passes."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
+
+from catalog.arrays import FloatArray
+from catalog.build import cell_map, select
+from catalog.build.context import StageContext
+from catalog.build.select import SelectedCell
+from catalog.build.trials import TRIAL_LEVELS, run_trials, trial_levels
+from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
+from catalog.geometry.tangent_plane import MapProjection
+from catalog.rendering.map_view import render_map
+from catalog.rendering.sun_samples import sun_samples
+from catalog.selection.trial import Gate, Outcome, Search
+from catalog.selection.uniqueness import uniqueness_margin
+from catalog.terrain.skyline.local import skyline_limits_deg
+
+
+def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
+    """Share of the Suns whose elevation is below the skyline limit of their azimuth.
+
+    limits_deg  (k,)    limit by azimuth, bins centred on 0, 360/k, ... degrees east of north
+    suns_local  (n, 3)  unit vectors east, north, up
+    """
+    limits = np.asarray(limits_deg, dtype=np.float64)
+    suns = np.asarray(suns_local, dtype=np.float64).reshape(-1, 3)
+    azimuth = np.degrees(np.arctan2(suns[:, 0], suns[:, 1]))
+    bins = np.rint(azimuth / (360.0 / limits.size)).astype(np.int64) % limits.size
+    elevation = np.degrees(np.arcsin(np.clip(suns[:, 2], -1.0, 1.0)))
+    return float((elevation < limits[bins]).mean())
+
+
+# Room on every side of the square that uniqueness describes, nodes of its level.
+UNIQUENESS_ROOM = 8
+UNIQUENESS_SUN = np.radians(25.0)
+# What the level before leaves to search, nodes: rivals further away are out of reach.
+FINE_SEARCH_NODES = 6.0
+NOT_TRIED = Flag.NO_DATA | Flag.FLAT  # there is nothing to look at, or nothing to be seen
+FATAL = NOT_TRIED | Flag.NOT_UNIQUE | Flag.NOT_RECOGNISED | Flag.SHADOWED
+
+
+class Certificate:
+    """What is found out about a place; its trials are run as far as they are asked for.
+
+    successes, trials  of the recognition trials that were run
+    uniqueness         margins by level, finest first
+    shadow_limits_deg  (36,) by azimuth
+    """
+
+    def __init__(
+        self, context: StageContext, record: SelectedCell, place: select.Place, number: int
+    ) -> None:
+        """Examine a place without trials; number: which of the cell's places, seeds its trials."""
+        self.cell, self.place, self.spacing = record.cell, place, record.spacing
+        self.settings = context.config.check
+        self.successes = self.trials = 0
+        self.uniqueness = (0.0,) * context.levels
+        self.shadow_limits_deg = np.zeros(SHADOW_AZIMUTHS)
+        self._context = context
+        self._projection = context.projection(place.lat_deg, place.lon_deg)
+        self._patches = context.patches(place.lat_deg, place.lon_deg)
+        self._beyond = context.beyond(self._projection)
+        self._outcomes = outcomes_at(
+            context,
+            self._patches,
+            place.lat_deg,
+            place.lon_deg,
+            seed=[record.cell, number],
+            relief_seed=record.cell,
+            trials=self.settings.trials,
+        )
+        self._known = self._examined()
+
+    def _examined(self) -> Flag:
+        """What the patches tell by themselves; sets the shadow limits."""
+        settings, place, patches = self.settings, self.place, self._patches
+        flags = Flag.NONE
+        fine = [np.isnan(patch.heights_m).mean() for patch in patches[: cell_map.FINE_LEVELS]]
+        if max(fine) > cell_map.MAX_MISSING:
+            flags |= Flag.NO_DATA
+        if not place.localisation_px <= settings.max_localisation_px:
+            flags |= Flag.FLAT
+        if self.spacing < 1.0:
+            flags |= Flag.CROWDED
+        context = self._context
+        if context.mosaic.overhangs(self._projection, context.posting_m, context.size):
+            flags |= Flag.OVERHANG
+        if flags & FATAL:
+            return flags
+        self.shadow_limits_deg = skyline_limits_deg(
+            [(patch.heights_m, patch.posting_m) for patch in (*patches, *self._beyond)],
+            0,
+            self._projection.radius_m,
+        )
+        suns = cell_map.suns_of(
+            context.config.render, context.sun_latitude_deg(place.lat_deg, place.lon_deg)
+        )
+        if shadowed_share(self.shadow_limits_deg, suns) > settings.max_shadowed:
+            flags |= Flag.SHADOWED
+        return flags
+
+    @property
+    def flags(self) -> Flag:
+        """Reasons so far."""
+        failed = self.trials > 0 and self.successes < self._least
+        return self._known | Flag.NOT_RECOGNISED if failed else self._known
+
+    @property
+    def usable(self) -> bool:
+        """Whether the place passes, as far as it has been tried."""
+        return not self.flags & FATAL and self.spacing > 0.0
+
+    @property
+    def recognition_rate(self) -> float:
+        """Share of the trials so far that succeeded, 0 without trials."""
+        return self.successes / self.trials if self.trials else 0.0
+
+    @property
+    def merit(self) -> tuple[bool, float]:
+        """By which places of a cell are compared."""
+        return self.usable, self.recognition_rate
+
+    @property
+    def _least(self) -> float:
+        """Successes that the place must have."""
+        return self.settings.min_recognition * self.settings.trials - 1e-9
+
+    def try_for(self, successes: int) -> None:
+        """Run trials until all are done, or so many successes or a pass are out of reach.
+
+        A place that is out already meets none. Of one that passes, rivals are looked for: they are
+        rarer than failures, so that trials come first.
+        """
+        if not self.flags & FATAL:
+            self._run(max(self._least, successes))
+        if not self.flags & FATAL:
+            self._look_for_rivals()
+
+    def finish(self) -> None:
+        """Find out what is missing, also of a place that is out, if there is ground to see."""
+        if not self._known & NOT_TRIED:
+            self._run(0.0)
+            self._look_for_rivals()
+
+    def _look_for_rivals(self) -> None:
+        self.uniqueness = _uniqueness(self._context, self._projection, self._patches)
+        if min(self.uniqueness) < self.settings.min_margin:
+            self._known |= Flag.NOT_UNIQUE
+
+    def _run(self, wanted: float) -> None:
+        settings = self.settings
+        while self.trials < settings.trials:
+            if self.successes + settings.trials - self.trials < wanted:
+                return
+            outcome = next(self._outcomes)
+            self.trials += 1
+            self.successes += outcome.accepted and outcome.distance <= settings.max_error_nodes
+
+
+def _uniqueness(
+    context: StageContext, projection: MapProjection, patches: Sequence[Patch]
+) -> tuple[float, ...]:
+    """Margins by level, worse of a morning and an afternoon Sun."""
+    settings = context.config.check
+    room = min(UNIQUENESS_ROOM, context.size // 4)
+    suns = sun_samples(
+        projection.lat,
+        1,
+        2,
+        max_declination=np.radians(context.config.render.sun_declination_deg),
+        lowest=UNIQUENESS_SUN,
+        highest=UNIQUENESS_SUN,
+    )
+    margins = []
+    for level, patch in enumerate(patches):
+        coarsest = level == len(patches) - 1
+        reach = settings.search_km * 1e3 / patch.posting_m if coarsest else FINE_SEARCH_NODES
+        margins.append(
+            min(
+                uniqueness_margin(
+                    render_map(
+                        patch.heights_m,
+                        patch.posting_m,
+                        sun,
+                        radius_m=projection.radius_m,
+                        law="lommel_seeliger",
+                    ),
+                    context.size - 2 * room,
+                    reach,
+                )
+                for sun in suns
+            )
+        )
+    return tuple(margins)
+
+
+def outcomes_at(
+    context: StageContext,
+    patches: Sequence[Patch],
+    lat_deg: float,
+    lon_deg: float,
+    *,
+    seed: Sequence[int],
+    relief_seed: int,
+    trials: int,
+) -> Iterator[Outcome]:
+    """Recognition trials of a place under the circumstances that [check] sets, as asked for.
+
+    patches      of the place, finest first
+    seed         of what is drawn for each trial; relief_seed of the ground beyond the DEM's
+    """
+    settings = context.config.check
+    search = Search(template_nodes=min(settings.template_nodes, context.size))
+    projection = context.projection(lat_deg, lon_deg)
+    levels = trial_levels(
+        context.mosaic, projection, patches, search, settings.relief_slope_deg, relief_seed
+    )
+    yield from run_trials(
+        levels,
+        [*patches[TRIAL_LEVELS:], *context.beyond(projection)],
+        projection.radius_m,
+        projection.lat,
+        seed,
+        trials=trials,
+        search=search,
+        gate=Gate(settings.min_score, settings.rival_ratio),
+        sun_range=(np.radians(settings.sun_min_deg), np.radians(settings.sun_max_deg)),
+        max_declination=np.radians(context.config.render.sun_declination_deg),
+        snr=(settings.snr_min, settings.snr_max),
+        max_scale=settings.scale_error,
+        max_roll_deg=settings.roll_deg,
+        max_off_nadir_deg=settings.off_nadir_deg,
+    )
+
+
+class CheckedPoint(msgspec.Struct, frozen=True):
+    """A control point as far as it is known before it is written."""
+
+    cell: int
+    lat_deg: float
+    lon_deg: float
+    height_m: float
+    localisation_px: float
+    hessian_eigenvalue: float
+    recognition_rate: float
+    trials: int
+    uniqueness: tuple[float, ...]
+    shadow_limit_deg: tuple[float, ...]
+    usable: bool
+    flags: int
+    source: str
+
+    def point(self, context: StageContext) -> ControlPoint:
+        """The control point of the record."""
+        return ControlPoint(
+            id=self.cell,
+            lat_deg=self.lat_deg,
+            lon_deg=self.lon_deg,
+            radius_m=context.body.radius_m + self.height_m,
+            localisation_px=self.localisation_px,
+            hessian_eigenvalue=self.hessian_eigenvalue,
+            recognition_rate=self.recognition_rate,
+            trials=self.trials,
+            uniqueness=self.uniqueness,
+            shadow_limit_deg=self.shadow_limit_deg,
+            usable=self.usable,
+            flags=Flag(self.flags),
+            source=self.source,
+        )
+
+
+def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[CheckedPoint]:
+    """The point of each cell with its certificate."""
+    return [check_cell(context, record) for record in records]
+
+
+def check_cell(context: StageContext, record: SelectedCell) -> CheckedPoint:
+    """The first place that passes well; else the one recognised most often, usable or not.
+
+    Earlier places win ties: they have the smaller predicted error. A place meets no more trials
+    than it takes to see that it is out, or no better than one before it; the one that is kept
+    meets them all.
+    """
+    settings = context.config.check
+    best: Certificate | None = None
+    for number, place in enumerate(record.places[: settings.places]):
+        found = Certificate(context, record, place, number)
+        found.try_for(best.successes + 1 if best is not None and best.usable else 0)
+        if found.usable and found.recognition_rate >= settings.good_recognition:
+            return _record(context, found)
+        if best is None or found.merit > best.merit:
+            best = found
+    if best is None:
+        raise ValueError(f"cell {record.cell}: no place to check")
+    if not best.usable:
+        best.finish()
+    return _record(context, best)
+
+
+def _record(context: StageContext, found: Certificate) -> CheckedPoint:
+    place = found.place
+    lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
+    return CheckedPoint(
+        cell=found.cell,
+        lat_deg=place.lat_deg,
+        lon_deg=place.lon_deg,
+        height_m=float(np.nan_to_num(context.mosaic.heights(lat, lon, context.posting_m))),
+        localisation_px=place.localisation_px,
+        hessian_eigenvalue=place.hessian_eigenvalue,
+        recognition_rate=found.recognition_rate,
+        trials=found.trials,
+        uniqueness=found.uniqueness,
+        shadow_limit_deg=tuple(float(limit) for limit in found.shadow_limits_deg),
+        usable=found.usable,
+        flags=int(found.flags),
+        source=context.mosaic.provenance(
+            context.projection(place.lat_deg, place.lon_deg), context.posting_m, context.size
+        ),
+    )

@@ -1,0 +1,253 @@
+"""The build config: one TOML file; every section but [body] and the ground may be left out.
+
+The ground is one or more [[dem]], or one [[mesh]].
+
+Each stage's settings are defined in the file that reads them; here they are put together and
+their values checked.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from catalog.config import load_toml
+from catalog.errors import ConfigError
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.mesh.file import MeshSettings
+
+
+class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[body]. name: a file of configs/bodies."""
+
+    name: str
+
+
+class GridSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[grid]. cell_deg: side of a cell, one control point each; 1 gives 41 252 on a sphere."""
+
+    cell_deg: float = 1.0
+
+
+class PyramidSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[pyramid]. Patches of a control point.
+
+    levels     grids, each of twice the posting of the one before; of a mesh, at most so many and
+               none that spans more than 30 deg
+    size       nodes a side of each
+    posting_m  of the finest; without it the finest DEM's own, or, of a mesh, so that the finest
+               spans two cells
+    """
+
+    levels: int = 5
+    size: int = 80
+    posting_m: float | None = None
+
+
+class ReliefSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[relief].
+
+    dem  a terrain model of the whole body, for the ground that no [[dem]] shows; without it a
+         catalog carries a relief only if its own models show the whole body. Settings are those
+         of [[dem]], but for priority and feather_km: it lies below all others.
+    """
+
+    dem: DemSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.dem is not None and (self.dem.priority != 1 or self.dem.feather_km != 0.0):
+            raise ValueError("dem has a priority or feather_km; it lies below all others")
+
+
+STEPS_PER_POSTING = 237.0
+
+
+COARSEST_STEP_M = 4.0
+
+
+class WriteSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[write].
+
+    height_step_m  what heights are rounded to, at all levels. Without it a share of each level's
+                   posting, so that rounding turns slopes by 0.05 deg rms at most, whatever the
+                   level: 0.5 m at 118 m; and no more than 4 m, which is 1.2 m rms, a tenth of what
+                   lunar stereo models err by. A point of 5 levels of 80 nodes at 118 m takes 21 kB
+                   so, and 29 kB with half a metre at all levels.
+    """
+
+    height_step_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.height_step_m is not None and not self.height_step_m > 0.0:
+            raise ValueError(f"height_step_m is {self.height_step_m:g}; wanted more than 0")
+
+    def steps_m(self, postings_m: Sequence[float]) -> tuple[float, ...]:
+        """The step of each level, finest first."""
+        if self.height_step_m is not None:
+            return (self.height_step_m,) * len(postings_m)
+        return tuple(min(posting / STEPS_PER_POSTING, COARSEST_STEP_M) for posting in postings_m)
+
+
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+
+
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+
+Elevation = Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)]
+
+
+class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[check].
+
+    places               of a cell that are tried at most
+    max_localisation_px  predicted error above which a place is called flat
+    search_km            where a rival may stand at the coarsest level
+    min_margin           least uniqueness margin over all levels
+    max_shadowed         share of Suns under which foreign shadows may reach the patch
+    trials               recognition trials of a place
+    min_recognition      share of them that must succeed
+    good_recognition     share with which a place is taken without trying the cell's next one
+    template_nodes       side of the square that is matched in a trial
+    max_error_nodes      a match further from the truth has failed
+    min_score, rival_ratio            gate of a match, as navigation has it
+    sun_min_deg, sun_max_deg          Suns of the trials
+    snr_min, snr_max, scale_error, roll_deg, off_nadir_deg  what the trials' pictures suffer from
+    relief_slope_deg     rms slope of the random relief that the picture's ground has beyond the
+                         DEM's; craters come on top
+    """
+
+    places: Annotated[int, msgspec.Meta(ge=1)] = 3
+    max_localisation_px: Positive = 3.0
+    search_km: Positive = 10.0
+    min_margin: Share = 0.05
+    max_shadowed: Share = 0.75
+    trials: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 5
+    min_recognition: Share = 0.6
+    good_recognition: Share = 0.8
+    template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256, multiple_of=2)] = 64
+    max_error_nodes: Positive = 1.5
+    min_score: Share = 0.5
+    rival_ratio: Share = 0.9
+    sun_min_deg: Elevation = 10.0
+    sun_max_deg: Elevation = 45.0
+    snr_min: Positive = 10.0
+    snr_max: Positive = 50.0
+    scale_error: Annotated[float, msgspec.Meta(ge=0.0, le=0.3)] = 0.1
+    roll_deg: Annotated[float, msgspec.Meta(ge=0.0, le=20.0)] = 6.0
+    off_nadir_deg: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 25.0
+    relief_slope_deg: NotNegative = 3.0
+
+
+class SelectSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[select].
+
+    percentile    of the predicted errors over the Suns that counts; 100 is the worst Sun
+    spacing_cell  least distance between points of different cells, share of a cell
+    """
+
+    percentile: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 90.0
+    spacing_cell: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.6
+
+
+class RenderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[render].
+
+    candidates       places of a cell that are rendered and go on to selection
+    separation_cell  least distance between them, share of a cell
+    inset_cell       strip along a cell's borders where no candidate is taken, share of a cell
+    window_nodes     side of the square that is scored: the template at the finest level
+    levels           pyramid levels that are rendered, finest first
+    sun_elevations, sun_azimuths, sun_min_deg, sun_max_deg  the Suns, of those that can occur:
+                     away from the poles (75 deg) an elevation leaves two narrow bands of azimuth;
+                     nearer to them at least eight azimuths are taken
+    sun_declination_deg  how far from the body's equator the Sun stands
+    law              of the render
+    snr              mean brightness over noise, for the predicted error
+
+    The defaults are the cheapest that lose nothing: with 24 candidates, two levels and 32 Suns
+    the places were recognised as often (0.8 ± 1.0 points less), at seven times the cost.
+    """
+
+    candidates: Annotated[int, msgspec.Meta(ge=1, le=64)] = 8
+    separation_cell: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.12
+    inset_cell: Annotated[float, msgspec.Meta(ge=0.0, lt=0.5)] = 0.1
+    window_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 64
+    levels: Annotated[int, msgspec.Meta(ge=1, le=10)] = 1
+    sun_elevations: Annotated[int, msgspec.Meta(ge=1, le=32)] = 2
+    sun_azimuths: Annotated[int, msgspec.Meta(ge=2, le=64, multiple_of=2)] = 2
+    sun_min_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 8.0
+    sun_max_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 45.0
+    sun_declination_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 1.54
+    law: Literal["hapke", "lommel_seeliger", "lunar_lambert", "lambert"] = "hapke"
+    snr: Annotated[float, msgspec.Meta(gt=0.0)] = 10.0
+
+
+LARGEST_CELL_DEG = 20.0
+MOST_LEVELS = 10
+SIZES = (32, 256)
+MOST_CELLS = 50_000_000  # cell numbers and chunk lists must stay small
+
+
+class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A build config as it is written."""
+
+    body: BodySettings
+    dem: tuple[DemSettings, ...] = ()
+    mesh: tuple[MeshSettings, ...] = ()
+    relief: ReliefSettings = msgspec.field(default_factory=ReliefSettings)
+    grid: GridSettings = msgspec.field(default_factory=GridSettings)
+    pyramid: PyramidSettings = msgspec.field(default_factory=PyramidSettings)
+    render: RenderSettings = msgspec.field(default_factory=RenderSettings)
+    select: SelectSettings = msgspec.field(default_factory=SelectSettings)
+    check: CheckSettings = msgspec.field(default_factory=CheckSettings)
+    write: WriteSettings = msgspec.field(default_factory=WriteSettings)
+
+
+def load_build_config(path: Path) -> BuildConfig:
+    """Read and check a build config. Raises ConfigError naming file, section and key."""
+    config = load_toml(path, BuildConfig)
+    for problem in _problems(config):
+        raise ConfigError(f"{path}: {problem}")
+    return config
+
+
+def _problems(config: BuildConfig) -> list[str]:
+    found = []
+    if not config.dem and not config.mesh:
+        found.append("has no [[dem]] and no [[mesh]] section; name the body's ground")
+    if config.mesh and (config.dem or config.relief.dem is not None):
+        found.append("has [[mesh]] beside terrain models; a mesh is all of a body: choose one kind")
+    if len(config.mesh) > 1:
+        found.append(
+            f"has {len(config.mesh)} sections [[mesh]]; wanted one: a mesh is all of a body"
+        )
+    for dem in config.dem:
+        if not dem.path:
+            found.append("[[dem]] path is empty; name a terrain model")
+        if dem.priority < 1:
+            found.append(f"[[dem]] priority is {dem.priority}; wanted 1 (used first) or more")
+        if dem.scale == 0.0:
+            found.append("[[dem]] scale is 0; wanted the height of one count")
+    if config.relief.dem is not None and not config.relief.dem.path:
+        found.append("[relief] dem path is empty; name a terrain model of the whole body")
+    step = config.grid.cell_deg
+    smallest = (41_253.0 / MOST_CELLS) ** 0.5  # square degrees of a sphere shared by the cells
+    if not smallest <= step <= LARGEST_CELL_DEG:
+        found.append(
+            f"[grid] cell_deg is {step:g}; wanted between {smallest:.2g} and {LARGEST_CELL_DEG:g}"
+        )
+    pyramid = config.pyramid
+    if not 1 <= pyramid.levels <= MOST_LEVELS:
+        found.append(f"[pyramid] levels is {pyramid.levels}; wanted 1 to {MOST_LEVELS}")
+    if not SIZES[0] <= pyramid.size <= SIZES[1] or pyramid.size % 2:
+        found.append(
+            f"[pyramid] size is {pyramid.size}; wanted an even number, {SIZES[0]} to {SIZES[1]}"
+        )
+    if pyramid.posting_m is not None and pyramid.posting_m <= 0.0:
+        found.append(f"[pyramid] posting_m is {pyramid.posting_m:g}; wanted more than 0")
+    return found

@@ -1,0 +1,112 @@
+"""What every stage is given: the body, its terrain, the cells, and how patches are cut.
+
+A stage is a module with `Settings` (its section of the build config), a record type and one
+function:
+
+    render.render_chunk(context, cells)      -> list[RenderedCell]    cells: list[int]
+    select.select(context, records)          -> list[SelectedCell]    all records, by cell number
+    check.check_chunk(context, records)      -> list[CheckedPoint]     records of select
+    write.write(context, ...)                                          see write.py
+
+Chunk functions run in worker processes and must not depend on which cells share a chunk. Record
+types are msgspec.Structs, because they travel and rest as msgpack; numpy arrays in them are
+annotated `np.ndarray` and keep their type and shape.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from catalog.bodies.body import Body
+from catalog.build.config import BuildConfig
+from catalog.control_point import Patch
+from catalog.geometry.cells import CellGrid
+from catalog.geometry.projection import Stereographic
+from catalog.geometry.tangent_plane import MapProjection
+from catalog.terrain.terrain import Terrain
+
+
+class DemRecord(msgspec.Struct, frozen=True):
+    """One terrain model as it was found, for the manifest.
+
+    sha256       of its files, in order of name
+    folder       of its overviews, in the workspace
+    bounds_deg   west, south, east, north
+    valid_share  of its pixels that have a height
+    """
+
+    name: str
+    sha256: str
+    priority: int
+    feather_km: float
+    folder: str
+    rows: int
+    cols: int
+    posting_m: float
+    heights: str
+    units: str
+    lowest_m: float
+    highest_m: float
+    valid_share: float
+    bounds_deg: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class StageContext:
+    """The world of a build; pickles small (paths and numbers), files open again in a worker.
+
+    mosaic     the ground
+    posting_m  of the finest patches, settled from the config or the DEM
+    config     the whole build config; a stage reads its own section
+    """
+
+    body: Body
+    mosaic: Terrain
+    grid: CellGrid
+    posting_m: float
+    config: BuildConfig
+
+    @property
+    def levels(self) -> int:
+        """Patches of a control point."""
+        return self.config.pyramid.levels
+
+    @property
+    def size(self) -> int:
+        """Nodes a side of every patch."""
+        return self.config.pyramid.size
+
+    @property
+    def postings_m(self) -> tuple[float, ...]:
+        """Postings of the levels, finest first."""
+        return tuple(self.posting_m * 2.0**level for level in range(self.levels))
+
+    def files(self) -> list[Path]:
+        """The terrain files that every stage reads."""
+        return self.mosaic.files()
+
+    def projection(self, lat_deg: float, lon_deg: float) -> MapProjection:
+        """The map projection centred on a place."""
+        return self.mosaic.projection(np.radians(lat_deg), np.radians(lon_deg))
+
+    def sun_latitude_deg(self, lat_deg: float, lon_deg: float) -> float:
+        """The latitude that says which Suns occur at a place: its vertical's over the equator."""
+        projection = self.projection(lat_deg, lon_deg)
+        if isinstance(projection, Stereographic):
+            return lat_deg
+        return float(np.degrees(projection.lat))
+
+    def beyond(self, projection: MapProjection) -> tuple[Patch, ...]:
+        """Ground beyond the coarsest patch that throws shadows in, finer first."""
+        grids = self.mosaic.beyond(projection, self.postings_m[-1], self.size)
+        return tuple(Patch(posting, heights) for heights, posting in grids)
+
+    def patches(self, lat_deg: float, lon_deg: float) -> tuple[Patch, ...]:
+        """The patches of a control point at a place, finest first; NaN where there is no ground."""
+        projection = self.projection(lat_deg, lon_deg)
+        return tuple(
+            Patch(posting, self.mosaic.local_grid(projection, posting, self.size))
+            for posting in self.postings_m
+        )

@@ -1,0 +1,290 @@
+"""Ingest: read every terrain model whole, average it, and find the cells that have ground.
+
+A kill costs the reading of the terrain model in work, minutes for gigabytes; those before it stay.
+"""
+
+import io
+import logging
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from catalog.arrays import FloatArray, IntArray
+from catalog.bodies.body import Body
+from catalog.build.config import PyramidSettings
+from catalog.build.context import DemRecord
+from catalog.build.relief import ReliefRecord, make_or_keep
+from catalog.errors import ConfigError, DataError, UsageError
+from catalog.geometry.cells import CellGrid
+from catalog.jobs.code_key import code_key
+from catalog.jobs.hashing import content_hash
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workspace import Workspace, stage_key
+from catalog.progress import Progress
+from catalog.store.relief import prepare_relief
+from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.mesh.file import MeshSettings
+from catalog.terrain.mesh.refine import FINEST_FACES
+from catalog.terrain.mesh.shape import METRES, Shape, load_shape
+from catalog.terrain.mesh.smooth import smooth_corners
+from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
+from catalog.terrain.pyramid.overviews import FORMAT
+from catalog.terrain.pyramid.pyramid import HeightPyramid
+from catalog.terrain.terrain import Terrain
+
+Bbox = tuple[float, float, float, float]
+
+LATTICE = 5  # points a side at which a cell is asked for ground
+BLOCK_CELLS = 8  # cells a side of a block whose terrain is read together
+LARGEST_CHUNK = 64  # cells in work at once: what a kill can lose
+CHUNKS = 32  # a small build is cut at least so finely, to keep several workers busy
+
+
+def ingest(
+    workspace: Workspace,
+    settings: Sequence[DemSettings],
+    base_dir: Path,
+    body: Body,
+    workers: int,
+    progress: Progress,
+    account: StageAccount,
+) -> tuple[Mosaic, list[DemRecord]]:
+    """The mosaic of a config's [[dem]] sections; what the workspace holds already is kept.
+
+    Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
+    """
+    pyramids: list[HeightPyramid] = []
+    records: list[DemRecord] = []
+    for one in sorted(settings, key=lambda s: s.priority):
+        source = DemSource.open(one, base_dir, body)
+        digest = content_hash(source.files, workspace, progress)
+        # where the file lies, how it ranks and how it ends do not change its overviews
+        plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in _UNIMPORTANT}
+        folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
+        place = workspace.path(folder)
+        pyramid = HeightPyramid.load(source, place)
+        if pyramid is None:
+            pyramid = HeightPyramid.build(source, place, workers, progress)
+            account.done += 1
+        else:
+            account.kept += 1
+        pyramids.append(pyramid)
+        records.append(_record(pyramid, digest, folder))
+    workspace.keep_only("dem", {record.folder.removeprefix("dem-") for record in records})
+    return Mosaic(pyramids), records
+
+
+_UNIMPORTANT = ("path", "priority", "feather_km")
+
+
+def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
+    source, found = pyramid.source, pyramid.record
+    west, south, east, north = (float(np.degrees(angle)) for angle in source.latlon_bounds())
+    return DemRecord(
+        name=source.path.name,
+        sha256=digest,
+        priority=source.settings.priority,
+        feather_km=source.settings.feather_km,
+        folder=folder,
+        rows=source.shape[0],
+        cols=source.shape[1],
+        posting_m=source.posting_m,
+        heights=source.heights,
+        units=source.units,
+        lowest_m=found.lowest_m,
+        highest_m=found.highest_m,
+        valid_share=found.valid_share,
+        bounds_deg=(west, south, east, north),
+    )
+
+
+def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArray:
+    """Numbers of the cells that have any ground, sorted; only those with their middle in a bbox.
+
+    A cell at the edge of a DEM counts: whether whole patches fit in it shows when it is rendered.
+    Raises UsageError for a bbox that is none, DataError when no cell has ground.
+    """
+    cells = np.arange(grid.total, dtype=np.int64)
+    if bbox is not None:
+        west, south, east, north = bbox
+        if not (
+            -90.0 <= south < north <= 90.0 and np.isfinite([west, east]).all() and west != east
+        ):
+            raise UsageError(
+                f"--bbox {_text(bbox)}: wanted W,S,E,N in degrees with S < N, both within -90..90"
+            )
+        cells = grid.in_bbox(west, south, east, north)
+    covered = np.zeros(cells.size, dtype=bool)
+    # any point of the lattice: asked of overviews about as coarse as the lattice
+    step_m = np.radians(grid.step_deg) * mosaic.body.radius_m / LATTICE
+    posting = max(mosaic.posting_m, step_m / 2.0)
+    for first in range(0, cells.size, 4096):
+        part = cells[first : first + 4096]
+        lat, lon = _lattice(grid, part)
+        covered[first : first + 4096] = mosaic.covers(lat, lon, posting).any(axis=1)
+    if not covered.any():
+        where = f"--bbox {_text(bbox)} holds" if bbox is not None else "the body has"
+        raise DataError(
+            f"{where} no cell with ground, of {cells.size} of {grid.step_deg:g} deg "
+            f"({mosaic.extent}, W,S,E,N); give a box or terrain models that meet"
+        )
+    return cells[covered]
+
+
+def _lattice(grid: CellGrid, cells: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Latitudes and longitudes (rad), (n, LATTICE²) each, of points spread over cells."""
+    bounds = np.array([grid.bounds_deg(int(cell)) for cell in cells])
+    west, south, east, north = bounds.T[:, :, None]
+    share = (np.arange(LATTICE) + 0.5) / LATTICE
+    down, along = (a.ravel() for a in np.meshgrid(share, share, indexing="ij"))
+    return np.radians(south + (north - south) * down), np.radians(west + (east - west) * along)
+
+
+def _text(bounds: Sequence[float] | FloatArray) -> str:
+    return ",".join(f"{value:.6g}" for value in bounds)
+
+
+def chunks_of(grid: CellGrid, cells: IntArray) -> list[list[int]]:
+    """Cells in chunks of neighbours, so that a worker's chunk reads little terrain.
+
+    The cut depends on the cells alone, never on the workers.
+    """
+    size = int(np.clip(-(-cells.size // CHUNKS), 1, LARGEST_CHUNK))
+
+    def place(cell: int) -> tuple[int, int, int]:
+        _, lon = grid.centre_deg(cell)
+        band = grid.band_of(cell) // BLOCK_CELLS
+        # equal turns of longitude for a row of blocks: narrower toward the poles, still neighbours
+        return band, int((lon + 180.0) // (BLOCK_CELLS * grid.step_deg)), cell
+
+    ordered = sorted((int(cell) for cell in cells), key=place)
+    return [ordered[i : i + size] for i in range(0, len(ordered), size)]
+
+
+log = logging.getLogger(__name__)
+
+CORNERS, RECORD = "corners.npy", "mesh.json"
+CELLS_ACROSS = 2.0  # that the finest patch spans: a point may lie anywhere in its cell
+LARGEST_ARC_DEG = 30.0  # of the body that a patch may span: beyond, much of it is seen edge-on
+FACE_NODES = 2.0  # of the finest patches that a face of the smooth surface may span
+
+
+class MeshRecord(msgspec.Struct, frozen=True):
+    """A mesh as it was found, for the manifest.
+
+    sha256     of its file
+    folder     of its corners, in the workspace
+    posting_m  distance of neighbouring vertices
+    halvings   of its edges, so that its surface is smooth in patches finer than it is
+    mended     small faults that were mended, in words
+    """
+
+    name: str
+    sha256: str
+    folder: str
+    vertices: int
+    faces: int
+    posting_m: float
+    volume_km3: float
+    halvings: int
+    mended: tuple[str, ...]
+
+
+def ingest_mesh(
+    workspace: Workspace,
+    settings: MeshSettings,
+    base_dir: Path,
+    body: Body,
+    finest_m: float,
+    progress: Progress,
+    account: StageAccount,
+) -> tuple[MeshTerrain, MeshRecord]:
+    """The terrain of a config's [[mesh]]; a mesh that the workspace holds already is kept.
+
+    finest_m  posting of the finest patches: in a coarser mesh faces are smoothed over
+    Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
+    """
+    path = path_of(settings.path, base_dir)
+    # the loader's own words for a file that is missing come before those of the checksum
+    digest = content_hash([path], workspace, progress) if path.is_file() else ""
+    plain = msgspec.structs.replace(settings, path=path.suffix)
+    key = stage_key(code_key(), body.name, body.radii_m, plain, digest, finest_m)
+    folder = f"mesh-{key}"
+    found = workspace.get(f"{folder}/{RECORD}")
+    if found is not None and workspace.path(folder, CORNERS).is_file():
+        record = msgspec.json.decode(found, type=MeshRecord)
+        account.kept += 1
+    else:
+        shape = load_shape(settings, base_dir, body, progress)
+        halvings = _halvings(shape, finest_m)
+        record = MeshRecord(
+            path.name, digest, folder, len(shape.vertices), len(shape.faces), shape.posting_m,
+            shape.volume_m3 / 1e9, halvings, shape.mended,
+        )  # fmt: skip
+        corners = io.BytesIO()
+        np.save(corners, _corners(shape, settings, path, halvings))
+        workspace.put(f"{folder}/{CORNERS}", corners.getvalue())
+        workspace.put(f"{folder}/{RECORD}", msgspec.json.encode(record))
+        account.done += 1
+    workspace.keep_only("mesh", {key})
+    if finest_m < record.posting_m:
+        log.info(
+            "%s: oversampled: patches have %.3g m between nodes, the mesh %.3g m between vertices;"
+            " they are cut from a smooth surface through these",
+            path.name, finest_m, record.posting_m,
+        )  # fmt: skip
+    place = workspace.path(folder, CORNERS)
+    return MeshTerrain(body, place, record.name, record.posting_m), record
+
+
+def _halvings(shape: Shape, finest_m: float) -> int:
+    """How often edges are halved until faces span few nodes, as far as memory allows."""
+    wanted = math.ceil(math.log2(shape.posting_m / (FACE_NODES * finest_m)) - 1e-9)
+    if shape.posting_m <= finest_m or wanted <= 0:
+        return 0
+    return max(0, min(wanted, int(math.log(FINEST_FACES / len(shape.faces), 4.0))))
+
+
+def _corners(shape: Shape, settings: MeshSettings, path: Path, halvings: int) -> FloatArray:
+    """Corners (m, 3, 3) m of the faces, or of those of a smooth surface through the vertices."""
+    if not halvings:
+        return shape.vertices[shape.faces]
+    metres = METRES[settings.units]
+    return smooth_corners(path, settings.longitude, metres, shape.vertices, shape.faces, halvings)
+
+
+def settle_pyramid(
+    settings: PyramidSettings, config_path: Path, cell_deg: float, body: Body
+) -> tuple[PyramidSettings, float]:
+    """Posting and number of levels: the finest spans two cells, the coarsest at most 30 deg.
+
+    Returns them as settings, and the finest posting, m.
+    Raises ConfigError when even the finest patch spans more.
+    """
+    radius = body.radius_m
+    posting = settings.posting_m
+    if posting is None:
+        posting = CELLS_ACROSS * math.radians(cell_deg) * radius / settings.size
+    spans_deg = math.degrees(posting * settings.size / radius)
+    if spans_deg > LARGEST_ARC_DEG + 1e-9:
+        raise ConfigError(
+            f"{config_path}: the finest patch would span {spans_deg:.3g} deg of "
+            f"{body.name}; wanted at most {LARGEST_ARC_DEG:g}: set a smaller [grid] "
+            "cell_deg, or [pyramid] posting_m or size"
+        )
+    levels = min(settings.levels, 1 + int(math.log2(LARGEST_ARC_DEG / spans_deg) + 1e-9))
+    return msgspec.structs.replace(settings, levels=levels, posting_m=posting), posting
+
+
+def settle_mesh_relief(
+    workspace: Workspace, terrain: MeshTerrain, mesh: MeshRecord, account: StageAccount
+) -> ReliefRecord:
+    """Make the relief of the whole body, or keep that of an earlier run."""
+    key = stage_key(code_key(), mesh.folder)
+    make_or_keep(workspace, key, lambda: prepare_relief(relief_of_mesh(terrain)), account)
+    return ReliefRecord(key, {})

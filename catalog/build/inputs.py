@@ -1,0 +1,175 @@
+"""What a build works on: terrain models read, posting settled, cells found and cut into chunks."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import catalog
+from catalog.bodies.body import Body
+from catalog.build.config import BuildConfig
+from catalog.build.context import DemRecord, StageContext
+from catalog.build.ingest import (
+    Bbox,
+    MeshRecord,
+    chunks_of,
+    covered_cells,
+    ingest,
+    ingest_mesh,
+    settle_mesh_relief,
+    settle_pyramid,
+)
+from catalog.build.relief import ReliefRecord, settle_relief
+from catalog.errors import ConfigError
+from catalog.geometry.cells import CellGrid
+from catalog.jobs.code_key import code_key
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workspace import Workspace, stage_key
+from catalog.progress import Progress
+
+MANIFEST = "manifest.json"
+MOST_OVERSAMPLING = 4.0  # a posting finer than the terrain model by more shows nothing new
+MOST_NODES_ACROSS = 8192  # of a cell: a grid of 268 MB, of which a worker holds several
+
+
+@dataclass(frozen=True)
+class World:
+    """The ground of a build.
+
+    chunks  cells, cut into pieces of work
+    keys    by stage: hash of all that its results depend on
+    relief  of the whole body; None for a build of a part of it that names none
+    """
+
+    context: StageContext
+    dems: list[DemRecord | MeshRecord]
+    chunks: list[list[int]]
+    keys: dict[str, str]
+    relief: ReliefRecord | None
+
+    @property
+    def cells(self) -> int:
+        """Number of cells that have ground."""
+        return sum(map(len, self.chunks))
+
+    def sources(self) -> dict[str, str]:
+        """Hashes of the terrain models by name; of two with one name the second tells its rank."""
+        sources: dict[str, str] = {}
+        for dem in self.dems:
+            name = dem.name
+            if name in sources and isinstance(dem, DemRecord):
+                name = f"{name} ({dem.priority})"
+            sources[name] = dem.sha256
+        return sources | (self.relief.sources if self.relief is not None else {})
+
+
+def settle_world(
+    workspace: Workspace,
+    config: BuildConfig,
+    config_path: Path,
+    body: Body,
+    bbox: Bbox | None,
+    workers: int,
+    progress: Progress,
+    account: StageAccount,
+) -> World:
+    """Read the terrain models and settle what all stages need; cheap where overviews are there.
+
+    Raises DataError, ConfigError or UsageError for what cannot be built from.
+    """
+    grid = CellGrid(config.grid.cell_deg)
+    relief: ReliefRecord | None
+    if config.mesh:
+        (settings,) = config.mesh
+        pyramid, posting = settle_pyramid(config.pyramid, config_path, config.grid.cell_deg, body)
+        config = msgspec.structs.replace(config, pyramid=pyramid)
+        terrain, mesh = ingest_mesh(
+            workspace, settings, config_path.parent, body, posting, progress, account
+        )
+        _check_cells(config, config_path, body, posting)
+        cells = covered_cells(terrain, grid, bbox)
+        relief = settle_mesh_relief(workspace, terrain, mesh, account)
+        context = StageContext(body, terrain, grid, posting, config)
+        records: list[DemRecord | MeshRecord] = [mesh]
+        read: list[tuple[object, ...]] = [(mesh.sha256, mesh.folder)]
+    else:
+        mosaic, dems = ingest(
+            workspace, config.dem, config_path.parent, body, workers, progress, account
+        )
+        posting = config.pyramid.posting_m or mosaic.posting_m
+        _check_posting(config, config_path, body, posting, mosaic.posting_m)
+        _check_cells(config, config_path, body, posting)
+        cells = covered_cells(mosaic, grid, bbox)
+        relief = settle_relief(
+            workspace, config.relief, config_path, mosaic, dems, progress, account
+        )
+        context = StageContext(body, mosaic, grid, posting, config)
+        records = [*dems]
+        # paths and ranks do not matter by themselves: what was read, and in which order, does
+        read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
+    keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
+    world = World(context, records, chunks_of(grid, cells), keys, relief)
+    workspace.put(MANIFEST, msgspec.json.format(_manifest(world), indent=2))
+    return world
+
+
+def _keys(first: str, config: BuildConfig, posting_m: float) -> dict[str, str]:
+    """Keys of the stages; each depends on the one before and on the stage's own settings."""
+    keys = {"ingest": first}
+    parts: Sequence[tuple[str, tuple[Any, ...]]] = (
+        ("render", (config.grid, config.pyramid, posting_m, config.render)),
+        ("select", (config.select,)),
+        ("check", (config.check,)),
+        ("write", (config.write,)),
+    )
+    key = first
+    for stage, settings in parts:
+        key = stage_key(key, stage, settings)
+        keys[stage] = key
+    return keys
+
+
+def _check_posting(
+    config: BuildConfig, config_path: Path, body: Body, posting_m: float, finest_m: float
+) -> None:
+    """Refuse patches wider than the body and a posting that shows nothing more."""
+    if posting_m < finest_m / MOST_OVERSAMPLING:
+        raise ConfigError(
+            f"{config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
+            f"model has {finest_m:.6g} m; wanted at least {finest_m / MOST_OVERSAMPLING:.6g}, "
+            "or leave it out"
+        )
+    reach = posting_m * config.pyramid.size * 2 ** (config.pyramid.levels - 1)
+    if reach > body.radius_m:
+        raise ConfigError(
+            f"{config_path}: [pyramid] the coarsest patch would be {reach / 1e3:.0f} km "
+            f"wide on a body of {body.radius_m / 1e3:.0f} km radius; "
+            "wanted fewer levels, a smaller size or a finer posting_m"
+        )
+
+
+def _check_cells(config: BuildConfig, config_path: Path, body: Body, posting_m: float) -> None:
+    """Refuse huge cells."""
+    across = math.radians(config.grid.cell_deg) * body.radius_m / posting_m
+    if across > MOST_NODES_ACROSS:
+        raise ConfigError(
+            f"{config_path}: a cell of {config.grid.cell_deg:g} deg is {across:.0f} "
+            f"nodes of {posting_m:g} m wide; wanted at most {MOST_NODES_ACROSS}: set a smaller "
+            "[grid] cell_deg or a coarser [pyramid] posting_m"
+        )
+
+
+def _manifest(world: World) -> bytes:
+    return msgspec.json.encode(
+        {
+            "software": f"optnav {catalog.__version__}",
+            "body": world.context.body.name,
+            "dems": world.dems,
+            "cells": world.cells,
+            "keys": world.keys,
+            "config": world.context.config,
+        }
+    )

@@ -1,0 +1,179 @@
+"""Relief: the coarse ground of the whole body, which the catalog carries for the horizon.
+
+It is made of the build's own terrain models by their priority, and of the one that [relief] names
+below them. A build of a part of the body without such a one carries no relief.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from catalog.build.config import ReliefSettings
+from catalog.build.context import DemRecord
+from catalog.errors import DataError
+from catalog.jobs.code_key import code_key
+from catalog.jobs.hashing import content_hash
+from catalog.jobs.records import encode_records
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workspace import Workspace, stage_key
+from catalog.progress import Progress
+from catalog.store.relief import PreparedRelief, prepare_relief
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.dem.source import DemSource
+from catalog.terrain.pyramid.overviews import BLOCK
+from catalog.terrain.pyramid.pyramid import HeightPyramid
+from catalog.terrain.relief.sums import (
+    LEAST_COVERAGE,
+    CellSums,
+    Layer,
+    check_share,
+    finished,
+    lay_whole,
+    rows_of,
+    share_within_bounds,
+)
+
+# Tops are those of area means, so many across a cell: of a raster at 118 m they are read from its
+# overview at 474 m, which is a sixteenth of the work.
+SAMPLES_ACROSS = 4
+
+
+class ReliefRecord(NamedTuple):
+    """The relief of a build, ready in its work folder.
+
+    key      hash of all that it depends on
+    sources  terrain models that only it is made of: name -> hash
+    """
+
+    key: str
+    sources: dict[str, str]
+
+
+def settle_relief(
+    workspace: Workspace,
+    settings: ReliefSettings,
+    config_path: Path,
+    mosaic: Mosaic,
+    dems: list[DemRecord],
+    progress: Progress,
+    account: StageAccount,
+) -> ReliefRecord | None:
+    """Make the relief, or keep that of an earlier run; None for a build without one.
+
+    Raises DataError when the named terrain model cannot be used or the whole is not the body's.
+    """
+    own = [share_within_bounds(p.source) * p.record.valid_share for p in mosaic.pyramids]
+    if settings.dem is None and sum(own) < LEAST_COVERAGE:
+        workspace.keep_only("relief", set())
+        return None
+    named, sources = None, {}
+    parts: list[object] = [(dem.sha256, dem.folder) for dem in dems]
+    if settings.dem is not None:
+        try:
+            named = DemSource.open(settings.dem, config_path.parent, mosaic.body)
+            check_share(sum(own) + share_within_bounds(named), named.path, mosaic.body)
+        except DataError as error:
+            raise _refused(config_path, error) from None
+        digest = content_hash(named.files, workspace, progress)
+        sources = {f"{named.path.name} (relief)": digest}
+        parts += [digest, msgspec.structs.replace(settings.dem, path="")]
+    key = stage_key(code_key(), mosaic.body.name, parts)
+    make_or_keep(workspace, key, lambda: _made(mosaic, own, named, config_path, progress), account)
+    if named is not None:
+        named.close()
+    return ReliefRecord(key, sources)
+
+
+def make_or_keep(
+    workspace: Workspace,
+    key: str,
+    make: Callable[[], PreparedRelief | None],
+    account: StageAccount,
+) -> None:
+    """Leave the relief of a key in the work folder, made now unless it is there, and no other."""
+    if workspace.whole(_name(key)):
+        account.kept += 1
+    else:
+        made = make()
+        workspace.put(_name(key), encode_records([made] if made is not None else []))
+        account.done += 1
+    workspace.keep_only("relief", {key})
+
+
+def stored_relief(workspace: Workspace, record: ReliefRecord) -> PreparedRelief | None:
+    """The relief that `settle_relief` left; None where the models do not show the whole body.
+
+    Raises DataError for a work folder whose medium fails.
+    """
+    found = workspace.records(_name(record.key), PreparedRelief)
+    if found is None:
+        raise DataError(
+            f"{workspace.path(_name(record.key))}: changed after it was written; its medium may be "
+            "failing: give the same command again"
+        )
+    return found[0] if found else None
+
+
+def _made(
+    mosaic: Mosaic,
+    own: list[float],
+    named: DemSource | None,
+    config_path: Path,
+    progress: Progress,
+) -> PreparedRelief | None:
+    body = mosaic.body
+    rows = _rows(mosaic, own, named)
+    cell_m = np.pi * body.radius_m / rows
+    sums = CellSums(rows)
+    names, covered = [], 0.0
+    for pyramid, name in zip(mosaic.pyramids, mosaic.names):
+        sums.lay_under(_layer(pyramid, cell_m / SAMPLES_ACROSS), progress)
+        if sums.coverage > covered:
+            names.append(name)
+        covered = sums.coverage
+    if named is not None:
+        try:
+            lay_whole(sums, named, progress)
+            check_share(sums.coverage, f"with {named.path}", body)
+        except DataError as error:
+            raise _refused(config_path, error) from None
+        if sums.coverage > covered:
+            names.append(named.path.name)
+    elif sums.coverage < LEAST_COVERAGE:
+        return None
+    return prepare_relief(finished(sums, body.radius_m, " + ".join(names)))
+
+
+def _rows(mosaic: Mosaic, own: list[float], named: DemSource | None) -> int:
+    """Rows of the relief: half of the body's ground is shown by models as fine, or finer."""
+    steps = [pyramid.source.place.row_angle for pyramid in mosaic.pyramids]
+    shares = list(own)
+    if named is not None:
+        steps.append(named.place.row_angle)
+        shares.append(max(0.0, 1.0 - sum(own)))
+    order = np.argsort(steps, kind="stable")
+    shown = np.cumsum(np.array(shares)[order])
+    return rows_of(steps[order[int(np.searchsorted(shown, shown[-1] / 2.0))]])
+
+
+def _layer(pyramid: HeightPyramid, posting_m: float) -> Layer:
+    """A model at the overview that has this posting, or at its own where none is as fine."""
+    level = pyramid.level_for(posting_m)
+    own = level == 0 and not pyramid.record.tiled_copy
+    block = pyramid.source.block_shape if own else (BLOCK, BLOCK)
+    read = partial(pyramid.read, level)
+    return Layer(pyramid.source.place, level, pyramid.shape(level), block, read)
+
+
+def _refused(config_path: Path, error: DataError) -> DataError:
+    """What is wrong with the named model, with a remedy that speaks of its place in the config."""
+    reason = str(error).replace("in its [[dem]] section", "in [relief] dem")
+    return DataError(f"{config_path}: [relief] dem: {reason}")
+
+
+def _name(key: str) -> str:
+    return f"relief-{key}/records.bin"

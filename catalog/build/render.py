@@ -1,0 +1,143 @@
+"""Render: a shortlist of places in each cell, and how well each could be matched under many Suns.
+
+The Hessian's eigenvalue, worst over the Suns that can occur, is computed at every place of the
+cell's ground; the ground of its strongest peaks is rendered by Hapke's law with cast shadows, and
+the predicted error of a match under each Sun is kept.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import msgspec
+import numpy as np
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.build.cell_map import FINE_LEVELS, blurred, missing_share, suns_of
+from catalog.build.context import StageContext
+from catalog.build.shortlist import shortlists
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.tangent_plane import MapProjection
+from catalog.rendering.map_view import render_map
+from catalog.selection.localisation import hessian_eigenvalue
+from catalog.selection.match_error import predict_match
+
+# Ground about all windows that throws shadows into them. Farther relief is left out: under a Sun of
+# 8 deg what stands higher than a seventh of its distance would count.
+SHADOW_NODES = 16
+# Places are rendered on one ground that has at most this many times the nodes of their own.
+WIDE_GROUND = 2.0
+
+
+class Candidate(msgspec.Struct, frozen=True):
+    """A place and what its ground promises.
+
+    lat_deg, lon_deg    planetocentric, east
+    hessian_eigenvalue  worst azimuth, over the window (dimensionless)
+    error_px            (levels, suns) float32, predicted 1-sigma error, nodes, over correlation
+    missing             share of holes in each of the finest patches
+    """
+
+    lat_deg: float
+    lon_deg: float
+    hessian_eigenvalue: float
+    error_px: np.ndarray
+    missing: tuple[float, ...]
+
+
+class RenderedCell(msgspec.Struct, frozen=True):
+    """Candidates of a cell, in the order of the closed-form response."""
+
+    cell: int
+    candidates: tuple[Candidate, ...]
+
+
+def render_chunk(context: StageContext, cells: Sequence[int]) -> list[RenderedCell]:
+    """Candidates of cells; a cell whose ground is all holes is left out."""
+    records = []
+    for cell, found in shortlists(context, cells).items():
+        latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
+        suns = suns_of(context.config.render, latitude)
+        scores = [
+            score
+            for group in _groups(context, found.places)
+            for score in _scores(context, suns, group)
+        ]
+        candidates = [
+            Candidate(lat, lon, *score, _missing(context, lat, lon, found.complete))
+            for (lat, lon), score in zip(found.places.tolist(), scores, strict=True)
+        ]
+        records.append(RenderedCell(cell, tuple(candidates)))
+    return records
+
+
+def _groups(context: StageContext, places: FloatArray) -> list[FloatArray]:
+    """Places that are rendered on one ground: all, or each alone where they lie far apart."""
+    offsets = _offsets(context, places)[1]
+    alone = context.config.render.window_nodes + 2 * SHADOW_NODES
+    together = 2.0 * np.abs(offsets).max() + alone
+    if together**2 <= WIDE_GROUND * len(places) * alone**2:
+        return [places]
+    return [places[i : i + 1] for i in range(len(places))]
+
+
+def _offsets(context: StageContext, places: FloatArray) -> tuple[MapProjection, FloatArray]:
+    """A map projection in the middle of places, and the nodes (n, 2) from there down and along."""
+    lat, lon = np.radians(places).T
+    xyz = context.mosaic.points(lat, lon)
+    middle = xyz.min(axis=0) + np.ptp(xyz, axis=0) / 2.0
+    centre_lat, centre_lon, _ = latlon_from_xyz(middle)
+    projection = context.mosaic.projection(float(centre_lat), float(centre_lon))
+    x, y = projection.xy_from_xyz(xyz)
+    return projection, np.stack([-y, x], axis=1) / context.posting_m
+
+
+def _scores(
+    context: StageContext, suns: FloatArray, places: FloatArray
+) -> Iterator[tuple[float, Float32Array]]:
+    """Hessian eigenvalue, and predicted 1-sigma errors (levels, suns) over correlation, of places.
+
+    One ground holds them all, rendered once a level and Sun, with what throws shadows from about.
+    """
+    settings = context.config.render
+    window = settings.window_nodes
+    projection, offsets = _offsets(context, places)
+    postings = context.postings_m[: settings.levels]
+    grids, windows = [], []
+    for level, posting in enumerate(postings):
+        # nodes of this level's ground; the windows stand on whole nodes
+        half = int(np.rint(np.abs(offsets).max() / 2**level)) + SHADOW_NODES
+        side = 2 * half + window
+        grids.append(context.mosaic.local_grid(projection, posting, side))
+        corners = np.rint(offsets / 2**level + (side - window) / 2.0).astype(np.int64).tolist()
+        windows.append([(slice(r, r + window), slice(c, c + window)) for r, c in corners])
+    errors = np.empty((len(places), len(postings), len(suns)), np.float32)
+    beyond = context.mosaic.beyond(projection, postings[-1], grids[-1].shape[0])
+    for level, (grid, posting) in enumerate(zip(grids, postings, strict=True)):
+        outer = [*zip(grids[level + 1 :], postings[level + 1 :], strict=True), *beyond]
+        for k, sun in enumerate(suns):
+            picture = blurred(
+                render_map(
+                    grid,
+                    posting,
+                    sun,
+                    radius_m=projection.radius_m,
+                    law=settings.law,
+                    outer=outer,
+                    quick=True,
+                )
+            )
+            for i, inside in enumerate(windows[level]):
+                errors[i, level, k] = predict_match(picture[inside], settings.snr).score
+    for inside, error in zip(windows[0], errors, strict=True):
+        yield hessian_eigenvalue(grids[0][inside], context.posting_m), error
+
+
+def _missing(
+    context: StageContext, lat_deg: float, lon_deg: float, complete: bool
+) -> tuple[float, ...]:
+    """Share of holes in the finest patches of a place."""
+    postings = context.postings_m[:FINE_LEVELS]
+    if complete:
+        return (0.0,) * len(postings)
+    # the whole patches are cut later; their holes are counted on a few nodes
+    projection = context.projection(lat_deg, lon_deg)
+    return tuple(missing_share(context, projection, posting) for posting in postings)

@@ -1,0 +1,82 @@
+"""Select: order every cell's candidates by predicted error, kept apart from other cells' points."""
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from catalog.build.cell_map import MAX_MISSING
+from catalog.build.context import StageContext
+from catalog.build.render import RenderedCell
+from catalog.selection.spacing import choose_spaced
+
+
+class Place(msgspec.Struct, frozen=True):
+    """A candidate that may become a cell's point.
+
+    localisation_px  predicted 1-sigma error: the percentile over Suns, worst over levels, nodes
+    """
+
+    lat_deg: float
+    lon_deg: float
+    localisation_px: float
+    hessian_eigenvalue: float
+    missing: float
+
+
+class SelectedCell(msgspec.Struct, frozen=True):
+    """Places of a cell in the order in which they are to be checked.
+
+    spacing  share of the wanted distance that all of them keep from other cells' points
+    """
+
+    cell: int
+    places: tuple[Place, ...]
+    spacing: float
+
+
+def select(context: StageContext, records: Sequence[RenderedCell]) -> list[SelectedCell]:
+    """Places of every cell, in the order of cells; the answer does not depend on chunks."""
+    settings = context.config.select
+    ordered = sorted(records, key=lambda record: record.cell)
+    cells = [record.cell for record in ordered for _ in record.candidates]
+    places = [place for record in ordered for place in _places(record, settings.percentile)]
+    choices = choose_spaced(
+        cells,
+        np.array([place.lat_deg for place in places]),
+        np.array([place.lon_deg for place in places]),
+        np.array([_badness(place) for place in places]),
+        settings.spacing_cell * context.grid.step_deg,
+    )
+    return [
+        SelectedCell(cell, tuple(places[i] for i in choice.order), choice.spacing)
+        for cell, choice in sorted(choices.items())
+    ]
+
+
+def _places(record: RenderedCell, percentile: float) -> list[Place]:
+    """A cell's candidates, each with the percentile of its errors over Suns, at its worst level."""
+    if not record.candidates:
+        return []
+    errors = np.sort([candidate.error_px for candidate in record.candidates], axis=2)
+    # nearest rank, not interpolated: an infinite error beside a finite one has no mean
+    rank = math.ceil((errors.shape[2] - 1) * (percentile / 100.0))
+    return [
+        Place(
+            lat_deg=candidate.lat_deg,
+            lon_deg=candidate.lon_deg,
+            localisation_px=error,
+            hessian_eigenvalue=candidate.hessian_eigenvalue,
+            missing=max(candidate.missing),
+        )
+        for candidate, error in zip(
+            record.candidates, errors[:, :, rank].max(axis=1).tolist(), strict=True
+        )
+    ]
+
+
+def _badness(place: Place) -> float:
+    """Predicted error; places with holes in their fine patches come after all others."""
+    holes = 1e6 if place.missing > MAX_MISSING else 0.0
+    return place.localisation_px + holes

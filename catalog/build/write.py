@@ -1,0 +1,150 @@
+"""Write: cut the patches of the checked points from the terrain and put all into one file.
+
+Cutting and compressing is nearly all of the work: its results rest in the work folder until the
+catalog is in its place, so that a kill loses no more of them than of other stages. The file itself
+is put together anew: a database that is continued after a kill needs a journal, which would cost
+every build more than the copying costs the few that are killed.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+import catalog
+from catalog.build.context import StageContext
+from catalog.control_point import ControlPoint
+from catalog.errors import DataError
+from catalog.jobs.chunks import ChunkResults
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workers import Workers
+from catalog.jobs.workspace import Workspace
+from catalog.progress import Progress
+from catalog.store.connection import connect, live_log, read_meta
+from catalog.store.manifest import PLAIN_VERSION, PLANES_VERSION, CatalogMeta, PlanesMeta
+from catalog.store.patches import PreparedPoint, prepare_point
+from catalog.store.records import rounded_point
+from catalog.store.relief import PreparedRelief
+from catalog.store.seal import SealState, seal_state
+from catalog.store.writer import Written, write_catalog
+from catalog.terrain.mesh.terrain import MeshTerrain
+
+FILE = "written.json"
+
+
+class _Memory(msgspec.Struct, frozen=True):
+    key: str
+    seal: str
+
+
+def remember_published(workspace: Workspace, key: str, path: Path) -> None:
+    """Note that the catalog at a path was made from what the key stands for."""
+    meta = _meta(path)
+    if meta is not None:
+        workspace.put(FILE, msgspec.json.encode(_Memory(key, meta.seal)))
+
+
+def find_published(workspace: Workspace, key: str, path: Path) -> Written | None:
+    """The catalog at a path, if it is the remembered one of this key and whole to the last byte."""
+    data = workspace.get(FILE)
+    try:
+        memory = msgspec.json.decode(data, type=_Memory) if data else None
+    except msgspec.MsgspecError:
+        memory = None
+    meta = _meta(path) if memory is not None and memory.key == key else None
+    if memory is None or meta is None or meta.seal != memory.seal or live_log(path):
+        return None
+    if seal_state(path, meta.seal) is not SealState.WHOLE:
+        return None
+    return Written(path, meta.count, meta.usable, meta.digest, path.stat().st_size)
+
+
+def _meta(path: Path) -> CatalogMeta | None:
+    try:
+        with closing(connect(path)) as db:
+            return read_meta(db, path)
+    except DataError:
+        return None
+
+
+CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
+
+
+def write(
+    context: StageContext,
+    points: Sequence[ControlPoint],
+    output: Path,
+    *,
+    sources: Mapping[str, str],
+    config_text: str,
+    relief: PreparedRelief | None,
+    results: ChunkResults,
+    workers: Workers,
+    progress: Progress,
+    account: StageAccount,
+) -> Written:
+    """Write the catalog file of points in the order of their ids, with their patches.
+
+    points       the chosen point of each cell, usable or with its flags down
+    output       the catalog; an older one stays whole until the new one is complete
+    sources      terrain models: name -> hash, for the manifest
+    config_text  the build config, for the manifest
+    relief       of the whole body, if it is known
+    results      where prepared points rest until the file is whole
+    Raises OutputError for a place that cannot be written.
+    """
+    terrain, planes = context.mosaic, None
+    if isinstance(terrain, MeshTerrain) and terrain.in_planes:
+        planes = PlanesMeta(context.body.radii_m, terrain.posting_m)
+    meta = CatalogMeta(
+        body=context.body.name,
+        radius_m=context.body.radius_m,
+        cell_deg=context.grid.step_deg,
+        levels=context.levels,
+        size=context.size,
+        posting_m=context.posting_m,
+        height_step_m=context.config.write.steps_m(context.postings_m)[0],
+        planes=planes,
+        format_version=PLAIN_VERSION if planes is None else PLANES_VERSION,
+        sources=dict(sources),
+        config=config_text,
+        software=f"optnav {catalog.__version__}",
+        created_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+    )
+    ordered = sorted(points, key=lambda point: point.id)
+    chunks = [ordered[i : i + CHUNK_POINTS] for i in range(0, len(ordered), CHUNK_POINTS)]
+    with progress.stage("write", len(ordered), "point") as shown:
+        ready = results.make(prepare_chunk, context, chunks, workers, account, shown)
+        return write_catalog(output, meta, _in_order(results, ready), relief=relief)
+
+
+def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list[PreparedPoint]:
+    """Cut and compress the patches of some points; runs in a worker."""
+    steps = context.config.write.steps_m(context.postings_m)
+    prepared = []
+    for point in points:
+        # the patches are centred on the place that the catalog will state
+        place = rounded_point(point)
+        patches = context.patches(place.lat_deg, place.lon_deg)
+        prepared.append(prepare_point(place, patches, steps))
+    return prepared
+
+
+def _in_order(results: ChunkResults, ready: Iterable[int]) -> Iterator[PreparedPoint]:
+    """Prepared points in order; what is ready early waits in its file for what is late."""
+    early: set[int] = set()
+    wanted = 0
+    for position in ready:
+        early.add(position)
+        while wanted in early:
+            prepared = results.records(wanted)
+            if prepared is None:
+                raise DataError(
+                    f"{results.workspace.path(results.name(wanted))}: changed after it was "
+                    "written; its medium may be failing: give the same command again"
+                )
+            yield from prepared
+            early.remove(wanted)
+            wanted += 1

@@ -1,0 +1,1 @@
+"""What people do with a catalog: compare, export, draw and summarise it."""

@@ -1,0 +1,333 @@
+"""What differs between two catalogs: settings, points, heights and certificates.
+
+Points are compared by their ids, the numbers of their cells. Heights are compared as they are
+stored, and unpacked only where that differs; one point's patches are held at a time. Every patch of
+both files is read with its checksum, so that a damaged catalog is told and never called the same.
+"""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.arrays import BoolArray, FloatArray, IntArray, RecordArray
+from catalog.errors import DataError
+from catalog.progress import Progress, SilentProgress, Stage
+from catalog.store.codec import decode, decode_counts
+from catalog.store.manifest import CatalogMeta, ReliefMeta
+from catalog.store.patches import StoredPatch
+from catalog.store.reader import Catalog
+
+CONTENT = ("body", "radius_m", "cell_deg", "levels", "size", "posting_m", "height_step_m")
+OF_THE_MOMENT = ("software", "created_utc")
+NOTHING = "none"
+
+
+class Change(NamedTuple):
+    """A setting that differs; "none" where one catalog has none."""
+
+    name: str
+    first: str
+    second: str
+
+
+def content_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ...]:
+    """Settings that differ and are part of the content digest."""
+    one, other = (
+        {name: str(getattr(meta, name)) for name in CONTENT}
+        | {"point_sources": ", ".join(meta.point_sources)}
+        | ({"relief": _relief(meta.relief)} if meta.relief is not None else {})
+        | ({"planes": str(meta.planes.rounded())} if meta.planes is not None else {})
+        for meta in (first, second)
+    )
+    return tuple(_changes(one, other))
+
+
+def provenance_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ...]:
+    """What else differs: program, time, hashes of terrain models, values of the build config."""
+    one, other = (
+        {name: str(getattr(meta, name)) for name in OF_THE_MOMENT}
+        | {f"source {name}": text for name, text in meta.sources.items()}
+        | _config_values(meta.config)
+        for meta in (first, second)
+    )
+    return tuple(_changes(one, other))
+
+
+def _relief(relief: ReliefMeta) -> str:
+    return f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
+
+
+def _changes(one: Mapping[str, str], other: Mapping[str, str]) -> Iterator[Change]:
+    for name in [*one, *(name for name in other if name not in one)]:
+        change = Change(name, one.get(name, NOTHING), other.get(name, NOTHING))
+        if change.first != change.second:
+            yield change
+
+
+def _config_values(text: str) -> dict[str, str]:
+    """Values of a config under names as "config check.trials"; one line where it is no TOML."""
+    try:
+        return dict(_flat("config", tomllib.loads(text)))
+    except tomllib.TOMLDecodeError:
+        return {"config": " ".join(text.split())}
+
+
+def _flat(name: str, value: object) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict):
+        separator = " " if name == "config" else "."
+        for key, inner in value.items():
+            yield from _flat(f"{name}{separator}{key}", inner)
+    elif isinstance(value, list) and any(isinstance(inner, dict) for inner in value):
+        for number, inner in enumerate(value, start=1):
+            yield from _flat(f"{name}[{number}]", inner)
+    else:
+        yield name, str(value)
+
+
+CERTIFICATE = (
+    "localisation_px",
+    "hessian_eigenvalue",
+    "recognition_rate",
+    "trials",
+    "uniqueness",
+    "shadow_limit_deg",
+)
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two catalogs."""
+
+    path: Path
+    meta: CatalogMeta
+    only: RecordArray  # points whose id the other one has not
+
+
+class ReliefChange(NamedTuple):
+    """How two reliefs of as many rows differ.
+
+    cells        whose mean or top is another
+    mean_max_m, mean_rms_m, top_max_m  differences of all cells' means and tops
+    """
+
+    cells: int
+    mean_max_m: float
+    mean_rms_m: float
+    top_max_m: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Differences of two catalogs; arrays in the order of ascending ids, one entry a shared point
+    that differs in anything.
+
+    settings      content of the manifest that differs
+    provenance    what else the manifests tell apart: no content
+    comparable    whether ids mean the same cells; else no point is compared
+    before, after (n,) the points in the first and in the second catalog
+    moved_m       (n,) distance on the reference sphere
+    patches       (n,) bool: stored heights differ
+    height_max_m, height_rms_m  (n,) largest and rms difference of heights over all levels; NaN
+                  where the point has moved, or its patches have another shape
+    holes         (n,) nodes with a height in one of the two only
+    relief        differences of the reliefs; None where they are the same, or where one has none or
+                  other cells (then `settings` says so)
+    """
+
+    first: Side
+    second: Side
+    settings: tuple[Change, ...]
+    provenance: tuple[Change, ...]
+    comparable: bool
+    before: RecordArray
+    after: RecordArray
+    moved_m: FloatArray
+    patches: BoolArray
+    height_max_m: FloatArray
+    height_rms_m: FloatArray
+    holes: IntArray
+    relief: ReliefChange | None
+
+    @property
+    def same(self) -> bool:
+        """Whether both have the same content."""
+        return self.first.meta.digest == self.second.meta.digest
+
+    @property
+    def ids(self) -> IntArray:
+        """(n,) ids of shared points that differ."""
+        return np.asarray(self.before["id"], dtype=np.int64)
+
+    def field_changed(self, name: str) -> BoolArray:
+        """(n,) where a field of the records differs."""
+        if name == "source":
+            one, other = self.first.meta, self.second.meta
+            return np.not_equal(_names(one, self.before), _names(other, self.after))
+        return _differs(self.before[name], self.after[name])
+
+    def field_change(self, name: str) -> FloatArray:
+        """(n,) largest difference of a field's numbers, absolute; inf from or to unknown."""
+        a, b = (_columns(records[name]) for records in (self.before, self.after))
+        levels = min(a.shape[1], b.shape[1])
+        a, b = a[:, :levels], b[:, :levels]
+        change = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(a - b))
+        return np.asarray(np.where(np.isnan(change), np.inf, change).max(axis=1, initial=0.0))
+
+
+def compare(first: str | Path, second: str | Path, progress: Progress | None = None) -> Comparison:
+    """Compare the content of two catalog files.
+
+    Raises DataError for one that is missing, damaged or no catalog.
+    """
+    with (
+        Catalog.open(first, strict=True) as a,
+        Catalog.open(second, strict=True) as b,
+        (progress or SilentProgress()).stage("compare", len(a) + len(b), "point") as stage,
+    ):
+        found = _compare(a, b, stage)
+    differs = bool(
+        found.settings
+        or len(found.first.only)
+        or len(found.second.only)
+        or len(found.ids)
+        or found.relief
+    )
+    # equal digests of different contents, or different ones of equal: one of the two is not true
+    if found.same == differs:
+        raise DataError(
+            f"{first}, {second}: a digest that they state is not that of the content; "
+            "run `optnav catalog verify` on both"
+        )
+    return found
+
+
+def require_whole(path: str | Path) -> None:
+    """Raise DataError unless all that `compare` reads of a catalog is there and undamaged."""
+    with Catalog.open(path, strict=True) as catalog:
+        for number in catalog.ids.tolist():
+            catalog.stored_patches(number)
+        catalog.relief()
+
+
+def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
+    settings = content_changes(a.meta, b.meta)
+    comparable = not {"body", "radius_m", "cell_deg"} & {change.name for change in settings}
+    shared, rows_a, rows_b = np.intersect1d(
+        a.ids, b.ids if comparable else b.ids[:0], assume_unique=True, return_indices=True
+    )
+    before, after = a.records[rows_a], b.records[rows_b]
+    moved_m = _distance(a.direction[rows_a], b.direction[rows_b]) * a.meta.radius_m
+    patches = np.zeros(len(shared), dtype=np.bool_)
+    holes = np.zeros(len(shared), dtype=np.int64)
+    height_max, height_rms = np.zeros(len(shared)), np.zeros(len(shared))
+    for row, number in enumerate(shared.tolist()):
+        one, other = a.stored_patches(number), b.stored_patches(number)
+        if not _same_content(one, other):
+            patches[row] = True
+            height_max[row], height_rms[row], holes[row] = (
+                _height_differences(one, other) if moved_m[row] == 0.0 else (np.nan, np.nan, 0)
+            )
+        stage.advance(2)
+    changed = patches | (_names(a.meta, before) != _names(b.meta, after))
+    for name in ("lat_deg", "lon_deg", "radius_m", "flags", "usable", *CERTIFICATE):
+        changed |= _differs(before[name], after[name])
+    return Comparison(
+        _side(a, shared, comparable, stage),
+        _side(b, shared, comparable, stage),
+        settings,
+        provenance_changes(a.meta, b.meta),
+        comparable,
+        before[changed],
+        after[changed],
+        moved_m[changed],
+        patches[changed],
+        height_max[changed],
+        height_rms[changed],
+        holes[changed],
+        _relief_change(a, b),
+    )
+
+
+def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
+    """Both reliefs are read, so that a damaged one is told."""
+    one, other = a.relief(), b.relief()
+    if one is None or other is None or one.heights.shape != other.heights.shape:
+        return None
+    means, tops = one.heights - other.heights, one.tops - other.tops
+    cells = int(np.count_nonzero((means != 0.0) | (tops != 0.0)))
+    if cells == 0:
+        return None
+    rms = float(np.sqrt(np.square(means, dtype=np.float64).mean()))
+    return ReliefChange(cells, float(np.abs(means).max()), rms, float(np.abs(tops).max()))
+
+
+def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> Side:
+    """What stands in one catalog only; its patches are read to know that they are whole."""
+    alone = ~np.isin(catalog.ids, shared)
+    for number in catalog.ids[alone].tolist():
+        catalog.stored_patches(number)
+        stage.advance()
+    only = catalog.records[alone] if comparable else catalog.records[:0]
+    return Side(catalog.path, catalog.meta, only)
+
+
+def _same_content(one: tuple[StoredPatch, ...], other: tuple[StoredPatch, ...]) -> bool:
+    if one == other:
+        return True
+    # another release of the compressor may pack the same counts in another way
+    return [patch.header for patch in one] == [patch.header for patch in other] and all(
+        np.array_equal(
+            decode_counts(p.encoded.data, p.encoded.size),
+            decode_counts(q.encoded.data, q.encoded.size),
+        )
+        for p, q in zip(one, other)
+    )
+
+
+def _height_differences(
+    one: tuple[StoredPatch, ...], other: tuple[StoredPatch, ...]
+) -> tuple[float, float, int]:
+    """Largest and rms difference (m; NaN when no node can be compared), nodes known in one only."""
+    largest, squares, nodes, holes = 0.0, 0.0, 0, 0
+    for p, q in zip(one, other):
+        if (p.posting_m, p.encoded.size) != (q.posting_m, q.encoded.size):
+            continue
+        a, b = decode(p.encoded).astype(np.float64), decode(q.encoded).astype(np.float64)
+        holes += int(np.count_nonzero(np.isnan(a) != np.isnan(b)))
+        difference = a - b
+        known = np.isfinite(difference)
+        largest = max(largest, float(np.abs(difference[known]).max(initial=0.0)))
+        squares += float(np.square(difference[known]).sum())
+        nodes += int(np.count_nonzero(known))
+    if nodes == 0:
+        return np.nan, np.nan, holes
+    return largest, float(np.sqrt(squares / nodes)), holes
+
+
+def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(n,) angles between unit vectors (n, 3), rad; the chord keeps its digits at small ones."""
+    chord = np.linalg.norm(one - other, axis=1)
+    return np.asarray(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
+
+
+def _names(meta: CatalogMeta, records: RecordArray) -> NDArray[np.str_]:
+    """(n,) the texts that the points' `source` stands for."""
+    names: NDArray[np.str_] = np.array([*meta.point_sources, ""], dtype=np.str_)
+    return np.take(names, records["source"])
+
+
+def _columns(values: NDArray[np.generic]) -> FloatArray:
+    return values.astype(np.float64).reshape(len(values), int(np.prod(values.shape[1:])))
+
+
+def _differs(one: NDArray[np.generic], other: NDArray[np.generic]) -> BoolArray:
+    """(n,) where two columns of numbers, or of lists of them, differ; unknown equals unknown."""
+    a, b = _columns(one), _columns(other)
+    levels = min(a.shape[1], b.shape[1])  # of catalogs with more and fewer levels
+    a, b = a[:, :levels], b[:, :levels]
+    return np.asarray(((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1))

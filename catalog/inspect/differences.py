@@ -1,0 +1,260 @@
+"""Differences of two catalogs in words, for people and the logs of pipelines."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from catalog.arrays import BoolArray, FloatArray
+from catalog.control_point import Flag
+from catalog.errors import OutputError
+from catalog.inspect.compare import CERTIFICATE, Comparison, Side
+from catalog.store.features import reasons_text
+from catalog.store.partial import replacing
+from catalog.store.records import Record
+
+SHOWN = 10  # lines a kind; the table (`difference_table`) has all
+
+
+def summary(found: Comparison) -> str:
+    """What differs, in one line; "" for nothing."""
+    moved, usable = found.moved_m > 0.0, found.field_changed("usable")
+    reasons = found.field_changed("flags") & ~usable
+    certificate = np.zeros(len(moved), dtype=np.bool_)
+    for name in CERTIFICATE:
+        certificate |= found.field_changed(name)
+    counts = (
+        ("settings", len(found.settings)),
+        (f"points only in {found.first.path.name}", len(found.first.only)),
+        (f"points only in {found.second.path.name}", len(found.second.only)),
+        ("moved", moved.sum()),
+        ("usable or no longer", usable.sum()),
+        ("other reasons", reasons.sum()),
+        ("other radius in place", (found.field_changed("radius_m") & ~moved).sum()),
+        ("other heights in place", (found.patches & ~moved).sum()),
+        ("other certificate", certificate.sum()),
+        ("other terrain model", found.field_changed("source").sum()),
+    )
+    return ", ".join(f"{what}: {number}" for what, number in counts if number)
+
+
+def lines(found: Comparison) -> Iterator[str]:
+    """The differences, a kind after the other, the greatest of each first."""
+    for name, side in (("first", found.first), ("second", found.second)):
+        meta = side.meta
+        yield f"{name}: {side.path}: {meta.count} control points, {meta.usable} usable"
+        yield f"{name}_digest: {meta.digest}"
+    for change in found.provenance[:SHOWN]:
+        yield f"not content: {change.name}: {change.first} -> {change.second}"
+    if len(found.provenance) > SHOWN:
+        yield f"not content: and {len(found.provenance) - SHOWN} more"
+    for change in found.settings:
+        yield f"setting: {change.name}: {change.first} -> {change.second}"
+    if not found.comparable:
+        yield "points: not compared: their ids are cells of other grids"
+    if found.relief is not None:
+        relief = found.relief
+        yield (
+            f"relief: {relief.cells} cells, means max {relief.mean_max_m:.3f} m, rms "
+            f"{relief.mean_rms_m:.3f} m, tops max {relief.top_max_m:.3f} m"
+        )
+    for side in (found.first, found.second):
+        yield from _alone(side)
+    yield from _places(found)
+    yield from _use(found)
+    yield from _heights(found)
+    yield from _certificates(found)
+
+
+def _alone(side: Side) -> Iterator[str]:
+    if not len(side.only):
+        return
+    yield f"only in {side.path}: {_points(len(side.only))}"
+    yield from _shortened(
+        [f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}" for r in side.only[: SHOWN + 1]],
+        len(side.only),
+    )
+
+
+def _places(found: Comparison) -> Iterator[str]:
+    moved = found.moved_m[found.moved_m > 0.0]
+    if len(moved):
+        spread = f"median {np.median(moved):.3f} m, max {moved.max():.3f} m"
+        yield f"moved: {_points(len(moved))}, {spread}"
+        yield from _greatest(found, found.moved_m, found.moved_m > 0.0, "{:.3f} m")
+    radius = found.after["radius_m"] - found.before["radius_m"]
+    still = found.field_changed("radius_m") & (found.moved_m == 0.0)
+    if still.any():
+        yield f"radius of points in place: {_points(still.sum())}, {_largest(radius[still])} m"
+        yield from _greatest(found, radius, still, "{:+.3f} m")
+
+
+def _use(found: Comparison) -> Iterator[str]:
+    before, after = found.before["usable"] != 0, found.after["usable"] != 0
+    reasons = found.field_changed("flags") & (before == after)
+    for name, chosen in (
+        ("no longer usable", before & ~after),
+        ("newly usable", after & ~before),
+        ("other reasons", reasons),
+    ):
+        rows = np.flatnonzero(chosen)
+        if rows.size:
+            yield f"{name}: {_points(rows.size)}"
+            told = (
+                f"{found.ids[row]}: {_state(found.before[row])} -> {_state(found.after[row])}"
+                for row in rows[: SHOWN + 1]
+            )
+            yield from _shortened(list(told), rows.size)
+    source = np.flatnonzero(found.field_changed("source"))
+    if source.size:
+        yield f"other terrain model: {_points(source.size)}"
+        told = (
+            f"{found.ids[row]}: {_source(found.first, found.before[row])} -> "
+            f"{_source(found.second, found.after[row])}"
+            for row in source[: SHOWN + 1]
+        )
+        yield from _shortened(list(told), source.size)
+
+
+def _heights(found: Comparison) -> Iterator[str]:
+    changed = found.patches & (found.moved_m == 0.0)
+    if not changed.any():
+        return
+    largest = found.height_max_m[changed]
+    known = np.isfinite(largest)
+    text = f"heights of points in place: {_points(changed.sum())}"
+    if known.any():
+        squares = np.square(found.height_rms_m[changed][known])
+        text += f", max {largest[known].max():.3f} m, rms {np.sqrt(squares.mean()):.3f} m"
+    if not known.all():
+        text += f", {np.count_nonzero(~known)} of another shape or without common nodes"
+    if found.holes[changed].any():
+        text += f", {found.holes[changed].sum()} nodes with a height in one only"
+    yield text
+    rows = np.flatnonzero(changed)
+    rows = rows[np.argsort(-np.nan_to_num(found.height_max_m[rows], nan=np.inf), kind="stable")]
+    told = (
+        f"{found.ids[row]}: max {found.height_max_m[row]:.3f} m, "
+        f"rms {found.height_rms_m[row]:.3f} m"
+        for row in rows[: SHOWN + 1]
+    )
+    yield from _shortened(list(told), rows.size)
+
+
+def _certificates(found: Comparison) -> Iterator[str]:
+    for name in CERTIFICATE:
+        chosen = found.field_changed(name)
+        if chosen.any():
+            change = found.field_change(name)
+            yield f"{name}: {_points(chosen.sum())}, {_largest(change[chosen])}"
+            yield from _greatest(found, change, chosen, "by {:.4g}")
+
+
+def _largest(changes: FloatArray) -> str:
+    """The median and the largest of some changes, those from or to unknown aside."""
+    sizes = np.abs(changes[np.isfinite(changes)])
+    unknown = len(changes) - len(sizes)
+    parts = [f"median {np.median(sizes):.4g}, max {sizes.max():.4g}"] if len(sizes) else []
+    return ", ".join(parts + ([f"{unknown} known in one only"] if unknown else []))
+
+
+def _greatest(found: Comparison, sizes: FloatArray, chosen: BoolArray, form: str) -> Iterator[str]:
+    """Lines of the chosen points with the largest sizes."""
+    rows = np.flatnonzero(chosen)
+    known = np.nan_to_num(np.abs(sizes[rows]), nan=np.inf)
+    rows = rows[np.argsort(-known, kind="stable")]
+    told = [f"{found.ids[row]}: " + form.format(sizes[row]) for row in rows[: SHOWN + 1]]
+    yield from _shortened(told, rows.size)
+
+
+def _points(number: int | np.integer[Any]) -> str:
+    return f"{number} point" if number == 1 else f"{number} points"
+
+
+def _shortened(told: list[str], total: int) -> Iterator[str]:
+    yield from (f"  {line}" for line in told[:SHOWN])
+    if total > SHOWN:
+        yield f"  and {total - SHOWN} more"
+
+
+def _state(record: Record) -> str:
+    reasons = reasons_text(Flag(int(record["flags"])))
+    state = "usable" if record["usable"] else "not usable"
+    return f"{state} ({reasons})" if reasons else state
+
+
+def _source(side: Side, record: Record) -> str:
+    return side.meta.point_sources[int(record["source"])] or "none"
+
+
+FIRST_COLUMNS = ("id", "change", "moved_m", "radius_change_m", "height_max_m", "height_rms_m")
+LISTS = ("uniqueness", "shadow_limit_deg")  # told by their largest difference
+
+
+def write_table(found: Comparison, path: Path) -> int:
+    """Write every point that differs to a CSV file, in the order of ids; returns their number.
+
+    Raises OutputError for a
+    place that cannot be written or an existing file that is no such table.
+    """
+    start = ",".join(FIRST_COLUMNS)
+
+    def ours(old: Path) -> bool:
+        with old.open("rb") as file:
+            return file.read(len(start)) == start.encode()
+
+    rows = sorted(_rows(found), key=lambda row: int(str(row["id"])))
+    names = [*FIRST_COLUMNS, "nodes_in_one_only"]
+    for name in ("lat_deg", "lon_deg", "usable", "reasons", "source", *CERTIFICATE):
+        names += [f"{name}_change"] if name in LISTS else [f"{name}_first", f"{name}_second"]
+    with replacing(path, ours) as partial:
+        try:
+            with partial.open("w", encoding="utf-8", newline="") as file:
+                table = csv.DictWriter(file, names, restval="", lineterminator="\n")
+                table.writeheader()
+                table.writerows(rows)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    return len(rows)
+
+
+def _rows(found: Comparison) -> Iterator[dict[str, object]]:
+    for suffix, side in (("first", found.first), ("second", found.second)):
+        for record in side.only:
+            row: dict[str, object] = {"id": int(record["id"]), "change": f"only in {suffix}"}
+            yield row | _columns(side, record, suffix)
+    lists = {name: found.field_change(name) for name in LISTS}
+    for number, (before, after) in enumerate(zip(found.before, found.after)):
+        row = {
+            "id": int(before["id"]),
+            "change": "differs",
+            "moved_m": f"{found.moved_m[number]:.3f}",
+            "radius_change_m": _text(float(after["radius_m"] - before["radius_m"]), ".3f"),
+            "height_max_m": _text(float(found.height_max_m[number]), ".3f"),
+            "height_rms_m": _text(float(found.height_rms_m[number]), ".3f"),
+            "nodes_in_one_only": int(found.holes[number]),
+        }
+        row |= {f"{name}_change": _text(float(lists[name][number]), ".4g") for name in LISTS}
+        yield (
+            row | _columns(found.first, before, "first") | _columns(found.second, after, "second")
+        )
+
+
+def _columns(side: Side, record: Record, suffix: str) -> dict[str, object]:
+    """What one catalog says about a point."""
+    columns: dict[str, object] = {
+        "usable": int(record["usable"]),
+        "reasons": reasons_text(Flag(int(record["flags"]))),
+        "source": side.meta.point_sources[int(record["source"])],
+    }
+    for name in ("lat_deg", "lon_deg", *CERTIFICATE):
+        if name not in LISTS:
+            columns[name] = _text(float(record[name]), ".10g")
+    return {f"{name}_{suffix}": value for name, value in columns.items()}
+
+
+def _text(value: float, form: str) -> str:
+    """A number, empty for unknown."""
+    return format(value, form) if np.isfinite(value) else ""

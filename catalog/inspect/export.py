@@ -1,0 +1,310 @@
+"""The points of a catalog as a map layer for other programs: GeoJSON, CSV or a plain GeoPackage.
+
+All three carry the body's coordinate system in the way that GDAL and QGIS read it back: GeoJSON in
+its (pre-RFC 7946) crs member, CSV in a .prj file beside it (and column types in a .csvt file), the
+GeoPackage in its own table.
+"""
+
+import csv
+import json
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import manifold3d
+import numpy as np
+import rasterio
+import trimesh
+from rasterio.errors import RasterioError
+from rasterio.transform import Affine
+
+from catalog.arrays import FloatArray, IntArray
+from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint
+from catalog.errors import DataError, OutputError
+from catalog.geometry.projection import node_grid
+from catalog.store.features import reasons_text
+from catalog.store.partial import is_points_file, replacing
+from catalog.store.reader import Catalog
+from catalog.store.records import unknown_as_none
+from catalog.store.schema import create_tables, insert_service_rows, srs_of
+from catalog.store.writer import insert_features
+
+# what begins a file that we wrote, and may therefore write again
+GEOJSON_START = '{"type":"FeatureCollection","name":"control_points","optnav":"catalog layer"'
+FIRST_COLUMNS = ("id", "lon_deg", "lat_deg", "radius_m", "usable", "reasons")
+
+Properties = dict[str, object]
+
+
+def export(catalog: Catalog, path: str | Path) -> int:
+    """Write all points to a .geojson/.json, .csv or .gpkg file; returns their number.
+
+    Raises OutputError for another ending, a place that cannot be written, or an existing file that
+    is no such export.
+    """
+    path = Path(path)
+    writers: dict[str, Callable[[Catalog, Path], None]] = {
+        ".geojson": _write_geojson,
+        ".json": _write_geojson,
+        ".csv": _write_csv,
+        ".gpkg": _write_geopackage,
+    }
+    writer = writers.get(path.suffix.lower())
+    if writer is None:
+        raise OutputError(
+            f"{path}: a layer is written as {', '.join(writers)}, the relief as .tif, a patch as "
+            ".obj or .glb; choose one of these endings"
+        )
+    if path.exists() and path.samefile(catalog.path):
+        raise OutputError(f"{path}: is the catalog itself; name another file for the layer")
+    writer(catalog, path)
+    return len(catalog)
+
+
+def point_properties(point: ControlPoint) -> Properties:
+    """Attributes of a point under the names that the feature layer uses, lists spread out."""
+    properties: Properties = {
+        "id": point.id,
+        "lon_deg": point.lon_deg,
+        "lat_deg": point.lat_deg,
+        "radius_m": unknown_as_none(point.radius_m),
+        "usable": int(point.usable),
+        "reasons": reasons_text(point.flags),
+        "flags": int(point.flags),
+        "localisation_px": unknown_as_none(point.localisation_px),
+        "hessian_eigenvalue": unknown_as_none(point.hessian_eigenvalue),
+        "recognition_rate": unknown_as_none(point.recognition_rate),
+        "trials": point.trials,
+        "source": point.source,
+    }
+    for level, margin in enumerate(point.uniqueness):
+        properties[f"uniqueness_{level}"] = unknown_as_none(margin)
+    for i, limit in enumerate(point.shadow_limit_deg):
+        azimuth = i * 360 // SHADOW_AZIMUTHS
+        properties[f"shadow_limit_{azimuth:03d}_deg"] = unknown_as_none(limit)
+    return properties
+
+
+def _geojson_lines(catalog: Catalog) -> Iterator[str]:
+    _, _, organization, code, wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)
+    name = f"urn:ogc:def:crs:IAU:2015:{code}" if organization == "IAU_2015" else wkt
+    crs = {"type": "name", "properties": {"name": name}}
+    yield f'{GEOJSON_START},"crs":{json.dumps(crs)},"features":['
+    for number, point in enumerate(catalog.points()):
+        feature = {
+            "type": "Feature",
+            "id": point.id,
+            "geometry": {"type": "Point", "coordinates": [point.lon_deg, point.lat_deg]},
+            "properties": point_properties(point),
+        }
+        yield (",\n" if number else "\n") + json.dumps(feature, separators=(",", ":"))
+    yield "\n]}\n"
+
+
+def _starts_as_ours(start: str) -> Callable[[Path], bool]:
+    def check(path: Path) -> bool:
+        with path.open("rb") as file:
+            return file.read(len(start)) == start.encode()
+
+    return check
+
+
+def _write_geojson(catalog: Catalog, path: Path) -> None:
+    with replacing(path, _starts_as_ours(GEOJSON_START)) as partial:
+        _write_text(path, partial, _geojson_lines(catalog))
+
+
+def _csv_type(value: object) -> str:
+    return {int: "Integer64", str: "String"}.get(type(value), "Real")
+
+
+def _write_csv(catalog: Catalog, path: Path) -> None:
+    # the columns of an empty catalog are those of the point that it does not have
+    blank = ControlPoint(
+        0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, (0.0,) * catalog.meta.levels,
+        (0.0,) * SHADOW_AZIMUTHS, False,
+    )  # fmt: skip
+    columns = point_properties(blank)
+    places = {"lon_deg": "CoordX", "lat_deg": "CoordY"}
+    types = ",".join(places.get(name, _csv_type(value)) for name, value in columns.items())
+    ours = _starts_as_ours(",".join(FIRST_COLUMNS))
+    wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)[4]
+    with replacing(path, ours) as partial:
+        try:
+            with partial.open("w", encoding="utf-8", newline="") as file:
+                rows = csv.DictWriter(file, list(columns), lineterminator="\n")
+                rows.writeheader()
+                for point in catalog.points():
+                    rows.writerow(point_properties(point))
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+        for suffix, text in ((".csvt", types + "\n"), (".prj", wkt + "\n")):
+            beside = path.with_suffix(suffix)
+            with replacing(beside, lambda _: True) as partial_beside:
+                _write_text(beside, partial_beside, iter([text]))
+
+
+def _write_text(path: Path, partial: Path, parts: Iterator[str]) -> None:
+    try:
+        with partial.open("w", encoding="utf-8") as file:
+            file.writelines(parts)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _write_geopackage(catalog: Catalog, path: Path) -> None:
+    with (
+        replacing(path, is_points_file) as partial,
+        closing(sqlite3.connect(partial, isolation_level=None)) as db,
+    ):
+        db.execute("PRAGMA journal_mode = OFF")
+        db.execute("PRAGMA synchronous = OFF")
+        create_tables(db, with_patches=False)
+        db.execute("BEGIN")
+        extent = insert_features(db, catalog.meta, zip(catalog.points(), catalog.records))
+        insert_service_rows(db, catalog.meta, extent, with_patches=False)
+        db.execute("COMMIT")
+
+
+PATCH_NAME = "optnav patch"  # what stands near the beginning of a file that we wrote
+PATCH_ENDINGS = (".obj", ".glb")
+HEAD_BYTES = 4096
+BASE_SHARE = 0.2
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int:
+    """Write a point's patch as a solid to a .obj or .glb file; returns its number of triangles.
+
+    Raises DataError for a point or level that is not there or a patch with holes, OutputError for
+    a place that cannot be written or an existing file that is no such export.
+    """
+    vertices, faces = patch_solid(catalog, point_id, level)
+    name = f"{PATCH_NAME} {point_id} level {level}"
+    data: bytes
+    if path.suffix.lower() == ".glb":
+        scene: Any = trimesh.Scene()
+        scene.add_geometry(trimesh.Trimesh(vertices @ Y_UP.T, faces, process=False), geom_name=name)
+        data = scene.export(file_type="glb")
+    else:
+        solid: Any = trimesh.Trimesh(vertices, faces, process=False)
+        data = solid.export(file_type="obj", header=name, digits=4).encode()
+    with replacing(path, _is_our_patch) as partial:
+        try:
+            partial.write_bytes(data)
+        except OSError as error:
+            raise OutputError(
+                f"{path}: cannot be written ({error.strerror}); free some space or name another "
+                "place"
+            ) from error
+    return len(faces)
+
+
+def patch_solid(catalog: Catalog, point_id: int, level: int) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, east, north, up from the point, and outward triangles (m, 3)."""
+    point, patches = catalog.point(point_id), catalog.patches(point_id)
+    if not 0 <= level < len(patches):
+        raise DataError(
+            f"{catalog.path}: control point {point_id} has {len(patches)} levels, from 0 on; "
+            f"there is no level {level}"
+        )
+    patch = patches[level]
+    holes = int(np.isnan(patch.heights_m).sum())
+    if holes:
+        raise DataError(
+            f"{catalog.path}: level {level} of control point {point_id} has {holes} nodes without "
+            "ground; a solid wants whole ground: choose another level or point"
+        )
+    size = patch.size
+    x, y = node_grid(size, patch.posting_m)
+    heights = patch.heights_m.astype(np.float64)
+    base = np.full_like(heights, heights.min() - BASE_SHARE * size * patch.posting_m)
+    projection = catalog.meta.projection(point)
+    placed = np.stack([projection.points(x, y, h) for h in (heights, base)])
+    vertices = (placed.reshape(-1, 3) - point.xyz_m) @ projection.body_from_local
+    faces = _faces(size)
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64))
+    )
+    if solid.status() != manifold3d.Error.NoError or not solid.volume() > 0.0:
+        raise DataError(
+            f"{catalog.path}: level {level} of control point {point_id} makes no solid "
+            f"({solid.status().name}); run `optnav catalog verify`"
+        )
+    return vertices, faces
+
+
+def _faces(size: int) -> IntArray:
+    """Triangles of two square grids of nodes, the ground's first, and of the sides between."""
+    top = np.arange(size * size).reshape(size, size)  # row 0 north
+    a, b = top[1:, :-1].ravel(), top[1:, 1:].ravel()  # south-west, south-east
+    c, d = top[:-1, 1:].ravel(), top[:-1, :-1].ravel()
+    ground = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    bottom = ground[:, ::-1] + size * size
+    # once round the ground, eastward along the south
+    rim = np.concatenate([top[-1, :-1], top[:0:-1, -1], top[0, :0:-1], top[:-1, 0]])
+    after, below = np.roll(rim, -1), rim + size * size
+    sides = [
+        np.stack([below, np.roll(below, -1), after], axis=1),
+        np.stack([below, after, rim], axis=1),
+    ]
+    return np.concatenate([ground, bottom, *sides])
+
+
+def _is_our_patch(path: Path) -> bool:
+    with path.open("rb") as file:
+        return PATCH_NAME.encode() in file.read(HEAD_BYTES)
+
+
+RELIEF_NAME = "optnav relief"  # what begins a file that we wrote, and may therefore write again
+RELIEF_ENDINGS = (".tif", ".tiff")
+BANDS = ("mean height, m", "highest place, m")
+
+
+def export_relief(catalog: Catalog, path: Path) -> int:
+    """Write means and tops as the bands of a GeoTIFF on the body's sphere; returns its rows.
+
+    Raises DataError for a catalog without a relief or with a damaged one, OutputError for a place
+    that cannot be written or an existing file that is no such export.
+    """
+    relief = catalog.relief()
+    if relief is None:
+        raise DataError(
+            f"{catalog.path}: carries no relief; name a terrain model of the whole body as "
+            "[relief] dem of its build config and build it again"
+        )
+    rows = len(relief.heights)
+    step = 180.0 / rows
+    profile = {
+        "driver": "GTiff",
+        "height": rows,
+        "width": 2 * rows,
+        "count": len(BANDS),
+        "dtype": "float32",
+        "crs": rasterio.CRS.from_wkt(srs_of(catalog.meta.body, catalog.meta.radius_m)[4]),
+        "transform": Affine(step, 0.0, -180.0, 0.0, -step, 90.0),
+        "tiled": True,
+        "compress": "deflate",
+        "predictor": 3,
+    }
+    with replacing(path, _is_our_relief) as partial:
+        try:
+            with rasterio.open(partial, "w", **profile) as file:
+                file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{RELIEF_NAME}: {relief.source}")
+                file.units = ("m",) * len(BANDS)
+                for band, (name, grid) in enumerate(zip(BANDS, (relief.heights, relief.tops)), 1):
+                    file.write(grid, band)
+                    file.set_band_description(band, name)
+        except RasterioError as error:
+            raise OutputError(f"{path}: cannot be written ({error}); free some space") from None
+    return rows
+
+
+def _is_our_relief(path: Path) -> bool:
+    try:
+        with rasterio.open(path) as file:
+            return str(file.tags().get("TIFFTAG_IMAGEDESCRIPTION", "")).startswith(RELIEF_NAME)
+    except RasterioError:
+        return False

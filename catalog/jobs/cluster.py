@@ -1,0 +1,331 @@
+"""Workers of an existing dask.distributed cluster, through their concurrent.futures.Executor.
+
+The build itself, its workspace and its results stay on this machine: workers read terrain models
+and overviews by their paths and send records back.
+"""
+
+import asyncio
+import logging
+import pickle
+import socket
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, Executor
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from catalog.errors import UsageError, WorkersError
+from catalog.jobs.cluster_node import Needs, call_on_node, files_of, needs_of, unfit
+from catalog.jobs.code_key import code_key
+from catalog.jobs.workers import ExecutorWorkers, Workers
+
+log = logging.getLogger(__name__)
+
+ANSWER_S = 5.0  # for a scheduler to answer
+# What these would say on stderr is said in a message of our own.
+NOISY = ("distributed", "tornado", "asyncio")
+
+
+def check_address(address: str) -> None:
+    """Raise UsageError unless this is tcp://HOST:PORT."""
+    try:
+        parts = urlsplit(address)
+        good = parts.scheme == "tcp" and bool(parts.hostname) and bool(parts.port)
+        good = good and address.lower() == f"tcp://{parts.netloc}".lower() and "@" not in address
+    except ValueError:  # a port that is no number, or half an IPv6 address
+        good = False
+    if not good:
+        raise UsageError(
+            f"--scheduler {address!r}: wanted tcp://HOST:PORT, such as tcp://host:8786"
+        )
+
+
+def load_distributed() -> Any:
+    """The package `distributed`. Raises UsageError where it is not installed."""
+    try:
+        import distributed
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"--scheduler needs the package {error.name!r}, which is not installed; "
+            "install it with: pip install 'optnav[dist]'"
+        ) from None
+    return distributed
+
+
+def unreachable(address: str, reason: str) -> WorkersError:
+    """The error of a scheduler that does not answer."""
+    return WorkersError(
+        f"{address}: no scheduler can be reached ({reason}); "
+        "check the address and that `dask scheduler` runs there"
+    )
+
+
+def find_scheduler(address: str) -> None:
+    """Raise WorkersError unless a scheduler answers within ANSWER_S.
+
+    Asked before there is a Client, which would wait for ever for what is no scheduler.
+    """
+    parts = urlsplit(address)
+    try:
+        # refused at once where a Client would go on trying
+        socket.create_connection((parts.hostname, parts.port), timeout=ANSWER_S).close()
+    except OSError as error:
+        raise unreachable(address, (error.strerror or str(error)).lower()) from None
+    task = asyncio.run(_identity_in_time(address))
+    if task.cancelled() or isinstance(task.exception(), OSError):
+        raise unreachable(address, f"no word within {ANSWER_S:.0f} s")
+    # whatever else went wrong, it did on reading words that are no scheduler's
+    if task.exception() is not None or task.result().get("type") != "Scheduler":
+        raise unreachable(address, "what answers there is no scheduler")
+
+
+async def _identity_in_time(address: str) -> "asyncio.Task[Any]":
+    async def identity() -> Any:
+        async with load_distributed().rpc(address, timeout=ANSWER_S) as scheduler:
+            return await scheduler.identity()
+
+    task = asyncio.ensure_future(identity())
+    done, _ = await asyncio.wait({task}, timeout=ANSWER_S)
+    if not done:
+        task.cancel()
+        await asyncio.wait({task}, timeout=1.0)
+    return task
+
+
+class Silence:
+    """Keeps what dask logs off stderr, from `begin` to `end`; not in a run that tells details."""
+
+    def __init__(self) -> None:
+        self._levels: dict[str, int] = {}
+
+    def begin(self) -> None:
+        """Raise the levels of their loggers."""
+        if log.isEnabledFor(logging.DEBUG) or self._levels:
+            return
+        known = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in NOISY]
+        for name in {*NOISY, *known}:
+            logger = logging.getLogger(name)
+            if name in NOISY or logger.level != logging.NOTSET:
+                self._levels[name] = logger.level
+                logger.setLevel(logging.CRITICAL + 1)
+
+    def end(self) -> None:
+        """Put the levels back."""
+        for name, level in self._levels.items():
+            logging.getLogger(name).setLevel(level)
+        self._levels = {}
+
+
+log = logging.getLogger(__name__)
+
+ARRIVE_S = 10.0  # for a first worker to be there at the start
+RETURN_S = 60.0  # for a worker to come back when all have gone: a nanny starts new ones in seconds
+LOOK_S = 2.0  # between two looks at the cluster
+# A piece of work is given up by the scheduler after some workers died over it (4 by default). It is
+# tried once more, last, for they may have died of something else.
+LOSSES_WITHOUT_PROGRESS = 1
+KEPT = "what is done is kept: give the same command again"
+
+
+class _SchedulerLostError(Exception):
+    """The scheduler does not answer any more."""
+
+
+def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
+    """The workers of the scheduler at an address, all of which must be able to read some files.
+
+    address  tcp://HOST:PORT
+    files    absolute paths that the workers will read, as far as they are known and there already
+    Raises UsageError for an address that is none or without the package `distributed`, and
+    WorkersError for a scheduler that does not answer, has no workers, or has one that would not
+    do the work as this process does.
+    """
+    check_address(address)
+    pool = ClusterPool(address)
+    try:
+        pool.need(needs_of(path for path in files if path.is_file()))
+    except BaseException:
+        pool.close()
+        raise
+    return ExecutorWorkers(pool)
+
+
+class ClusterPool:
+    """A Pool (see workers.py) of a cluster's worker processes, one chunk at a time each."""
+
+    patience_s: float = LOOK_S
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.call: Callable[..., Any] = call_on_node
+        self._distributed = load_distributed()
+        from distributed.scheduler import KilledWorker
+
+        self.lost: tuple[type[Exception], ...] = (
+            KilledWorker,
+            CancelledError,
+            ImportError,
+            _SchedulerLostError,
+        )
+        self._client: Any = None
+        self._executor: Executor | None = None
+        self._needs: Needs = {}
+        self._workers: set[str] = set()
+        self._looked = self._seen_workers = 0.0
+        self._silence = Silence()
+
+    @property
+    def count(self) -> int:
+        """Worker processes at the last look; 1 while there are none."""
+        return max(1, len(self._workers))
+
+    def need(self, needs: Needs) -> None:
+        """Ask all workers, now and whenever the cluster is connected to, whether they are fit."""
+        self._needs = needs
+        if self._client is None:
+            self._connect()
+        else:
+            self._ask_all()
+
+    def pack(self, context: Any) -> bytes:
+        """See Pool."""
+        # 6 kB for one terrain model: no trouble to send with each chunk of seconds of work
+        self.need(needs_of(files_of(context)))
+        return pickle.dumps((self._needs, pickle.dumps(context)))
+
+    def executor(self) -> Executor:
+        """See Pool."""
+        if self._client is None:
+            self._connect()
+        if self._executor is None:
+            # pure: equal chunks of two builds must not share a result
+            self._executor = self._client.get_executor(pure=False)
+        return self._executor
+
+    def look(self) -> None:
+        """See Pool. Keeps `count`, tells who left; raises WorkersError when all left for good."""
+        now = time.monotonic()
+        if now - self._looked < LOOK_S:
+            return
+        self._looked = now
+        before, self._workers = self._workers, set(self._listed())
+        for address in sorted(before - self._workers):
+            log.warning("worker %s has left; its pieces of work go to others", address)
+        if self._workers:
+            self._seen_workers = now
+        elif now - self._seen_workers > RETURN_S:
+            raise WorkersError(
+                f"{self.address}: all workers have left and none came back within {RETURN_S:.0f} s "
+                f"(out of memory?); {KEPT} when there are workers"
+            )
+
+    def survive(self, loss: Exception, losses: int) -> None:
+        """See Pool."""
+        if isinstance(loss, ImportError):
+            raise WorkersError(
+                f"{self.address}: a worker cannot load what it needs ({loss}); install the same "
+                f"version of optnav for all workers; {KEPT}"
+            ) from None
+        if isinstance(loss, _SchedulerLostError | CancelledError):
+            log.warning("the scheduler at %s is gone; looking for it", self.address)
+            try:
+                self._connect()
+            except WorkersError as error:
+                raise WorkersError(f"{error}; it was lost in mid-build: {KEPT}") from None
+        if losses > LOSSES_WITHOUT_PROGRESS:
+            raise WorkersError(
+                f"{self.address}: workers died again and again over the same piece of work (out of "
+                f"memory?); see their logs, give them more memory; {KEPT}"
+            ) from None
+
+    def abandon(self) -> None:
+        """See Pool. A scheduler forgets the work of a client that leaves."""
+        client, self._client, self._executor = self._client, None, None
+        if client is not None:
+            client.close(timeout=ANSWER_S)
+
+    def close(self) -> None:
+        """See Pool."""
+        self.abandon()
+        self._silence.end()
+
+    def _connect(self) -> None:
+        self._silence.begin()
+        try:
+            find_scheduler(self.address)
+            with warnings.catch_warnings():
+                # of versions that differ: those that matter are compared by `unfit`
+                warnings.simplefilter("ignore")
+                self._client = self._distributed.Client(
+                    self.address, timeout=ANSWER_S, set_as_default=False, name="optnav"
+                )
+            self._wait_for_workers()
+            self._ask_scheduler()
+            self._ask_all()
+        except _SchedulerLostError:
+            self.abandon()
+            raise unreachable(self.address, "it stopped answering") from None
+        except BaseException:
+            self.abandon()
+            raise
+
+    def _wait_for_workers(self) -> None:
+        until = time.monotonic() + ARRIVE_S
+        found = self._listed()
+        while not found and time.monotonic() < until:
+            time.sleep(0.2)
+            found = self._listed()
+        if not found:
+            raise WorkersError(
+                f"{self.address}: the scheduler has no workers (waited {ARRIVE_S:.0f} s); start "
+                f"some on each machine: dask worker {self.address} --nworkers N --nthreads 1"
+            )
+        self._workers = set(found)
+        self._looked = self._seen_workers = time.monotonic()
+        threads = max(int(worker["nthreads"]) for worker in found.values())
+        if threads > 1:
+            log.warning(
+                "workers of %d threads use one of them for a build; start them with "
+                "--nworkers %d --nthreads 1",
+                threads,
+                threads,
+            )
+
+    def _listed(self) -> dict[str, Any]:
+        """The workers that the scheduler knows. Raises _SchedulerLostError."""
+        try:
+            identity = self._client.sync(self._client.scheduler.identity, callback_timeout=ANSWER_S)
+        except (OSError, RuntimeError) as error:  # RuntimeError: the client has closed itself
+            raise _SchedulerLostError from error
+        found: dict[str, Any] = identity["workers"]
+        return found
+
+    def _ask_scheduler(self) -> None:
+        """The scheduler too loads the functions that it hands to workers."""
+        try:
+            self._client.run_on_scheduler(code_key)
+        except (ImportError, AttributeError) as error:
+            raise WorkersError(
+                f"{self.address}: the scheduler cannot load optnav ({error}); start it from an "
+                "environment with the same version installed"
+            ) from None
+        except (OSError, RuntimeError) as error:
+            raise _SchedulerLostError from error
+
+    def _ask_all(self) -> None:
+        """Raises WorkersError, naming the first, when workers are not fit for the work."""
+        try:
+            replies = self._client.run(unfit, self._needs, on_error="return")
+        except (OSError, RuntimeError) as error:
+            raise _SchedulerLostError from error
+        # a worker that died since it was listed is no reason to stop
+        there = {at: reply for at, reply in replies.items() if not isinstance(reply, OSError)}
+        bad = sorted(at for at, reply in there.items() if reply is not None)
+        if bad:
+            reply = there[bad[0]]
+            if isinstance(reply, BaseException):
+                reply = f"cannot load optnav ({reply}); install the same version there"
+            others = f" (and {len(bad) - 1} more of {len(there)} workers)" if len(bad) > 1 else ""
+            raise WorkersError(f"worker {bad[0]}: {reply}{others}")

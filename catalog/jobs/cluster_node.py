@@ -1,0 +1,126 @@
+"""A machine of a cluster: whether it can do a build's work as this one would, and that work.
+
+The functions here run on the workers of a dask.distributed cluster, in processes that this
+program did not start: threads may share one, and it may have loaded other code or see other files.
+"""
+
+import hashlib
+import pickle
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from catalog.errors import WorkersError
+from catalog.jobs.code_key import code_key, surroundings
+from catalog.jobs.workers import call_in_worker
+
+# Of a file that is compared: enough to tell another terrain model or another overview of the same
+# size, without reading all of it on every worker. Dates are not compared: copies have others.
+SAMPLES = 64
+SAMPLE_BYTES = 4096
+
+Needs = dict[str, Any]  # builtin types alone, for the eyes of other versions
+
+
+def needs_of(files: Iterable[Path]) -> Needs:
+    """What a worker must have: this code, these libraries, and files with the same content."""
+    return {
+        "code": code_key(),
+        "surroundings": surroundings(),
+        "files": {str(path): _file_state(path) for path in files},
+    }
+
+
+@runtime_checkable
+class HasFiles(Protocol):
+    """A context whose chunks are worked from files."""
+
+    def files(self) -> list[Path]:
+        """These files."""
+
+
+def files_of(context: Any) -> list[Path]:
+    """The files that the chunks of a context are worked from."""
+    return context.files() if isinstance(context, HasFiles) else []
+
+
+def unfit(needs: Needs) -> str | None:
+    """Why this process cannot do the work of one with these needs; None when it can."""
+    for (name, found), (_, wanted) in zip(surroundings(), needs["surroundings"], strict=True):
+        if found != wanted:
+            return (
+                f"has {name} {found}, the build {wanted}: results could differ; "
+                "install the same versions (requirements.lock) on all machines"
+            )
+    if needs["code"] != code_key():
+        return (
+            "runs other code of optnav than the build; "
+            "install the same version there and start the worker again"
+        )
+    for name, wanted in needs["files"].items():
+        try:
+            here = _file_state(Path(name))
+        except OSError as error:
+            return (
+                f"{name}: cannot be read there ({error.strerror or error}); terrain models and the "
+                "work folder must have the same path on all machines (a shared folder, or copies)"
+            )
+        if here != wanted:
+            return (
+                f"{name}: is another file there ({here[0]} bytes; the build's has {wanted[0]} "
+                "bytes" + (" of other content" if here[0] == wanted[0] else "") + "); "
+                "give all machines the same file"
+            )
+    return None
+
+
+def _file_state(path: Path) -> tuple[int, str]:
+    """Size and a hash of samples spread over a file."""
+    whole = hashlib.sha256()
+    with path.open("rb") as file:
+        size = path.stat().st_size
+        last = max(size - SAMPLE_BYTES, 0)
+        for at in sorted({last * i // (SAMPLES - 1) for i in range(SAMPLES)}):
+            file.seek(at)
+            whole.update(file.read(SAMPLE_BYTES))
+    return size, whole.hexdigest()
+
+
+_turn = threading.Lock()
+_fit_for: bytes | None = None  # hash of the last needs that were met
+
+
+def call_on_node(packed: bytes, function: Callable[[Any, Any], Any], chunk: Any) -> Any:
+    """Run a chunk on a worker that is fit for it; one at a time in a process.
+
+    A context's open files and caches are not safe across threads, and its memory is bounded for
+    one chunk at a time.
+    """
+    global _fit_for
+    with _turn:
+        needs, blob = pickle.loads(packed)
+        seen = hashlib.sha256(repr(needs).encode()).digest()
+        if seen != _fit_for:
+            # a worker that came while the build went on was not asked at its start
+            reason = unfit(needs)
+            if reason is not None:
+                raise WorkersError(f"{_address()}: {reason}")
+            _fit_for = seen
+        _one_thread()
+        return call_in_worker(blob, function, chunk)
+
+
+def _address() -> str:
+    from distributed import get_worker
+
+    return f"worker {get_worker().address}"
+
+
+def _one_thread() -> None:
+    """Keep numeric libraries to one thread each: cores are the workers' to share out."""
+    import cv2
+    import numba
+
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)  # of this thread

@@ -1,0 +1,1 @@
+"""Raster terrain models: files opened, georeferenced, converted to metres, laid over each other."""

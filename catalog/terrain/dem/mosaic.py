@@ -1,0 +1,272 @@
+"""Several terrain models as one surface: the first by priority that knows a place gives its height.
+
+A source may fade into those below it toward its edge and its holes (catalog.terrain.dem.feather).
+
+A height is an area mean about as wide as the posting asked for: it is read from the overview that
+fits, with columns averaged where they crowd (toward the poles of a cylindrical map); a footprint
+that is wider still is averaged from several samples, never one picked.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
+from catalog.bodies.body import Body
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.geometry.projection import Stereographic
+from catalog.geometry.tangent_plane import MapProjection
+from catalog.terrain.dem.feather import Feather
+from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.pyramid.level_window import LevelWindows, TileCache
+from catalog.terrain.pyramid.pyramid import HeightPyramid
+from catalog.terrain.sampling.footprint import sample_level
+from catalog.terrain.sampling.map_nodes import Pixels, pixels_of_grid, pixels_of_points
+
+
+class Sampled(NamedTuple):
+    """Points read from a mosaic.
+
+    heights  (n) float32, NaN for none
+    source   (n) the source that counts most, -1 for none
+    used     (sources that were asked, n) whether a source counts at all
+    """
+
+    heights: Float32Array
+    source: Int8Array
+    used: BoolArray
+
+
+class Mosaic:
+    """Pyramids in order of priority, sampled as one. Not safe across threads; pickles by path."""
+
+    def __init__(self, pyramids: Sequence[HeightPyramid]) -> None:
+        if not pyramids:
+            raise ValueError("a mosaic needs at least one terrain model")
+        self.pyramids = tuple(pyramids)
+        self.body = pyramids[0].source.body
+        # one that shows all of the body without a hole: whatever is asked for has ground
+        self.whole = any(p.covers_the_body for p in pyramids)
+        self._reset()
+
+    def _reset(self) -> None:
+        self._cache = TileCache()
+        self._sheets: dict[tuple[int, int], LevelWindows] = {}
+        self._feathers: dict[int, Feather | None] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"pyramids": self.pyramids, "body": self.body, "whole": self.whole}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._reset()
+
+    @classmethod
+    def from_files(
+        cls,
+        settings: Sequence[DemSettings],
+        base_dir: Path,
+        body: Body,
+        overview_dir: Path,
+    ) -> "Mosaic":
+        """A mosaic of [[dem]] sections; overviews that `overview_dir` does not hold yet are made.
+
+        Raises DataError for a file that cannot be used and OutputError for an unwritable folder.
+        """
+        ordered = sorted(settings, key=lambda s: s.priority)
+        return cls(
+            [
+                HeightPyramid.load_or_build(one, base_dir, body, overview_dir / f"dem-{i:02d}")
+                for i, one in enumerate(ordered)
+            ]
+        )
+
+    @property
+    def posting_m(self) -> float:
+        """The finest posting of all sources."""
+        return min(p.source.posting_m for p in self.pyramids)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """File names in order of priority, as `source_index` counts them.
+
+        Of two with one name the second tells its priority.
+        """
+        names: list[str] = []
+        for source in (pyramid.source for pyramid in self.pyramids):
+            name = source.path.name
+            names.append(name if name not in names else f"{name} ({source.settings.priority})")
+        return tuple(names)
+
+    @property
+    def extent(self) -> str:
+        """Which ground it covers: west, south, east, north of each source."""
+        sources = [pyramid.source for pyramid in self.pyramids]
+        return "; ".join(
+            f"{s.path.name} covers {','.join(f'{v:.6g}' for v in np.degrees(s.latlon_bounds()))}"
+            for s in sources
+        )
+
+    def files(self) -> list[Path]:
+        """The sources' files and their overviews."""
+        found: set[Path] = set()
+        for pyramid in self.pyramids:
+            found.update(pyramid.source.files)
+            found.update(path for path in pyramid.folder.iterdir() if path.is_file())
+        return sorted(found)
+
+    def projection(self, lat: float, lon: float) -> Stereographic:
+        """The map projection of patches about a place (rad)."""
+        return Stereographic(lat, lon, self.body.radius_m)
+
+    def points(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
+        """Directions (..., 3) of places (rad): radial heights change no x and y of a map."""
+        return xyz_from_latlon(lat, lon, 1.0)
+
+    def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
+        """False: a raster has one height a place."""
+        return False
+
+    def beyond(
+        self, projection: MapProjection, posting_m: float, size: int
+    ) -> Sequence[tuple[Float32Array, float]]:
+        """None: the coarsest patches reach farther than shadows do."""
+        return ()
+
+    def heights(self, lat: ArrayLike, lon: ArrayLike, posting_m: float) -> Float32Array:
+        """Heights (float32, m above the reference sphere, NaN for none) of points (rad).
+
+        lat, lon   (...)  planetocentric latitude, east longitude of any turn
+        posting_m  the spacing these points stand for: what is finer is averaged
+        """
+        sampled, shape = self._at(lat, lon, posting_m)
+        return sampled.heights.reshape(shape)
+
+    def source_index(self, lat: ArrayLike, lon: ArrayLike) -> Int8Array:
+        """Which source (from 0, by priority) counts most at points (rad); -1 for none."""
+        sampled, shape = self._at(lat, lon, self.posting_m)
+        return sampled.source.reshape(shape)
+
+    def covers(self, lat: ArrayLike, lon: ArrayLike, posting_m: float | None = None) -> BoolArray:
+        """Whether points (rad) have a height; a coarser posting answers from overviews, quicker."""
+        if self.whole:
+            return np.ones(np.broadcast_shapes(np.shape(lat), np.shape(lon)), dtype=bool)
+        sampled, shape = self._at(lat, lon, posting_m or self.posting_m)
+        return np.asarray(sampled.source.reshape(shape) >= 0)
+
+    def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
+        """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
+        return self._sample_grid(projection, posting_m, size).heights.reshape(size, size)
+
+    def provenance(self, projection: MapProjection, posting_m: float, size: int) -> str:
+        """Names of the sources that a centred map grid is read from, joined by " + ".
+
+        The one that counts most at its middle comes first, the others by priority; empty where
+        there is no ground.
+        """
+        if len(self.pyramids) == 1:
+            found = self.covers(projection.lat, projection.lon, posting_m)
+            return self.names[0] if found else ""
+        sampled = self._sample_grid(projection, posting_m, size)
+        numbers = np.flatnonzero(sampled.used.any(axis=1)).tolist()
+        middle = int(self.source_index(projection.lat, projection.lon))
+        return " + ".join(self.names[i] for i in sorted(numbers, key=lambda i: (i != middle, i)))
+
+    def _sample_grid(self, projection: MapProjection, posting_m: float, size: int) -> Sampled:
+        if not isinstance(projection, Stereographic):
+            raise TypeError("rasters have radial heights: they fill stereographic grids only")
+
+        def nodes(place: Georeference) -> Pixels:
+            return pixels_of_grid(place, projection, posting_m, size)
+
+        return self._sample(nodes, size * size, posting_m)
+
+    def _at(
+        self, lat: ArrayLike, lon: ArrayLike, posting_m: float
+    ) -> tuple[Sampled, tuple[int, ...]]:
+        lat, lon = np.broadcast_arrays(
+            np.asarray(lat, dtype=np.float64), np.asarray(lon, dtype=np.float64)
+        )
+        flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
+        return self._sample(lambda p: pixels_of_points(p, *flat), lat.size, posting_m), lat.shape
+
+    def close(self) -> None:
+        """Let go of files and cached tiles."""
+        for pyramid in self.pyramids:
+            pyramid.close()
+        self._reset()
+
+    def _sample(
+        self,
+        places: Callable[[Georeference], Pixels],
+        count: int,
+        posting_m: float,
+    ) -> Sampled:
+        """Heights of `count` points; `places` finds them in a raster."""
+        layers = []
+        wanted = np.arange(count)
+        for i, pyramid in enumerate(self.pyramids):
+            pixels = places(pyramid.source.place)
+            if wanted.size < count:
+                pixels = pixels.part(wanted)
+            level = pyramid.level_for(posting_m)
+            rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
+            found = sample_level(self.sheet(i, level), pixels, rows_wide)
+            known = ~np.isnan(found)
+            weight = known.astype(np.float64)
+            feather = self._feather(i)
+            if feather is not None and known.any():
+                inside = np.flatnonzero(known)
+                weight[inside] = feather.weights(pixels.part(inside))
+            if i == 0 and (len(self.pyramids) == 1 or weight.min(initial=1.0) >= 1.0):
+                # nothing to compose: the usual case, and it is on the hot path of a build
+                return Sampled(found, known.astype(np.int8) - np.int8(1), known[None])
+            layers.append((wanted, found, weight))
+            wanted = wanted[weight < 1.0]
+            if not wanted.size:
+                break
+        return _composed(layers, count)
+
+    def _feather(self, i: int) -> Feather | None:
+        """The seam of a source; None for a hard edge, one without any and the lowest source."""
+        if i not in self._feathers:
+            pyramid = self.pyramids[i]
+            hard = pyramid.source.settings.feather_km == 0.0 or pyramid.covers_the_body
+            last = i == len(self.pyramids) - 1
+            self._feathers[i] = None if hard or last else Feather(i, pyramid, self._cache)
+        return self._feathers[i]
+
+    def sheet(self, i: int, level: int) -> LevelWindows:
+        """One level of a source, by its number."""
+        if (i, level) not in self._sheets:
+            self._sheets[i, level] = LevelWindows(i, self.pyramids[i], level, self._cache)
+        return self._sheets[i, level]
+
+
+def _composed(layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count: int) -> Sampled:
+    """One height a point from those of the sources: point numbers, heights, weights, in order.
+
+    Each source is laid over what those below it give; where they give nothing it counts wholly.
+    """
+    heights = np.full(count, np.nan, dtype=np.float32)
+    source = np.full(count, -1, dtype=np.int8)
+    used = np.zeros((len(layers), count), dtype=bool)
+    for i in reversed(range(len(layers))):
+        wanted, found, weight = layers[i]
+        below = heights[wanted]
+        known = ~np.isnan(found)
+        alone = known & (np.isnan(below) | (weight >= 1.0))
+        mixed = known & ~alone
+        heights[wanted[alone]] = found[alone]
+        share = weight[mixed]
+        # from below upward, so that a weight of 0 leaves exactly what lies below
+        upper, lower = found[mixed].astype(np.float64), below[mixed].astype(np.float64)
+        heights[wanted[mixed]] = lower + share * (upper - lower)
+        source[wanted[alone | (mixed & (weight >= 0.5))]] = i
+        used[i + 1 :, wanted[alone]] = False
+        used[i, wanted[alone | (mixed & (weight > 0.0))]] = True
+    return Sampled(heights, source, used)

@@ -1,0 +1,303 @@
+"""One terrain model file, whatever GDAL reads: its grid, its units, its heights.
+
+rasterio neither applies scales and offsets nor knows whether a value is a height or a radius;
+both are settled here, once, and stated. A window comes out as metres above the reference sphere.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+import rasterio
+from numpy.typing import ArrayLike, NDArray
+from rasterio.enums import ColorInterp
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
+from catalog.errors import DataError
+from catalog.terrain.dem.conversion import Conversion
+from catalog.terrain.dem.file import (
+    RADIUS_TOLERANCE,
+    file_units,
+    gdal_reason,
+    label_of,
+    open_raster,
+    path_of,
+    place_of,
+)
+from catalog.terrain.dem.georeference import Georeference
+
+METRES = {"m": 1.0, "km": 1000.0, "dm": 0.1, "cm": 0.01}
+# GDAL keeps decoded blocks; its default is 5 % of the machine, which is no bound for a worker.
+GDAL_CACHE_BYTES = 96 << 20
+PROBES = 5  # windows a side that are looked at to tell radii from heights
+PROBE_SIZE = 32
+# A raster this wide whose heights span less than this is in kilometres, not in metres: the
+# smoothest lunar mare has more relief over such a distance.
+SUSPICIOUS_EXTENT_M = 50e3
+SUSPICIOUS_RELIEF_M = 25.0
+# ISIS marks saturated and missing pixels with the lowest values of a type, GDAL knows one of them.
+ISIS_LOWEST_VALID = {"int16": -32752.0, "float32": -3.4028226e38, "uint16": 3.0}
+
+
+class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One [[dem]] section of a build config.
+
+    path       relative to the config file; "bundled:NAME" is a file that travels with optnav
+    priority   1 is used first; higher numbers fill what it leaves empty
+    feather_km over which it fades into those below, inside its edge and about its holes; 0: it ends
+               in a hard edge
+    heights    "height" above the reference sphere or "radius" from the body's centre; without it
+               values near the body's radius are taken as radii
+    scale, offset, nodata  override the file's own; height = value * scale + offset, in `units`
+    units      of the scaled values; without it the file's own, else metres
+    longitude  "west" for a map whose longitudes count westward
+    crs        for a file without one (or with a wrong one): anything PROJ reads
+    """
+
+    path: str
+    priority: int = 1
+    feather_km: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    heights: Literal["height", "radius"] | None = None
+    scale: float | None = None
+    offset: float | None = None
+    nodata: float | None = None
+    units: Literal["m", "km", "dm", "cm"] | None = None
+    longitude: Literal["east", "west"] = "east"
+    crs: str | None = None
+
+
+@dataclass
+class DemSource:
+    """An opened terrain model. Not safe across threads: each opens its own (`reopen`)."""
+
+    path: Path
+    settings: DemSettings
+    body: Body
+    place: Georeference
+    convert: Conversion
+    heights: str
+    units: str
+    dtype: str
+    block_shape: tuple[int, int]
+    _dataset: Any = None
+
+    @classmethod
+    def open(cls, settings: DemSettings, base_dir: Path, body: Body) -> "DemSource":
+        """Open a file and settle its grid and units from its header and a few probes.
+
+        Raises DataError for a file that is missing, unreadable, without a usable CRS, of another
+        body, or with values that cannot be heights; the whole file is read later, when averaged.
+        """
+        path = label_of(path_of(settings.path, base_dir))
+        dataset = open_raster(path)
+        try:
+            return cls._read_header(path, settings, body, dataset)
+        except BaseException:
+            dataset.close()
+            raise
+
+    @classmethod
+    def _read_header(
+        cls, path: Path, settings: DemSettings, body: Body, dataset: Any
+    ) -> "DemSource":
+        if dataset.count < 1 or min(dataset.shape) < 4:
+            raise DataError(f"{path}: {dataset.shape[0]} x {dataset.shape[1]} pixels; not a DEM")
+        dtype = str(dataset.dtypes[0])
+        if dataset.colorinterp[0] in (ColorInterp.red, ColorInterp.palette):
+            raise DataError(f"{path}: is a colour picture, not a DEM; name a raster of heights")
+        if np.dtype(dtype).kind not in "iuf":
+            raise DataError(f"{path}: pixels are {dtype}; wanted whole or real numbers")
+        place = place_of(path, settings.crs, settings.longitude, body, dataset)
+        units = settings.units or file_units(path, dataset)
+        factor = METRES[units]
+        scale = settings.scale if settings.scale is not None else float(dataset.scales[0])
+        offset = settings.offset if settings.offset is not None else float(dataset.offsets[0])
+        if scale == 0.0:
+            raise DataError(f"{path}: scale is 0; set `scale` in its [[dem]] section")
+        nodata = settings.nodata if settings.nodata is not None else dataset.nodata
+        lowest = ISIS_LOWEST_VALID.get(dtype, -np.inf) if dataset.driver == "ISIS3" else -np.inf
+        source = cls(
+            path=path,
+            settings=settings,
+            body=body,
+            place=place,
+            convert=Conversion(scale * factor, offset * factor, nodata, lowest),
+            heights="height",
+            units=units,
+            dtype=dtype,
+            block_shape=tuple(dataset.block_shapes[0]),
+            _dataset=dataset,
+        )
+        probe = source._probe()
+        source._settle_radius(probe, offset_given=offset * factor)
+        return source
+
+    def _probe(self) -> FloatArray:
+        """Values of a few small windows spread over the raster, m, without no-data."""
+        rows, cols = self.shape
+        height, width = min(PROBE_SIZE, rows), min(PROBE_SIZE, cols)
+        parts = []
+        for row in np.linspace(0, rows - height, PROBES).astype(int):
+            for col in np.linspace(0, cols - width, PROBES).astype(int):
+                part = self.read_window(int(row), int(col), height, width)
+                parts.append(part[np.isfinite(part)])
+        return np.concatenate(parts).astype(np.float64)
+
+    def _settle_radius(self, probe: FloatArray, offset_given: float) -> None:
+        """Decide between height and radius, and take the body's radius off a radius."""
+        lo, hi = self.body.plausible_heights_m
+        radius = self.body.radius_m
+        if self.settings.heights is not None:
+            self.heights = self.settings.heights
+        elif probe.size:
+            near = radius + lo <= float(probe.min()) and float(probe.max()) <= radius + hi
+            # bodies whose relief rivals their radius: heights and radii overlap, the offset tells
+            self.heights = "radius" if near and float(probe.min()) > hi else "height"
+        elif abs(offset_given - radius) < RADIUS_TOLERANCE * radius:
+            self.heights = "radius"
+        if self.heights == "radius":
+            old = self.convert
+            self.convert = Conversion(
+                old.scale_m, old.offset_m - radius, old.nodata, old.lowest_valid
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.place.shape
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files that the terrain model is read from: a label and its image, parts of a VRT."""
+        with self._reading() as dataset:
+            return tuple(sorted(Path(name) for name in dataset.files))
+
+    @property
+    def posting_m(self) -> float:
+        """Ground distance of neighbouring rows."""
+        return self.place.row_angle * self.body.radius_m
+
+    @property
+    def wraps(self) -> bool:
+        """Whether the raster goes all the way round."""
+        return self.place.wraps
+
+    def pixel_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Fractional (col, row) of latitudes and east longitudes (rad)."""
+        return self.place.pixel_from_latlon(lat, lon)
+
+    def latlon_bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, north (rad) around the raster; east - west is 2 pi if it wraps."""
+        rows, cols = self.shape
+        along = np.linspace(-0.5, cols - 0.5, 65)
+        down = np.linspace(-0.5, rows - 0.5, 65)
+        col = np.concatenate([along, along, np.full(65, -0.5), np.full(65, cols - 0.5)])
+        row = np.concatenate([np.full(65, -0.5), np.full(65, rows - 0.5), down, down])
+        if self.place.period:
+            lat, _ = self.place.latlon_from_pixel(np.full(65, (cols - 1) / 2.0), down)
+            _, lon = self.place.latlon_from_pixel([(cols - 1) / 2.0], [(rows - 1) / 2.0])
+            half = np.pi * min(1.0, cols / self.place.period)
+            return float(lon[0] - half), float(lat.min()), float(lon[0] + half), float(lat.max())
+        lat, lon = self.place.latlon_from_pixel(col, row)
+        south, north = float(np.nanmin(lat)), float(np.nanmax(lat))
+        for pole in (np.pi / 2.0, -np.pi / 2.0):
+            c, r = self.place.pixel_from_latlon(np.array([pole]), np.array([0.0]))
+            if -0.5 <= c[0] <= cols - 0.5 and -0.5 <= r[0] <= rows - 0.5:
+                whole = (-np.pi, min(south, pole), np.pi, max(north, pole))
+                return whole
+        middle = self.place.latlon_from_pixel([(cols - 1) / 2.0], [(rows - 1) / 2.0])[1][0]
+        offset = np.mod(lon - middle + np.pi, 2.0 * np.pi) - np.pi
+        return float(middle + offset.min()), south, float(middle + offset.max()), north
+
+    def read_window(self, row0: int, col0: int, height: int, width: int) -> Float32Array:
+        """Heights (height, width) of pixels, m above the reference sphere, NaN for none.
+
+        Columns wrap when the raster goes all the way round; beyond its edges all is NaN.
+        Raises DataError for a damaged file.
+        """
+        rows, cols = self.shape
+        out = np.full((height, width), np.nan, dtype=np.float32)
+        top, bottom = max(row0, 0), min(row0 + height, rows)
+        if bottom <= top:
+            return out
+        at = 0
+        while at < width:
+            col = col0 + at
+            if self.wraps:
+                col %= cols
+            elif col < 0:
+                at = -col0
+                continue
+            if col >= cols or at >= width:
+                break
+            count = min(width - at, cols - col)
+            raw = self.read_raw(top, col, bottom - top, count)
+            out[top - row0 : bottom - row0, at : at + count] = self.convert(raw)
+            at += count
+        return out
+
+    def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:
+        """Counts as they are stored; the window must lie inside. Raises DataError."""
+        try:
+            with self._reading() as dataset:
+                raw: NDArray[Any] = dataset.read(1, window=Window(col, row, width, height))
+        except RasterioError as error:
+            raise DataError(
+                f"{self.path}: rows {row}-{row + height - 1} cannot be read "
+                f"({gdal_reason(error)}); the file is damaged or cut short, get it again"
+            ) from None
+        return raw
+
+    @contextmanager
+    def _reading(self) -> Iterator[Any]:
+        if self._dataset is None:
+            self._dataset = open_raster(self.path)
+        with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES):
+            yield self._dataset
+
+    def reopen(self) -> "DemSource":
+        """The same source with a file handle of its own."""
+        return DemSource(**{**self.__getstate__(), "_dataset": None})
+
+    def close(self) -> None:
+        """Let go of the file; it opens again when read."""
+        if self._dataset is not None:
+            self._dataset.close()
+            self._dataset = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_dataset": None}
+
+    def check_heights(self, lowest: float, highest: float) -> None:
+        """Refuse heights (m, of the whole file) that this body cannot have; name the likely cause.
+
+        Raises DataError.
+        """
+        lo, hi = self.body.plausible_heights_m
+        found = f"{self.path}: heights run from {lowest:.6g} to {highest:.6g} m"
+        limits = f"on {self.body.name} they lie between {lo:.6g} and {hi:.6g} m"
+        if lowest < lo or highest > hi:
+            radius = self.body.radius_m
+            remedy = "check `units`, `scale`, `offset` and `nodata` of its [[dem]] section"
+            other: Literal["m", "km"] = "m" if self.units == "km" else "km"
+            ratio = METRES[other] / METRES[self.units]
+            if lo <= lowest * ratio and highest * ratio <= hi:
+                remedy = f'are these {other}? set units = "{other}" in its [[dem]] section'
+            if lo <= lowest - radius and highest - radius <= hi:
+                remedy = 'these are radii: set heights = "radius" in its [[dem]] section'
+            raise DataError(f"{found}; {limits}; {remedy}")
+        rows, cols = self.shape
+        extent = min(rows * self.place.row_angle, cols * self.place.column_angle)
+        wide = extent * self.body.radius_m > SUSPICIOUS_EXTENT_M
+        if self.settings.units is None and wide and highest - lowest < SUSPICIOUS_RELIEF_M:
+            raise DataError(
+                f"{found}: too flat for {extent * self.body.radius_m / 1e3:.0f} km of ground; "
+                'are these km? set units = "km" in its [[dem]] section (or "m" if they are metres)'
+            )

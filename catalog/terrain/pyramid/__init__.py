@@ -1,0 +1,1 @@
+"""A terrain model's averaged overviews, and windows of them."""

@@ -1,0 +1,193 @@
+"""Windows of a pyramid level that go on across ±180° and the poles; tiles in a bounded cache."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+import numpy as np
+
+from catalog.arrays import Float32Array
+from catalog.geometry.kernel import kernel
+from catalog.terrain.dem.conversion import HEIGHTS
+from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.pyramid.pyramid import POLE_TOLERANCE, HeightPyramid
+
+TILE = 256  # pixels a side; whole tiles of the overviews
+CACHE_BYTES = 128 << 20  # 512 tiles: the ground of some 60 cells of 1° at 118 m, all levels
+READ_COLUMNS = 4096  # read at once when columns are averaged
+FEWEST_COLUMNS = 16  # left of a level whose columns are averaged
+
+
+class TileCache:
+    """The tiles used last, over all pyramids of a mosaic, up to CACHE_BYTES."""
+
+    def __init__(self) -> None:
+        self.held_bytes = 0
+        self._tiles: OrderedDict[tuple[int, ...], Float32Array] = OrderedDict()
+
+    def tile(self, key: tuple[int, ...], make: Callable[[], Float32Array]) -> Float32Array:
+        """The tile of a key, made if it is not held."""
+        found = self._tiles.get(key)
+        if found is not None:
+            self._tiles.move_to_end(key)
+            return found
+        made = make()
+        self._tiles[key] = made
+        self.held_bytes += made.nbytes
+        while self.held_bytes > CACHE_BYTES and len(self._tiles) > 1:
+            _, dropped = self._tiles.popitem(last=False)
+            self.held_bytes -= dropped.nbytes
+        return made
+
+
+def mirrored_poles(place: Georeference) -> tuple[bool, bool]:
+    """Whether a raster's upper and lower edge are a pole, beyond which it goes on."""
+    edges = (-0.5, place.shape[0] - 0.5)
+    top, bottom = (place.reaches_pole(edge, POLE_TOLERANCE) != 0 for edge in edges)
+    return top, bottom
+
+
+class LevelWindows:
+    """One level of a pyramid as an endless sheet, its columns averaged 2^halvings at a time."""
+
+    def __init__(
+        self,
+        index: int,
+        pyramid: HeightPyramid,
+        level: int,
+        cache: TileCache,
+        base: "LevelWindows | None" = None,
+        halvings: int = 0,
+    ) -> None:
+        self.index, self.pyramid, self.level, self.cache = index, pyramid, level, cache
+        self.halvings = halvings
+        self._base = base or self
+        self._halved = {0: self} if base is None else {}
+        place = pyramid.source.place
+        self.raster_shape = place.shape
+        rows, cols = pyramid.shape(level)
+        whole = place.wraps and cols << level == place.shape[1]
+        cols = -(-cols >> halvings)
+        self.shape = rows, cols
+        self.scale = 2.0**level
+        self.squeeze = 2.0**halvings
+        self.period = place.period / (self.scale * self.squeeze)
+        # mirroring needs an edge exactly at the pole and a column half a turn away
+        even = whole and cols % 2 == 0 and rows << level == place.shape[0]
+        self.wraps = whole
+        top, bottom = mirrored_poles(place)
+        self.mirrors_top, self.mirrors_bottom = even and top, even and bottom
+        self.most_halvings = self._count_halvings() if base is None else 0
+
+    def _count_halvings(self) -> int:
+        """Halvings that leave some columns, and an even number of whole ones in a ring."""
+        cols, count = self.shape[1], 0
+        while cols >= 2 * FEWEST_COLUMNS and not (self.wraps and cols % 4):
+            cols, count = -(-cols // 2), count + 1
+        return count
+
+    def halved(self, halvings: int) -> "LevelWindows":
+        """The same level with columns averaged 2^halvings at a time."""
+        if halvings not in self._halved:
+            self._halved[halvings] = LevelWindows(
+                self.index, self.pyramid, self.level, self.cache, self, halvings
+            )
+        return self._halved[halvings]
+
+    def window(self, row0: int, col0: int, height: int, width: int) -> Float32Array:
+        """Heights (height, width); NaN where the sheet has none.
+
+        Rows beyond a pole are those of the meridian on its other side.
+        """
+        rows, cols = self.shape
+        out = np.full((height, width), np.nan, dtype=np.float32)
+        top = min(max(-row0, 0), height)
+        bottom = max(min(rows - row0, height), top)
+        self._fill(out[top:bottom], row0 + top, col0)
+        if top > 0 and self.mirrors_top:
+            # row -1 is row 0 seen from the other side
+            mirrored = np.full((top, width), np.nan, dtype=np.float32)
+            self._fill(mirrored, -(row0 + top - 1) - 1, col0 + cols // 2)
+            out[:top] = mirrored[::-1]
+        if bottom < height and self.mirrors_bottom:
+            beyond = height - bottom
+            mirrored = np.full((beyond, width), np.nan, dtype=np.float32)
+            self._fill(mirrored, 2 * rows - (row0 + height), col0 + cols // 2)
+            out[bottom:] = mirrored[::-1]
+        return out
+
+    def _fill(self, out: Float32Array, row0: int, col0: int) -> None:
+        """Copy from tiles into `out`, whose rows lie inside the raster; columns wrap."""
+        rows, cols = self.shape
+        height, width = out.shape
+        at = 0
+        while at < width:
+            col = col0 + at
+            if self.wraps:
+                col %= cols
+            elif col < 0:
+                at = -col0
+                continue
+            if col >= cols:
+                return
+            along, inner = divmod(col, TILE)
+            count = min(width - at, TILE - inner, cols - col)
+            row = max(row0, 0)
+            while row < min(row0 + height, rows):
+                down, inner_row = divmod(row, TILE)
+                lines = min(row0 + height - row, TILE - inner_row, rows - row)
+                tile = self._tile(down, along)
+                out[row - row0 : row - row0 + lines, at : at + count] = tile[
+                    inner_row : inner_row + lines, inner : inner + count
+                ]
+                row += lines
+            at += count
+
+    def _tile(self, down: int, along: int) -> Float32Array:
+        """Tile (down, along); shorter at the raster's far edges."""
+        key = (self.index, self.level, self.halvings, down, along)
+        return self.cache.tile(key, lambda: self._make(down, along))
+
+    def _make(self, down: int, along: int) -> Float32Array:
+        rows, cols = self.shape
+        row, col = down * TILE, along * TILE
+        height, width = min(TILE, rows - row), min(TILE, cols - col)
+        if self.halvings == 0:
+            return self.pyramid.read(self.level, row, col, height, width)
+        out = np.empty((height, width), np.float32)
+        if self.halvings > self._base.least_halvings(down):
+            finer = self._base.halved(self.halvings - 1)
+            for part in range(2 * along, min(2 * along + 2, -(-finer.shape[1] // TILE))):
+                at = (part - 2 * along) * (TILE // 2)
+                HEIGHTS.average_columns(finer._tile(down, part), 2, out[:, at : at + TILE // 2])
+            return out
+        # straight from the level: what lies between is nowhere asked for
+        many = 1 << self.halvings
+        step = max(1, READ_COLUMNS >> self.halvings)
+        last = self._base.shape[1]
+        for at in range(0, width, step):
+            first = (col + at) * many
+            count = min(min(step, width - at) * many, last - first)
+            raw, convert = self.pyramid.read_raw(self.level, row, first, height, count)
+            convert.average_columns(raw, many, out[:, at : at + step])
+        return out
+
+    def least_halvings(self, down: int) -> int:
+        """The fewest halvings that any footprint in a row of tiles asks for, but for rare ones.
+
+        Footprints are about as high as the level's rows, half as high at the finest level.
+        """
+        place = self.pyramid.source.place
+        edges = np.array([down * TILE, min((down + 1) * TILE, self.shape[0])]) * self.scale - 0.5
+        lat, _ = place.latlon_from_pixel(np.zeros(2), edges)
+        share = 1.0 if self.level else 0.5
+        wide = share * float(place.columns_per_posting(1.0, lat).min())
+        return int(halvings_for(wide, self.most_halvings))
+
+
+@kernel
+def halvings_for(wide: float, most: int) -> int:
+    """How often columns are halved under a footprint `wide` columns wide: 1.5 to 3 are left."""
+    count = 0
+    while wide >= 3.0 and count < most:
+        wide, count = wide * 0.5, count + 1
+    return count

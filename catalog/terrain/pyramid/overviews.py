@@ -1,0 +1,345 @@
+"""Writes the overviews of a terrain model in one pass over it, window by window.
+
+Memory stays bounded by the windows in work; a damaged block anywhere in the file is met here,
+before anything is built on it.
+"""
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from catalog.arrays import BoolArray, Float32Array
+from catalog.errors import DataError, OutputError
+from catalog.geometry.kernel import kernel
+from catalog.progress import Progress
+from catalog.terrain.dem.conversion import HEIGHTS, is_height
+from catalog.terrain.dem.source import DemSettings, DemSource
+
+
+@kernel
+def extremes(
+    raw: NDArray[Any],
+    scale: float,
+    offset: float,
+    lowest_valid: float,
+    nodata: float,
+    nodata32: float,
+) -> tuple[float, float, int, int]:
+    """Lowest and highest height, number of valid and of all values."""
+    lowest, highest, valid = np.inf, -np.inf, 0
+    for i in range(raw.shape[0]):
+        for j in range(raw.shape[1]):
+            value = float(raw[i, j])
+            if is_height(value, lowest_valid, nodata, nodata32):
+                height = value * scale + offset
+                lowest, highest = min(lowest, height), max(highest, height)
+                valid += 1
+    return lowest, highest, valid, raw.size
+
+
+@kernel
+def mark_holes(
+    raw: NDArray[Any],
+    lowest_valid: float,
+    nodata: float,
+    nodata32: float,
+    block: int,
+    whole: BoolArray,
+) -> None:
+    """Clear the blocks that have a pixel without data."""
+    for i in range(raw.shape[0]):
+        for j in range(raw.shape[1]):
+            if not is_height(float(raw[i, j]), lowest_valid, nodata, nodata32):
+                whole[i // block, j // block] = False
+
+
+@kernel
+def halve_raw(
+    raw: NDArray[Any],
+    scale: float,
+    offset: float,
+    lowest_valid: float,
+    nodata: float,
+    nodata32: float,
+    step: float,
+) -> Float32Array:
+    """Means of 2 x 2 counts as heights rounded to `step`; at least half of what is there is valid.
+
+    An odd last row or column has fewer than four counts to average.
+    """
+    rows, cols = raw.shape
+    out = np.empty(((rows + 1) // 2, (cols + 1) // 2), np.float32)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            total, valid, there = 0.0, 0, 0
+            for r in range(2 * i, min(2 * i + 2, rows)):
+                for c in range(2 * j, min(2 * j + 2, cols)):
+                    value = float(raw[r, c])
+                    there += 1
+                    if is_height(value, lowest_valid, nodata, nodata32):
+                        total += value
+                        valid += 1
+            if 2 * valid >= there and valid > 0:
+                out[i, j] = np.round((total / valid * scale + offset) / step) * step
+            else:
+                out[i, j] = np.nan
+    return out
+
+
+FORMAT = 2  # of the overview folder; another number means: make it again
+BLOCK = 256  # pixels a side of the overviews' tiles
+WINDOW = 4096  # pixels of the source read at once, a side: 32 MB of int16
+CASCADE = 4  # levels made from one window: 4096 halves to a whole tile of 256
+SMALLEST = 48  # a level with a side shorter than this ends the pyramid
+# Heights are rounded to a power of two near this part of the posting (1/16 m at 118 m, far below a
+# tenth of any DEM's error), so that the last bits of float32 are zeros and compress away.
+ROUNDING = 1.0 / 1500.0
+# A source with blocks longer than this and no thicker than 16 rows is copied into tiles first:
+# a square window would decode whole strips.
+LONGEST_STRIP = 4096
+
+WHOLE_BLOCK = 8  # pixels a side of the blocks that are known to be without holes or not
+
+
+class PyramidRecord(msgspec.Struct, frozen=True):
+    """What is known of a source after reading all of it; pyramid.json of an overview folder."""
+
+    format: int
+    settings: DemSettings
+    source_bytes: int
+    source_mtime_ns: int
+    shape: tuple[int, int]
+    levels: int
+    tiled_copy: bool
+    heights: str
+    units: str
+    posting_m: float
+    lowest_m: float
+    highest_m: float
+    valid_share: float
+
+
+@dataclass
+class _Statistics:
+    lowest: float = math.inf
+    highest: float = -math.inf
+    valid: int = 0
+    total: int = 0
+
+    def add(self, part: tuple[float, float, int, int]) -> None:
+        self.lowest, self.highest = min(self.lowest, part[0]), max(self.highest, part[1])
+        self.valid, self.total = self.valid + part[2], self.total + part[3]
+
+
+def level_shape(shape: tuple[int, int], level: int) -> tuple[int, int]:
+    """Rows and columns after `level` halvings; an odd last row or column makes one of its own."""
+    return -(-shape[0] >> level), -(-shape[1] >> level)
+
+
+def level_path(folder: Path, level: int) -> Path:
+    """The file of a level; level 0 exists only as the tiled copy of a source made of strips."""
+    return folder / f"level-{level:02d}.tif"
+
+
+def whole_blocks_path(folder: Path) -> Path:
+    """Which blocks of the source have all their pixels; only for a source with holes."""
+    return folder / "whole-blocks.npy"
+
+
+def level_count(shape: tuple[int, int]) -> int:
+    """Levels down to a side of about SMALLEST, the source's own included."""
+    return max(1, 1 + math.floor(math.log2(max(1.0, min(shape) / SMALLEST))))
+
+
+def write_levels(
+    source: DemSource, folder: Path, workers: int, progress: Progress
+) -> PyramidRecord:
+    """Write all overviews of a source into a folder and tell what was found on the way.
+
+    Raises DataError for a damaged file, one without data or with impossible heights, OutputError
+    when the folder cannot be written.
+    """
+    levels = level_count(source.shape)
+    rows, cols = source.block_shape
+    copied = cols > LONGEST_STRIP and rows <= 16
+    if copied:
+        _copy_into_tiles(source, folder, progress)
+    statistics = _Statistics()
+    whole = np.ones(tuple(-(-side // WHOLE_BLOCK) for side in source.shape), dtype=bool)
+    for first in range(0, max(1, levels - 1), CASCADE):
+        made = min(CASCADE, levels - 1 - first)
+        _cascade(source, folder, first, made, copied, statistics, whole, workers, progress)
+    if statistics.valid == 0:
+        raise DataError(f"{source.path}: has no data at all; check `nodata` and the file")
+    source.check_heights(statistics.lowest, statistics.highest)
+    if statistics.valid < statistics.total:
+        np.save(whole_blocks_path(folder), whole)
+    return PyramidRecord(
+        format=FORMAT,
+        settings=source.settings,
+        source_bytes=source.path.stat().st_size,
+        source_mtime_ns=source.path.stat().st_mtime_ns,
+        shape=source.shape,
+        levels=levels,
+        tiled_copy=copied,
+        heights=source.heights,
+        units=source.units,
+        posting_m=source.posting_m,
+        lowest_m=statistics.lowest,
+        highest_m=statistics.highest,
+        valid_share=statistics.valid / statistics.total,
+    )
+
+
+def _cascade(
+    source: DemSource,
+    folder: Path,
+    first: int,
+    made: int,
+    copied: bool,
+    statistics: _Statistics,
+    whole: BoolArray,
+    workers: int,
+    progress: Progress,
+) -> None:
+    """Make `made` levels above level `first` in one pass over it; statistics come from level 0."""
+    shape = level_shape(source.shape, first)
+    step = 2.0 ** math.floor(math.log2(source.posting_m * ROUNDING))
+    convert = source.convert if first == 0 else HEIGHTS
+    path = level_path(folder, first) if first > 0 or copied else None
+    windows = [
+        (row, col, min(WINDOW, shape[0] - row), min(WINDOW, shape[1] - col))
+        for row in range(0, shape[0], WINDOW)
+        for col in range(0, shape[1], WINDOW)
+    ]
+
+    def work(window: tuple[int, int, int, int]) -> tuple[Any, list[Float32Array]]:
+        # every window has its own handle: GDAL's are not safe across threads, and opening is cheap
+        if path is None:
+            reader = source.reopen()
+            raw = reader.read_raw(*window)
+            reader.close()
+        else:
+            with rasterio.open(path) as dataset:
+                row, col, height, width = window
+                raw = dataset.read(1, window=Window(col, row, width, height))
+        limits = convert.limits
+        part = extremes(raw, convert.scale_m, convert.offset_m, *limits)
+        if first == 0 and part[2] < part[3]:
+            # windows begin at whole blocks: each writes its own part
+            at = window[0] // WHOLE_BLOCK, window[1] // WHOLE_BLOCK
+            mark_holes(raw, *limits, WHOLE_BLOCK, whole[at[0] :, at[1] :])
+        grids = []
+        if made > 0:
+            grids.append(halve_raw(raw, convert.scale_m, convert.offset_m, *limits, step))
+        while len(grids) < made:
+            grids.append(halve_raw(grids[-1], 1.0, 0.0, -math.inf, math.nan, math.nan, step))
+        return part, grids
+
+    outputs = [_create(source, folder, first + 1 + k) for k in range(made)]
+    name = "overviews" if first == 0 else f"overviews from level {first}"
+    try:
+        with progress.stage(name, total=len(windows), unit="window") as stage:
+            for window, (part, grids) in _in_order(work, windows, workers):
+                if first == 0:
+                    statistics.add(part)
+                for k, grid in enumerate(grids):
+                    row, col = window[0] >> (k + 1), window[1] >> (k + 1)
+                    outputs[k].write(grid, 1, window=Window(col, row, grid.shape[1], grid.shape[0]))
+                stage.advance()
+    except RasterioError as error:
+        raise OutputError(f"{folder}: overviews cannot be written ({error}); free space") from None
+    finally:
+        for output in outputs:
+            output.close()
+
+
+def _in_order(
+    work: Any, windows: list[tuple[int, int, int, int]], workers: int
+) -> Iterator[tuple[tuple[int, int, int, int], tuple[Any, list[Float32Array]]]]:
+    """Results in order; no more windows in memory than threads and one."""
+    if workers <= 1:
+        for window in windows:
+            yield window, work(window)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting = iter(windows)
+        under_way: list[tuple[tuple[int, int, int, int], Future[Any]]] = [
+            (w, pool.submit(work, w)) for w in islice(waiting, workers + 1)
+        ]
+        try:
+            while under_way:
+                window, future = under_way.pop(0)
+                yield window, future.result()
+                under_way.extend((w, pool.submit(work, w)) for w in islice(waiting, 1))
+        finally:
+            for _, future in under_way:
+                future.cancel()
+
+
+def _create(source: DemSource, folder: Path, level: int) -> Any:
+    rows, cols = level_shape(source.shape, level)
+    a, b, c, d, e, f = source.place.affine
+    step = 2.0**level
+    return rasterio.open(
+        level_path(folder, level),
+        "w",
+        driver="GTiff",
+        height=rows,
+        width=cols,
+        count=1,
+        dtype="float32",
+        nodata=math.nan,
+        crs=rasterio.CRS.from_wkt(source.place.wkt),
+        transform=rasterio.Affine(a * step, b * step, c, d * step, e * step, f),
+        tiled=True,
+        blockxsize=BLOCK,
+        blockysize=BLOCK,
+        compress="zstd",
+        zstd_level=1,
+        predictor=3,
+        bigtiff="if_safer",
+    )
+
+
+def _copy_into_tiles(source: DemSource, folder: Path, progress: Progress) -> None:
+    """Level 0 as tiles, counts unchanged, read in bands of whole rows."""
+    rows, cols = source.shape
+    dtype = np.dtype(source.dtype)
+    with (
+        rasterio.open(
+            level_path(folder, 0),
+            "w",
+            driver="GTiff",
+            height=rows,
+            width=cols,
+            count=1,
+            dtype=source.dtype,
+            crs=rasterio.CRS.from_wkt(source.place.wkt),
+            transform=rasterio.Affine(*source.place.affine),
+            tiled=True,
+            blockxsize=BLOCK,
+            blockysize=BLOCK,
+            compress="zstd",
+            zstd_level=1,
+            predictor=3 if dtype.kind == "f" else 2,
+            bigtiff="if_safer",
+        ) as copy,
+        progress.stage("tiles", total=-(-rows // BLOCK), unit="band") as stage,
+    ):
+        for row in range(0, rows, BLOCK):
+            height = min(BLOCK, rows - row)
+            raw = source.read_raw(row, 0, height, cols)
+            copy.write(raw, 1, window=Window(0, row, cols, height))
+            stage.advance()

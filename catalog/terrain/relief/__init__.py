@@ -1,0 +1,1 @@
+"""The coarse relief of a whole body."""

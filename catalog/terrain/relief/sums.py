@@ -1,0 +1,334 @@
+"""Sums over the cells of a whole-body grid, from rasters of any map: means and highest pixels.
+
+A pixel of a cylindrical raster counts in each cell by the share of the cell that it covers, so that
+neither its posting nor its first longitude need fit the grid. Pixels of other maps count whole in
+the cell that their middle lies in.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from catalog.arrays import Float32Array, FloatArray, IntArray
+from catalog.bodies.body import Body
+from catalog.errors import DataError
+from catalog.geometry.kernel import kernel
+from catalog.progress import Progress, SilentProgress
+from catalog.terrain.dem.georeference import CYLINDRICAL, Georeference
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.relief.relief import GlobalRelief
+
+Window = tuple[int, int, int, int]  # first row, first column, height, width
+
+WINDOW = 2048  # pixels a side that are read at once: 25 MB as counts and heights
+LONGEST_STRIP = 4096  # blocks longer than this and few rows thick are read by whole rows
+# A pixel reaches into a cell by more than this share of itself, or not at all: writers round
+# postings, which moves the far edge of a global raster by some hundredths of a pixel.
+SLIVER = 0.02
+
+
+class Layer(NamedTuple):
+    """Heights of one raster, perhaps of an overview of it.
+
+    place  of the raster at its own posting
+    level  halvings of it that `read` gives
+    shape  rows and columns at that level
+    block  rows and columns that its file keeps together
+    read   heights (height, width) m of a window
+    """
+
+    place: Georeference
+    level: int
+    shape: tuple[int, int]
+    block: tuple[int, int]
+    read: Callable[[int, int, int, int], Float32Array]
+
+    def windows(self) -> list[Window]:
+        """Windows that make up the raster, no larger than WINDOW squared."""
+        rows, cols = self.shape
+        tall = wide = WINDOW
+        if self.block[1] > LONGEST_STRIP and self.block[0] <= 16:
+            tall, wide = max(self.block[0], WINDOW * WINDOW // cols), cols
+        return [
+            (row, col, min(tall, rows - row), min(wide, cols - col))
+            for row in range(0, rows, tall)
+            for col in range(0, cols, wide)
+        ]
+
+
+class CellSums:
+    """What is known of the cells (n, 2n) of a whole-body grid.
+
+    Row 0 lies at the north pole, column 0 at longitude -180.
+    means   (n, 2n) m, mean of what was laid so far, 0 where `shares` is 0
+    shares  (n, 2n) share of the cell that has heights, 0 to 1
+    tops    (n, 2n) m, the highest pixel
+    """
+
+    def __init__(self, rows: int) -> None:
+        self.means = np.zeros((rows, 2 * rows), np.float32)
+        self.shares = np.zeros((rows, 2 * rows), np.float32)
+        self.tops = np.full((rows, 2 * rows), -np.inf, np.float32)
+
+    @property
+    def coverage(self) -> float:
+        """Share of the sphere's surface that has heights."""
+        rows = self.shares.shape[0]
+        edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, rows + 1))
+        return float((edges[:-1] - edges[1:]) @ self.shares.mean(axis=1, dtype=np.float64) / 2.0)
+
+    def lay_under(self, layer: Layer, progress: Progress) -> tuple[float, float]:
+        """Add the heights of a raster where the cells have none yet.
+
+        Returns the lowest and the highest of the raster, m. Raises DataError for a damaged file.
+        """
+        lowest, highest = np.inf, -np.inf
+        sums = np.zeros(self.means.shape)
+        weights, tops = np.zeros_like(self.shares), np.full_like(self.tops, -np.inf)
+        windows = layer.windows()
+        with progress.stage("relief", total=len(windows), unit="window") as stage:
+            for window in windows:
+                pixels = layer.read(*window)
+                if layer.place.kind == CYLINDRICAL:
+                    places = _edges(layer, len(sums), window)
+                    low, high = _add_overlaps(pixels, *places, sums, weights, tops)
+                else:
+                    middles = _middles(layer, len(sums), window)
+                    low, high = _add_middles(pixels, *middles, sums, weights, tops)
+                lowest, highest = min(lowest, low), max(highest, high)
+                stage.advance()
+        _join(sums, weights, tops, self.means, self.shares, self.tops)
+        return lowest, highest
+
+    def fill(self) -> None:
+        """Give cells without a height that of their neighbours, ring by ring from the holes' edges.
+
+        Tops are filled alike, from the neighbours' tops: ground that nobody has measured is taken
+        to be as high as the ground about it.
+        """
+        holes = np.argwhere(self.shares == 0.0)
+        while holes.size:
+            found = _of_neighbours(holes, self.means, self.shares, self.tops)
+            known = np.isfinite(found[:, 0])
+            if not known.any():
+                return
+            row, col = holes[known].T
+            self.means[row, col], self.tops[row, col] = found[known].T
+            self.shares[row, col] = 1.0
+            holes = holes[~known]
+
+
+def _edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
+    """Cell rows (height + 1) and columns (width + 1) of a window's pixel edges, fractional."""
+    row, col, height, width = window
+    col0, cols_per_rad, row0, rows_per_rad, _ = layer.place.parameters
+    step = 2.0**layer.level
+    edge_row = np.minimum((row + np.arange(height + 1)) * step, layer.place.shape[0]) - 0.5
+    edge_col = np.minimum((col + np.arange(width + 1)) * step, layer.place.shape[1]) - 0.5
+    lat = (edge_row - row0) / rows_per_rad
+    lon = (edge_col - col0) / cols_per_rad * layer.place.longitude_sign
+    return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
+
+
+def _middles(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
+    """Cell row and column (height, width) of a window's pixel centres, fractional; NaN for none."""
+    row, col, height, width = window
+    step = 2.0**layer.level
+    at_row, at_col = np.mgrid[row : row + height, col : col + width] + 0.5
+    lat, lon = layer.place.latlon_from_pixel(at_col * step - 0.5, at_row * step - 0.5)
+    return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
+
+
+@kernel
+def _add_overlaps(
+    pixels: Float32Array,
+    down: FloatArray,
+    along: FloatArray,
+    sums: FloatArray,
+    weights: Float32Array,
+    tops: Float32Array,
+) -> tuple[float, float]:
+    """Add pixels to all cells that they reach into; returns their lowest and highest height."""
+    rows, cols = sums.shape
+    lowest, highest = np.inf, -np.inf
+    for i in range(pixels.shape[0]):
+        north = min(max(min(down[i], down[i + 1]), 0.0), float(rows))
+        south = min(max(max(down[i], down[i + 1]), 0.0), float(rows))
+        for r in range(int(np.floor(north)), int(np.ceil(south))):
+            tall = min(south, r + 1.0) - max(north, float(r))
+            if tall <= SLIVER * (south - north):
+                continue
+            for j in range(pixels.shape[1]):
+                value = pixels[i, j]
+                if np.isnan(value):
+                    continue
+                lowest, highest = min(lowest, value), max(highest, value)
+                west, east = min(along[j], along[j + 1]), max(along[j], along[j + 1])
+                for c in range(int(np.floor(west)), int(np.ceil(east))):
+                    wide = min(east, c + 1.0) - max(west, float(c))
+                    if wide <= SLIVER * (east - west):
+                        continue
+                    _put(value, tall * wide, r, c % cols, sums, weights, tops)
+    return lowest, highest
+
+
+@kernel
+def _add_middles(
+    pixels: Float32Array,
+    down: FloatArray,
+    along: FloatArray,
+    sums: FloatArray,
+    weights: Float32Array,
+    tops: Float32Array,
+) -> tuple[float, float]:
+    """Add each pixel whole to the cell of its middle; returns their lowest and highest height."""
+    rows, cols = sums.shape
+    lowest, highest = np.inf, -np.inf
+    for i in range(pixels.shape[0]):
+        for j in range(pixels.shape[1]):
+            value = pixels[i, j]
+            if np.isnan(value) or not np.isfinite(down[i, j] + along[i, j]):
+                continue
+            lowest, highest = min(lowest, value), max(highest, value)
+            r = min(max(int(np.floor(down[i, j])), 0), rows - 1)
+            _put(value, 1.0, r, int(np.floor(along[i, j])) % cols, sums, weights, tops)
+    return lowest, highest
+
+
+@kernel
+def _put(
+    height: float,
+    weight: float,
+    row: int,
+    col: int,
+    sums: FloatArray,
+    weights: Float32Array,
+    tops: Float32Array,
+) -> None:
+    """Add a pixel's height to one cell."""
+    sums[row, col] += height * weight
+    weights[row, col] += weight
+    tops[row, col] = max(tops[row, col], height)
+
+
+@kernel
+def _join(
+    sums: FloatArray,
+    weights: Float32Array,
+    new_tops: Float32Array,
+    means: Float32Array,
+    shares: Float32Array,
+    tops: Float32Array,
+) -> None:
+    """Let new sums fill what cells still lack; a cell's top is the highest of all that it has."""
+    for i in range(sums.shape[0]):
+        for j in range(sums.shape[1]):
+            weight = float(weights[i, j])
+            share = float(shares[i, j])
+            taken = min(weight, 1.0 - share)
+            if taken <= SLIVER and (share > 0.0 or weight == 0.0):
+                continue
+            mean = sums[i, j] / weight
+            means[i, j] += (mean - means[i, j]) * (taken / (share + taken))
+            shares[i, j] = share + taken
+            tops[i, j] = max(tops[i, j], new_tops[i, j])
+
+
+@kernel
+def _of_neighbours(
+    holes: IntArray, means: Float32Array, shares: Float32Array, tops: Float32Array
+) -> FloatArray:
+    """Mean height and mean top (holes, 2) of the known ones of the eight cells around, else NaN."""
+    rows, cols = means.shape
+    found = np.full((holes.shape[0], 2), np.nan)
+    for n in range(holes.shape[0]):
+        height, top, count = 0.0, 0.0, 0
+        for i in range(max(holes[n, 0] - 1, 0), min(holes[n, 0] + 2, rows)):
+            for j in range(holes[n, 1] - 1, holes[n, 1] + 2):
+                k = j % cols
+                if shares[i, k] > 0.0:
+                    height += means[i, k]
+                    top += tops[i, k]
+                    count += 1
+        if count:
+            found[n, 0], found[n, 1] = height / count, top / count
+    return found
+
+
+ROWS = 2880  # 16 a degree: 1.9 km of lunar ground, as fine as a horizon asks for
+LEAST_COVERAGE = 0.99  # of the sphere; the rest is filled from its surroundings
+
+
+def relief_from_dem(source: DemSource, rows: int | None = None) -> GlobalRelief:
+    """The relief of a terrain model that shows the whole body, read once, window by window.
+
+    rows  of the relief; without it the model's own, but no more than ROWS
+    Raises DataError for a damaged file, one of a part of the body or with impossible heights.
+    """
+    check_share(share_within_bounds(source), source.path, source.body)  # before all of it is read
+    sums = CellSums(rows or rows_of(source.place.row_angle))
+    lay_whole(sums, source, SilentProgress())
+    check_share(sums.coverage, source.path, source.body)
+    return finished(sums, source.body.radius_m, source.path.name)
+
+
+def share_within_bounds(source: DemSource) -> float:
+    """Share of the body within a terrain model's bounds, 1 if unknown: it shows no more."""
+    west, south, east, north = source.latlon_bounds()
+    if not np.isfinite([west, south, east, north]).all():  # a map with corners beyond the body
+        return 1.0
+    return float((np.sin(north) - np.sin(south)) * (east - west) / (4.0 * np.pi))
+
+
+def check_share(share: float, who: object, body: Body) -> None:
+    """Raise DataError unless this share of a body, which `who` shows, is enough for a relief."""
+    if share < LEAST_COVERAGE:
+        raise DataError(
+            f"{who}: {100.0 * share:.3g} % of {body.name} is shown; a relief wants "
+            f"{100.0 * LEAST_COVERAGE:g} %: name a terrain model of the whole body"
+        )
+
+
+def lay_whole(sums: CellSums, source: DemSource, progress: Progress) -> None:
+    """Lay a terrain model, at its own posting, under what the cells have.
+
+    Raises DataError for a damaged file or one with impossible heights.
+    """
+    layer = Layer(source.place, 0, source.shape, source.block_shape, source.read_window)
+    lowest_m, highest_m = sums.lay_under(layer, progress)
+    if lowest_m <= highest_m:
+        source.check_heights(lowest_m, highest_m)
+
+
+def rows_of(row_angle: float) -> int:
+    """Rows of the relief of a terrain model with so much of latitude (rad) between its rows."""
+    return min(ROWS, round(np.pi / row_angle))
+
+
+def finished(sums: CellSums, radius_m: float, source: str) -> GlobalRelief:
+    """The relief of sums over nearly all cells; holes are filled."""
+    sums.fill()
+    # a mean rounded to float32 may pass the pixels that it is of
+    return GlobalRelief(sums.means, np.maximum(sums.tops, sums.means), radius_m, source)
+
+
+@lru_cache(maxsize=2)
+def load_relief(path: str, body: Body) -> GlobalRelief:
+    """The relief of a terrain model file, "bundled:NAME" for one that travels with optnav.
+
+    A process that asks again gets the same one. Raises DataError.
+    """
+    try:
+        source = DemSource.open(DemSettings(path=path), Path(), body)
+        try:
+            return relief_from_dem(source)
+        finally:
+            source.close()
+    except DataError as error:
+        # a file by itself has no section that could say what it does not
+        reason = str(error).replace("check `path` in its [[dem]] section", "check the path")
+        section = "[relief] dem of a build config, whose catalog carries the relief"
+        raise DataError(reason.replace("its [[dem]] section", section)) from None

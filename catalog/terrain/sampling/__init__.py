@@ -1,0 +1,1 @@
+"""Heights at points and map nodes: means over footprints of pyramid levels."""

@@ -1,0 +1,321 @@
+"""Heights of points from one level of a raster, each the mean over the point's footprint.
+
+Points are sorted to the windows that are read for them; `footprint_means` takes the means. Toward
+the poles of a cylindrical map columns crowd. A point there reads the rows of its level with
+columns averaged two and two as often as its footprint is wide, so that two or three samples do
+wherever it lies.
+"""
+
+import numpy as np
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
+from catalog.geometry.grid import bicubic_at, cubic_weights
+from catalog.geometry.kernel import kernel
+from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
+from catalog.terrain.sampling.map_nodes import Pixels
+
+# Columns averaged into one node. Beyond it (the last postings about a pole) samples are spread:
+# rasters are oversampled there, so neighbours in a row say the same.
+MOST_COLUMNS = 64
+MOST_ROWS = 16  # the same of rows: more only where a posting is far coarser than the last level
+
+
+@kernel
+def means_over_footprints(
+    window: Float32Array,
+    rows: FloatArray,
+    cols: FloatArray,
+    crowding: FloatArray,
+    chosen: IntArray,
+    per_row: float,
+    per_col: float,
+    row0: int,
+    col0: int,
+    rows_wide: float,
+    crowding_wide: float,
+    widest: float,
+    most_crowding: float,
+    out: Float32Array,
+) -> None:
+    """Means of cubic samples over footprints of `rows_wide` rows and crowding-wide columns.
+
+    A footprint below 1.5 pixels is one sample: the level was chosen to fit.
+    """
+    down = samples_across(rows_wide, MOST_ROWS)
+    single = (
+        down == 1 and samples_across(min(most_crowding * crowding_wide, widest), MOST_COLUMNS) == 1
+    )
+    if single:
+        for i in chosen:
+            row = (rows[i] + 0.5) * per_row - 0.5 - row0
+            col = (cols[i] + 0.5) * per_col - 0.5 - col0
+            # a place that the raster's projection cannot show is NaN; others lie well inside
+            value = _cubic(window, row, col) if row == row and col == col else np.nan
+            out[i] = value if value == value else bicubic_at(window, row, col)
+        return
+    row_weights, col_weights = np.zeros(2 * MOST_ROWS + 8), np.zeros(2 * MOST_COLUMNS + 8)
+    for i in chosen:
+        row = (rows[i] + 0.5) * per_row - 0.5 - row0
+        col = (cols[i] + 0.5) * per_col - 0.5 - col0
+        wide = min(crowding[i] * crowding_wide, widest)
+        along = samples_across(wide, MOST_COLUMNS)
+        if down == 1 and along == 1:
+            out[i] = _single(window, row, col)
+            continue
+        if not (row == row and col == col):  # a place that the raster's projection cannot show
+            out[i] = np.nan
+            continue
+        # samples further apart than two pixels leave pixels between them: nothing to add up
+        if rows_wide > 2.0 * MOST_ROWS or wide > 2.0 * MOST_COLUMNS:
+            out[i] = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
+            continue
+        # cubic weights of all samples of the footprint, added up: it is separable
+        first_row, rows_used = add_weights(row, rows_wide, down, row_weights)
+        rows_used += -rows_used % 4  # further weights are zeros
+        first_col, cols_used = add_weights(col, wide, along, col_weights)
+        total = np.nan
+        if (
+            first_row >= 0
+            and first_row + rows_used <= window.shape[0]
+            and first_col >= 0
+            and first_col + cols_used <= window.shape[1]
+        ):
+            total = 0.0
+            for a in range(0, rows_used, 4):
+                total += _four_rows(
+                    window, first_row + a, row_weights, a, first_col, cols_used, col_weights
+                )
+        if total != total:
+            total = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
+        out[i] = total
+
+
+@kernel
+def samples_across(wide: float, most: int) -> int:
+    """Samples over a footprint some pixels wide."""
+    return int(min(max(1.0, np.floor(wide + 0.5)), most))
+
+
+@kernel
+def _single(window: Float32Array, row: float, col: float) -> float:
+    """One cubic sample; bilinear beside holes and borders, NaN outside."""
+    if 1.0 <= row < window.shape[0] - 2.0 and 1.0 <= col < window.shape[1] - 2.0:
+        value = _cubic(window, row, col)
+        if value == value:
+            return value
+    return bicubic_at(window, row, col)
+
+
+@kernel
+def _cubic(window: Float32Array, row: float, col: float) -> float:
+    """Cubic convolution where all sixteen neighbours are inside; NaN beside a hole."""
+    r, c = np.uint64(row - 1.0), np.uint64(col - 1.0)
+    a, b, d, e = cubic_weights(row - np.floor(row))
+    one = np.uint64(1)
+    r1, r2, r3 = r + one, r + one + one, r + one + one + one
+    c1, c2, c3 = c + one, c + one + one, c + one + one + one
+    # down first: four columns side by side
+    v0 = a * window[r, c] + b * window[r1, c] + d * window[r2, c] + e * window[r3, c]
+    v1 = a * window[r, c1] + b * window[r1, c1] + d * window[r2, c1] + e * window[r3, c1]
+    v2 = a * window[r, c2] + b * window[r1, c2] + d * window[r2, c2] + e * window[r3, c2]
+    v3 = a * window[r, c3] + b * window[r1, c3] + d * window[r2, c3] + e * window[r3, c3]
+    a, b, d, e = cubic_weights(col - np.floor(col))
+    return float(a * v0 + b * v1 + d * v2 + e * v3)
+
+
+@kernel
+def add_weights(at: float, wide: float, samples: int, out: FloatArray) -> tuple[int, int]:
+    """Mean weights of cubics spread over a footprint; the first pixel and the number of them."""
+    share = 1.0 / samples
+    first = int(np.floor(at + (0.5 * share - 0.5) * wide)) - 1
+    used = int(np.floor(at + ((samples - 0.5) * share - 0.5) * wide)) + 3 - first
+    for k in range(used + 3):
+        out[np.uint64(k)] = 0.0
+    for k in range(samples):
+        place = at + ((k + 0.5) * share - 0.5) * wide
+        whole = np.floor(place)
+        start = np.uint64(int(whole) - 1 - first)
+        for weight in cubic_weights(place - whole):
+            out[start] += weight * share
+            start += np.uint64(1)
+    return first, used
+
+
+@kernel
+def _four_rows(
+    window: Float32Array,
+    row: int,
+    row_weights: FloatArray,
+    a: int,
+    col: int,
+    cols_used: int,
+    col_weights: FloatArray,
+) -> float:
+    """Weighted sum over four rows from `row` on, whose weights are those from place `a` on."""
+    # unsigned: an index that cannot count from the end needs no test
+    one = np.uint64(1)
+    w, r, c = np.uint64(a), np.uint64(row), np.uint64(col)
+    w0, w1 = row_weights[w], row_weights[w + one]
+    w2, w3 = row_weights[w + one + one], row_weights[w + one + one + one]
+    r1, r2, r3 = r + one, r + one + one, r + one + one + one
+    total = 0.0
+    for k in range(cols_used):
+        b = np.uint64(k)
+        at = c + b
+        total += col_weights[b] * (
+            w0 * window[r, at] + w1 * window[r1, at] + w2 * window[r2, at] + w3 * window[r3, at]
+        )
+    return total
+
+
+@kernel
+def _mean_of_what_is_there(
+    window: Float32Array,
+    row: float,
+    col: float,
+    rows_wide: float,
+    wide: float,
+    down: int,
+    along: int,
+) -> float:
+    """The same mean over the samples that have a height; NaN where that is less than half."""
+    total, valid = 0.0, 0
+    for r in range(down):
+        at_row = row + ((r + 0.5) / down - 0.5) * rows_wide
+        for c in range(along):
+            value = bicubic_at(window, at_row, col + ((c + 0.5) / along - 0.5) * wide)
+            if value == value:
+                total += value
+                valid += 1
+    return total / valid if valid > 0 and 2 * valid >= down * along else np.nan
+
+
+# A window larger than this (pixels, 64 MB) is cut into pieces: scattered points must not pull the
+# whole raster into memory.
+LARGEST_WINDOW = 16 << 20
+PIECE = 512  # pixels a side of the raster that pieces are sorted by
+
+
+def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> Float32Array:
+    """Heights (n) float32, NaN for none, of places in the whole raster from one of its levels.
+
+    base       the level's windows
+    rows_wide  rows of the level that a footprint is high
+    """
+    out = np.full(pixels.row.size, np.nan, dtype=np.float32)
+    if base.pyramid.source.wraps and not base.wraps:
+        # a level of a raster whose columns cannot be halved evenly ends where the raster does
+        period = base.period * base.scale
+        pixels = pixels._replace(col=pixels.col - np.floor((pixels.col + 0.5) / period) * period)
+    chosen = np.arange(pixels.row.size)
+    if chosen.size and not _inside(base, _extent(*pixels, chosen)):
+        chosen = np.flatnonzero(_inside_each(base, pixels, rows_wide))
+    if not chosen.size:
+        return out
+    extent = _extent(*pixels, chosen)
+    fewest, most = (halvings_for(wide * rows_wide, base.most_halvings) for wide in extent[4:])
+    if fewest == most:
+        _in_pieces(base.halved(fewest), pixels, chosen, rows_wide, out)
+        return out
+    halvings = _halvings(pixels.crowding, rows_wide, base.most_halvings)
+    for count in range(fewest, most + 1):
+        those = chosen[halvings[chosen] == count]
+        if those.size:
+            _in_pieces(base.halved(count), pixels, those, rows_wide, out)
+    return out
+
+
+Extent = tuple[float, float, float, float, float, float]
+
+
+def _inside(base: LevelWindows, extent: Extent) -> bool:
+    """Whether all points lie in the raster."""
+    rows, cols = base.raster_shape
+    top, bottom, left, right, _, _ = extent
+    if not (top >= -0.5 and bottom <= rows - 0.5):
+        return False
+    return base.wraps or (left >= -0.5 and right <= cols - 0.5)
+
+
+def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolArray:
+    rows, cols = base.raster_shape
+    inside = (pixels.row >= -0.5) & (pixels.row <= rows - 0.5)
+    if not base.wraps:
+        half = pixels.crowding * (rows_wide * base.scale / 2.0)
+        inside &= (pixels.col >= -0.5 - half) & (pixels.col <= cols - 0.5 + half)
+    return np.asarray(inside)
+
+
+def _in_pieces(
+    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
+) -> None:
+    """Sample through one window, or through one for each part of the raster that is touched."""
+    _, _, height, width = _bounds(sheet, rows_wide, _extent(*pixels, chosen))
+    if height * width <= LARGEST_WINDOW:
+        _through_window(sheet, pixels, chosen, rows_wide, out)
+        return
+    row = pixels.row[chosen] / (PIECE * sheet.scale)
+    col = pixels.col[chosen] / (PIECE * sheet.scale * sheet.squeeze)
+    key = np.floor(row) * 1e6 + np.floor(col)
+    order = np.argsort(key, kind="stable")
+    for those in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+        _through_window(sheet, pixels, chosen[those], rows_wide, out)
+
+
+def _bounds(sheet: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int, int, int, int]:
+    """First row, first column, height and width of the window that all footprints need."""
+    top, bottom, left, right, _, crowding = extent
+    along = sheet.scale * sheet.squeeze
+    half = rows_wide / 2.0 + 2.0  # two more pixels for the cubic's neighbours
+    wide = min(crowding * rows_wide / sheet.squeeze, sheet.period or np.inf) / 2.0 + 2.0
+    row0 = int(np.floor((top + 0.5) / sheet.scale - 0.5 - half))
+    row1 = int(np.ceil((bottom + 0.5) / sheet.scale - 0.5 + half))
+    col0 = int(np.floor((left + 0.5) / along - 0.5 - wide))
+    col1 = int(np.ceil((right + 0.5) / along - 0.5 + wide))
+    return row0, col0, row1 - row0 + 1, col1 - col0 + 1
+
+
+def _through_window(
+    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
+) -> None:
+    extent = _extent(*pixels, chosen)
+    row0, col0, height, width = _bounds(sheet, rows_wide, extent)
+    means_over_footprints(
+        sheet.window(row0, col0, height, width),
+        pixels.row,
+        pixels.col,
+        pixels.crowding,
+        chosen,
+        1.0 / sheet.scale,
+        1.0 / (sheet.scale * sheet.squeeze),
+        row0,
+        col0,
+        rows_wide,
+        rows_wide / sheet.squeeze,
+        sheet.period or np.inf,
+        extent[5],
+        out,
+    )
+
+
+@kernel
+def _extent(row: FloatArray, col: FloatArray, crowding: FloatArray, chosen: IntArray) -> Extent:
+    """Least and largest row, column and crowding of the chosen points."""
+    i = chosen[0]
+    top, bottom = row[i], row[i]
+    left, right = col[i], col[i]
+    narrow, wide = crowding[i], crowding[i]
+    for i in chosen:
+        top, bottom = min(top, row[i]), max(bottom, row[i])
+        left, right = min(left, col[i]), max(right, col[i])
+        narrow, wide = min(narrow, crowding[i]), max(wide, crowding[i])
+    return top, bottom, left, right, narrow, wide
+
+
+@kernel
+def _halvings(crowding: FloatArray, rows_wide: float, most: int) -> Int8Array:
+    """How often columns are halved for each point."""
+    out = np.empty(crowding.size, np.int8)
+    for i in range(crowding.size):
+        out[i] = halvings_for(crowding[i] * rows_wide, most)
+    return out

@@ -1,0 +1,145 @@
+"""Heights on a graticule: means over the nodes' footprints, as of any points, but much cheaper.
+
+On a cylindrical raster a footprint's rows depend on the latitude alone and its columns on the
+longitude alone, so their weights are worked out once a row and once a column. Elsewhere points are
+read one by one. A node's height is the same, bit by bit, in whatever part it is read: places are
+worked out before the part's own corner is taken off them.
+"""
+
+import numpy as np
+
+from catalog.arrays import Float32Array, FloatArray, IntArray
+from catalog.geometry.graticule import Graticule, Part
+from catalog.geometry.kernel import kernel
+from catalog.terrain.dem.georeference import CYLINDRICAL
+from catalog.terrain.dem.mosaic import Mosaic
+from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
+from catalog.terrain.pyramid.pyramid import HeightPyramid
+from catalog.terrain.sampling.footprint import MOST_COLUMNS, MOST_ROWS, add_weights, samples_across
+
+BLOCK = 128  # nodes a side: points are read by whole blocks, whichever part is asked for
+
+
+def graticule_heights(
+    mosaic: Mosaic,
+    graticule: Graticule,
+    part: Part,
+    posting_m: float,
+    latitudes: tuple[float, float],
+) -> Float32Array:
+    """Heights (height, width) m of a part; row 0 south, column 0 west; NaN for none.
+
+    posting_m  the spacing that nodes stand for
+    latitudes  south and north (rad) of the zone that this graticule serves: how nodes are read
+               depends on it, never on the part
+
+    Where weights are used, a node whose footprint touches a hole has no height.
+    """
+    meeting = [i for i, p in enumerate(mosaic.pyramids) if _meets(p, latitudes)]
+    if not meeting:
+        return np.full((part.height, part.width), np.nan, dtype=np.float32)
+    pyramid = mosaic.pyramids[meeting[0]]
+    if len(meeting) > 1 or pyramid.source.place.kind != CYLINDRICAL:
+        return _by_points(mosaic, graticule, part, posting_m)
+    level = pyramid.level_for(posting_m)
+    rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
+    sheet = mosaic.sheet(meeting[0], level)
+    return _by_weights(sheet, pyramid, graticule, part, rows_wide)
+
+
+def _meets(pyramid: HeightPyramid, latitudes: tuple[float, float]) -> bool:
+    _, south, _, north = pyramid.source.latlon_bounds()
+    return bool(south <= latitudes[1] and north >= latitudes[0])
+
+
+def _by_points(mosaic: Mosaic, graticule: Graticule, part: Part, posting_m: float) -> Float32Array:
+    out = np.empty((part.height, part.width), np.float32)
+    down, along = part.rows // BLOCK, np.mod(part.cols, graticule.columns) // BLOCK
+    for band in np.unique(down):
+        rows = np.arange(band * BLOCK, (band + 1) * BLOCK)
+        lat = np.clip(graticule.lat(rows), -np.pi / 2.0, np.pi / 2.0)
+        for turn in np.unique(along):
+            cols = np.arange(turn * BLOCK, min((turn + 1) * BLOCK, graticule.columns))
+            block = mosaic.heights(lat[:, None], graticule.lon(cols), posting_m)
+            i, j = np.flatnonzero(down == band), np.flatnonzero(along == turn)
+            own_rows = part.rows[i] - rows[0]
+            own_cols = np.mod(part.cols[j], graticule.columns) - cols[0]
+            out[np.ix_(i, j)] = block[np.ix_(own_rows, own_cols)]
+    return out
+
+
+def _by_weights(
+    base: LevelWindows,
+    pyramid: HeightPyramid,
+    graticule: Graticule,
+    part: Part,
+    rows_wide: float,
+) -> Float32Array:
+    place = pyramid.source.place
+    col0, cols_per_rad, row0, rows_per_rad, period = place.parameters
+    wide = period / (graticule.columns * base.scale)
+    halvings = int(halvings_for(wide, base.most_halvings))
+    sheet = base.halved(halvings)
+    row = (row0 + rows_per_rad * graticule.lat(part.rows) + 0.5) / sheet.scale - 0.5
+    col = col0 + cols_per_rad * place.longitude_sign * graticule.lon(part.cols)
+    # of that turn which the raster shows
+    col -= np.floor((col - (place.shape[1] - 1) / 2.0) / period + 0.5) * period
+    col = (col + 0.5) / (sheet.scale * sheet.squeeze) - 0.5
+    first_row, row_weights = _weights(row, rows_wide, MOST_ROWS)
+    first_col, col_weights = _weights(col, wide / sheet.squeeze, MOST_COLUMNS)
+    out = np.empty((part.height, part.width), np.float32)
+    # neighbours in the part may be a turn apart in the raster
+    most = 4.0 * wide / sheet.squeeze + 4.0
+    cuts = np.flatnonzero(np.abs(np.diff(first_col)) > most) + 1
+    top, height = int(first_row.min()), int(np.ptp(first_row)) + row_weights.shape[1]
+    for those in np.split(np.arange(part.width), cuts):
+        firsts, weights = first_col[those], col_weights[those]
+        left, width = int(firsts.min()), int(np.ptp(firsts)) + weights.shape[1]
+        window = sheet.window(top, left, height, width)
+        _combine(window, first_row - top, row_weights, firsts - left, weights,
+                 out[:, those[0] : those[-1] + 1])  # fmt: skip
+    return out
+
+
+@kernel
+def _weights(at: FloatArray, wide: float, most: int) -> tuple[IntArray, Float32Array]:
+    """First pixel and weights (n, taps) of footprints about places, `wide` pixels wide."""
+    samples = samples_across(wide, most)
+    taps = int(np.ceil(wide)) + 5
+    one = np.zeros(taps + 8)
+    first = np.empty(at.size, np.int64)
+    out = np.zeros((at.size, taps), np.float32)
+    used = 0
+    for i in range(at.size):
+        first[i], count = add_weights(at[i], wide, samples, one)
+        for k in range(count):
+            out[i, k] = one[k]
+        used = max(used, count)
+    return first, out[:, :used].copy()
+
+
+@kernel
+def _combine(
+    window: Float32Array,
+    first_row: IntArray,
+    row_weights: Float32Array,
+    first_col: IntArray,
+    col_weights: Float32Array,
+    out: Float32Array,
+) -> None:
+    """Weighted sums down, then along."""
+    line = np.empty(window.shape[1], np.float32)
+    taps = col_weights.shape[1]
+    for i in range(out.shape[0]):
+        line[:] = np.float32(0.0)
+        for k in range(row_weights.shape[1]):
+            weight, source = row_weights[i, k], window[first_row[i] + k]
+            if weight != 0.0:
+                for c in range(line.size):
+                    line[c] += weight * source[c]
+        for j in range(out.shape[1]):
+            total = np.float32(0.0)
+            start = np.uint64(first_col[j])
+            for k in range(np.uint64(taps)):
+                total += col_weights[j, k] * line[start + k]
+            out[i, j] = total

@@ -1,0 +1,254 @@
+"""The skyline that the relief of a whole body draws against the sky, seen from outside.
+
+In the plane of the observer's nadir and one azimuth the skyline is the ground point highest above
+the nadir. A crest at the angle d from the point where a sphere's limb would lie loses R d^2 / 2 of
+height, so lunar relief decides the limb within some +-280 km of it; the search goes on until no
+ground of the body could rise above what is found, near the body and at 100 000 km alike. Steps
+whose highest ground (a coarse grid of bounds) cannot reach the skyline found so far are jumped.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.geometry.kernel import kernel
+from catalog.terrain.relief.relief import GlobalRelief
+
+SEGMENT = np.radians(0.5)  # jumped or searched as a whole
+LONGEST_STEP = np.radians(0.03)  # between samples, or half a cell of the relief
+BOUND_CELLS = 360  # rows of the grid of bounds: cells of half a degree
+REFINEMENTS = 4  # halvings of the step about the highest sample: 60 m on the Moon
+
+
+@dataclass(frozen=True, eq=False)
+class Skyline:
+    """Where relief meets the sky, at azimuths about the nadir.
+
+    off_nadir (n,)   rad, angle between the nadir and the skyline
+    range     (n,)   rad, angle at the body's centre from the observer to the crest
+    radius_m  (n,)   of the crest from the body's centre
+    """
+
+    off_nadir: FloatArray
+    range: FloatArray
+    radius_m: FloatArray
+
+
+class LimbRelief:
+    """A relief made ready for skylines.
+
+    relief      the body's
+    top_share   the surface lies this share of the way from mean heights to tops; it may pass 1
+    """
+
+    def __init__(self, relief: GlobalRelief, top_share: float) -> None:
+        crests = relief.heights + np.float32(top_share) * (relief.tops - relief.heights)
+        self.radius_m = relief.radius_m
+        self.posting_m = relief.posting_m
+        self.grid = _with_borders(crests.astype(np.float32))
+        self.bounds = _bounds(crests)
+        self.highest_m = float(crests.max())
+
+    def skyline(self, position_m: ArrayLike, axes: ArrayLike, azimuths: ArrayLike) -> Skyline:
+        """The skyline from a position (3,), m, body frame.
+
+        axes      (3, 3) rows: first and second direction of azimuth, and up; see `nadir_axes`
+        azimuths  (n,) rad, from the first axis towards the second
+        """
+        place = np.ascontiguousarray(position_m, dtype=np.float64)
+        around = np.ascontiguousarray(azimuths, dtype=np.float64)
+        found = np.empty((3, around.size))
+        _skyline(
+            self.grid, self.bounds, self.radius_m, self.highest_m, float(np.linalg.norm(place)),
+            np.ascontiguousarray(axes, dtype=np.float64), around, found,
+        )  # fmt: skip
+        return Skyline(found[0], found[1], found[2])
+
+    def sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
+        """Whether the Sun (3,), a direction, stands clear of the relief at places (n, 3), m."""
+        places = np.ascontiguousarray(points, dtype=np.float64)
+        towards = np.asarray(sun, dtype=np.float64) / np.linalg.norm(sun)
+        lit = np.empty(len(places), np.bool_)
+        _sunlit(self.grid, self.radius_m, self.highest_m, self.posting_m, places, towards, lit)
+        return lit
+
+
+def nadir_axes(position: ArrayLike) -> FloatArray:
+    """Rows (3, 3): two directions across the position (3,), then the position's own; unit."""
+    up = np.asarray(position, dtype=np.float64)
+    up = up / np.linalg.norm(up)
+    first = np.zeros(3)
+    first[int(np.argmin(np.abs(up)))] = 1.0
+    first -= up * (first @ up)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(up, first), up])
+
+
+def _with_borders(grid: Float32Array) -> Float32Array:
+    """One more row and column on every side, so that bilinear needs no exceptions."""
+    half = grid.shape[1] // 2
+    tall = np.concatenate([np.roll(grid[:1], half, 1), grid, np.roll(grid[-1:], half, 1)])
+    return np.ascontiguousarray(np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1))
+
+
+def _bounds(grid: Float32Array) -> Float32Array:
+    """Highest ground within a segment about each coarse cell."""
+    rows = grid.shape[0]
+    count = min(BOUND_CELLS, rows)
+    first = (np.arange(count) * rows) // count
+    lon_first = (np.arange(2 * count) * rows) // count
+    cells = np.maximum.reduceat(np.maximum.reduceat(grid, first, axis=0), lon_first, axis=1)
+    wide = np.empty_like(cells)
+    lat = (0.5 - (np.arange(count) + 0.5) / count) * np.pi
+    for row in range(count):
+        # the narrowest of the row and its neighbours; at the poles all meridians are near
+        narrow = np.cos(min(abs(lat[row]) + np.pi / count, np.pi / 2.0))
+        reach = int(np.ceil(1.0 / max(narrow, 1e-9)))
+        if 2 * reach + 1 >= 2 * count:
+            wide[row] = cells[row].max()
+            continue
+        wide[row] = cells[row]
+        for shift in range(1, reach + 1):
+            wide[row] = np.maximum(wide[row], np.roll(cells[row], shift))
+            wide[row] = np.maximum(wide[row], np.roll(cells[row], -shift))
+    out = wide.copy()
+    out[1:] = np.maximum(out[1:], wide[:-1])
+    out[:-1] = np.maximum(out[:-1], wide[1:])
+    return out
+
+
+@kernel
+def _height(grid: Float32Array, x: float, y: float, z: float) -> float:
+    """Bilinear height at a unit direction, from the grid with borders."""
+    per_rad = (grid.shape[0] - 2) / np.pi
+    row = (0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad + 0.5
+    col = (np.arctan2(y, x) + np.pi) * per_rad + 0.5
+    i, j = min(int(row), grid.shape[0] - 2), min(int(col), grid.shape[1] - 2)
+    down, along = row - i, col - j
+    upper = grid[i, j] + along * (grid[i, j + 1] - grid[i, j])
+    lower = grid[i + 1, j] + along * (grid[i + 1, j + 1] - grid[i + 1, j])
+    answer: float = upper + down * (lower - upper)
+    return answer
+
+
+@kernel
+def _bound(bounds: Float32Array, x: float, y: float, z: float) -> float:
+    per_rad = bounds.shape[0] / np.pi
+    row = int((0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad)
+    col = int((np.arctan2(y, x) + np.pi) * per_rad)
+    answer: float = bounds[min(row, bounds.shape[0] - 1), min(col, bounds.shape[1] - 1)]
+    return answer
+
+
+@kernel
+def _cot(distance: float, radius: float, angle: float) -> float:
+    """Cotangent of the off-nadir angle of a point; the skyline has the smallest."""
+    answer: float = (distance - radius * np.cos(angle)) / (radius * np.sin(angle))
+    return answer
+
+
+@kernel
+def _ground_cot(
+    grid: Float32Array, sphere: float, distance: float, axes: FloatArray, cos_az: float,
+    sin_az: float, angle: float,
+) -> tuple[float, float]:  # fmt: skip
+    """`_cot` of the ground at an angle from the observer, and its radius."""
+    up, along = np.cos(angle), np.sin(angle)
+    a, b = along * cos_az, along * sin_az
+    radius = sphere + _height(
+        grid,
+        a * axes[0, 0] + b * axes[1, 0] + up * axes[2, 0],
+        a * axes[0, 1] + b * axes[1, 1] + up * axes[2, 1],
+        a * axes[0, 2] + b * axes[1, 2] + up * axes[2, 2],
+    )
+    return (distance - radius * up) / (radius * along), radius
+
+
+@kernel
+def _skyline(
+    grid: Float32Array, bounds: Float32Array, sphere: float, highest: float, distance: float,
+    axes: FloatArray, azimuths: FloatArray, found: FloatArray,
+) -> None:  # fmt: skip
+    posting = np.pi / (grid.shape[0] - 2)
+    parts = int(np.ceil(SEGMENT / min(0.5 * posting, LONGEST_STEP)))
+    step = SEGMENT / parts
+    inside = distance * (1.0 - 1e-9)
+    middle = np.arccos(min(sphere, inside) / distance)
+    top = min(sphere + highest, inside)
+    top_angle = np.arccos(top / distance)
+    for n in range(azimuths.size):
+        cos_az, sin_az = np.cos(azimuths[n]), np.sin(azimuths[n])
+        best, best_angle = np.inf, middle
+        ahead, back, number = True, True, 0
+        while ahead or back:
+            # alternately beyond the sphere's limb and before it
+            beyond = number % 2 == 0
+            start = middle + (number // 2 if beyond else -(number + 1) // 2) * SEGMENT
+            number += 1
+            if not (ahead if beyond else back):
+                continue
+            low, high = max(start, 1e-9), min(start + SEGMENT, np.pi - 1e-9)
+            near = max(low, top_angle) if beyond else min(high, top_angle)
+            if low >= high or (number > 2 and _cot(distance, top, near) > best):
+                # from here on no ground of this body reaches the skyline found
+                if beyond:
+                    ahead = False
+                else:
+                    back = False
+                continue
+            centre = 0.5 * (low + high)
+            up, along = np.cos(centre), np.sin(centre)
+            a, b = along * cos_az, along * sin_az
+            radius = sphere + _bound(
+                bounds,
+                a * axes[0, 0] + b * axes[1, 0] + up * axes[2, 0],
+                a * axes[0, 1] + b * axes[1, 1] + up * axes[2, 1],
+                a * axes[0, 2] + b * axes[1, 2] + up * axes[2, 2],
+            )
+            radius = min(radius, inside)
+            if _cot(distance, radius, min(max(np.arccos(radius / distance), low), high)) > best:
+                continue
+            for k in range(parts):
+                angle = start + (k + 0.5) * step
+                if low < angle < high:
+                    cot, _ = _ground_cot(grid, sphere, distance, axes, cos_az, sin_az, angle)
+                    if cot < best:
+                        best, best_angle = cot, angle
+        half = 0.5 * step
+        for _ in range(REFINEMENTS):
+            centre = best_angle
+            for side in (-half, half):
+                cot, _ = _ground_cot(grid, sphere, distance, axes, cos_az, sin_az, centre + side)
+                if cot < best:
+                    best, best_angle = cot, centre + side
+            half *= 0.5
+        _, radius = _ground_cot(grid, sphere, distance, axes, cos_az, sin_az, best_angle)
+        found[0, n], found[1, n], found[2, n] = np.arctan2(1.0, best), best_angle, radius
+
+
+@kernel
+def _sunlit(
+    grid: Float32Array, sphere: float, highest: float, posting: float, places: FloatArray,
+    sun: FloatArray, lit: BoolArray,
+) -> None:  # fmt: skip
+    for n in range(len(places)):
+        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        lit[n] = True
+        travelled = 0.0
+        step = posting
+        while True:
+            travelled += step
+            a, b, c = x + travelled * sun[0], y + travelled * sun[1], z + travelled * sun[2]
+            radius = np.sqrt(a * a + b * b + c * c)
+            clear = radius - sphere
+            rising = a * sun[0] + b * sun[1] + c * sun[2] > 0.0
+            if clear > highest and rising:
+                break
+            ground = _height(grid, a / radius, b / radius, c / radius)
+            if clear < ground:
+                lit[n] = False
+                break
+            # no lunar slope that rises out of a clear ray by more than its own clearance a step
+            step = max(posting, 0.5 * (clear - ground))

@@ -1,0 +1,1 @@
+"""Seeded relief below a model's posting: craters and fractal ground."""

@@ -1,0 +1,222 @@
+"""Seeded relief below a DEM's posting: the truth that a catalog of that DEM does not know.
+
+Craters in equilibrium (`craters`) from twice the DEM's posting down to a smallest diameter, and
+random relief (`fractal`) with a power law over the same band. Neither holds net height, so the
+DEM's own content stays as it is. For one seed the ground is the same wherever and however it is
+asked for.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.geometry.latlon import wrap_longitude, xyz_from_latlon
+from catalog.geometry.projection import Stereographic, node_grid
+from catalog.terrain.synthetic import craters, fractal
+
+
+@dataclass(frozen=True)
+class Detail:
+    """Relief to add to a DEM.
+
+    seed            which ground; any integer
+    dem_posting_m   posting of the DEM that the relief is added to
+    radius_m        the body's reference sphere
+    smallest_m      smallest crater diameter and finest spacing of the random relief
+    rms_slope_deg   rms slope of the random relief alone, over its whole band
+    hurst           exponent of its power law: rms height of an octave ~ wavelength^hurst; lunar
+                    highlands show 0.95 (Rosenburg et al., JGR 116, 2011)
+    saturation      crater density over geometric saturation; equilibrium is 0.02-0.1
+
+    Raises ValueError for lengths that are not positive or a smallest size above the largest.
+    """
+
+    seed: int
+    dem_posting_m: float
+    radius_m: float
+    smallest_m: float = 30.0
+    rms_slope_deg: float = 3.0
+    hurst: float = 0.95
+    saturation: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.smallest_m <= self.largest_m or not self.largest_m < self.radius_m:
+            raise ValueError(
+                f"smallest relief {self.smallest_m} m is not within 0 and {self.largest_m} m,"
+                " twice the DEM's posting, or that is no small part of the body"
+            )
+
+    @property
+    def largest_m(self) -> float:
+        """Largest added crater: what a DEM of this posting no longer shows."""
+        return 2.0 * self.dem_posting_m
+
+    @cached_property
+    def _octaves(self) -> int:
+        return max(1, round(float(np.log2(self.largest_m / self.smallest_m))))
+
+    @cached_property
+    def _noise(self) -> tuple[FloatArray, FloatArray]:
+        """Lattice spacings and amplitudes of the random relief, m."""
+        count = max(1, round(float(np.log2(self.dem_posting_m / self.smallest_m))) + 1)
+        spacing = self.dem_posting_m / 2.0 ** np.arange(count, dtype=np.float64)
+        shape = spacing**self.hurst
+        slope = fractal.RMS_GRADIENT * float(np.linalg.norm(shape / spacing))
+        return spacing, shape * float(np.tan(np.radians(self.rms_slope_deg))) / slope
+
+    def heights(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
+        """Heights to add at points, microseconds each; lat, lon (...) rad; returns (...) m."""
+        lat, lon = np.broadcast_arrays(np.asarray(lat, np.float64), wrap_longitude(lon))
+        flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
+        total = craters.crater_heights_at(
+            self.seed, self._octaves, self.largest_m, self.saturation, self.radius_m, *flat
+        )
+        total += fractal.noise_at(
+            self.seed, *self._noise, self.radius_m, xyz_from_latlon(*flat, 1.0)
+        )
+        return np.asarray(total.reshape(lat.shape))
+
+    def window(
+        self, north: float, west: float, step_lat: float, step_lon: float, rows: int, cols: int
+    ) -> Float32Array:
+        """Heights to add on a regular grid of latitudes and longitudes, means over a node's cell.
+
+        north, west         rad  the first node; rows run south, columns east
+        step_lat, step_lon  rad  positive
+        Returns (rows, cols) float32, m. The grid must keep a few nodes away from the poles.
+        """
+        out = np.zeros((rows, cols), np.float32)
+        lat = north - step_lat * np.arange(rows, dtype=np.float64)
+        lon = west + step_lon * np.arange(cols, dtype=np.float64)
+        posting = self.radius_m * step_lat
+        self._add_window_noise(out, lat, lon, posting)
+        table = self._craters(lat[-1], west, lat[0], step_lon * (cols - 1))
+        row = (north - table[:, craters.LAT]) / step_lat
+        # a crater's longitude is brought next to the window's middle, so that ±180° is no border
+        middle = west + 0.5 * step_lon * (cols - 1)
+        col = (wrap_longitude(table[:, craters.LON] - middle) + middle - west) / step_lon
+        step_x = self.radius_m * np.cos(lat) * step_lon
+        craters.stamp(out, row, col, table, np.full(rows, posting), step_x)
+        return out
+
+    def turned_window(
+        self, body_from_grid: FloatArray, north: float, west: float, step: float,
+        rows: int, cols: int,
+    ) -> Float32Array:  # fmt: skip
+        """Heights to add on a grid of equal steps in a turned frame, means over a node's cell.
+
+        body_from_grid     (3, 3) rotation from the grid's frame to the body's
+        north, west, step  rad  as in `window`, latitudes and longitudes of the grid's frame; the
+                           grid may go all round, and up to half a step from the frame's poles
+        Returns (rows, cols) float32, m. Craters smaller than a step, and those nearer than 10
+        diameters to the frame's poles, where the grid's cells are slivers, are left out.
+        """
+        out = np.zeros((rows, cols), np.float32)
+        lat = north - step * np.arange(rows, dtype=np.float64)
+        lon = west + step * np.arange(cols, dtype=np.float64)
+        posting = self.radius_m * step
+        spacing, amplitude = self._resolved(posting)
+        if spacing.size:
+            fractal.add_noise_turned(
+                out, self.seed, spacing, amplitude, self.radius_m, lat, lon, body_from_grid
+            )
+        octaves = min(self._octaves, int(np.floor(np.log2(self.largest_m / posting) + 1e-6)))
+        if octaves < 1:
+            return out
+        table = craters.crater_table(
+            self.seed, octaves, self.largest_m, self.saturation, self.radius_m,
+            *_body_box(body_from_grid, lat, lon),
+        )  # fmt: skip
+        directions = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0)
+        own = directions @ body_from_grid
+        own_lat = np.arcsin(np.clip(own[:, 2], -1.0, 1.0))
+        row = (north - own_lat) / step
+        col = np.mod(np.arctan2(own[:, 1], own[:, 0]) - west, 2.0 * np.pi) / step
+        reach = craters.REACH * table[:, craters.DIAMETER] / posting
+        wide = reach / np.cos(own_lat)
+        turn = 2.0 * np.pi / step
+        near = (row > -reach) & (row < rows + reach)
+        near &= 0.5 * np.pi - np.abs(own_lat) > 10.0 * table[:, craters.DIAMETER] / self.radius_m
+        step_y, step_x = np.full(rows, posting), posting * np.cos(lat)
+        # a crater at the grid's west end also reaches over its east end, and the other way round
+        for shift in (0.0, -turn, turn):
+            seen = near & (col + shift > -wide) & (col + shift < cols + wide)
+            craters.stamp(out, row[seen], col[seen] + shift, table[seen], step_y, step_x)
+        return out
+
+    def local(self, projection: Stereographic, posting_m: float, size: int) -> Float32Array:
+        """Heights to add on a map grid (size, size), float32 m, row 0 north: means over a cell."""
+        out = np.zeros((size, size), np.float32)
+        x, y = node_grid(size, posting_m)
+        lat, lon = projection.latlon(x, y)
+        spacing, amplitude = self._resolved(posting_m)
+        directions = xyz_from_latlon(lat.ravel(), lon.ravel(), 1.0)
+        noise = fractal.noise_at(self.seed, spacing, amplitude, self.radius_m, directions)
+        out += noise.reshape(size, size).astype(np.float32)
+        lon = wrap_longitude(lon - projection.lon)
+        # over a pole the box is the whole turn
+        over_pole = abs(projection.lat) + size * posting_m / self.radius_m >= 0.5 * np.pi
+        west, width = (-np.pi, 2.0 * np.pi) if over_pole else (float(lon.min()), float(np.ptp(lon)))
+        table = self._craters(
+            float(lat.min()), west + projection.lon, float(lat.max()), width, over_pole
+        )
+        cx, cy = projection.xy_from_latlon(table[:, craters.LAT], table[:, craters.LON])
+        middle = (size - 1) / 2.0
+        # the map's scale is 1 + (rho / 2R)^2: craters grow with it
+        scale = 1.0 + (cx * cx + cy * cy) / (2.0 * self.radius_m) ** 2
+        table[:, craters.DIAMETER] *= scale
+        steps = np.full(size, posting_m)
+        craters.stamp(out, middle - cy / posting_m, middle + cx / posting_m, table, steps, steps)
+        return out
+
+    def _craters(
+        self, south: float, west: float, north: float, width: float, over_pole: bool = False
+    ) -> FloatArray:
+        if over_pole:
+            south, north = (south, 0.5 * np.pi) if north > 0.0 else (-0.5 * np.pi, north)
+        return craters.crater_table(
+            self.seed, self._octaves, self.largest_m, self.saturation, self.radius_m,
+            south, west, north, width,
+        )  # fmt: skip
+
+    def _resolved(self, posting_m: float) -> tuple[FloatArray, FloatArray]:
+        """The octaves that a grid can show, lowered by the averaging over its cells.
+
+        A mean over a square of side p lowers a wave of length L by about exp(-(pi p / L)^2 / 6).
+        """
+        spacing, amplitude = self._noise
+        length = fractal.WAVELENGTH * spacing
+        seen = length >= 2.0 * posting_m * 0.99
+        factor = np.exp(-((np.pi * posting_m / length) ** 2) / 6.0)
+        return spacing[seen], (amplitude * factor)[seen]
+
+    def _add_window_noise(
+        self, out: Float32Array, lat: FloatArray, lon: FloatArray, posting_m: float
+    ) -> None:
+        spacing, amplitude = self._resolved(posting_m)
+        fractal.add_noise_window(out, self.seed, spacing, amplitude, self.radius_m, lat, lon)
+
+
+def _body_box(
+    body_from_grid: FloatArray, lat: FloatArray, lon: FloatArray
+) -> tuple[float, float, float, float]:
+    """South, west, north, width (rad, body frame) of a box around a grid in a turned frame."""
+    # the rim of the grid bounds it, unless a pole of the body lies within
+    a, b = lat[:: max(1, lat.size // 64)], lon[:: max(1, lon.size // 64)]
+    a, b = np.append(a, lat[-1]), np.append(b, lon[-1])
+    all_lat, all_lon = np.meshgrid(a, b, indexing="ij")
+    directions = xyz_from_latlon(all_lat.ravel(), all_lon.ravel(), 1.0) @ body_from_grid.T
+    # what lies between the places looked at: a step of theirs and a margin
+    margin = float(np.abs(np.diff(a)).max() + np.abs(np.diff(b)).max())
+    own = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
+    south, north = float(own.min()) - margin, float(own.max()) + margin
+    if max(-south, north) >= 0.5 * np.pi - 0.02:
+        return max(south, -0.5 * np.pi), -np.pi, min(north, 0.5 * np.pi), 2.0 * np.pi
+    middle = directions.mean(axis=0)
+    centre = float(np.arctan2(middle[1], middle[0]))
+    offset = wrap_longitude(np.arctan2(directions[:, 1], directions[:, 0]) - centre)
+    half = min(float(np.abs(offset).max()) + margin / np.cos(max(-south, north)), np.pi)
+    return south, centre - half, north, 2.0 * half

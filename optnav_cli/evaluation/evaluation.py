@@ -1,0 +1,158 @@
+"""Solutions against the truth: each frame's error in R, N, B and its share of wrong matches."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.errors import DataError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.evaluation.figures import (
+    Figures,
+    FrameError,
+    MethodFigures,
+    figures_by_method,
+    figures_of,
+)
+from optnav_cli.evaluation.motion import Forward, directions_of_motion
+from optnav_cli.frames.truth import Truth
+from optnav_cli.solution import MatchRow, Solution
+
+WRONG_PX = 3.0  # a match further than this from the truth is a wrong one
+SAME_TIME_S = 0.01
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Frames against their truth, of one run or of several, and a remark on what is left out."""
+
+    frames: tuple[FrameError, ...]
+    remarks: tuple[str, ...] = ()
+
+    def figures(self) -> Figures:
+        """Add the frames up. Raises NothingToDoError when none is solved."""
+        return figures_of(self.frames)
+
+    def by_method(self) -> list[MethodFigures]:
+        """The same for each method and camera, from afar to near."""
+        return figures_by_method(self.frames)
+
+
+def evaluate(
+    solutions: Sequence[Solution],
+    truths: Sequence[Truth],
+    reference_radius_m: float,
+    matches: Iterable[MatchRow] = (),
+    cameras: Mapping[str, Camera] | None = None,
+) -> Evaluation:
+    """Compare solutions with the truth of the same frames.
+
+    truths   frames that the run does not have are left out with a remark
+    matches  the control points tried; counted as right or wrong where `cameras` (by file name)
+             has the frame's camera
+    Raises DataError when a frame has no truth or one of another time.
+    """
+    by_file = {truth.file: truth for truth in truths}
+    _check_same_frames(solutions, by_file)
+    named = [by_file[solution.file] for solution in solutions]
+    # The direction of motion rests on all true positions, also of frames that the run lacks.
+    axes = dict(zip(by_file, directions_of_motion(truths), strict=True))
+    kept: dict[str, list[MatchRow]] = {}
+    for match in matches:
+        if match.used and match.measured_px is not None:
+            kept.setdefault(match.file, []).append(match)
+    frames = tuple(
+        _frame_error(
+            solution,
+            truth,
+            *axes[truth.file],
+            reference_radius_m,
+            kept.get(solution.file, []),
+            (cameras or {}).get(solution.file),
+        )
+        for solution, truth in zip(solutions, named, strict=True)
+    )
+    extra = len(truths) - len(named)
+    remark = f"{extra} frames of the truth are not in the run and are left out"
+    return Evaluation(frames, (remark,) if extra else ())
+
+
+def pool(evaluations: Iterable[Evaluation]) -> Evaluation:
+    """Several evaluations as one; each frame keeps its own truth and axes."""
+    evaluations = list(evaluations)
+    return Evaluation(
+        tuple(frame for evaluation in evaluations for frame in evaluation.frames),
+        tuple(remark for evaluation in evaluations for remark in evaluation.remarks),
+    )
+
+
+def _check_same_frames(solutions: Sequence[Solution], truths: Mapping[str, Truth]) -> None:
+    missing = [s.file for s in solutions if s.file not in truths]
+    if missing:
+        more = f" and {len(missing) - 1} more frames" if len(missing) > 1 else ""
+        raise DataError(
+            f"the truth has no {missing[0]}{more} of the run's {len(solutions)}; "
+            "wanted the truth.csv of the folder that was navigated"
+        )
+    for solution in solutions:
+        truth = truths[solution.file]
+        if solution.solved and abs(utc_to_tdb_s(solution.utc) - truth.tdb_s) > SAME_TIME_S:
+            raise DataError(
+                f"{solution.file}: the run has the time {solution.utc}, the truth {truth.utc}; "
+                "wanted the truth.csv of the folder that was navigated"
+            )
+
+
+def _checked(
+    kept: Sequence[MatchRow], truth: Truth, camera: Camera | None
+) -> tuple[int | None, int | None]:
+    """How many kept matches there are, and how many lie WRONG_PX from the point's true pixel."""
+    if camera is None:
+        return None, None
+    if not kept:
+        return 0, 0
+    points = np.array([match.cp_position_m for match in kept])
+    measured = np.array([match.measured_px for match in kept])
+    true_px = camera.project_from_body(points, truth.position_m, truth.camera_from_body.as_matrix())
+    off = np.linalg.norm(measured - true_px, axis=1)
+    # not <=, so that a point which truly is out of view (NaN) counts as wrong
+    return len(kept), int((~(off <= WRONG_PX)).sum())
+
+
+def _frame_error(
+    solution: Solution,
+    truth: Truth,
+    axes: FloatArray,
+    forward: Forward,
+    reference_radius_m: float,
+    kept: Sequence[MatchRow],
+    camera: Camera | None,
+) -> FrameError:
+    distance = float(np.linalg.norm(truth.position_m))
+    frame = FrameError(
+        solution.file,
+        solution.utc,
+        solution,
+        forward,
+        distance - reference_radius_m,
+        distance_m=distance,
+        camera=camera.name if camera is not None else "",
+    )
+    if solution.position_m is None or solution.covariance_m2 is None or not solution.solved:
+        return frame
+    error = solution.position_m - truth.position_m
+    angle = None
+    if solution.camera_from_body is not None:
+        angle = float((solution.camera_from_body * truth.camera_from_body.inv()).magnitude())
+    n_checked, n_wrong = _checked(kept, truth, camera)
+    return replace(
+        frame,
+        error_rnb_m=axes @ error,
+        sigma_rnb_m=np.sqrt(np.diag(axes @ solution.covariance_m2 @ axes.T)),
+        nees=float(error @ np.linalg.solve(solution.covariance_m2, error)),
+        attitude_error_rad=angle,
+        n_checked=n_checked,
+        n_wrong=n_wrong,
+    )

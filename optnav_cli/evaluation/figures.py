@@ -1,0 +1,246 @@
+"""What the errors of a set of frames add up to, and whether their stated covariance is honest."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from catalog.arrays import FloatArray
+from catalog.errors import DifferenceError, NothingToDoError
+from optnav_cli.evaluation.motion import Forward
+from optnav_cli.solution import Solution
+
+METHODS = {
+    "brightness_centre": "brightness centre",
+    "horizon_sphere": "horizon, smooth body",
+    "horizon": "horizon",
+    "control_points": "control points",
+}
+
+
+def method_words(method: str) -> str:
+    """A method's name for people; a name that is not known stays as it is."""
+    return METHODS.get(method, method.replace("_", " ") or "unnamed")
+
+
+def method_rank(method: str) -> tuple[int, str]:
+    """By which methods are ordered: from afar to near, unknown ones last."""
+    names = list(METHODS)
+    return (names.index(method) if method in names else len(names), method)
+
+
+STATED_SIGMAS = 3.0
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class FrameError:
+    """One frame against its truth; what does not apply is None.
+
+    forward             what the direction N rests on: motion, or local north
+    error_rnb_m         (3,)  solution minus truth along R, N, B
+    sigma_rnb_m         (3,)  what the solution states
+    nees                error squared over the stated covariance, expectation 3
+    attitude_error_rad  angle between the solved and the true attitude
+    n_checked, n_wrong  control points kept, and how many of them were found more than 3 px from
+                        where they truly are; None where truth or camera is not known
+    height_m            true distance from the centre of the body less its reference radius
+    distance_m          true distance from the centre
+    camera              name of the camera, empty where it is not known
+    """
+
+    file: str
+    utc: str
+    solution: Solution
+    forward: Forward
+    height_m: float
+    error_rnb_m: FloatArray | None = None
+    sigma_rnb_m: FloatArray | None = None
+    nees: float | None = None
+    attitude_error_rad: float | None = None
+    n_checked: int | None = None
+    n_wrong: int | None = None
+    distance_m: float = math.nan
+    camera: str = ""
+
+    @property
+    def range_error(self) -> tuple[float, float] | None:
+        """Error along R and its stated sigma, as shares of the distance to the surface."""
+        if self.error_rnb_m is None or self.sigma_rnb_m is None or not self.height_m > 0.0:
+            return None
+        error, sigma = float(self.error_rnb_m[0]), float(self.sigma_rnb_m[0])
+        return error / self.height_m, sigma / self.height_m
+
+    @property
+    def direction_error(self) -> tuple[float, float] | None:
+        """Angle (rad) between the solved and the true direction to the centre, its stated rms."""
+        if self.error_rnb_m is None or self.sigma_rnb_m is None:
+            return None
+        r, n, b = (float(v) for v in self.error_rnb_m)
+        across = math.hypot(float(self.sigma_rnb_m[1]), float(self.sigma_rnb_m[2]))
+        return math.atan2(math.hypot(n, b), self.distance_m + r), across / self.distance_m
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How one component's errors lie; sigma (about the mean) is None for a single frame."""
+
+    bias: float
+    sigma: float | None
+    rms: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a set of frames adds up to; lengths in m, angles in rad.
+
+    horizontal_rms_m   rms of sqrt(N^2 + B^2)
+    inside_3_sigma     (R, N, B) share of frames inside 3 stated sigmas
+    nees               mean of the error squared over its expectation: 1 for an honest covariance
+    nees_range         where `nees` lies in 95 % of cases when the covariance is honest
+    attitude_rms       angle of the attitude error, rms
+    n_predicted ...    control points, summed over the solved frames
+    n_wrong            wrong ones among n_checked kept points, where truth and camera are known
+    north_frames       frames whose N is local north for want of neighbours
+    """
+
+    frames: int
+    solved: int
+    r: Spread
+    n: Spread
+    b: Spread
+    horizontal_rms_m: float
+    horizontal_max_m: float
+    inside_3_sigma: tuple[float, float, float]
+    nees: float
+    nees_range: tuple[float, float]
+    attitude_rms: float | None
+    attitude_max: float | None
+    n_predicted: int
+    n_matched: int
+    n_used: int
+    n_wrong: int
+    n_checked: int
+    north_frames: int
+    unsolved_reasons: Mapping[str, int]
+
+    @property
+    def height_rms_m(self) -> float:
+        """rms of the error along R."""
+        return self.r.rms
+
+
+@dataclass(frozen=True)
+class MethodFigures:
+    """What one method did with the pictures of one camera.
+
+    of_frames             pictures of the camera
+    range_rms             error along R over the distance to the surface, rms; None at the surface
+    direction_rms         error of the direction to the centre, rad, rms
+    """
+
+    method: str
+    camera: str
+    of_frames: int
+    figures: Figures
+    range_rms: float | None
+    direction_rms: float
+
+
+def figures_by_method(frames: Sequence[FrameError]) -> list[MethodFigures]:
+    """Solved frames by method and camera, from afar to near."""
+    groups: dict[tuple[str, str], list[FrameError]] = {}
+    for frame in frames:
+        if frame.error_rnb_m is not None:
+            groups.setdefault((frame.solution.method, frame.camera), []).append(frame)
+    found = []
+    for method, camera in sorted(groups, key=lambda key: (*method_rank(key[0]), key[1])):
+        group = groups[method, camera]
+        ranges = [f.range_error[0] for f in group if f.range_error is not None]
+        angles = [f.direction_error[0] for f in group if f.direction_error is not None]
+        found.append(
+            MethodFigures(
+                method,
+                camera,
+                sum(frame.camera == camera for frame in frames),
+                figures_of(group),
+                _rms(np.array(ranges)) if ranges else None,
+                _rms(np.array(angles)),
+            )
+        )
+    return found
+
+
+def figures_of(frames: Sequence[FrameError]) -> Figures:
+    """Add frames up. Raises NothingToDoError when none of them is solved."""
+    good = [frame for frame in frames if frame.error_rnb_m is not None]
+    reasons = Counter(frame.solution.reason for frame in frames if frame.error_rnb_m is None)
+    if not good:
+        words = "; ".join(f"{reason} ({count})" for reason, count in reasons.most_common(3))
+        raise NothingToDoError(
+            f"none of the {len(frames)} frames is solved, so there is nothing to evaluate: {words}"
+        )
+    errors = np.array([frame.error_rnb_m for frame in good])
+    sigmas = np.array([frame.sigma_rnb_m for frame in good])
+    horizontal = np.hypot(errors[:, 1], errors[:, 2])
+    inside = (np.abs(errors) <= STATED_SIGMAS * sigmas).mean(axis=0)
+    nees = np.array([frame.nees for frame in good])
+    terms = 3 * len(good)
+    tails = (0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0)
+    low, high = (float(chi2.ppf(tail, terms)) / terms for tail in tails)
+    angles = [f.attitude_error_rad for f in good if f.attitude_error_rad is not None]
+    checked = [f for f in good if f.n_wrong is not None]
+    return Figures(
+        frames=len(frames),
+        solved=len(good),
+        r=_spread(errors[:, 0]),
+        n=_spread(errors[:, 1]),
+        b=_spread(errors[:, 2]),
+        horizontal_rms_m=_rms(horizontal),
+        horizontal_max_m=float(horizontal.max()),
+        inside_3_sigma=(float(inside[0]), float(inside[1]), float(inside[2])),
+        nees=float(nees.mean()) / 3.0,
+        nees_range=(low, high),
+        attitude_rms=_rms(np.array(angles)) if angles else None,
+        attitude_max=max(angles) if angles else None,
+        n_predicted=sum(f.solution.n_predicted or 0 for f in good),
+        n_matched=sum(f.solution.n_matched or 0 for f in good),
+        n_used=sum(f.solution.n_used or 0 for f in good),
+        n_wrong=sum(f.n_wrong or 0 for f in checked),
+        n_checked=sum(f.n_checked or 0 for f in checked),
+        north_frames=sum(f.forward == "north" for f in good),
+        unsolved_reasons=dict(sorted(reasons.items())),
+    )
+
+
+def check_limits(
+    figures: Figures, max_horizontal_m: float | None = None, max_height_m: float | None = None
+) -> None:
+    """Raise DifferenceError naming the figures that pass their limits."""
+    passed = [
+        f"{name} error {value:.1f} m (rms) passes the limit of {limit:g} m"
+        for name, value, limit in (
+            ("horizontal", figures.horizontal_rms_m, max_horizontal_m),
+            ("height", figures.height_rms_m, max_height_m),
+        )
+        if limit is not None and not value <= limit
+    ]
+    if passed:
+        raise DifferenceError("; ".join(passed))
+
+
+def _spread(values: FloatArray) -> Spread:
+    return Spread(
+        bias=float(values.mean()),
+        sigma=float(values.std(ddof=1)) if len(values) > 1 else None,
+        rms=_rms(values),
+        max=float(np.abs(values).max()),
+    )
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,93 @@
+"""A picture folder: run.toml, cameras/NAME.toml, frames.csv and the pictures."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from catalog.bodies.body import Body, load_body
+from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion, motion_of
+from catalog.errors import ConfigError, DataError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import camera_toml, load_camera
+from optnav_cli.frames.frames import Frame, read_frames, write_frames
+from optnav_cli.frames.run_settings import RunSettings, read_run_settings, run_settings_toml
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A picture folder that was read; frames in the order of frames.csv.
+
+    motion  how the body turns: what attitudes against the stars and Suns of a time were read with
+    """
+
+    path: Path
+    settings: RunSettings
+    motion: BodyMotion
+    cameras: dict[str, Camera]
+    frames: list[Frame]
+
+    @property
+    def body(self) -> Body:
+        """The body that the pictures show."""
+        return self.motion.body
+
+    def picture_path(self, frame: Frame) -> Path:
+        """Where a frame's picture lies, on any system."""
+        return self.path / frame.file.replace("\\", "/")
+
+
+def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
+    """Read all of a picture folder but the pictures.
+
+    kernels  SPICE kernels for the body's rotation and its Sun; none: analytic theory
+    Raises ConfigError for a wrong run.toml or camera file and DataError for a folder or frames.csv
+    that cannot be used; what is wrong with one row is that frame's `problem`.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        found = "is no folder" if path.exists() else "there is no such folder"
+        raise DataError(f"{path}: {found}; wanted one with run.toml, frames.csv and cameras/")
+    settings = read_run_settings(path / "run.toml")
+    motion = motion_of(load_body(settings.body), kernels)
+    cameras = read_cameras(path / "cameras")
+    frames = read_frames(path / "frames.csv", motion, settings.attitude, cameras)
+    return Folder(path, settings, motion, cameras, frames)
+
+
+def read_cameras(path: Path) -> dict[str, Camera]:
+    """Cameras of a folder by name. Raises DataError without one, ConfigError for a bad one."""
+    files = sorted(path.glob("*.toml"))
+    if not files:
+        raise DataError(f"{path}: there is no camera file; add one TOML file for each camera")
+    cameras = {}
+    for file in files:
+        camera = load_camera(file)
+        if camera.name != file.stem:
+            raise ConfigError(
+                f"{file}: name is '{camera.name}'; wanted the file's own name, '{file.stem}'"
+            )
+        cameras[camera.name] = camera
+    return cameras
+
+
+def write_folder(
+    path: str | Path,
+    settings: RunSettings,
+    cameras: Iterable[Camera],
+    frames: Iterable[Frame],
+    motion: BodyMotion | None = None,
+) -> None:
+    """Write run.toml, the cameras and frames.csv into a folder, which is made where it is missing.
+
+    motion  how the body turns, for attitudes against the stars; by theory if None
+    The pictures are the caller's. The folder then reads back as it was given, to the digits of the
+    files: 0.1 mm, 1e-12 of a quaternion.
+    """
+    path = Path(path)
+    (path / "cameras").mkdir(parents=True, exist_ok=True)
+    (path / "run.toml").write_text(run_settings_toml(settings), encoding="utf-8")
+    for camera in cameras:
+        text = camera_toml(camera)
+        (path / "cameras" / f"{camera.name}.toml").write_text(text, encoding="utf-8")
+    motion = motion or AnalyticMotion(load_body(settings.body))
+    write_frames(path / "frames.csv", motion, settings.attitude, frames)

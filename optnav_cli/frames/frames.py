@@ -1,0 +1,218 @@
+"""frames.csv: what is known beforehand about each picture of a folder."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import FloatArray
+from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import BodyMotion
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.config import nearest_name
+from catalog.errors import DataError
+from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
+from optnav_cli.frames.csv_table import number, numbers, read_rows, write_rows
+from optnav_cli.frames.run_settings import (
+    Attitude,
+    body_sigma_rad,
+    camera_from_body,
+    rotation_for_file,
+)
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+POSITION = ("x_m", "y_m", "z_m")
+SUN = ("sun_x", "sun_y", "sun_z")
+COLUMNS = (
+    *("file", "utc", "camera"),
+    *QUATERNION,
+    "attitude_sigma_arcsec",
+    *POSITION,
+    "position_sigma_m",
+    *SUN,
+)
+# Unit vectors and quaternions are written with a few digits; further off, columns are mixed up.
+UNIT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One row of frames.csv. What is unknown is None.
+
+    file                the picture's name, relative to the folder
+    utc, tdb_s          its time as written, and in TDB s past J2000
+    camera              the camera's name
+    camera_from_body    attitude; for a free one the first guess
+    attitude_sigma_rad  1 sigma an axis, body_sigma_rad included; 0: exact; None: free
+    position_m          (3,) prior position, body frame, m
+    position_sigma_m    its 1 sigma a component
+    sun_body            (3,) unit vector to the Sun, body frame; from the time where not given
+    body_sigma_rad      the share of the body's own rotation in attitude_sigma_rad, where the file's
+                        attitude is against the stars; common to frames near in time
+    problem             why the frame cannot be used, or None; then any of the others may be None
+    """
+
+    file: str
+    utc: str
+    camera: str
+    tdb_s: float | None = None
+    camera_from_body: Rotation | None = None
+    attitude_sigma_rad: float | None = None
+    position_m: FloatArray | None = None
+    position_sigma_m: float | None = None
+    sun_body: FloatArray | None = None
+    body_sigma_rad: float = 0.0
+    problem: str | None = None
+
+
+def read_frames(
+    path: Path, motion: BodyMotion, attitude: Attitude, cameras: Iterable[str]
+) -> list[Frame]:
+    """Frames of a frames.csv in its order.
+
+    What is wrong with one row becomes that frame's problem, so that the others go on.
+    Raises DataError for what is wrong with the file: it cannot be read, lacks a column, has no
+    rows, a row without a picture's name, or a name twice.
+    """
+    rows = read_rows(path, COLUMNS)
+    names = [row["file"] for row in rows]
+    for index, name in enumerate(names):
+        if not name:
+            raise DataError(
+                f"{path}: row {index + 1} names no picture in column 'file'; fill it in"
+            )
+        if name in names[:index]:
+            raise DataError(
+                f"{path}: '{name}' stands in rows {names.index(name) + 1} and {index + 1}; "
+                "give each picture one row"
+            )
+    known = sorted(cameras)
+    return [_frame(row, motion, attitude, known) for row in rows]
+
+
+def write_frames(
+    path: Path, motion: BodyMotion, attitude: Attitude, frames: Iterable[Frame]
+) -> None:
+    """Write a frames.csv that `read_frames` reads back. The frames need a usable time."""
+    write_rows(path, COLUMNS, (_row(frame, motion, attitude) for frame in frames))
+
+
+def quaternion_texts(rotation: Rotation) -> list[str]:
+    """qw, qx, qy, qz as files hold them; 12 decimals are 0.4 microarcseconds."""
+    return [f"{value:.12f}" for value in quaternion_from_rotation(rotation)]
+
+
+def _frame(
+    row: dict[str, str], motion: BodyMotion, attitude: Attitude, cameras: list[str]
+) -> Frame:
+    file, utc, camera = row["file"], row["utc"], row["camera"]
+    try:
+        if row[""]:
+            raise DataError(row[""])
+        _check_name(file)
+        if camera not in cameras:
+            near = nearest_name(camera, cameras)
+            hint = f"did you mean '{near}'?" if near else f"there are {', '.join(cameras)}"
+            raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
+        tdb_s = utc_to_tdb_s(utc)
+        position, position_sigma = _position(row, motion.body)
+        sigma = _sigma(row, "attitude_sigma_arcsec", ARCSEC)
+        body_sigma = body_sigma_rad(attitude, motion, tdb_s)
+        return Frame(
+            file=file,
+            utc=utc,
+            camera=camera,
+            tdb_s=tdb_s,
+            camera_from_body=_attitude(row, motion, attitude, tdb_s),
+            attitude_sigma_rad=None if sigma is None else float(np.hypot(sigma, body_sigma)),
+            body_sigma_rad=body_sigma,
+            position_m=position,
+            position_sigma_m=position_sigma,
+            sun_body=_sun(row, motion, tdb_s),
+        )
+    except DataError as error:
+        return Frame(file=file, utc=utc, camera=camera, problem=str(error))
+
+
+def _check_name(file: str) -> None:
+    path = PurePosixPath(file.replace("\\", "/"))
+    if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
+        raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
+
+
+def _attitude(
+    row: dict[str, str], motion: BodyMotion, attitude: Attitude, tdb_s: float
+) -> Rotation | None:
+    quaternion = numbers(row, QUATERNION)
+    if quaternion is None:
+        return None
+    _check_unit(quaternion, "the quaternion qw, qx, qy, qz")
+    rotation = rotation_from_quaternion(*quaternion)
+    return camera_from_body(rotation, attitude, motion, tdb_s)
+
+
+def _sun(row: dict[str, str], motion: BodyMotion, tdb_s: float) -> FloatArray:
+    vector = numbers(row, SUN)
+    if vector is None:
+        return motion.sun_body(tdb_s)
+    _check_unit(vector, "the Sun's direction sun_x, sun_y, sun_z")
+    return np.array(vector) / float(np.linalg.norm(vector))
+
+
+def _check_unit(vector: list[float], what: str) -> None:
+    length = float(np.linalg.norm(vector))
+    if length < 1e-12:
+        raise DataError(f"{what} is zero; wanted a length of 1")
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        raise DataError(f"{what} has a length of {length:.6g}; wanted 1")
+
+
+def _sigma(row: dict[str, str], column: str, unit: float) -> float | None:
+    if not row[column]:
+        return None
+    value = number(row[column], column, "")
+    if value < 0.0:
+        raise DataError(f"{column} is {row[column]}; wanted 0 or more")
+    return value * unit
+
+
+def _position(row: dict[str, str], body: Body) -> tuple[FloatArray | None, float | None]:
+    sigma = _sigma(row, "position_sigma_m", 1.0)
+    values = numbers(row, POSITION)
+    if values is None:
+        return None, None
+    position = np.array(values)
+    distance = float(np.linalg.norm(position))
+    if distance < body.radius_m + body.plausible_heights_m[0]:
+        raise DataError(
+            f"the prior position lies inside the body, {distance / 1e3:.1f} km from its centre; "
+            "wanted metres from the centre, body frame"
+        )
+    if sigma is None:
+        raise DataError("position_sigma_m is empty; a prior position needs its sigma")
+    return position, sigma
+
+
+def _row(frame: Frame, motion: BodyMotion, attitude: Attitude) -> list[str]:
+    quaternion = [""] * 4
+    sigma = frame.attitude_sigma_rad
+    if sigma is not None and frame.body_sigma_rad > 0.0:
+        # the file holds the sensor's part alone
+        sigma = float(np.sqrt(max(sigma**2 - frame.body_sigma_rad**2, 0.0)))
+    if frame.camera_from_body is not None and frame.tdb_s is not None:
+        rotation = rotation_for_file(attitude, motion, frame.tdb_s, frame.camera_from_body)
+        quaternion = quaternion_texts(rotation)
+    return [
+        *(frame.file, frame.utc, frame.camera),
+        *quaternion,
+        "" if sigma is None else f"{sigma / ARCSEC:.6g}",
+        *_texts(frame.position_m, 4),
+        "" if frame.position_sigma_m is None else f"{frame.position_sigma_m:.6g}",
+        *_texts(frame.sun_body, 12),
+    ]
+
+
+def _texts(vector: FloatArray | None, digits: int) -> list[str]:
+    return [""] * 3 if vector is None else [f"{value:.{digits}f}" for value in vector]

@@ -1,0 +1,1 @@
+"""Small discs: their centre, size and phase in one picture."""

@@ -1,0 +1,316 @@
+"""Moments of a small disc in a picture, and of an illuminated sphere, of which it is the blur."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from catalog.geometry.ellipsoid import surface_at
+from catalog.geometry.kernel import kernel
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.photometry import hapke, lambert, lommel_seeliger
+from catalog.terrain.relief.relief import GlobalRelief, relief_height
+from optnav_cli.measurements.segmentation import ROUNDING_VARIANCE, lit_blobs, measure_levels
+
+# Of Hapke's parameters the roughness moves a disc's light, by 0.006 radii and 2 % of its width;
+# the others do by a tenth of that.
+SMOOTH, ROUGH = (hapke.LUNAR._replace(theta_bar=np.radians(mean)) for mean in (15.0, 30.0))
+LAWS = (
+    hapke.reflectance,
+    lommel_seeliger.reflectance,
+    lambert.reflectance,
+    partial(hapke.reflectance, surface=SMOOTH),
+    partial(hapke.reflectance, surface=ROUGH),
+)
+SPHERE_NODES = 60  # a side of the half disc that is integrated
+LEAST_SKY_PIXELS = 100
+LEAST_PIXELS = 3  # lit; a hot pixel is one, two when they touch
+WINGS_PX = 4.0  # beyond the lit area the blur still holds light
+# A second spot this bright beside the first: which of them is the body cannot be told.
+RIVAL_SHARE = 0.3
+LARGEST_RADIUS_PX = 25.0
+MOST_SATURATED = 0.05  # of the pixels that hold its light
+MOST_SATURATED_CORE = 0.25  # of those above half of the brightest
+# Signal to noise of a lit pixel, where the picture is too small a sample to tell its own.
+ASSUMED_SNR = 50.0
+UNDITHERED = 0.4  # counts: scatter of a sky whose rounding is the same in all pixels
+LIT_SHARE = 0.1  # of the brightest pixel: lit, not the blur's wing
+
+
+@dataclass(frozen=True, eq=False)
+class DiscMoments:
+    """Light of a small disc.
+
+    centre         (2,)    x, y of its middle of light, px;  centre_covariance (2, 2), px^2
+    second         (3,)    second moments about it, px^2, the blur's included: xx, yy, xy
+    second_covariance      (3, 3), px^4
+    """
+
+    centre: FloatArray
+    centre_covariance: FloatArray
+    second: FloatArray
+    second_covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class SphereMoments:
+    """Light of a sphere of radius 1, x toward the Sun in the picture.
+
+    offset         middle of light from the centre, along x
+    along, across  second moments about it
+    """
+
+    offset: float
+    along: float
+    across: float
+
+
+def sphere_moments(phase: float) -> list[SphereMoments]:
+    """Moments of an illuminated sphere for each of LAWS, at a phase angle, rad."""
+    # nodes on the lit half: x and y of the disc, brightness is even in y
+    u = (np.arange(2 * SPHERE_NODES) + 0.5) / SPHERE_NODES - 1.0
+    v = (np.arange(SPHERE_NODES) + 0.5) / SPHERE_NODES
+    x, y = np.meshgrid(u, v)
+    inside = x**2 + y**2 < 1.0
+    x, y = x[inside], y[inside]
+    mu = np.sqrt(1.0 - x**2 - y**2)
+    mu0 = x * np.sin(phase) + mu * np.cos(phase)
+    found = []
+    for law in LAWS:
+        light = law(mu0, mu, np.cos(phase))
+        light = light / light.sum()
+        offset = float(light @ x)
+        found.append(SphereMoments(offset, float(light @ x**2) - offset**2, float(light @ y**2)))
+    return found
+
+
+def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments:
+    """Moments of the brightest spot of a picture (h, w).
+
+    Raises NoSolutionError when there is none, when another one rivals it, and for a disc that is
+    cut by the frame, saturated or too large.
+    """
+    levels = measure_levels(picture)
+    blobs = lit_blobs(picture, levels.threshold)
+    kept = np.flatnonzero(blobs.area >= LEAST_PIXELS)
+    if len(kept) == 0:
+        raise NoSolutionError(
+            f"no disc: nothing lit is larger than {LEAST_PIXELS - 1} pixels; hot pixels or noise"
+        )
+    kept = kept[:50]  # the largest: the brightest spot of a picture is among them
+    light = np.array(
+        [_light(picture, blobs.labels, blobs.box[k], int(blobs.label[k]), levels.sky) for k in kept]
+    )
+    first = int(np.argmax(light))
+    rival = float(np.sort(light)[-2]) if len(light) > 1 else 0.0
+    if rival > RIVAL_SHARE * light[first]:
+        raise NoSolutionError(
+            f"{len(light)} bright spots, the second with {100.0 * rival / light[first]:.0f} % of "
+            "the first one's light: stars, or two bodies; which is the body cannot be told"
+        )
+    chosen = int(kept[first])
+    left, top, wide, high = (int(value) for value in blobs.box[chosen])
+    radius = 0.5 * max(wide, high)
+    if radius > LARGEST_RADIUS_PX:
+        raise NoSolutionError(
+            f"a disc of {2.0 * radius:.0f} px is too large for its brightness centre; "
+            "its limb is the measurement"
+        )
+    height, width = picture.shape
+    cx, cy = left + 0.5 * (wide - 1), top + 0.5 * (high - 1)
+    reach = radius + WINGS_PX
+    if min(cx, cy, width - 1 - cx, height - 1 - cy) < reach:
+        raise NoSolutionError("the frame cuts the disc: its middle of light is not the body's")
+    x0, x1 = int(cx - reach), int(cx + reach) + 2
+    y0, y1 = int(cy - reach), int(cy + reach) + 2
+    window = picture[y0:y1, x0:x1].astype(np.float64)
+    labels = blobs.labels[y0:y1, x0:x1]
+    x, y = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    own = (labels == 0) | (labels == blobs.label[chosen])
+    use = own & (np.hypot(x - cx, y - cy) <= reach)
+    if saturation is not None:
+        full = window[use] >= saturation
+        # a star that is burnt out looks as wide as a disc
+        core = window[use] - levels.sky > 0.5 * float((window[use] - levels.sky).max())
+        share = float(full.mean())
+        if share > MOST_SATURATED or float(full[core].mean()) > MOST_SATURATED_CORE:
+            raise NoSolutionError(
+                f"saturated: {100.0 * share:.0f} % of the disc is at full scale, which moves its "
+                "middle of light; expose shorter"
+            )
+    sky, noise, sky_sigma = _background(picture, blobs.labels, (cx, cy), reach)
+    return _moments(window[use] - sky, x[use], y[use], noise, sky_sigma)
+
+
+def _background(
+    picture: Float32Array, labels: Int32Array, middle: tuple[float, float], reach: float
+) -> tuple[float, float, float]:
+    """Level and scatter of the sky about a disc, beyond the blur's reach; error of the level."""
+    wide = int(2.0 * reach) + 8
+    x0, y0 = max(round(middle[0]) - wide, 0), max(round(middle[1]) - wide, 0)
+    part = np.s_[y0 : y0 + 2 * wide + 1, x0 : x0 + 2 * wide + 1]
+    values = picture[part].astype(np.float64)
+    y, x = np.mgrid[y0 : y0 + values.shape[0], x0 : x0 + values.shape[1]]
+    sky = values[(labels[part] == 0) & (np.hypot(x - middle[0], y - middle[1]) > reach)]
+    if sky.size < LEAST_SKY_PIXELS:
+        raise NoSolutionError(
+            f"only {sky.size} pixels of sky about the disc, {LEAST_SKY_PIXELS} are needed to tell "
+            "its light from the background's"
+        )
+    level = float(np.median(sky))
+    calm = sky[np.abs(sky - level) <= 4.0 * max(float(np.std(sky)), 0.5)]
+    scatter = float(calm.std())
+    # noise below half a count does not average the rounding away
+    hidden = ROUNDING_VARIANCE if scatter < UNDITHERED else 0.0
+    error = float(np.sqrt(scatter**2 / calm.size + hidden))
+    return float(calm.mean()), float(np.sqrt(max(scatter**2, ROUNDING_VARIANCE))), error
+
+
+def _light(
+    picture: Float32Array, labels: Int32Array, box: IntArray, label: int, sky: float
+) -> float:
+    left, top, wide, high = (int(value) for value in box)
+    part = np.s_[top : top + high, left : left + wide]
+    return float((picture[part][labels[part] == label] - sky).sum())
+
+
+def _moments(
+    light: FloatArray,
+    x: IntArray,
+    y: IntArray,
+    noise: float,
+    sky_sigma: float,
+) -> DiscMoments:
+    """Moments of pixels (n,) above the sky, with the errors of noise and of the sky's level."""
+    total = float(light.sum())
+    if not total > 0.0:
+        raise NoSolutionError("no disc: the light of the brightest spot drowns in the noise")
+    places = np.stack([x, y], axis=1).astype(np.float64)
+    centre = light @ places / total
+    away = places - centre
+    products = np.stack([away[:, 0] ** 2, away[:, 1] ** 2, away[:, 0] * away[:, 1]], axis=1)
+    second = light @ products / total
+    lit = float(light[light > LIT_SHARE * light.max()].mean())
+    variance = noise**2 + np.maximum(light, 0.0) * lit / ASSUMED_SNR**2
+    spread = (variance[:, None] * away).T @ away / total**2
+    # what a count more in one pixel changes the second moments by
+    change = (products - second) / total
+    covariance = (variance[:, None] * change).T @ change
+    lifted = sky_sigma * change.sum(axis=0)
+    covariance += np.outer(lifted, lifted)
+    moved = sky_sigma * away.sum(axis=0) / total
+    spread = spread + np.outer(moved, moved)
+    return DiscMoments(centre, spread, second, covariance)
+
+
+STEPS = 60  # from pole to pole: moments are right to 0.2 %
+# Half axes that differ by less of their mean: a sphere.
+ROUND = 0.01
+# Of the radius, along a ray from the ground: a cell's own bend hides nothing, nor less than a step.
+FIRST_STEP, LEAST_STEP = 0.05, 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class LightMoments:
+    """Light of a body in units of its mean half axis; x toward the Sun in the picture, y beside it.
+
+    offset (2,)   middle of light from the centre
+    second (2, 2) second moments about it
+    """
+
+    offset: FloatArray
+    second: FloatArray
+
+
+def is_round(body: Body) -> bool:
+    """Whether a body counts as a sphere here."""
+    radii = np.array(body.radii_m)
+    return bool(np.ptp(radii) < ROUND * radii.mean())
+
+
+def light_moments(
+    body: Body,
+    relief: GlobalRelief | None,
+    axes_body: FloatArray,
+    sun_body: FloatArray,
+    phase: float,
+) -> list[LightMoments]:
+    """Moments for each of LAWS.
+
+    axes_body  (3, 3) rows: x and y of the picture and the direction to the camera, body frame
+    sun_body   (3,) unit vector;  phase  rad, between Sun and camera
+    """
+    if is_round(body):
+        return [
+            LightMoments(np.array([s.offset, 0.0]), np.diag([s.along, s.across]))
+            for s in sphere_moments(phase)
+        ]
+    middles, across = _ground(body, relief)
+    areas = np.linalg.norm(across, axis=1)
+    normals = across / areas[:, None]
+    mu, mu0 = normals @ axes_body[2], normals @ sun_body
+    lit = (mu > 0.0) & (mu0 > 0.0)
+    if relief is not None:
+        places = np.ascontiguousarray(middles * np.mean(body.radii_m))
+        highest = relief.radius_m + float(relief.heights.max())
+        for direction in (sun_body, axes_body[2]):
+            towards = np.ascontiguousarray(direction, dtype=np.float64)
+            _shade(relief.heights, relief.radius_m, highest, places, towards, lit)
+    places = middles[lit] @ axes_body[:2].T
+    found = []
+    for law in LAWS:
+        light = law(mu0[lit], mu[lit], np.cos(phase)) * mu[lit] * areas[lit]
+        light /= light.sum()
+        offset = light @ places
+        away = places - offset
+        found.append(LightMoments(offset, (light[:, None] * away).T @ away))
+    return found
+
+
+@kernel
+def _shade(
+    heights: Float32Array,
+    radius: float,
+    highest: float,
+    places: FloatArray,
+    direction: FloatArray,
+    free: BoolArray,
+) -> None:
+    """Clear `free` (n,) where ground stands in a direction (3,) from places (n, 3), m.
+
+    highest  distance from the centre, m, beyond which there is no ground
+    """
+    for i in range(len(places)):
+        if not free[i]:
+            continue
+        along = FIRST_STEP * radius
+        while True:
+            x = places[i, 0] + along * direction[0]
+            y = places[i, 1] + along * direction[1]
+            z = places[i, 2] + along * direction[2]
+            out = np.sqrt(x * x + y * y + z * z)
+            if out > highest:
+                break
+            above = out - radius - relief_height(heights, np.arcsin(z / out), np.arctan2(y, x))
+            if above < 0.0:
+                free[i] = False
+                break
+            along += max(0.5 * above, LEAST_STEP * radius)
+
+
+def _ground(body: Body, relief: GlobalRelief | None) -> tuple[FloatArray, FloatArray]:
+    """Middles (n, 3) of the body's ground in mean half axes, and its areas as outward vectors."""
+    lat = np.linspace(0.5 * np.pi, -0.5 * np.pi, STEPS + 1)[:, None]
+    lon = np.linspace(-np.pi, np.pi, 2 * STEPS + 1)[None, :]
+    directions = xyz_from_latlon(lat, lon, 1.0)
+    if relief is None:
+        corners = surface_at(directions, body.radii_m)
+    else:
+        corners = directions * (relief.radius_m + relief.heights_at(lat, lon))[..., None]
+    corners /= np.mean(body.radii_m)
+    a, b, c, d = corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]
+    middles = 0.25 * (a + b + c + d)
+    return middles.reshape(-1, 3), 0.5 * np.cross(c - a, d - b).reshape(-1, 3)

@@ -1,0 +1,120 @@
+"""How large a small disc is, from how wide its light is spread: the disc's and the blur's together.
+
+Neither the brightness law nor, where the camera's file does not say it, the blur is known: all that
+fit the second moments are weighed against each other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from optnav_cli.measurements.disc.moments import DiscMoments, LightMoments
+
+SMALLEST_PX, LARGEST_PX = 0.3, 30.0  # radii; equal steps of the logarithm are equally likely
+RADII = 200  # first over all of them, then over the likely ones
+UNLIKELY = 1e-6  # of the likeliest
+# Sigma of the blur, the pixel's own width included: what is believed of a camera's optics whose
+# file does not say.
+BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.17
+BLUR_STEPS, BLUR_REACH = 51, 3.5  # blurs that are weighed, up to so many sigmas away
+# Belief in LAWS: Hapke's, Lommel-Seeliger's, Lambert's, and Hapke's for smoother and rougher
+# ground: ground without air is dark and rough.
+LAW_BELIEF = (0.60, 0.01, 0.01, 0.19, 0.19)
+
+
+@dataclass(frozen=True, eq=False)
+class DiscSize:
+    """What a disc's radius may be.
+
+    radii_px      (n,)
+    weights       (laws, n) how likely each is under each law; their sum is 1
+    width_sigmas  by which the likeliest of all is likelier than a point
+    misfit_sigmas by which even that one is off
+    """
+
+    radii_px: FloatArray
+    weights: FloatArray
+    width_sigmas: float
+    misfit_sigmas: float
+
+
+def weigh_sizes(
+    disc: DiscMoments,
+    pixel_from_disc: FloatArray,
+    moments: list[LightMoments],
+    shape_sigma: float,
+    known_blur_px: tuple[float, float] | None,
+) -> DiscSize:
+    """Weigh radii by a disc's second moments.
+
+    pixel_from_disc  (2, 2) of area 1, from the axes of `moments`: toward the Sun and across
+    moments          of each law, for a mean radius of 1
+    shape_sigma      what the body's shape may differ from the known one, of the radius
+    known_blur_px    sigma of the blur and its 1-sigma error; None where not known
+    """
+    a, b, c, d = np.linalg.inv(pixel_from_disc).ravel()
+    # xx, yy and xy of the picture's axes to those of the disc's
+    turn = np.array(
+        [[a * a, b * b, 2 * a * b], [c * c, d * d, 2 * c * d], [a * c, b * d, a * d + b * c]]
+    )
+    weighing = _Weighing(
+        turn @ disc.second,
+        turn @ disc.second_covariance @ turn.T,
+        turn @ np.array([1.0, 1.0, 0.0]),
+        moments,
+        shape_sigma,
+        known_blur_px or (BLUR_PX, BLUR_SIGMA_PX),
+    )
+    radii = np.geomspace(SMALLEST_PX, LARGEST_PX, RADII)
+    logs, squares = weighing.of(radii)
+    point = float(logs[:, 0].max())
+    likely = np.flatnonzero((logs > logs.max() + np.log(UNLIKELY)).any(axis=0))
+    low, high = max(int(likely[0]) - 1, 0), min(int(likely[-1]) + 1, RADII - 1)
+    radii = np.geomspace(radii[low], radii[high], RADII)
+    logs, squares = weighing.of(radii)
+    best = float(logs.max())
+    weights = np.exp(logs - best)
+    weights /= weights.sum()
+    return DiscSize(
+        radii, weights, float(np.sqrt(2.0 * max(best - point, 0.0))), float(np.sqrt(squares.min()))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighing:
+    """Second moments (3,) found, xx, yy, xy, their covariance, and those of a round blur of 1."""
+
+    second: FloatArray
+    noise: FloatArray
+    round_blur: FloatArray
+    moments: list[LightMoments]
+    shape_sigma: float
+    believed_blur: tuple[float, float]
+
+    def of(self, radii: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Logarithms of how likely radii are, and the squared misfits at the best blur.
+
+        Both (laws, radii).
+        """
+        middle, sigma = self.believed_blur
+        reach = BLUR_REACH * sigma
+        blurs = np.linspace(max(middle - reach, 0.0), middle + reach, BLUR_STEPS)
+        belief = ((blurs - middle) / sigma) ** 2
+        area = radii[:, None] ** 2
+        logs = np.empty((len(self.moments), len(radii)))
+        squares = np.empty(logs.shape)
+        for k, light in enumerate(self.moments):
+            along, beside = light.second[0, 0], light.second[1, 1]
+            shape = np.array([along, beside, light.second[0, 1]])
+            # a shape that is not the known one changes its moments by twice its share, and its
+            # shadows by half as much again
+            off = 3.0 * self.shape_sigma * np.array([along, beside, 0.5 * np.sqrt(along * beside)])
+            covariance = self.noise + (area**2)[..., None] * np.diag(off**2)
+            miss = self.second - area[..., None] * shape - blurs[:, None] ** 2 * self.round_blur
+            inverse = np.linalg.inv(covariance)
+            total = np.einsum("rbi,rij,rbj->rb", miss, inverse, miss) + belief
+            squares[k] = total.min(axis=1)
+            each = -0.5 * (total + np.log(np.linalg.det(covariance))[:, None])
+            logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(LAW_BELIEF[k])
+        return logs, squares

@@ -1,0 +1,1 @@
+"""The lit limb of a body in one picture."""

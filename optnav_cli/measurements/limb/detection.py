@@ -1,0 +1,216 @@
+"""The lit edge of a body against the sky, as one picture shows it.
+
+Source: Zhukov 2025, ch. 2, step by step: candidates along rows and columns, stars and structure
+rejected, the terminator by the Sun, a cone through the rest, the sector test, and again. Ours: the
+cone is found by consensus, so that rods and craters do not bend it, and the edges are placed below
+the pixel by a model of the blurred limb.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.errors import NoSolutionError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.disc.fit import LARGEST_RADIUS_PX, edge_bias_px
+from optnav_cli.measurements.limb.candidates import (
+    Candidates,
+    before_sky,
+    facing_sun,
+    find_candidates,
+    on_limb,
+    rays_of,
+    sharpness,
+)
+from optnav_cli.measurements.limb.checks import (
+    arc_deg,
+    azimuths,
+    check_arc,
+    check_blobs,
+    check_hidden,
+    check_others,
+    check_sharp,
+)
+from optnav_cli.measurements.limb.cone import (
+    Cone,
+    PixelRays,
+    distances,
+    find_cone,
+    fit_cone,
+    pixel_rays,
+)
+from optnav_cli.measurements.limb.edge_fit import common_shape, locate_edges, profiles_across
+from optnav_cli.measurements.segmentation import lit_blobs, measure_levels
+
+MAX_POINTS = 3000
+LEAST_POINTS = 12
+SHARP_SHARE = 0.6  # see `sharpness`; chooses limbs where the Sun is not known
+RELIEF = 0.002  # of the body's radius: what the limb stands off a smooth one
+# What the edge model may leave on all points, px: limbs of a known skyline show 0.011-0.017 from
+# 50 to 200 km.
+COMMON_SIGMA_PX = 0.015
+
+
+@dataclass(frozen=True, eq=False)
+class LimbPoints:
+    """Points of the lit limb, ordered by azimuth about the body's centre in the picture.
+
+    pixels            (n, 2)  x, y of the edge
+    sigma_px          (n,)    1-sigma error along `inward`, each point's own (noise)
+    inward            (n, 2)  unit vectors in the picture from the sky to the body, across the limb
+    common_sigma_px   what the edge model may leave common to all points, along `inward`
+    blur_px           sigma of the blur across the limb, as the edges show it
+    cone_axis_camera  (3,)    unit vector to the centre of the circular cone that fits them best
+    cone_angle        half angle of that cone, rad
+    arc_deg           azimuth about the cone's axis that the points cover
+    lit_pixels        area of the lit body in the picture
+    cut_by_frame      whether the body reaches the picture's edge
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    inward: FloatArray
+    common_sigma_px: float
+    blur_px: float
+    cone_axis_camera: FloatArray
+    cone_angle: float
+    arc_deg: float
+    lit_pixels: int
+    cut_by_frame: bool
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+def find_limb(
+    picture: Float32Array,
+    camera: Camera,
+    sun_camera: FloatArray | None,
+    *,
+    saturation: float | None = None,
+    stretch: FloatArray | None = None,
+    relief: float = RELIEF,
+) -> LimbPoints:
+    """Find the lit limb of the one body in a picture.
+
+    picture     (h, w)  counts
+    sun_camera  (3,)    unit vector to the Sun, camera frame; None where it is not known
+    saturation  counts at which a pixel is full; None where the format does not say
+    stretch     (3, 3)  makes the body a sphere, from the camera frame: diag(1 / radii) @
+                body_from_camera up to scale; None for a sphere
+    relief      what the limb may stand off a smooth one, in body radii
+
+    Raises NoSolutionError, with what the picture shows instead, when there is no lit limb to use.
+    """
+    picture = np.ascontiguousarray(picture, dtype=np.float32)
+    full = np.inf if saturation is None else saturation
+    space = _space(stretch)
+    levels = measure_levels(picture)
+    blobs = lit_blobs(picture, levels.threshold)
+    check_blobs(picture, blobs, levels, full)
+    candidates = find_candidates(picture, camera, levels, blobs)
+    cone, lit = _first_cone(
+        picture, camera, candidates, levels.threshold, sun_camera, space, relief
+    )
+    where = rays_of(camera, lit, space)
+    limb, where = on_limb(lit, where, cone, relief)
+    pixel = float(np.median(np.linalg.norm(where.by_x, axis=1))) if len(limb) else 0.0
+    arc = arc_deg(cone, where.rays, 3.0, pixel)
+    check_arc(arc, len(limb))
+    check_sharp(sharpness(picture, limb))
+    check_others(picture, camera, candidates, cone, levels, relief)
+    check_hidden(camera, cone, where.rays, sun_camera)
+
+    limb, where = _thinned(cone, limb, where)
+    profiles, places, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)
+    shape = common_shape(profiles, levels, full)
+    edges = locate_edges(profiles, shape, levels, full)
+    distance, inward = distances(cone, where)
+    if sun_camera is not None and float(np.median(bend)) * LARGEST_RADIUS_PX > 1.0:
+        bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, levels)
+    else:
+        # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)
+        bias = 0.5 * shape.blur_px**2 * bend
+    depth = edges.depth - bias
+    pixels = limb.pixels + (depth - distance)[:, None] * inward
+    good = np.isfinite(depth) & np.isfinite(edges.sigma)
+    if good.sum() < LEAST_POINTS:
+        raise NoSolutionError(
+            f"only {int(good.sum())} limb points have an edge that stands out of the noise; "
+            f"{LEAST_POINTS} are needed"
+        )
+    pixels, inward, sigma = pixels[good], inward[good], edges.sigma[good]
+    where = pixel_rays(camera, pixels, space)
+    cone = fit_cone(where, np.ones(len(pixels), dtype=bool), cone) or cone
+    _, inward = distances(cone, where)
+    order = np.argsort(azimuths(cone, where.rays), kind="stable")
+    label = int(blobs.label[0])
+    rim = np.concatenate(
+        [blobs.labels[0], blobs.labels[-1], blobs.labels[:, 0], blobs.labels[:, -1]]
+    )
+    return LimbPoints(
+        pixels=pixels[order],
+        sigma_px=sigma[order],
+        inward=inward[order],
+        common_sigma_px=float(np.hypot(COMMON_SIGMA_PX, shape.common_sigma_px)),
+        blur_px=shape.blur_px,
+        cone_axis_camera=cone.axis_camera(),
+        cone_angle=cone.angle,
+        arc_deg=arc_deg(cone, where.rays, 3.0, pixel),
+        lit_pixels=int(blobs.area[0]),
+        cut_by_frame=bool((rim == label).any()),
+    )
+
+
+def _space(stretch: FloatArray | None) -> FloatArray:
+    """The stretch to unit size; of a sphere, whose stretch only turns, the unit matrix."""
+    if stretch is None:
+        return np.eye(3)
+    unit = stretch / np.linalg.norm(stretch, 2)
+    return np.eye(3) if np.allclose(unit @ unit.T, np.eye(3), atol=1e-9) else unit
+
+
+def _first_cone(
+    picture: Float32Array,
+    camera: Camera,
+    candidates: Candidates,
+    threshold: float,
+    sun_camera: FloatArray | None,
+    space: FloatArray,
+    relief: float,
+) -> tuple[Cone, Candidates]:
+    """A first cone, and the candidates that may be lit limb."""
+    where = rays_of(camera, candidates, space)
+    if sun_camera is None:
+        kept = sharpness(picture, candidates) > SHARP_SHARE
+    else:
+        kept = facing_sun(where, candidates.gradient, space, sun_camera)
+    if kept.sum() < LEAST_POINTS <= len(candidates):
+        raise NoSolutionError(
+            f"no lit limb in view: {len(candidates) - int(kept.sum())} of {len(candidates)} edges "
+            "are terminator or face away from the Sun of this attitude and time"
+        )
+    kept &= before_sky(picture, camera, candidates.pixels, candidates.gradient, threshold)
+    if kept.sum() < LEAST_POINTS:
+        raise NoSolutionError(
+            f"no limb in view: of {len(candidates)} edges from dark to bright in the picture "
+            f"{int(kept.sum())} have sky on their dark side"
+        )
+    lit = candidates.subset(kept)
+    where = PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
+    found = find_cone(where, lit.gradient, space, relief)
+    if found is None or found[1].sum() < LEAST_POINTS:
+        raise NoSolutionError(
+            f"no limb in view: no curve joins the {len(lit)} edges of the picture"
+        )
+    return found[0], lit
+
+
+def _thinned(cone: Cone, limb: Candidates, where: PixelRays) -> tuple[Candidates, PixelRays]:
+    """At most MAX_POINTS, evenly in azimuth."""
+    if len(limb) <= MAX_POINTS:
+        return limb, where
+    order = np.argsort(azimuths(cone, where.rays), kind="stable")
+    some = order[np.linspace(0, len(order) - 1, MAX_POINTS).astype(np.int64)]
+    return limb.subset(some), PixelRays(where.rays[some], where.by_x[some], where.by_y[some])

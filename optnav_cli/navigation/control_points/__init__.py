@@ -1,0 +1,1 @@
+"""Navigation by control points: prediction, matching, resection, acceptance."""

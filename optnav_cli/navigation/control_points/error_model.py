@@ -1,0 +1,259 @@
+"""How far a matched control point may be from its true place, beyond what its peak shows.
+
+The curvature of the correlation peak tells of noise and of relief that the reference lacks. What
+stays is small and does not average out as noise does. A part of it is each point's own: the
+terrain model's interpolation, the averaging of coarse levels. A part is common to a frame, because
+all points stand under one Sun: relief that the catalog lacks lengthens shadows, which moves every
+pattern away from a low Sun; shading and sampling leave a small shift across it and a stretch about
+the frame's middle. Without the common part the covariance of many points together would come out
+too small.
+
+The numbers are fitted to simulated frames over ground richer than the catalog's (study navigation,
+study autonomous).
+"""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from catalog.arrays import BoolArray, FloatArray
+from optnav_cli.matching.point_match import SeenPart
+
+# Side of the grid on which parts of the frame are counted: a template spans dozens of its cells.
+CELLS = 128
+
+
+def footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> BoolArray:
+    """What each part covers of the frame, (n, CELLS, CELLS).
+
+    frame_size_px  (width, height)
+    """
+    scale = CELLS / np.array(frame_size_px, dtype=np.float64)
+    masks = np.zeros((len(parts), CELLS, CELLS), dtype=np.uint8)
+    for mask, part in zip(masks, parts, strict=True):
+        corners = np.rint((part.corners_px + 0.5) * scale - 0.5)
+        if np.isfinite(corners).all():
+            # far corners of an oblique template are cut where integers end
+            cv2.fillConvexPoly(mask, np.clip(corners, -1e6, 1e6).astype(np.int32), 1)
+    return masks.astype(bool)
+
+
+def own_shares(masks: BoolArray) -> FloatArray:
+    """(n,) share of each part's evidence that is its own: ground seen k times counts once."""
+    times = masks.sum(axis=0)
+    each = masks / np.maximum(times, 1)
+    return np.asarray(each.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1))
+
+
+def alikeness(masks: BoolArray) -> FloatArray:
+    """(n, n) correlation of errors that ground brings: common ground over the mean of both."""
+    flat = masks.reshape(len(masks), -1).astype(np.float64)
+    size = np.sqrt(np.maximum(flat.sum(axis=1), 1.0))
+    alike = (flat @ flat.T) / np.outer(size, size)
+    np.fill_diagonal(alike, 1.0)
+    return np.asarray(alike)
+
+
+def ground_alikeness(places_m: FloatArray, widths_m: FloatArray) -> FloatArray:
+    """(n, n) correlation of errors that ground brings, of templates at places (n, 3), body frame.
+
+    widths_m  (n,) sides of the templates on the ground. Discs of their areas stand for them.
+    """
+    apart = np.linalg.norm(places_m[:, None] - places_m[None], axis=2)
+    wider = np.maximum(widths_m[:, None], widths_m[None])
+    narrower = np.minimum(widths_m[:, None], widths_m[None])
+    t = np.minimum(apart / np.maximum((wider + narrower) / np.sqrt(np.pi), 1e-9), 1.0)
+    common = 2.0 / np.pi * (np.arccos(t) - t * np.sqrt(1.0 - t * t))
+    return np.asarray(common * narrower / wider)
+
+
+# A point's own, 1 sigma an axis: in nodes of the level that was matched, and, m for a terrain model
+# of REFERENCE_M, at any Sun and for a cotangent of 1 of the Sun's elevation: grows with its square.
+OWN_LEVEL_NODES = 0.005
+OWN_M = 1.0
+OWN_SHADOW_M = 0.15
+# Relief between the nodes of a level that was matched, in nodes: seen obliquely, its lit crests
+# stand for the ground, which then looks higher or lower; a point's own and common to a frame. Both
+# grow with the secant of the emission angle, as more of the ground is hidden.
+OWN_HEIGHT_NODES = 0.015
+COMMON_HEIGHT_NODES = 0.003
+# The same relief moves the whole pattern of a frame, in nodes, however far it reaches: away from
+# the Sun, whose light falls on it from one side, by 0.01 on average over catalogs of 118 m and
+# 948 m whatever the Sun's elevation, and less in other directions.
+SUNWARD_SHIFT_NODES = 0.016
+COMMON_SHIFT_NODES = 0.006
+LEAST_COS_EMISSION = 0.1
+# A coarse level is a mean of heights, a picture of it a mean of brightness. Over a view that
+# reaches round the body Sun and line of sight change from point to point, and with them how the
+# relief is seen that the mean took away: the pattern stretches, alike or changing from side to
+# side, in nodes beyond the terrain model's own posting, at the points' rms distance from their
+# middle for a distance of 1 rad. From 800 km heights and attitudes were off by as much; from
+# 400 km, with the finest level in most places, by no more than the rest allows.
+CURVED_STRETCH_NODES = 0.10
+CURVED_KEYSTONE_NODES = 0.07
+# What is left of it at the finest level, in its nodes, with the square of that distance: narrow
+# frames from 3000 km, which tell a shift from a turn of the camera by little else.
+ROUND_STRETCH_NODES = 0.02
+ROUND_KEYSTONE_NODES = 0.08
+# The same where a shape model is coarser than the patches that were cut from it, shares of its
+# posting: a point's own shift an axis, shared with templates of the same ground (`overlap`), and
+# a rise, a shift and stretches that are common to a frame. Fitted at Phobos, with relief of 20 m
+# rms below 319 m.
+HIDDEN_OWN = 0.12
+HIDDEN_RISE = 0.009
+HIDDEN_SHIFT = 0.004
+HIDDEN_STRETCH = 0.018
+HIDDEN_KEYSTONE = 0.012
+# Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
+# of its elevation, shift in any direction, what relief that the reference does not explain adds to
+# the shift, for a score of 0, and stretch at the points' rms distance from their middle. Catalogs
+# of 118 m and 474 m on the same pictures show that they grow as the root of the posting.
+REFERENCE_M = 118.45
+SHADOW_M = 0.85
+SHIFT_M = 0.5
+UNEXPLAINED_M = 8.0
+STRETCH_M = 1.1
+# They are common to the ground about them: points that lie further apart average them.
+REGION_M = 32e3
+# What sampling at the pixels and oblique views leave, px: shift an axis; stretch, and stretch that
+# changes from side to side, at the points' rms distance from their middle. The last looks like a
+# tilt of the camera, so it decides what a picture may say about a star sensor's attitude.
+SHIFT_PX = 0.0045
+STRETCH_PX = 0.005
+KEYSTONE_PX = 0.004
+# Below it shadows fill the picture and the cotangent runs away.
+LOWEST_SUN = np.radians(8.0)
+
+
+def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: float) -> float:
+    """One-sigma ground error per axis, m, of a point's own that its peak does not show.
+
+    posting_m  of the level that was matched; sun_elevation_deg at the point
+    """
+    elevation = max(np.radians(sun_elevation_deg), LOWEST_SUN)
+    shadow = OWN_SHADOW_M / np.tan(min(elevation, np.pi / 2.0)) ** 2
+    own = (OWN_M + shadow) * float(_scale(finest_posting_m))
+    return float(np.hypot(OWN_LEVEL_NODES * posting_m, own))
+
+
+def own_covariances_px2(
+    points_m: FloatArray,
+    by_ground: FloatArray,
+    postings_m: FloatArray,
+    finest_postings_m: FloatArray,
+    sun_elevation_deg: FloatArray,
+    hidden_m: FloatArray,
+) -> FloatArray:
+    """What points err by that their peaks do not show, each for itself, (n, 2, 2), px^2.
+
+    points_m, by_ground  as `common_errors_px`
+    postings_m           (n,) of the levels that were matched; finest_postings_m (n,) of the
+                         terrain models;  sun_elevation_deg (n,) at the points
+    hidden_m             (n,) posting of the terrain model where the patch is finer, else 0
+    """
+    up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
+    sigma = OWN_HEIGHT_NODES * postings_m / _cos_emission(_sight(by_ground, up), up)
+    rise = np.einsum("nij,nj->ni", by_ground, up) * sigma[:, None]
+    # along the ground in every direction alike, by its mean scale in the picture
+    level = np.eye(3) - up[:, :, None] * up[:, None, :]
+    flat = by_ground @ level
+    area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
+    pairs = zip(postings_m, finest_postings_m, sun_elevation_deg, strict=True)
+    sigmas = np.array([own_sigma_m(*(float(v) for v in three)) for three in pairs])
+    spread = (sigmas**2 + (HIDDEN_OWN * hidden_m) ** 2) * np.sqrt(np.maximum(area, 0.0))
+    return np.asarray(rise[:, :, None] * rise[:, None, :] + spread[:, None, None] * np.eye(2))
+
+
+def common_errors_px(
+    points_m: FloatArray,
+    by_ground: FloatArray,
+    scores: FloatArray,
+    sun_body: FloatArray,
+    finest_postings_m: FloatArray,
+    postings_m: FloatArray,
+    hidden_m: FloatArray,
+) -> FloatArray:
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 17), px.
+
+    points_m  (n, 3)     the points, body frame
+    by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
+    scores    (n,)       of the correlation peaks
+    sun_body  (3,)       unit vector to the Sun
+    finest_postings_m (n,) of the terrain models that the points' catalogs were made from
+    postings_m        (n,) of the levels that were matched
+    hidden_m          (n,) posting of the terrain model where the patch is finer, else 0
+    The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
+    ground and of the picture, two changing stretches, the three of a view round the body, shifts
+    along the picture's axes, a rise of the ground, alike on all sides and different toward the Sun
+    and across it, shifts of the whole pattern.
+    """
+    middle = points_m.mean(axis=0)
+    up = middle / np.linalg.norm(middle)
+    level = sun_body - (sun_body @ up) * up
+    length = float(np.linalg.norm(level))
+    # under a Sun overhead no direction is the Sun's, and its shadows are short
+    along = level / length if length > 1e-6 else np.linalg.svd(up[None])[2][1]
+    across = np.cross(up, along)
+    elevation = max(float(np.arcsin(np.clip(sun_body @ up, -1.0, 1.0))), LOWEST_SUN)
+    unexplained = float(1.0 - np.clip(scores, 0.0, 1.0).mean())
+    shift = SHIFT_M + UNEXPLAINED_M * unexplained
+    outward = points_m - middle
+    outward = outward - (outward @ up)[:, None] * up
+    reach = float(np.sqrt((outward**2).sum(axis=1).mean()))
+    region = _scale(finest_postings_m)[:, None] / float(np.hypot(1.0, reach / REGION_M))
+    one = np.ones((len(points_m), 1))
+    fields = [
+        one * along * (region * SHADOW_M / np.tan(elevation)),
+        one * along * (region * shift),
+        one * across * (region * shift),
+        outward,
+    ]
+    for axis in (along, across):
+        fields.append(outward * ((outward @ axis) / max(reach, 1.0))[:, None])
+    *shifts, stretch, one_way, other_way = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
+    moved = [*shifts, stretch * (region * STRETCH_M / max(reach, 1.0))]
+    moved.append(_of_size(stretch, STRETCH_PX))
+    moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
+    averaged, distance = postings_m - finest_postings_m, float(np.linalg.norm(middle))
+    finest = (hidden_m == 0.0) & (averaged == 0.0)
+    round_m = np.where(finest, finest_postings_m, 0.0) * (reach / distance)
+    alike = CURVED_STRETCH_NODES * averaged + HIDDEN_STRETCH * hidden_m
+    alike += ROUND_STRETCH_NODES * round_m
+    changing = CURVED_KEYSTONE_NODES * averaged + HIDDEN_KEYSTONE * hidden_m
+    changing += ROUND_KEYSTONE_NODES * round_m
+    moved.append(stretch * (alike / distance)[:, None])
+    moved += [field * (changing / distance)[:, None] for field in (one_way, other_way)]
+    moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
+    own_up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
+    sight = _sight(by_ground, own_up)
+    rises = COMMON_HEIGHT_NODES * postings_m + HIDDEN_RISE * hidden_m
+    sigma = rises / _cos_emission(sight, own_up)
+    rise = np.einsum("nij,nj->ni", by_ground, own_up) * sigma[:, None]
+    moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
+    for axis, nodes in ((along, SUNWARD_SHIFT_NODES), (across, COMMON_SHIFT_NODES)):
+        own_shifts = nodes * postings_m + HIDDEN_SHIFT * hidden_m
+        moved.append(np.einsum("nij,j->ni", by_ground, axis) * own_shifts[:, None])
+    return np.stack(moved, axis=2)
+
+
+def _sight(by_ground: FloatArray, up: FloatArray) -> FloatArray:
+    """Unit vectors (n, 3) from the points to the camera: a step along them moves no pixel."""
+    sight = np.cross(by_ground[:, 0], by_ground[:, 1])
+    sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-30)
+    return np.asarray(sight * np.where(np.einsum("ni,ni->n", sight, up) < 0.0, -1.0, 1.0)[:, None])
+
+
+def _cos_emission(sight: FloatArray, up: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(np.einsum("ni,ni->n", sight, up), LEAST_COS_EMISSION))
+
+
+def _of_size(field_px: FloatArray, rms_px: float) -> FloatArray:
+    """A field scaled to an rms length."""
+    size = float(np.sqrt((field_px**2).sum(axis=1).mean()))
+    return np.asarray(field_px * (rms_px / max(size, 1e-9)))
+
+
+def _scale(finest_posting_m: ArrayLike) -> FloatArray:
+    return np.sqrt(np.asarray(finest_posting_m, dtype=np.float64) / REFERENCE_M)

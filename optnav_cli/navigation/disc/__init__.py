@@ -1,0 +1,1 @@
+"""Navigation by discs that are too small for a limb."""

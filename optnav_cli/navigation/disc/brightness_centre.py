@@ -1,0 +1,148 @@
+"""Navigation by the brightness centre of a disc of less than about ten pixels.
+
+Source: Zhukov 2025, ch. 2: the direction to a small body is that of its middle of light, corrected
+for the phase; the correction depends on the illumination and hardly on the reflectance law. Ours:
+bodies that are no sphere are corrected for their shape too (`shape_moments`), and the range comes
+from the second moments, which are the disc's and the blur's together. Neither law nor blur is
+known, so all that fit are weighed against each other; what they leave is the covariance, along the
+line of sight most of all.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from catalog.terrain.relief.relief import GlobalRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
+from optnav_cli.measurements.disc.size import weigh_sizes
+
+LARGEST_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
+# What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
+# (Smith et al., JGR 102, 1997). Maria, which no law knows, are not in it.
+SHAPE_SIGMA = 0.0012
+# The same of a body that is no sphere: the ground below its known relief, at a full phase, and the
+# ground over its ellipsoid. What the first throws shadows on grows as the lit share shrinks.
+RELIEF_SIGMA, ELLIPSOID_SIGMA = 0.004, 0.05
+SHADOW_POWER = 1.3  # of one over the lit share
+LARGEST_MISFIT = 5.0  # sigmas of the three second moments together
+SMALL_ANGLE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class CentreFix:
+    """A position from a small disc.
+
+    position_m  (3,)  body frame;  covariance_m2 (3, 3)
+    centre_px   (2,)  the body's centre in the picture;  radius_px of its disc
+    range_share 1-sigma error of the range over the range
+    width_sigmas  by which the disc is wider than a point's picture
+    remark      what a reader of the row should know
+    """
+
+    position_m: FloatArray
+    covariance_m2: FloatArray
+    centre_px: FloatArray
+    radius_px: float
+    range_share: float
+    width_sigmas: float
+    remark: str
+
+
+def navigate(
+    picture: Float32Array,
+    camera: Camera,
+    camera_from_body: Rotation,
+    attitude_sigma_rad: float,
+    sun_body: FloatArray,
+    body: Body,
+    *,
+    saturation: float | None = None,
+    relief: GlobalRelief | None = None,
+) -> CentreFix:
+    """The camera's position from the one small disc in a picture.
+
+    picture  (h, w) counts;  sun_body (3,) unit vector to the Sun, body frame
+    attitude_sigma_rad  1 sigma an axis;  saturation  counts of a full pixel, None if not known
+    relief  of a body that is no sphere, where it is known
+
+    Raises NoSolutionError with what the picture shows instead.
+    """
+    disc = measure_disc(np.ascontiguousarray(picture, dtype=np.float32), saturation)
+    sun = camera_from_body.apply(sun_body)
+    towards = camera.unproject(disc.centre)
+    phase = float(np.arccos(np.clip(-(towards @ sun), -1.0, 1.0)))
+    if np.degrees(phase) > LARGEST_PHASE_DEG:
+        raise NoSolutionError(
+            f"the phase is {np.degrees(phase):.0f} deg: a crescent that thin says little about "
+            f"the disc's centre; the limit is {LARGEST_PHASE_DEG:.0f} deg"
+        )
+    body_from_camera = camera_from_body.inv().as_matrix()
+    pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
+    shape_sigma = SHAPE_SIGMA
+    if not is_round(body):
+        lit = np.cos(0.5 * phase) ** 2
+        shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA / lit**SHADOW_POWER
+    seen = np.vstack([axes, -towards]) @ body_from_camera.T
+    moments = light_moments(body, relief, seen, sun_body, phase)
+    size = weigh_sizes(disc, pixel_from_angle / scale, moments, shape_sigma, camera.known_blur_px)
+    weights, radii = size.weights, size.radii_px
+    if size.misfit_sigmas > LARGEST_MISFIT:
+        raise NoSolutionError(
+            f"the light of the brightest spot is not spread as that of a disc under this Sun "
+            f"({size.misfit_sigmas:.0f} sigmas): a blend of stars, hot pixels, a trail "
+            "or another body"
+        )
+    # every radius and law puts the centre elsewhere, and the body at another range
+    offsets = np.array([m.offset for m in moments]) @ (pixel_from_angle / scale).T
+    pixels = disc.centre - offsets[:, None] * radii[:, None]
+    rays = camera.unproject(pixels)
+    distances = float(np.mean(body.radii_m)) / np.sin(np.arctan(radii / scale))
+    places = -rays * distances[:, None]
+    position = np.einsum("kn,kni->i", weights, places)
+    about = places - position
+    covariance = np.einsum("kn,kni,knj->ij", weights, about, about)
+    distance = float(np.linalg.norm(position))
+    radius = float((weights * radii).sum())
+    noise = disc.centre_covariance + (shape_sigma * radius) ** 2 * np.eye(2)
+    across = _across(camera, disc.centre) * distance
+    square = np.eye(3) - np.outer(position, position) / distance**2
+    covariance += across @ noise @ across.T + square * (distance * attitude_sigma_rad) ** 2
+    share = float(np.sqrt(position @ covariance @ position)) / distance**2
+    return CentreFix(
+        body_from_camera @ position,
+        body_from_camera @ covariance @ body_from_camera.T,
+        np.einsum("kn,kni->i", weights, pixels),
+        radius,
+        share,
+        size.width_sigmas,
+        f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %",
+    )
+
+
+def _tangent(
+    camera: Camera, towards: FloatArray, sun: FloatArray
+) -> tuple[FloatArray, float, FloatArray]:
+    """Pixels (2, 2) by angle toward the Sun and across, and the px / rad that keep the area.
+
+    And the two directions (2, 3), camera frame.
+    """
+    along = sun - (sun @ towards) * towards
+    length = float(np.linalg.norm(along))
+    # with the Sun behind the camera every direction is as good
+    along = along / length if length > 1e-9 else np.linalg.svd(towards[None])[2][1]
+    axes = np.stack([along, np.cross(towards, along)])
+    steps = axes * SMALL_ANGLE
+    moved = camera.project(towards + steps) - camera.project(towards - steps)
+    matrix = moved.T / (2.0 * SMALL_ANGLE)
+    return np.asarray(matrix), float(np.sqrt(abs(np.linalg.det(matrix)))), axes
+
+
+def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
+    """Change (3, 2) of the unit ray by the pixel."""
+    steps = 0.5 * np.eye(2)
+    return np.asarray((camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T)

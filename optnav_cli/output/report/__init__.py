@@ -1,5 +1,0 @@
-"""One HTML page, with everything in it, about a run or a catalog."""
-
-from optnav_cli.output.report.write import write_report
-
-__all__ = ["write_report"]

@@ -1,0 +1,281 @@
+"""The page about a catalog: where its points are, how good they are, and what they look like."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.control_point import Flag
+from catalog.errors import DataError
+from catalog.store.reader import Catalog
+from optnav_cli.report.body_figure import sides_figure
+from optnav_cli.report.body_sides import has_sides
+from optnav_cli.report.catalog_maps import (
+    NO_SOURCE,
+    REASONS,
+    UNTOLD,
+    Panel,
+    first_reasons,
+    panels,
+    source_map,
+    usable_map,
+    value_map,
+)
+from optnav_cli.report.catalog_plots import (
+    beyond_words,
+    edges_of,
+    histogram,
+    latitude_plot,
+    rate_edges,
+    shadow_plot,
+    spread_words,
+)
+from optnav_cli.report.gallery import gallery
+from optnav_cli.report.page import (
+    counted,
+    folded,
+    grouped,
+    listing,
+    note,
+    page,
+    paragraph,
+    percent,
+    section,
+    table,
+    tiles,
+)
+from optnav_cli.report.shades import Scale
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A value of every point (n,), NaN where unknown, and how it is told."""
+
+    heading: str
+    label: str
+    words: str
+    values: FloatArray
+    more_is_better: bool
+    form: str
+    edges: FloatArray | None = None
+    log: bool = False  # allowed, where the values span much
+
+
+def catalog_page(catalog: Catalog) -> str:
+    """The HTML page about an open catalog."""
+    meta = catalog.meta
+    sections = [_main_numbers(catalog), *_warnings(catalog)]
+    if len(catalog):
+        maps = panels(catalog)
+        if has_sides(catalog):
+            sections.append(_sides(catalog))
+        sections.append(
+            section(
+                "Usable control points",
+                usable_map(catalog, maps, latitude_plot(catalog)),
+                _reasons(catalog),
+            )
+        )
+        for quantity in quantities(catalog):
+            sections.append(_quantity(catalog, maps, quantity))
+        sections.append(_sources(catalog, maps))
+        sections.append(gallery(catalog))
+    sections.append(_made_from(catalog))
+    subtitle = (
+        f"{counted(len(catalog), 'control point')}, {grouped(_usable(catalog))} usable; "
+        f"{counted(meta.levels, 'level')} of {meta.size} nodes, {meta.posting_m:.6g} m between the "
+        "finest."
+    )
+    title = f"{meta.body.capitalize()}: catalog {catalog.path.name}"
+    return page(title, subtitle, [text for text in sections if text])
+
+
+def quantities(catalog: Catalog) -> list[Quantity]:
+    """What is mapped and counted of a catalog, in the order of the page."""
+    records = catalog.records
+    trials = records["trials"].astype(np.int64)
+    margins, limits = records["uniqueness"], records["shadow_limit_deg"]
+    # places that fail before their certificate is made have zeros in it
+    certified = (trials > 0) | (margins != 0.0).any(axis=1) | (limits != 0.0).any(axis=1)
+    rate = np.where(trials > 0, _finite(records["recognition_rate"]), np.nan)
+    return [
+        Quantity(
+            "Localisation", "predicted match error, nodes",
+            "Predicted match error, 1 sigma in the worst direction, in nodes of the finest level; "
+            "less is better.",
+            _finite(records["localisation_px"]), False, ".3g", log=True,
+        ),
+        Quantity(
+            "Recognition", "recognised share of the trials",
+            "Share of the recognition trials (richer terrain, noise, wrong poses) that succeeded; "
+            "more is better.",
+            rate, True, ".0%", rate_edges(trials),
+        ),
+        Quantity(
+            "Uniqueness", "uniqueness margin, least of the levels",
+            "How much better the true place looks than its best rival in the search region, at "
+            "the level where that is least; more is better.",
+            np.where(certified, _extreme(margins, np.fmin), np.nan), True, ".3g", log=True,
+        ),
+        Quantity(
+            "Shadow limits", "highest shadow limit, deg",
+            "Sun elevation above which no shadow of ground outside the patch reaches it, at the "
+            "azimuth where that is highest; less is better.",
+            np.where(certified, _extreme(limits, np.fmax), np.nan), False, ".1f",
+        ),
+    ]  # fmt: skip
+
+
+def _quantity(catalog: Catalog, maps: Sequence[Panel], quantity: Quantity) -> str:
+    values, usable = quantity.values, catalog.usable
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        missing = f"The catalog does not tell it ({quantity.label}) of any point."
+        return section(quantity.heading, paragraph(missing))
+    scale = Scale.of(known, quantity.more_is_better, quantity.log)
+    edges = quantity.edges
+    if edges is None:
+        edges = edges_of(scale)
+    else:
+        scale = Scale(0.0, 1.0, quantity.more_is_better)
+    whole = maps[0].view.whole
+    bars = histogram(values, usable, scale, edges, quantity.heading, quantity.label, whole)
+    caption = " ".join(
+        words
+        for words in (
+            quantity.words,
+            spread_words(values, usable, quantity.form),
+            "Bars in colour: usable points, gray: others; the dashed line is the usable points' "
+            "median.",
+            beyond_words(known, edges),
+        )
+        if words
+    )
+    parts = [value_map(catalog, maps, values, scale, quantity.heading, bars, caption)]
+    if quantity.heading == "Shadow limits":
+        parts.append(shadow_plot(catalog))
+    return section(quantity.heading, *parts)
+
+
+def _main_numbers(catalog: Catalog) -> str:
+    meta, usable = catalog.meta, catalog.usable
+    count = _usable(catalog)
+    values = [
+        (grouped(count), "usable control points"),
+        (grouped(len(catalog)), f"cells with a point, of {grouped(catalog.grid.total)}"),
+    ]
+    if len(catalog):
+        values.append((f"{count / len(catalog):.1%}", "of the points usable"))
+    values += [(f"{meta.cell_deg:g}°", "cell"), (f"{meta.posting_m:.4g} m", "finest posting")]
+    for column, name, form in (
+        ("localisation_px", "predicted match error, nodes (median)", "{:.2f}"),
+        ("recognition_rate", "recognised in trials (mean)", "{:.1%}"),
+    ):
+        scores = catalog.records[column][usable]
+        scores = scores[np.isfinite(scores)]
+        if scores.size:
+            middle = np.mean(scores) if column == "recognition_rate" else np.median(scores)
+            values.append((form.format(middle), name))
+    return tiles(values)
+
+
+def _warnings(catalog: Catalog) -> list[str]:
+    found = []
+    lost = catalog.meta.count - len(catalog)
+    if lost:
+        found.append(
+            f"{lost} of {catalog.meta.count} points are damaged and left out here; run `optnav "
+            "catalog verify` and build the catalog again."
+        )
+    if len(catalog) == 0:
+        found.append("The catalog holds no control point: there is nothing to draw.")
+    elif not catalog.usable.any():
+        found.append("The catalog has no usable point: navigation will find nothing with it.")
+    return [note(words) for words in found]
+
+
+def _reasons(catalog: Catalog) -> str:
+    """Why points are not usable: how many fail each check, and how many fail it alone."""
+    flags = catalog.records["flags"][~catalog.usable].astype(np.int64)
+    if flags.size == 0:
+        return paragraph("All points are usable.")
+    rows = []
+    # a point too near to a neighbour's may be usable, so alone it explains nothing
+    firsts = np.bincount(first_reasons(catalog), minlength=len(REASONS) + 2)
+    for number, (flag, text) in enumerate(REASONS.items(), start=1):
+        carried = (flags & int(flag)) != 0
+        alone = (flags & ~int(Flag.CROWDED)) == int(flag)
+        if carried.any():
+            counts = (int(carried.sum()), int(alone.sum()), int(firsts[number]))
+            share = percent(counts[0], len(catalog))
+            rows.append((text, grouped(counts[0]), share, *map(grouped, counts[1:])))
+    if firsts[-1]:
+        rows.append((UNTOLD, grouped(int(firsts[-1])), "", "", grouped(int(firsts[-1]))))
+    header = ("why points are not usable", "points", "of all", "for this alone", "so on the map")
+    return paragraph(
+        f"{counted(flags.size, 'point')} not usable; one may have several reasons."
+    ) + table(header, rows)
+
+
+def _sides(catalog: Catalog) -> str:
+    try:
+        drawing = sides_figure(catalog)
+    except DataError as fault:  # damaged relief, or a machine without embree: the rest can be shown
+        drawing = note(str(fault))
+    return section("On the body", drawing)
+
+
+def _sources(catalog: Catalog, maps: Sequence[Panel]) -> str:
+    """Points and usable points of each terrain model; with a map where there are several."""
+    meta = catalog.meta
+    source = catalog.records["source"].astype(np.int64)
+    rows = []
+    for number, name in enumerate(meta.point_sources):
+        here = source == number
+        good = int(np.count_nonzero(here & catalog.usable))
+        total = int(np.count_nonzero(here))
+        rows.append((name or NO_SOURCE, grouped(total), grouped(good), percent(good, total)))
+    counts = table(("points come from", "points", "usable", "share"), rows)
+    several = len(meta.point_sources) > 1
+    return section("Provenance", source_map(catalog, maps, counts) if several else counts)
+
+
+def _made_from(catalog: Catalog) -> str:
+    meta = catalog.meta
+    facts = [
+        ("body", f"{meta.body}, sphere of {meta.radius_m:.12g} m"),
+        ("grid", f"cells of {meta.cell_deg:.9g}°, {catalog.grid.total} on the body"),
+        ("levels", ", ".join(f"{meta.posting_m * 2**k:.6g} m" for k in range(meta.levels))),
+        ("nodes a side", str(meta.size)),
+        ("height step", f"{meta.height_step_m:.9g} m"),
+        ("software", meta.software or "not told"),
+        ("made", meta.created_utc or "not told"),
+        ("format", str(meta.format_version)),
+        ("file", f"{catalog.path.stat().st_size / 1e6:.1f} MB"),
+        ("digest", catalog.digest),
+    ]
+    parts = [table(("what", "value"), facts, text_columns=2)]
+    if meta.sources:
+        rows = list(meta.sources.items())
+        parts.append(table(("terrain model", "hash or description"), rows, text_columns=2))
+    else:
+        parts.append(paragraph("The catalog does not name its terrain models."))
+    if meta.config:
+        parts.append(folded("Build config", listing(meta.config)))
+    return section("Made from", *parts)
+
+
+def _usable(catalog: Catalog) -> int:
+    return int(np.count_nonzero(catalog.usable))
+
+
+def _finite(values: NDArray[np.floating[Any]]) -> FloatArray:
+    return np.where(np.isfinite(values), values, np.nan).astype(np.float64)
+
+
+def _extreme(values: Float32Array, pick: np.ufunc) -> FloatArray:
+    """The least or highest known value of each row (n, m), NaN where none is known."""
+    return np.asarray(pick.reduce(_finite(values), axis=1), np.float64)

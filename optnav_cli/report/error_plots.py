@@ -1,0 +1,341 @@
+"""Errors of a run against time and distance, by method and camera, with 3 stated sigmas.
+
+Zhukov (2025), figures 4 and 5, shows the same: R, N, B over an orbit, and the errors of range and
+direction over a transfer, the methods told apart.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from catalog.arrays import BoolArray, FloatArray, IndexArray
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.errors import DataError
+from optnav_cli.evaluation.error_rows import ErrorRow, read_error_rows, stated_rows
+from optnav_cli.evaluation.figures import method_rank, method_words
+from optnav_cli.evaluation.files import EVALUATION_CSV
+from optnav_cli.output.run_folder import RunFolder
+from optnav_cli.report.page import figure
+from optnav_cli.report.sheet import Entry, Panel, sheet
+from optnav_cli.report.svg import Plot, key_mark, span
+
+SIGNS = {
+    "brightness_centre": ("s3", "diamond"),
+    "horizon_sphere": ("s5", "square"),
+    "horizon": ("s2", "triangle"),
+    "control_points": ("s1", "circle"),
+}
+OTHER_SIGN = ("muted", "down")
+UNEVEN = 20.0  # gaps so many times the median one: frames are drawn by number, not by time
+TIME_UNITS = ((600.0, 1.0, "minutes"), (100.0 * 60.0, 60.0, "hours"), (np.inf, 1440.0, "days"))
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frames of a run in order of time, with what is drawn of them.
+
+    x         (n,) along the time axis
+    error, sigma  (n, 3) along R, N, B, m; NaN where there is none
+    """
+
+    rows: list[ErrorRow]
+    x: FloatArray
+    x_label: str
+    error: FloatArray
+    sigma: FloatArray
+    wide: frozenset[str]  # cameras that are not the narrowest of the run
+
+    @property
+    def compared(self) -> bool:
+        """Whether there is a truth."""
+        return bool(np.isfinite(self.error).any())
+
+    @property
+    def series(self) -> list[tuple[str, str]]:
+        """Methods and cameras of the solved frames, from afar to near."""
+        found = {(row.method, row.camera) for row in self.rows if row.solved}
+        return sorted(found, key=lambda key: (*method_rank(key[0]), key[1]))
+
+    def of(self, method: str, camera: str) -> IndexArray:
+        """Places of a series' solved frames."""
+        return np.array(
+            [
+                index
+                for index, row in enumerate(self.rows)
+                if row.solved and (row.method, row.camera) == (method, camera)
+            ],
+            dtype=np.intp,
+        )
+
+    def sign(self, method: str, camera: str) -> tuple[str, str]:
+        """Series and shape of a method's marks, hollow for the wider cameras."""
+        series, shape = SIGNS.get(method, OTHER_SIGN)
+        return (f"{series} hollow" if camera in self.wide else series), shape
+
+    @property
+    def heights_km(self) -> FloatArray:
+        """(n,) above the surface; NaN where it is not known, or not above it."""
+        heights = np.array([row.height_m or np.nan for row in self.rows]) / 1e3
+        return np.where(heights > 0.0, heights, np.nan)
+
+    def stretches(self) -> list[tuple[str, IndexArray]]:
+        """Series and places of frames that follow one another in a camera by the same method."""
+        found = []
+        for camera in sorted({row.camera for row in self.rows}):
+            places = [i for i, row in enumerate(self.rows) if row.camera == camera]
+            keys = [self.rows[i].method if self.rows[i].solved else None for i in places]
+            start = 0
+            for end in range(1, len(places) + 1):
+                if end == len(places) or keys[end] != keys[start]:
+                    method = keys[start]
+                    if method is not None:
+                        series, _ = SIGNS.get(method, OTHER_SIGN)
+                        found.append((series, np.array(places[start:end], dtype=np.intp)))
+                    start = end
+        return found
+
+
+def frames_of(run: RunFolder) -> Frames:
+    """What is drawn of a run. Raises DataError for a damaged evaluation."""
+    path = run.path / EVALUATION_CSV
+    rows = read_error_rows(path) if path.exists() else stated_rows(run)
+    rows, x, x_label = _in_time(rows)
+    none = np.full(3, np.nan)
+    error = np.array([none if row.error_rnb_m is None else row.error_rnb_m for row in rows])
+    sigma = np.array([none if row.sigma_rnb_m is None else row.sigma_rnb_m for row in rows])
+    widths = {camera.name: camera.angular_resolution for camera in run.cameras.values()}
+    narrowest = min(widths.values(), default=0.0)
+    wide = frozenset(name for name, width in widths.items() if width > narrowest)
+    return Frames(rows, x, x_label, error, sigma, wide)
+
+
+def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, str]:
+    """Rows and what they are drawn against: time, or the frame's number when gaps are uneven."""
+    number = np.arange(1.0, len(rows) + 1.0)
+    try:
+        seconds = np.array([utc_to_tdb_s(row.utc) for row in rows])
+    except DataError:
+        return rows, number, "frame"
+    order = np.argsort(seconds, kind="stable")
+    rows, seconds = [rows[i] for i in order], seconds[order]
+    gaps = np.diff(np.unique(seconds))
+    if len(gaps) == 0 or gaps.max() > UNEVEN * np.median(gaps):
+        return rows, number, "frame"
+    minutes = (seconds - seconds[0]) / 60.0
+    unit, name = next((u, name) for most, u, name in TIME_UNITS if minutes[-1] <= most)
+    return rows, minutes / unit, f"{name} after {rows[0].utc}"
+
+
+AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
+UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small ones
+BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
+FAR = 4.0  # farthest over nearest height from which errors are drawn over the distance, too
+IN_KM_M = 5e3  # errors typically larger are drawn in km
+MOST_REASONS = 4
+
+
+def error_plots(run: RunFolder) -> list[str]:
+    """Figures (HTML) of a run with a solved frame; without a truth, of what its solutions state."""
+    frames = frames_of(run)
+    keys = "".join(key_mark(e.series, e.shape, e.words) for e in _legend(frames))
+    figures = []
+    for number, (panels, caption) in enumerate(_drawn(frames)):
+        drawings = "".join(panel.plot.svg(panel.description) for panel in panels)
+        more = "" if number else _reasons(frames)
+        figures.append(figure(drawings, caption + more, None, keys))
+    return figures
+
+
+def error_sheet(run: RunFolder) -> str:
+    """The same as one picture (SVG) that stands alone."""
+    frames = frames_of(run)
+    compared = "solution minus truth" if frames.compared else "stated sigmas"
+    title = f"{run.attitude.body.name.capitalize()}, run {run.path.resolve().name}: {compared}"
+    rows = [[panel] for panels, _ in _drawn(frames) for panel in panels]
+    return sheet(title, _legend(frames), rows)
+
+
+def _drawn(frames: Frames) -> list[tuple[list[Panel], str]]:
+    """Panels with their captions: over time, and over the height where it changes much."""
+    drawn = [_over_time(frames)]
+    heights = frames.heights_km[np.isfinite(frames.heights_km)]
+    if heights.size and heights.max() > FAR * heights.min():
+        drawn.append(_over_distance(frames))
+    return drawn
+
+
+def _over_time(frames: Frames) -> tuple[list[Panel], str]:
+    """Panels of R, N, B, and what they show."""
+    shown = frames.error if frames.compared else frames.sigma
+    bound = 3.0 * frames.sigma if frames.compared else frames.sigma
+    sizes = np.abs(bound[np.isfinite(bound)])
+    low, high = np.percentile(sizes, [10.0, 90.0])
+    log = high > UNLIKE * max(low, 1e-9)
+    unit, name = (1e3, "km") if np.median(sizes) > IN_KM_M else (1.0, "m")
+    panels = []
+    for axis, (letter, words) in enumerate(AXES):
+        values, band = shown[:, axis] / unit, bound[:, axis] / unit
+        size = f"|{letter}|" if log else letter
+        label = f"{size}, {name}" if frames.compared else f"sigma {letter}, {name}"
+        x_label = frames.x_label if axis == 2 else ""
+        if log:
+            plot = _log_plot(frames, values, band, label, x_label)
+        else:
+            plot = _linear_plot(frames, values, band, label, x_label)
+        what = "Error" if frames.compared else "Stated sigma"
+        words = f"{what} along {letter} ({words}) of each frame, {name}"
+        panels.append(Panel("", plot, words))
+    caption = "Solution minus truth" if frames.compared else "Stated sigmas, 1 sigma an axis,"
+    caption = f"{caption} for each solved frame{', sizes alone' if log and frames.compared else ''}"
+    caption += "; bands are 3 stated sigmas." if frames.compared else "."
+    return panels, caption
+
+
+def _linear_plot(
+    frames: Frames, values: FloatArray, band: FloatArray, label: str, x_label: str
+) -> Plot:
+    low = np.zeros(1) if not frames.compared else -band
+    plot = Plot(
+        span(frames.x, 0.03), span(np.concatenate([values, band, low]), 0.08),
+        x_label=x_label, y_label=label, height=200,
+    )  # fmt: skip
+    if frames.compared:
+        for series, places in frames.stretches():
+            x, half = frames.x[places], band[places]
+            if len(places) > 1:
+                plot.band(x, -half, half, series)
+            else:
+                plot.line(np.repeat(x, 2), np.concatenate([-half, half]), f"{series} thin")
+        plot.level(0.0)
+    _marks(plot, frames, frames.x, values, np.abs(values) > band)
+    _unsolved(plot, frames, frames.x)
+    return plot
+
+
+def _log_plot(
+    frames: Frames, values: FloatArray, band: FloatArray, label: str, x_label: str
+) -> Plot:
+    sizes = np.abs(values)
+    y = _log_range(sizes, band)
+    plot = Plot(
+        span(frames.x, 0.03), y, x_label=x_label, y_label=label, height=230, log_y=True,
+    )  # fmt: skip
+    if frames.compared:
+        for series, places in frames.stretches():
+            x, top = frames.x[places], _log(band[places], y)
+            if len(places) > 1:
+                plot.band(x, np.full(len(x), y[0]), top, series)
+                plot.line(x, top, f"{series} thin")
+            else:
+                plot.marks(x, top, series, "dash")
+    _marks(plot, frames, frames.x, _log(sizes, y), sizes > band)
+    _unsolved(plot, frames, frames.x)
+    return plot
+
+
+def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
+    """Panels of range (percent of the height) and direction over the height, and what they show."""
+    rows = frames.rows
+    x = np.log10(frames.heights_km)
+    panels = []
+    for label, words, error, sigma in (
+        (
+            "range, % of height", "range to the surface",
+            [row.range_percent for row in rows], [row.range_sigma for row in rows],
+        ),
+        (
+            "direction, arcmin", "direction to the centre",
+            [_arcmin(row.direction_arcsec) for row in rows],
+            [_arcmin(row.direction_sigma) for row in rows],
+        ),
+    ):  # fmt: skip
+        stated = np.array(sigma, dtype=np.float64)
+        bound = 3.0 * stated if frames.compared else stated
+        values = np.abs(np.array(error, dtype=np.float64)) if frames.compared else stated
+        y = _log_range(values, bound)
+        last = label.startswith("direction")
+        plot = Plot(
+            span(x, 0.03), y, x_label="height above the surface, km" if last else "",
+            y_label=label, height=260, log_x=True, log_y=True,
+        )  # fmt: skip
+        if frames.compared:
+            for method, camera in frames.series:
+                series, _ = SIGNS.get(method, OTHER_SIGN)
+                places = frames.of(method, camera)
+                plot.marks(x[places], _log(bound[places], y), series, "dash")
+        _marks(plot, frames, x, _log(values, y), values > bound)
+        _unsolved(plot, frames, x)
+        what = "Error" if frames.compared else "Stated sigma"
+        panels.append(Panel("", plot, f"{what} of the {words} of each frame over the height"))
+    caption = "Errors of range and direction over the height; dashes are 3 stated sigmas."
+    if not frames.compared:
+        caption = "Stated sigmas of range and direction over the height."
+    return panels, caption
+
+
+def _marks(plot: Plot, frames: Frames, x: FloatArray, y: FloatArray, outside: BoolArray) -> None:
+    for method, camera in frames.series:
+        series, shape = frames.sign(method, camera)
+        places = frames.of(method, camera)
+        titles = [f"{frames.rows[i].file}, {method_words(method)}" for i in places]
+        plot.marks(x[places], y[places], series, shape, titles=titles)
+        far = places[outside[places]] if frames.compared else places[:0]
+        names = [f"{frames.rows[i].file}, outside 3 sigmas" for i in far]
+        plot.marks(x[far], y[far], "s4", shape, 4.2, names)
+
+
+def _unsolved(plot: Plot, frames: Frames, x: FloatArray) -> None:
+    """Crosses at the foot of the plot, with the reason under the pointer."""
+    places = [i for i, row in enumerate(frames.rows) if not row.solved]
+    low, high = plot.y
+    titles = [f"{frames.rows[i].file}: {frames.rows[i].reason}" for i in places]
+    foot = np.full(len(places), low + 0.05 * (high - low))
+    plot.marks(x[places], foot, "muted", "cross", 3.6, titles)
+
+
+def _legend(frames: Frames) -> list[Entry]:
+    entries = []
+    for method, camera in frames.series:
+        series, shape = frames.sign(method, camera)
+        of_camera = sum(row.camera == camera for row in frames.rows)
+        name = method_words(method) + (f", {camera}" if camera else "")
+        words = f"{name}: {len(frames.of(method, camera))} of {of_camera}"
+        entries.append(Entry(series, words, shape, line=False))
+    if frames.compared:
+        entries.append(Entry("s4", "outside 3 stated sigmas", "circle", line=False))
+    unsolved = sum(not row.solved for row in frames.rows)
+    if unsolved:
+        entries.append(Entry("muted", f"unsolved: {unsolved}", "cross", line=False))
+    return entries
+
+
+def _reasons(frames: Frames) -> str:
+    """Why frames are unsolved, the most frequent reasons."""
+    reasons = Counter(row.reason or "no reason given" for row in frames.rows if not row.solved)
+    if not reasons:
+        return ""
+    named = "; ".join(f"{n} × {why}" for why, n in reasons.most_common(MOST_REASONS))
+    more = "; others below" if len(reasons) > MOST_REASONS else ""
+    return f" Unsolved: {named}{more}."
+
+
+def _log_range(sizes: FloatArray, bound: FloatArray) -> tuple[float, float]:
+    """Logarithms of whole powers of ten about sizes and bounds, but not about the least sizes."""
+    known = np.concatenate([sizes, bound])
+    known = known[np.isfinite(known) & (known > 0.0)]
+    least = bound[np.isfinite(bound) & (bound > 0.0)]
+    if known.size == 0 or least.size == 0:
+        return 0.0, 1.0
+    high = float(np.ceil(np.log10(known.max()) + 0.1))
+    return min(float(np.floor(np.log10(BELOW * least.min()))), high - 1.0), high
+
+
+def _log(sizes: FloatArray, y: tuple[float, float]) -> FloatArray:
+    """Logarithms; what is smaller than the range stands at its foot."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.maximum(np.log10(sizes), y[0]))
+
+
+def _arcmin(arcsec: float | None) -> float | None:
+    return None if arcsec is None else arcsec / 60.0

@@ -1,0 +1,402 @@
+"""The page about a run: how good, where, which control points, and what went wrong."""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.errors import DataError
+from catalog.geometry.ellipsoid import distance_to_sphere
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.rotations import ARCSEC
+from optnav_cli.evaluation.figures import method_words
+from optnav_cli.evaluation.files import EVALUATION_JSON
+from optnav_cli.output.canvas import resized, shrink_factor
+from optnav_cli.output.manifest import read_manifest
+from optnav_cli.output.overlay import overlay_path
+from optnav_cli.output.run_folder import OVERLAYS, RunFolder, read_run
+from optnav_cli.output.tables import fixed
+from optnav_cli.report.error_plots import error_plots
+from optnav_cli.report.ground import GroundMap
+from optnav_cli.report.page import (
+    data_uri,
+    figure,
+    folded,
+    image,
+    listing,
+    page,
+    paragraph,
+    section,
+    subsection,
+    table,
+    tiles,
+)
+from optnav_cli.report.svg import HALF, Plot, span
+from optnav_cli.solution import Solution
+
+MOST_FOOTPRINTS = 60
+MOST_DOTS = 4000
+BORDER_POINTS = 12  # of a footprint, along each side of the picture
+HISTOGRAM_BINS = 24
+
+
+def ground_plot(run: RunFolder) -> str:
+    """Footprints of the solved frames, the places below the camera and the control points."""
+    body = run.attitude.body
+    solved = [s for s in run.solutions if s.position_m is not None]
+    lat, lon, _ = latlon_from_xyz(np.array([s.position_m for s in solved]))
+    points = {(m.catalog, m.cp_id): m for m in sorted(run.matches, key=lambda match: match.used)}
+    cp_lat, cp_lon, _ = latlon_from_xyz(
+        np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
+    )
+    step = -(-len(solved) // MOST_FOOTPRINTS)
+    borders = [border for s in solved[::step] if (border := _footprint(run, s)) is not None]
+    all_lat = np.degrees(np.concatenate([lat, cp_lat, *(b[0] for b in borders)]))
+    all_lon = np.degrees(np.concatenate([lon, cp_lon, *(b[1] for b in borders)]))
+    finite = np.isfinite(all_lat)
+    ground = GroundMap.about(all_lat[finite], all_lon[finite], body.radius_m)
+    plot = ground.plot(*ground.places(all_lat[finite], all_lon[finite]), height=620)
+    for b_lat, b_lon in borders:
+        x, y = ground.places(np.degrees(b_lat), np.degrees(b_lon))
+        plot.line(x, y, "s1 thin", closed=ground.regional)
+    x, y = ground.places(np.degrees(cp_lat), np.degrees(cp_lon))
+    used = np.array([m.used for m in points.values()], dtype=np.bool_)
+    names = np.array([f"control point {cp_id}" for _, cp_id in points])
+    for choice, series, radius in ((~used, "s4", 2.2), (used, "s3", 2.6)):
+        few = slice(None, None, -(-max(int(choice.sum()), 1) // MOST_DOTS))
+        plot.dots(x[choice][few], y[choice][few], series, radius, list(names[choice][few]))
+    x, y = ground.places(np.degrees(lat), np.degrees(lon))
+    plot.line(x, y, "s2 thin")
+    plot.dots(x, y, "s2", 3.2, [s.file for s in solved])
+    keys = {
+        "k2": "below the camera",
+        "k1": "footprint",
+        "k3": "control point used",
+        "k4": "tried, never used",
+    }
+    some = "" if step == 1 else f" Footprints of every {step}th frame."
+    return figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
+
+
+def residual_plots(run: RunFolder) -> list[str]:
+    """Residuals of the kept matches as a cloud, and the scores of kept and refused ones."""
+    used = [m for m in run.matches if m.used and m.residual_px is not None]
+    drawings = []
+    if used:
+        residual = np.array([m.residual_px for m in used])
+        rms = float(np.sqrt(np.mean(residual**2)))
+        reach = max(3.2 * rms, float(np.percentile(np.abs(residual), 99.5)))
+        plot = Plot(
+            (-reach, reach), (-reach, reach), x_label="x, px", y_label="y, px",
+            width=HALF, height=420, equal=True,
+        )  # fmt: skip
+        few = residual[:: -(-len(residual) // MOST_DOTS)]
+        plot.dots(few[:, 0], few[:, 1], "s1", 1.8)
+        turn = np.linspace(0.0, 2.0 * np.pi, 73)
+        plot.line(rms * np.cos(turn), rms * np.sin(turn), "s2", closed=True)
+        drawings.append(
+            figure(
+                plot.svg("Residuals of the control points used, px"),
+                f"Residuals of {len(used)} matches used; rms {rms:.2f} px a coordinate",
+                {"k2": "the rms"},
+            )
+        )
+    scores = [(m.score, m.used) for m in run.matches if m.score is not None]
+    if scores:
+        values = np.array([score for score, _ in scores])
+        kept = np.array([flag for _, flag in scores], dtype=np.bool_)
+        edges = np.linspace(*span(values, 0.0), HISTOGRAM_BINS + 1)
+        edges = edges if edges[-1] > edges[0] else edges[0] + np.linspace(-0.5, 0.5, 25)
+        below, above = (np.histogram(values[c], edges)[0] for c in (~kept, kept))
+        plot = Plot(
+            (edges[0], edges[-1]), (0.0, 1.05 * float((below + above).max())),
+            x_label="score", y_label="matches", width=HALF, height=420,
+        )  # fmt: skip
+        plot.bars(edges, below, "s4")
+        plot.bars(edges, above, "s3", below)
+        drawings.append(
+            figure(plot.svg("Scores of matches"), "Scores.", {"k3": "used", "k4": "not used"})
+        )
+    return [f'<div class="pair">{"".join(drawings)}</div>']
+
+
+def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArray] | None:
+    """Latitudes and longitudes (rad) of the picture's border on the ground, NaN in the sky."""
+    camera = run.cameras.get(solution.file)
+    if camera is None or solution.position_m is None or solution.camera_from_body is None:
+        return None
+    side = np.linspace(0.0, 1.0, BORDER_POINTS, endpoint=False)
+    zero, one = np.zeros_like(side), np.ones_like(side)
+    x = np.concatenate([side, one, 1.0 - side, zero]) * camera.width_px - 0.5
+    y = np.concatenate([zero, side, one, 1.0 - side]) * camera.height_px - 0.5
+    rays = camera.unproject(np.column_stack([x, y]))
+    rays_body = rays @ solution.camera_from_body.as_matrix()
+    distance = distance_to_sphere(solution.position_m, rays_body, run.attitude.body.radius_m)
+    lat, lon, _ = latlon_from_xyz(solution.position_m + distance[:, None] * rays_body)
+    return lat, lon
+
+
+IN_KM_M = 10e3  # lengths from here on are told in km
+
+
+def read_evaluation(folder: Path) -> dict[str, Any] | None:
+    """The figures of a run folder; None for a run that was not evaluated.
+
+    Raises DataError for a damaged file.
+    """
+    path = folder / EVALUATION_JSON
+    if not path.exists():
+        return None
+    try:
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        for axis in "rnb":  # touched here, so that a damaged file is told at once
+            summary[axis]["bias_m"], summary["share_inside_3_sigma"][axis]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{path}: is damaged ({error}); run `optnav evaluate` again") from error
+    return summary
+
+
+def errors_table(evaluation: dict[str, Any]) -> str:
+    """The section about errors by axis, and by method where there are several."""
+    names = {"r": "R (height)", "n": "N (along the motion)", "b": "B (across)"}
+    largest = max(evaluation[axis]["max_m"] for axis in names)
+    unit, unit_name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
+    rows = []
+    for axis, name in names.items():
+        spread = evaluation[axis]
+        sigma = "-" if spread["sigma_m"] is None else f"{spread['sigma_m'] / unit:.1f}"
+        rows.append(
+            (
+                name,
+                f"{spread['bias_m'] / unit:+.1f}",
+                sigma,
+                f"{spread['rms_m'] / unit:.1f}",
+                f"{spread['max_m'] / unit:.1f}",
+                f"{100.0 * evaluation['share_inside_3_sigma'][axis]:.1f} %",
+            )
+        )
+    rms, farthest = (evaluation[f"horizontal_{name}_m"] / unit for name in ("rms", "max"))
+    rows.append(("horizontal", "", "", f"{rms:.1f}", f"{farthest:.1f}", ""))
+    points = evaluation["control_points"]
+    low, high = evaluation["normalised_error_squared_95_percent"]
+    notes = [
+        f"An honest covariance keeps the normalised error squared between {low:.2f} and "
+        f"{high:.2f} in 95 % of cases; here it is {evaluation['normalised_error_squared']:.2f}."
+    ]
+    if points["checked"]:
+        notes.append(
+            f"Of {points['checked']} control points used, {points['wrong']} were found more than "
+            "3 px from their true place."
+        )
+    if evaluation["frames_with_local_north"]:
+        notes.append(
+            f"N is local north for {evaluation['frames_with_local_north']} frames without a "
+            "neighbour in their pass."
+        )
+    header = (f"error, {unit_name}", "bias", "sigma", "rms", "max", "inside 3 stated sigmas")
+    parts = [table(header, rows), *map(paragraph, notes)]
+    methods = evaluation.get("methods", [])
+    if len(methods) > 1:
+        parts.append(_methods_table(methods))
+    return section("Against the truth", *parts)
+
+
+def _methods_table(methods: Sequence[dict[str, Any]]) -> str:
+    """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
+    header = (
+        *("method", "solved", "R", "N", "B"),
+        *("range, %", "direction, ″", "in 3 sigmas", "NEES"),
+    )
+    rows = []
+    for method in methods:
+        name, camera = method_words(method["method"]), method["camera"]
+        inside = method["share_inside_3_sigma"]
+        least = min(inside[axis] for axis in "rnb")
+        rows.append(
+            (
+                f"{name}, {camera}" if camera else name,
+                f"{method['solved']} of {method['frames_of_camera']}",
+                *(_spread(method[axis]) for axis in "rnb"),
+                "" if method["range_rms_percent"] is None else f"{method['range_rms_percent']:.2g}",
+                f"{method['direction_rms_arcsec']:.3g}",
+                f"{100.0 * least:.0f} %",
+                f"{method['normalised_error_squared']:.2f}",
+            )
+        )
+    note = (
+        "R, N, B: bias / sigma / greatest error. Range (of the height) and direction to the centre "
+        "are rms. In 3 sigmas: the least share of R, N, B. NEES is 1 for an honest covariance."
+    )
+    return subsection("By method", table(header, rows), paragraph(note))
+
+
+def _spread(values: dict[str, float]) -> str:
+    """Bias, sigma and greatest error in one unit."""
+    largest = values["max_m"]
+    unit, name = (1e3, "km") if largest >= IN_KM_M else (1.0, "m")
+    decimals = 0 if largest / unit >= 100.0 else 1
+    bias, sigma, most = (
+        "-" if v is None else fixed(v / unit, decimals).replace("-", "\N{MINUS SIGN}")
+        for v in (values["bias_m"], values["sigma_m"], largest)
+    )
+    return f"{bias} / {sigma} / {most} {name}"
+
+
+def length_words(metres: float) -> str:
+    """A length in m, or in km when it is long."""
+    return f"{metres / 1e3:.1f} km" if metres >= IN_KM_M else f"{metres:.1f} m"
+
+
+MOST_THUMBNAILS = 24
+THUMBNAIL_PX = 560
+ROWS_OPEN = 40  # longer tables are folded
+
+
+def run_page(folder: Path) -> str:
+    """The HTML page about a run folder. Raises DataError for a folder that is no run."""
+    run = read_run(folder)
+    evaluation = read_evaluation(folder)
+    solved = [solution for solution in run.solutions if solution.solved]
+    sections = [_main_numbers(run, evaluation)]
+    if evaluation is not None:
+        sections.append(errors_table(evaluation))
+    if solved:
+        sections.append(section("Errors and stated sigmas", *error_plots(run)))
+        sections.append(section("On the ground", ground_plot(run)))
+    if any(match.measured_px is not None for match in run.matches):
+        sections.append(section("Control points", *residual_plots(run), _refusals(run)))
+    sections.append(_thumbnails(run))
+    sections.append(_unsolved(run))
+    sections.append(section("Frames", _frames(run.solutions)))
+    sections.append(_made_from(folder))
+    body = run.attitude.body.name.capitalize()
+    subtitle = f"{len(run.solutions)} frames, {len(solved)} solved. Positions in the body frame."
+    return page(
+        f"{body}: run {folder.resolve().name}", subtitle, [text for text in sections if text]
+    )
+
+
+def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
+    solved = [s for s in run.solutions if s.solved]
+    values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
+    if evaluation is not None:
+        values += [
+            (length_words(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
+            (length_words(evaluation["height_rms_m"]), "height error, rms"),
+            (
+                f"{evaluation['normalised_error_squared']:.2f}",
+                "error squared over stated covariance (1 is honest)",
+            ),
+        ]
+    predicted = sum(s.n_predicted or 0 for s in solved)
+    if predicted:
+        used = sum(s.n_used or 0 for s in solved)
+        values.append((f"{100.0 * used / predicted:.1f} %", "of predicted control points used"))
+    residuals = [s.residual_rms_px for s in solved if s.residual_rms_px is not None]
+    if residuals:
+        rms = float(np.sqrt(np.mean(np.square(residuals))))
+        values.append((f"{rms:.2f} px", "residual, rms a coordinate"))
+    note = "" if evaluation else paragraph("Not compared with a truth: see `optnav evaluate`.")
+    return tiles(values) + note
+
+
+def _refusals(run: RunFolder) -> str:
+    reasons = Counter(_kind(match.reason) for match in run.matches if not match.used)
+    if not reasons:
+        return ""
+    rows = [(reason, str(count)) for reason, count in sorted(reasons.items(), key=_most_first)]
+    return table(("control points tried but not used: why", "times"), rows[:12])
+
+
+def _kind(reason: str) -> str:
+    """A reason without the numbers of the one match."""
+    return re.sub(r"(score|rival) \d+\.\d+", r"\1", reason) or "not used"
+
+
+def _thumbnails(run: RunFolder) -> str:
+    """Overlays, unsolved frames first among equals, evenly through the run."""
+    there = [
+        solution
+        for solution in run.solutions
+        if overlay_path(run.path / OVERLAYS, solution.file).is_file()
+    ]
+    if not there:
+        return ""
+    picked = there
+    if len(there) > MOST_THUMBNAILS:
+        places = np.linspace(0, len(there) - 1, MOST_THUMBNAILS).round().astype(int)
+        picked = [there[place] for place in places]
+    pictures = []
+    for solution in picked:
+        picture = cv2.imread(str(overlay_path(run.path / OVERLAYS, solution.file)))
+        if picture is None:  # a damaged overlay is no reason to have no report
+            continue
+        pixels = np.asarray(picture, np.uint8)
+        height, width = pixels.shape[:2]
+        small = resized(pixels, shrink_factor(width, height, THUMBNAIL_PX))
+        uri = data_uri(small, ".jpg", 72)
+        pictures.append(figure(image(uri, f"overlay of {solution.file}"), solution.file))
+    words = (
+        "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times."
+    )
+    shown = f" {len(picked)} of {len(there)} frames." if len(picked) < len(there) else ""
+    return section(
+        "Pictures", paragraph(words + shown), f'<div class="thumbs">{"".join(pictures)}</div>'
+    )
+
+
+def _unsolved(run: RunFolder) -> str:
+    rows = [(s.file, s.utc, s.reason) for s in run.solutions if not s.solved]
+    if not rows:
+        return ""
+    return section("Unsolved frames", table(("file", "UTC", "reason"), rows, text_columns=3))
+
+
+def _frames(solutions: Sequence[Solution]) -> str:
+    header: tuple[str, ...] = (
+        *("file", "UTC", "method", "x, km", "y, km", "z, km", "sigma, m"),
+        *("attitude sigma, ″", "predicted", "found", "used", "rms, px"),
+    )
+    limb = any(s.n_limb is not None for s in solutions)
+    if limb:
+        header += ("limb points", "arc, °")
+    rows = []
+    for s in solutions:
+        place = ("unsolved", "", "") if s.position_m is None else _kilometres(s.position_m)
+        sigma = None if s.covariance_m2 is None else float(np.sqrt(np.trace(s.covariance_m2) / 3.0))
+        angle = None if s.attitude_sigma_rad is None else s.attitude_sigma_rad / ARCSEC
+        counts = ("" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used))
+        rows.append(
+            (
+                *(s.file, s.utc, method_words(s.method) if s.method else "", *place),
+                *(fixed(sigma, 1), fixed(angle, 1)),
+                *counts,
+                fixed(s.residual_rms_px, 3),
+                *(("" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)) if limb else ()),
+            )
+        )
+    content = table(header, rows, text_columns=3)
+    return content if len(rows) <= ROWS_OPEN else folded(f"All {len(rows)} frames", content)
+
+
+def _made_from(folder: Path) -> str:
+    try:
+        manifest = read_manifest(folder)
+    except DataError:  # a run put together by hand is still worth a report
+        return ""
+    return section("Made from", folded("manifest.json", listing(manifest)))
+
+
+def _kilometres(position_m: Any) -> tuple[str, str, str]:
+    x, y, z = (fixed(float(v) / 1e3, 4) for v in position_m)
+    return x, y, z
+
+
+def _most_first(item: tuple[str, int]) -> tuple[int, str]:
+    return -item[1], item[0]

@@ -1,0 +1,366 @@
+"""Small plots as inline SVG: no plotting library, colours from the page's style sheet.
+
+Series are named by the classes s1 (blue), s2 (orange), s3 (green), s4 (red), s5 (violet), muted.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from html import escape
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from catalog.arrays import FloatArray
+
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+PLAIN = (1e-3, 1e4)  # powers of ten outside are written as such
+
+
+def ticks(low: float, high: float, count: int = 5) -> list[float]:
+    """About `count` round numbers from low to high: steps of 1, 2 or 5 times a power of ten."""
+    raw = (high - low) / max(count, 1)
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= 0.75 * raw)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(n * step, 12) for n in range(first, last + 1)]
+
+
+def log_ticks(low: float, high: float) -> list[tuple[float, float]]:
+    """Places, which are common logarithms, and numbers of ticks: 1, 2 and 5 of every power of ten.
+
+    Over more than two powers the powers alone.
+    """
+    digits = (1.0, 2.0, 5.0) if high - low <= 2.0 else (1.0,)
+    powers = range(math.floor(low), math.ceil(high) + 1)
+    found = [(power + math.log10(d), float(f"{d:g}e{power}")) for power in powers for d in digits]
+    return [(place, number) for place, number in found if low - 1e-9 <= place <= high + 1e-9]
+
+
+def number_text(value: float) -> str:
+    """A tick's number, short, with a true minus sign."""
+    return f"{value:.10g}".replace("-", "\N{MINUS SIGN}")
+
+
+def log_text(value: float) -> str:
+    """A number on a logarithmic axis: 0.01, 200, 10⁶."""
+    power = round(math.log10(value))
+    if PLAIN[0] <= value <= PLAIN[1] or not math.isclose(value, 10.0**power):
+        return number_text(value)
+    return "10" + str(power).translate(SUPERSCRIPTS)
+
+
+SHAPES = ("circle", "triangle", "square", "diamond", "down", "cross", "dash")
+# Corners about the middle, in units of the radius; areas are about those of the disc.
+_CORNERS = {
+    "triangle": ((0.0, -1.25), (1.1, 0.8), (-1.1, 0.8)),
+    "down": ((0.0, 1.25), (1.1, -0.8), (-1.1, -0.8)),
+    "square": ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
+    "diamond": ((0.0, -1.25), (1.25, 0.0), (0.0, 1.25), (-1.25, 0.0)),
+}
+
+
+def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title: str = "") -> str:
+    """A mark as SVG at picture x, y; `series` may add "hollow", `title` is shown under the pointer.
+
+    Raises KeyError for a shape that is not in SHAPES.
+    """
+    name = f"<title>{escape(title)}</title>" if title else ""
+    if shape == "circle":
+        return (
+            f'<circle class="mark {series}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}">'
+            f"{name}</circle>"
+        )
+    if shape == "dash":
+        ends = f"M{x - 1.3 * radius:.1f} {y:.1f}h{2.6 * radius:.1f}"
+        return f'<path class="mark stroke {series}" d="{ends}">{name}</path>'
+    if shape == "cross":
+        a = radius * math.sqrt(0.7)
+        path = (
+            f"M{x - a:.1f} {y - a:.1f}L{x + a:.1f} {y + a:.1f}"
+            f"M{x - a:.1f} {y + a:.1f}L{x + a:.1f} {y - a:.1f}"
+        )
+        return f'<path class="mark stroke {series}" d="{path}">{name}</path>'
+    corners = " ".join(f"{x + radius * u:.1f},{y + radius * v:.1f}" for u, v in _CORNERS[shape])
+    return f'<polygon class="mark {series}" points="{corners}">{name}</polygon>'
+
+
+def key_mark(series: str, shape: str, words: str) -> str:
+    """An entry of an HTML legend: the mark and what it stands for."""
+    drawn = mark(7.0, 7.0, series, shape, 4.5)
+    return (
+        f'<span class="entry"><svg class="sign" viewBox="0 0 14 14" aria-hidden="true">{drawn}'
+        f"</svg>{escape(words)}</span>"
+    )
+
+
+LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
+# Plots across the page and of a pair: at these widths their letters are as large as the text's.
+WIDE, HALF = 960, 470
+
+
+class Plot:
+    """Axes in data units; what is added later is drawn above. What is not finite is left out."""
+
+    def __init__(
+        self,
+        x: tuple[float, float],
+        y: tuple[float, float],
+        *,
+        x_label: str = "",
+        y_label: str = "",
+        width: int = WIDE,
+        height: int = 260,
+        equal: bool = False,
+        axes: bool = True,
+        margins: tuple[int, int, int, int] = (LEFT, RIGHT, TOP, BOTTOM),
+        log_x: bool = False,
+        log_y: bool = False,
+        x_numbers: Sequence[float] = (),
+    ) -> None:
+        """Axes over the ranges x and y; `equal` widens one of them until both scales agree.
+
+        axes     False leaves out grid lines and their numbers, for maps that draw their own
+        margins  room around the axes, px: left, right, top, bottom; 0 at the left leaves out the
+                 frame as well, for maps that have an outline of their own
+        log_x    x are common logarithms; their numbers are written as what they stand for
+        log_y    so are y
+        x_numbers  what is written along x, instead of round numbers
+        """
+        self.width, self.height = width, height
+        self._left, self._right, self._top, self._bottom = margins
+        self.x, self.y = _opened(x), _opened(y)
+        if equal:
+            self._equalise()
+        self._axes = axes
+        self._log_x, self._log_y = log_x, log_y
+        self._x_numbers = x_numbers
+        self._labels = (x_label, y_label)
+        self._ground: list[str] = []
+        self._body: list[str] = []
+
+    def _equalise(self) -> None:
+        across, up = self.inner
+        unit = max((self.x[1] - self.x[0]) / across, (self.y[1] - self.y[0]) / up)
+        for name, pixels in (("x", across), ("y", up)):
+            low, high = getattr(self, name)
+            middle, half = (low + high) / 2.0, unit * pixels / 2.0
+            setattr(self, name, (middle - half, middle + half))
+
+    @property
+    def inner(self) -> tuple[int, int]:
+        """Width and height of what the axes enclose, px."""
+        return self.width - self._left - self._right, self.height - self._top - self._bottom
+
+    def px(self, x: ArrayLike) -> FloatArray:
+        """Picture x of data x."""
+        low, high = self.x
+        scale = self.inner[0] / (high - low)
+        return np.asarray(self._left + (np.asarray(x, dtype=np.float64) - low) * scale)
+
+    def py(self, y: ArrayLike) -> FloatArray:
+        """Picture y of data y, which grows upwards."""
+        low, high = self.y
+        scale = self.inner[1] / (high - low)
+        return np.asarray(
+            self.height - self._bottom - (np.asarray(y, dtype=np.float64) - low) * scale
+        )
+
+    def line(self, x: ArrayLike, y: ArrayLike, series: str, closed: bool = False) -> None:
+        """A polyline, broken where a point is not finite (`closed` only when all are)."""
+        points = np.column_stack([self.px(x), self.py(y)])
+        finite = np.isfinite(points).all(axis=1)
+        closed = closed and bool(finite.all())
+        gaps = np.flatnonzero(~finite)
+        for run in np.split(points, gaps):
+            run = run[np.isfinite(run).all(axis=1)]
+            if len(run) > 1:
+                kind = "polygon" if closed else "polyline"
+                self._body.append(f'<{kind} class="line {series}" points="{_points(run)}"/>')
+
+    def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, series: str) -> None:
+        """The area between two curves over the same x."""
+        x, low, high = (np.asarray(v, dtype=np.float64) for v in (x, low, high))
+        outline = np.column_stack(
+            [
+                np.concatenate([self.px(x), self.px(x)[::-1]]),
+                np.concatenate([self.py(low), self.py(high)[::-1]]),
+            ]
+        )
+        self._body.append(f'<polygon class="band {series}" points="{_points(outline)}"/>')
+
+    def dots(
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        series: str,
+        radius: float = 3.0,
+        titles: Sequence[str] | None = None,
+        colours: Sequence[str] | None = None,
+    ) -> None:
+        """Dots; `titles` appear under the pointer, `colours` (CSS) replace the series'."""
+        places = np.column_stack([self.px(x), self.py(y)])
+        for index, (cx, cy) in enumerate(places):
+            if not (math.isfinite(cx) and math.isfinite(cy)):
+                continue
+            style = f' style="fill:{colours[index]}"' if colours else ""
+            name = f"<title>{escape(titles[index])}</title>" if titles else ""
+            self._body.append(
+                f'<circle class="dot {series}" cx="{cx:.1f}" cy="{cy:.1f}" r="{radius:g}"{style}>'
+                f"{name}</circle>"
+            )
+
+    def marks(
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        series: str,
+        shape: str,
+        radius: float = 3.2,
+        titles: Sequence[str] | None = None,
+    ) -> None:
+        """Marks of a shape (see `marks`); `titles` as those of `dots`."""
+        for index, (cx, cy) in enumerate(np.column_stack([self.px(x), self.py(y)])):
+            if math.isfinite(cx) and math.isfinite(cy):
+                title = titles[index] if titles else ""
+                self._body.append(mark(cx, cy, series, shape, radius, title))
+
+    def area(self, x: ArrayLike, y: ArrayLike, series: str) -> None:
+        """The inside of a closed outline; it lies below lines, dots and words."""
+        points = np.column_stack([self.px(x), self.py(y)])
+        self._ground.append(f'<polygon class="area {series}" points="{_points(points)}"/>')
+
+    def bars(
+        self,
+        edges: ArrayLike,
+        counts: ArrayLike,
+        series: str,
+        base: ArrayLike = 0.0,
+        colours: Sequence[str] | None = None,
+        titles: Sequence[str] | None = None,
+    ) -> None:
+        """A histogram of `counts` between `edges`, standing on `base`; see `dots` for the rest."""
+        edges, counts = np.asarray(edges, dtype=np.float64), np.asarray(counts, dtype=np.float64)
+        base = np.broadcast_to(np.asarray(base, dtype=np.float64), counts.shape)
+        x, low, high = self.px(edges), self.py(base), self.py(base + counts)
+        for index, (bottom, top) in enumerate(zip(low, high, strict=True)):
+            if bottom - top > 0.0:
+                left, right = x[index], x[index + 1]
+                gap, seam = (0.0, 0.6) if series == "seamless" else (0.5, 0.0)
+                style = f' style="fill:{colours[index]}"' if colours else ""
+                name = f"<title>{escape(titles[index])}</title>" if titles else ""
+                self._body.append(
+                    f'<rect class="bar {series}" x="{left + gap:.1f}" y="{top:.1f}" '
+                    f'width="{max(right - left - 2.0 * gap, 0.5) + seam:.1f}" '
+                    f'height="{bottom - top:.1f}"'
+                    f"{style}>{name}</rect>"
+                )
+
+    def level(self, y: float, series: str = "muted") -> None:
+        """A line across at height y."""
+        self.line(self.x, (y, y), f"{series} thin")
+
+    def picture(self, data_uri: str) -> None:
+        """A picture stretched over all that the axes enclose, below lines, dots and words."""
+        self._ground.append(
+            f'<image x="{self._left}" y="{self._top}" width="{self.inner[0]}" '
+            f'height="{self.inner[1]}" preserveAspectRatio="none" href="{data_uri}"/>'
+        )
+
+    def text(self, x: float, y: float, words: str, kind: str = "", anchor: str = "start") -> None:
+        """Small words at a place in data units, which is their start, middle or end."""
+        self._body.append(
+            f'<text class="tick {kind}" text-anchor="{anchor}" x="{float(self.px(x)):.1f}" '
+            f'y="{float(self.py(y)):.1f}">{escape(words)}</text>'
+        )
+
+    def svg(self, description: str, at: tuple[float, float] | None = None) -> str:
+        """The plot; `description` is read to people who cannot see it.
+
+        at  left and top of its place in a larger drawing
+        """
+        clip = f"c{abs(hash_of(description + self._labels[0] + self._labels[1])):x}"
+        inner, left, top = self.inner, self._left, self._top
+        wide = ' class="wide"' if self.width > HALF else ""
+        place = ""
+        if at is not None:
+            place = f'x="{at[0]:g}" y="{at[1]:g}" width="{self.width}" height="{self.height}" '
+        parts = [
+            f'<svg {place}viewBox="0 0 {self.width} {self.height}" role="img"{wide} '
+            f'aria-label="{escape(description, quote=True)}">',
+            f'<clipPath id="{clip}"><rect x="{left}" y="{top}" width="{inner[0]}" '
+            f'height="{inner[1]}"/></clipPath>',
+            *(self._ticks() if self._axes else ()),
+            f'<g clip-path="url(#{clip})">',
+            *self._ground,
+            *self._body,
+            "</g>",
+            f'<rect class="frame" x="{left}" y="{top}" width="{inner[0]}" height="{inner[1]}"/>'
+            if left
+            else "",
+            f'<text class="label" text-anchor="middle" x="{left + inner[0] / 2:.0f}" '
+            f'y="{self.height - 6}">{escape(self._labels[0])}</text>',
+            f'<text class="label" text-anchor="middle" transform="translate(13 '
+            f'{top + inner[1] / 2:.0f}) rotate(-90)">{escape(self._labels[1])}</text>',
+            "</svg>",
+        ]
+        return "\n".join(parts)
+
+    def _ticks(self) -> Iterable[str]:
+        bottom, right = self.height - self._bottom, self.width - self._right
+        across = _numbers(self.x, self._log_x, max(3, self.inner[0] // 70))
+        if self._x_numbers:
+            places = np.log10(self._x_numbers) if self._log_x else self._x_numbers
+            across = [
+                (float(x), number_text(v)) for x, v in zip(places, self._x_numbers, strict=True)
+            ]
+        for place, words in across:
+            x = float(self.px(place))
+            yield f'<line class="grid" x1="{x:.1f}" y1="{self._top}" x2="{x:.1f}" y2="{bottom}"/>'
+            yield (
+                f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 15}">'
+                f"{words}</text>"
+            )
+        for place, words in _numbers(self.y, self._log_y, max(4, self.inner[1] // 45)):
+            y = float(self.py(place))
+            yield f'<line class="grid" x1="{self._left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
+            yield (
+                f'<text class="tick" text-anchor="end" x="{self._left - 5}" y="{y + 4:.1f}">'
+                f"{words}</text>"
+            )
+
+
+def _numbers(ends: tuple[float, float], log: bool, count: int) -> list[tuple[float, str]]:
+    """Places of an axis' ticks and what is written beside them."""
+    if log:
+        return [(place, log_text(number)) for place, number in log_ticks(*ends)]
+    return [(value, number_text(value)) for value in ticks(*ends, count=count)]
+
+
+def span(values: ArrayLike, margin: float = 0.05) -> tuple[float, float]:
+    """The range of the finite values, widened by a share of it; (0, 1) for none."""
+    finite = np.asarray(values, dtype=np.float64).ravel()
+    finite = finite[np.isfinite(finite)]
+    if finite.size == 0:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    return low - margin * (high - low), high + margin * (high - low)
+
+
+def hash_of(words: str) -> int:
+    """A number that is the same in every process, unlike `hash`."""
+    number = 0
+    for byte in words.encode():
+        number = (number * 131 + byte) & 0xFFFFFFFF
+    return number
+
+
+def _opened(ends: tuple[float, float]) -> tuple[float, float]:
+    low, high = (float(v) for v in ends)
+    if high > low:
+        return low, high
+    half = abs(low) * 0.1 or 1.0
+    return low - half, low + half
+
+
+def _points(places: FloatArray) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in places)

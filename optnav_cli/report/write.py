@@ -1,0 +1,42 @@
+"""Which page is wanted, and writing it."""
+
+from pathlib import Path
+
+from catalog.errors import DataError
+from catalog.store.reader import Catalog
+from optnav_cli.output.replace import replacing_file, starts_with
+from optnav_cli.output.run_folder import read_run
+from optnav_cli.report.catalog_page import catalog_page
+from optnav_cli.report.error_plots import error_sheet
+from optnav_cli.report.page import BEGINNING
+from optnav_cli.report.run_page import run_page
+from optnav_cli.report.sheet import write_sheet
+
+
+def write_report(source: Path, output: Path) -> None:
+    """Write the page about a run folder or a catalog file; an older report there is replaced.
+
+    An output that ends in .svg gets the errors of a run as a picture.
+    Raises DataError for a source that is neither, OutputError for a place that cannot be used.
+    """
+    if output.suffix.lower() == ".svg":
+        _write_picture(source, output)
+        return
+    if source.is_dir():
+        text = run_page(source)
+    elif source.is_file():
+        with Catalog.open(source) as catalog:
+            text = catalog_page(catalog)
+    else:
+        raise DataError(f"{source}: there is no such run or catalog; check the path")
+    with replacing_file(output, starts_with(BEGINNING.encode())) as path:
+        path.write_text(text, encoding="utf-8")
+
+
+def _write_picture(source: Path, output: Path) -> None:
+    if not source.is_dir():
+        raise DataError(f"{source}: only the errors of a run are drawn as SVG; name an .html file")
+    run = read_run(source)
+    if not any(solution.solved for solution in run.solutions):
+        raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
+    write_sheet(error_sheet(run), output)

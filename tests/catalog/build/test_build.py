@@ -1,0 +1,239 @@
+"""Builds of a few cells of the real Tycho model: the same bytes by every way to them."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from catalog.build.build import STAGES, run
+from catalog.errors import ConfigError, DataError, NothingToDoError, OutputError, UsageError
+from catalog.jobs.code_key import code_key
+from catalog.store.verify import verify
+from tests.catalog.build.coarse_tycho import BBOX, CONFIG
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "tycho.toml"
+    path.write_text(CONFIG)
+    return path
+
+
+@pytest.fixture(scope="module")
+def digest(tmp_path_factory):
+    """Content of the undisturbed build by one process."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    (folder / "tycho.toml").write_text(CONFIG)
+    return built(folder / "tycho.toml", folder / "out.gpkg", bbox=BBOX, workers=1).digest
+
+
+def built(config, output, **options):
+    report = run(config, output=output, **options)
+    assert output.is_file()
+    assert report.points > 5
+    assert report.usable > 0
+    return report
+
+
+def test_two_processes_write_what_one_writes(config, digest, tmp_path):
+    assert built(config, tmp_path / "two.gpkg", bbox=BBOX, workers=2).digest == digest
+
+
+def test_the_work_folder_lies_beside_the_output_and_is_used_again(config, digest, tmp_path):
+    output = tmp_path / "c.gpkg"
+    first = built(config, output, bbox=BBOX, workers=1)
+    assert first.work == tmp_path / "c.gpkg.work"
+    again = built(config, output, bbox=BBOX, workers=1)
+    assert again.digest == first.digest == digest
+    done = {account.name: account.done for account in again.account.stages}
+    kept = {account.name: account.kept for account in again.account.stages}
+    assert done["render"] == done["select"] == done["check"] == 0
+    assert kept["render"] == kept["check"] > 5
+
+
+def test_a_catalog_that_is_there_is_not_written_twice(config, digest, tmp_path):
+    output = tmp_path / "c.gpkg"
+    first = built(config, output, bbox=BBOX, workers=1)
+    before = output.read_bytes()
+    again = built(config, output, bbox=BBOX, workers=1)
+    assert (again.points, again.usable, again.digest) == (first.points, first.usable, digest)
+    assert {s.name: (s.done, s.kept) for s in again.account.stages}["write"] == (0, 1)
+    assert output.read_bytes() == before
+
+
+def test_a_damaged_catalog_is_written_again(config, digest, tmp_path):
+    output = tmp_path / "c.gpkg"
+    built(config, output, bbox=BBOX, workers=1)
+    whole = output.read_bytes()
+    for place in (40, len(whole) // 2, len(whole) - 1):
+        damaged = bytearray(whole)
+        damaged[place] ^= 4
+        output.write_bytes(damaged)
+        again = built(config, output, bbox=BBOX, workers=1)
+        assert {s.name: s.done for s in again.account.stages}["write"] == 1, place
+        assert verify(output).sound, place
+
+
+def test_a_catalog_of_other_words_or_elsewhere_is_written(config, digest, tmp_path):
+    output, work = tmp_path / "c.gpkg", tmp_path / "work"
+    built(config, output, work=work, bbox=BBOX, workers=1)
+    config.write_text(CONFIG + "# the manifest holds this comment\n")
+    again = built(config, output, work=work, bbox=BBOX, workers=1)
+    assert {s.name: s.done for s in again.account.stages}["write"] == 1
+    other = tmp_path / "d.gpkg"
+    assert built(config, other, work=work, bbox=BBOX, workers=1).output == other
+
+
+def test_stages_run_alone_on_one_workspace(config, digest, tmp_path):
+    work = tmp_path / "work"
+    for stage in STAGES[:-1]:
+        run(config, work, stages=[stage], bbox=BBOX, workers=1)
+    report = run(config, work, stages=["write"], output=tmp_path / "c.gpkg", bbox=BBOX, workers=1)
+    assert report.digest == digest
+
+
+@pytest.mark.parametrize(
+    ("stage", "needed"), [("select", "render"), ("check", "select"), ("write", "select")]
+)
+def test_a_stage_whose_forerunner_is_missing_says_which_command_to_run(
+    config, tmp_path, stage, needed
+):
+    with pytest.raises(UsageError, match=f"first run: optnav {needed} .*--work"):
+        run(
+            config,
+            tmp_path / "work",
+            stages=[stage],
+            bbox=BBOX,
+            workers=1,
+            output=tmp_path / "c.gpkg",
+        )
+
+
+def test_a_damaged_result_is_made_again(config, digest, tmp_path):
+    output = tmp_path / "c.gpkg"
+    report = built(config, output, bbox=BBOX, workers=1)
+    for name in ("render", "check"):
+        chunk = sorted(report.work.glob(f"{name}-*/chunk-*.bin"))[3]
+        data = bytearray(chunk.read_bytes())
+        data[len(data) // 2] ^= 1
+        chunk.write_bytes(data)
+    again = built(config, output, bbox=BBOX, workers=1)
+    assert again.digest == digest
+    assert {a.name: a.done for a in again.account.stages if a.name in ("render", "check")} == {
+        "render": 1,
+        "check": 1,
+    }
+
+
+def test_changed_settings_make_their_stage_and_the_next_ones_anew(config, tmp_path):
+    output = tmp_path / "c.gpkg"
+    first = built(config, output, bbox=BBOX, workers=1)
+    config.write_text(CONFIG + "\n[select]\npercentile = 50.0\n")
+    second = built(config, output, bbox=BBOX, workers=1)
+    done = {account.name: account.done for account in second.account.stages}
+    assert done["render"] == 0
+    assert done["select"] == 1
+    assert done["check"] > 0
+    # what no settings lead to any more is gone
+    for name in ("render", "select", "check"):
+        assert len(list(second.work.glob(f"{name}-*"))) == 1
+    assert first.work == second.work
+
+
+def test_another_bbox_is_another_build(config, tmp_path):
+    output = tmp_path / "c.gpkg"
+    first = built(config, output, bbox=BBOX, workers=1)
+    west, south, east, north = BBOX
+    second = built(config, output, bbox=(west, south, east - 2.0, north), workers=1)
+    assert second.points < first.points
+    assert second.digest != first.digest
+
+
+def test_a_copy_of_the_model_elsewhere_gives_the_same_content(config, digest, tmp_path):
+    from catalog.config import resource
+
+    copy = tmp_path / "elsewhere" / "tycho_gld100_256ppd.tif"
+    copy.parent.mkdir()
+    copy.write_bytes(resource("data/tycho_gld100_256ppd.tif").read_bytes())
+    config.write_text(CONFIG.replace("bundled:tycho", "elsewhere/tycho"))
+    assert built(config, tmp_path / "c.gpkg", bbox=BBOX, workers=1).digest == digest
+
+
+def test_a_bbox_without_ground_is_refused_before_any_work(config, tmp_path):
+    with pytest.raises(DataError, match=r"--bbox 100,0,110,10 .*tycho_gld100_256ppd.tif covers"):
+        run(config, output=tmp_path / "c.gpkg", bbox=(100.0, 0.0, 110.0, 10.0), workers=1)
+    assert not (tmp_path / "c.gpkg").exists()
+
+
+def test_ground_too_small_for_a_patch_ends_with_nothing_done(config, dems, tmp_path):
+    values, affine = dems.rough_region(40)
+    dems.write(tmp_path / "tiny.tif", values, affine=affine)
+    config.write_text('[body]\nname = "moon"\n[[dem]]\npath = "tiny.tif"\n')
+    with pytest.raises(NothingToDoError) as caught:
+        run(config, output=tmp_path / "c.gpkg", workers=1)
+    assert caught.value.exit_code == 4
+
+
+def test_ground_without_relief_gives_no_usable_point(config, dems, tmp_path):
+    affine = dems.rough_region(400)[1]
+    flat = np.full((400, 400), 100.0, dtype=np.float32)
+    dems.write(tmp_path / "flat.tif", flat, affine=affine)
+    config.write_text(
+        CONFIG.replace("bundled:tycho_gld100_256ppd.tif", "flat.tif").replace(
+            "[pyramid]", 'units = "m"\n[pyramid]'
+        )
+    )
+    with pytest.raises(NothingToDoError):
+        run(config, output=tmp_path / "c.gpkg", bbox=(19.0, 9.0, 21.0, 11.0), workers=1)
+
+
+def test_patches_wider_than_the_body_are_refused(config, tmp_path):
+    config.write_text(CONFIG.replace("levels = 3", "levels = 8").replace("474.0", "4740.0"))
+    with pytest.raises(ConfigError, match=r"\[pyramid\] the coarsest patch"):
+        run(config, output=tmp_path / "c.gpkg", bbox=BBOX, workers=1)
+
+
+def test_wrong_calls_are_refused(config, tmp_path):
+    with pytest.raises(UsageError, match="-o"):
+        run(config, tmp_path / "work")
+    with pytest.raises(UsageError, match="--work"):
+        run(config, stages=["render"])
+    with pytest.raises(UsageError, match="--workers 0"):
+        run(config, output=tmp_path / "c.gpkg", workers=0)
+
+
+def test_a_work_folder_of_someone_else_is_refused(config, tmp_path):
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="not a work folder of optnav"):
+        run(config, tmp_path / "work", output=tmp_path / "c.gpkg", bbox=BBOX)
+
+
+class Counting:
+    """Progress that remembers what was shown."""
+
+    def __init__(self):
+        self.shown = {}
+
+    @contextmanager
+    def stage(self, name, total, unit):
+        self.now = self.shown[name] = [0, total]
+        yield self
+
+    def advance(self, n=1, note=""):
+        self.now[0] += n
+
+    keep = advance
+
+
+def test_progress_of_every_stage_reaches_its_total(config, tmp_path):
+    progress = Counting()
+    built(config, tmp_path / "c.gpkg", bbox=BBOX, workers=1, progress=progress)
+    assert set(progress.shown) >= {"render", "select", "check", "write"}
+    for name, (done, total) in progress.shown.items():
+        assert done == total, name
+
+
+def test_keys_change_with_the_code_that_makes_the_results():
+    assert code_key.__wrapped__() == code_key.__wrapped__()
+    assert len(code_key()) == 64

@@ -1,0 +1,86 @@
+"""Results of chunks: made once, found again, and handed over so that a kill cannot jam the way."""
+
+import os
+import pickle
+import select
+import socket
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from catalog.jobs import chunks
+from catalog.jobs.chunks import ChunkResults
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workers import SerialWorkers, workers_of
+from catalog.jobs.workspace import Workspace
+from catalog.progress import SilentProgress
+
+
+class Thing(msgspec.Struct):
+    cell: int
+    noise: bytes = b""
+
+
+def things(context, chunk):
+    return [Thing(cell, os.urandom(context)) for cell in chunk]
+
+
+@pytest.fixture
+def results(tmp_path):
+    return ChunkResults(Workspace(tmp_path / "work"), "render", "key", Thing)
+
+
+def made(results, chunks, workers, noise=0):
+    account = StageAccount("render")
+    with SilentProgress().stage("render", 1, "cell") as shown:
+        positions = list(results.make(things, noise, chunks, workers, account, shown))
+    return positions, account
+
+
+def test_every_chunk_is_made_once(results):
+    chunks = [[1, 2], [3], [4, 5]]
+    positions, account = made(results, chunks[:2], SerialWorkers())
+    assert (positions, account.done, account.kept) == ([0, 1], 2, 0)
+    positions, account = made(results, chunks, SerialWorkers())
+    assert (positions, account.done, account.kept) == ([0, 1, 2], 1, 2)
+    assert [thing.cell for thing in results.all_records(3)] == [1, 2, 3, 4, 5]
+
+
+def test_a_chunk_that_is_missing_is_told(results):
+    made(results, [[1], [2]], SerialWorkers())
+    results.workspace.path(results.name(0)).unlink()
+    assert results.all_records(2) is None
+
+
+def test_worker_processes_hand_over_the_same(results):
+    workers = workers_of(2)
+    try:
+        positions, account = made(results, [[cell] for cell in range(6)], workers)
+    finally:
+        workers.close()
+    assert sorted(positions) == list(range(6))
+    assert account.done == 6
+    assert account.workers_cpu_s > 0.0
+    assert [thing.cell for thing in results.all_records(6)] == list(range(6))
+
+
+def test_an_answer_through_a_pipe_is_too_short_to_be_torn_by_a_kill(results, monkeypatch):
+    # as in a worker process whose parent coordinates
+    monkeypatch.setattr(
+        chunks.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
+    )
+    here = (socket.gethostname(), os.getpid())
+    answer = chunks._made(things, results.workspace, here, 10**6, (results.name(0), [7]))
+    assert len(pickle.dumps(answer)) < select.PIPE_BUF / 2
+    assert [thing.cell for thing in results.records(0)] == [7]
+
+
+def test_a_worker_elsewhere_answers_with_the_bytes_and_writes_nothing(results, monkeypatch):
+    monkeypatch.setattr(
+        chunks.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
+    )
+    elsewhere = ("another-machine", os.getpid())
+    data, _ = chunks._made(things, results.workspace, elsewhere, 100, (results.name(0), [7]))
+    assert data is not None
+    assert results.records(0) is None

@@ -1,0 +1,43 @@
+"""A worker that would do the work otherwise says what differs."""
+
+import os
+import re
+
+import pytest
+
+from catalog.jobs.cluster_node import needs_of, unfit
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"code": "0" * 64}, "runs other code of optnav"),
+        ({"files": {"/no/such/dem.tif": (1, "")}}, "/no/such/dem.tif: cannot be read there"),
+    ],
+)
+def test_a_worker_that_is_not_fit_says_why(change, reason):
+    needs = needs_of([])
+    assert unfit(needs) is None
+    assert reason in (unfit({**needs, **change}) or "")
+
+
+def test_a_worker_with_other_libraries_is_not_fit():
+    needs = needs_of([])
+    needs["surroundings"] = tuple(
+        (name, "1.0" if name == "numpy" else found) for name, found in needs["surroundings"]
+    )
+    assert re.match(r"has numpy [2-9].*, the build 1\.0:", unfit(needs) or "")
+
+
+@pytest.mark.parametrize("change", [b"short", b"longer than it was before", None])
+def test_a_file_of_other_content_is_told_by_its_path(tmp_path, change):
+    path = tmp_path / "dem.tif"
+    path.write_bytes(b"0" * 300_000)
+    needs = needs_of([path])
+    os.utime(path, (1, 1))  # copies have other dates
+    assert unfit(needs) is None
+    data = bytearray(b"0" * 300_000) if change is None else change
+    if change is None:
+        data[150_000:160_000] = b"1" * 10_000
+    path.write_bytes(data)
+    assert (unfit(needs) or "").startswith(f"{path}: is another file there")

@@ -1,0 +1,118 @@
+"""The pose tables of ISIS cubes."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import sun_direction_inertial
+from catalog.bodies.rotation import body_from_inertial
+from catalog.errors import DataError
+from catalog.geometry.latlon import latlon_from_xyz
+from optnav_cli.frames.isis_cube import parse_label, read_cube_label, read_cube_pose
+
+CUBE = "apollo15/AS15-M-0297_crop.cub"
+
+
+def test_the_label_is_read_with_lists_units_and_broken_words(
+    shared_data: Callable[[str], Path],
+) -> None:
+    label = read_cube_label(shared_data(CUBE))
+    code = label.find("Code")
+    assert code is not None
+    assert code.number("SpacecraftAltitude") == 115978.0
+    table = label.find("Table", Name="BodyRotation")
+    assert table is not None
+    assert len(table.numbers("ConstantRotation")) == 9
+    kernels = label.find("Kernels")
+    assert kernels is not None
+    # "...apollo15_metric_v2.0001.-" and "ti" stand on two lines
+    assert kernels.text("Instrument").endswith("apollo15_metric_v2.0001.ti")
+
+
+def test_the_spacecraft_is_where_the_mission_says(shared_data: Callable[[str], Path]) -> None:
+    """The label's altitude, 115 978 m, is a radar one above relief of -2 to +6 km."""
+    pose = read_cube_pose(shared_data(CUBE))
+    lat, lon, radius = latlon_from_xyz(pose.position_m)
+    assert radius - 1737400.0 == pytest.approx(115978.0, abs=6000.0)
+    # in the middle of the farside crop: 8-30 S, 130-156 E
+    assert np.degrees(lat) == pytest.approx(-20.8, abs=0.1)
+    assert np.degrees(lon) == pytest.approx(144.8, abs=0.1)
+    assert pose.utc == "1971-07-31T01:25:02.243"
+
+
+def test_the_camera_looks_down_along_its_minus_z(shared_data: Callable[[str], Path]) -> None:
+    """The label calls the observation "Nadir"; the first-guess tilt is a third of a degree."""
+    pose = read_cube_pose(shared_data(CUBE))
+    boresight_body = pose.isis_from_body.inv().apply([0.0, 0.0, -1.0])
+    down = -pose.position_m / np.linalg.norm(pose.position_m)
+    assert np.degrees(np.arccos(boresight_body @ down)) < 0.5
+
+
+def test_the_body_rotation_is_the_lunar_one(shared_data: Callable[[str], Path]) -> None:
+    """ISIS used DE403 and the Mean Earth frame; the series may differ by 155 m at the surface."""
+    pose = read_cube_pose(shared_data(CUBE))
+    ours = body_from_inertial(load_body("moon"), pose.tdb_s)
+    difference = ours @ pose.body_from_inertial.as_matrix().T
+    angle = np.linalg.norm(difference - difference.T) / 8**0.5
+    assert angle * 1737400.0 < 155.0
+
+
+def test_the_sun_is_the_one_of_our_theory(shared_data: Callable[[str], Path]) -> None:
+    """Same inertial direction to 0.1 arcsec: the table holds the apparent Sun."""
+    pose = read_cube_pose(shared_data(CUBE))
+    theirs = pose.body_from_inertial.inv().apply(pose.sun_body)
+    ours = sun_direction_inertial(load_body("moon"), pose.tdb_s)
+    assert np.degrees(np.linalg.norm(np.cross(ours, theirs))) * 3600.0 < 0.1
+    up = pose.position_m / np.linalg.norm(pose.position_m)
+    assert np.degrees(np.arcsin(pose.sun_body @ up)) == pytest.approx(22.2, abs=0.1)
+
+
+def test_a_cube_without_pose_says_what_to_do(shared_data: Callable[[str], Path]) -> None:
+    with pytest.raises(DataError, match="no table BodyRotation; run spiceinit"):
+        read_cube_pose(shared_data("moon/gld100_lola_reduced.cub"))
+
+
+def test_a_truncated_cube_is_refused(shared_data: Callable[[str], Path], tmp_path: Path) -> None:
+    raw = shared_data(CUBE).read_bytes()
+    path = tmp_path / "cut.cub"
+    for size in (1117600, 900):
+        path.write_bytes(raw[:size])
+        with pytest.raises(DataError, match=r"cut\.cub"):
+            read_cube_pose(path)
+
+
+def test_what_is_no_cube_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.cub"
+    path.write_bytes(b"\x00" * 70000)
+    with pytest.raises(DataError, match="not an ISIS cube"):
+        read_cube_pose(path)
+    with pytest.raises(DataError, match="cannot be read"):
+        read_cube_pose(tmp_path / "none.cub")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("Object = A\n", "does not end"),
+        ("End_Group\n", "ends nothing"),
+        ("Group = A\n B\nEnd_Group\n", "'B' has no value"),
+        ("A = (1, 2", "list does not end"),
+        ("A =", "breaks off"),
+    ],
+)
+def test_a_damaged_label_is_refused(text: str, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        parse_label(text)
+
+
+def test_values_of_the_wrong_kind_are_named() -> None:
+    label = parse_label("Group = G\n  A = (1, x)\n  B = word\nEnd_Group\nEnd\n")
+    group = label.find("G")
+    assert group is not None
+    assert label.find("H") is None
+    for read in (lambda: group.numbers("A"), lambda: group.number("B"), lambda: group.text("A")):
+        with pytest.raises(DataError, match="Group G"):
+            read()

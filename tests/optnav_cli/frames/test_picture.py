@@ -1,0 +1,127 @@
+"""Picture files."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+
+from catalog.errors import DataError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.picture import load_picture
+
+CAMERA = Camera("test", "pinhole", 200, 160, 300.0, (99.5, 79.5))
+
+
+def content(dtype: type = np.uint8, high: int = 250) -> np.ndarray:
+    return np.random.default_rng(4).integers(1, high, CAMERA.shape).astype(dtype)
+
+
+def saved(path: Path, values: np.ndarray) -> Path:
+    assert cv2.imwrite(str(path), values)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "pgm"])
+@pytest.mark.parametrize(
+    ("dtype", "high", "top"), [(np.uint8, 250, 255.0), (np.uint16, 60000, 65535.0)]
+)
+def test_grey_pictures_of_8_and_16_bit_read_as_written(
+    suffix: str, dtype: type, high: int, top: float, tmp_path: Path
+) -> None:
+    values = content(dtype, high)
+    picture = load_picture(saved(tmp_path / f"a.{suffix}", values), CAMERA)
+    assert picture.values.dtype == np.float32
+    np.testing.assert_array_equal(picture.values, values)
+    assert picture.saturation == top
+
+
+def test_a_float_tiff_has_no_saturation(tmp_path: Path) -> None:
+    values = content().astype(np.float32) / 7.0
+    path = tmp_path / "a.tif"
+    profile = {"driver": "GTiff", "width": 200, "height": 160, "count": 1, "dtype": "float32"}
+    with (
+        pytest.warns(rasterio.errors.NotGeoreferencedWarning),
+        rasterio.open(path, "w", **profile) as file,
+    ):
+        file.write(values, 1)
+    picture = load_picture(path, CAMERA)
+    np.testing.assert_array_equal(picture.values, values)
+    assert picture.saturation is None
+
+
+def refused(path: Path, message: str) -> None:
+    with pytest.raises(DataError, match=message) as caught:
+        load_picture(path, CAMERA)
+    assert path.name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_or_empty_file_is_named(tmp_path: Path) -> None:
+    refused(tmp_path / "none.png", "no such picture")
+    (tmp_path / "empty.png").touch()
+    refused(tmp_path / "empty.png", "empty file")
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "pgm"])
+@pytest.mark.parametrize("share", [0.9, 0.5, 0.01])
+def test_a_truncated_picture_is_refused_and_not_filled_up(
+    suffix: str, share: float, tmp_path: Path
+) -> None:
+    path = saved(tmp_path / f"a.{suffix}", content())
+    raw = path.read_bytes()
+    path.write_bytes(raw[: int(len(raw) * share)])
+    refused(path, "broken")
+
+
+def test_a_flipped_bit_in_a_png_is_found(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.png", content())
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 4
+    path.write_bytes(raw)
+    refused(path, "broken: wrong checksum")
+
+
+def test_a_text_named_png_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    path.write_text("this is not a picture")
+    refused(path, "broken or of no known kind")
+
+
+def test_a_picture_of_another_size_names_both_sizes(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.png", content()[:, :100])
+    refused(path, "100 x 160; camera 'test' takes 200 x 160")
+    # the transposed picture has the right number of pixels
+    refused(saved(tmp_path / "b.png", content().T.copy()), "160 x 200")
+
+
+def test_colour_is_refused(tmp_path: Path) -> None:
+    grey = content()
+    refused(saved(tmp_path / "a.png", np.dstack([grey] * 3)), "colour")
+    refused(saved(tmp_path / "b.png", np.dstack([grey] * 4)), "colour")
+
+
+@pytest.mark.parametrize(
+    ("value", "message"), [(0, "all black"), (255, "all white"), (90, "same value, 90")]
+)
+def test_a_picture_without_content_is_refused(value: int, message: str, tmp_path: Path) -> None:
+    refused(saved(tmp_path / "a.png", np.full(CAMERA.shape, value, np.uint8)), message)
+
+
+def test_a_picture_with_nan_is_refused(tmp_path: Path) -> None:
+    values = content().astype(np.float32)
+    values[3, 4] = np.nan
+    refused(saved(tmp_path / "a.tif", values), "not finite")
+
+
+def test_the_apollo_frame_and_its_cube_read(shared_data: Callable[[str], Path]) -> None:
+    frame = Camera("metric", "pinhole", 1012, 1012, 673.3, (505.5, 505.5))
+    crop = Camera("crop", "pinhole", 500, 500, 673.3, (0.0, 0.0))
+    png = load_picture(shared_data("apollo15/AS15-M-0297_SML.png"), frame)
+    assert png.saturation == 255.0
+    # the digital count of the scan is a 16-bit one, stored as real numbers
+    cube = load_picture(shared_data("apollo15/AS15-M-0297_crop.cub"), crop)
+    assert cube.saturation is None
+    assert 2e4 < float(np.median(cube.values)) < 2.2e4

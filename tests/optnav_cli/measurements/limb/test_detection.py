@@ -1,0 +1,193 @@
+"""The limb in pictures of drawn discs, whose true edge is known to the last digit."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.errors import NoSolutionError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.limb.detection import find_limb
+from optnav_cli.measurements.limb.sun_check import doubt_of_sun, sun_side_angle
+from tests.optnav_cli.conftest import pixel_grid
+from tests.optnav_cli.measurements.disc.drawn_discs import (
+    RADIUS_M,
+    blurred_disc,
+    disc_distance,
+    expose,
+    far_camera,
+    sun_at_phase,
+)
+
+
+def scene(radius_px, phase_deg, law="hapke", blur_px=0.8, seed=0, size_px=None, middle=None):
+    """A camera, the body's centre, the Sun and the mean light of a disc near the middle."""
+    rng = np.random.default_rng(seed)
+    camera = far_camera(size_px or int(2 * radius_px + 60))
+    shift = rng.uniform(-0.5, 0.5, 2) if middle is None else np.array(middle)
+    axis = np.append(shift / camera.focal_length_px, 1.0)
+    centre = disc_distance(camera, radius_px) * axis / np.linalg.norm(axis)
+    sun = sun_at_phase(centre, phase_deg, rng.uniform(0.0, 360.0))
+    return camera, centre, sun, blurred_disc(camera, centre, sun, law, blur_px), rng
+
+
+def outward_px(camera, centre, limb):
+    """How far points lie outside the true limb, px."""
+    rays = camera.unproject(limb.pixels)
+    distance = np.linalg.norm(centre)
+    axis = centre / distance
+    off = np.arctan2(np.linalg.norm(np.cross(rays, axis), axis=1), rays @ axis)
+    return (np.tan(off) - np.tan(np.arcsin(RADIUS_M / distance))) * camera.focal_length_px
+
+
+@pytest.mark.parametrize(
+    ("radius_px", "phase_deg", "law", "blur_px"),
+    [
+        (40, 60, "lommel_seeliger", 1.0),
+        (40, 60, "hapke", 0.5),
+        (100, 20, "hapke", 0.8),
+        (100, 110, "hapke", 0.8),
+        (100, 60, "lommel_seeliger", 1.2),
+    ],
+)
+def test_edges_are_unbiased_and_their_sigmas_honest(radius_px, phase_deg, law, blur_px):
+    """A plain step would be off by 0.1 px and more; 0.02 px is 0.03 % of range at 40 000 km."""
+    camera, centre, sun, light, rng = scene(radius_px, phase_deg, law, blur_px)
+    limb = find_limb(expose(light, 50.0, rng), camera, sun, saturation=255.0)
+    outward = outward_px(camera, centre, limb)
+    weight = limb.sigma_px**-2
+    assert abs(weight @ outward / weight.sum()) < 0.02
+    assert 0.5 < np.mean(((outward - outward.mean()) / limb.sigma_px) ** 2) < 2.0
+    assert limb.blur_px == pytest.approx(np.hypot(blur_px, 12**-0.5), abs=0.04)
+    assert len(limb) > 2.0 * radius_px
+    assert not limb.cut_by_frame
+
+
+def test_a_small_disc_has_edges_within_their_stated_common_error():
+    """Eight pixels of radius: blur and law cannot be told apart well, and the sigma says so."""
+    shares = []
+    for seed in range(6):
+        camera, centre, sun, light, rng = scene(8, 50, seed=seed)
+        limb = find_limb(expose(light, 50.0, rng), camera, sun, saturation=255.0)
+        outward = outward_px(camera, centre, limb)
+        shares.append(outward.mean() / limb.common_sigma_px)
+    assert np.sqrt(np.mean(np.square(shares))) < 2.0
+    assert np.max(np.abs(outward)) < 0.5
+
+
+def test_the_normals_point_at_the_body_and_the_cone_is_the_true_one():
+    camera, centre, sun, light, rng = scene(40, 40)
+    limb = find_limb(expose(light, 50.0, rng), camera, sun)
+    towards = camera.project(centre) - limb.pixels
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    assert ((towards * limb.inward).sum(axis=1) > 0.999).all()
+    away = np.arccos(limb.cone_axis_camera @ centre / np.linalg.norm(centre))
+    assert away * camera.focal_length_px < 0.1
+    angle = np.arcsin(RADIUS_M / np.linalg.norm(centre))
+    assert limb.cone_angle == pytest.approx(angle, rel=0.003)
+
+
+def test_rods_stars_and_hot_pixels_do_not_move_the_limb():
+    camera, centre, sun, light, rng = scene(60, 70)
+    picture = expose(light, 50.0, rng)
+    cv2.line(picture, (0, 40), (179, 70), 150.0, 5)
+    cv2.line(picture, (60, 0), (20, 179), 0.0, 5)
+    for x, y in rng.integers(2, 178, (25, 2)):
+        picture[y, x] = 200.0
+    limb = find_limb(picture, camera, sun, saturation=255.0)
+    outward = outward_px(camera, centre, limb)
+    assert abs(np.median(outward)) < 0.03
+    assert np.mean(np.abs(outward) < 0.3) > 0.9
+
+
+def test_a_fisheye_s_limb_beyond_its_axis_is_a_cone():
+    """An even disc, 60 deg of half angle and 25 deg off the axis, in an equidistant lens."""
+    camera = Camera("wide", "equidistant", 400, 400, 120.0, (199.5, 199.5))
+    axis = np.array([np.sin(0.43), 0.1, np.cos(0.43)])
+    axis /= np.linalg.norm(axis)
+    fine = (np.arange(1600) + 0.5) / 4 - 0.5
+    rays = camera.unproject(np.stack(np.meshgrid(fine, fine), axis=-1))
+    body = (rays @ axis > np.cos(np.radians(60.0))).astype(np.float32) * 180.0
+    picture = cv2.resize(cv2.GaussianBlur(body, (0, 0), 3.2), (400, 400), None, 0, 0, 3)
+    limb = find_limb(picture + 3.0, camera, None)
+    assert limb.arc_deg > 330.0
+    assert np.degrees(limb.cone_angle) == pytest.approx(60.0, abs=0.02)
+    assert np.degrees(np.arccos(min(limb.cone_axis_camera @ axis, 1.0))) < 0.02
+
+
+def stars(size_px, rng):
+    picture = np.zeros((size_px, size_px))
+    for x, y in rng.integers(5, size_px - 5, (40, 2)):
+        picture[y, x] = rng.uniform(200.0, 3000.0)
+    return cv2.GaussianBlur(picture, (0, 0), 0.9)
+
+
+def counts(picture, rng):
+    return np.clip(np.rint(picture + rng.normal(3.0, 0.8, picture.shape)), 0, 255).astype(
+        np.float32
+    )
+
+
+def test_a_picture_without_a_limb_says_why():
+    rng = np.random.default_rng(1)
+    camera, _, sun, light, _ = scene(60, 70, size_px=340)
+    grown = light / np.quantile(light[light > 0], 0.95) * 180.0
+    with pytest.raises(NoSolutionError, match="no body in the picture"):
+        find_limb(counts(np.zeros((340, 340)), rng), camera, sun)
+    with pytest.raises(NoSolutionError, match="stars or a disc too small"):
+        find_limb(counts(stars(340, rng), rng), camera, sun)
+    ground = cv2.GaussianBlur(rng.normal(120.0, 200.0, (340, 340)), (0, 0), 3.0)
+    with pytest.raises(NoSolutionError, match="body fills the picture"):
+        find_limb(counts(np.maximum(ground, 40.0), rng), camera, sun)
+    with pytest.raises(NoSolutionError, match="saturated"):
+        find_limb(counts(grown * 40.0, rng), camera, sun, saturation=255.0)
+    two = grown + np.roll(grown, (95, 95), axis=(0, 1))
+    with pytest.raises(NoSolutionError, match="two bodies"):
+        find_limb(counts(two, rng), camera, sun)
+
+
+def test_the_terminator_alone_is_no_limb():
+    """A half disc whose lit limb lies outside the picture."""
+    rng = np.random.default_rng(2)
+    camera, centre, _, _, _ = scene(150, 90, size_px=200, middle=(40.0, 0.0))
+    sun = np.array([centre[2], 0.0, -centre[0]]) / np.linalg.norm(centre)
+    light = blurred_disc(camera, centre, sun, "hapke", 0.8)
+    assert light[:, -40:].mean() > 100.0 * light[:, :40].mean()
+    with pytest.raises(NoSolutionError, match=r"no lit limb|no limb|lit limb in view"):
+        find_limb(counts(light / light.max() * 180.0, rng), camera, sun)
+
+
+def test_structure_over_half_of_the_limb_is_told():
+    camera, _, sun, light, rng = scene(60, 70)
+    picture = expose(light, 50.0, rng)
+    limb = find_limb(picture, camera, sun)
+    middle = limb.pixels.mean(axis=0)
+    across = np.array([-limb.inward.mean(axis=0)[1], limb.inward.mean(axis=0)[0]])
+    side = (pixel_grid(camera) - middle) @ across > 0.0
+    picture[side] = 3.0
+    with pytest.raises(NoSolutionError, match="covers the rest"):
+        find_limb(picture, camera, sun)
+
+
+@pytest.mark.parametrize("phase_deg", [30, 70, 110])
+def test_the_lit_side_tells_where_the_sun_is_not(phase_deg):
+    camera, centre, sun, light, rng = scene(60, phase_deg)
+    limb = find_limb(expose(light, 50.0, rng), camera, None)
+    rays = camera.unproject(limb.pixels)
+    assert doubt_of_sun(limb, camera, sun) == ""
+    for turn in (-40.0, 90.0, 180.0):
+        other = Rotation.from_rotvec(np.radians(turn) * centre / np.linalg.norm(centre)).apply(sun)
+        side = sun_side_angle(limb, rays, other)
+        assert side.angle == pytest.approx(np.radians(abs(turn)), abs=side.sigma)
+        assert "from where attitude and time put the Sun" in doubt_of_sun(limb, camera, other)
+    # with the Sun behind the camera no side is the lit one, but then all of the disc is lit
+    back = -centre / np.linalg.norm(centre)
+    doubt = doubt_of_sun(limb, camera, back)
+    assert ("of the disc is lit, and 100 % should be" in doubt) == (phase_deg > 45)
+
+
+def test_the_wrong_sun_gives_no_limb():
+    camera, centre, sun, light, rng = scene(60, 70)
+    half = Rotation.from_rotvec(np.pi * centre / np.linalg.norm(centre))
+    with pytest.raises(NoSolutionError, match="no lit limb where the Sun claims it"):
+        find_limb(expose(light, 50.0, rng), camera, half.apply(sun))

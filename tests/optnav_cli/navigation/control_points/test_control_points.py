@@ -1,0 +1,263 @@
+"""Navigation on pictures of ground that is richer than the control points know.
+
+The truth must lie inside the stated covariance; and whatever is no picture of this ground, under
+this Sun, from near the prior, must never be solved.
+"""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+from catalog.correlation.ncc import match_ncc
+from catalog.correlation.surf64 import match_surf
+from catalog.errors import DataError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.resection import Pose
+from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.navigation.control_points.method import UnsolvedFrameError, navigate
+from optnav_cli.navigation.control_points.solve import Prior
+from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, SolveSettings
+
+SETTINGS = NavigateSettings(
+    match=MatchSettings(template_nodes=48), solve=SolveSettings(free_attitude_deg=0.2)
+)
+ARCSEC = np.pi / 648000.0
+SUN = (30.0, 65.0)
+PRIOR_SIGMA_M = 1000.0
+
+
+@pytest.fixture(scope="session")
+def scene(rough_world):
+    """A picture with its true pose and Sun."""
+    pose = rough_world.pose(100e3, roll=0.3, tilt=(0.01, -0.008))
+    sun = rough_world.sun(*SUN)
+    return rough_world.picture(pose, sun, noise_seed=4), pose, sun
+
+
+def solve(world, field, picture, pose, sun, *, seed=1, sigma=0.0, attitude=None, **changes):
+    """Navigate from a prior that is off by its sigma."""
+    rng = np.random.default_rng(seed)
+    believed = Pose(
+        pose.position_m + rng.normal(0.0, PRIOR_SIGMA_M, 3), attitude or pose.camera_from_body
+    )
+    prior = Prior.even(believed, PRIOR_SIGMA_M, sigma)
+    options = {"camera": world.camera, "settings": SETTINGS, "matcher": match_ncc} | changes
+    return navigate(PicturePyramid(picture), prior=prior, sun_body=sun, points=field, **options)
+
+
+def mahalanobis(fix, truth):
+    resection = fix.solution.resection
+    error = resection.pose.position_m - truth.position_m
+    return float(np.sqrt(error @ np.linalg.solve(resection.position_covariance_m2, error)))
+
+
+@pytest.mark.parametrize("matcher", [match_ncc, match_surf])
+def test_with_an_exact_attitude_the_truth_lies_inside_four_sigma(
+    rough_world, field_of, scene, matcher
+):
+    picture, pose, sun = scene
+    fix = solve(rough_world, field_of(rough_world), picture, pose, sun, matcher=matcher)
+    assert mahalanobis(fix, pose) < 4.0
+    assert np.linalg.norm(fix.solution.resection.pose.position_m - pose.position_m) < 30.0
+    used = [point for point in fix.tried if point.used]
+    assert len(used) >= 0.9 * len(fix.tried) >= 12
+    assert np.sqrt(np.mean([point.residual_px**2 for point in used])) < 0.15
+
+
+def test_with_ten_arc_seconds_of_attitude_noise_the_truth_lies_inside_four_sigma(
+    rough_world, field_of, scene
+):
+    picture, pose, sun = scene
+    field = field_of(rough_world)
+    for seed in range(4):
+        turn = np.random.default_rng(seed).normal(0.0, 10.0 * ARCSEC, 3)
+        attitude = Rotation.from_rotvec(turn) * pose.camera_from_body
+        fix = solve(
+            rough_world, field, picture, pose, sun, seed=seed, sigma=10 * ARCSEC, attitude=attitude
+        )
+        assert mahalanobis(fix, pose) < 4.0
+        stated = np.sqrt(np.trace(fix.solution.resection.position_covariance_m2))
+        # 10" at 100 km are 4.8 m across on each of two axes
+        assert 6.0 < stated < 60.0
+
+
+def test_a_poorly_known_roll_does_not_break_the_consensus(rough_world, field_of, scene):
+    """0.3 degrees of roll move the picture's rim by 1.9 px: far beyond a match's own error."""
+    picture, pose, sun = scene
+    turn = Rotation.from_rotvec(np.radians([0.02, -0.03, 0.3]))
+    fix = solve(
+        rough_world,
+        field_of(rough_world),
+        picture,
+        pose,
+        sun,
+        sigma=np.radians(0.2),
+        attitude=turn * pose.camera_from_body,
+    )
+    assert mahalanobis(fix, pose) < 4.0
+    assert sum(point.used for point in fix.tried) >= 0.9 * len(fix.tried)
+
+
+def test_with_a_free_attitude_position_and_attitude_are_found(rough_world, field_of, scene):
+    picture, pose, sun = scene
+    turn = Rotation.from_rotvec(np.radians([0.15, -0.2, 0.2]))
+    fix = solve(
+        rough_world,
+        field_of(rough_world),
+        picture,
+        pose,
+        sun,
+        sigma=None,
+        attitude=turn * pose.camera_from_body,
+    )
+    assert mahalanobis(fix, pose) < 4.0
+    resection = fix.solution.resection
+    off = (resection.pose.camera_from_body * pose.camera_from_body.inv()).magnitude()
+    assert off < 4.0 * np.sqrt(3.0) * resection.attitude_sigma_rad
+    assert off < np.radians(0.1)
+
+
+def test_two_points_are_enough_when_the_attitude_is_known(rough_world, field_of, scene):
+    picture, pose, sun = scene
+    every = solve(rough_world, field_of(rough_world), picture, pose, sun)
+    ids = [point.point.id for point in every.tried if point.used]
+    pair = {ids[0], ids[-1]}
+    field = field_of(rough_world)
+    places = [k for k in range(len(field)) if field.name(k)[1] in pair]
+    few = field_of(rough_world, slice(places[0], places[1] + 1, places[1] - places[0]))
+    assert len(few) == 2
+    fix = solve(rough_world, few, picture, pose, sun)
+    assert sum(point.used for point in fix.tried) == 2
+    assert mahalanobis(fix, pose) < 4.0
+
+
+def reason(*arguments, **options):
+    with pytest.raises(UnsolvedFrameError) as caught:
+        solve(*arguments, **options)
+    assert not any(point.used for point in caught.value.tried)
+    return str(caught.value)
+
+
+def test_one_point_is_no_position(rough_world, field_of, scene):
+    picture, pose, sun = scene
+    middle = len(rough_world.control_points) // 2
+    few = field_of(rough_world, slice(middle, middle + 1))
+    assert "are needed" in reason(rough_world, few, picture, pose, sun)
+
+
+def test_three_points_are_no_position_when_the_attitude_is_free(rough_world, field_of, scene):
+    picture, pose, sun = scene
+    middle = len(rough_world.control_points) // 2
+    few = field_of(rough_world, slice(middle - 1, middle + 2))
+    assert reason(rough_world, few, picture, pose, sun, sigma=None)
+
+
+def test_a_prior_on_the_far_side_sees_no_point(rough_world, field_of, scene):
+    picture, pose, sun = scene
+    behind = Pose(-pose.position_m, pose.camera_from_body)
+    assert "no control point" in reason(rough_world, field_of(rough_world), picture, behind, sun)
+
+
+def test_a_prior_inside_the_body_is_named(rough_world, field_of, scene):
+    picture, pose, sun = scene
+    inside = Pose(pose.position_m * 0.9, pose.camera_from_body)
+    said = reason(rough_world, field_of(rough_world), picture, inside, sun)
+    assert said == "the prior position is inside the body"
+
+
+@pytest.mark.parametrize("elevation_deg", [-20.0, 1.0, 80.0])
+def test_a_sun_too_low_or_too_high_is_named(rough_world, field_of, scene, elevation_deg):
+    picture, pose, _ = scene
+    sun = rough_world.sun(elevation_deg, 65.0)
+    said = reason(rough_world, field_of(rough_world), picture, pose, sun)
+    assert "lit well: Sun elevation" in said
+    assert "wanted 5 to 60" in said
+
+
+def test_a_damaged_point_is_left_out_and_remembered(rough_world, field_of, scene):
+    picture, pose, sun = scene
+    field = field_of(rough_world)
+    store = field.layers[0].store
+    whole = store.patches
+    _, bad = field.name(len(field) // 2)
+
+    def patches(cp_id):
+        if cp_id == bad:
+            raise DataError("a checksum is wrong")
+        return whole(cp_id)
+
+    store.patches = patches
+    fix = solve(rough_world, field, picture, pose, sun)
+    assert field.damaged == {("world.gpkg", bad): "a checksum is wrong"}
+    (row,) = [point for point in fix.tried if point.point.id == bad]
+    assert not row.used
+    assert "damaged" in row.reason
+    assert mahalanobis(fix, pose) < 4.0
+
+
+@pytest.mark.parametrize("sigma", [0.0, 10.0 * ARCSEC, None])
+def test_pure_noise_is_never_solved(rough_world, field_of, scene, sigma):
+    _, pose, sun = scene
+    field = field_of(rough_world)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        noise = gaussian_filter(rng.normal(size=(512, 512)), (0.0, 1.0, 2.5, 6.0)[seed % 4])
+        picture = np.clip(128.0 + 40.0 * noise / noise.std(), 0.0, 255.0).astype(np.float32)
+        reason(rough_world, field, picture, pose, sun, seed=seed, sigma=sigma)
+
+
+@pytest.mark.parametrize("nodes", [24, 48])
+@pytest.mark.parametrize("sigma", [0.0, None])
+def test_a_picture_of_other_ground_is_never_solved(
+    rough_world, other_world, field_of, scene, sigma, nodes
+):
+    """Ground of the same kind, the same light: small templates find likenesses by the dozen."""
+    _, pose, sun = scene
+    other = other_world.picture(pose, sun)
+    field = field_of(rough_world)
+    settings = NavigateSettings(match=MatchSettings(template_nodes=nodes), solve=SETTINGS.solve)
+    for seed in range(10):
+        # a shift round the frame makes other ground of each picture
+        picture = np.roll(other, (51 * seed, 37 * seed), axis=(0, 1))
+        reason(rough_world, field, picture, pose, sun, seed=seed, sigma=sigma, settings=settings)
+
+
+WRONGS = {
+    "mirrored": lambda picture: picture[:, ::-1],
+    "upside down": lambda picture: picture[::-1],
+    "turned by 180 degrees": lambda picture: picture[::-1, ::-1],
+    "turned by 90 degrees": lambda picture: np.rot90(picture),
+    "a negative": lambda picture: 255.0 - picture,
+    "a repeated tile": lambda picture: np.tile(picture[200:264, 200:264], (8, 8)),
+}
+
+
+@pytest.mark.parametrize("wrong", list(WRONGS))
+@pytest.mark.parametrize("sigma", [0.0, None])
+def test_a_picture_changed_beyond_its_pose_is_never_solved(
+    rough_world, field_of, scene, wrong, sigma
+):
+    picture, pose, sun = scene
+    changed = np.ascontiguousarray(WRONGS[wrong](picture), dtype=np.float32)
+    reason(rough_world, field_of(rough_world), changed, pose, sun, sigma=sigma)
+
+
+@pytest.mark.parametrize("turn_deg", [90.0, 180.0, 270.0])
+def test_a_sun_from_the_wrong_side_is_never_solved(rough_world, field_of, scene, turn_deg):
+    picture, pose, _ = scene
+    sun = rough_world.sun(SUN[0], SUN[1] + turn_deg)
+    reason(rough_world, field_of(rough_world), picture, pose, sun)
+
+
+def test_a_focal_length_that_is_wrong_by_a_tenth_is_given_away_by_the_prior(
+    rough_world, field_of, scene
+):
+    """The picture fits a camera 10 km higher as well: only the prior knows better."""
+    picture, pose, sun = scene
+    camera = Camera("cam", "pinhole", 512, 512, 1100.0, (255.5, 255.5))
+    for sigma in (0.0, None):
+        said = reason(
+            rough_world, field_of(rough_world), picture, pose, sun, sigma=sigma, camera=camera
+        )
+        assert said

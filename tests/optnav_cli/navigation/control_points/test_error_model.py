@@ -1,0 +1,125 @@
+"""The errors that a correlation peak does not show: their sizes, directions and limits."""
+
+import numpy as np
+import pytest
+
+from catalog.geometry.latlon import body_from_local, xyz_from_latlon
+from optnav_cli.navigation.control_points.error_model import (
+    common_errors_px,
+    own_covariances_px2,
+    own_sigma_m,
+)
+
+RADIUS_M, POSTING_M = 1_737_400.0, 118.45
+ENU = body_from_local(-0.75, -0.2)
+FOOT = xyz_from_latlon(-0.75, -0.2, RADIUS_M)
+# one pixel a metre, looking straight down: x east, y south
+BY_GROUND = np.stack([ENU[:, 0], -ENU[:, 1]])
+
+
+def points(offsets):
+    return FOOT + np.asarray(offsets, dtype=float) @ ENU[:, :2].T
+
+
+def sun(elevation_deg, azimuth_deg=90.0):
+    e, a = np.radians([elevation_deg, azimuth_deg])
+    return ENU @ np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
+
+
+def errors(offsets, elevation_deg=30.0, score=1.0, hidden_m=0.0):
+    place = points(offsets)
+    n = len(place)
+    ground, postings = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
+    hidden = np.full(n, hidden_m)
+    return common_errors_px(
+        place, ground, np.full(n, score), sun(elevation_deg), postings, postings, hidden
+    )
+
+
+SQUARE = [(-2e4, -2e4), (2e4, -2e4), (2e4, 2e4), (-2e4, 2e4)]
+
+
+def test_a_coarser_level_has_a_larger_error_of_its_own():
+    sigmas = [own_sigma_m(POSTING_M * 2**level, POSTING_M, 30.0) for level in range(5)]
+    assert sigmas == sorted(sigmas)
+    assert own_sigma_m(0.0, POSTING_M, 30.0) > 0.0
+
+
+def test_a_lower_sun_leaves_a_larger_error_of_a_points_own():
+    sigmas = [own_sigma_m(POSTING_M, POSTING_M, elevation) for elevation in (0, 5, 10, 30, 90)]
+    assert sigmas == sorted(sigmas, reverse=True)
+    assert np.isfinite(sigmas).all()
+
+
+def test_long_shadows_move_all_points_along_the_sun_and_the_lower_the_more():
+    low, high = errors(SQUARE, 10.0)[:, :, 0], errors(SQUARE, 40.0)[:, :, 0]
+    assert np.allclose(low, low[0])
+    assert abs(low[0, 1]) < 1e-2 * abs(low[0, 0])  # the Sun stands in the east
+    ratio = np.tan(np.radians(40.0)) / np.tan(np.radians(10.0))
+    assert low[0, 0] / high[0, 0] == pytest.approx(ratio, rel=1e-3)
+
+
+def test_a_sun_on_the_horizon_has_a_finite_error():
+    assert np.isfinite(errors(SQUARE, 0.0)).all()
+
+
+def test_a_sun_overhead_has_a_finite_error():
+    assert np.isfinite(errors(SQUARE, 90.0)).all()
+
+
+def test_a_worse_score_leaves_a_larger_shift_along_and_across_the_sun():
+    good, poor = errors(SQUARE, score=1.0), errors(SQUARE, score=0.5)
+    for k in (1, 2):
+        assert np.linalg.norm(poor[0, :, k]) > 2.0 * np.linalg.norm(good[0, :, k])
+    assert abs(good[0, :, 1] @ good[0, :, 2]) < 1e-9
+
+
+def test_the_stretch_points_outward_and_has_no_net_shift():
+    stretch = errors(SQUARE)[:, :, 3]
+    assert np.allclose(stretch.mean(axis=0), 0.0, atol=1e-6)
+    outward = np.asarray(SQUARE) * [1.0, -1.0]
+    assert (np.einsum("ni,ni->n", stretch, outward) > 0.0).all()
+
+
+def test_a_single_point_has_finite_errors():
+    assert np.isfinite(errors([(0.0, 0.0)])).all()
+
+
+def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points_own():
+    known, hidden = errors(SQUARE), errors(SQUARE, hidden_m=300.0)
+    growth = np.linalg.norm(hidden, axis=1) - np.linalg.norm(known, axis=1)
+    grown = np.flatnonzero((growth > 1e-9).all(axis=0))
+    # the rise that is alike on all sides, and both shifts
+    assert {12, 15, 16} <= set(grown.tolist())
+    assert (growth > -1e-12).all()
+    place = points(SQUARE)
+    n = len(place)
+    flat = [
+        own_covariances_px2(
+            place, np.broadcast_to(BY_GROUND, (n, 2, 3)), *[np.full(n, POSTING_M)] * 2,
+            np.full(n, 30.0), np.full(n, metres),
+        )
+        for metres in (0.0, 300.0)
+    ]  # fmt: skip
+    assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()
+
+
+def test_a_view_round_the_body_stretches_what_a_coarse_level_averages():
+    place = points(SQUARE)
+    ground, finest = np.tile(BY_GROUND, (4, 1, 1)), np.full(4, POSTING_M)
+    levels = POSTING_M * np.array([1.0, 2.0, 3.0, 1.0])
+    curved = common_errors_px(
+        place, ground, np.ones(4), sun(30.0), finest, levels, np.zeros(4)
+    )[:, :, 7:10]  # fmt: skip
+    size = np.linalg.norm(curved, axis=1)
+    assert np.allclose(size[2], 2.0 * size[1])
+    # the finest level's part goes with the square of the view, and this view is small
+    assert (size[[0, 3]] > 0.0).all()
+    assert (size[[0, 3]] < 0.1 * size[1]).all()
+
+
+def test_the_pattern_moves_along_the_sun_more_than_across_it():
+    along, across = errors(SQUARE)[0, :, 15], errors(SQUARE)[0, :, 16]
+    assert abs(along @ across) < 1e-9
+    assert abs(along[1]) < 1e-2 * abs(along[0])  # the Sun stands in the east
+    assert np.linalg.norm(along) > 2.0 * np.linalg.norm(across)
