@@ -124,7 +124,7 @@ LUNAR_FRAME_ERROR_M = 1.0
 _AGREEMENT = np.radians(0.5)
 
 
-class BodyMotion(Protocol):
+class Ephemeris(Protocol):
     """Rotation of a body and the directions and places of its neighbours; times are TDB s."""
 
     @property
@@ -151,7 +151,7 @@ class BodyMotion(Protocol):
         """Geometric position (3,) of a neighbour's centre from the body's, inertial, m."""
 
 
-class AnalyticMotion:
+class AnalyticEphemeris:
     """Analytic theories: SOFA and the rotation series of the body's file."""
 
     def __init__(self, body: Body) -> None:
@@ -182,7 +182,7 @@ class AnalyticMotion:
         return position_inertial(self.body, of, tdb_s)
 
 
-class SpiceMotion:
+class SpiceEphemeris:
     """SPICE kernels. The toolkit is asked anew for every time (some 20 microseconds)."""
 
     def __init__(self, body: Body, kernels: Sequence[Path]) -> None:
@@ -191,7 +191,7 @@ class SpiceMotion:
         Raises DataError for kernels that are missing, damaged, incomplete or of another body.
         """
         self.body = body
-        self._analytic = AnalyticMotion(body)
+        self._analytic = AnalyticEphemeris(body)
         self._kernels = KernelSet(kernels)
         self._orbits = self._kernels.has_orbits
         rest = "" if self._orbits else "; the Sun by analytic theory (SOFA)"
@@ -280,9 +280,9 @@ class SpiceMotion:
             )
 
 
-def motion_of(body: Body, kernels: Sequence[Path]) -> BodyMotion:
+def motion_of(body: Body, kernels: Sequence[Path]) -> Ephemeris:
     """By the kernels where any are named, else by theory. Raises DataError as SpiceMotion does."""
-    return SpiceMotion(body, kernels) if kernels else AnalyticMotion(body)
+    return SpiceEphemeris(body, kernels) if kernels else AnalyticEphemeris(body)
 
 
 def _middle(span: tuple[float, float] | None, otherwise: float) -> float:

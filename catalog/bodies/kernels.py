@@ -21,7 +21,7 @@ from catalog.errors import DataError
 Span = tuple[float, float]
 
 INERTIAL = "J2000"  # SPICE's name of the ICRF axes
-_LONGEST_PATH = 255  # of the toolkit
+_MAX_PATH = 255  # of the toolkit
 _MAX_OBJECTS = 10_000
 _MAX_INTERVALS = 10_000
 _RECORD_BYTES = 1024
@@ -157,8 +157,8 @@ def _toolkit() -> ModuleType:
 
 def _check_file(path: Path) -> None:
     """Refuse what is no kernel or cut short: the toolkit itself loads both without a word."""
-    if len(str(path)) > _LONGEST_PATH:
-        raise DataError(f"{path}: the path is longer than the {_LONGEST_PATH} letters of SPICE")
+    if len(str(path)) > _MAX_PATH:
+        raise DataError(f"{path}: the path is longer than the {_MAX_PATH} letters of SPICE")
     try:
         with path.open("rb") as file:
             head = file.read(_RECORD_BYTES)

@@ -16,7 +16,7 @@ from catalog.build.check import CheckedPoint
 from catalog.build.config import BuildConfig, load_build_config
 from catalog.build.context import DemRecord
 from catalog.build.ingest import Bbox, MeshRecord
-from catalog.build.inputs import World, settle_world
+from catalog.build.inputs import BuildInputs, prepare_inputs
 from catalog.build.relief import stored_relief
 from catalog.build.render import RenderedCell
 from catalog.build.select import SelectedCell
@@ -132,7 +132,7 @@ class _Build:
         """All wanted stages in order; a stage whose forerunner is not done is refused."""
         report = BuildReport(self.workspace.folder, self.account)
         with self._stage("ingest") as stage:  # every run begins with it
-            world = settle_world(
+            world = prepare_inputs(
                 self.workspace,
                 self.config,
                 self.config_path,
@@ -176,14 +176,14 @@ class _Build:
         data = msgspec.json.format(msgspec.json.encode(self.account), indent=2)
         self.workspace.put(usage.FILE, data)
 
-    def _results(self, world: World, stage: str, type_: type[Any]) -> ChunkResults:
+    def _results(self, world: BuildInputs, stage: str, type_: type[Any]) -> ChunkResults:
         return ChunkResults(self.workspace, stage, world.keys[stage], type_)
 
     def _run_chunks(
         self,
         results: ChunkResults,
         function: Callable[[Any, Any], Sequence[msgspec.Struct]],
-        world: World,
+        world: BuildInputs,
         chunks: Sequence[Sequence[Any]],
         stage: StageAccount,
     ) -> None:
@@ -192,7 +192,7 @@ class _Build:
                 pass
         self.workspace.keep_only(stage.name, {results.key})
 
-    def _select(self, world: World, rendered: ChunkResults, stage: StageAccount) -> None:
+    def _select(self, world: BuildInputs, rendered: ChunkResults, stage: StageAccount) -> None:
         key = world.keys["select"]
         if self.workspace.records(_select_name(key), SelectedCell) is not None:
             stage.kept = 1
@@ -207,7 +207,7 @@ class _Build:
         stage.done = 1
         self.workspace.keep_only("select", {key})
 
-    def _chosen(self, world: World) -> list[list[SelectedCell]]:
+    def _chosen(self, world: BuildInputs) -> list[list[SelectedCell]]:
         """Selected records cut as their cells were cut for rendering; empty pieces left out."""
         name = _select_name(world.keys["select"])
         records = self.workspace.records(name, SelectedCell)
@@ -217,7 +217,7 @@ class _Build:
         pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in world.chunks]
         return [piece for piece in pieces if piece]
 
-    def _points(self, world: World, checked: ChunkResults, count: int) -> list[ControlPoint]:
+    def _points(self, world: BuildInputs, checked: ChunkResults, count: int) -> list[ControlPoint]:
         """The points of so many checked pieces, judged in the account."""
         records = checked.all_records(count)
         if records is None:
@@ -230,7 +230,7 @@ class _Build:
 
     def _write(
         self,
-        world: World,
+        world: BuildInputs,
         points: Sequence[ControlPoint],
         output: Path,
         report: BuildReport,

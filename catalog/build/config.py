@@ -187,10 +187,10 @@ class RenderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     snr: Annotated[float, msgspec.Meta(gt=0.0)] = 10.0
 
 
-LARGEST_CELL_DEG = 20.0
-MOST_LEVELS = 10
+MAX_CELL_DEG = 20.0
+MAX_LEVELS = 10
 SIZES = (32, 256)
-MOST_CELLS = 50_000_000  # cell numbers and chunk lists must stay small
+MAX_CELLS = 50_000_000  # cell numbers and chunk lists must stay small
 
 
 class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -236,14 +236,14 @@ def _problems(config: BuildConfig) -> list[str]:
     if config.relief.dem is not None and not config.relief.dem.path:
         found.append("[relief] dem path is empty; name a terrain model of the whole body")
     step = config.grid.cell_deg
-    smallest = (41_253.0 / MOST_CELLS) ** 0.5  # square degrees of a sphere shared by the cells
-    if not smallest <= step <= LARGEST_CELL_DEG:
+    smallest = (41_253.0 / MAX_CELLS) ** 0.5  # square degrees of a sphere shared by the cells
+    if not smallest <= step <= MAX_CELL_DEG:
         found.append(
-            f"[grid] cell_deg is {step:g}; wanted between {smallest:.2g} and {LARGEST_CELL_DEG:g}"
+            f"[grid] cell_deg is {step:g}; wanted between {smallest:.2g} and {MAX_CELL_DEG:g}"
         )
     pyramid = config.pyramid
-    if not 1 <= pyramid.levels <= MOST_LEVELS:
-        found.append(f"[pyramid] levels is {pyramid.levels}; wanted 1 to {MOST_LEVELS}")
+    if not 1 <= pyramid.levels <= MAX_LEVELS:
+        found.append(f"[pyramid] levels is {pyramid.levels}; wanted 1 to {MAX_LEVELS}")
     if not SIZES[0] <= pyramid.size <= SIZES[1] or pyramid.size % 2:
         found.append(
             f"[pyramid] size is {pyramid.size}; wanted an even number, {SIZES[0]} to {SIZES[1]}"

@@ -41,7 +41,7 @@ Bbox = tuple[float, float, float, float]
 
 LATTICE = 5  # points a side at which a cell is asked for ground
 BLOCK_CELLS = 8  # cells a side of a block whose terrain is read together
-LARGEST_CHUNK = 64  # cells in work at once: what a kill can lose
+MAX_CHUNK = 64  # cells in work at once: what a kill can lose
 CHUNKS = 32  # a small build is cut at least so finely, to keep several workers busy
 
 
@@ -154,7 +154,7 @@ def chunks_of(grid: CellGrid, cells: IntArray) -> list[list[int]]:
 
     The cut depends on the cells alone, never on the workers.
     """
-    size = int(np.clip(-(-cells.size // CHUNKS), 1, LARGEST_CHUNK))
+    size = int(np.clip(-(-cells.size // CHUNKS), 1, MAX_CHUNK))
 
     def place(cell: int) -> tuple[int, int, int]:
         _, lon = grid.centre_deg(cell)
@@ -170,7 +170,7 @@ log = logging.getLogger(__name__)
 
 CORNERS, RECORD = "corners.npy", "mesh.json"
 CELLS_ACROSS = 2.0  # that the finest patch spans: a point may lie anywhere in its cell
-LARGEST_ARC_DEG = 30.0  # of the body that a patch may span: beyond, much of it is seen edge-on
+MAX_ARC_DEG = 30.0  # of the body that a patch may span: beyond, much of it is seen edge-on
 FACE_NODES = 2.0  # of the finest patches that a face of the smooth surface may span
 
 
@@ -271,13 +271,13 @@ def settle_pyramid(
     if posting is None:
         posting = CELLS_ACROSS * math.radians(cell_deg) * radius / settings.size
     spans_deg = math.degrees(posting * settings.size / radius)
-    if spans_deg > LARGEST_ARC_DEG + 1e-9:
+    if spans_deg > MAX_ARC_DEG + 1e-9:
         raise ConfigError(
             f"{config_path}: the finest patch would span {spans_deg:.3g} deg of "
-            f"{body.name}; wanted at most {LARGEST_ARC_DEG:g}: set a smaller [grid] "
+            f"{body.name}; wanted at most {MAX_ARC_DEG:g}: set a smaller [grid] "
             "cell_deg, or [pyramid] posting_m or size"
         )
-    levels = min(settings.levels, 1 + int(math.log2(LARGEST_ARC_DEG / spans_deg) + 1e-9))
+    levels = min(settings.levels, 1 + int(math.log2(MAX_ARC_DEG / spans_deg) + 1e-9))
     return msgspec.structs.replace(settings, levels=levels, posting_m=posting), posting
 
 

@@ -31,12 +31,12 @@ from catalog.jobs.workspace import Workspace, stage_key
 from catalog.progress import Progress
 
 MANIFEST = "manifest.json"
-MOST_OVERSAMPLING = 4.0  # a posting finer than the terrain model by more shows nothing new
-MOST_NODES_ACROSS = 8192  # of a cell: a grid of 268 MB, of which a worker holds several
+MAX_OVERSAMPLING = 4.0  # a posting finer than the terrain model by more shows nothing new
+MAX_NODES_ACROSS = 8192  # of a cell: a grid of 268 MB, of which a worker holds several
 
 
 @dataclass(frozen=True)
-class World:
+class BuildInputs:
     """The ground of a build.
 
     chunks  cells, cut into pieces of work
@@ -66,7 +66,7 @@ class World:
         return sources | (self.relief.sources if self.relief is not None else {})
 
 
-def settle_world(
+def prepare_inputs(
     workspace: Workspace,
     config: BuildConfig,
     config_path: Path,
@@ -75,7 +75,7 @@ def settle_world(
     workers: int,
     progress: Progress,
     account: StageAccount,
-) -> World:
+) -> BuildInputs:
     """Read the terrain models and settle what all stages need; cheap where overviews are there.
 
     Raises DataError, ConfigError or UsageError for what cannot be built from.
@@ -111,7 +111,7 @@ def settle_world(
         # paths and ranks do not matter by themselves: what was read, and in which order, does
         read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
     keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
-    world = World(context, records, chunks_of(grid, cells), keys, relief)
+    world = BuildInputs(context, records, chunks_of(grid, cells), keys, relief)
     workspace.put(MANIFEST, msgspec.json.format(_manifest(world), indent=2))
     return world
 
@@ -136,10 +136,10 @@ def _check_posting(
     config: BuildConfig, config_path: Path, body: Body, posting_m: float, finest_m: float
 ) -> None:
     """Refuse patches wider than the body and a posting that shows nothing more."""
-    if posting_m < finest_m / MOST_OVERSAMPLING:
+    if posting_m < finest_m / MAX_OVERSAMPLING:
         raise ConfigError(
             f"{config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
-            f"model has {finest_m:.6g} m; wanted at least {finest_m / MOST_OVERSAMPLING:.6g}, "
+            f"model has {finest_m:.6g} m; wanted at least {finest_m / MAX_OVERSAMPLING:.6g}, "
             "or leave it out"
         )
     reach = posting_m * config.pyramid.size * 2 ** (config.pyramid.levels - 1)
@@ -154,15 +154,15 @@ def _check_posting(
 def _check_cells(config: BuildConfig, config_path: Path, body: Body, posting_m: float) -> None:
     """Refuse huge cells."""
     across = math.radians(config.grid.cell_deg) * body.radius_m / posting_m
-    if across > MOST_NODES_ACROSS:
+    if across > MAX_NODES_ACROSS:
         raise ConfigError(
             f"{config_path}: a cell of {config.grid.cell_deg:g} deg is {across:.0f} "
-            f"nodes of {posting_m:g} m wide; wanted at most {MOST_NODES_ACROSS}: set a smaller "
+            f"nodes of {posting_m:g} m wide; wanted at most {MAX_NODES_ACROSS}: set a smaller "
             "[grid] cell_deg or a coarser [pyramid] posting_m"
         )
 
 
-def _manifest(world: World) -> bytes:
+def _manifest(world: BuildInputs) -> bytes:
     return msgspec.json.encode(
         {
             "software": f"optnav {catalog.__version__}",

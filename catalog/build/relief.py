@@ -27,7 +27,7 @@ from catalog.terrain.dem.source import DemSource
 from catalog.terrain.pyramid.overviews import BLOCK
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.relief.sums import (
-    LEAST_COVERAGE,
+    MIN_COVERAGE,
     CellSums,
     Layer,
     check_share,
@@ -67,7 +67,7 @@ def settle_relief(
     Raises DataError when the named terrain model cannot be used or the whole is not the body's.
     """
     own = [share_within_bounds(p.source) * p.record.valid_share for p in mosaic.pyramids]
-    if settings.dem is None and sum(own) < LEAST_COVERAGE:
+    if settings.dem is None and sum(own) < MIN_COVERAGE:
         workspace.keep_only("relief", set())
         return None
     named, sources = None, {}
@@ -131,7 +131,7 @@ def _made(
     sums = CellSums(rows)
     names, covered = [], 0.0
     for pyramid, name in zip(mosaic.pyramids, mosaic.names):
-        sums.lay_under(_layer(pyramid, cell_m / SAMPLES_ACROSS), progress)
+        sums.fill_from(_layer(pyramid, cell_m / SAMPLES_ACROSS), progress)
         if sums.coverage > covered:
             names.append(name)
         covered = sums.coverage
@@ -143,7 +143,7 @@ def _made(
             raise _refused(config_path, error) from None
         if sums.coverage > covered:
             names.append(named.path.name)
-    elif sums.coverage < LEAST_COVERAGE:
+    elif sums.coverage < MIN_COVERAGE:
         return None
     return prepare_relief(finished(sums, body.radius_m, " + ".join(names)))
 

@@ -31,8 +31,8 @@ ZONE_BANDS = 8  # as high as a block of cells that are in work together
 ZONE_DEG = 16.0  # fewer bands of large cells
 # Parallels through a zone's cells may differ in length by this much, for so do its columns' widths
 # on the ground; those of all that its windows reach by more.
-MOST_CROWDED, MOST_CROWDED_REACH = 2.1, 5.0
-LARGEST_PART = 1 << 26  # nodes: 256 MB
+MAX_CROWDED, MAX_CROWDED_REACH = 2.1, 5.0
+MAX_PART = 1 << 26  # nodes: 256 MB
 
 
 class Shortlist(NamedTuple):
@@ -167,7 +167,7 @@ def _zone(context: StageContext, number: int) -> Zone | None:
     north = min(float(np.radians((own[-1] + 1) * context.grid.step_deg - 90.0)), np.pi / 2.0)
     halo = (window / 2.0 + step + MARGIN) * row_angle
     reach = south - halo, north + halo
-    served = _crowding(south, north) <= MOST_CROWDED and _crowding(*reach) <= MOST_CROWDED_REACH
+    served = _crowding(south, north) <= MAX_CROWDED and _crowding(*reach) <= MAX_CROWDED_REACH
     # whole tiles in a turn, so that they too have fixed places across ±180°
     tiles = round(2.0 * np.pi * np.cos((south + north) / 2.0) / (step * row_angle))
     if not served or tiles < 1:
@@ -206,7 +206,7 @@ def _groups(zone: Zone, spans: Spans) -> Iterator[Spans]:
         return
     spans = spans.part(np.argsort(spans.first, kind="stable"))
     height = (spans.bottom.max() - spans.top.min() + zone.tall) * zone.step
-    widest = max(1, LARGEST_PART // (int(height) * zone.step))  # tiles
+    widest = max(1, MAX_PART // (int(height) * zone.step))  # tiles
     begin, reached = 0, int(spans.end[0])
     for i in range(1, spans.cells.size):
         first, end = int(spans.first[i]), int(spans.end[i])

@@ -21,7 +21,7 @@ from catalog.selection.trial import (
     truth_size,
 )
 from catalog.selection.trial_picture import FINER
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from catalog.terrain.terrain import Terrain
 
 TRIAL_LEVELS = 2  # the search starts one level above the finest
@@ -42,7 +42,9 @@ def _relief(
     slope_deg: float,
 ) -> Float32Array:
     """Relief below a DEM's posting on a map grid of `posting_m`, ready to be added."""
-    detail = Detail(ground, dem_posting_m, radius_m, smallest_m=smallest_m, rms_slope_deg=slope_deg)
+    detail = SyntheticRelief(
+        ground, dem_posting_m, radius_m, smallest_m=smallest_m, rms_slope_deg=slope_deg
+    )
     relief = detail.local(Stereographic(0.0, 0.0, radius_m), posting_m, size)
     relief.setflags(write=False)
     return relief

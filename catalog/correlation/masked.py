@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import LEAST_CONTRAST, cropped, high_pass
+from catalog.correlation.ncc import MIN_CONTRAST, cropped, high_pass
 from catalog.correlation.peak import Match, locate_peak
 from catalog.geometry.grid import sample_bicubic
 
@@ -57,7 +57,7 @@ def thinned(grid: Float32Array, sigma_nodes: float, even: bool) -> Float32Array:
 
 # A place where both have less than this share of the nodes that they have at the best is none: few
 # nodes are alike by chance.
-LEAST_COMMON_SHARE = 0.7
+MIN_COMMON_SHARE = 0.7
 
 
 def match_masked(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:
@@ -74,7 +74,7 @@ def match_masked(reference: Float32Array, search: Float32Array, margin_nodes: in
     ]
     # a side without contrast has no correlation: rounding noise would decide
     floors = [
-        LEAST_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0)) for grid in (reference, search)
+        MIN_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0)) for grid in (reference, search)
     ]
     surface, common = _surface(sides[0], masks[0], sides[1], masks[1], floors)
     row, col = np.unravel_index(int(np.argmax(surface)), surface.shape)
@@ -97,7 +97,7 @@ def _surface(
         _sums(shows, template * template) - of_template**2 / n,
         _sums(image * image, has) - of_image**2 / n,
     )
-    enough = common >= max(LEAST_COMMON_SHARE * common.max(), 1.0)
+    enough = common >= max(MIN_COMMON_SHARE * common.max(), 1.0)
     for square, floor in zip(squares, floors, strict=True):
         enough &= square > n * floor**2
     square = np.where(enough, squares[0] * squares[1], 1.0)

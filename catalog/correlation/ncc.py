@@ -19,7 +19,7 @@ Number = TypeVar("Number", np.float32, np.float64)
 # Standard deviation of the Gaussian that is subtracted, nodes.
 HIGH_PASS_NODES = 5.0
 # Contrast below this share of the brightness is rounding, not relief.
-LEAST_CONTRAST = 1e-5
+MIN_CONTRAST = 1e-5
 
 
 def high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float32Array:
@@ -53,7 +53,7 @@ def filtered(grid: Float32Array, margin_nodes: int = 0) -> Filtered:
     A high-pass that ends at the reference's own border bends it there, which moves the peak by
     0.15-0.2 nodes; with 8 nodes of margin 0.01-0.02 are left.
     """
-    floor = LEAST_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0))
+    floor = MIN_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0))
     return Filtered(cropped(high_pass(grid), margin_nodes), floor)
 
 

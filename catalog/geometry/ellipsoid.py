@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
 
-MOST_STEPS = 100
+MAX_STEPS = 100
 CLOSE = 1e-15  # relative step of the root: nothing is left to gain
 
 
@@ -53,7 +53,7 @@ def foot_of(points: ArrayLike, radii: ArrayLike) -> FloatArray:
     t = np.asarray(np.max(scaled - squares, axis=-1))
     if np.any(t <= -squares.min()):
         raise ValueError("a point on an ellipsoid's axes of symmetry, inside, has no one foot")
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         below = t[..., None] + squares
         terms = np.square(scaled / below)
         step = (terms.sum(axis=-1) - 1.0) / (2.0 * (terms / below).sum(axis=-1))

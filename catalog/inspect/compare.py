@@ -258,12 +258,12 @@ def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
     one, other = a.relief(), b.relief()
     if one is None or other is None or one.heights.shape != other.heights.shape:
         return None
-    means, tops = one.heights - other.heights, one.tops - other.tops
-    cells = int(np.count_nonzero((means != 0.0) | (tops != 0.0)))
+    means, max_heights = one.heights - other.heights, one.max_heights - other.max_heights
+    cells = int(np.count_nonzero((means != 0.0) | (max_heights != 0.0)))
     if cells == 0:
         return None
     rms = float(np.sqrt(np.square(means, dtype=np.float64).mean()))
-    return ReliefChange(cells, float(np.abs(means).max()), rms, float(np.abs(tops).max()))
+    return ReliefChange(cells, float(np.abs(means).max()), rms, float(np.abs(max_heights).max()))
 
 
 def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> Side:

@@ -294,7 +294,9 @@ def export_relief(catalog: Catalog, path: Path) -> int:
             with rasterio.open(partial, "w", **profile) as file:
                 file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{RELIEF_NAME}: {relief.source}")
                 file.units = ("m",) * len(BANDS)
-                for band, (name, grid) in enumerate(zip(BANDS, (relief.heights, relief.tops)), 1):
+                for band, (name, grid) in enumerate(
+                    zip(BANDS, (relief.heights, relief.max_heights)), 1
+                ):
                     file.write(grid, band)
                     file.set_band_description(band, name)
         except RasterioError as error:

@@ -20,7 +20,7 @@ from catalog.errors import DataError
 from catalog.geometry.kernel import kernel
 
 NO_DATA_COUNT = -32768
-LARGEST_COUNT = 32767
+MAX_COUNT = 32767
 MAX_SIZE = 4096  # nodes a side; refuses to allocate gigabytes for a damaged size
 # The residuals are noise to a dictionary coder: level 19 saves 2 % for 90 times the work.
 ZSTD_LEVEL = 1
@@ -50,7 +50,7 @@ def quantise(heights: Float32Array, step: float) -> tuple[Int16Array, float, flo
     if not known.any():
         return np.full(values.shape, NO_DATA_COUNT, dtype=np.int16), step, 0.0
     low, high = float(values[known].min()), float(values[known].max())
-    while (high - low) / step > 2 * LARGEST_COUNT - 2:
+    while (high - low) / step > 2 * MAX_COUNT - 2:
         step *= 2.0
     offset = float(np.rint((low + high) / 2.0 / step) * step) + 0.0  # + 0.0 makes -0.0 a 0.0
     counts = np.rint((np.where(known, values, offset) - offset) / step)

@@ -85,15 +85,15 @@ def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
     """
     number = relief.heights.shape[0]
     means = [_encoded(relief.heights, place, MEAN_STEP_M) for place in _places(number, MEANS)]
-    tops = []
+    max_heights = []
     stored = _assembled([encoded for encoded, _ in means], number)
-    above = np.maximum(relief.tops - stored - np.float32(MEAN_STEP_M / 2.0), 0.0)
+    above = np.maximum(relief.max_heights - stored - np.float32(MEAN_STEP_M / 2.0), 0.0)
     above = np.ceil(above / np.float32(TOP_STEP_M)) * np.float32(TOP_STEP_M)
-    tops = [_encoded(above, place, TOP_STEP_M) for place in _places(number, TOPS)]
+    max_heights = [_encoded(above, place, TOP_STEP_M) for place in _places(number, TOPS)]
     rows: list[ReliefRow] = []
     digest = hashlib.sha256()
     places = [*_places(number, MEANS), *_places(number, TOPS)]
-    for place, (encoded, counts) in zip(places, means + tops, strict=True):
+    for place, (encoded, counts) in zip(places, means + max_heights, strict=True):
         header = _header(place, encoded)
         add_tile(digest, header, counts)
         rows.append(
@@ -118,12 +118,12 @@ def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | Non
     if meta.relief is None:
         return None
     number = meta.relief.rows
-    means, tops = (
+    means, max_heights = (
         _assembled([read_tile(db, place).encoded for place in _places(number, layer)], number)
         for layer in (MEANS, TOPS)
     )
-    tops += means
-    return GlobalRelief(means, tops, meta.radius_m, meta.relief.source)
+    max_heights += means
+    return GlobalRelief(means, max_heights, meta.radius_m, meta.relief.source)
 
 
 def tile_places(meta: ReliefMeta) -> list[Place]:

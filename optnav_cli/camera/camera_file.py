@@ -11,8 +11,8 @@ from optnav_cli.camera.camera import Camera, Distortion, Model
 
 # Focal length, pitch and their ratio are each printed with about four digits.
 AGREEMENT = 1e-3
-LARGEST_SIDE_PX = 100_000
-LARGEST_PSF_PX = 50.0  # beyond any lens: the key is not in pixels
+MAX_SIDE_PX = 100_000
+MAX_PSF_PX = 50.0  # beyond any lens: the key is not in pixels
 _TERMS = {"pinhole": 5, "kannala_brandt": 4}
 _TERM_NAMES = {"pinhole": "[k1, k2, p1, p2, k3]", "kannala_brandt": "[k1, k2, k3, k4]"}
 
@@ -102,8 +102,8 @@ def camera_toml(camera: Camera) -> str:
 def _check_picture(settings: CameraSettings, where: str) -> None:
     for key in ("width_px", "height_px"):
         value = getattr(settings, key)
-        if not 1 <= value <= LARGEST_SIDE_PX:
-            raise ConfigError(f"{where}: {key} is {value}; wanted 1 to {LARGEST_SIDE_PX}")
+        if not 1 <= value <= MAX_SIDE_PX:
+            raise ConfigError(f"{where}: {key} is {value}; wanted 1 to {MAX_SIDE_PX}")
     if not settings.name or set(settings.name) & set('"\\\n,/'):
         raise ConfigError(f"{where}: name is '{settings.name}'; wanted a plain word")
     circle = settings.image_circle_radius_px
@@ -139,12 +139,12 @@ def _check_blur(settings: CameraSettings, where: str) -> None:
         raise ConfigError(f"{where}: psf_sigma_px and psf_error_px belong together; add {missing}")
     if sigma is None or error is None:
         return
-    if not 0.0 <= sigma <= LARGEST_PSF_PX:
-        raise ConfigError(f"{where}: psf_sigma_px is {sigma}; wanted 0 to {LARGEST_PSF_PX:g}")
-    if not 0.0 < error <= LARGEST_PSF_PX:
+    if not 0.0 <= sigma <= MAX_PSF_PX:
+        raise ConfigError(f"{where}: psf_sigma_px is {sigma}; wanted 0 to {MAX_PSF_PX:g}")
+    if not 0.0 < error <= MAX_PSF_PX:
         raise ConfigError(
             f"{where}: psf_error_px is {error}; wanted the 1-sigma error of psf_sigma_px, over 0 "
-            f"and up to {LARGEST_PSF_PX:g}"
+            f"and up to {MAX_PSF_PX:g}"
         )
 
 

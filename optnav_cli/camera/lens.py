@@ -239,8 +239,8 @@ def rays_of_pixels(model: int, p: FloatArray, pixels: FloatArray, rays: FloatArr
 
 
 # A distortion polynomial fitted to a real lens says nothing at 84 degrees from the axis.
-LARGEST_TANGENT = 10.0
-_RADII = 4000  # the edge is found to a part in 4000 of LARGEST_TANGENT, then refined
+MAX_TANGENT = 10.0
+_RADII = 4000  # the edge is found to a part in 4000 of MAX_TANGENT, then refined
 _AZIMUTHS = 72
 
 
@@ -251,7 +251,7 @@ def brown_limit(coefficients: tuple[float, ...]) -> float:
     """
     if not any(coefficients):
         return math.inf
-    low, high = 0.0, LARGEST_TANGENT
+    low, high = 0.0, MAX_TANGENT
     for _ in range(3):
         radii = np.linspace(low, high, _RADII)
         folded = np.flatnonzero(_least_determinant(radii, coefficients) <= 0.0)

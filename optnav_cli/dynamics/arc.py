@@ -18,17 +18,17 @@ from catalog.errors import NoSolutionError
 # A right fix is farther from the arc than this once in a million.
 GATE_PROBABILITY = 1e-6
 GATE = float(chi2.isf(GATE_PROBABILITY, 3))
-MOST_FIXES = 12
+MAX_FIXES = 12
 ITERATIONS = 12
 # The state has settled when a step is below this share of its sigma.
 SETTLED_SIGMAS = 1e-3
 # Further ahead than the orbit takes for one radian an arc of a few minutes says little, and the
 # frames may belong to another flight.
-LONGEST_GAP_RAD = 1.0
+MAX_GAP_RAD = 1.0
 # A craft on its way to the body is faster than a circular orbit is there.
 EXCESS_M_S = 1000.0
 # A prediction with a larger share of the distance as its sigma says nothing of use.
-WIDEST_SHARE = 0.005
+MAX_SHARE = 0.005
 
 
 class OrbitModel(Protocol):
@@ -116,7 +116,7 @@ class OrbitArc:
         spread = (spread + self._model.noise(state, tdb_s - epoch))[:3, :3]
         position = states[0, :3]
         widest = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
-        if not widest < WIDEST_SHARE * float(np.linalg.norm(position)):
+        if not widest < MAX_SHARE * float(np.linalg.norm(position)):
             return None
         return Prediction(position, spread, len(self._fixes))
 
@@ -144,10 +144,10 @@ class OrbitArc:
         if not self._fixes:
             return False
         last = self._fixes[-1]
-        return tdb_s - last.tdb_s > LONGEST_GAP_RAD * self._model.radian_s(last.position_m)
+        return tdb_s - last.tdb_s > MAX_GAP_RAD * self._model.radian_s(last.position_m)
 
     def _restart(self, fixes: list[Fix]) -> None:
-        self._fixes, self._doubted, self._fitted = fixes[-MOST_FIXES:], None, None
+        self._fixes, self._doubted, self._fitted = fixes[-MAX_FIXES:], None, None
 
     def _fit(self) -> tuple[FloatArray, FloatArray]:
         """State (6,) and covariance (6, 6) at the last fix. Raises NoSolutionError."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, GravityField, load_body
-from catalog.bodies.ephemeris import SUN_GM_M3_S2, BodyMotion, Neighbour
+from catalog.bodies.ephemeris import SUN_GM_M3_S2, Ephemeris, Neighbour
 
 # The degrees summed by Kaula's rule; the field falls off with height, so the last hardly matter.
 DEGREES = np.arange(3.0, 121.0)
@@ -28,7 +28,7 @@ _NEIGHBOURS: dict[str, tuple[Neighbour, ...]] = {"moon": ("earth",), "earth": ("
 # they have there (the same source), but a body of rubble is no more uneven than Eros.
 EARTH_KAULA = 1e-5
 EARTH_GRAVITY_M_S2 = 9.8
-MOST_KAULA = 0.1
+MAX_KAULA = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Unmodelled:
 class Forces:
     """Accelerations about one body, inertial axes, origin at its centre."""
 
-    def __init__(self, motion: BodyMotion) -> None:
+    def __init__(self, motion: Ephemeris) -> None:
         """motion  of the body; its file may leave [gravity] out, see above."""
         body = motion.body
         self.motion = motion
@@ -124,7 +124,7 @@ def even_field(body: Body) -> GravityField:
         j2=(x**2 + y**2 - 2.0 * z**2) / (10.0 * radius**2),
         c22=(x**2 - y**2) / (20.0 * radius**2),
         radius_km=radius / 1e3,
-        kaula=min(EARTH_KAULA * (EARTH_GRAVITY_M_S2 / gravity) ** 2, MOST_KAULA),
+        kaula=min(EARTH_KAULA * (EARTH_GRAVITY_M_S2 / gravity) ** 2, MAX_KAULA),
     )
 
 

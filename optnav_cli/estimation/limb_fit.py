@@ -47,8 +47,8 @@ def mirrored(upper: FloatArray) -> FloatArray:
 
 CORRELATION_DEG = 30.0  # errors of points farther apart count as independent
 BINS = 72
-LEAST_LEFT = 0.05  # of a direction's scatter; the fit takes more of it on the shortest arcs
-LEAST_FREEDOM = 2.0
+MIN_LEFT = 0.05  # of a direction's scatter; the fit takes more of it on the shortest arcs
+MIN_FREEDOM = 2.0
 
 
 def correlated_covariance(
@@ -149,10 +149,10 @@ def _sandwich(
     upper = np.ascontiguousarray(lower.T)
     seen, left = upper @ meat @ lower, upper @ expected @ lower
     values, vectors = np.linalg.eigh(left)
-    root = vectors / np.sqrt(np.maximum(values, LEAST_LEFT)) @ vectors.T
-    pooled = np.trace(seen) / max(np.trace(left), 3.0 * LEAST_LEFT)
+    root = vectors / np.sqrt(np.maximum(values, MIN_LEFT)) @ vectors.T
+    pooled = np.trace(seen) / max(np.trace(left), 3.0 * MIN_LEFT)
     own = 0.5 * (root @ seen @ root + pooled * np.eye(3))
-    own *= 1.0 + 2.0 / max(1.5 * windows - 3.0, LEAST_FREEDOM)
+    own *= 1.0 + 2.0 / max(1.5 * windows - 3.0, MIN_FREEDOM)
     values, vectors = np.linalg.eigh(0.5 * (own + own.T))
     raised = vectors * np.maximum(values, 1.0) @ vectors.T
     covariance: FloatArray = lower @ raised @ upper

@@ -29,7 +29,7 @@ MAX_GATE_ROUNDS = 15
 STATED_DEGREES_OF_FREEDOM = 10.0
 # Gates follow the scatter up to twice the stated sigmas. Beyond, it is not a larger error but other
 # places, and gates that followed would open for every wrong match and certify them all.
-WIDEST_GATE_FACTOR = 4.0
+MAX_GATE_FACTOR = 4.0
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def resect_robustly(
     attitude_sigma_rad: float | None,
     *,
     common_errors_px: FloatArray | None = None,
-    alike: FloatArray | None = None,
+    error_correlation: FloatArray | None = None,
     gate_probability: float = 0.999,
 ) -> RobustResection:
     """Solve for the pose with wrong matches among the sightings.
@@ -82,7 +82,7 @@ def resect_robustly(
         )
         factor = _variance_factor(solution)
         normalised = _normalised(camera, sightings, solution.pose)
-        inside = normalised < gate * min(max(factor, 1.0), WIDEST_GATE_FACTOR)
+        inside = normalised < gate * min(max(factor, 1.0), MAX_GATE_FACTOR)
         if (inside == used).all():
             break
         dropped = used & ~inside
@@ -104,8 +104,8 @@ def resect_robustly(
     factor = _variance_factor(solution)
     covariance = _scaled(solution, factor, attitude_sigma_rad)
     kept, each = sightings.subset(used), covariance / factor
-    if alike is not None:
-        together = alike[np.ix_(used, used)]
+    if error_correlation is not None:
+        together = error_correlation[np.ix_(used, used)]
         shared = _shared_part(camera, kept, solution.pose, each, together)
         covariance = covariance + shared * factor
     if common_errors_px is not None:
@@ -143,14 +143,14 @@ def _shared_part(
     sightings: Sightings,
     pose: Pose,
     covariance: FloatArray,
-    alike: FloatArray,
+    error_correlation: FloatArray,
 ) -> FloatArray:
     """What sightings that err alike add to a covariance that takes each for itself."""
     _, jacobian = predict(camera, pose, sightings.points_body_m)
     # with S S' the covariance of a sighting, its weight times S is the inverse of S'
     root = np.linalg.inv(np.linalg.cholesky(sightings.covariances_px2))
     moved = np.einsum("lk,nik,nji->nlj", covariance, jacobian[:, :, : len(covariance)], root)
-    others = alike - np.diag(np.diag(alike))
+    others = error_correlation - np.diag(np.diag(error_correlation))
     return np.asarray(np.einsum("nlj,nm,mkj->lk", moved, others, moved))
 
 

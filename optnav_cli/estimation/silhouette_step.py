@@ -13,7 +13,7 @@ from optnav_cli.estimation.limb_fit import MIN_LIMB_POINTS, LimbFit, correlated_
 TUKEY = 4.685  # 95 % efficient for normal errors
 MAD_TO_SIGMA = 1.4826
 ROUNDS = 6  # of weights and solution; later ones change a thousandth of a sigma
-MOST_CONDITION = 1e10
+MAX_CONDITION = 1e10
 
 
 def silhouette_step(
@@ -62,7 +62,7 @@ def _solution(rates: FloatArray, information: FloatArray) -> tuple[FloatArray, F
     """Covariance (3, 3) of independent errors, and gain (3, n), m a rad."""
     weighted = rates * information[:, None]
     normal = weighted.T @ rates
-    if not np.linalg.cond(normal) < MOST_CONDITION:
+    if not np.linalg.cond(normal) < MAX_CONDITION:
         raise NoSolutionError("the limb points leave a direction of the position open")
     noise = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return noise, -noise @ weighted.T

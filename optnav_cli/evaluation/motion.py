@@ -12,11 +12,11 @@ Forward = Literal["motion", "north"]
 # Frames further apart than this in time or on the ground are not neighbours of one pass: the
 # chord between them would no longer tell the direction of motion to a few degrees. Motion slows as
 # the power 1.5 of the distance (Kepler), so beyond NEAR_M the gap may grow like that.
-LARGEST_GAP_S, NEAR_M = 1200.0, 2.0e6
-LARGEST_GAP_DEG = 60.0
+MAX_GAP_S, NEAR_M = 1200.0, 2.0e6
+MAX_GAP_DEG = 60.0
 SAME_TIME_S = 0.01  # cameras of one moment
 SPEEDS_M_S = (1.0, 20e3)  # slower is standing still, faster is another pass
-LEAST_ACROSS = 0.02  # share of the motion across the vertical that still gives a direction
+MIN_ACROSS = 0.02  # share of the motion across the vertical that still gives a direction
 
 
 class Placed(Protocol):
@@ -59,19 +59,19 @@ def _next_in_time(places: Sequence[Placed], order: Sequence[int], here: Placed) 
 def _same_pass(one: Placed, later: Placed) -> bool:
     gap_s = later.tdb_s - one.tdb_s
     nearest = min(float(np.linalg.norm(place.position_m)) for place in (one, later))
-    if not 0.0 < gap_s <= LARGEST_GAP_S * max(1.0, nearest / NEAR_M) ** 1.5:
+    if not 0.0 < gap_s <= MAX_GAP_S * max(1.0, nearest / NEAR_M) ** 1.5:
         return False
     speed = float(np.linalg.norm(later.position_m - one.position_m)) / gap_s
     cosine = one.position_m @ later.position_m
     cosine = cosine / np.linalg.norm(one.position_m) / np.linalg.norm(later.position_m)
-    near = bool(cosine >= np.cos(np.radians(LARGEST_GAP_DEG)))
+    near = bool(cosine >= np.cos(np.radians(MAX_GAP_DEG)))
     return near and SPEEDS_M_S[0] <= speed <= SPEEDS_M_S[1]
 
 
 def _axes(position: FloatArray, motion: FloatArray) -> tuple[FloatArray, Forward]:
     length = float(np.linalg.norm(motion))
     up = position / np.linalg.norm(position)
-    if length > 0.0 and np.linalg.norm(np.cross(up, motion)) >= LEAST_ACROSS * length:
+    if length > 0.0 and np.linalg.norm(np.cross(up, motion)) >= MIN_ACROSS * length:
         return rnb_axes(position, motion), "motion"
     north = np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(np.cross(up, north)) < 1e-9:  # at a pole any direction does

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion, motion_of
+from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris, motion_of
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
@@ -22,7 +22,7 @@ class Folder:
 
     path: Path
     settings: RunSettings
-    motion: BodyMotion
+    motion: Ephemeris
     cameras: dict[str, Camera]
     frames: list[Frame]
 
@@ -75,7 +75,7 @@ def write_folder(
     settings: RunSettings,
     cameras: Iterable[Camera],
     frames: Iterable[Frame],
-    motion: BodyMotion | None = None,
+    motion: Ephemeris | None = None,
 ) -> None:
     """Write run.toml, the cameras and frames.csv into a folder, which is made where it is missing.
 
@@ -89,5 +89,5 @@ def write_folder(
     for camera in cameras:
         text = camera_toml(camera)
         (path / "cameras" / f"{camera.name}.toml").write_text(text, encoding="utf-8")
-    motion = motion or AnalyticMotion(load_body(settings.body))
+    motion = motion or AnalyticEphemeris(load_body(settings.body))
     write_frames(path / "frames.csv", motion, settings.attitude, frames)

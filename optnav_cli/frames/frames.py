@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import BodyMotion
+from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
@@ -68,7 +68,7 @@ class Frame:
 
 
 def read_frames(
-    path: Path, motion: BodyMotion, attitude: Attitude, cameras: Iterable[str]
+    path: Path, motion: Ephemeris, attitude: Attitude, cameras: Iterable[str]
 ) -> list[Frame]:
     """Frames of a frames.csv in its order.
 
@@ -93,7 +93,7 @@ def read_frames(
 
 
 def write_frames(
-    path: Path, motion: BodyMotion, attitude: Attitude, frames: Iterable[Frame]
+    path: Path, motion: Ephemeris, attitude: Attitude, frames: Iterable[Frame]
 ) -> None:
     """Write a frames.csv that `read_frames` reads back. The frames need a usable time."""
     write_rows(path, COLUMNS, (_row(frame, motion, attitude) for frame in frames))
@@ -104,9 +104,7 @@ def quaternion_texts(rotation: Rotation) -> list[str]:
     return [f"{value:.12f}" for value in quaternion_from_rotation(rotation)]
 
 
-def _frame(
-    row: dict[str, str], motion: BodyMotion, attitude: Attitude, cameras: list[str]
-) -> Frame:
+def _frame(row: dict[str, str], motion: Ephemeris, attitude: Attitude, cameras: list[str]) -> Frame:
     file, utc, camera = row["file"], row["utc"], row["camera"]
     try:
         if row[""]:
@@ -143,7 +141,7 @@ def _check_name(file: str) -> None:
 
 
 def _attitude(
-    row: dict[str, str], motion: BodyMotion, attitude: Attitude, tdb_s: float
+    row: dict[str, str], motion: Ephemeris, attitude: Attitude, tdb_s: float
 ) -> Rotation | None:
     quaternion = numbers(row, QUATERNION)
     if quaternion is None:
@@ -153,7 +151,7 @@ def _attitude(
     return camera_from_body(rotation, attitude, motion, tdb_s)
 
 
-def _sun(row: dict[str, str], motion: BodyMotion, tdb_s: float) -> FloatArray:
+def _sun(row: dict[str, str], motion: Ephemeris, tdb_s: float) -> FloatArray:
     vector = numbers(row, SUN)
     if vector is None:
         return motion.sun_body(tdb_s)
@@ -195,7 +193,7 @@ def _position(row: dict[str, str], body: Body) -> tuple[FloatArray | None, float
     return position, sigma
 
 
-def _row(frame: Frame, motion: BodyMotion, attitude: Attitude) -> list[str]:
+def _row(frame: Frame, motion: Ephemeris, attitude: Attitude) -> list[str]:
     quaternion = [""] * 4
     sigma = frame.attitude_sigma_rad
     if sigma is not None and frame.body_sigma_rad > 0.0:

@@ -8,7 +8,7 @@ import msgspec
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml
 from catalog.errors import ConfigError
@@ -45,7 +45,7 @@ def run_settings_toml(settings: RunSettings) -> str:
 
 
 def camera_from_body(
-    rotation: Rotation, attitude: Attitude, motion: BodyMotion, tdb_s: float
+    rotation: Rotation, attitude: Attitude, motion: Ephemeris, tdb_s: float
 ) -> Rotation:
     """The attitude relative to the body of a rotation as the files of a folder hold it."""
     if attitude == "camera_from_body":
@@ -55,7 +55,7 @@ def camera_from_body(
 
 
 def rotation_for_file(
-    attitude: Attitude, motion: BodyMotion, tdb_s: float, found: Rotation
+    attitude: Attitude, motion: Ephemeris, tdb_s: float, found: Rotation
 ) -> Rotation:
     """The rotation that a file holds for an attitude `found` as camera_from_body."""
     if attitude == "camera_from_body":
@@ -63,7 +63,7 @@ def rotation_for_file(
     return found * Rotation.from_matrix(motion.body_from_inertial(tdb_s))
 
 
-def body_sigma_rad(attitude: Attitude, motion: BodyMotion, tdb_s: float) -> float:
+def body_sigma_rad(attitude: Attitude, motion: Ephemeris, tdb_s: float) -> float:
     """Error that the body's rotation adds to an attitude of the files, 1 sigma an axis, rad.
 
     An attitude against the stars is only as good, relative to the body, as the body's rotation is
@@ -84,7 +84,7 @@ class FileAttitude:
 
     name: Attitude
     body: Body
-    motion: BodyMotion | None = None
+    motion: Ephemeris | None = None
 
     def written(self, rotation: Rotation, utc: str) -> Rotation:
         """The rotation to write for a camera_from_body at a time."""
@@ -95,8 +95,8 @@ class FileAttitude:
         return camera_from_body(written, self.name, self._motion, self._time(utc))
 
     @property
-    def _motion(self) -> BodyMotion:
-        return self.motion or AnalyticMotion(self.body)
+    def _motion(self) -> Ephemeris:
+        return self.motion or AnalyticEphemeris(self.body)
 
     def _time(self, utc: str) -> float:
         # relative to the body no time is needed, and an unsolved row's may not be understood

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.geometry.rotations import rotation_from_quaternion
@@ -40,7 +40,7 @@ def read_truth(path: str | Path, settings: RunSettings) -> list[Truth]:
     Raises DataError, with the row, for anything wrong: a truth with holes is no truth.
     """
     # by theory, as everything that is compared with the truth is read
-    path, motion = Path(path), AnalyticMotion(load_body(settings.body))
+    path, motion = Path(path), AnalyticEphemeris(load_body(settings.body))
     truths: dict[str, Truth] = {}
     for index, row in enumerate(read_rows(path, COLUMNS)):
         if "position_sigma_m" in row:
@@ -74,13 +74,13 @@ def write_truth(
     path: str | Path,
     settings: RunSettings,
     truths: Iterable[Truth],
-    motion: BodyMotion | None = None,
+    motion: Ephemeris | None = None,
 ) -> None:
     """Write a truth.csv with the rotation that `settings` names.
 
     motion  how the body turns, for attitudes against the stars; by theory if None
     """
-    motion = motion or AnalyticMotion(load_body(settings.body))
+    motion = motion or AnalyticEphemeris(load_body(settings.body))
     write_rows(
         Path(path),
         COLUMNS,

@@ -15,12 +15,12 @@ from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
-LEAST_VALID_SHARE = 0.6
-LEAST_LIT_SHARE = 0.1
+MIN_VALID_SHARE = 0.6
+MIN_LIT_SHARE = 0.1
 # Of a template that the frame may cut, this share must be in it.
-LEAST_CUT_SHARE = 0.25
+MIN_CUT_SHARE = 0.25
 # A match behind a blur has so much room to every side, nodes of those that are kept.
-LEAST_ROOM = 3
+MIN_ROOM = 3
 # Nodes of a reference that is not blurred that tell as much against chance as one sample.
 CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
@@ -111,7 +111,7 @@ def match_point(
     """
     if blur_nodes:
         margin = int(np.ceil(MARGIN_NODES * thinning(blur_nodes)))
-        search_nodes = max(search_nodes, int(np.ceil(LEAST_ROOM * thinning(blur_nodes))))
+        search_nodes = max(search_nodes, int(np.ceil(MIN_ROOM * thinning(blur_nodes))))
     else:
         margin = MARGIN_NODES
     posting = reference.patches[level].posting_m
@@ -126,7 +126,7 @@ def match_point(
     pixels = camera.project_from_body(surface, pose.position_m, turn)
     window = picture.sample(pixels, posting / metres_per_pixel)
     shown = np.isfinite(cropped(window, border))
-    if shown.mean() < (LEAST_CUT_SHARE if blur_nodes else LEAST_VALID_SHARE):
+    if shown.mean() < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
         return PointMatch(level, None, None, None, None, None, "outside the frame")
     step = thinning(blur_nodes)
     if blur_nodes:
@@ -184,9 +184,9 @@ def _common_nodes(template: Float32Array, window: Float32Array, match: Match) ->
 
 def _unfit(template: Float32Array) -> str:
     valid = np.isfinite(template)
-    if valid.mean() < LEAST_VALID_SHARE:
+    if valid.mean() < MIN_VALID_SHARE:
         return "no terrain data"
-    if (template[valid] > 0.0).mean() < LEAST_LIT_SHARE:
+    if (template[valid] > 0.0).mean() < MIN_LIT_SHARE:
         return "in shadow"
     return ""
 

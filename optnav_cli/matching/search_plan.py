@@ -12,11 +12,11 @@ MARGIN_NODES = 2.0
 # A template's rim may be off by so many nodes before a match suffers.
 RIM_NODES = 1.0
 # Steps to either side at most: more would take longer than a search without a prior should.
-MOST_STEPS = 3
+MAX_STEPS = 3
 # A template wider than this share of the frame finds no place whole in it.
-WIDEST_TEMPLATE = 0.45
+MAX_TEMPLATE = 0.45
 # Fewer nodes hold too little to be told from chance.
-LEAST_TEMPLATE_NODES = 32
+MIN_TEMPLATE_NODES = 32
 # Where patches have so few levels there is no coarse one to search far at: the finest is searched
 # so many times as far.
 FEW_LEVELS, WIDER = 2, 2
@@ -43,8 +43,8 @@ def template_nodes(posting_m: float, frame_width_m: float, most: int) -> int:
 
     frame_width_m  ground that the frame's shorter side covers
     """
-    fit = int(WIDEST_TEMPLATE * frame_width_m / posting_m) // 2 * 2
-    return min(most, max(fit, LEAST_TEMPLATE_NODES))
+    fit = int(MAX_TEMPLATE * frame_width_m / posting_m) // 2 * 2
+    return min(most, max(fit, MIN_TEMPLATE_NODES))
 
 
 def plan_search(
@@ -81,10 +81,10 @@ def plan_distortion(
 
 def _steps(reach: float, step: float) -> tuple[float, ...]:
     """Symmetric values about zero up to about `reach`; zero alone when a step covers it."""
-    count = min(int(np.ceil(reach / (2.0 * step) - 0.5)), MOST_STEPS)
+    count = min(int(np.ceil(reach / (2.0 * step) - 0.5)), MAX_STEPS)
     if count <= 0:
         return (0.0,)
-    spread = max(2.0 * step, reach / count) if count == MOST_STEPS else 2.0 * step
+    spread = max(2.0 * step, reach / count) if count == MAX_STEPS else 2.0 * step
     return tuple(spread * k for k in range(-count, count + 1))
 
 

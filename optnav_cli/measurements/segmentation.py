@@ -18,7 +18,7 @@ SKY_QUANTILE = 0.05  # of the blocks' means: the darkest parts of the picture ar
 THRESHOLD_SIGMAS = 6.0
 THRESHOLD_SHARE = 0.08  # of the way from the sky to the lit ground's level
 ROUGH_SHARE = 0.15  # of the way to the brightest pixels: what is lit at first sight
-LEAST_CONTRAST_SIGMAS = 12.0
+MIN_CONTRAST_SIGMAS = 12.0
 # Rounding to whole counts hides a smaller noise: the variance of a uniform step of 1.
 ROUNDING_VARIANCE = 1.0 / 12.0
 HALO_PX = 6  # about a lit area its blur still shines
@@ -76,13 +76,13 @@ def measure_levels(picture: Float32Array) -> Levels:
     variance = float(near.var()) if near.size else 0.0
     noise = float(np.sqrt(max(variance, ROUNDING_VARIANCE)))
     peak = float(cv2.blur(picture, (3, 3)).max())
-    if peak - sky < LEAST_CONTRAST_SIGMAS * noise and mean.std() > max(0.25 * noise, 1.0):
+    if peak - sky < MIN_CONTRAST_SIGMAS * noise and mean.std() > max(0.25 * noise, 1.0):
         # pixels of noise alone average out in a block
         raise NoSolutionError(
             f"no limb in view: the picture is ground all over, about {float(mean.mean()):.0f} "
             "counts, with no sky that stands out; the body fills the picture"
         )
-    if peak - sky < LEAST_CONTRAST_SIGMAS * noise:
+    if peak - sky < MIN_CONTRAST_SIGMAS * noise:
         raise NoSolutionError(
             f"no body in the picture: its brightest parts are {max(peak - sky, 0.0):.0f} counts "
             f"above a background of {sky:.0f} with a scatter of {noise:.1f}"

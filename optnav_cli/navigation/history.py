@@ -8,21 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.ephemeris import BodyMotion
+from catalog.bodies.ephemeris import Ephemeris
 from optnav_cli.dynamics.arc import GATE, Fix, OrbitArc, Prediction
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
 
 # Cameras that are triggered together; a low orbit goes 2 m in it.
 SAME_TIME_S = 1e-3
-MOST_ESCAPES = 2.0
+MAX_ESCAPES = 2.0
 # Far from the body a craft comes with a speed of its own, m/s.
-FASTEST_FAR_M_S = 3000.0
+MAX_FAR_M_S = 3000.0
 GATE_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class PositionPrior:
     """A position (3,), m, with its covariance (3, 3), body frame, and where it comes from."""
 
     position_m: FloatArray
@@ -32,7 +32,7 @@ class Belief:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    belief: Belief
+    belief: PositionPrior
     tdb_s: float
 
 
@@ -44,27 +44,29 @@ class Odd:
     ended: bool
 
 
-class Track:
+class History:
     """The solved frames of a run so far, in the order of their times."""
 
-    def __init__(self, motion: BodyMotion) -> None:
+    def __init__(self, motion: Ephemeris) -> None:
         self._motion = motion
         self._arc = OrbitArc(OrbitMotion(Forces(motion)))
         self._last: _Solved | None = None
 
-    def at_same_time(self, tdb_s: float) -> Belief | None:
+    def at_same_time(self, tdb_s: float) -> PositionPrior | None:
         """The fix of another camera at a time, if there is one."""
         if self._last is None or abs(self._last.tdb_s - tdb_s) > SAME_TIME_S:
             return None
         return self._last.belief
 
-    def predict(self, tdb_s: float) -> Belief | None:
+    def predict(self, tdb_s: float) -> PositionPrior | None:
         """Where the orbit arc leads; None where it says nothing of use."""
         found = self._arc.predict(tdb_s)
         if found is None:
             return None
         turn = self._motion.body_from_inertial(tdb_s)
-        return Belief(turn @ found.position_m, turn @ found.covariance_m2 @ turn.T, _words(found))
+        return PositionPrior(
+            turn @ found.position_m, turn @ found.covariance_m2 @ turn.T, _words(found)
+        )
 
     def take(
         self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray, *, sure: bool
@@ -84,7 +86,9 @@ class Track:
         words = f"{away / 1e3:.1f} km ({sigmas:.0f} sigmas) from where the {whose} leads"
         return Odd(words, found.ended)
 
-    def beyond_reach(self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray) -> str:
+    def exceeds_max_speed(
+        self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray
+    ) -> str:
         """Why no craft can have come there since the last fix, in words; empty when one can.
 
         Too fast is twice the speed that escapes the body from the lower of both places, and more
@@ -100,7 +104,7 @@ class Track:
         sigma = float(np.sqrt(sum(np.linalg.eigvalsh(spread)[-1] for spread in spreads)))
         lower = min(float(np.linalg.norm(before)), float(np.linalg.norm(now)))
         escape = float(np.sqrt(2.0 * self._motion.body.gm_m3_s2 / lower))
-        fastest = max(MOST_ESCAPES * escape, FASTEST_FAR_M_S)
+        fastest = max(MAX_ESCAPES * escape, MAX_FAR_M_S)
         if away - GATE_SIGMAS * sigma <= fastest * max(since, 0.0):
             return ""
         return f"{away / 1e3:.0f} km from the fix {since:.0f} s before"
@@ -113,7 +117,7 @@ class Track:
             spread = covariance_m2 + predicted.covariance_m2
             if float(offset @ np.linalg.solve(spread, offset)) >= GATE:
                 return False
-        return not self.beyond_reach(tdb_s, position_m, covariance_m2)
+        return not self.exceeds_max_speed(tdb_s, position_m, covariance_m2)
 
     def keep(
         self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray, source: str
@@ -123,7 +127,7 @@ class Track:
             known = float(np.trace(self._last.belief.covariance_m2))
             if known <= float(np.trace(covariance_m2)):
                 return
-        self._last = _Solved(Belief(position_m, covariance_m2, source), tdb_s)
+        self._last = _Solved(PositionPrior(position_m, covariance_m2, source), tdb_s)
 
 
 def _words(prediction: Prediction) -> str:

@@ -12,20 +12,20 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import BodyMotion, Neighbour
+from catalog.bodies.ephemeris import Ephemeris, Neighbour
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.segmentation import Blobs
 
 _OTHERS: dict[str, Neighbour] = {"moon": "earth", "earth": "moon"}
 SIGMAS = 3.0
 # Of a neighbour that must be seen: a thinner crescent or a smaller disc may be missed.
-LARGEST_PHASE = np.radians(120.0)
-LEAST_DIAMETER_PX = 5.0
+MAX_PHASE = np.radians(120.0)
+MIN_DIAMETER_PX = 5.0
 MARGIN_PX = 6.0
 # Half extent of a lit spot over the disc's radius: cusps are dark, blur and a bent lens widen.
 EXTENTS = (0.5, 1.35)
 BLUR_PX = 2.0
-MOST_PIXELS = 4000  # of a spot that are looked at
+MAX_PIXELS = 4000  # of a spot that are looked at
 # From a body's neighbourhood, so near, the neighbour is what a camera shows that misses the body.
 NEAR_RADII = 5.0
 
@@ -77,7 +77,7 @@ class Spot:
     rad_per_px: float
 
 
-def other_body(motion: BodyMotion, tdb_s: float) -> OtherBody | None:
+def other_body(motion: Ephemeris, tdb_s: float) -> OtherBody | None:
     """The neighbour that shines like the body itself; None for a body without one."""
     name = _OTHERS.get(motion.body.name)
     if name is None:
@@ -101,14 +101,14 @@ def predicted(
 
 def must_be_seen(view: View, disc: Disc, before: Disc) -> bool:
     """Whether a disc lies whole in the picture, large, lit and clear of another one before it."""
-    if disc.phase > LARGEST_PHASE:
+    if disc.phase > MAX_PHASE:
         return False
     apart = _angle(disc.towards, before.towards)
     if apart < before.angle + disc.angle + SIGMAS * disc.sigma:
         return False
     per_px = _rad_per_px(view.camera, disc.towards)
     reach_px = (disc.angle + SIGMAS * disc.sigma) / per_px
-    if 2.0 * disc.angle / per_px < LEAST_DIAMETER_PX:
+    if 2.0 * disc.angle / per_px < MIN_DIAMETER_PX:
         return False
     return _inside(view.camera, disc.towards, reach_px + MARGIN_PX)
 
@@ -120,7 +120,7 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
         left, top, wide, high = (int(value) for value in blobs.box[number])
         label = int(blobs.label[number])
         rows, cols = np.nonzero(blobs.labels[top : top + high, left : left + wide] == label)
-        some = slice(None, None, 1 + len(rows) // MOST_PIXELS)
+        some = slice(None, None, 1 + len(rows) // MAX_PIXELS)
         rays = camera.unproject(np.stack([cols[some] + left, rows[some] + top], axis=1) * 1.0)
         rays = rays[np.isfinite(rays).all(axis=1)]
         if not len(rays):
@@ -151,7 +151,7 @@ def is_within(spot: Spot, disc: Disc) -> bool:
     return _angle(disc.towards, spot.towards) < disc.angle
 
 
-def is_rather(
+def is_more_likely_neighbour(
     view: View, other: OtherBody, position_m: FloatArray, sigma_m: float, body_radius_m: float
 ) -> bool:
     """Whether a disc taken for the body is the neighbour as the body's surroundings show it.
@@ -170,7 +170,7 @@ def is_rather(
     if float(np.linalg.norm(place)) > NEAR_RADII * body_radius_m:
         return False
     body = predicted(view, np.zeros(3), body_radius_m, place, 0.0)
-    return body.phase > LARGEST_PHASE or not _inside(view.camera, body.towards, 0.0)
+    return body.phase > MAX_PHASE or not _inside(view.camera, body.towards, 0.0)
 
 
 def _inside(camera: Camera, towards: FloatArray, margin_px: float) -> bool:

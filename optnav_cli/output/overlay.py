@@ -33,8 +33,8 @@ from optnav_cli.solution import MatchRow, OutlineMarks, Solution
 
 AIM_PX = 26.0
 FRAME = (150, 150, 150)
-INSET_ROOM, LEAST_INSET_PX = 1.5, 48.0  # side of what is enlarged over the outline's, and at least
-LARGEST_INSET, INSET_SHARE = 0.25, 0.4  # of the picture's side: enlarged below, and to
+INSET_ROOM, MIN_INSET_PX = 1.5, 48.0  # side of what is enlarged over the outline's, and at least
+MAX_INSET, INSET_SHARE = 0.25, 0.4  # of the picture's side: enlarged below, and to
 
 
 def draw_outline(canvas: Canvas, marks: OutlineMarks) -> None:
@@ -55,8 +55,8 @@ def draw_outline(canvas: Canvas, marks: OutlineMarks) -> None:
 def put_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
     """A small outline once more, enlarged, in the corner away from it."""
     low, high = marks.points_px.min(axis=0), marks.points_px.max(axis=0)
-    side = round(max(INSET_ROOM * float((high - low).max()), LEAST_INSET_PX))
-    if side > LARGEST_INSET * min(gray.shape):
+    side = round(max(INSET_ROOM * float((high - low).max()), MIN_INSET_PX))
+    if side > MAX_INSET * min(gray.shape):
         return
     x, y = (
         int(np.clip(round(middle - side / 2.0), 0, most - side))
@@ -78,7 +78,7 @@ def put_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
 
 
 Outlines = Mapping[tuple[str, int], Sequence[FloatArray]]
-LONGEST_PX = 1200
+MAX_PX = 1200
 FADING = 0.75  # of the patch outlines from level to level, so that the large ones stay behind
 EDGE_POINTS = 5  # a patch's side is drawn through so many points, for fisheyes
 
@@ -88,7 +88,7 @@ def draw_overlay(
     solution: Solution,
     matches: Iterable[MatchRow],
     outlines: Outlines | None = None,
-    longest_px: int = LONGEST_PX,
+    longest_px: int = MAX_PX,
     *,
     marks: OutlineMarks | None = None,
 ) -> ByteArray:

@@ -27,7 +27,7 @@ from optnav_cli.output.canvas import eight_bits, encoded, resized, shrink_factor
 from optnav_cli.solution import MatchRow, OutlineMarks, Solution
 
 Message = dict[str, Any]
-LONGEST_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it
+MAX_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it
 JPEG_QUALITY = 80
 _TIME = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d):(\d\d)(?::(\d\d)(?:\.(\d*))?)?", re.ASCII)
 
@@ -77,12 +77,12 @@ class Recording:
         """
         self._last_ns = nanoseconds(solution.utc, self._last_ns)
         if camera is not None:
-            factor = shrink_factor(camera.width_px, camera.height_px, LONGEST_PX)
+            factor = shrink_factor(camera.width_px, camera.height_px, MAX_PX)
             place = f"/camera/{camera.name}"
             if picture is not None:
                 self._write(f"{place}/image", self._image(camera, picture, factor))
             self._write(f"{place}/calibration", self._calibration(camera, factor))
-            size = factor * max(camera.width_px, camera.height_px) / LONGEST_PX
+            size = factor * max(camera.width_px, camera.height_px) / MAX_PX
             drawn = Annotations(self._stamp(), factor, size)
             drawn.add_matches(matches)
             if marks is not None:
@@ -217,7 +217,7 @@ def _camera_in_body(solution: Solution) -> tuple[Message, Message]:
 
 Rgb = tuple[float, float, float]
 
-MARK_PX, TEXT_PX = 14.0, 12.0  # for a picture of LONGEST_PX
+MARK_PX, TEXT_PX = 14.0, 12.0  # for a picture of MAX_PX
 DISC_PX, POINT_PX, LINE_PX = 60.0, 3.0, 2.0
 PREDICTED, FOUND, REJECTED = (0.20, 0.75, 1.0), (0.25, 0.95, 0.35), (1.0, 0.35, 0.30)  # RGB
 DISC = (1.0, 0.85, 0.2)

@@ -25,7 +25,7 @@ SIDES = (
     ((0, -1, 0), (0, 0, 1), "-y: longitude 90 west"),
     ((0, 0, -1), (1, 0, 0), "-z: south pole, longitude 0 above"),
 )
-MOST_ROWS = 360  # of the drawn relief: two pixels of a side a cell
+MAX_ROWS = 360  # of the drawn relief: two pixels of a side a cell
 ROOM = 1.1  # of the picture about the body
 AWAY = 5000.0  # reaches of the body to the viewer: perspective is a hundredth of a pixel
 SAMPLES = 3  # rays a side of a pixel, where the ground changes
@@ -83,16 +83,18 @@ def sides(catalog: Catalog, size_px: int) -> list[Side]:
     lat, lon = np.radians(catalog.lat_deg), np.radians(catalog.lon_deg)
     points = xyz_from_latlon(lat, lon, np.asarray(records["radius_m"], np.float64))
     lines = _graticule(relief)
-    hidden_m = HIDDEN_CELLS * relief.posting_m * max(1.0, len(relief.heights) / MOST_ROWS)
-    return [_side(mesh, side, size_px, points, lines, hidden_m) for side in SIDES]
+    unresolved_posting_m = (
+        HIDDEN_CELLS * relief.posting_m * max(1.0, len(relief.heights) / MAX_ROWS)
+    )
+    return [_side(mesh, side, size_px, points, lines, unresolved_posting_m) for side in SIDES]
 
 
 def relief_corners(relief: GlobalRelief) -> FloatArray:
     """The relief's mean heights as a closed mesh (m, 3, 3) m, counter-clockwise from outside.
 
-    More than MOST_ROWS rows are averaged to as many or fewer.
+    More than MAX_ROWS rows are averaged to as many or fewer.
     """
-    factor = -(-relief.heights.shape[0] // MOST_ROWS)
+    factor = -(-relief.heights.shape[0] // MAX_ROWS)
     heights = relief.heights.astype(np.float64)
     rows = heights.shape[0] // factor
     heights = heights[: rows * factor, : 2 * rows * factor]
@@ -132,7 +134,7 @@ def _side(
     size_px: int,
     points: FloatArray,
     lines: list[FloatArray],
-    hidden_m: float,
+    unresolved_posting_m: float,
 ) -> Side:
     toward, up = np.array(side[0], np.float64), np.array(side[1], np.float64)
     right = np.cross(up, toward)
@@ -154,7 +156,7 @@ def _side(
         away = np.linalg.norm(sight, axis=1)
         _, met = mesh.first_hits(viewer, sight / away[:, None])
         flat = np.column_stack([places @ right, places @ up])
-        flat[met < away - hidden_m] = np.nan
+        flat[met < away - unresolved_posting_m] = np.nan
         return flat
 
     return Side(side[2], half, gray, shown(points), [shown(line) for line in lines])

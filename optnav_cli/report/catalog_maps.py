@@ -22,7 +22,7 @@ from optnav_cli.report.shades import (
 from optnav_cli.report.svg import Plot
 from optnav_cli.report.views import View, rows_of_pixels, views
 
-MOST_DOTS = 1500  # more points are shown by their cells instead of one by one
+MAX_DOTS = 1500  # more points are shown by their cells instead of one by one
 TINT, STRONG_TINT, SOLID = 105, 205, 255  # of 255, over the relief
 # In the order in which the checks run: a point is shown by the first that it fails.
 REASONS = {
@@ -95,7 +95,7 @@ def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
     kinds = first_reasons(catalog)
     colours, words = POINT_COLOURS, POINT_WORDS
     whole = maps[0].view.whole
-    dots = not whole and len(catalog) <= MOST_DOTS
+    dots = not whole and len(catalog) <= MAX_DOTS
     strength = np.where(kinds == 0, TINT, STRONG_TINT)
     tints = _bgra([colours[kind] for kind in kinds.tolist()], strength)
     drawings, whose = [], ""

@@ -14,10 +14,10 @@ from optnav_cli.report.views import THIRD
 
 BINS = 32
 BAND_DEG = 10.0
-LEAST_TOP = 5.0  # of a histogram, so that its ticks are whole numbers
+MIN_TOP = 5.0  # of a histogram, so that its ticks are whole numbers
 HALF_HEIGHT = 330
 STRIP = 0.05  # height of the colour bar, share of the histogram's
-MOST_EXACT_TRIALS = 24  # rates of so many trials have a bar each
+MAX_EXACT_TRIALS = 24  # rates of so many trials have a bar each
 
 
 def histogram(
@@ -39,7 +39,7 @@ def histogram(
     known = np.isfinite(values)
     inside = np.clip(values, edges[0], edges[-1])
     good, bad = (np.histogram(inside[known & choice], edges)[0] for choice in (usable, ~usable))
-    top = 1.08 * max(float((good + bad).max()), LEAST_TOP)
+    top = 1.08 * max(float((good + bad).max()), MIN_TOP)
     width, height = (THIRD, THIRD) if wide else (HALF, HALF_HEIGHT)
     along = scale.along(edges)
     plot = Plot(
@@ -88,7 +88,7 @@ def rate_edges(trials: IntArray) -> FloatArray:
     """Bars for success rates: one for each possible rate where all points had as many trials."""
     numbers = np.unique(trials[trials > 0])
     steps = int(numbers[0]) if len(numbers) == 1 else 20
-    steps = min(steps, MOST_EXACT_TRIALS)
+    steps = min(steps, MAX_EXACT_TRIALS)
     return np.asarray((np.arange(steps + 2) - 0.5) / steps)
 
 

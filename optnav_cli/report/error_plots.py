@@ -132,7 +132,7 @@ UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small 
 BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
 FAR = 4.0  # farthest over nearest height from which errors are drawn over the distance, too
 IN_KM_M = 5e3  # errors typically larger are drawn in km
-MOST_REASONS = 4
+MAX_REASONS = 4
 
 
 def error_plots(run: RunFolder) -> list[str]:
@@ -315,8 +315,8 @@ def _reasons(frames: Frames) -> str:
     reasons = Counter(row.reason or "no reason given" for row in frames.rows if not row.solved)
     if not reasons:
         return ""
-    named = "; ".join(f"{n} × {why}" for why, n in reasons.most_common(MOST_REASONS))
-    more = "; others below" if len(reasons) > MOST_REASONS else ""
+    named = "; ".join(f"{n} × {why}" for why, n in reasons.most_common(MAX_REASONS))
+    more = "; others below" if len(reasons) > MAX_REASONS else ""
     return f" Unsolved: {named}{more}."
 
 

@@ -15,7 +15,7 @@ from catalog.geometry.latlon import (
 from catalog.geometry.projection import Stereographic
 from optnav_cli.report.svg import WIDE, Plot, number_text, span
 
-LARGEST_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
+MAX_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
 STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 LABEL_ROOM_PX = 45.0
 WHOLE_HEIGHT = 496  # makes a degree as high as it is wide, at a plot's full width
@@ -41,7 +41,7 @@ class GroundMap:
         middle = xyz_from_latlon(lat, lon, 1.0).reshape(-1, 3).mean(axis=0)
         lat0, lon0, _ = latlon_from_xyz(middle)
         reach = np.degrees(np.max(angular_distance(lat0, lon0, lat, lon)))
-        regional = bool(reach <= LARGEST_RADIUS_DEG)
+        regional = bool(reach <= MAX_RADIUS_DEG)
         centre = (float(np.degrees(lat0)), float(np.degrees(lon0))) if regional else (0.0, 0.0)
         return cls(centre, radius_m, regional)
 

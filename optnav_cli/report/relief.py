@@ -25,9 +25,9 @@ MOON_FILE, MOON_RADIUS_M = "data/moon_gld100_4ppd.tif", 1737400.0
 MOON_WORDS = "Relief: LROC WAC GLD100 at 4 px/deg, bundled."
 OWN_WORDS = "Relief: the catalog's own height grids."
 # Below this size of a map's pixel the bundled Moon, of 7.6 km, would look blurred.
-LEAST_MOON_PIXEL_M = 3000.0
-MOST_PATCHES = 4000  # that are read for a relief: a second or two
-LEAST_COVERED = 0.6  # share of the map's ground that its patches must cover
+MIN_MOON_PIXEL_M = 3000.0
+MAX_PATCHES = 4000  # that are read for a relief: a second or two
+MIN_COVERED = 0.6  # share of the map's ground that its patches must cover
 STEEP = 0.55  # of the shading, for the slope that one pixel in ten exceeds
 GRAY, DEPTH = 150.0, 95.0  # level ground, and how much light and shade differ from it
 
@@ -44,7 +44,7 @@ def relief(
     """
     pixel_m = _pixel_m(lat_deg, lon_deg, catalog.meta.radius_m)
     is_moon = catalog.meta.body == "moon" and catalog.meta.radius_m == MOON_RADIUS_M
-    if is_moon and pixel_m >= LEAST_MOON_PIXEL_M:
+    if is_moon and pixel_m >= MIN_MOON_PIXEL_M:
         heights, words = _moon_heights(lat_deg, lon_deg), MOON_WORDS
     else:
         # heights above tangent planes are no map's: a small body is drawn by its whole relief
@@ -141,7 +141,7 @@ def _own_heights(
         words = "%s: %d damaged control points are missing in the relief; run `catalog verify`"
         log.warning(words, catalog.path, damaged)
     inside = np.isin(catalog.grid.cell_of(lat, lon), catalog.ids)
-    if not inside.any() or np.isfinite(heights[inside]).mean() < LEAST_COVERED:
+    if not inside.any() or np.isfinite(heights[inside]).mean() < MIN_COVERED:
         return None
     picture = np.full(lat_deg.shape, np.nan, np.float32)
     picture[known] = heights
@@ -164,7 +164,7 @@ def _spread(catalog: Catalog) -> IntArray:
     """Rows of points that hold patches, thinned evenly over the body to a bearable number."""
     rows = np.flatnonzero(catalog.records["levels"] > 0)
     step = catalog.meta.cell_deg
-    while len(rows) > MOST_PATCHES:
+    while len(rows) > MAX_PATCHES:
         step = min(1.5 * step, 90.0)
         cells = CellGrid(step).cell_of(catalog.lat_deg[rows], catalog.lon_deg[rows])
         rows = rows[np.unique(cells, return_index=True)[1]]

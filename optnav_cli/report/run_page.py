@@ -40,8 +40,8 @@ from optnav_cli.report.page import (
 from optnav_cli.report.svg import HALF, Plot, span
 from optnav_cli.solution import Solution
 
-MOST_FOOTPRINTS = 60
-MOST_DOTS = 4000
+MAX_FOOTPRINTS = 60
+MAX_DOTS = 4000
 BORDER_POINTS = 12  # of a footprint, along each side of the picture
 HISTOGRAM_BINS = 24
 
@@ -55,7 +55,7 @@ def ground_plot(run: RunFolder) -> str:
     cp_lat, cp_lon, _ = latlon_from_xyz(
         np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
     )
-    step = -(-len(solved) // MOST_FOOTPRINTS)
+    step = -(-len(solved) // MAX_FOOTPRINTS)
     borders = [border for s in solved[::step] if (border := _footprint(run, s)) is not None]
     all_lat = np.degrees(np.concatenate([lat, cp_lat, *(b[0] for b in borders)]))
     all_lon = np.degrees(np.concatenate([lon, cp_lon, *(b[1] for b in borders)]))
@@ -69,7 +69,7 @@ def ground_plot(run: RunFolder) -> str:
     used = np.array([m.used for m in points.values()], dtype=np.bool_)
     names = np.array([f"control point {cp_id}" for _, cp_id in points])
     for choice, series, radius in ((~used, "s4", 2.2), (used, "s3", 2.6)):
-        few = slice(None, None, -(-max(int(choice.sum()), 1) // MOST_DOTS))
+        few = slice(None, None, -(-max(int(choice.sum()), 1) // MAX_DOTS))
         plot.dots(x[choice][few], y[choice][few], series, radius, list(names[choice][few]))
     x, y = ground.places(np.degrees(lat), np.degrees(lon))
     plot.line(x, y, "s2 thin")
@@ -96,7 +96,7 @@ def residual_plots(run: RunFolder) -> list[str]:
             (-reach, reach), (-reach, reach), x_label="x, px", y_label="y, px",
             width=HALF, height=420, equal=True,
         )  # fmt: skip
-        few = residual[:: -(-len(residual) // MOST_DOTS)]
+        few = residual[:: -(-len(residual) // MAX_DOTS)]
         plot.dots(few[:, 0], few[:, 1], "s1", 1.8)
         turn = np.linspace(0.0, 2.0 * np.pi, 73)
         plot.line(rms * np.cos(turn), rms * np.sin(turn), "s2", closed=True)
@@ -253,7 +253,7 @@ def length_words(metres: float) -> str:
     return f"{metres / 1e3:.1f} km" if metres >= IN_KM_M else f"{metres:.1f} m"
 
 
-MOST_THUMBNAILS = 24
+MAX_THUMBNAILS = 24
 THUMBNAIL_PX = 560
 ROWS_OPEN = 40  # longer tables are folded
 
@@ -329,8 +329,8 @@ def _thumbnails(run: RunFolder) -> str:
     if not there:
         return ""
     picked = there
-    if len(there) > MOST_THUMBNAILS:
-        places = np.linspace(0, len(there) - 1, MOST_THUMBNAILS).round().astype(int)
+    if len(there) > MAX_THUMBNAILS:
+        places = np.linspace(0, len(there) - 1, MAX_THUMBNAILS).round().astype(int)
         picked = [there[place] for place in places]
     pictures = []
     for solution in picked:

@@ -18,7 +18,7 @@ SOURCE_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e
 OTHER = "#8a8f98"
 OUTER_PERCENT = 0.5  # of the values at either end that may share the last colour
 STEPS = 64  # colours of a map: as many as eyes tell apart, few enough for small pictures
-LEAST_RELATIVE_SPAN = 1e-6
+MIN_RELATIVE_SPAN = 1e-6
 WORTH_A_LOG = 8.0  # highest over lowest value, from which a logarithm shows more
 
 
@@ -48,7 +48,7 @@ class Scale:
             if high > WORTH_A_LOG * low:
                 return cls(low, high, more_is_better, True)
         low, high = (float(v) for v in np.percentile(values, ends))
-        if high - low <= LEAST_RELATIVE_SPAN * max(abs(high), 1.0):
+        if high - low <= MIN_RELATIVE_SPAN * max(abs(high), 1.0):
             margin = max(0.1 * abs(high), 0.05)
             low, high = low - margin, high + margin
         return cls(low, high, more_is_better)

@@ -14,7 +14,7 @@ from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.run_settings import FileAttitude
-from optnav_cli.navigation.autonomous import Navigator, World
+from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.manifest import hash_files, write_manifest
@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 
 # A patch that takes up more of the picture's width than this is not outlined.
-WIDEST_OUTLINE = 0.2
+MAX_OUTLINE = 0.2
 
 
 def navigate_folder(
@@ -58,7 +58,9 @@ def navigate_folder(
         points = open_field(catalogs, folder)
         ground = whole_relief(catalogs, relief, folder)
         inertial = folder.settings.attitude == "camera_from_inertial"
-        world = World(points, folder.motion, ground, settings, MATCHERS[matcher], inertial)
+        world = NavigationInputs(
+            points, folder.motion, ground, settings, MATCHERS[matcher], inertial
+        )
         copy_inputs(pictures, place)
         solutions, matches = _navigate_frames(folder, world, place, progress)
         attitude = FileAttitude(folder.settings.attitude, folder.body, folder.motion)
@@ -94,7 +96,7 @@ def navigate_folder(
 
 
 def _navigate_frames(
-    folder: Folder, world: World, place: Path, progress: Progress
+    folder: Folder, world: NavigationInputs, place: Path, progress: Progress
 ) -> tuple[list[Solution], list[MatchRow]]:
     """Rows in the order of frames.csv; the frames are navigated in the order of time."""
     solutions: dict[int, Solution] = {}
@@ -127,7 +129,7 @@ def _drawn_sizes(
     distance = float(np.linalg.norm(points.xyz_m[index] - position_m))
     across = distance / camera.focal_length_px * camera.width_px
     sizes = points.half_sizes_m(index, level)
-    return [s for s in sizes if 2.0 * s <= WIDEST_OUTLINE * across]
+    return [s for s in sizes if 2.0 * s <= MAX_OUTLINE * across]
 
 
 def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:

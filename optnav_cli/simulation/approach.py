@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.shape import Shape, load_shape
@@ -26,11 +26,11 @@ RELATIVE = 1e-12
 TOLERANCE = np.array([1e-3] * 3 + [1e-7] * 3)  # m and m/s: planets are 1e7 m away
 LAYERS = 4  # masses from the centre to each face: the field at two radii is right to 1e-4
 APART_S = 10.0  # places of the body that its velocity is found from
-LONGEST_S = 5 * 86400.0
+MAX_S = 5 * 86400.0
 STEPS = 4000  # times that distances are looked up between: 1e-5 of them
 
 
-def approach_states(scenario: Approach, motion: BodyMotion) -> States:
+def approach_states(scenario: Approach, motion: Ephemeris) -> States:
     """Times (n,), TDB s, and inertial states (n, 6) about the body, m and m/s, of an [approach].
 
     Raises ConfigError for a path that does not come from as far as wanted, DataError for a shape
@@ -45,7 +45,7 @@ def approach_states(scenario: Approach, motion: BodyMotion) -> States:
     )
     state = np.concatenate([low * frame[:, 0], settings.speed_m_s * frame[:, 1]])
     centre = pull.body_state(arrival)
-    longest = min(5.0 * far / settings.speed_m_s, LONGEST_S)
+    longest = min(5.0 * far / settings.speed_m_s, MAX_S)
 
     def rates(t: float, y: FloatArray) -> FloatArray:
         ship, moon = y[:6], y[6:]
@@ -102,11 +102,11 @@ def masses_of(shape: Shape, body: Body) -> Masses:
 class _Pull:
     """Gravity of a body and of its planet, axes of the stars; none of a planet without [orbit]."""
 
-    def __init__(self, motion: BodyMotion, masses: Masses) -> None:
+    def __init__(self, motion: Ephemeris, masses: Masses) -> None:
         self._motion, self._masses = motion, masses
         orbit = motion.body.orbit
         self._planet = None if orbit is None else load_body(orbit.around)
-        self._planet_turns = None if self._planet is None else AnalyticMotion(self._planet)
+        self._planet_turns = None if self._planet is None else AnalyticEphemeris(self._planet)
 
     def body_state(self, tdb_s: float) -> FloatArray:
         """The body's place and velocity (6,) about its planet; zero without one."""

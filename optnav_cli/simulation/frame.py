@@ -10,7 +10,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.rendering.rays.scene import Scene
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.truth_terrain import Box, TruthTerrain
 
 PROBE_PX = 64  # distance of the rays that find out which ground a picture shows
@@ -28,7 +28,7 @@ class Renderer:
     made and its shadows are cast once. Which do follows from the shots alone.
     """
 
-    def __init__(self, terrain: TruthTerrain, camera: Camera, flight: Sequence[Shot]) -> None:
+    def __init__(self, terrain: TruthTerrain, camera: Camera, flight: Sequence[Exposure]) -> None:
         self._terrain, self._camera = terrain, camera
         # rays through the corners of the pixels; sub-pixel rays lie between them
         x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
@@ -37,7 +37,7 @@ class Renderer:
         self._scene: Scene | None = None
         self._scene_key: tuple[object, ...] = ()
 
-    def radiance(self, shot: Shot) -> Float32Array:
+    def radiance(self, shot: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width), sky 0, of a shot of the flight."""
         factor, box = self._ground[shot.index]
         key = (shot.ground_seed, factor, box, shot.sun_body.tobytes())
@@ -51,15 +51,15 @@ class Renderer:
             self._scene_key = key
         return self._scene.picture(shot.position_m, self._rays(shot))
 
-    def _rays(self, shot: Shot, rows: Index = ALL, cols: Index = ALL) -> FloatArray:
+    def _rays(self, shot: Exposure, rows: Index = ALL, cols: Index = ALL) -> FloatArray:
         """Rays through pixel corners, body frame."""
         rotation = shot.camera_from_body.inv().as_matrix()
         return np.asarray(self._corners[rows][:, cols] @ rotation.T)
 
-    def _plan(self, flight: Sequence[Shot]) -> dict[int, tuple[int, Box]]:
+    def _plan(self, flight: Sequence[Exposure]) -> dict[int, tuple[int, Box]]:
         """Fineness and box of the ground for each shot, by its index."""
         plan: dict[int, tuple[int, Box]] = {}
-        group: list[Shot] = []
+        group: list[Exposure] = []
         shared: Box = WHOLE
         for shot in flight:
             box, gsd = self._footprint(shot)
@@ -79,7 +79,7 @@ class Renderer:
                 plan[member.index] = (factor, shared)
         return plan
 
-    def _footprint(self, shot: Shot) -> tuple[Box, float]:
+    def _footprint(self, shot: Exposure) -> tuple[Box, float]:
         """The box of ground that a picture shows, with a margin for relief, and its finest GSD."""
         body, position = self._terrain.body, shot.position_m
         radius = body.radius_m

@@ -8,16 +8,16 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.globe_heights import GlobeHeights
 from optnav_cli.simulation.globe_terrain import (
     CENTRES,
-    LARGEST_LEVEL,
     LEVEL_POSTINGS,
-    MOST_NODES,
+    MAX_LEVEL,
+    MAX_NODES,
     NODES_A_PIXEL,
     GlobeTerrain,
     View,
     fixed_centre,
     level_frame,
 )
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 
 PROBE_PX = 32  # distance of the rays that find out which ground a picture shows
 ROUND = np.radians(2.0)  # boxes are widened to multiples of it, so that neighbours share them
@@ -36,7 +36,7 @@ class GlobeRenderer:
         x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
         self._corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
 
-    def radiance(self, shot: Shot) -> Float32Array:
+    def radiance(self, shot: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width) of a shot, sky 0."""
         body_from_camera = shot.camera_from_body.inv().as_matrix()
         view = self._view(shot.position_m, body_from_camera)
@@ -71,7 +71,7 @@ class GlobeRenderer:
         else:
             posting = _posting(there[:LEVEL_POSTINGS], wanted)
             nodes = (box[2] - box[0]) * (box[3] - box[1])
-        while nodes * (radius / posting) ** 2 > MOST_NODES:
+        while nodes * (radius / posting) ** 2 > MAX_NODES:
             posting *= 2.0
         return View(tuple(centre.tolist()), box, posting)
 
@@ -118,7 +118,7 @@ def _box(seen: FloatArray) -> tuple[float, float, float, float] | None:
     edges = np.array([lon.min(), lat.min(), lon.max(), lat.max()]) + MARGIN * np.array(
         [-1.0, -1.0, 1.0, 1.0]
     )
-    if np.abs(edges).max() + 0.5 * CENTRES > LARGEST_LEVEL:
+    if np.abs(edges).max() + 0.5 * CENTRES > MAX_LEVEL:
         return None
     low, high = np.floor(edges[:2] / ROUND) * ROUND, np.ceil(edges[2:] / ROUND) * ROUND
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])

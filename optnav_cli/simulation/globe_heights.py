@@ -55,7 +55,7 @@ def sample_spline(
     return out
 
 
-FEWEST_ROWS = 90  # no level is coarser than 2 degrees
+MIN_ROWS = 90  # no level is coarser than 2 degrees
 
 
 def read_globe(settings: DemSettings, body: Body) -> Float32Array:
@@ -97,7 +97,7 @@ class GlobeHeights:
         """How often the model is halved for a grid of this posting: its level is about as fine."""
         wanted = round(float(np.log2(max(posting_m / self.posting_m, 1.0))))
         rows, most = self._means[0].shape[0], 0
-        while rows % 2 == 0 and rows // 2 >= FEWEST_ROWS:
+        while rows % 2 == 0 and rows // 2 >= MIN_ROWS:
             rows, most = rows // 2, most + 1
         return min(wanted, most)
 

@@ -17,14 +17,14 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.simulation.globe_heights import GlobeHeights
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad
 
 CENTRES = np.radians(4.0)  # between the directions that turned frames are made for
-LARGEST_LEVEL = np.radians(66.0)  # a grid that reaches farther from its equator faces the camera
-MOST_NODES = 40_000_000
+MAX_LEVEL = np.radians(66.0)  # a grid that reaches farther from its equator faces the camera
+MAX_NODES = 40_000_000
 FINER = 2  # finest nodes against the globe's posting
 POSTINGS = 4  # each twice the one before
 # The means of a coarser grid lower the crests along a limb: the Moon's by 10, 46 and 122 m at 2, 4
@@ -59,7 +59,9 @@ class GlobeTerrain:
     kept    how many windows are kept: one for each camera that looks by turns
     """
 
-    def __init__(self, heights: GlobeHeights, detail: Detail | None, kept: int = 1) -> None:
+    def __init__(
+        self, heights: GlobeHeights, detail: SyntheticRelief | None, kept: int = 1
+    ) -> None:
         self._heights, self._detail, self._most = heights, detail, kept
         self._lost: dict[float, float] = {}
         self._kept: OrderedDict[object, tuple[FloatArray, Ground, Ground]] = OrderedDict()

@@ -5,11 +5,11 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.rendering.mesh.scene import MeshScene
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.truth_mesh import TruthMesh
 
 LIMB_SAMPLES = 8  # rays a side of a pixel at the limb: its share of sky is right to 0.01
-MOST_SAMPLES = 32  # rays a side of any pixel: for a body that is smaller than that many faces
+MAX_SAMPLES = 32  # rays a side of any pixel: for a body that is smaller than that many faces
 MARGIN_PX = 2.0  # about the ball that holds the body
 
 
@@ -22,7 +22,7 @@ class MeshRenderer:
         x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
         self._corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
 
-    def radiance(self, shot: Shot) -> Float32Array:
+    def radiance(self, shot: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width) of a shot, sky 0."""
         ground = self._truth.ground(shot.ground_seed)
         out = np.zeros(self._camera.shape, np.float32)
@@ -32,7 +32,7 @@ class MeshRenderer:
         rows, cols = box
         pixel_m = float(np.linalg.norm(shot.position_m)) * self._camera.angular_resolution
         # so many rays that none stands for more ground than a face
-        aside = int(np.clip(np.ceil(pixel_m / self._truth.posting_m), 1, MOST_SAMPLES))
+        aside = int(np.clip(np.ceil(pixel_m / self._truth.posting_m), 1, MAX_SAMPLES))
         corners = self._corners[rows.start : rows.stop + 1, cols.start : cols.stop + 1]
         rays = _between(corners, aside) @ shot.camera_from_body.as_matrix()
         scene = MeshScene(ground, shot.sun_body)
@@ -41,7 +41,7 @@ class MeshRenderer:
         out[rows, cols] = fine.reshape(shape).mean(axis=(1, 3))
         return out
 
-    def _box(self, shot: Shot, reach_m: float) -> tuple[slice, slice] | None:
+    def _box(self, shot: Exposure, reach_m: float) -> tuple[slice, slice] | None:
         """Rows and columns of the pixels that may show the body; None for none."""
         distance = float(np.linalg.norm(shot.position_m))
         centre = shot.camera_from_body.apply(-shot.position_m / distance)

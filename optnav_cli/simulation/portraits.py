@@ -7,13 +7,13 @@ from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from optnav_cli.simulation.scenario import Portraits
-from optnav_cli.simulation.shot import PLACE, Moment
+from optnav_cli.simulation.shot import PLACE, Epoch
 
-MOST_TRIES = 1000  # places and Suns drawn for one picture
+MAX_TRIES = 1000  # places and Suns drawn for one picture
 GOLDEN = 0.6180339887498949
 
 
-def portrait_moments(scenario: Portraits, body: Body) -> list[Moment]:
+def portrait_moments(scenario: Portraits, body: Body) -> list[Epoch]:
     """When and from where the pictures are taken.
 
     Distances go from the first to the last in even ratios, phases fill their range in even steps in
@@ -31,7 +31,7 @@ def portrait_moments(scenario: Portraits, body: Body) -> list[Moment]:
     distances = 1e3 * np.geomspace(*settings.distance_km, settings.frames)
     low, high = np.radians(settings.phase_deg)
     seeds = scenario.detail.seeds
-    found: list[Moment] = []
+    found: list[Epoch] = []
     for number in range(settings.frames):
         share = np.mod(0.5 / settings.frames + number * GOLDEN, 1.0)
         rng = np.random.default_rng([scenario.seed, PLACE, number])
@@ -39,14 +39,14 @@ def portrait_moments(scenario: Portraits, body: Body) -> list[Moment]:
             float(low + (high - low) * share), np.radians(settings.subsolar_latitude_deg), rng
         )
         found.append(
-            Moment(
+            Epoch(
                 number=number,
                 pass_index=number,
                 tdb_s=start + number * settings.interval_s,
                 position_m=distances[number] * up,
                 forward=_square_to(up, np.array([0.0, 0.0, 1.0])),
                 sun_body=sun,
-                told_sun=True,
+                reported_sun=True,
                 ground_seed=seeds[number * len(seeds) // settings.frames] if seeds else None,
             )
         )
@@ -60,7 +60,7 @@ def _place_and_sun(
 
     highest  rad  the Sun's latitude at most, north or south
     """
-    for _ in range(MOST_TRIES):
+    for _ in range(MAX_TRIES):
         up, aside = rng.normal(size=(2, 3))
         up /= np.linalg.norm(up)
         sun = np.cos(phase) * up + np.sin(phase) * _square_to(up, aside)
@@ -68,7 +68,7 @@ def _place_and_sun(
             return up, sun
     raise ConfigError(
         f"[portraits] the Sun's latitude stays within {np.degrees(highest):g} deg, and under none "
-        f"of {MOST_TRIES} places it stood so at a phase of {np.degrees(phase):.0f} deg; raise "
+        f"of {MAX_TRIES} places it stood so at a phase of {np.degrees(phase):.0f} deg; raise "
         "subsolar_latitude_deg"
     )
 

@@ -14,7 +14,7 @@ from catalog.errors import OutputError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem.source import DemSettings, DemSource
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
@@ -34,7 +34,7 @@ from optnav_cli.simulation.scenario import (
 )
 from optnav_cli.simulation.sections import DetailSettings, GlobeDetailSettings
 from optnav_cli.simulation.sensor import Counts, expose
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.surroundings import Surroundings
 from optnav_cli.simulation.trajectory import shots
 from optnav_cli.simulation.truth_mesh import TruthMesh
@@ -88,7 +88,7 @@ def simulate(
 
 
 def _renderers(
-    scenario: AnyScenario, body: Body, cameras: list[Camera], flight: list[Shot]
+    scenario: AnyScenario, body: Body, cameras: list[Camera], flight: list[Exposure]
 ) -> list[Renderer] | list[GlobeRenderer] | list[MeshRenderer]:
     """One renderer a camera; they share the ground."""
     if isinstance(scenario, ShapeScenario):
@@ -114,25 +114,25 @@ def _renderers(
 
 def _detail(
     seed: int, settings: DetailSettings | GlobeDetailSettings, body: Body, posting_m: float
-) -> Detail:
-    return Detail(
+) -> SyntheticRelief:
+    return SyntheticRelief(
         seed, posting_m, body.radius_m,
         smallest_m=min(settings.smallest_m, posting_m),
         rms_slope_deg=settings.rms_slope_deg, saturation=settings.saturation,
     )  # fmt: skip
 
 
-def truth_terrain(scenario: AnyScenario, body: Body, flight: Sequence[Shot]) -> TruthTerrain:
+def truth_terrain(scenario: AnyScenario, body: Body, flight: Sequence[Exposure]) -> TruthTerrain:
     """The ground of a scenario. Raises ConfigError or DataError for terrain that cannot be used."""
     first = DemSource.open(scenario.dem[0], Path.cwd(), body)
-    details: dict[int | None, Detail | None] = {None: None}
+    details: dict[int | None, SyntheticRelief | None] = {None: None}
     for seed in scenario.detail.seeds:
         details[seed] = _detail(seed, scenario.detail, body, first.posting_m)
     globe = DemSettings(scenario.globe.path)
     if not scenario.globe.detail:
         return TruthTerrain(body, scenario.dem, globe, details)
     posting_m = DemSource.open(globe, Path.cwd(), body).posting_m
-    around: dict[int | None, Detail] = {
+    around: dict[int | None, SyntheticRelief] = {
         seed: _detail(seed, scenario.globe.detail, body, posting_m)
         for seed in scenario.detail.seeds
     }
@@ -158,21 +158,21 @@ def scenario_copy(scenario: AnyScenario) -> bytes:
     return msgspec.json.format(msgspec.json.encode(bare), indent=2) + b"\n"
 
 
-def _frame(shot: Shot, scenario: AnyScenario, camera: str) -> Frame:
+def _frame(shot: Exposure, scenario: AnyScenario, camera: str) -> Frame:
     attitude = scenario.attitude
     return Frame(
         file=shot.file,
         utc=shot.utc,
         camera=camera,
         tdb_s=shot.tdb_s,
-        camera_from_body=shot.told_camera_from_body,
+        camera_from_body=shot.reported_camera_from_body,
         attitude_sigma_rad=None if attitude.free else attitude.sigma_arcsec * ARCSEC,
         position_m=shot.prior_m,
         # a prior without error is still a prior; the search needs some room
         position_sigma_m=(
             None if shot.prior_m is None else max(scenario.prior.position_sigma_m, 1.0)
         ),
-        sun_body=shot.sun_body if shot.told_sun else None,
+        sun_body=shot.sun_body if shot.reported_sun else None,
     )
 
 

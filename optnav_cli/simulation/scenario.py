@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import BodyMotion, motion_of
+from catalog.bodies.ephemeris import Ephemeris, motion_of
 from catalog.config import load_toml, resource
 from catalog.errors import ConfigError
 from catalog.terrain.dem.file import BUNDLED, SHARED, path_of
@@ -70,7 +70,7 @@ class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     sun: SunSettings = SunSettings()
 
 
-class Voyage(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class InertialPath(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A real path in inertial space under the Sun of its date: one of the two."""
 
     flight: FlightSettings | None = None
@@ -96,7 +96,7 @@ class Approach(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=T
     approach: ApproachSettings
 
 
-AnyScenario = Scenario | Voyage | Portraits | Approach
+AnyScenario = Scenario | InertialPath | Portraits | Approach
 
 
 def load_scenario(path: str | Path) -> AnyScenario:
@@ -145,7 +145,7 @@ def scenario_cameras(scenario: AnyScenario) -> list[Camera]:
     return cameras
 
 
-def scenario_motion(scenario: AnyScenario, body: Body) -> BodyMotion:
+def scenario_motion(scenario: AnyScenario, body: Body) -> Ephemeris:
     """How the scenario's body turns. Raises ConfigError or DataError for a kernel."""
     return motion_of(body, [path_of(name, Path.cwd()) for name in scenario.spice.kernels])
 
@@ -187,7 +187,7 @@ def _kind(path: Path) -> type[AnyScenario]:
         return Approach
     if "mesh" in data or "portraits" in data:
         return Portraits
-    return Voyage if "flight" in data or "transfer" in data else Scenario
+    return InertialPath if "flight" in data or "transfer" in data else Scenario
 
 
 def _camera_file(name: str, base: Path) -> str:
@@ -223,7 +223,7 @@ def _check(scenario: AnyScenario, where: Path) -> None:
             f"{where}: [globe] has detail, and there is no [[dem]] that it could lie around; "
             "put the relief of a whole body into [detail]"
         )
-    if isinstance(scenario, Voyage):
+    if isinstance(scenario, InertialPath):
         _check_voyage(scenario, where)
         return
     if isinstance(scenario, ShapeScenario):
@@ -258,7 +258,7 @@ def _check_shape(scenario: Portraits | Approach, where: Path) -> None:
         )
 
 
-def _check_voyage(scenario: Voyage, where: Path) -> None:
+def _check_voyage(scenario: InertialPath, where: Path) -> None:
     flight, transfer = scenario.flight, scenario.transfer
     if flight is not None and transfer is not None:
         raise ConfigError(f"{where}: there are [flight] and [transfer]; give one of them")

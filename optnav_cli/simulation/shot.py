@@ -15,7 +15,7 @@ PLACE, POINTING, PRIOR, ATTITUDE, ROUGHNESS = range(5)
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class Exposure:
     """The truth about one picture, and what the navigator is told.
 
     index                number of the picture; camera: number of the camera in the scenario
@@ -34,14 +34,14 @@ class Shot:
     camera_from_body: Rotation
     sun_body: FloatArray
     prior_m: FloatArray | None
-    told_camera_from_body: Rotation
+    reported_camera_from_body: Rotation
     ground_seed: int | None
     camera: int = 0
-    told_sun: bool = True
+    reported_sun: bool = True
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class Epoch:
     """The ship at a time when its cameras take their pictures.
 
     number               of the moment in the scenario
@@ -54,11 +54,11 @@ class Moment:
     position_m: FloatArray
     forward: FloatArray
     sun_body: FloatArray
-    told_sun: bool
+    reported_sun: bool
     ground_seed: int | None
 
 
-def shots_of(scenario: AnyScenario, moments: list[Moment]) -> list[Shot]:
+def shots_of(scenario: AnyScenario, moments: list[Epoch]) -> list[Exposure]:
     """The pictures of all cameras at all moments, in order of time.
 
     Cameras of one moment share its prior and the error of the ship's attitude.
@@ -67,7 +67,7 @@ def shots_of(scenario: AnyScenario, moments: list[Moment]) -> list[Shot]:
     turns = [None, *(_mount_turn(mount) for mount in scenario.beside)]
     names = [mount.name.rpartition("/")[2].removesuffix(".toml") for mount in mounts]
     digits = max(4, len(str(len(moments))))
-    found: list[Shot] = []
+    found: list[Exposure] = []
     for moment in moments:
         ship = _ship_attitude(scenario, moment)
         error = _attitude_error(scenario, moment.number)
@@ -76,7 +76,7 @@ def shots_of(scenario: AnyScenario, moments: list[Moment]) -> list[Shot]:
         for number, turn in enumerate(turns):
             which = f"_{names[number]}" if len(turns) > 1 else ""
             found.append(
-                Shot(
+                Exposure(
                     index=len(found),
                     pass_index=moment.pass_index,
                     file=f"frame_{moment.number:0{digits}d}{which}.png",
@@ -86,16 +86,18 @@ def shots_of(scenario: AnyScenario, moments: list[Moment]) -> list[Shot]:
                     camera_from_body=ship if turn is None else turn * ship,
                     sun_body=moment.sun_body,
                     prior_m=prior if scenario.prior.given else None,
-                    told_camera_from_body=(error * ship if turn is None else turn * (error * ship)),
+                    reported_camera_from_body=(
+                        error * ship if turn is None else turn * (error * ship)
+                    ),
                     ground_seed=moment.ground_seed,
                     camera=number,
-                    told_sun=moment.told_sun,
+                    reported_sun=moment.reported_sun,
                 )
             )
     return found
 
 
-def _ship_attitude(scenario: AnyScenario, moment: Moment) -> Rotation:
+def _ship_attitude(scenario: AnyScenario, moment: Epoch) -> Rotation:
     """First camera from body: looking down, the picture's top forward, then turned as set."""
     pointing = scenario.pointing
     position, forward = moment.position_m, moment.forward

@@ -9,13 +9,13 @@ from scipy.special import ndtr
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import BodyMotion
+from catalog.bodies.ephemeris import Ephemeris
 from catalog.config import resource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.scenario import AnyScenario
 from optnav_cli.simulation.sections import GlareSettings, SensorSettings, StructureSettings
 from optnav_cli.simulation.sensor import Besides, Counts, add_hot_pixels
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 
 FINER = 4  # sub-pixels a side that outlines are drawn on
 UNEVEN = 0.2  # how much the brightness of a part varies over it, of its mean
@@ -55,7 +55,7 @@ def structure_cover(
     return cover, brightness
 
 
-def glare_veil(shot: Shot, rays_camera: FloatArray, settings: GlareSettings) -> Float32Array:
+def glare_veil(shot: Exposure, rays_camera: FloatArray, settings: GlareSettings) -> Float32Array:
     """Stray light (rows, cols) as a share of the bright ground.
 
     rays_camera  (rows, cols, 3) unit rays of the pixels' middles; NaN where the camera sees nothing
@@ -93,7 +93,7 @@ def bright_stars() -> Stars:
 
 
 def star_light(
-    shot: Shot, camera: Camera, motion: BodyMotion, to_magnitude: float, sensor: SensorSettings
+    shot: Exposure, camera: Camera, motion: Ephemeris, to_magnitude: float, sensor: SensorSettings
 ) -> Float32Array:
     """Electrons (rows, cols) of the stars in view, as the lens blurs them.
 
@@ -133,7 +133,7 @@ def _add_point(out: Float32Array, x: float, y: float, electrons: float, sigma: f
     out[r0:r1, c0:c1] += (electrons * np.outer(np.diff(down), np.diff(across))).astype(np.float32)
 
 
-def add_earth(radiance: Float32Array, shot: Shot, camera: Camera, motion: BodyMotion) -> None:
+def add_earth(radiance: Float32Array, shot: Exposure, camera: Camera, motion: Ephemeris) -> None:
     """The Earth as a lit sphere without features, where nothing stands before it; in place."""
     radius = load_body("earth").radius_m
     body_from_inertial = motion.body_from_inertial(shot.tdb_s)
@@ -194,7 +194,7 @@ HOT, STRUCTURE = 23, 29  # streams of random numbers, apart from those of noise 
 class Surroundings:
     """Sky, ship and faults of one camera; `motion` says where the stars and the Earth stand."""
 
-    def __init__(self, scenario: AnyScenario, camera: Camera, motion: BodyMotion) -> None:
+    def __init__(self, scenario: AnyScenario, camera: Camera, motion: Ephemeris) -> None:
         self._scenario, self._camera, self._motion = scenario, camera, motion
         seed = scenario.seed * 1000 + STRUCTURE
         self._cover = (
@@ -205,7 +205,7 @@ class Surroundings:
             x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
             self._rays = camera.unproject(np.stack([x, y], axis=-1).astype(np.float64))
 
-    def besides(self, shot: Shot, radiance: Float32Array) -> Besides | None:
+    def besides(self, shot: Exposure, radiance: Float32Array) -> Besides | None:
         """What to expose beside the radiance of a shot, None for nothing.
 
         The Earth, where it is wanted and in view, is put into the radiance, in place.

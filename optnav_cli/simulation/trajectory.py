@@ -4,25 +4,25 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.simulation.approach import approach_states
 from optnav_cli.simulation.portraits import portrait_moments
-from optnav_cli.simulation.scenario import AnyScenario, Approach, Portraits, Scenario, Voyage
+from optnav_cli.simulation.scenario import AnyScenario, Approach, InertialPath, Portraits, Scenario
 from optnav_cli.simulation.sections import SunSettings
-from optnav_cli.simulation.shot import PLACE, Moment, Shot, shots_of
+from optnav_cli.simulation.shot import PLACE, Epoch, Exposure, shots_of
 from optnav_cli.simulation.voyage import moments_of, voyage_states
 
 
-def shots(scenario: AnyScenario, body: Body, motion: BodyMotion | None = None) -> list[Shot]:
+def shots(scenario: AnyScenario, body: Body, motion: Ephemeris | None = None) -> list[Exposure]:
     """All pictures of a scenario in order of time, those of a pass together.
 
     motion  how the body turns; the analytic theory if None. Passes and portraits do not need it
     Raises ConfigError for a path that cannot be flown.
     """
-    motion = motion or AnalyticMotion(body)
-    if isinstance(scenario, Voyage):
+    motion = motion or AnalyticEphemeris(body)
+    if isinstance(scenario, InertialPath):
         return shots_of(scenario, moments_of(scenario, motion, voyage_states(scenario, motion)))
     if isinstance(scenario, Approach):
         return shots_of(scenario, moments_of(scenario, motion, approach_states(scenario, motion)))
@@ -31,7 +31,7 @@ def shots(scenario: AnyScenario, body: Body, motion: BodyMotion | None = None) -
     return shots_of(scenario, _passes(scenario, body))
 
 
-def _passes(scenario: Scenario, body: Body) -> list[Moment]:
+def _passes(scenario: Scenario, body: Body) -> list[Epoch]:
     """The moments of all passes.
 
     Passes are circular orbits in the body-fixed frame: the body's own turn, 4 m/s at the Moon's
@@ -41,7 +41,7 @@ def _passes(scenario: Scenario, body: Body) -> list[Moment]:
     radius = body.radius_m + orbit.altitude_km * 1e3
     rate = float(np.sqrt(body.gm_m3_s2 / radius**3))
     start = utc_to_tdb_s(orbit.start_utc)
-    found: list[Moment] = []
+    found: list[Epoch] = []
     for number in range(orbit.passes):
         rng = np.random.default_rng([scenario.seed, PLACE, number])
         lat, lon = _place(orbit.box_deg, rng)
@@ -56,14 +56,14 @@ def _passes(scenario: Scenario, body: Body) -> list[Moment]:
             after = (step - (orbit.frames - 1) / 2.0) * orbit.spacing_s
             angle = rate * after
             found.append(
-                Moment(
+                Epoch(
                     number=len(found),
                     pass_index=number,
                     tdb_s=start + number * orbit.pass_interval_s + step * orbit.spacing_s,
                     position_m=radius * (np.cos(angle) * up + np.sin(angle) * ahead),
                     forward=np.cos(angle) * ahead - np.sin(angle) * up,
                     sun_body=sun,
-                    told_sun=True,
+                    reported_sun=True,
                     ground_seed=ground,
                 )
             )

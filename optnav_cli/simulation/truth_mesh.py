@@ -9,7 +9,7 @@ from catalog.errors import ConfigError
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.refine import FINEST_FACES, refined, roughened
 from catalog.terrain.mesh.shape import load_shape
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.simulation.scenario import ShapeScenario
 
 
@@ -46,9 +46,9 @@ class TruthMesh:
             self._kept = seed, MeshRays(shape.vertices[shape.faces])
         return self._kept[1]
 
-    def _detail(self, seed: int) -> Detail:
+    def _detail(self, seed: int) -> SyntheticRelief:
         settings = self._scenario.detail
-        return Detail(
+        return SyntheticRelief(
             seed, self._model_posting_m, self._body.radius_m,
             smallest_m=min(settings.smallest_m, self._model_posting_m),
             rms_slope_deg=settings.rms_slope_deg, saturation=settings.saturation,

@@ -18,7 +18,7 @@ from catalog.errors import ConfigError
 from catalog.geometry.grid import sample_bicubic
 from catalog.rendering.rays.ground import Ground, make_ground
 from catalog.terrain.dem.source import DemSettings, DemSource
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.simulation.globe_heights import (
     SPLINE_MARGIN,
     read_globe,
@@ -32,7 +32,7 @@ Box = tuple[float, float, float, float]  # west, south, east, north, rad
 TILE = 1024  # nodes a side
 KEPT_TILES = 120  # 0.5 GB
 FEATHER_M = 8000.0  # about a pixel of the globe
-LARGEST_WINDOW = 100_000_000  # nodes
+MAX_WINDOW = 100_000_000  # nodes
 POLAR_LATITUDE = np.radians(86.0)  # beyond it a lattice of longitudes is no good
 
 
@@ -48,8 +48,8 @@ class TruthTerrain:
 
     def __init__(
         self, body: Body, dems: tuple[DemSettings, ...], globe: DemSettings,
-        details: Mapping[int | None, Detail | None],
-        globe_details: Mapping[int | None, Detail] = MappingProxyType({}),
+        details: Mapping[int | None, SyntheticRelief | None],
+        globe_details: Mapping[int | None, SyntheticRelief] = MappingProxyType({}),
         cameras_m: Sequence[FloatArray] = (),
     ) -> None:  # fmt: skip
         self.body, self._details = body, details
@@ -92,10 +92,10 @@ class TruthTerrain:
             return self._windows[key]
         step_lat, step_lon = self._steps(factor)
         top, left, rows, cols = self._place(factor, box)
-        if rows * cols > LARGEST_WINDOW:
+        if rows * cols > MAX_WINDOW:
             raise ConfigError(
                 f"a picture sees {rows} x {cols} nodes of {self.posting_m / factor:.0f} m of "
-                f"ground; {LARGEST_WINDOW} nodes are possible: name a coarser terrain model"
+                f"ground; {MAX_WINDOW} nodes are possible: name a coarser terrain model"
             )
         out = np.empty((rows, cols), np.float32)
         for tile_row in range(top // TILE, (top + rows - 1) // TILE + 1):

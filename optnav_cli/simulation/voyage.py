@@ -9,22 +9,22 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import BodyMotion
+from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
-from optnav_cli.simulation.scenario import AnyScenario, Voyage
+from optnav_cli.simulation.scenario import AnyScenario, InertialPath
 from optnav_cli.simulation.sections import FlightSettings, TransferSettings
-from optnav_cli.simulation.shot import ROUGHNESS, Moment
+from optnav_cli.simulation.shot import ROUGHNESS, Epoch
 
 States = tuple[FloatArray, FloatArray]
 
-LONGEST_APPROACH_S = 20 * 86400.0
+MAX_APPROACH_S = 20 * 86400.0
 APPROACH_STEPS = 400  # places that times are found between: 1e-6 of the distance
 
 
-def voyage_states(voyage: Voyage, motion: BodyMotion) -> States:
+def voyage_states(voyage: InertialPath, motion: Ephemeris) -> States:
     """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a voyage's pictures.
 
     Raises ConfigError for a path that does not come from as far as wanted.
@@ -34,12 +34,12 @@ def voyage_states(voyage: Voyage, motion: BodyMotion) -> States:
     return transfer_states(voyage.transfer or TransferSettings(), motion)
 
 
-def moments_of(scenario: AnyScenario, motion: BodyMotion, states: States) -> list[Moment]:
+def moments_of(scenario: AnyScenario, motion: Ephemeris, states: States) -> list[Epoch]:
     """All times when pictures are taken, with the ship's place in the body-fixed frame.
 
     Raises ConfigError for a path that meets the body.
     """
-    found: list[Moment] = []
+    found: list[Epoch] = []
     seeds = scenario.detail.seeds
     for number, (tdb_s, state) in enumerate(zip(*states, strict=True)):
         turn = motion.body_from_inertial(float(tdb_s))
@@ -52,21 +52,21 @@ def moments_of(scenario: AnyScenario, motion: BodyMotion, states: States) -> lis
                 break
         _check_height(motion.body, position)
         found.append(
-            Moment(
+            Epoch(
                 number=number,
                 pass_index=0,
                 tdb_s=float(tdb_s),
                 position_m=position,
                 forward=level / np.linalg.norm(level),
                 sun_body=motion.sun_body(float(tdb_s)),
-                told_sun=scenario.attitude.relative_to == "body",
+                reported_sun=scenario.attitude.relative_to == "body",
                 ground_seed=seeds[0] if seeds else None,
             )
         )
     return found
 
 
-def flight_states(flight: FlightSettings, motion: BodyMotion, seed: int) -> States:
+def flight_states(flight: FlightSettings, motion: Ephemeris, seed: int) -> States:
     """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a [flight]."""
     body = motion.body
     low, high = (body.radius_m + 1e3 * h for h in (flight.lowest_km, flight.highest_km))
@@ -91,7 +91,7 @@ def flight_states(flight: FlightSettings, motion: BodyMotion, seed: int) -> Stat
     return times, np.array(states)
 
 
-def transfer_states(transfer: TransferSettings, motion: BodyMotion) -> States:
+def transfer_states(transfer: TransferSettings, motion: Ephemeris) -> States:
     """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a [transfer]."""
     body = motion.body
     low, far = (body.radius_m + 1e3 * h for h in (transfer.to_km, transfer.from_km))
@@ -103,7 +103,7 @@ def transfer_states(transfer: TransferSettings, motion: BodyMotion) -> States:
     )
     state = np.concatenate([frame @ [low, 0.0, 0.0], frame @ [0.0, speed, 0.0]])
     orbit = OrbitMotion(Forces(motion))
-    longest = min(1.5 * far / excess, LONGEST_APPROACH_S)
+    longest = min(1.5 * far / excess, MAX_APPROACH_S)
     back = np.concatenate([[0.0], np.geomspace(10.0, longest, APPROACH_STEPS)])
     distances = np.linalg.norm(orbit.propagate(state, arrival, arrival - back)[0][:, :3], axis=1)
     rising = distances[1:] > distances[:-1]
@@ -124,7 +124,7 @@ def transfer_states(transfer: TransferSettings, motion: BodyMotion) -> States:
 
 
 def path_frame(
-    motion: BodyMotion, tdb_s: float, inclination_deg: float, node_deg: float, lowest_at_deg: float
+    motion: Ephemeris, tdb_s: float, inclination_deg: float, node_deg: float, lowest_at_deg: float
 ) -> FloatArray:
     """Rotation (3, 3), inertial from a path's own axes: x to the lowest point, y onward, z up."""
     tilt, node, lowest = np.radians([inclination_deg, node_deg, lowest_at_deg])

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.simulation.globe_heights import GlobeHeights
 
 FINER = 2  # nodes of a ground with relief against the globe's posting
@@ -66,7 +66,7 @@ class WideGround:
 
     def __init__(
         self, heights: Float32Array, radius_m: float, seam: float,
-        details: Mapping[int | None, Detail], cameras_m: Sequence[FloatArray] = (),
+        details: Mapping[int | None, SyntheticRelief], cameras_m: Sequence[FloatArray] = (),
     ) -> None:  # fmt: skip
         self._heights, self._radius_m, self._seam = heights, radius_m, seam
         self._details, self._seen = details, WHOLE_BODY
@@ -88,7 +88,7 @@ class WideGround:
             self._kept = seed, self._rough(self._details[seed])
         return self._kept[1]
 
-    def _rough(self, detail: Detail) -> Ground:
+    def _rough(self, detail: SyntheticRelief) -> Ground:
         fine = self._finer()
         heights, step = fine.heights.copy(), fine.step_lat
         # the rows beyond the poles, a pole's own neighbours twice, stay smooth

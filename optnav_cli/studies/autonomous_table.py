@@ -11,8 +11,8 @@ from optnav_cli.evaluation.figures import FrameError, figures_of
 from optnav_cli.studies.navigation import STAR_SENSOR_M_PER_KM
 
 ENOUGH_ARC_DEG = 140.0
-LEAST_SOLVED = 0.95
-MOST_SIGMAS = 5.0
+MIN_SOLVED = 0.95
+MAX_SIGMAS = 5.0
 
 
 @dataclass(frozen=True)
@@ -95,12 +95,12 @@ def format_results(results: Results) -> str:
         lines.append(_share_line(share.scenario, [share]))
     if len(results.shares) > 1:
         lines.append(_share_line("together", results.shares))
-        lines.append(f"wanted: {100 * LEAST_SOLVED:.0f} % of those with an arc of 140°")
+        lines.append(f"wanted: {100 * MIN_SOLVED:.0f} % of those with an arc of 140°")
     every = [f for row in results.rows for f in row.frames]
     every += [f for share in results.shares for f in share.frames]
-    wrong = sum(sigmas_off(frame) > MOST_SIGMAS for frame in every)
+    wrong = sum(sigmas_off(frame) > MAX_SIGMAS for frame in every)
     lines.append(
-        f"wrong by more than {MOST_SIGMAS:.0f} of their own sigmas: {wrong} of {len(every)}"
+        f"wrong by more than {MAX_SIGMAS:.0f} of their own sigmas: {wrong} of {len(every)}"
     )
     return "\n".join(lines)
 

@@ -20,7 +20,7 @@ from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.shape import load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
 from catalog.terrain.relief.relief import GlobalRelief
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import Picture
@@ -31,7 +31,7 @@ from optnav_cli.simulation.mesh_frame import MeshRenderer
 from optnav_cli.simulation.scenario import Portraits, load_scenario
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.truth_mesh import TruthMesh
 
 Shape = Literal["moon", "phobos"]
@@ -90,9 +90,9 @@ class DiscScene:
                 seed: GlobeTerrain(self._heights, self._detail(seed)) for seed in GROUNDS
             }
 
-    def _detail(self, seed: int) -> Detail:
+    def _detail(self, seed: int) -> SyntheticRelief:
         posting = self._heights.posting_m
-        return Detail(seed, posting, self.body.radius_m, smallest_m=posting / 2.0,
+        return SyntheticRelief(seed, posting, self.body.radius_m, smallest_m=posting / 2.0,
                       rms_slope_deg=5.0, saturation=0.05)  # fmt: skip
 
     def draw(self, diameter_px: float, ground: int, rng: np.random.Generator) -> Disc:
@@ -111,7 +111,7 @@ class DiscScene:
         position = radius / np.sin(angle) * up
         turn = Rotation.align_vectors(middle[None], -up[None])[0]
         turn = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi) * middle) * turn
-        shot = Shot(0, 0, "", "", 0.0, position, turn, sun, None, turn, ground)
+        shot = Exposure(0, 0, "", "", 0.0, position, turn, sun, None, turn, ground)
         radiance = self._radiance(camera, shot)
         blurred = cv2.GaussianBlur(radiance, (0, 0), psf * FINE)
         light = np.asarray(
@@ -125,7 +125,7 @@ class DiscScene:
             diameter_px, float(np.degrees(phase)),
         )  # fmt: skip
 
-    def _radiance(self, camera: Camera, shot: Shot) -> Float32Array:
+    def _radiance(self, camera: Camera, shot: Exposure) -> Float32Array:
         """Radiance over fine pixels."""
         fine = _finer(camera)
         if self._shape == "phobos":

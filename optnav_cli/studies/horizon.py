@@ -29,7 +29,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigation import horizon
 from optnav_cli.navigation.neighbour import View, other_body
-from optnav_cli.navigation.outline import limb_of, without_other
+from optnav_cli.navigation.outline import detect_limb, mask_neighbour
 from optnav_cli.studies.horizon_table import CaseFigures, FrameResult, Row, figures_of
 from optnav_cli.studies.pictures import GLOBE, SEED, STAR_SENSOR_ARCSEC, shipped_pictures
 
@@ -112,9 +112,9 @@ def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[FrameRes
                 if row.far and frame.tdb_s is not None:
                     view = View(camera, turned, sigma if star_sensor else 0.0, sun)
                     other = other_body(folder.motion, frame.tdb_s)
-                    picture = without_other(loaded, view, folder.body, relief, other)
+                    picture = mask_neighbour(loaded, view, folder.body, relief, other)
                 begin = time.process_time()
-                limb = limb_of(picture, camera, turned, sun, folder.body)
+                limb = detect_limb(picture, camera, turned, sun, folder.body)
             except NoSolutionError as error:
                 for terrain in (False, True):
                     yield FrameResult(frame.file, terrain, star_sensor, reason=str(error))

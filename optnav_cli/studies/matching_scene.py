@@ -16,7 +16,7 @@ from catalog.progress import Progress
 from catalog.rendering.rays.scene import Scene as LitGround
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.source import DemSettings
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.reference import Reference
@@ -26,7 +26,7 @@ DEM, GLOBE = "data/tycho_gld100_256ppd.tif", "data/moon_gld100_4ppd.tif"
 MIDDLE_DEG = (-43.0, -11.0)  # of the terrain model
 # The seen ground has nodes of half the catalog's, with what a scenario adds by itself.
 POSTING_M, FINER = 118.45, 2
-SMALLEST_M, SLOPE_DEG, SATURATION = 30.0, 3.0, 0.05
+MIN_M, SLOPE_DEG, SATURATION = 30.0, 3.0, 0.05
 WHOLE = (-np.pi, -0.5 * np.pi, np.pi, 0.5 * np.pi)
 SUN_ELEVATIONS_DEG = (25.0, 15.0, 35.0, 20.0, 30.0, 40.0)
 
@@ -76,10 +76,10 @@ def scenes(
     local, middle = body_from_local(lat, lon), xyz_from_latlon(lat, lon, body.radius_m)
     x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
     corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
-    details: dict[int | None, Detail | None] = {
-        number: Detail(
+    details: dict[int | None, SyntheticRelief | None] = {
+        number: SyntheticRelief(
             number + 1, POSTING_M, body.radius_m,
-            smallest_m=SMALLEST_M, rms_slope_deg=SLOPE_DEG, saturation=SATURATION,
+            smallest_m=MIN_M, rms_slope_deg=SLOPE_DEG, saturation=SATURATION,
         )
         for number in range(count)
     }  # fmt: skip

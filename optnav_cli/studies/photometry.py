@@ -37,8 +37,8 @@ SUN_AZIMUTH_DEG = 60.0
 # seen from the Sun's side, across, and against the Sun
 VIEWS_FROM_SUN_DEG = (0.0, 90.0, 180.0)
 # With the Sun nearly behind the camera no law shows relief, and there is nothing to compare.
-LEAST_PHASE_DEG = 20.0
-LEAST_LIT = 0.5  # templates mostly in shadow are not matched
+MIN_PHASE_DEG = 20.0
+MIN_LIT = 0.5  # templates mostly in shadow are not matched
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _geometries(emission_deg: float) -> list[tuple[FloatArray, FloatArray]]:
         for turn in VIEWS_FROM_SUN_DEG if emission_deg > 0.0 else (0.0,):
             sun = _direction(elevation, SUN_AZIMUTH_DEG)
             view = _direction(90.0 - emission_deg, SUN_AZIMUTH_DEG + turn)
-            if sun @ view <= np.cos(np.radians(LEAST_PHASE_DEG)):
+            if sun @ view <= np.cos(np.radians(MIN_PHASE_DEG)):
                 pairs.append((sun, view))
     return pairs
 
@@ -129,7 +129,7 @@ def _rms_shift(picture: Float32Array, reference: Float32Array, lit: BoolArray) -
     for top in range(MARGIN, picture.shape[0] - TEMPLATE - MARGIN + 1, TEMPLATE):
         for left in range(MARGIN, picture.shape[1] - TEMPLATE - MARGIN + 1, TEMPLATE):
             rows, cols = slice(top, top + TEMPLATE), slice(left, left + TEMPLATE)
-            if lit[rows, cols].mean() < LEAST_LIT:
+            if lit[rows, cols].mean() < MIN_LIT:
                 continue
             wide_rows = slice(top - MARGIN, top + TEMPLATE + MARGIN)
             wide_cols = slice(left - MARGIN, left + TEMPLATE + MARGIN)

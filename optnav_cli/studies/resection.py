@@ -73,10 +73,12 @@ def one_geometry(
         points = _ring_and_inside(rng, count, angle_deg)
         pixels, jacobian = predict(camera, truth, points)
         # the points' error on the ground, as it shows in the picture
-        by_ground = -jacobian[:, :, :3]
-        covariance = by_ground @ np.swapaxes(by_ground, 1, 2) * POINT_SIGMA_M**2
+        pixel_per_metre = -jacobian[:, :, :3]
+        covariance = pixel_per_metre @ np.swapaxes(pixel_per_metre, 1, 2) * POINT_SIGMA_M**2
         shift = rng.normal(0.0, POINT_SIGMA_M, (count, 3))
-        seen = Sightings(points, pixels + np.einsum("nij,nj->ni", by_ground, shift), covariance)
+        seen = Sightings(
+            points, pixels + np.einsum("nij,nj->ni", pixel_per_metre, shift), covariance
+        )
         try:
             solution = resect(camera, seen, truth, None if free_attitude else 0.0)
         except NoSolutionError:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import ComplexArray, FloatArray
 from catalog.bodies.body import Body, CorrectionTerm, RotationCorrection
-from catalog.bodies.ephemeris import SpiceMotion
+from catalog.bodies.ephemeris import SpiceEphemeris
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import CENTURY_S, body_from_inertial
 from catalog.geometry.rotations import ARCSEC
@@ -138,7 +138,7 @@ DELAUNAY_ARCSEC = np.array(
         [450160.398036, -6962890.5431, 7.4722],
     ]
 )
-LARGEST_MULTIPLE, LARGEST_ORDER = 4, 6
+MAX_MULTIPLE, MAX_ORDER = 4, 6
 STEP_DAYS = 2.0  # the shortest periods that matter are 9 days
 EDGE_S = DAY_S  # kernels end a little inside their own nominal years
 SWEEPS = 2
@@ -173,7 +173,7 @@ def run(
 
     Raises DataError for kernels that do not cover the span.
     """
-    spice = SpiceMotion(body, kernels)
+    spice = SpiceEphemeris(body, kernels)
     published = replace(body, rotation_correction=None)
     first, last = ((year - 2000.0) * 365.25 * DAY_S for year in years)
     first, last = first + EDGE_S, last - EDGE_S
@@ -206,7 +206,7 @@ def run(
     )
 
 
-def turns(spice: SpiceMotion, body: Body, times: FloatArray) -> FloatArray:
+def turns(spice: SpiceEphemeris, body: Body, times: FloatArray) -> FloatArray:
     """Rotation vectors (n, 3), rad, that take the analytic body frame on to the kernels'."""
     truth = np.array([spice.body_from_inertial(float(t)) for t in times])
     pieces = np.array_split(times, max(1, len(times) // 4000))
@@ -232,11 +232,11 @@ def _correction(fit: LineFit, years: tuple[float, float]) -> RotationCorrection:
 
 def _lunar_combinations() -> dict[tuple[int, ...], FloatArray]:
     """Angles (3,), deg by powers of centuries, of the combinations that lines are named after."""
-    multiples = product(range(-LARGEST_MULTIPLE, LARGEST_MULTIPLE + 1), repeat=5)
+    multiples = product(range(-MAX_MULTIPLE, MAX_MULTIPLE + 1), repeat=5)
     angles = {
         m: np.array(m) @ DELAUNAY_ARCSEC / 3600.0
         for m in multiples
-        if 0 < sum(map(abs, m)) <= LARGEST_ORDER
+        if 0 < sum(map(abs, m)) <= MAX_ORDER
     }
     return {m: angle for m, angle in angles.items() if angle[1] > 0.0}
 

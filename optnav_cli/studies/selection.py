@@ -37,7 +37,7 @@ Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
 
 DEM = "data/tycho_gld100_256ppd.tif"
 SUNS = 4  # trials of a round, one for each of so many Sun elevations
-LEAST_FREE = 0.5  # of a cell's places must have whole patches for the cell to take part
+MIN_FREE = 0.5  # of a cell's places must have whole patches for the cell to take part
 HARRIS_K = 0.04  # of the textbook
 CORNER_NODES = 3  # side of the square that a textbook's corner is summed over
 Z95 = 1.959964
@@ -143,7 +143,7 @@ def free_grounds(context: StageContext) -> dict[int, Ground]:
 
 def _mostly_free(ground: Ground) -> bool:
     """Whether there is a choice: cells on the terrain's edge leave the same few places to all."""
-    return bool((ground.inside & ground.whole).sum() >= LEAST_FREE * ground.inside.sum())
+    return bool((ground.inside & ground.whole).sum() >= MIN_FREE * ground.inside.sum())
 
 
 def _random(ground: Ground, seed: Sequence[int]) -> tuple[float, float]:

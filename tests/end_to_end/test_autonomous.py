@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
@@ -27,7 +27,7 @@ from tests.catalog.store.written import write_points
 from tests.optnav_cli.conftest import RoughWorld, pixel_grid
 
 MOON = load_body("moon")
-MOTION = AnalyticMotion(MOON)
+MOTION = AnalyticEphemeris(MOON)
 WIDE = Camera("wide", "equidistant", 400, 400, 120.0, (199.5, 199.5))
 START_S = utc_to_tdb_s("2026-02-01T00:00:00Z")
 NIGHT = np.zeros((400, 400), dtype=np.float32)

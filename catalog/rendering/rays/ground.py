@@ -55,12 +55,12 @@ def make_ground(
     lowest, highest = float(heights.min()), float(heights.max())
     if not np.isfinite(highest - lowest):
         raise ValueError("a ground needs a height at every node")
-    tops = [_block_tops(heights)]
+    max_heights = [_block_tops(heights)]
     for _ in range(3):
-        tops.append(_join_tops(tops[-1]))
+        max_heights.append(_join_tops(max_heights[-1]))
     return Ground(
         heights, float(north), float(west), float(step_lat), float(step_lon), float(radius_m),
-        tops[0], tops[1], tops[2], tops[3], lowest, highest,
+        max_heights[0], max_heights[1], max_heights[2], max_heights[3], lowest, highest,
     )  # fmt: skip
 
 
@@ -128,12 +128,14 @@ def _block_tops(heights: Float32Array) -> Float32Array:
 
 
 @kernel
-def _join_tops(tops: Float32Array) -> Float32Array:
-    rows, cols = tops.shape
+def _join_tops(max_heights: Float32Array) -> Float32Array:
+    rows, cols = max_heights.shape
     out = np.empty(((rows + 3) // 4, (cols + 3) // 4), np.float32)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = tops[4 * i : min(4 * i + 4, rows), 4 * j : min(4 * j + 4, cols)].max()
+            out[i, j] = max_heights[
+                4 * i : min(4 * i + 4, rows), 4 * j : min(4 * j + 4, cols)
+            ].max()
     return out
 
 

@@ -15,7 +15,7 @@ from catalog.rendering.rays.ground import Ground, bilinear
 LEFT, HIT, DARK = 0, 1, 2  # how a walk ends: out of the grid or the range, on the ground, in shadow
 ANCHOR_REACH = 0.006  # rad
 POLE_REACH = 0.05  # of the distance from the axis: places are off by 4e-5 of that distance
-MOST_STEPS = 20_000  # a grid's diagonal cell by cell; only a stop for what should not happen
+MAX_STEPS = 20_000  # a grid's diagonal cell by cell; only a stop for what should not happen
 _NUDGE = 1e-3  # nodes that a step goes beyond a block's border
 
 
@@ -55,7 +55,7 @@ def walk(
     r0 = r1 = r2 = c0 = c1 = c2 = h0 = h1 = h2 = 0.0
     slow_row = slow_col = row = col = 0.0
     row_up = col_up = 0
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         if t > reach:
             anchor += t
             t = 0.0

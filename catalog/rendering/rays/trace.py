@@ -12,7 +12,7 @@ SKY, FINE, WIDE = 0, 1, 2  # what a ray meets
 # steps along a ray are no longer than its height over such a slope allows.
 STEEPEST_WIDE_SLOPE = 0.5
 _CLOSE_M = 0.3  # a ray this near to the wide ground has met it
-_MOST_STEPS = 2000
+_MAX_STEPS = 2000
 
 
 @kernel
@@ -61,7 +61,7 @@ def trace(
     level = 1 if hint > 0.0 else 2
     rows, cols = fine.heights.shape
     last, last_clear = s, np.inf
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         if s >= end:
             break
         px, py, pz = ox + s * dx, oy + s * dy, oz + s * dz

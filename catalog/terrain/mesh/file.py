@@ -23,7 +23,7 @@ from catalog.terrain.mesh.table import read_table
 
 # 275 bytes a face while an OBJ is read, 500 while a mesh is checked (measured: 5 GB and 2 minutes
 # for 10 million); Phobos' finest published model has 3.1 million.
-MOST_FACES = 12_000_000
+MAX_FACES = 12_000_000
 MESHES = (".obj", ".ply", ".stl", ".glb")
 TABLES = (".tab", ".txt", ".plt", ".icq")
 MEGABYTE = 1_000_000
@@ -72,16 +72,16 @@ def read_mesh(path: Path, longitude: str, progress: Progress) -> RawMesh:
         )
     with _reported(path):
         faces = count_faces(path, progress)
-        if faces is not None and faces > MOST_FACES:
+        if faces is not None and faces > MAX_FACES:
             raise DataError(
-                f"{path}: has {faces:,} faces; this optnav takes up to {MOST_FACES:,}: make a "
+                f"{path}: has {faces:,} faces; this optnav takes up to {MAX_FACES:,}: make a "
                 "coarser one, whose edges are as long as the picture's pixels are on the ground"
             )
         raw = RawMesh(*read_table(path, longitude)) if kind in TABLES else _load(path, kind)
     if not len(raw.faces):
         raise DataError(f"{path}: holds no triangle; is it a {kind[1:].upper()} file of a surface?")
-    if len(raw.faces) > MOST_FACES:  # polygons of many sides
-        raise DataError(f"{path}: has {len(raw.faces):,} triangles; wanted up to {MOST_FACES:,}")
+    if len(raw.faces) > MAX_FACES:  # polygons of many sides
+        raise DataError(f"{path}: has {len(raw.faces):,} triangles; wanted up to {MAX_FACES:,}")
     if not np.isfinite(raw.vertices).all():
         bad = int(np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))[0])
         raise DataError(f"{path}: vertex {bad + 1} is not a number; correct the file")

@@ -11,7 +11,7 @@ import numpy as np
 from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.terrain.mesh.shape import Shape
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 
 FINEST_FACES = 4_000_000  # that a coarse model is refined to: a grown mesh must stay in memory
 
@@ -24,7 +24,7 @@ def refined(shape: Shape, halvings: int) -> Shape:
     return Shape(vertices, faces)
 
 
-def roughened(shape: Shape, detail: Detail) -> Shape:
+def roughened(shape: Shape, detail: SyntheticRelief) -> Shape:
     """The shape with a detail's heights added along its normals, read by the vertices' places."""
     lat, lon, _ = latlon_from_xyz(shape.vertices)
     heights = detail.heights(lat, lon)

@@ -31,7 +31,7 @@ METRES = {"m": 1.0, "km": 1000.0}
 # longitude (1e-12), neighbours of the largest models are 1e-4 apart.
 SAME_VERTEX = 1e-7
 # A triangle whose height over its longest edge is less has no normal worth the name.
-LEAST_ASPECT = 1e-6
+MIN_ASPECT = 1e-6
 MANY_FACES = 1_000_000  # from here on a check takes long enough to say so
 NAMED_PLACES = 3
 
@@ -157,7 +157,7 @@ def _with_area(vertices: FloatArray, faces: IntArray, mended: list[str]) -> IntA
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     longest = np.max([np.linalg.norm(v, axis=1) for v in (b - a, c - b, a - c)], axis=0)
     twice = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    flat = twice <= LEAST_ASPECT * longest**2
+    flat = twice <= MIN_ASPECT * longest**2
     # three edges of one length 0 and a sliver are both dropped: an edge of a sliver that was in
     # use leaves a hole, which is then found and named
     kept = faces[~flat]

@@ -20,7 +20,7 @@ from catalog.terrain.mesh.winding import edges_of
 OVER_POLE = 6
 # An edge's middle leaves it by less than this share of the lower of its two faces' heights: beyond
 # that (needles, sharp ridges) faces could fold over.
-MOST_BULGE = 0.25
+MAX_BULGE = 0.25
 
 
 def smooth_corners(
@@ -163,7 +163,7 @@ def _middles(
             _about(vertices, start, other, across, second, out[n])
         plain = 0.5 * (vertices[start[side]] + vertices[start[across]])
         bulge = out[n] - plain
-        most = MOST_BULGE * min(_height(vertices, start, side), _height(vertices, start, across))
+        most = MAX_BULGE * min(_height(vertices, start, side), _height(vertices, start, across))
         size = np.sqrt((bulge * bulge).sum())
         if size > most:
             out[n] = plain + bulge * (most / size)

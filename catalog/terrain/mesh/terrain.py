@@ -24,7 +24,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 SMALL_BODY_M = 100e3  # mean diameter
 # A coarse node is the mean of so many rays a side that none stands for more than a mesh's own
 # posting; more than this would cost much and change little.
-MOST_RAYS_ASIDE = 8
+MAX_RAYS_ASIDE = 8
 PAST = 1e-6  # of the body's reach: beyond a face that was met, before the next one is looked for
 
 
@@ -136,7 +136,7 @@ class MeshTerrain:
     def _grid(self, projection: MapProjection, posting_m: float, size: int, heights: Any
               ) -> Float32Array:  # fmt: skip
         """Means of heights over the cells of a grid's nodes."""
-        aside = int(np.clip(np.ceil(posting_m / self._posting_m - 0.05), 1, MOST_RAYS_ASIDE))
+        aside = int(np.clip(np.ceil(posting_m / self._posting_m - 0.05), 1, MAX_RAYS_ASIDE))
         x, y = node_grid(size * aside, posting_m / aside)
         found = heights(projection, x, y, size * posting_m)
         cells = found.reshape(size, aside, size, aside)
@@ -183,7 +183,7 @@ class MeshTerrain:
 
 
 RAYS_ASIDE = 4  # a side of a cell, whose mean stands for it
-MOST_ROWS = 1440
+MAX_ROWS = 1440
 
 
 def relief_of_mesh(terrain: MeshTerrain) -> GlobalRelief:
@@ -193,19 +193,19 @@ def relief_of_mesh(terrain: MeshTerrain) -> GlobalRelief:
     the cell's rays and vertices, low by the rise of a face over an eighth of a cell at most.
     """
     radius = terrain.body.radius_m
-    rows = min(MOST_ROWS, int(np.ceil(2.0 * np.pi * radius / terrain.posting_m)))
+    rows = min(MAX_ROWS, int(np.ceil(2.0 * np.pi * radius / terrain.posting_m)))
     step = np.pi / (rows * RAYS_ASIDE)
     lat = np.pi / 2.0 - (np.arange(rows * RAYS_ASIDE) + 0.5) * step
     lon = -np.pi + (np.arange(2 * rows * RAYS_ASIDE) + 0.5) * step
     means = np.empty((rows, 2 * rows), np.float32)
-    tops = np.empty((rows, 2 * rows), np.float32)
+    max_heights = np.empty((rows, 2 * rows), np.float32)
     for row in range(rows):
         part = slice(row * RAYS_ASIDE, (row + 1) * RAYS_ASIDE)
         heights = terrain.heights(lat[part, None], lon[None, :], terrain.posting_m)
         cells = heights.reshape(RAYS_ASIDE, 2 * rows, RAYS_ASIDE)
-        means[row], tops[row] = cells.mean(axis=(0, 2)), cells.max(axis=(0, 2))
+        means[row], max_heights[row] = cells.mean(axis=(0, 2)), cells.max(axis=(0, 2))
     vertex_lat, vertex_lon, out = latlon_from_xyz(terrain.rays.corners.reshape(-1, 3))
     at = np.minimum(((np.pi / 2.0 - vertex_lat) * rows / np.pi).astype(np.int64), rows - 1)
     along = ((vertex_lon + np.pi) * rows / np.pi).astype(np.int64) % (2 * rows)
-    np.maximum.at(tops, (at, along), (out - radius).astype(np.float32))
-    return GlobalRelief(means, np.maximum(tops, means), radius, terrain.name)
+    np.maximum.at(max_heights, (at, along), (out - radius).astype(np.float32))
+    return GlobalRelief(means, np.maximum(max_heights, means), radius, terrain.name)

@@ -14,7 +14,7 @@ from catalog.terrain.pyramid.pyramid import POLE_TOLERANCE, HeightPyramid
 TILE = 256  # pixels a side; whole tiles of the overviews
 CACHE_BYTES = 128 << 20  # 512 tiles: the ground of some 60 cells of 1° at 118 m, all levels
 READ_COLUMNS = 4096  # read at once when columns are averaged
-FEWEST_COLUMNS = 16  # left of a level whose columns are averaged
+MIN_COLUMNS = 16  # left of a level whose columns are averaged
 
 
 class TileCache:
@@ -81,7 +81,7 @@ class LevelWindows:
     def _count_halvings(self) -> int:
         """Halvings that leave some columns, and an even number of whole ones in a ring."""
         cols, count = self.shape[1], 0
-        while cols >= 2 * FEWEST_COLUMNS and not (self.wraps and cols % 4):
+        while cols >= 2 * MIN_COLUMNS and not (self.wraps and cols % 4):
             cols, count = -(-cols // 2), count + 1
         return count
 

@@ -107,7 +107,7 @@ SMALLEST = 48  # a level with a side shorter than this ends the pyramid
 ROUNDING = 1.0 / 1500.0
 # A source with blocks longer than this and no thicker than 16 rows is copied into tiles first:
 # a square window would decode whole strips.
-LONGEST_STRIP = 4096
+MAX_STRIP = 4096
 
 WHOLE_BLOCK = 8  # pixels a side of the blocks that are known to be without holes or not
 
@@ -172,7 +172,7 @@ def write_levels(
     """
     levels = level_count(source.shape)
     rows, cols = source.block_shape
-    copied = cols > LONGEST_STRIP and rows <= 16
+    copied = cols > MAX_STRIP and rows <= 16
     if copied:
         _copy_into_tiles(source, folder, progress)
     statistics = _Statistics()

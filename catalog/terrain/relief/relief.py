@@ -27,7 +27,7 @@ class GlobalRelief:
     """
 
     heights: Float32Array
-    tops: Float32Array
+    max_heights: Float32Array
     radius_m: float
     source: str
 

@@ -24,7 +24,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 Window = tuple[int, int, int, int]  # first row, first column, height, width
 
 WINDOW = 2048  # pixels a side that are read at once: 25 MB as counts and heights
-LONGEST_STRIP = 4096  # blocks longer than this and few rows thick are read by whole rows
+MAX_STRIP = 4096  # blocks longer than this and few rows thick are read by whole rows
 # A pixel reaches into a cell by more than this share of itself, or not at all: writers round
 # postings, which moves the far edge of a global raster by some hundredths of a pixel.
 SLIVER = 0.02
@@ -50,7 +50,7 @@ class Layer(NamedTuple):
         """Windows that make up the raster, no larger than WINDOW squared."""
         rows, cols = self.shape
         tall = wide = WINDOW
-        if self.block[1] > LONGEST_STRIP and self.block[0] <= 16:
+        if self.block[1] > MAX_STRIP and self.block[0] <= 16:
             tall, wide = max(self.block[0], WINDOW * WINDOW // cols), cols
         return [
             (row, col, min(tall, rows - row), min(wide, cols - col))
@@ -71,7 +71,7 @@ class CellSums:
     def __init__(self, rows: int) -> None:
         self.means = np.zeros((rows, 2 * rows), np.float32)
         self.shares = np.zeros((rows, 2 * rows), np.float32)
-        self.tops = np.full((rows, 2 * rows), -np.inf, np.float32)
+        self.max_heights = np.full((rows, 2 * rows), -np.inf, np.float32)
 
     @property
     def coverage(self) -> float:
@@ -80,27 +80,27 @@ class CellSums:
         edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, rows + 1))
         return float((edges[:-1] - edges[1:]) @ self.shares.mean(axis=1, dtype=np.float64) / 2.0)
 
-    def lay_under(self, layer: Layer, progress: Progress) -> tuple[float, float]:
+    def fill_from(self, layer: Layer, progress: Progress) -> tuple[float, float]:
         """Add the heights of a raster where the cells have none yet.
 
         Returns the lowest and the highest of the raster, m. Raises DataError for a damaged file.
         """
         lowest, highest = np.inf, -np.inf
         sums = np.zeros(self.means.shape)
-        weights, tops = np.zeros_like(self.shares), np.full_like(self.tops, -np.inf)
+        weights, max_heights = np.zeros_like(self.shares), np.full_like(self.max_heights, -np.inf)
         windows = layer.windows()
         with progress.stage("relief", total=len(windows), unit="window") as stage:
             for window in windows:
                 pixels = layer.read(*window)
                 if layer.place.kind == CYLINDRICAL:
                     places = _edges(layer, len(sums), window)
-                    low, high = _add_overlaps(pixels, *places, sums, weights, tops)
+                    low, high = _add_overlaps(pixels, *places, sums, weights, max_heights)
                 else:
                     middles = _middles(layer, len(sums), window)
-                    low, high = _add_middles(pixels, *middles, sums, weights, tops)
+                    low, high = _add_middles(pixels, *middles, sums, weights, max_heights)
                 lowest, highest = min(lowest, low), max(highest, high)
                 stage.advance()
-        _join(sums, weights, tops, self.means, self.shares, self.tops)
+        _join(sums, weights, max_heights, self.means, self.shares, self.max_heights)
         return lowest, highest
 
     def fill(self) -> None:
@@ -111,12 +111,12 @@ class CellSums:
         """
         holes = np.argwhere(self.shares == 0.0)
         while holes.size:
-            found = _of_neighbours(holes, self.means, self.shares, self.tops)
+            found = _of_neighbours(holes, self.means, self.shares, self.max_heights)
             known = np.isfinite(found[:, 0])
             if not known.any():
                 return
             row, col = holes[known].T
-            self.means[row, col], self.tops[row, col] = found[known].T
+            self.means[row, col], self.max_heights[row, col] = found[known].T
             self.shares[row, col] = 1.0
             holes = holes[~known]
 
@@ -149,7 +149,7 @@ def _add_overlaps(
     along: FloatArray,
     sums: FloatArray,
     weights: Float32Array,
-    tops: Float32Array,
+    max_heights: Float32Array,
 ) -> tuple[float, float]:
     """Add pixels to all cells that they reach into; returns their lowest and highest height."""
     rows, cols = sums.shape
@@ -171,7 +171,7 @@ def _add_overlaps(
                     wide = min(east, c + 1.0) - max(west, float(c))
                     if wide <= SLIVER * (east - west):
                         continue
-                    _put(value, tall * wide, r, c % cols, sums, weights, tops)
+                    _put(value, tall * wide, r, c % cols, sums, weights, max_heights)
     return lowest, highest
 
 
@@ -182,7 +182,7 @@ def _add_middles(
     along: FloatArray,
     sums: FloatArray,
     weights: Float32Array,
-    tops: Float32Array,
+    max_heights: Float32Array,
 ) -> tuple[float, float]:
     """Add each pixel whole to the cell of its middle; returns their lowest and highest height."""
     rows, cols = sums.shape
@@ -194,7 +194,7 @@ def _add_middles(
                 continue
             lowest, highest = min(lowest, value), max(highest, value)
             r = min(max(int(np.floor(down[i, j])), 0), rows - 1)
-            _put(value, 1.0, r, int(np.floor(along[i, j])) % cols, sums, weights, tops)
+            _put(value, 1.0, r, int(np.floor(along[i, j])) % cols, sums, weights, max_heights)
     return lowest, highest
 
 
@@ -206,12 +206,12 @@ def _put(
     col: int,
     sums: FloatArray,
     weights: Float32Array,
-    tops: Float32Array,
+    max_heights: Float32Array,
 ) -> None:
     """Add a pixel's height to one cell."""
     sums[row, col] += height * weight
     weights[row, col] += weight
-    tops[row, col] = max(tops[row, col], height)
+    max_heights[row, col] = max(max_heights[row, col], height)
 
 
 @kernel
@@ -221,7 +221,7 @@ def _join(
     new_tops: Float32Array,
     means: Float32Array,
     shares: Float32Array,
-    tops: Float32Array,
+    max_heights: Float32Array,
 ) -> None:
     """Let new sums fill what cells still lack; a cell's top is the highest of all that it has."""
     for i in range(sums.shape[0]):
@@ -234,12 +234,12 @@ def _join(
             mean = sums[i, j] / weight
             means[i, j] += (mean - means[i, j]) * (taken / (share + taken))
             shares[i, j] = share + taken
-            tops[i, j] = max(tops[i, j], new_tops[i, j])
+            max_heights[i, j] = max(max_heights[i, j], new_tops[i, j])
 
 
 @kernel
 def _of_neighbours(
-    holes: IntArray, means: Float32Array, shares: Float32Array, tops: Float32Array
+    holes: IntArray, means: Float32Array, shares: Float32Array, max_heights: Float32Array
 ) -> FloatArray:
     """Mean height and mean top (holes, 2) of the known ones of the eight cells around, else NaN."""
     rows, cols = means.shape
@@ -251,7 +251,7 @@ def _of_neighbours(
                 k = j % cols
                 if shares[i, k] > 0.0:
                     height += means[i, k]
-                    top += tops[i, k]
+                    top += max_heights[i, k]
                     count += 1
         if count:
             found[n, 0], found[n, 1] = height / count, top / count
@@ -259,7 +259,7 @@ def _of_neighbours(
 
 
 ROWS = 2880  # 16 a degree: 1.9 km of lunar ground, as fine as a horizon asks for
-LEAST_COVERAGE = 0.99  # of the sphere; the rest is filled from its surroundings
+MIN_COVERAGE = 0.99  # of the sphere; the rest is filled from its surroundings
 
 
 def relief_from_dem(source: DemSource, rows: int | None = None) -> GlobalRelief:
@@ -285,10 +285,10 @@ def share_within_bounds(source: DemSource) -> float:
 
 def check_share(share: float, who: object, body: Body) -> None:
     """Raise DataError unless this share of a body, which `who` shows, is enough for a relief."""
-    if share < LEAST_COVERAGE:
+    if share < MIN_COVERAGE:
         raise DataError(
             f"{who}: {100.0 * share:.3g} % of {body.name} is shown; a relief wants "
-            f"{100.0 * LEAST_COVERAGE:g} %: name a terrain model of the whole body"
+            f"{100.0 * MIN_COVERAGE:g} %: name a terrain model of the whole body"
         )
 
 
@@ -298,7 +298,7 @@ def lay_whole(sums: CellSums, source: DemSource, progress: Progress) -> None:
     Raises DataError for a damaged file or one with impossible heights.
     """
     layer = Layer(source.place, 0, source.shape, source.block_shape, source.read_window)
-    lowest_m, highest_m = sums.lay_under(layer, progress)
+    lowest_m, highest_m = sums.fill_from(layer, progress)
     if lowest_m <= highest_m:
         source.check_heights(lowest_m, highest_m)
 
@@ -312,7 +312,7 @@ def finished(sums: CellSums, radius_m: float, source: str) -> GlobalRelief:
     """The relief of sums over nearly all cells; holes are filled."""
     sums.fill()
     # a mean rounded to float32 may pass the pixels that it is of
-    return GlobalRelief(sums.means, np.maximum(sums.tops, sums.means), radius_m, source)
+    return GlobalRelief(sums.means, np.maximum(sums.max_heights, sums.means), radius_m, source)
 
 
 @lru_cache(maxsize=2)

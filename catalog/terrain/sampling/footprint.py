@@ -16,8 +16,8 @@ from catalog.terrain.sampling.map_nodes import Pixels
 
 # Columns averaged into one node. Beyond it (the last postings about a pole) samples are spread:
 # rasters are oversampled there, so neighbours in a row say the same.
-MOST_COLUMNS = 64
-MOST_ROWS = 16  # the same of rows: more only where a posting is far coarser than the last level
+MAX_COLUMNS = 64
+MAX_ROWS = 16  # the same of rows: more only where a posting is far coarser than the last level
 
 
 @kernel
@@ -25,7 +25,7 @@ def means_over_footprints(
     window: Float32Array,
     rows: FloatArray,
     cols: FloatArray,
-    crowding: FloatArray,
+    column_scale: FloatArray,
     chosen: IntArray,
     per_row: float,
     per_col: float,
@@ -41,9 +41,9 @@ def means_over_footprints(
 
     A footprint below 1.5 pixels is one sample: the level was chosen to fit.
     """
-    down = samples_across(rows_wide, MOST_ROWS)
+    down = samples_across(rows_wide, MAX_ROWS)
     single = (
-        down == 1 and samples_across(min(most_crowding * crowding_wide, widest), MOST_COLUMNS) == 1
+        down == 1 and samples_across(min(most_crowding * crowding_wide, widest), MAX_COLUMNS) == 1
     )
     if single:
         for i in chosen:
@@ -53,12 +53,12 @@ def means_over_footprints(
             value = _cubic(window, row, col) if row == row and col == col else np.nan
             out[i] = value if value == value else bicubic_at(window, row, col)
         return
-    row_weights, col_weights = np.zeros(2 * MOST_ROWS + 8), np.zeros(2 * MOST_COLUMNS + 8)
+    row_weights, col_weights = np.zeros(2 * MAX_ROWS + 8), np.zeros(2 * MAX_COLUMNS + 8)
     for i in chosen:
         row = (rows[i] + 0.5) * per_row - 0.5 - row0
         col = (cols[i] + 0.5) * per_col - 0.5 - col0
-        wide = min(crowding[i] * crowding_wide, widest)
-        along = samples_across(wide, MOST_COLUMNS)
+        wide = min(column_scale[i] * crowding_wide, widest)
+        along = samples_across(wide, MAX_COLUMNS)
         if down == 1 and along == 1:
             out[i] = _single(window, row, col)
             continue
@@ -66,7 +66,7 @@ def means_over_footprints(
             out[i] = np.nan
             continue
         # samples further apart than two pixels leave pixels between them: nothing to add up
-        if rows_wide > 2.0 * MOST_ROWS or wide > 2.0 * MOST_COLUMNS:
+        if rows_wide > 2.0 * MAX_ROWS or wide > 2.0 * MAX_COLUMNS:
             out[i] = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
             continue
         # cubic weights of all samples of the footprint, added up: it is separable
@@ -192,7 +192,7 @@ def _mean_of_what_is_there(
 
 # A window larger than this (pixels, 64 MB) is cut into pieces: scattered points must not pull the
 # whole raster into memory.
-LARGEST_WINDOW = 16 << 20
+MAX_WINDOW = 16 << 20
 PIECE = 512  # pixels a side of the raster that pieces are sorted by
 
 
@@ -217,7 +217,7 @@ def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> Float3
     if fewest == most:
         _in_pieces(base.halved(fewest), pixels, chosen, rows_wide, out)
         return out
-    halvings = _halvings(pixels.crowding, rows_wide, base.most_halvings)
+    halvings = _halvings(pixels.column_scale, rows_wide, base.most_halvings)
     for count in range(fewest, most + 1):
         those = chosen[halvings[chosen] == count]
         if those.size:
@@ -241,7 +241,7 @@ def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolAr
     rows, cols = base.raster_shape
     inside = (pixels.row >= -0.5) & (pixels.row <= rows - 0.5)
     if not base.wraps:
-        half = pixels.crowding * (rows_wide * base.scale / 2.0)
+        half = pixels.column_scale * (rows_wide * base.scale / 2.0)
         inside &= (pixels.col >= -0.5 - half) & (pixels.col <= cols - 0.5 + half)
     return np.asarray(inside)
 
@@ -251,7 +251,7 @@ def _in_pieces(
 ) -> None:
     """Sample through one window, or through one for each part of the raster that is touched."""
     _, _, height, width = _bounds(sheet, rows_wide, _extent(*pixels, chosen))
-    if height * width <= LARGEST_WINDOW:
+    if height * width <= MAX_WINDOW:
         _through_window(sheet, pixels, chosen, rows_wide, out)
         return
     row = pixels.row[chosen] / (PIECE * sheet.scale)
@@ -264,10 +264,10 @@ def _in_pieces(
 
 def _bounds(sheet: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int, int, int, int]:
     """First row, first column, height and width of the window that all footprints need."""
-    top, bottom, left, right, _, crowding = extent
+    top, bottom, left, right, _, column_scale = extent
     along = sheet.scale * sheet.squeeze
     half = rows_wide / 2.0 + 2.0  # two more pixels for the cubic's neighbours
-    wide = min(crowding * rows_wide / sheet.squeeze, sheet.period or np.inf) / 2.0 + 2.0
+    wide = min(column_scale * rows_wide / sheet.squeeze, sheet.period or np.inf) / 2.0 + 2.0
     row0 = int(np.floor((top + 0.5) / sheet.scale - 0.5 - half))
     row1 = int(np.ceil((bottom + 0.5) / sheet.scale - 0.5 + half))
     col0 = int(np.floor((left + 0.5) / along - 0.5 - wide))
@@ -284,7 +284,7 @@ def _through_window(
         sheet.window(row0, col0, height, width),
         pixels.row,
         pixels.col,
-        pixels.crowding,
+        pixels.column_scale,
         chosen,
         1.0 / sheet.scale,
         1.0 / (sheet.scale * sheet.squeeze),
@@ -299,23 +299,23 @@ def _through_window(
 
 
 @kernel
-def _extent(row: FloatArray, col: FloatArray, crowding: FloatArray, chosen: IntArray) -> Extent:
+def _extent(row: FloatArray, col: FloatArray, column_scale: FloatArray, chosen: IntArray) -> Extent:
     """Least and largest row, column and crowding of the chosen points."""
     i = chosen[0]
     top, bottom = row[i], row[i]
     left, right = col[i], col[i]
-    narrow, wide = crowding[i], crowding[i]
+    narrow, wide = column_scale[i], column_scale[i]
     for i in chosen:
         top, bottom = min(top, row[i]), max(bottom, row[i])
         left, right = min(left, col[i]), max(right, col[i])
-        narrow, wide = min(narrow, crowding[i]), max(wide, crowding[i])
+        narrow, wide = min(narrow, column_scale[i]), max(wide, column_scale[i])
     return top, bottom, left, right, narrow, wide
 
 
 @kernel
-def _halvings(crowding: FloatArray, rows_wide: float, most: int) -> Int8Array:
+def _halvings(column_scale: FloatArray, rows_wide: float, most: int) -> Int8Array:
     """How often columns are halved for each point."""
-    out = np.empty(crowding.size, np.int8)
-    for i in range(crowding.size):
-        out[i] = halvings_for(crowding[i] * rows_wide, most)
+    out = np.empty(column_scale.size, np.int8)
+    for i in range(column_scale.size):
+        out[i] = halvings_for(column_scale[i] * rows_wide, most)
     return out

@@ -15,7 +15,7 @@ from catalog.terrain.dem.georeference import CYLINDRICAL
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
 from catalog.terrain.pyramid.pyramid import HeightPyramid
-from catalog.terrain.sampling.footprint import MOST_COLUMNS, MOST_ROWS, add_weights, samples_across
+from catalog.terrain.sampling.footprint import MAX_COLUMNS, MAX_ROWS, add_weights, samples_across
 
 BLOCK = 128  # nodes a side: points are read by whole blocks, whichever part is asked for
 
@@ -85,8 +85,8 @@ def _by_weights(
     # of that turn which the raster shows
     col -= np.floor((col - (place.shape[1] - 1) / 2.0) / period + 0.5) * period
     col = (col + 0.5) / (sheet.scale * sheet.squeeze) - 0.5
-    first_row, row_weights = _weights(row, rows_wide, MOST_ROWS)
-    first_col, col_weights = _weights(col, wide / sheet.squeeze, MOST_COLUMNS)
+    first_row, row_weights = _weights(row, rows_wide, MAX_ROWS)
+    first_col, col_weights = _weights(col, wide / sheet.squeeze, MAX_COLUMNS)
     out = np.empty((part.height, part.width), np.float32)
     # neighbours in the part may be a turn apart in the raster
     most = 4.0 * wide / sheet.squeeze + 4.0

@@ -21,7 +21,7 @@ STEPS = (8, 4, 2)  # nodes between those whose place is worked out, the fewer th
 # (0.023 h^4 times the fourth derivative of the arctangent): 6e-4 nodes where d is so many steps.
 POLE_STEPS = 12.5
 # The same for the map's own curvature: 1e-5 nodes when a step is no longer than this (rad).
-LONGEST_STEP = 0.05
+MAX_STEP = 0.05
 
 
 class Pixels(NamedTuple):
@@ -34,11 +34,11 @@ class Pixels(NamedTuple):
 
     row: FloatArray
     col: FloatArray
-    crowding: FloatArray
+    column_scale: FloatArray
 
     def part(self, chosen: IntArray) -> "Pixels":
         """Some of the places."""
-        return Pixels(self.row[chosen], self.col[chosen], self.crowding[chosen])
+        return Pixels(self.row[chosen], self.col[chosen], self.column_scale[chosen])
 
 
 def pixels_of_points(place: Georeference, lat: FloatArray, lon: FloatArray) -> Pixels:
@@ -55,7 +55,7 @@ def pixels_of_grid(
 ) -> Pixels:
     """Places of the nodes of a centred map grid (size, size), row by row from the north-west."""
     spacing = posting_m / (2.0 * projection.radius_m)
-    row, col, crowding = np.empty(size * size), np.empty(size * size), np.empty(size * size)
+    row, col, column_scale = np.empty(size * size), np.empty(size * size), np.empty(size * size)
     ratio = place.row_angle / place.column_angle
     parameters = np.array(place.parameters)
     # longitudes are counted from the grid's middle, so that none jumps inside it
@@ -71,18 +71,18 @@ def pixels_of_grid(
         _cylindrical(m, size, spacing, first, step, middle, cols_per_rad, row0, rows_per_rad,
                      ratio, nodes)  # fmt: skip
         if step > 1:
-            _between(nodes, size, _cubic_weights(step), row, col, crowding)
+            _between(nodes, size, _cubic_weights(step), row, col, column_scale)
         else:
-            row, col, crowding = nodes.reshape(3, -1)
+            row, col, column_scale = nodes.reshape(3, -1)
     elif place.kind == POLAR:
         _polar(m, size, spacing, projection.lon * place.longitude_sign, place.longitude_sign,
                parameters, row, col)  # fmt: skip
-        crowding[:] = ratio
+        column_scale[:] = ratio
     else:
         offsets = (np.arange(size) - (size - 1) / 2.0) * posting_m
         lat, lon = projection.latlon(*np.meshgrid(offsets, -offsets))
         return pixels_of_points(place, lat.ravel(), lon.ravel())
-    return _about_the_raster(place, Pixels(row, col, crowding))
+    return _about_the_raster(place, Pixels(row, col, column_scale))
 
 
 def _about_the_raster(place: Georeference, pixels: Pixels) -> Pixels:
@@ -101,7 +101,7 @@ def _step(projection: Stereographic, posting_m: float, size: int) -> int:
     pole = (np.pi / 2.0 - abs(projection.lat)) / angle
     for step in STEPS:
         corner = (size / 2.0 + 2 * step) * np.sqrt(2.0)
-        if pole - corner > POLE_STEPS * step and step * angle < LONGEST_STEP and size > step:
+        if pole - corner > POLE_STEPS * step and step * angle < MAX_STEP and size > step:
             return step
     return 1
 
@@ -160,7 +160,7 @@ def _between(
     weights: FloatArray,
     row: FloatArray,
     col: FloatArray,
-    crowding: FloatArray,
+    column_scale: FloatArray,
 ) -> None:
     """All nodes from every `len(weights)`th, whose first lies one such step outside the grid."""
     step, n = weights.shape[0], nodes.shape[1]
@@ -192,7 +192,7 @@ def _between(
                     + w2 * line[1, b + 2]
                     + w3 * line[1, b + 3]
                 )
-                crowding[at] = (
+                column_scale[at] = (
                     w0 * line[2, b]
                     + w1 * line[2, b + 1]
                     + w2 * line[2, b + 2]

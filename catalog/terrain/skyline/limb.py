@@ -17,7 +17,7 @@ from catalog.geometry.kernel import kernel
 from catalog.terrain.relief.relief import GlobalRelief
 
 SEGMENT = np.radians(0.5)  # jumped or searched as a whole
-LONGEST_STEP = np.radians(0.03)  # between samples, or half a cell of the relief
+MAX_STEP = np.radians(0.03)  # between samples, or half a cell of the relief
 BOUND_CELLS = 360  # rows of the grid of bounds: cells of half a degree
 REFINEMENTS = 4  # halvings of the step about the highest sample: 60 m on the Moon
 
@@ -44,7 +44,7 @@ class LimbRelief:
     """
 
     def __init__(self, relief: GlobalRelief, top_share: float) -> None:
-        crests = relief.heights + np.float32(top_share) * (relief.tops - relief.heights)
+        crests = relief.heights + np.float32(top_share) * (relief.max_heights - relief.heights)
         self.radius_m = relief.radius_m
         self.posting_m = relief.posting_m
         self.grid = _with_borders(crests.astype(np.float32))
@@ -172,7 +172,7 @@ def _skyline(
     axes: FloatArray, azimuths: FloatArray, found: FloatArray,
 ) -> None:  # fmt: skip
     posting = np.pi / (grid.shape[0] - 2)
-    parts = int(np.ceil(SEGMENT / min(0.5 * posting, LONGEST_STEP)))
+    parts = int(np.ceil(SEGMENT / min(0.5 * posting, MAX_STEP)))
     step = SEGMENT / parts
     inside = distance * (1.0 - 1e-9)
     middle = np.arccos(min(sphere, inside) / distance)

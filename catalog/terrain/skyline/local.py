@@ -164,7 +164,7 @@ def _known_profile(
 @kernel
 def _steepest_outside(
     grids: Float32Array,
-    tops: FloatArray,
+    max_heights: FloatArray,
     postings: FloatArray,
     across: float,
     east: float,
@@ -191,7 +191,7 @@ def _steepest_outside(
         first = max(first, int(np.floor(end / step + 1e-9)) + 1)
         end = max(end, last * step)
         # where even the grid's top stays under a line of that slope, there is nothing to look for
-        room = tops[level] - (near_z[foot] - slope * near_s[foot])
+        room = max_heights[level] - (near_z[foot] - slope * near_s[foot])
         if room <= slope * first * step:
             continue
         if slope > 0.0:
@@ -205,7 +205,7 @@ def _steepest_outside(
 
 @kernel
 def _limits_along(
-    grids: Float32Array, tops: FloatArray, postings: FloatArray, east: float, north: float
+    grids: Float32Array, max_heights: FloatArray, postings: FloatArray, east: float, north: float
 ) -> tuple[float, float]:
     """Tangents of the greatest elevation of outside ground towards (east, north) and away from it.
 
@@ -226,12 +226,28 @@ def _limits_along(
         if near == 0:
             continue
         towards = _steepest_outside(
-            grids, tops, postings, across, east, north, (near_s, near_z, near), outside, towards
+            grids,
+            max_heights,
+            postings,
+            across,
+            east,
+            north,
+            (near_s, near_z, near),
+            outside,
+            towards,
         )
         # the same plane, seen the other way
         near_s[:near] *= -1.0
         away = _steepest_outside(
-            grids, tops, postings, -across, -east, -north, (near_s, near_z, near), outside, away
+            grids,
+            max_heights,
+            postings,
+            -across,
+            -east,
+            -north,
+            (near_s, near_z, near),
+            outside,
+            away,
         )
     return towards, away
 
@@ -239,17 +255,19 @@ def _limits_along(
 @kernel
 def _limits(heights: Float32Array, postings: FloatArray, radius: float, per_bin: int) -> FloatArray:
     grids = _tangent_heights(heights, postings, radius)
-    tops = np.empty(postings.size)
+    max_heights = np.empty(postings.size)
     for level in range(postings.size):
-        tops[level] = -np.inf
+        max_heights[level] = -np.inf
         for height in grids[level].flat:
-            tops[level] = max(tops[level], height) if height == height else tops[level]
+            max_heights[level] = (
+                max(max_heights[level], height) if height == height else max_heights[level]
+            )
     half = AZIMUTHS * per_bin // 2
     tangents = np.empty(2 * half)
     for k in range(half):
         azimuth = math.pi * k / half
         tangents[k], tangents[k + half] = _limits_along(
-            grids, tops, postings, math.sin(azimuth), math.cos(azimuth)
+            grids, max_heights, postings, math.sin(azimuth), math.cos(azimuth)
         )
     return tangents
 

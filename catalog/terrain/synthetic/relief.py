@@ -19,7 +19,7 @@ from catalog.terrain.synthetic import craters, fractal
 
 
 @dataclass(frozen=True)
-class Detail:
+class SyntheticRelief:
     """Relief to add to a DEM.
 
     seed            which ground; any integer

@@ -19,7 +19,7 @@ from optnav_cli.measurements.limb.edge_fit import EdgeShape, Profiles, locate_ed
 from optnav_cli.measurements.limb.photometry import three_laws
 from optnav_cli.measurements.segmentation import Levels, measure_levels
 
-LARGEST_RADIUS_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
+MAX_RADIUS_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
 FINE = 4  # sub-pixels a side
 MARGIN_PX = 12
 PIXEL_VARIANCE = 1.0 / 12.0  # of a pixel's own width, which `blur_px` includes
@@ -96,7 +96,7 @@ def draw_disc(
 
 
 ABOUT_PX = 6  # of sky about the disc that is fitted
-LEAST_BLUR_PX = 0.36  # the smallest that `draw_disc` can draw
+MIN_BLUR_PX = 0.36  # the smallest that `draw_disc` can draw
 TURNS, SETTLED = 15, 0.1  # the last in sigmas of each unknown
 # Of a pixel of ground over its brightness: patterns and slopes that the law does not know.
 TEXTURE, SHOT = 0.08, 1.0 / 50.0**2
@@ -154,7 +154,7 @@ def fit_disc(
     def drawn(state: FloatArray) -> FloatArray:
         ray = camera.unproject(state[:2])
         cone = Cone(np.eye(3), ray, float(state[2]) * per_px)
-        shape = EdgeShape(max(float(state[3]), LEAST_BLUR_PX), (float(state[4]), float(state[5])),
+        shape = EdgeShape(max(float(state[3]), MIN_BLUR_PX), (float(state[4]), float(state[5])),
                           1.0, 1.0)  # fmt: skip
         return draw_disc(camera, cone, sun_camera, shape, corner, size)[use]
 

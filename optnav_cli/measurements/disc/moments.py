@@ -26,14 +26,14 @@ LAWS = (
     partial(hapke.reflectance, surface=ROUGH),
 )
 SPHERE_NODES = 60  # a side of the half disc that is integrated
-LEAST_SKY_PIXELS = 100
-LEAST_PIXELS = 3  # lit; a hot pixel is one, two when they touch
+MIN_SKY_PIXELS = 100
+MIN_PIXELS = 3  # lit; a hot pixel is one, two when they touch
 WINGS_PX = 4.0  # beyond the lit area the blur still holds light
 # A second spot this bright beside the first: which of them is the body cannot be told.
 RIVAL_SHARE = 0.3
-LARGEST_RADIUS_PX = 25.0
-MOST_SATURATED = 0.05  # of the pixels that hold its light
-MOST_SATURATED_CORE = 0.25  # of those above half of the brightest
+MAX_RADIUS_PX = 25.0
+MAX_SATURATED = 0.05  # of the pixels that hold its light
+MAX_SATURATED_CORE = 0.25  # of those above half of the brightest
 # Signal to noise of a lit pixel, where the picture is too small a sample to tell its own.
 ASSUMED_SNR = 50.0
 UNDITHERED = 0.4  # counts: scatter of a sky whose rounding is the same in all pixels
@@ -95,10 +95,10 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
     """
     levels = measure_levels(picture)
     blobs = lit_blobs(picture, levels.threshold)
-    kept = np.flatnonzero(blobs.area >= LEAST_PIXELS)
+    kept = np.flatnonzero(blobs.area >= MIN_PIXELS)
     if len(kept) == 0:
         raise NoSolutionError(
-            f"no disc: nothing lit is larger than {LEAST_PIXELS - 1} pixels; hot pixels or noise"
+            f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise"
         )
     kept = kept[:50]  # the largest: the brightest spot of a picture is among them
     light = np.array(
@@ -114,7 +114,7 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
     chosen = int(kept[first])
     left, top, wide, high = (int(value) for value in blobs.box[chosen])
     radius = 0.5 * max(wide, high)
-    if radius > LARGEST_RADIUS_PX:
+    if radius > MAX_RADIUS_PX:
         raise NoSolutionError(
             f"a disc of {2.0 * radius:.0f} px is too large for its brightness centre; "
             "its limb is the measurement"
@@ -136,7 +136,7 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
         # a star that is burnt out looks as wide as a disc
         core = window[use] - levels.sky > 0.5 * float((window[use] - levels.sky).max())
         share = float(full.mean())
-        if share > MOST_SATURATED or float(full[core].mean()) > MOST_SATURATED_CORE:
+        if share > MAX_SATURATED or float(full[core].mean()) > MAX_SATURATED_CORE:
             raise NoSolutionError(
                 f"saturated: {100.0 * share:.0f} % of the disc is at full scale, which moves its "
                 "middle of light; expose shorter"
@@ -155,9 +155,9 @@ def _background(
     values = picture[part].astype(np.float64)
     y, x = np.mgrid[y0 : y0 + values.shape[0], x0 : x0 + values.shape[1]]
     sky = values[(labels[part] == 0) & (np.hypot(x - middle[0], y - middle[1]) > reach)]
-    if sky.size < LEAST_SKY_PIXELS:
+    if sky.size < MIN_SKY_PIXELS:
         raise NoSolutionError(
-            f"only {sky.size} pixels of sky about the disc, {LEAST_SKY_PIXELS} are needed to tell "
+            f"only {sky.size} pixels of sky about the disc, {MIN_SKY_PIXELS} are needed to tell "
             "its light from the background's"
         )
     level = float(np.median(sky))
@@ -210,7 +210,7 @@ STEPS = 60  # from pole to pole: moments are right to 0.2 %
 # Half axes that differ by less of their mean: a sphere.
 ROUND = 0.01
 # Of the radius, along a ray from the ground: a cell's own bend hides nothing, nor less than a step.
-FIRST_STEP, LEAST_STEP = 0.05, 0.02
+FIRST_STEP, MIN_STEP = 0.05, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +298,7 @@ def _shade(
             if above < 0.0:
                 free[i] = False
                 break
-            along += max(0.5 * above, LEAST_STEP * radius)
+            along += max(0.5 * above, MIN_STEP * radius)
 
 
 def _ground(body: Body, relief: GlobalRelief | None) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from optnav_cli.measurements.disc.moments import DiscMoments, LightMoments
 
-SMALLEST_PX, LARGEST_PX = 0.3, 30.0  # radii; equal steps of the logarithm are equally likely
+MIN_PX, MAX_PX = 0.3, 30.0  # radii; equal steps of the logarithm are equally likely
 RADII = 200  # first over all of them, then over the likely ones
 UNLIKELY = 1e-6  # of the likeliest
 # Sigma of the blur, the pixel's own width included: what is believed of a camera's optics whose
@@ -39,7 +39,7 @@ class DiscSize:
     misfit_sigmas: float
 
 
-def weigh_sizes(
+def radius_posterior(
     disc: DiscMoments,
     pixel_from_disc: FloatArray,
     moments: list[LightMoments],
@@ -66,7 +66,7 @@ def weigh_sizes(
         shape_sigma,
         known_blur_px or (BLUR_PX, BLUR_SIGMA_PX),
     )
-    radii = np.geomspace(SMALLEST_PX, LARGEST_PX, RADII)
+    radii = np.geomspace(MIN_PX, MAX_PX, RADII)
     logs, squares = weighing.of(radii)
     point = float(logs[:, 0].max())
     likely = np.flatnonzero((logs > logs.max() + np.log(UNLIKELY)).any(axis=0))

@@ -121,7 +121,7 @@ def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Ca
     return Candidates(pixels, scan, gradient)
 
 
-LEAST_BLOB_PIXELS = 25  # a star, even a bright one through a wide blur, is smaller
+MIN_BLOB_PIXELS = 25  # a star, even a bright one through a wide blur, is smaller
 BORDER_PX = 4  # from the picture's edge and the image circle: no rise there is a limb
 # Share of the lit ground's level that a rise gains within four pixels; a terminator gains less.
 RISE_SHARE = 0.10
@@ -129,7 +129,7 @@ RISE_SIGMAS = 6.0
 SECTOR_COSINE = float(np.cos(np.radians(45.0)))  # the seed's 135 deg, from the other end
 # Cosine of incidence at the limb: below it the edge is half terminator. At larger phases the cusps
 # have the terminator close by in every profile, and are left out a little further.
-LEAST_SUN_COSINE, CUSP_SHARE = 0.03, 0.07
+MIN_SUN_COSINE, CUSP_SHARE = 0.03, 0.07
 SKY_STEPS_PX = (6.0, 12.0, 24.0, 48.0)  # outside the limb there is no ground
 
 
@@ -142,7 +142,7 @@ def find_candidates(
     lit = np.rint(found.pixels + 1.5 * found.scan).astype(np.int64)
     label = blobs.labels[lit[:, 1], lit[:, 0]]
     large = np.zeros(int(blobs.labels.max()) + 1, dtype=bool)
-    large[blobs.label[blobs.area >= LEAST_BLOB_PIXELS]] = True
+    large[blobs.label[blobs.area >= MIN_BLOB_PIXELS]] = True
     kept = large[label] & camera.contains(found.pixels, BORDER_PX)
     if camera.image_circle_radius_px is not None:
         away = np.linalg.norm(found.pixels - np.array(camera.principal_point_px), axis=1)
@@ -170,14 +170,14 @@ def outward_normals(where: PixelRays, gradient: FloatArray, stretch: FloatArray)
     return np.asarray(normal / np.maximum(length, 1e-30))
 
 
-def facing_sun(
+def is_sunlit(
     where: PixelRays, gradient: FloatArray, stretch: FloatArray, sun_camera: FloatArray
 ) -> BoolArray:
     """Which rises (n,) the Sun can light as limbs; a terminator's rise faces away from it."""
     cosine = outward_normals(where, gradient, stretch) @ sun_camera
     towards = np.linalg.solve(stretch, where.rays.T).T @ sun_camera
     sine = np.sqrt(np.maximum(1.0 - (towards * np.linalg.norm(stretch, 2)) ** 2, 0.0))
-    return np.asarray(cosine > LEAST_SUN_COSINE + CUSP_SHARE * sine)
+    return np.asarray(cosine > MIN_SUN_COSINE + CUSP_SHARE * sine)
 
 
 def sharpness(picture: Float32Array, candidates: Candidates) -> FloatArray:
@@ -222,7 +222,7 @@ def rays_of(camera: Camera, candidates: Candidates, stretch: FloatArray) -> Pixe
     return pixel_rays(camera, candidates.pixels, stretch)
 
 
-def before_sky(
+def bounded_by_sky(
     picture: Float32Array,
     camera: Camera,
     pixels: FloatArray,

@@ -7,24 +7,24 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.candidates import (
     BORDER_PX,
-    LEAST_BLOB_PIXELS,
+    MIN_BLOB_PIXELS,
     Candidates,
     rays_of,
 )
 from optnav_cli.measurements.limb.cone import Cone, find_cone, stretched_rays
 from optnav_cli.measurements.segmentation import Blobs, Levels
 
-LEAST_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
-MOST_SATURATED = 0.8  # of the lit pixels
+MIN_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
+MAX_SATURATED = 0.8  # of the lit pixels
 FULL_SHARE = 0.97  # of the picture lit: there is no sky
-LEAST_ARC_DEG = 30.0
-LEAST_SEEN_SHARE = 0.55  # of the lit limb inside the picture
-LEAST_SHARPNESS = 0.52  # in the middle of the points; a limb that darkens as Lambert's has 0.55
+MIN_ARC_DEG = 30.0
+MIN_SEEN_SHARE = 0.55  # of the lit limb inside the picture
+MIN_SHARPNESS = 0.52  # in the middle of the points; a limb that darkens as Lambert's has 0.55
 CLEARLY_LIT_COSINE = 0.25  # cosine of incidence at the limb: no cusp, no long shadow
 AZIMUTHS = 180
-LEAST_EXPECTED = 15  # of the azimuths: fewer say nothing about what hides the others
+MIN_EXPECTED = 15  # of the azimuths: fewer say nothing about what hides the others
 # Lit ground outside the limb over lit ground inside it: the limb belongs to something else.
-MOST_OUTSIDE_SHARE = 0.3
+MAX_OUTSIDE_SHARE = 0.3
 SECOND_BODY_SHARE = 0.5  # of a lit area's rim that lies on a circle of its own
 LUMPY = 0.03  # relief, in body radii, of a body whose own lobes may look like another one
 GRID_PX = 8
@@ -33,19 +33,19 @@ GRID_PX = 8
 def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation: float) -> None:
     """Raise NoSolutionError for stars alone, a disc too small, no sky, a picture burnt out."""
     largest = int(blobs.area[0]) if len(blobs) else 0
-    if largest < LEAST_BODY_PIXELS:
+    if largest < MIN_BODY_PIXELS:
         many = f"{len(blobs)} lit spots" if len(blobs) > 1 else "one lit spot"
         raise NoSolutionError(
             f"no limb: {many}, the largest of {largest} pixels: stars or a disc too small; "
             "a disc that small is for the brightness centre"
         )
-    lit = int(blobs.area[blobs.area >= LEAST_BLOB_PIXELS].sum())
+    lit = int(blobs.area[blobs.area >= MIN_BLOB_PIXELS].sum())
     if lit > FULL_SHARE * picture.size:
         raise NoSolutionError(
             f"no limb in view: the body fills the picture ({100.0 * lit / picture.size:.0f} % lit)"
         )
     share = float((picture >= saturation).sum()) / lit
-    if share > MOST_SATURATED:
+    if share > MAX_SATURATED:
         raise NoSolutionError(
             f"saturated: {100.0 * share:.0f} % of the lit pixels are at full scale, "
             "which hides where the edge is; expose shorter"
@@ -70,10 +70,10 @@ def arc_deg(cone: Cone, rays: FloatArray, step_px: float, rad_per_px: float) -> 
 
 def check_arc(arc: float, n_points: int) -> None:
     """Raises NoSolutionError for an arc of limb that says nothing about the body's centre."""
-    if arc < LEAST_ARC_DEG:
+    if arc < MIN_ARC_DEG:
         raise NoSolutionError(
             f"only {arc:.0f} deg of lit limb in view ({n_points} points); "
-            f"at least {LEAST_ARC_DEG:.0f} deg are needed to tell a limb from other edges"
+            f"at least {MIN_ARC_DEG:.0f} deg are needed to tell a limb from other edges"
         )
 
 
@@ -83,7 +83,7 @@ def check_sharp(sharpness: FloatArray) -> None:
     sharpness (n,) of the limb's points, see limb_search
     """
     middle = float(np.median(sharpness))
-    if middle < LEAST_SHARPNESS:
+    if middle < MIN_SHARPNESS:
         raise NoSolutionError(
             f"no lit limb where the Sun claims it: the edge there gains {100.0 * middle:.0f} % of "
             "its brightness at once, as a terminator does; the Sun is not where attitude and time "
@@ -118,10 +118,10 @@ def check_hidden(
     reach = max(1, int(np.ceil(0.75 * AZIMUTHS / max(len(rays), 1))))
     for shift in range(-reach, reach + 1):
         seen[(cell + shift) % AZIMUTHS] = True
-    if expected.sum() < LEAST_EXPECTED:
+    if expected.sum() < MIN_EXPECTED:
         return 1.0
     share = float((seen & expected).sum() / expected.sum())
-    if share < LEAST_SEEN_SHARE:
+    if share < MIN_SEEN_SHARE:
         raise NoSolutionError(
             f"only {100.0 * share:.0f} % of the lit limb that should be in the picture is seen: "
             "something covers the rest, or the Sun is not where attitude and time put it"
@@ -150,7 +150,7 @@ def check_others(
     depth = cone.depth(stretched_rays(camera, pixels, cone.stretch))
     n_out = int((depth < -(0.002 + relief) * np.tan(cone.angle)).sum())
     n_in = max(int((depth > 0.0).sum()), 1)
-    if n_out > MOST_OUTSIDE_SHARE * n_in:
+    if n_out > MAX_OUTSIDE_SHARE * n_in:
         raise NoSolutionError(
             f"no limb that bounds the lit ground: the best one leaves {n_out * GRID_PX**2} lit "
             f"pixels outside and {n_in * GRID_PX**2} inside; structure in view, or only ground"

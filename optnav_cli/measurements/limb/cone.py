@@ -16,12 +16,12 @@ from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 
 PROPOSALS = 600
-MOST_SCORED = 2500  # candidates that vote, drawn at random from more
+MAX_SCORED = 2500  # candidates that vote, drawn at random from more
 BASE_TOLERANCE_PX = 1.5
 # A camera lower than this many times the relief sees no limb of a body but of the nearest hill; in
 # the flat cones of such heights the tolerance for relief would take in all edges.
-LEAST_HEIGHT_RELIEFS = 2.0
-LEAST_COSINE = np.cos(np.radians(40.0))  # between a candidate's gradient and the cone's normal
+MIN_HEIGHT_RELIEFS = 2.0
+MIN_COSINE = np.cos(np.radians(40.0))  # between a candidate's gradient and the cone's normal
 _REFITS = 6
 
 
@@ -166,7 +166,7 @@ def find_cone(
         return None
     generator = np.random.default_rng(seed)
     unit = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
-    some = generator.permutation(n)[:MOST_SCORED]
+    some = generator.permutation(n)[:MAX_SCORED]
     samples = generator.integers(0, len(some), (PROPOSALS, 3))
     score, s = _consensus(
         samples,
@@ -176,7 +176,7 @@ def find_cone(
         unit[some],
         BASE_TOLERANCE_PX,
         relief,
-        float(LEAST_COSINE),
+        float(MIN_COSINE),
         _flattest(relief),
     )
     if score <= 0.0:
@@ -199,7 +199,7 @@ def find_cone(
 
 def _flattest(relief: float) -> float:
     """Squared length of s = axis / cos(angle) at the lowest height; infinite without relief."""
-    sine = 1.0 / (1.0 + LEAST_HEIGHT_RELIEFS * relief)
+    sine = 1.0 / (1.0 + MIN_HEIGHT_RELIEFS * relief)
     return 1.0 / (1.0 - sine * sine) if relief > 0.0 else np.inf
 
 
@@ -210,7 +210,7 @@ def agreeing(cone: Cone, where: PixelRays, gradient: FloatArray, relief: float) 
     rad_per_px = slope / max(np.sin(cone.angle), 1e-12)
     limit = BASE_TOLERANCE_PX + relief * np.tan(cone.angle) / np.maximum(rad_per_px, 1e-12)
     cosine = (inward * gradient).sum(axis=1) / np.maximum(np.linalg.norm(gradient, axis=1), 1e-12)
-    return np.asarray((np.abs(distance) < limit) & (cosine > LEAST_COSINE))
+    return np.asarray((np.abs(distance) < limit) & (cosine > MIN_COSINE))
 
 
 def fit_cone(where: PixelRays, used: BoolArray, start: Cone) -> Cone | None:

@@ -13,12 +13,12 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.disc.fit import LARGEST_RADIUS_PX, edge_bias_px
+from optnav_cli.measurements.disc.fit import MAX_RADIUS_PX, edge_bias_px
 from optnav_cli.measurements.limb.candidates import (
     Candidates,
-    before_sky,
-    facing_sun,
+    bounded_by_sky,
     find_candidates,
+    is_sunlit,
     on_limb,
     rays_of,
     sharpness,
@@ -44,7 +44,7 @@ from optnav_cli.measurements.limb.edge_fit import common_shape, locate_edges, pr
 from optnav_cli.measurements.segmentation import lit_blobs, measure_levels
 
 MAX_POINTS = 3000
-LEAST_POINTS = 12
+MIN_POINTS = 12
 SHARP_SHARE = 0.6  # see `sharpness`; chooses limbs where the Sun is not known
 RELIEF = 0.002  # of the body's radius: what the limb stands off a smooth one
 # What the edge model may leave on all points, px: limbs of a known skyline show 0.011-0.017 from
@@ -127,7 +127,7 @@ def find_limb(
     shape = common_shape(profiles, levels, full)
     edges = locate_edges(profiles, shape, levels, full)
     distance, inward = distances(cone, where)
-    if sun_camera is not None and float(np.median(bend)) * LARGEST_RADIUS_PX > 1.0:
+    if sun_camera is not None and float(np.median(bend)) * MAX_RADIUS_PX > 1.0:
         bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, levels)
     else:
         # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)
@@ -135,10 +135,10 @@ def find_limb(
     depth = edges.depth - bias
     pixels = limb.pixels + (depth - distance)[:, None] * inward
     good = np.isfinite(depth) & np.isfinite(edges.sigma)
-    if good.sum() < LEAST_POINTS:
+    if good.sum() < MIN_POINTS:
         raise NoSolutionError(
             f"only {int(good.sum())} limb points have an edge that stands out of the noise; "
-            f"{LEAST_POINTS} are needed"
+            f"{MIN_POINTS} are needed"
         )
     pixels, inward, sigma = pixels[good], inward[good], edges.sigma[good]
     where = pixel_rays(camera, pixels, space)
@@ -185,14 +185,14 @@ def _first_cone(
     if sun_camera is None:
         kept = sharpness(picture, candidates) > SHARP_SHARE
     else:
-        kept = facing_sun(where, candidates.gradient, space, sun_camera)
-    if kept.sum() < LEAST_POINTS <= len(candidates):
+        kept = is_sunlit(where, candidates.gradient, space, sun_camera)
+    if kept.sum() < MIN_POINTS <= len(candidates):
         raise NoSolutionError(
             f"no lit limb in view: {len(candidates) - int(kept.sum())} of {len(candidates)} edges "
             "are terminator or face away from the Sun of this attitude and time"
         )
-    kept &= before_sky(picture, camera, candidates.pixels, candidates.gradient, threshold)
-    if kept.sum() < LEAST_POINTS:
+    kept &= bounded_by_sky(picture, camera, candidates.pixels, candidates.gradient, threshold)
+    if kept.sum() < MIN_POINTS:
         raise NoSolutionError(
             f"no limb in view: of {len(candidates)} edges from dark to bright in the picture "
             f"{int(kept.sum())} have sky on their dark side"
@@ -200,7 +200,7 @@ def _first_cone(
     lit = candidates.subset(kept)
     where = PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
     found = find_cone(where, lit.gradient, space, relief)
-    if found is None or found[1].sum() < LEAST_POINTS:
+    if found is None or found[1].sum() < MIN_POINTS:
         raise NoSolutionError(
             f"no limb in view: no curve joins the {len(lit)} edges of the picture"
         )

@@ -21,12 +21,12 @@ from optnav_cli.measurements.segmentation import Levels
 # Profiles reach this far to the dark and to the bright side of the crossing, px along the scan,
 # and so deep inside, px and in radii of the limb's bend: further in the ground's pattern rules.
 BEFORE_PX, AFTER_PX = 7, 8
-DEEPEST_PX, DEEPEST_SHARE = 6.0, 0.35
+MAX_PX, MAX_SHARE = 6.0, 0.35
 
 
 ITERATIONS = 12
 SETTLED_PX = 2e-4
-FARTHEST_PX = 4.0  # of an edge from where its threshold was crossed
+MAX_PX = 4.0  # of an edge from where its threshold was crossed
 START_BLUR_PX = 0.9
 BLUR_RANGE_PX = (0.35, 4.0)
 # What the shares of the second and third law are believed to be, and their 1 sigma.
@@ -35,7 +35,7 @@ MIXTURE_PRIOR, MIXTURE_SIGMA = 0.0, 0.5
 SHAPE_STEPS = np.array([0.005, 0.02, 0.02])
 SHAPE_LARGEST = np.array([0.3, 0.7, 0.7])
 SHAPE_TURNS, SHAPE_HALVINGS = 6, 4
-MOST_SHAPING = 300  # profiles that find the common blur and law
+MAX_SHAPING = 300  # profiles that find the common blur and law
 START_GAIN_SHARE = 0.02  # scatter of the lit pixels over their brightness, before it is measured
 SKY_PRIOR_SIGMAS = 3.0
 MODEL_SIGMA_PX = 0.01  # what the model leaves of a single edge: the pixel's square, the cusps
@@ -169,7 +169,7 @@ def _fit(
             place += min(max(move, -1.0), 1.0)
             if abs(move) < SETTLED_PX and turn > 1:
                 break
-        if used < 5 or not abs(place - start[i]) < FARTHEST_PX:
+        if used < 5 or not abs(place - start[i]) < MAX_PX:
             result[i, :] = np.nan
             residual[i, :] = 0.0
             continue
@@ -214,7 +214,7 @@ class _Fitter:
 def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeShape:
     """Blur, law and noise of a picture's edges, from some of its profiles."""
     n = len(profiles.start)
-    some = np.unique(np.linspace(0, n - 1, min(n, MOST_SHAPING)).astype(np.int64))
+    some = np.unique(np.linspace(0, n - 1, min(n, MAX_SHAPING)).astype(np.int64))
     fitter = _Fitter(profiles.subset(some), levels.sky, saturation)
     gain = START_GAIN_SHARE**2 * (levels.bright - levels.sky)
     shape = EdgeShape(START_BLUR_PX, (MIXTURE_PRIOR, MIXTURE_PRIOR), levels.noise**2, gain)
@@ -335,7 +335,7 @@ def profiles_across(
         camera, limb.pixels + np.array([[[2.0]], [[-2.0]]]) * along, cone.stretch
     )
     bend = -0.5 * ((cone.depth(aside) / rad_per_px).mean(axis=0) - distance)
-    deepest = np.minimum(DEEPEST_PX, np.maximum(DEEPEST_SHARE / np.maximum(bend, 1e-6), 2.5))
+    deepest = np.minimum(MAX_PX, np.maximum(MAX_SHARE / np.maximum(bend, 1e-6), 2.5))
     usable = inside & (depth < distance[:, None] + deepest[:, None])
     usable &= camera.contains(places.astype(np.float64), BORDER_PX - 3)
     depth = np.where(usable, depth, np.nan)

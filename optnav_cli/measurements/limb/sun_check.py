@@ -13,7 +13,7 @@ from catalog.arrays import FloatArray
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.detection import LimbPoints
 
-LEAST_ARC_DEG, FULL_ARC_DEG = 100.0, 300.0  # too little of a limb, or one lit all round: no side
+MIN_ARC_DEG, FULL_ARC_DEG = 100.0, 300.0  # too little of a limb, or one lit all round: no side
 # Of the middle of an arc that ends at the cusps. Of 17 rendered discs of 60 to 710 px radius, at
 # phases of 26 to 103 deg, it was 1.5 deg off rms, 3.3 at most.
 CUSP_SIGMA = np.radians(5.0)
@@ -22,10 +22,10 @@ DISAGREE_SIGMAS = 3.0
 # Lit share of the disc against the phase's: of the same discs 0.03 rms off, 0.05 at most, by the
 # threshold and by shadows at the terminator; blur widens a small disc by about a pixel.
 SHARE_LIMIT, BLUR_PX = 0.12, 1.0
-LEAST_RADIUS_PX = 8.0
-LARGEST_DISC = 0.25  # rad; of a body close by a cap is seen, whose lit share is another
+MIN_RADIUS_PX = 8.0
+MAX_DISC = 0.25  # rad; of a body close by a cap is seen, whose lit share is another
 RIM_POINTS = 180
-LEAST_SINE = 0.05  # of the angle between the Sun and the body's centre: below it no side
+MIN_SINE = 0.05  # of the angle between the Sun and the body's centre: below it no side
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ def sun_side_angle(limb: LimbPoints, rays: FloatArray, sun_camera: FloatArray) -
     seen = outward.mean(axis=0)
     claimed = sun_camera - (sun_camera @ axis) * axis
     sine = float(np.linalg.norm(claimed))
-    sided = LEAST_ARC_DEG <= limb.arc_deg <= FULL_ARC_DEG and np.linalg.norm(seen) > 0.0
-    if not sided or sine < LEAST_SINE:
+    sided = MIN_ARC_DEG <= limb.arc_deg <= FULL_ARC_DEG and np.linalg.norm(seen) > 0.0
+    if not sided or sine < MIN_SINE:
         return SunSide(0.0, float(np.pi))
     cosine = float(seen @ claimed / (np.linalg.norm(seen) * sine))
     sigma = CUT_SIGMA if limb.cut_by_frame else CUSP_SIGMA
@@ -71,7 +71,7 @@ def lit_share(limb: LimbPoints, camera: Camera) -> float | None:
 
     limb  of a sphere, found without the Sun
     """
-    if limb.cone_angle > LARGEST_DISC:
+    if limb.cone_angle > MAX_DISC:
         return None
     axis = limb.cone_axis_camera
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
@@ -84,12 +84,12 @@ def lit_share(limb: LimbPoints, camera: Camera) -> float | None:
     x, y = (rim - rim[0]).T
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
     radius = float(np.sqrt(area / np.pi))
-    if radius < LEAST_RADIUS_PX:
+    if radius < MIN_RADIUS_PX:
         return None
     return limb.lit_pixels / (area * (1.0 + BLUR_PX / radius) ** 2)
 
 
-def doubt_of_sun(limb: LimbPoints, camera: Camera, sun_camera: FloatArray) -> str:
+def rejection_of_sun(limb: LimbPoints, camera: Camera, sun_camera: FloatArray) -> str:
     """What is wrong with the Sun that a limb is lit by, in words; empty when nothing is.
 
     limb        of a sphere, found without the Sun, which else would have chosen the side

@@ -29,21 +29,21 @@ PART_LEVEL = 2.0
 PART_DECADE = 1.15
 NEAR_POSTINGS = 1.5
 # Matches that chance could offer more often than once in 10^6 frames are no evidence.
-LEAST_DECADES = 6.0
+MIN_DECADES = 6.0
 # From so near a prior that it leaves no other place: then the prior would have to be wrong too.
-LEAST_NEAR_DECADES = 4.0
+MIN_NEAR_DECADES = 4.0
 # Small templates under a low Sun err by twice their stated sigma and are still right.
-MOST_VARIANCE_FACTOR = 9.0
+MAX_VARIANCE_FACTOR = 9.0
 # Behind a blur what the model hides is in the sigmas: right frames of Phobos scatter 0.7 to 1.1
 # times as wide, and one that scattered 2.6 times as wide was off by 4 sigmas.
-MOST_PART_FACTOR = 2.25
+MAX_PART_FACTOR = 2.25
 # As improbable is a distance from the prior that this share of right priors exceeds.
 PRIOR_PROBABILITY = 1e-6
 # A search always has room for a few nodes more, so a prior with a tiny sigma may be off by so much.
 PRIOR_FLOOR_M = 1000.0
 
 
-def decades_against_chance(scores: ArrayLike, tried: int, template_nodes: float) -> float:
+def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: float) -> float:
     """How many powers of ten speak against chance for the scores of the used points.
 
     scores          (k,) of the points that the solution uses
@@ -82,16 +82,16 @@ def _choices(used: int, tried: int) -> float:
     return float(choices / np.log(10.0))
 
 
-def doubt_of_matches(
+def rejection_of_matches(
     solution: RobustResection,
     decades: float,
     tried: int,
-    least_decades: float = LEAST_DECADES,
-    most_factor: float = MOST_VARIANCE_FACTOR,
+    least_decades: float = MIN_DECADES,
+    most_factor: float = MAX_VARIANCE_FACTOR,
 ) -> str:
     """Why the matches do not carry the solution; empty when they do.
 
-    decades  against chance, of `decades_against_chance` or `decades_of_parts`;  tried as there
+    decades  against chance, of `log10_false_alarms` or `decades_of_parts`;  tried as there
     """
     used = int(solution.used.sum())
     if solution.resection.degrees_of_freedom < 1:
@@ -106,7 +106,7 @@ def doubt_of_matches(
     return ""
 
 
-def doubt_of_place(
+def rejection_of_place(
     pose: Pose,
     covariance_m2: FloatArray,
     prior_position_m: FloatArray,
@@ -118,8 +118,8 @@ def doubt_of_place(
     prior_covariance_m2  (3, 3) of the prior's
     """
     offset = pose.position_m - prior_position_m
-    spread = covariance_m2 + prior_covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
-    if float(offset @ np.linalg.solve(spread, offset)) < chi2.isf(PRIOR_PROBABILITY, 3):
+    select_evenly = covariance_m2 + prior_covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
+    if float(offset @ np.linalg.solve(select_evenly, offset)) < chi2.isf(PRIOR_PROBABILITY, 3):
         return ""
     sigma = float(np.sqrt(np.trace(prior_covariance_m2) / 3.0))
     return (

@@ -47,13 +47,13 @@ def own_shares(masks: BoolArray) -> FloatArray:
     return np.asarray(each.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1))
 
 
-def alikeness(masks: BoolArray) -> FloatArray:
+def overlap_correlation(masks: BoolArray) -> FloatArray:
     """(n, n) correlation of errors that ground brings: common ground over the mean of both."""
     flat = masks.reshape(len(masks), -1).astype(np.float64)
     size = np.sqrt(np.maximum(flat.sum(axis=1), 1.0))
-    alike = (flat @ flat.T) / np.outer(size, size)
-    np.fill_diagonal(alike, 1.0)
-    return np.asarray(alike)
+    error_correlation = (flat @ flat.T) / np.outer(size, size)
+    np.fill_diagonal(error_correlation, 1.0)
+    return np.asarray(error_correlation)
 
 
 def ground_alikeness(places_m: FloatArray, widths_m: FloatArray) -> FloatArray:
@@ -84,7 +84,7 @@ COMMON_HEIGHT_NODES = 0.003
 # 948 m whatever the Sun's elevation, and less in other directions.
 SUNWARD_SHIFT_NODES = 0.016
 COMMON_SHIFT_NODES = 0.006
-LEAST_COS_EMISSION = 0.1
+MIN_COS_EMISSION = 0.1
 # A coarse level is a mean of heights, a picture of it a mean of brightness. Over a view that
 # reaches round the body Sun and line of sight change from point to point, and with them how the
 # relief is seen that the mean took away: the pattern stretches, alike or changing from side to
@@ -124,7 +124,7 @@ SHIFT_PX = 0.0045
 STRETCH_PX = 0.005
 KEYSTONE_PX = 0.004
 # Below it shadows fill the picture and the cotangent runs away.
-LOWEST_SUN = np.radians(8.0)
+MIN_SUN = np.radians(8.0)
 
 
 def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: float) -> float:
@@ -132,7 +132,7 @@ def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: fl
 
     posting_m  of the level that was matched; sun_elevation_deg at the point
     """
-    elevation = max(np.radians(sun_elevation_deg), LOWEST_SUN)
+    elevation = max(np.radians(sun_elevation_deg), MIN_SUN)
     shadow = OWN_SHADOW_M / np.tan(min(elevation, np.pi / 2.0)) ** 2
     own = (OWN_M + shadow) * float(_scale(finest_posting_m))
     return float(np.hypot(OWN_LEVEL_NODES * posting_m, own))
@@ -140,11 +140,11 @@ def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: fl
 
 def own_covariances_px2(
     points_m: FloatArray,
-    by_ground: FloatArray,
+    pixel_per_metre: FloatArray,
     postings_m: FloatArray,
     finest_postings_m: FloatArray,
     sun_elevation_deg: FloatArray,
-    hidden_m: FloatArray,
+    unresolved_posting_m: FloatArray,
 ) -> FloatArray:
     """What points err by that their peaks do not show, each for itself, (n, 2, 2), px^2.
 
@@ -154,26 +154,30 @@ def own_covariances_px2(
     hidden_m             (n,) posting of the terrain model where the patch is finer, else 0
     """
     up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
-    sigma = OWN_HEIGHT_NODES * postings_m / _cos_emission(_sight(by_ground, up), up)
-    rise = np.einsum("nij,nj->ni", by_ground, up) * sigma[:, None]
+    sigma = OWN_HEIGHT_NODES * postings_m / _cos_emission(_sight(pixel_per_metre, up), up)
+    rise = np.einsum("nij,nj->ni", pixel_per_metre, up) * sigma[:, None]
     # along the ground in every direction alike, by its mean scale in the picture
     level = np.eye(3) - up[:, :, None] * up[:, None, :]
-    flat = by_ground @ level
+    flat = pixel_per_metre @ level
     area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
     pairs = zip(postings_m, finest_postings_m, sun_elevation_deg, strict=True)
     sigmas = np.array([own_sigma_m(*(float(v) for v in three)) for three in pairs])
-    spread = (sigmas**2 + (HIDDEN_OWN * hidden_m) ** 2) * np.sqrt(np.maximum(area, 0.0))
-    return np.asarray(rise[:, :, None] * rise[:, None, :] + spread[:, None, None] * np.eye(2))
+    select_evenly = (sigmas**2 + (HIDDEN_OWN * unresolved_posting_m) ** 2) * np.sqrt(
+        np.maximum(area, 0.0)
+    )
+    return np.asarray(
+        rise[:, :, None] * rise[:, None, :] + select_evenly[:, None, None] * np.eye(2)
+    )
 
 
 def common_errors_px(
     points_m: FloatArray,
-    by_ground: FloatArray,
+    pixel_per_metre: FloatArray,
     scores: FloatArray,
     sun_body: FloatArray,
     finest_postings_m: FloatArray,
     postings_m: FloatArray,
-    hidden_m: FloatArray,
+    unresolved_posting_m: FloatArray,
 ) -> FloatArray:
     """What one sigma of each error common to a frame moves every point by, (n, 2, 17), px.
 
@@ -196,7 +200,7 @@ def common_errors_px(
     # under a Sun overhead no direction is the Sun's, and its shadows are short
     along = level / length if length > 1e-6 else np.linalg.svd(up[None])[2][1]
     across = np.cross(up, along)
-    elevation = max(float(np.arcsin(np.clip(sun_body @ up, -1.0, 1.0))), LOWEST_SUN)
+    elevation = max(float(np.arcsin(np.clip(sun_body @ up, -1.0, 1.0))), MIN_SUN)
     unexplained = float(1.0 - np.clip(scores, 0.0, 1.0).mean())
     shift = SHIFT_M + UNEXPLAINED_M * unexplained
     outward = points_m - middle
@@ -212,41 +216,47 @@ def common_errors_px(
     ]
     for axis in (along, across):
         fields.append(outward * ((outward @ axis) / max(reach, 1.0))[:, None])
-    *shifts, stretch, one_way, other_way = [np.einsum("nij,nj->ni", by_ground, f) for f in fields]
+    *shifts, stretch, one_way, other_way = [
+        np.einsum("nij,nj->ni", pixel_per_metre, f) for f in fields
+    ]
     moved = [*shifts, stretch * (region * STRETCH_M / max(reach, 1.0))]
     moved.append(_of_size(stretch, STRETCH_PX))
     moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
     averaged, distance = postings_m - finest_postings_m, float(np.linalg.norm(middle))
-    finest = (hidden_m == 0.0) & (averaged == 0.0)
+    finest = (unresolved_posting_m == 0.0) & (averaged == 0.0)
     round_m = np.where(finest, finest_postings_m, 0.0) * (reach / distance)
-    alike = CURVED_STRETCH_NODES * averaged + HIDDEN_STRETCH * hidden_m
-    alike += ROUND_STRETCH_NODES * round_m
-    changing = CURVED_KEYSTONE_NODES * averaged + HIDDEN_KEYSTONE * hidden_m
+    error_correlation = CURVED_STRETCH_NODES * averaged + HIDDEN_STRETCH * unresolved_posting_m
+    error_correlation += ROUND_STRETCH_NODES * round_m
+    changing = CURVED_KEYSTONE_NODES * averaged + HIDDEN_KEYSTONE * unresolved_posting_m
     changing += ROUND_KEYSTONE_NODES * round_m
-    moved.append(stretch * (alike / distance)[:, None])
+    moved.append(stretch * (error_correlation / distance)[:, None])
     moved += [field * (changing / distance)[:, None] for field in (one_way, other_way)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
     own_up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
-    sight = _sight(by_ground, own_up)
-    rises = COMMON_HEIGHT_NODES * postings_m + HIDDEN_RISE * hidden_m
-    sigma = rises / _cos_emission(sight, own_up)
-    rise = np.einsum("nij,nj->ni", by_ground, own_up) * sigma[:, None]
-    moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
+    observation = _sight(pixel_per_metre, own_up)
+    rises = COMMON_HEIGHT_NODES * postings_m + HIDDEN_RISE * unresolved_posting_m
+    sigma = rises / _cos_emission(observation, own_up)
+    rise = np.einsum("nij,nj->ni", pixel_per_metre, own_up) * sigma[:, None]
+    moved += [rise, rise * (observation @ along)[:, None], rise * (observation @ across)[:, None]]
     for axis, nodes in ((along, SUNWARD_SHIFT_NODES), (across, COMMON_SHIFT_NODES)):
-        own_shifts = nodes * postings_m + HIDDEN_SHIFT * hidden_m
-        moved.append(np.einsum("nij,j->ni", by_ground, axis) * own_shifts[:, None])
+        own_shifts = nodes * postings_m + HIDDEN_SHIFT * unresolved_posting_m
+        moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * own_shifts[:, None])
     return np.stack(moved, axis=2)
 
 
-def _sight(by_ground: FloatArray, up: FloatArray) -> FloatArray:
+def _sight(pixel_per_metre: FloatArray, up: FloatArray) -> FloatArray:
     """Unit vectors (n, 3) from the points to the camera: a step along them moves no pixel."""
-    sight = np.cross(by_ground[:, 0], by_ground[:, 1])
-    sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-30)
-    return np.asarray(sight * np.where(np.einsum("ni,ni->n", sight, up) < 0.0, -1.0, 1.0)[:, None])
+    observation = np.cross(pixel_per_metre[:, 0], pixel_per_metre[:, 1])
+    observation = observation / np.maximum(
+        np.linalg.norm(observation, axis=1, keepdims=True), 1e-30
+    )
+    return np.asarray(
+        observation * np.where(np.einsum("ni,ni->n", observation, up) < 0.0, -1.0, 1.0)[:, None]
+    )
 
 
-def _cos_emission(sight: FloatArray, up: FloatArray) -> FloatArray:
-    return np.asarray(np.maximum(np.einsum("ni,ni->n", sight, up), LEAST_COS_EMISSION))
+def _cos_emission(observation: FloatArray, up: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(np.einsum("ni,ni->n", observation, up), MIN_COS_EMISSION))
 
 
 def _of_size(field_px: FloatArray, rms_px: float) -> FloatArray:

@@ -117,7 +117,7 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
     )
 
 
-def spread(view: View, most: int) -> View:
+def select_evenly(view: View, most: int) -> View:
     """At most `most` points, evenly over the frame: each next is the farthest from all so far."""
     if len(view) <= most:
         return view

@@ -20,7 +20,7 @@ from catalog.store.manifest import PlanesMeta
 from optnav_cli.matching.reference import Reference
 
 # References kept ready to render; one of 80 nodes and 5 levels takes 130 kB.
-MOST_REFERENCES = 2000
+MAX_REFERENCES = 2000
 
 
 class PointStore(Protocol):
@@ -192,7 +192,7 @@ class ControlPointField:
         planes_on_m = None if layer.planes is None else layer.planes.radii_m
         reference = Reference(store.point(name[1]), patches, layer.radius_m, planes_on_m)
         self._references[index] = reference
-        if len(self._references) > MOST_REFERENCES:
+        if len(self._references) > MAX_REFERENCES:
             self._references.popitem(last=False)
         return reference
 

@@ -20,21 +20,21 @@ from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.matching.visibility import View
 from optnav_cli.navigation.control_points.acceptance import (
-    LEAST_DECADES,
-    LEAST_NEAR_DECADES,
-    MOST_PART_FACTOR,
-    MOST_VARIANCE_FACTOR,
+    MAX_PART_FACTOR,
+    MAX_VARIANCE_FACTOR,
+    MIN_DECADES,
+    MIN_NEAR_DECADES,
     NEAR_POSTINGS,
-    decades_against_chance,
     decades_of_parts,
-    doubt_of_matches,
-    doubt_of_place,
+    log10_false_alarms,
+    rejection_of_matches,
+    rejection_of_place,
 )
 from optnav_cli.navigation.control_points.error_model import footprints, own_shares
 from optnav_cli.navigation.control_points.expectation import (
     FrameContext,
     expected,
-    spread,
+    select_evenly,
     why_nothing_in_view,
 )
 from optnav_cli.navigation.control_points.field import ControlPointField
@@ -104,7 +104,7 @@ def navigate(
         first = number == 0
         view = expected(frame, pose, whole=not first)
         most = settings.solve.max_first_pass_points if first else settings.solve.max_points
-        view = spread(view, most)
+        view = select_evenly(view, most)
         if len(view) == 0:
             reason = why_nothing_in_view(frame, pose)
             raise UnsolvedFrameError(reason, tried)
@@ -122,7 +122,7 @@ def navigate(
         step = solution.resection.pose.position_m - pose.position_m
         pose = solution.resection.pose
         position_covariance = solution.resection.position_covariance_m2
-        doubt = doubt_of_place(
+        doubt = rejection_of_place(
             pose, position_covariance, prior.pose.position_m, prior.position_covariance_m2
         )
         if doubt:
@@ -139,9 +139,9 @@ def navigate(
     decades = _decades(frame, pose, used, searched, searched_postings)
     parts = all(t.match.part is not None for t in used)
     near = parts and searched_postings <= NEAR_POSTINGS
-    least = LEAST_NEAR_DECADES if near else LEAST_DECADES
-    scatter = MOST_PART_FACTOR if parts else MOST_VARIANCE_FACTOR
-    doubt = doubt_of_matches(solution, decades, searched, least, scatter)
+    least = MIN_NEAR_DECADES if near else MIN_DECADES
+    scatter = MAX_PART_FACTOR if parts else MAX_VARIANCE_FACTOR
+    doubt = rejection_of_matches(solution, decades, searched, least, scatter)
     if doubt:
         raise UnsolvedFrameError(doubt, [replace(t, used=False, reason=doubt) for t in tried])
     return ControlPointFix(solution, tried)
@@ -182,7 +182,7 @@ def _decades(
     if whole:
         template = min(_template_side(frame, pose, t) for t in whole)
         scores = [t.match.score or 0.0 for t in whole]
-        decades += decades_against_chance(scores, searched - len(cut), template)
+        decades += log10_false_alarms(scores, searched - len(cut), template)
     if cut:
         strengths = [score * np.sqrt(part.samples) for score, part in cut]
         size_px = frame.camera.width_px, frame.camera.height_px

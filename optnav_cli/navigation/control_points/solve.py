@@ -16,10 +16,10 @@ from optnav_cli.matching.point_match import (
 from optnav_cli.matching.search_plan import ground_uncertainty_m, plan_distortion, plan_search
 from optnav_cli.matching.visibility import View
 from optnav_cli.navigation.control_points.error_model import (
-    alikeness,
     common_errors_px,
     footprints,
     ground_alikeness,
+    overlap_correlation,
     own_covariances_px2,
 )
 from optnav_cli.navigation.control_points.expectation import FrameContext
@@ -28,7 +28,7 @@ from optnav_cli.navigation.control_points.expectation import FrameContext
 DISTORTION_SIGMAS = 2.0
 # Behind a blur a score is worth what the samples are that were compared: least of their root's
 # multiples.
-LEAST_STRENGTH = 3.0
+MIN_STRENGTH = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,9 @@ class Prior:
     attitude_sigma_rad: float | None
 
     @classmethod
-    def even(cls, pose: Pose, position_sigma_m: float, attitude_sigma_rad: float | None) -> "Prior":
+    def isotropic(
+        cls, pose: Pose, position_sigma_m: float, attitude_sigma_rad: float | None
+    ) -> "Prior":
         """A prior as wrong in every direction: its sigma a component."""
         return cls(pose, np.eye(3) * position_sigma_m**2, attitude_sigma_rad)
 
@@ -88,7 +90,7 @@ def match_all(
             template, roll_sigma, height_sigma / float(ranges[k]), DISTORTION_SIGMAS
         )
         blur = blur_nodes(posting, float(known[k]))
-        gates = MatchGates(settings.match.min_score, settings.match.rival_ratio, LEAST_STRENGTH)
+        gates = MatchGates(settings.match.min_score, settings.match.rival_ratio, MIN_STRENGTH)
         matches.append(
             match_point(
                 reference,
@@ -146,29 +148,31 @@ def solve(
         pixels,
         np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2),
     )
-    common = alike = None
+    common = error_correlation = None
     if kept:
         levels = np.array([points.postings_m(int(view.index[k]))[matches[k].level] for k in kept])
         finest = points.finest_postings_m(index)
         samples = view.metres_per_pixel[kept]
         triples = zip(levels.tolist(), samples.tolist(), finest.tolist(), strict=True)
         nodes = [frame.template_nodes(*three) for three in triples]
-        alike = ground_alikeness(places, levels * nodes)
+        error_correlation = ground_alikeness(places, levels * nodes)
         if parts:
             size_px = frame.camera.width_px, frame.camera.height_px
-            alike[np.ix_(list(parts), list(parts))] = alikeness(
+            error_correlation[np.ix_(list(parts), list(parts))] = overlap_correlation(
                 footprints(list(parts.values()), size_px)
             )
         _, jacobian = predict(frame.camera, pose, places)
-        by_ground = -jacobian[:, :, :3]  # a point that moves one way looks as if the camera moved
+        pixel_per_metre = -jacobian[
+            :, :, :3
+        ]  # a point that moves one way looks as if the camera moved
         hidden = np.where(levels < finest, finest, 0.0)
         postings = np.maximum(levels, finest)  # of what is known, not of the nodes
         suns = view.sun_elevation_deg[kept]
-        own = own_covariances_px2(places, by_ground, postings, finest, suns, hidden)
+        own = own_covariances_px2(places, pixel_per_metre, postings, finest, suns, hidden)
         sightings = replace(sightings, covariances_px2=sightings.covariances_px2 + own)
         scores = np.array([matches[k].score or 0.0 for k in kept])
         common = common_errors_px(
-            places, by_ground, scores, frame.sun_body, finest, postings, hidden
+            places, pixel_per_metre, scores, frame.sun_body, finest, postings, hidden
         )
     free = prior.attitude_sigma_rad is None
     attitude = (pose if free else prior.pose).camera_from_body
@@ -178,6 +182,6 @@ def solve(
         Pose(pose.position_m, attitude),
         prior.attitude_sigma_rad,
         common_errors_px=common,
-        alike=alike,
+        error_correlation=error_correlation,
         gate_probability=frame.settings.solve.gate_probability,
     )

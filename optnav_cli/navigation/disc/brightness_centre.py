@@ -19,9 +19,9 @@ from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
-from optnav_cli.measurements.disc.size import weigh_sizes
+from optnav_cli.measurements.disc.size import radius_posterior
 
-LARGEST_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
+MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
 # What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
 # (Smith et al., JGR 102, 1997). Maria, which no law knows, are not in it.
 SHAPE_SIGMA = 0.0012
@@ -29,7 +29,7 @@ SHAPE_SIGMA = 0.0012
 # ground over its ellipsoid. What the first throws shadows on grows as the lit share shrinks.
 RELIEF_SIGMA, ELLIPSOID_SIGMA = 0.004, 0.05
 SHADOW_POWER = 1.3  # of one over the lit share
-LARGEST_MISFIT = 5.0  # sigmas of the three second moments together
+MAX_MISFIT = 5.0  # sigmas of the three second moments together
 SMALL_ANGLE = 1e-5
 
 
@@ -76,10 +76,10 @@ def navigate(
     sun = camera_from_body.apply(sun_body)
     towards = camera.unproject(disc.centre)
     phase = float(np.arccos(np.clip(-(towards @ sun), -1.0, 1.0)))
-    if np.degrees(phase) > LARGEST_PHASE_DEG:
+    if np.degrees(phase) > MAX_PHASE_DEG:
         raise NoSolutionError(
             f"the phase is {np.degrees(phase):.0f} deg: a crescent that thin says little about "
-            f"the disc's centre; the limit is {LARGEST_PHASE_DEG:.0f} deg"
+            f"the disc's centre; the limit is {MAX_PHASE_DEG:.0f} deg"
         )
     body_from_camera = camera_from_body.inv().as_matrix()
     pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
@@ -89,9 +89,11 @@ def navigate(
         shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA / lit**SHADOW_POWER
     seen = np.vstack([axes, -towards]) @ body_from_camera.T
     moments = light_moments(body, relief, seen, sun_body, phase)
-    size = weigh_sizes(disc, pixel_from_angle / scale, moments, shape_sigma, camera.known_blur_px)
+    size = radius_posterior(
+        disc, pixel_from_angle / scale, moments, shape_sigma, camera.known_blur_px
+    )
     weights, radii = size.weights, size.radii_px
-    if size.misfit_sigmas > LARGEST_MISFIT:
+    if size.misfit_sigmas > MAX_MISFIT:
         raise NoSolutionError(
             f"the light of the brightest spot is not spread as that of a disc under this Sun "
             f"({size.misfit_sigmas:.0f} sigmas): a blend of stars, hot pixels, a trail "

@@ -17,7 +17,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc.fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.measurements.limb.detection import LimbPoints
 
-LARGEST_RADIUS_PX = 25.0  # beyond it the limb's profiles are right to a few hundredths of a pixel
+MAX_RADIUS_PX = 25.0  # beyond it the limb's profiles are right to a few hundredths of a pixel
 # What the figure moves the fitted centre and radius by, of the radius, at full phase: the Moon's is
 # 1.8 km off its centre of mass. Shadows on its ground do more as the lit share shrinks.
 SHAPE_SIGMA = 0.0012
@@ -25,7 +25,7 @@ MODEL_SIGMA_PX = 0.01  # what drawing leaves
 # Of 100 drawn discs the misfit was 0.7-1.1 under their own Sun, and over 1.25 or without a solution
 # under one turned by 45 or 180 deg about the line of sight from a phase of 15 deg on. Ground of two
 # kinds may cost as much, so that only the larger one refuses.
-TRUSTED_MISFIT, LARGEST_MISFIT = 1.2, 3.0
+TRUSTED_MISFIT, MAX_MISFIT = 1.2, 3.0
 STEP_PX = 0.01
 
 
@@ -47,7 +47,7 @@ def is_for(limb: LimbPoints, camera: Camera) -> bool:
     radius_px = limb.cone_angle / rad_per_px(camera, limb.cone_axis_camera)
     margin = radius_px + ABOUT_PX + 2.0
     pixel = camera.project(limb.cone_axis_camera)
-    return radius_px < LARGEST_RADIUS_PX and bool(camera.contains(pixel, margin))
+    return radius_px < MAX_RADIUS_PX and bool(camera.contains(pixel, margin))
 
 
 def navigate(
@@ -71,7 +71,7 @@ def navigate(
     per_px = rad_per_px(camera, limb.cone_axis_camera)
     sun = camera_from_body.apply(sun_body)
     fit = fit_disc(picture, camera, limb.cone_axis_camera, limb.cone_angle, sun, saturation)
-    if fit.misfit > LARGEST_MISFIT:
+    if fit.misfit > MAX_MISFIT:
         raise NoSolutionError(
             f"the disc's light is {fit.misfit:.1f} times as far from that of a sphere under the "
             "Sun of attitude and time as noise explains: one of these is wrong, or another body"

@@ -20,7 +20,7 @@ from catalog.bodies.body import Body
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.measurements.limb.detection import RELIEF
-from optnav_cli.navigation.horizon.sight import Sight
+from optnav_cli.navigation.horizon.sight import LimbRays
 
 SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5
 # Round ground with 19 m rms of relief (hills and craters) below the 319 m of the 2 deg model of
@@ -31,7 +31,7 @@ SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phob
 LIFT, LIFT_SIGMA = 0.100, 0.25
 CREST_NOISE, SECTOR_NOISE = 0.080, 0.02
 SHADOW_CLEARANCE = 0.16
-LEAST_AZIMUTHS, MOST_AZIMUTHS = 360, 2880
+MIN_AZIMUTHS, MAX_AZIMUTHS = 360, 2880
 STEEPEST_COSINE = 0.35  # where a limb leans more against the circle's, azimuths are no measure
 
 
@@ -76,7 +76,7 @@ def is_shape(relief: GlobalRelief) -> bool:
     return rise > SHAPE_SHARE * relief.radius_m
 
 
-def stand_off(body: Body) -> float:
+def relief_fraction(body: Body) -> float:
     """How far a limb may lie off the body's smooth one, in mean radii: half of what its highest
     place may, for a body whose ground is a shape; that of Phobos' 2 deg model is 0.05 rms.
     """
@@ -99,7 +99,7 @@ def shape_ground(relief: GlobalRelief) -> ShapeGround:
 
 
 def shape_limb(
-    ground: ShapeGround, position: FloatArray, sight: Sight, sun_body: FloatArray | None
+    ground: ShapeGround, position: FloatArray, sight: LimbRays, sun_body: FloatArray | None
 ) -> ShapeLimb:
     """The silhouette from a position (3,), m, body frame, beside the rays.
 
@@ -110,7 +110,7 @@ def shape_limb(
     axes = nadir_axes(position)
     sine = min(limb.radius_m / distance, 1.0)
     finest = max(float(np.median(sight.pixel_angle)) / sine, 0.25 * limb.posting_m / limb.radius_m)
-    count = int(np.clip(np.ceil(2.0 * np.pi / finest), LEAST_AZIMUTHS, MOST_AZIMUTHS))
+    count = int(np.clip(np.ceil(2.0 * np.pi / finest), MIN_AZIMUTHS, MAX_AZIMUTHS))
     step = 2.0 * np.pi / count
     azimuths = np.arange(count) * step
     line = limb.skyline(position, axes, azimuths)

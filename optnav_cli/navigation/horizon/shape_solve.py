@@ -15,14 +15,14 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.estimation.limb_fit import LimbFit
 from optnav_cli.estimation.silhouette_step import MAD_TO_SIGMA, silhouette_step
 from optnav_cli.navigation.horizon.shape_limb import shape_ground, shape_limb
-from optnav_cli.navigation.horizon.sight import Sight, arc_deg, enough_arc
+from optnav_cli.navigation.horizon.sight import LimbRays, arc_deg, require_arc
 from optnav_cli.navigation.horizon.uncertainty import edge_errors, with_shared_errors
 
 MAX_PASSES = 15
 STILL_SIGMAS = 0.05  # a pass that moves the position by less of its sigma is the last
-LEAST_CUT_PX = 0.5
-LEAST_SUN_SINE = 0.05  # as over a relief, see solve
-LEAST_KEPT_SHARE = 0.7  # of the lit points; of Phobos' 93 % and more are kept
+MIN_CUT_PX = 0.5
+MIN_SUN_SINE = 0.05  # as over a relief, see solve
+MIN_KEPT_SHARE = 0.7  # of the lit points; of Phobos' 93 % and more are kept
 # Scatter over the expected one; right limbs stay below 1.3, wrong attitudes begin at 4.
 MISFIT = 2.0
 SLOWEST = 0.8  # after so many passes each must move the position by this share of the one before
@@ -42,13 +42,13 @@ class ShapeFix:
     position_m: FloatArray
     covariance_m2: FloatArray
     fit: LimbFit
-    kept: Sight
+    kept: LimbRays
     arc_deg: float
     passes: int
 
 
 def over_shape(
-    sight: Sight, start_m: FloatArray, sun_body: FloatArray | None, relief: GlobalRelief
+    sight: LimbRays, start_m: FloatArray, sun_body: FloatArray | None, relief: GlobalRelief
 ) -> ShapeFix:
     """The position whose silhouette of the shape fits the rays.
 
@@ -62,13 +62,13 @@ def over_shape(
     while True:
         passes += 1
         limb = shape_limb(ground, position, sight, sun_body)
-        usable = limb.usable & (limb.sun_sine > LEAST_SUN_SINE)
+        usable = limb.usable & (limb.sun_sine > MIN_SUN_SINE)
         kept, azimuths = sight.subset(usable), sight.azimuths(position)[usable]
-        enough_arc(arc_deg(azimuths))
+        require_arc(arc_deg(azimuths))
         sigmas = np.hypot(kept.own_sigmas(), ground.crest_noise_m / limb.ranges[usable])
         fit = silhouette_step(
             position, limb.offsets[usable], limb.rates[usable], sigmas, azimuths,
-            LEAST_CUT_PX * float(np.median(kept.pixel_angle)),
+            MIN_CUT_PX * float(np.median(kept.pixel_angle)),
         )  # fmt: skip
         step = fit.position_m - position
         before, moved = moved, float(np.linalg.norm(step))
@@ -82,7 +82,7 @@ def over_shape(
                 f"the position still moves by {moved:.0f} m after {passes} passes over the shape"
             )
     _check_misfit(fit, sigmas)
-    arc = enough_arc(arc_deg(azimuths[fit.weights > 0.0]))
+    arc = require_arc(arc_deg(azimuths[fit.weights > 0.0]))
     away = float(np.median(limb.ranges[usable]))
     errors = edge_errors(kept, azimuths, limb.sun_sine[usable])
     errors = errors.with_constant(ground.crest_sigma_m / away)
@@ -94,7 +94,7 @@ def over_shape(
 def _check_misfit(fit: LimbFit, sigmas: FloatArray) -> None:
     share = float((fit.weights > 0.0).mean())
     misfit = MAD_TO_SIGMA * float(np.median(np.abs(fit.residuals) / sigmas))
-    if share < LEAST_KEPT_SHARE:
+    if share < MIN_KEPT_SHARE:
         raise NoSolutionError(
             f"only {100.0 * share:.0f} % of the lit limb lie on the silhouette of the shape; check "
             "attitude, time, camera and body, or the shape has parts that hide behind each other"

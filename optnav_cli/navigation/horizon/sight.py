@@ -41,13 +41,13 @@ class HorizonFix:
 
 
 ARC_BIN_DEG = 2.0
-LEAST_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
+MIN_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
 # What a single edge keeps of light and slope that no model has.
 EDGE_NOISE_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class LimbRays:
     """Rays to the limb.
 
     rays         (n, 3) unit, body frame
@@ -77,9 +77,9 @@ class Sight:
         x, y, _ = nadir_axes(position) @ self.rays.T
         return np.asarray(np.arctan2(y, x))
 
-    def subset(self, kept: BoolArray) -> "Sight":
+    def subset(self, kept: BoolArray) -> "LimbRays":
         """The rays of a mask."""
-        return Sight(
+        return LimbRays(
             self.rays[kept],
             self.pixel_angle[kept],
             self.sigma_px[kept],
@@ -89,7 +89,7 @@ class Sight:
         )
 
 
-def sight_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> Sight:
+def limb_rays_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> LimbRays:
     """Rays of limb points. Raises NoSolutionError when the lens has none for them."""
     rays = camera.unproject(points.pixels)
     nearby = camera.unproject(points.pixels + points.inward)
@@ -97,7 +97,7 @@ def sight_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> 
     if not seen.any():
         raise NoSolutionError("the lens has no ray for any of the limb points")
     angle = np.linalg.norm(np.cross(rays[seen], nearby[seen]), axis=1)
-    return Sight(
+    return LimbRays(
         camera_from_body.apply(rays[seen], inverse=True),
         angle,
         points.sigma_px[seen],
@@ -119,11 +119,11 @@ def arc_deg(azimuths: FloatArray) -> float:
     return float(np.unique(np.mod(bins, count)).size * (360.0 / count))
 
 
-def enough_arc(arc: float) -> float:
+def require_arc(arc: float) -> float:
     """The same arc, in degrees. Raises NoSolutionError for less than a position wants."""
-    if arc < LEAST_ARC_DEG:
+    if arc < MIN_ARC_DEG:
         raise NoSolutionError(
             f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "
-            f"{LEAST_ARC_DEG:.0f} deg or more"
+            f"{MIN_ARC_DEG:.0f} deg or more"
         )
     return arc

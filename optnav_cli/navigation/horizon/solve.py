@@ -22,7 +22,13 @@ from optnav_cli.estimation.silhouette_step import MAD_TO_SIGMA, TUKEY
 from optnav_cli.measurements.limb.detection import LimbPoints
 from optnav_cli.navigation.horizon.shape_limb import is_shape
 from optnav_cli.navigation.horizon.shape_solve import over_shape
-from optnav_cli.navigation.horizon.sight import HorizonFix, Sight, arc_deg, enough_arc, sight_of
+from optnav_cli.navigation.horizon.sight import (
+    HorizonFix,
+    LimbRays,
+    arc_deg,
+    limb_rays_of,
+    require_arc,
+)
 from optnav_cli.navigation.horizon.terrain_limb import (
     LimbGround,
     TerrainLimb,
@@ -40,10 +46,10 @@ SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
 MAX_PASSES = 8
 STILL_M = 5.0  # a pass that moves the position by less, or by less than STILL_SIGMAS, is the last
 STILL_SIGMAS = 0.1
-LEAST_CUT_PX = 0.2
+MIN_CUT_PX = 0.2
 # Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
 # side of shadows.
-LEAST_SUN_SINE = 0.05
+MIN_SUN_SINE = 0.05
 # A limb that scatters by so many times what is expected does not belong to this relief, attitude
 # and time: right limbs from 50 to 20 000 km, Sun from 9 deg on, stay below 1.45 over a relief of 16
 # cells a degree and below 1.55 over one of 4. From 100 km a clock off by an hour or a focal length
@@ -56,7 +62,7 @@ class _Solved:
     """A fit over the relief: the rays that it kept, the skyline at these, how often it looked."""
 
     fit: LimbFit
-    kept: Sight
+    kept: LimbRays
     sun_sine: FloatArray
     passes: int
     misfit: float
@@ -80,7 +86,7 @@ def navigate(
     Raises NoSolutionError, with the reason, when the limb does not give a position.
     """
     sun = None if sun_body is None else np.asarray(sun_body, dtype=np.float64)
-    sight = sight_of(points, camera, camera_from_body)
+    sight = limb_rays_of(points, camera, camera_from_body)
     fit = fit_limb(sight.rays, sight.own_sigmas(), body.radii_m)
     if relief is None:
         return _bare(points, sight, fit, attitude_sigma_rad, sun, body)
@@ -101,12 +107,12 @@ def navigate(
 
 
 def _bare(
-    points: LimbPoints, sight: Sight, fit: LimbFit, attitude_sigma: float, sun: FloatArray | None,
-    body: Body,
+    points: LimbPoints, sight: LimbRays, fit: LimbFit, attitude_sigma: float,
+    sun: FloatArray | None, body: Body,
 ) -> HorizonFix:  # fmt: skip
     position = fit.position_m
     azimuths = sight.azimuths(position)
-    arc = enough_arc(arc_deg(azimuths))
+    arc = require_arc(arc_deg(azimuths))
     distance = float(np.linalg.norm(position))
     sine = min(float(np.mean(body.radii_m)) / distance, 1.0)
     away = distance * float(np.sqrt(1.0 - sine * sine))
@@ -122,7 +128,7 @@ def _terrain_fix(
 ) -> HorizonFix:
     fit, kept = solved.fit, solved.kept
     azimuths = kept.azimuths(fit.position_m)
-    arc = enough_arc(arc_deg(azimuths[fit.weights > 0.0]))
+    arc = require_arc(arc_deg(azimuths[fit.weights > 0.0]))
     away = _limb_distance(fit.position_m, ground)
     errors = edge_errors(kept, azimuths, solved.sun_sine)
     errors = errors.with_constant(ground.crest_sigma_m / away)
@@ -132,14 +138,14 @@ def _terrain_fix(
 
 
 def _over_relief(
-    sight: Sight, position: FloatArray, sun: FloatArray | None, ground: LimbGround
+    sight: LimbRays, position: FloatArray, sun: FloatArray | None, ground: LimbGround
 ) -> _Solved:
     """Passes over the relief from a first position till it stands still."""
     for passes in range(1, MAX_PASSES + 1):
         limb = terrain_limb(ground, position, sight, sun)
-        lit = limb.lit & (limb.sun_sine > LEAST_SUN_SINE)
+        lit = limb.lit & (limb.sun_sine > MIN_SUN_SINE)
         kept = sight.subset(lit)
-        enough_arc(arc_deg(kept.azimuths(position)))
+        require_arc(arc_deg(kept.azimuths(position)))
         fit, misfit = _robust_fit(kept, limb, lit, position, ground)
         moved = float(np.linalg.norm(fit.position_m - position))
         position = fit.position_m
@@ -153,13 +159,13 @@ def _over_relief(
 
 
 def _robust_fit(
-    kept: Sight, limb: TerrainLimb, lit: BoolArray, position: FloatArray, ground: LimbGround
+    kept: LimbRays, limb: TerrainLimb, lit: BoolArray, position: FloatArray, ground: LimbGround
 ) -> tuple[LimbFit, float]:
     """A fit to the skyline without its outliers, and its scatter over the expected one."""
     radii = np.full(3, ground.radius_m)
     sizes = limb.sizes[lit]
     sigmas = np.hypot(kept.own_sigmas(), ground.crest_noise_m / _limb_distance(position, ground))
-    least = LEAST_CUT_PX * float(np.median(kept.pixel_angle))
+    least = MIN_CUT_PX * float(np.median(kept.pixel_angle))
     fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
     for _ in range(2):
         scatter = MAD_TO_SIGMA * float(np.median(np.abs(fit.residuals)))
@@ -179,7 +185,7 @@ def _misfit_reason(
         f"the limb is not the skyline of {body.name}'s relief: it scatters by {solved.misfit:.1f} "
         "times what is expected; check attitude, time, camera and body"
     )
-    sight = sight_of(points, camera, camera_from_body.inv())
+    sight = limb_rays_of(points, camera, camera_from_body.inv())
     try:
         fit = fit_limb(sight.rays, sight.own_sigmas(), body.radii_m)
         # the Sun was turned into the picture by the same attitude: what is lit is not known
@@ -196,7 +202,7 @@ def _limb_distance(position: FloatArray, ground: LimbGround) -> float:
     return float(np.sqrt(max(float(position @ position) - ground.radius_m**2, 1.0)))
 
 
-def _sun_sine(sight: Sight, position: FloatArray, sun: FloatArray | None) -> FloatArray:
+def _sun_sine(sight: LimbRays, position: FloatArray, sun: FloatArray | None) -> FloatArray:
     """(n,) sine of the Sun's elevation where the rays touch a sphere; 1 where not known."""
     if sun is None:
         return np.ones(len(sight))
@@ -205,7 +211,7 @@ def _sun_sine(sight: Sight, position: FloatArray, sun: FloatArray | None) -> Flo
 
 
 def _fix(
-    points: LimbPoints, sight: Sight, fit: LimbFit, position: FloatArray, covariance: FloatArray,
+    points: LimbPoints, sight: LimbRays, fit: LimbFit, position: FloatArray, covariance: FloatArray,
     arc: float, passes: int,
 ) -> HorizonFix:  # fmt: skip
     used = fit.weights > 0.0

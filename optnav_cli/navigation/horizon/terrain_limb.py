@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
-from optnav_cli.navigation.horizon.sight import Sight
+from optnav_cli.navigation.horizon.sight import LimbRays
 
 # Skylines of cells' means lie low, of their tops high. What meets the ground of 32 cells a degree
 # with seeded relief below, from 50 to 20 000 km: 0.8 of the way from means to tops at 16 cells a
@@ -61,7 +61,7 @@ def limb_ground(relief: GlobalRelief) -> LimbGround:
     """The relief made ready for skylines, once for all frames."""
     cells = relief.posting_m / MOON_POSTING_M
     noise, sigma = CREST_NOISE_M * cells, CREST_SIGMA_M * cells
-    rise = float(np.mean(relief.tops - relief.heights))
+    rise = float(np.mean(relief.max_heights - relief.heights))
     if rise < NO_TOPS * relief.posting_m:
         lift = LIFT * relief.posting_m
         lifted = relief.heights + np.float32(lift)
@@ -72,7 +72,7 @@ def limb_ground(relief: GlobalRelief) -> LimbGround:
 
 
 def terrain_limb(
-    prepared: LimbGround, position: FloatArray, sight: Sight, sun_body: FloatArray | None
+    prepared: LimbGround, position: FloatArray, sight: LimbRays, sun_body: FloatArray | None
 ) -> TerrainLimb:
     """The skyline from a position (3,), m, at the azimuths of the rays.
 

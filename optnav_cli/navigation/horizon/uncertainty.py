@@ -7,7 +7,7 @@ import numpy as np
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from optnav_cli.estimation.limb_fit import LimbFit
-from optnav_cli.navigation.horizon.sight import Sight
+from optnav_cli.navigation.horizon.sight import LimbRays
 
 # The limb of the Moon (GLD100, 16 cells a degree, 150 places at each of 50, 200, 800, 20 000 km):
 # its height over the mean sphere averages 0.9 km, being made of crests, and its covariance between
@@ -62,7 +62,7 @@ def _sectors(azimuths: FloatArray) -> list[BoolArray]:
     return [sector == number for number in range(count)]
 
 
-def edge_errors(sight: Sight, azimuths: FloatArray, sun_sine: FloatArray) -> SharedErrors:
+def edge_errors(sight: LimbRays, azimuths: FloatArray, sun_sine: FloatArray) -> SharedErrors:
     """What the edges have wrong together by their light.
 
     azimuths (n,) about the nadir;  sun_sine (n,) sine of the Sun's elevation at each limb point

@@ -15,23 +15,23 @@ from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.fit import rad_per_px
 from optnav_cli.measurements.disc.moments import is_round
 from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
-from optnav_cli.measurements.limb.sun_check import doubt_of_sun
+from optnav_cli.measurements.limb.sun_check import rejection_of_sun
 from optnav_cli.navigation import horizon
 from optnav_cli.navigation.disc import brightness_centre, whole_disc
-from optnav_cli.navigation.horizon.shape_limb import stand_off
+from optnav_cli.navigation.horizon.shape_limb import relief_fraction
 from optnav_cli.navigation.neighbour import View
 from optnav_cli.solution import OutlineMarks
 
 # A disc of a larger radius, rad, is that of a body close by: it is not asked which.
 NEAR_ANGLE = 0.25
-LEAST_WIDTH_SIGMAS = 3.0  # of a disc over a point
+MIN_WIDTH_SIGMAS = 3.0  # of a disc over a point
 # Radius up to which the light of a body of known shape, whose ground is of one kind, says more than
 # its limb: to 0.005 radii up to a phase of 80 deg, to 0.02 at 120.
 KNOWN_SHAPE_PX = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class BodyFix:
     """A position from the outline.
 
     method           "horizon", "horizon_sphere" or "brightness_centre"
@@ -51,7 +51,7 @@ class Outline:
     remark: str
 
 
-def limb_of(
+def detect_limb(
     picture: Picture, camera: Camera, camera_from_body: Rotation, sun_body: FloatArray, body: Body
 ) -> LimbPoints:
     """The lit limb under an attitude. Raises NoSolutionError when the picture shows none."""
@@ -62,14 +62,14 @@ def limb_of(
         camera_from_body.apply(sun_body),
         saturation=picture.saturation,
         stretch=body_from_camera / np.array(body.radii_m)[:, None],
-        relief=stand_off(body),
+        relief=relief_fraction(body),
     )
 
 
-def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None) -> Outline:
+def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None) -> BodyFix:
     """A position from the one body of a picture: by its limb, else by its middle of light."""
     try:
-        limb = limb_of(picture, view.camera, view.camera_from_body, view.sun_body, body)
+        limb = detect_limb(picture, view.camera, view.camera_from_body, view.sun_body, body)
         fix = horizon.navigate(
             limb,
             view.camera,
@@ -80,7 +80,7 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
             relief,
         )
     except NoSolutionError as no_limb:
-        doubt = _doubt_of_sun(picture, view, body)
+        doubt = _rejection_of_sun(picture, view, body)
         if doubt:
             raise NoSolutionError(f"{doubt}; {no_limb}") from None
         return _by_centre(picture, view, body, relief, str(no_limb))
@@ -88,10 +88,10 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
     if small is not None:
         return small
     # close to the body the limb's own relief tells a wrong Sun
-    doubt = _doubt_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
+    doubt = _rejection_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
         raise NoSolutionError(f"{doubt}: attitude or time is wrong")
-    return Outline(
+    return BodyFix(
         "horizon" if fix.terrain else "horizon_sphere",
         fix.position_m,
         fix.covariance_m2,
@@ -105,7 +105,7 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
 
 def _by_disc(
     picture: Picture, view: View, body: Body, relief: GlobalRelief | None, limb: LimbPoints
-) -> Outline | None:
+) -> BodyFix | None:
     """A position from all of a small disc; None for one whose limb is the better measurement.
 
     Raises NoSolutionError for a sphere's disc that cannot be lit by this Sun.
@@ -123,7 +123,7 @@ def _by_disc(
         )
         if not fix.trusted:
             return None
-        return Outline(
+        return BodyFix(
             "horizon_sphere",
             fix.position_m,
             fix.covariance_m2,
@@ -141,7 +141,7 @@ def _by_disc(
     return None
 
 
-def _doubt_of_sun(picture: Picture, view: View, body: Body) -> str:
+def _rejection_of_sun(picture: Picture, view: View, body: Body) -> str:
     """What the lit part of a disc says against the Sun, in words, if anything."""
     if not is_round(body):
         return ""
@@ -149,12 +149,12 @@ def _doubt_of_sun(picture: Picture, view: View, body: Body) -> str:
         limb = find_limb(picture.values, view.camera, None, saturation=picture.saturation)
     except NoSolutionError:
         return ""
-    return doubt_of_sun(limb, view.camera, view.camera_from_body.apply(view.sun_body))
+    return rejection_of_sun(limb, view.camera, view.camera_from_body.apply(view.sun_body))
 
 
 def _by_centre(
     picture: Picture, view: View, body: Body, relief: GlobalRelief | None, why_no_limb: str
-) -> Outline:
+) -> BodyFix:
     """A position from the middle of light of a small disc."""
     try:
         disc = brightness_centre.navigate(
@@ -170,7 +170,7 @@ def _by_centre(
     except NoSolutionError as no_disc:
         both = dict.fromkeys((why_no_limb, str(no_disc)))
         raise NoSolutionError("; ".join(both)) from None
-    if disc.width_sigmas < LEAST_WIDTH_SIGMAS:
+    if disc.width_sigmas < MIN_WIDTH_SIGMAS:
         remedy = "a nearer picture or a longer lens tells"
         if view.camera.known_blur_px is None:
             remedy = "a blur calibrated in the camera file (psf_sigma_px) would tell more"
@@ -178,7 +178,7 @@ def _by_centre(
             f"{why_no_limb}; one bright spot, no wider than a point's picture "
             f"({disc.width_sigmas:.1f} sigmas): a star or a planet looks the same; {remedy}"
         )
-    return Outline(
+    return BodyFix(
         "brightness_centre",
         disc.position_m,
         disc.covariance_m2,

@@ -23,22 +23,22 @@ from optnav_cli.navigation.neighbour import (
     Spot,
     View,
     is_lit,
-    is_rather,
+    is_more_likely_neighbour,
     is_seen,
     is_within,
     must_be_seen,
     predicted,
     spots_of,
 )
-from optnav_cli.navigation.outline.solve import NEAR_ANGLE, Outline, solve
+from optnav_cli.navigation.outline.solve import NEAR_ANGLE, BodyFix, solve
 
-LEAST_SPOT_PIXELS = 9
-MOST_SPOTS = 30  # the largest; the rest are stars
-MOST_BODIES = 4  # of them are taken for the body
+MIN_SPOT_PIXELS = 9
+MAX_SPOTS = 30  # the largest; the rest are stars
+MAX_BODIES = 4  # of them are taken for the body
 FARTHEST = 1.5  # from the body, in distances of the other one
 ROUGH_SHARE = 0.3  # error of a range from the extent of a spot
 # Wider uncertain, the other body's direction speaks for nothing.
-WIDEST_SIGMA = 0.06
+MAX_SIGMA = 0.06
 
 
 def navigate(
@@ -50,7 +50,7 @@ def navigate(
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody | None = None,
-) -> Outline:
+) -> BodyFix:
     """The camera's position from the outline; relief of the body where it is known.
 
     A disc too small for a limb is solved by its brightness centre.
@@ -61,7 +61,7 @@ def navigate(
     return _choose(picture, view, body, relief, other).outline
 
 
-def without_other(
+def mask_neighbour(
     picture: Picture, view: View, body: Body, relief: GlobalRelief | None, other: OtherBody | None
 ) -> Picture:
     """The picture that `navigate` solves: with sky in place of the neighbour where it shows both.
@@ -75,7 +75,7 @@ def without_other(
 class _Choice:
     """An outline and the picture, of one body, that it was found in."""
 
-    outline: Outline
+    outline: BodyFix
     picture: Picture
 
 
@@ -104,7 +104,7 @@ def _one_of_two(
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody,
-    alone: Outline | None,
+    alone: BodyFix | None,
     reason: str,
 ) -> _Choice:
     """The outline that another body in the picture speaks for, or does not speak against.
@@ -117,9 +117,7 @@ def _one_of_two(
     except NoSolutionError:
         raise NoSolutionError(reason) from None
     blobs = lit_blobs(picture.values, levels.threshold)
-    spots = spots_of(
-        view.camera, blobs, np.flatnonzero(blobs.area >= LEAST_SPOT_PIXELS)[:MOST_SPOTS]
-    )
+    spots = spots_of(view.camera, blobs, np.flatnonzero(blobs.area >= MIN_SPOT_PIXELS)[:MAX_SPOTS])
     if alone is not None:
         # lit peaks beyond the terminator are the body's own
         own = _disc(view, body, alone)
@@ -145,7 +143,7 @@ def _one_of_two(
             f"if the disc were {names[1]}, {names[0]} should be seen about ({x:.0f}, {y:.0f}) and "
             "is not: another body, or attitude, time or focal length are wrong"
         )
-    if is_rather(view, other, alone.position_m, _sigma(alone), body.radius_m):
+    if is_more_likely_neighbour(view, other, alone.position_m, _sigma(alone), body.radius_m):
         raise NoSolutionError(
             f"the disc is where {names[0]} stands as seen from near {names[1]}, and of its size: "
             f"it is {names[0]}, or cannot be told from it"
@@ -165,7 +163,7 @@ def _agreed(
 ) -> list[_Choice]:
     """The outline of each spot taken for the body that puts the other body where a spot is."""
     agreed = []
-    for spot in spots[:MOST_BODIES]:
+    for spot in spots[:MAX_BODIES]:
         rest = [one for one in spots if one is not spot]
         if not _may_be(view, body, other, spot, rest):
             continue
@@ -178,7 +176,7 @@ def _agreed(
         if np.linalg.norm(found.position_m) > FARTHEST * np.linalg.norm(other.centre_m):
             continue
         seen = _other_disc(view, other, found)
-        if seen.sigma < WIDEST_SIGMA and any(is_seen(seen, one) for one in rest):
+        if seen.sigma < MAX_SIGMA and any(is_seen(seen, one) for one in rest):
             agreed.append(_Choice(found, masked))
     return agreed
 
@@ -199,13 +197,13 @@ def _may_be(view: View, body: Body, other: OtherBody, spot: Spot, rest: list[Spo
     )
 
 
-def _sigma(found: Outline) -> float:
+def _sigma(found: BodyFix) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(found.covariance_m2)[-1]))
 
 
-def _disc(view: View, body: Body, found: Outline) -> Disc:
+def _disc(view: View, body: Body, found: BodyFix) -> Disc:
     return predicted(view, np.zeros(3), body.radius_m, found.position_m, 0.0)
 
 
-def _other_disc(view: View, other: OtherBody, found: Outline) -> Disc:
+def _other_disc(view: View, other: OtherBody, found: BodyFix) -> Disc:
     return predicted(view, other.centre_m, other.radius_m, found.position_m, _sigma(found))

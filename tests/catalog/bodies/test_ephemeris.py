@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion, BodyMotion, Neighbour, SpiceMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris, Neighbour, SpiceEphemeris
 from catalog.errors import DataError
 
 TIMES = np.random.default_rng(11).uniform(-9.4e7, 3.15e8, 200)  # 1997 to 2009
@@ -19,7 +19,7 @@ def test_kernels_give_the_rotation_of_the_toolkit(
 ) -> None:
     import spiceypy
 
-    motion = SpiceMotion(load_body(name), kernels)
+    motion = SpiceEphemeris(load_body(name), kernels)
     for t in TIMES[:20]:
         ours = motion.body_from_inertial(t)
         np.testing.assert_array_equal(ours, spiceypy.pxform("J2000", frame, t))
@@ -42,7 +42,7 @@ def test_neighbours_stand_where_de405_has_them(
     name: str, of: Neighbour, rms_km: float, most_km: float, kernels: list[Path]
 ) -> None:
     body = load_body(name)
-    analytic, spice = AnalyticMotion(body), SpiceMotion(body, kernels)
+    analytic, spice = AnalyticEphemeris(body), SpiceEphemeris(body, kernels)
     apart = [analytic.position_m(of, t) - spice.position_m(of, t) for t in TIMES]
     distance_km = np.linalg.norm(apart, axis=1) / 1e3
     assert np.sqrt(np.mean(distance_km**2)) < rms_km
@@ -54,7 +54,7 @@ def test_the_earths_tide_on_a_lunar_orbit_is_good_to_a_part_in_five_thousand(
 ) -> None:
     """What moon98's kilometres mean: the tide goes as 1/r^3 and turns with the direction."""
     moon = load_body("moon")
-    analytic, spice = AnalyticMotion(moon), SpiceMotion(moon, kernels)
+    analytic, spice = AnalyticEphemeris(moon), SpiceEphemeris(moon, kernels)
     place = np.array([2.0e6, 0.0, 0.0])
     for t in TIMES[:50]:
         tides = []
@@ -69,7 +69,7 @@ def test_the_earths_tide_on_a_lunar_orbit_is_good_to_a_part_in_five_thousand(
 
 
 def test_a_place_and_the_way_back_are_opposite() -> None:
-    moon, earth = AnalyticMotion(load_body("moon")), AnalyticMotion(load_body("earth"))
+    moon, earth = AnalyticEphemeris(load_body("moon")), AnalyticEphemeris(load_body("earth"))
     for t in (*TIMES[:3], LATE):
         there, back = moon.position_m("earth", t), earth.position_m("moon", t)
         np.testing.assert_array_equal(there, -back)
@@ -80,19 +80,19 @@ def test_a_place_and_the_way_back_are_opposite() -> None:
 
 def test_what_has_no_theory_is_refused() -> None:
     with pytest.raises(DataError, match="no theory here of moon as seen from moon"):
-        AnalyticMotion(load_body("moon")).position_m("moon", 0.0)
+        AnalyticEphemeris(load_body("moon")).position_m("moon", 0.0)
 
 
 def test_mars_is_that_of_phobos_rotation_where_kernels_lack_its_orbit(
     kernels: list[Path],
 ) -> None:
     phobos = load_body("phobos")
-    found = SpiceMotion(phobos, kernels).position_m("mars", TIMES[0])
-    np.testing.assert_array_equal(found, AnalyticMotion(phobos).position_m("mars", TIMES[0]))
+    found = SpiceEphemeris(phobos, kernels).position_m("mars", TIMES[0])
+    np.testing.assert_array_equal(found, AnalyticEphemeris(phobos).position_m("mars", TIMES[0]))
 
 
 def test_a_time_outside_the_kernels_is_answered_with_what_they_cover(kernels: list[Path]) -> None:
-    motion = SpiceMotion(load_body("moon"), kernels)
+    motion = SpiceEphemeris(load_body("moon"), kernels)
     with pytest.raises(DataError, match=r"cover 1997-01-01T00:00:00Z to 2010-01-01T23:59:57Z"):
         motion.sun_inertial(LATE)
     with pytest.raises(DataError, match="cover 1997"):
@@ -106,10 +106,10 @@ def test_without_an_orbit_kernel_the_sun_stays_analytic_and_the_name_says_so(
     kernels: list[Path],
 ) -> None:
     moon = load_body("moon")
-    motion = SpiceMotion(moon, kernels[:4])
+    motion = SpiceEphemeris(moon, kernels[:4])
     assert "the Sun by analytic theory" in motion.name
-    assert "analytic" not in SpiceMotion(moon, kernels).name
-    expected = AnalyticMotion(moon)
+    assert "analytic" not in SpiceEphemeris(moon, kernels).name
+    expected = AnalyticEphemeris(moon)
     np.testing.assert_array_equal(motion.sun_inertial(LATE), expected.sun_inertial(LATE))
     np.testing.assert_array_equal(
         motion.position_m("earth", LATE), expected.position_m("earth", LATE)
@@ -126,7 +126,7 @@ def test_without_an_orbit_kernel_the_sun_stays_analytic_and_the_name_says_so(
 )
 def test_an_incomplete_set_is_refused(kept: list[int], message: str, kernels: list[Path]) -> None:
     with pytest.raises(DataError, match=message):
-        SpiceMotion(load_body("moon"), [kernels[i] for i in kept])
+        SpiceEphemeris(load_body("moon"), [kernels[i] for i in kept])
 
 
 def test_constants_of_another_body_are_refused(kernels: list[Path], tmp_path: Path) -> None:
@@ -137,13 +137,13 @@ def test_constants_of_another_body_are_refused(kernels: list[Path], tmp_path: Pa
         "BODY401_PM = ( 35. 1128.8 0. )\nBODY401_NUT_PREC_RA = ( 0. )\n"
     )
     with pytest.raises(DataError, match=r"the frame IAU_PHOBOS is .* deg from the analytic theory"):
-        SpiceMotion(load_body("phobos"), [*kernels, wrong])
-    SpiceMotion(load_body("phobos"), kernels)
+        SpiceEphemeris(load_body("phobos"), [*kernels, wrong])
+    SpiceEphemeris(load_body("phobos"), kernels)
 
 
 def test_two_sets_in_one_process_do_not_mix(kernels: list[Path]) -> None:
     moon = load_body("moon")
-    first: BodyMotion = SpiceMotion(moon, kernels)
+    first: Ephemeris = SpiceEphemeris(moon, kernels)
     expected = first.sun_inertial(1e8)
-    SpiceMotion(moon, kernels[:4])
+    SpiceEphemeris(moon, kernels[:4])
     np.testing.assert_array_equal(first.sun_inertial(1e8), expected)

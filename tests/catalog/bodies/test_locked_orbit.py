@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.rotation import body_from_inertial
 
 DAY_S = 86400.0
@@ -39,7 +39,7 @@ def horizons() -> tuple[float, np.ndarray]:
 def test_mars_stands_where_published_ephemerides_have_it(
     tdb_s: float, phobos_m: np.ndarray
 ) -> None:
-    found = AnalyticMotion(PHOBOS).position_m("mars", tdb_s)
+    found = AnalyticEphemeris(PHOBOS).position_m("mars", tdb_s)
     distances = np.linalg.norm(found), np.linalg.norm(phobos_m)
     assert distances[0] == pytest.approx(distances[1], abs=300.0)
     off = np.degrees(np.arcsin(np.linalg.norm(np.cross(found, phobos_m)) / np.prod(distances)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion, sun_direction_inertial
+from catalog.bodies.ephemeris import AnalyticEphemeris, sun_direction_inertial
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.geometry.latlon import latlon_from_xyz
 
@@ -40,7 +40,7 @@ def test_the_sun_agrees_with_de405(
 
 def test_the_sun_stands_over_the_far_side_at_a_solar_eclipse() -> None:
     """21 August 2017, 18:26 UTC: new Moon, seen from the Moon the Sun is opposite to the Earth."""
-    moon = AnalyticMotion(load_body("moon"))
+    moon = AnalyticEphemeris(load_body("moon"))
     lat, lon, _ = latlon_from_xyz(moon.sun_body(utc_to_tdb_s("2017-08-21T18:26:00Z")))
     assert abs(abs(np.degrees(lon)) - 180.0) < 8.0  # libration
     assert abs(np.degrees(lat)) < 1.6  # the pole is tilted by 1.54 degrees to the ecliptic
@@ -48,7 +48,7 @@ def test_the_sun_stands_over_the_far_side_at_a_solar_eclipse() -> None:
 
 def test_the_sun_stands_over_greenwich_at_an_equinox_noon() -> None:
     """20 March 2015, 12:00 UTC; the equation of time was -7.5 minutes = 1.9 degrees."""
-    earth = AnalyticMotion(load_body("earth"))
+    earth = AnalyticEphemeris(load_body("earth"))
     lat, lon, _ = latlon_from_xyz(earth.sun_body(utc_to_tdb_s("2015-03-20T12:00:00Z")))
     assert np.degrees(lon) == pytest.approx(1.9, abs=0.2)
     assert np.degrees(lat) == pytest.approx(-0.2, abs=0.1)
@@ -56,7 +56,7 @@ def test_the_sun_stands_over_greenwich_at_an_equinox_noon() -> None:
 
 @pytest.mark.parametrize("name", ["moon", "phobos", "earth", "mars"])
 def test_directions_are_unit_vectors_for_any_time(name: str) -> None:
-    motion = AnalyticMotion(load_body(name))
+    motion = AnalyticEphemeris(load_body(name))
     for year in (1961, 2000, 2099, 2150):
         direction = motion.sun_body((year - 2000) * 365.25 * 86400.0)
         assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-15)

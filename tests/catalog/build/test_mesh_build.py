@@ -109,7 +109,7 @@ def test_the_catalog_carries_the_relief_of_the_whole_body(folder, terrain) -> No
     # cells of 160 m on slopes of up to 40 deg
     assert np.abs(means - exact).max() < 60.0
     radii = np.linalg.norm(terrain.rays.corners.reshape(-1, 3), axis=1)
-    assert relief.tops.max() == pytest.approx(radii.max() - 11080.0, abs=4.0)
+    assert relief.max_heights.max() == pytest.approx(radii.max() - 11080.0, abs=4.0)
 
 
 def test_more_workers_and_another_run_give_the_same_content(folder, tmp_path) -> None:

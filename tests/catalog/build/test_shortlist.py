@@ -98,7 +98,7 @@ def test_memory_bounds_the_sweep_and_not_the_result(globe, monkeypatch):
         return of_graticule(mosaic, graticule, part, *rest)
 
     monkeypatch.setattr(shortlist, "graticule_heights", counted)
-    monkeypatch.setattr(shortlist, "LARGEST_PART", 12_000)
+    monkeypatch.setattr(shortlist, "MAX_PART", 12_000)
     found = shortlist.shortlists(globe, cells)
     assert all(same(whole[cell], one) for cell, one in found.items())
     assert max(sizes) < 18_000  # margins come on top; all at once would be 60 000

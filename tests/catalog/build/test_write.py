@@ -27,7 +27,7 @@ from catalog.store.records import rounded_point
 CELLS = range(100, 100 + 5 * CHUNK_POINTS + 3)
 
 
-class World:
+class BuildInputs:
     """A body whose heights are a plane wave; remembers where patches were asked for."""
 
     def __init__(self) -> None:
@@ -69,7 +69,9 @@ def results_beside(path: Path) -> ChunkResults:
     return ChunkResults(Workspace(path.with_suffix(".work")), "write", "key", PreparedPoint)
 
 
-def written_with(workers: Any, path: Path, given: Sequence[ControlPoint], world: World) -> Any:
+def written_with(
+    workers: Any, path: Path, given: Sequence[ControlPoint], world: BuildInputs
+) -> Any:
     return write(
         world,  # type: ignore[arg-type]
         given,
@@ -85,7 +87,7 @@ def written_with(workers: Any, path: Path, given: Sequence[ControlPoint], world:
 
 
 def test_the_order_of_points_and_chunks_does_not_matter(tmp_path: Path) -> None:
-    world = World()
+    world = BuildInputs()
     given = points(world.grid)
     first = written_with(SerialWorkers(), tmp_path / "a.gpkg", given, world)
     second = written_with(BackwardWorkers(), tmp_path / "b.gpkg", given[::-1], world)
@@ -97,7 +99,7 @@ def test_the_order_of_points_and_chunks_does_not_matter(tmp_path: Path) -> None:
 
 
 def test_patches_are_cut_about_the_place_that_the_catalog_states(tmp_path: Path) -> None:
-    world = World()
+    world = BuildInputs()
     given = points(world.grid)
     written_with(SerialWorkers(), tmp_path / "a.gpkg", given, world)
     stated = [(rounded_point(p).lat_deg, rounded_point(p).lon_deg) for p in given]

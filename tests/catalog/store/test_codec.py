@@ -9,7 +9,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.config import resource
 from catalog.errors import DataError
 from catalog.store.codec import (
-    LARGEST_COUNT,
+    MAX_COUNT,
     NO_DATA_COUNT,
     Encoded,
     decode,
@@ -77,7 +77,7 @@ def test_the_step_doubles_until_the_relief_fits() -> None:
     heights = np.linspace(-9000.0, 10000.0, 32 * 32, dtype=np.float32).reshape(32, 32)
     encoded, counts = encode(heights, 0.1)  # 190 000 steps do not fit, 47 500 do
     assert encoded.step == 0.4
-    assert np.abs(counts).max() <= LARGEST_COUNT
+    assert np.abs(counts).max() <= MAX_COUNT
     assert np.abs(decode(encoded) - heights).max() <= 0.2 + 1e-3
 
 
@@ -100,7 +100,7 @@ def test_a_level_patch_is_a_few_bytes(value: float) -> None:
 
 
 def test_no_data_count_is_outside_the_range_of_heights() -> None:
-    assert NO_DATA_COUNT < -LARGEST_COUNT
+    assert NO_DATA_COUNT < -MAX_COUNT
 
 
 def test_the_same_heights_give_the_same_bytes() -> None:

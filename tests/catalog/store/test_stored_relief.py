@@ -41,8 +41,8 @@ def made_relief(seed: int = 3) -> GlobalRelief:
         0.0, 90.0, (ROWS, 2 * ROWS)
     )
     heights = heights.astype(np.float32)
-    tops = heights + rng.exponential(80.0, heights.shape).astype(np.float32)
-    return GlobalRelief(heights, tops, 1737400.0, "first.tif + second.tif")
+    max_heights = heights + rng.exponential(80.0, heights.shape).astype(np.float32)
+    return GlobalRelief(heights, max_heights, 1737400.0, "first.tif + second.tif")
 
 
 @pytest.fixture(autouse=True)
@@ -84,10 +84,10 @@ def test_heights_come_back_within_half_a_metre_and_tops_as_bounds(carried: Writt
         assert catalog.relief() is relief
     assert (relief.radius_m, relief.source) == (true.radius_m, true.source)
     assert np.abs(relief.heights - true.heights).max() <= 0.5001
-    above = relief.tops - true.tops
+    above = relief.max_heights - true.max_heights
     assert above.min() >= -0.5001
     assert above.max() <= 4.5
-    assert (relief.tops >= relief.heights).all()
+    assert (relief.max_heights >= relief.heights).all()
 
 
 def test_whole_metres_come_back_as_they_are(put: Callable[..., Written]) -> None:
@@ -97,7 +97,7 @@ def test_whole_metres_come_back_as_they_are(put: Callable[..., Written]) -> None
         relief = catalog.relief()
     assert relief is not None
     np.testing.assert_array_equal(relief.heights, whole.heights)
-    np.testing.assert_array_equal(relief.tops, whole.heights)
+    np.testing.assert_array_equal(relief.max_heights, whole.heights)
 
 
 def test_a_catalog_without_one_is_written_as_before(
@@ -144,7 +144,7 @@ def test_tiles_and_digest_follow_from_the_description(carried: Written) -> None:
         relief = catalog.relief()
     assert relief is not None
     np.testing.assert_array_equal(relief.heights, layers[0])
-    np.testing.assert_array_equal(relief.tops, layers[0] + layers[1])
+    np.testing.assert_array_equal(relief.max_heights, layers[0] + layers[1])
 
 
 def test_verify_reads_it_and_finds_it_whole(carried: Written) -> None:
@@ -213,8 +213,10 @@ def test_compare_measures_reliefs(put: Callable[..., Written], carried: Written)
     true = made_relief()
     heights = np.rint(true.heights)
     heights[5, 7] += 30.0
-    first = put("a.gpkg", GlobalRelief(np.rint(true.heights), true.tops + 40, 1737400.0, "a"))
-    second = put("b.gpkg", GlobalRelief(heights, true.tops + 40, 1737400.0, "a"))
+    first = put(
+        "a.gpkg", GlobalRelief(np.rint(true.heights), true.max_heights + 40, 1737400.0, "a")
+    )
+    second = put("b.gpkg", GlobalRelief(heights, true.max_heights + 40, 1737400.0, "a"))
     found = compare(first.path, second.path)
     assert not found.same
     assert found.relief is not None
@@ -245,9 +247,9 @@ def test_gdal_reads_the_export_where_it_lies(carried: Written, tmp_path: Path) -
         assert file.descriptions == ("mean height, m", "highest place, m")
         sample: Float32Array = next(iter(file.sample([(10.0, 50.0)])))
         np.testing.assert_array_equal(file.read(1), relief.heights)
-        np.testing.assert_array_equal(file.read(2), relief.tops)
+        np.testing.assert_array_equal(file.read(2), relief.max_heights)
     row, col = int(40.0 / 4.5), int(190.0 / 4.5)
-    assert tuple(sample) == (relief.heights[row, col], relief.tops[row, col])
+    assert tuple(sample) == (relief.heights[row, col], relief.max_heights[row, col])
 
 
 def test_an_export_is_refused_with_a_reason(

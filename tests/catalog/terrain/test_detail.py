@@ -5,18 +5,18 @@ import pytest
 
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.terrain.synthetic import craters, fractal
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 
 RADIUS_M = 1_737_400.0
 POSTING_M = 118.45
 STEP = 29.6 / RADIUS_M
 
 
-def detail(seed: int = 1, **settings: float) -> Detail:
-    return Detail(seed, POSTING_M, RADIUS_M, **settings)
+def detail(seed: int = 1, **settings: float) -> SyntheticRelief:
+    return SyntheticRelief(seed, POSTING_M, RADIUS_M, **settings)
 
 
-def window(ground: Detail, lat_deg: float, lon_deg: float, size: int) -> np.ndarray:
+def window(ground: SyntheticRelief, lat_deg: float, lon_deg: float, size: int) -> np.ndarray:
     lat = np.radians(lat_deg)
     return ground.window(lat, np.radians(lon_deg), STEP, STEP / np.cos(lat), size, size)
 

@@ -52,7 +52,7 @@ def test_nodes_fall_where_their_latitude_and_longitude_say(
     metres = np.radians(360.0 / place.shape[1]) * moon.radius_m
     assert np.abs(off * np.cos(lat)).max() * metres < 1e-3 * posting
     assert np.abs(pixels.row - row).max() * metres < 1e-3 * posting
-    np.testing.assert_allclose(pixels.crowding * np.maximum(np.cos(lat), 1e-9), 1.0, rtol=1e-4)
+    np.testing.assert_allclose(pixels.column_scale * np.maximum(np.cos(lat), 1e-9), 1.0, rtol=1e-4)
 
 
 @pytest.mark.parametrize("pole", [90.0, -90.0])

@@ -10,9 +10,9 @@ RADIUS = 1737400.0
 AZIMUTHS = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
 
 
-def relief_of(heights, tops=None, radius=RADIUS):
+def relief_of(heights, max_heights=None, radius=RADIUS):
     heights = np.asarray(heights, np.float32)
-    return GlobalRelief(heights, heights if tops is None else tops, radius, "made up")
+    return GlobalRelief(heights, heights if max_heights is None else max_heights, radius, "made up")
 
 
 def grid(rows):

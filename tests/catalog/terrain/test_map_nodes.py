@@ -29,5 +29,5 @@ def test_nodes_of_grids_of_any_size_are_where_their_points_are(place, size, lat_
     node = posting / (1_737_400.0 * place.row_angle)  # rows in a posting
     turn = (made.col - alone.col + place.period / 2.0) % place.period - place.period / 2.0
     assert np.abs(made.row - alone.row).max() < 0.01 * node
-    assert np.abs(turn / alone.crowding).max() < 0.01 * node
-    np.testing.assert_allclose(made.crowding, alone.crowding, rtol=0.01)
+    assert np.abs(turn / alone.column_scale).max() < 0.01 * node
+    np.testing.assert_allclose(made.column_scale, alone.column_scale, rtol=0.01)

@@ -278,7 +278,7 @@ def test_scattered_points_do_not_pull_the_whole_raster_into_memory(
     rng = np.random.default_rng(9)
     lat, lon = on_the_sphere(rng, 500)
     at_once = mosaic.heights(lat, lon, mosaic.posting_m)
-    monkeypatch.setattr("catalog.terrain.sampling.footprint.LARGEST_WINDOW", 1000)
+    monkeypatch.setattr("catalog.terrain.sampling.footprint.MAX_WINDOW", 1000)
     in_pieces = mosaic.heights(lat, lon, mosaic.posting_m)
     # the offset inside a window takes the last bits of the coordinates
     np.testing.assert_allclose(at_once, in_pieces, atol=0.01)
@@ -300,7 +300,7 @@ def test_the_tile_cache_stays_within_its_bound(tmp_path, dems, moon, monkeypatch
     mosaic = mosaic_of(moon, tmp_path, path)
     monkeypatch.setattr("catalog.terrain.pyramid.level_window.CACHE_BYTES", 1 << 20)
     lat, lon = on_the_sphere(np.random.default_rng(11), 300)
-    monkeypatch.setattr("catalog.terrain.sampling.footprint.LARGEST_WINDOW", 1 << 16)
+    monkeypatch.setattr("catalog.terrain.sampling.footprint.MAX_WINDOW", 1 << 16)
     whole = mosaic.heights(lat, lon, mosaic.posting_m)
     assert mosaic._cache.held_bytes <= 1 << 20
     np.testing.assert_allclose(whole, dems.smooth_heights(lat, lon), atol=2.0)

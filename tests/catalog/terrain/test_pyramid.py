@@ -66,7 +66,7 @@ def test_odd_sides_and_holes_are_averaged_over_what_is_there(tmp_path, dems, moo
 
 
 def test_a_file_of_long_strips_is_copied_into_tiles(tmp_path, dems, moon, monkeypatch):
-    monkeypatch.setattr("catalog.terrain.pyramid.overviews.LONGEST_STRIP", 500)
+    monkeypatch.setattr("catalog.terrain.pyramid.overviews.MAX_STRIP", 500)
     counts = np.round(dems.smooth_grid(300) * 2.0).astype(np.int16)
     path = dems.write(tmp_path / "strips.tif", counts, blockysize=1)
     pyramid = pyramid_of(path, moon, scale=0.5)

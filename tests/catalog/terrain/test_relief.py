@@ -46,7 +46,7 @@ def test_blocks_of_pixels_become_means_and_maxima(tmp_path, monkeypatch, moon, c
     relief = relief_of(raster(tmp_path / "a.tif", counts, west), moon, rows=60)
     blocks = np.roll(counts, 180 if west == 0.0 else 0, axis=1).reshape(60, 3, 120, 3)
     np.testing.assert_allclose(relief.heights, blocks.mean(axis=(1, 3)), atol=1e-3)
-    np.testing.assert_array_equal(relief.tops, blocks.max(axis=(1, 3)))
+    np.testing.assert_array_equal(relief.max_heights, blocks.max(axis=(1, 3)))
 
 
 def test_pixels_across_cell_borders_count_by_their_share(tmp_path, moon, counts):
@@ -55,7 +55,7 @@ def test_pixels_across_cell_borders_count_by_their_share(tmp_path, moon, counts)
     fine = np.kron(counts, np.ones((2, 2)))  # 360 rows: 2 a pixel, 5 a cell
     blocks = fine.reshape(72, 5, 144, 5)
     np.testing.assert_allclose(relief.heights, blocks.mean(axis=(1, 3)), atol=1e-3)
-    np.testing.assert_array_equal(relief.tops, blocks.max(axis=(1, 3)))
+    np.testing.assert_array_equal(relief.max_heights, blocks.max(axis=(1, 3)))
 
 
 def test_a_coarse_model_keeps_its_own_grid(moon):
@@ -63,7 +63,7 @@ def test_a_coarse_model_keeps_its_own_grid(moon):
     with rasterio.open(resource("data/moon_gld100_4ppd.tif")) as dataset:
         raw = np.roll(dataset.read(1), 720, axis=1)
     np.testing.assert_array_equal(relief.heights, raw)
-    np.testing.assert_array_equal(relief.tops, raw)
+    np.testing.assert_array_equal(relief.max_heights, raw)
     assert load_relief("bundled:moon_gld100_4ppd.tif", moon) is relief
     assert rows_of(np.radians(1.0 / 32.0)) == 2880
 
@@ -75,7 +75,7 @@ def test_the_real_moon_at_16_a_degree_is_the_mean_of_its_32(shared_data, moon):
         raw = np.roll(dataset.read(1), 5760, axis=1).astype(np.float32)
     four = raw[::2, ::2], raw[1::2, ::2], raw[::2, 1::2], raw[1::2, 1::2]
     assert np.abs(relief.heights - sum(four) / 4.0).max() < 1e-3
-    assert (relief.tops == np.maximum.reduce(four)).all()
+    assert (relief.max_heights == np.maximum.reduce(four)).all()
 
 
 def test_a_pixel_on_each_pole_counts_by_the_half_that_is_there(tmp_path, moon):
@@ -84,7 +84,7 @@ def test_a_pixel_on_each_pole_counts_by_the_half_that_is_there(tmp_path, moon):
     path = raster(tmp_path / "a.tif", rows.astype(np.int16), -180.5, 90.5)
     relief = relief_of(path, moon, rows=180)
     np.testing.assert_allclose(relief.heights[:, 7], np.arange(180) + 0.5, atol=1e-4)
-    np.testing.assert_array_equal(relief.tops[:, 7], np.arange(1, 181))
+    np.testing.assert_array_equal(relief.max_heights[:, 7], np.arange(1, 181))
 
 
 def test_heights_go_on_across_the_seam_and_the_poles(tmp_path, moon):
@@ -121,7 +121,7 @@ def test_holes_take_the_heights_around_them(tmp_path, moon):
     assert (hole[349], hole[10]) == (300.0, 700.0)
     assert (hole[350:] == 300.0).sum() + (hole[:10] == 700.0).sum() >= 12
     assert 300.0 < hole[0] < 700.0
-    assert (relief.tops >= relief.heights).all()
+    assert (relief.max_heights >= relief.heights).all()
 
 
 def test_an_average_of_part_of_a_cell_is_of_what_is_known(tmp_path, moon):
@@ -130,7 +130,7 @@ def test_an_average_of_part_of_a_cell_is_of_what_is_known(tmp_path, moon):
     flat[101, 101] = 560
     relief = relief_of(raster(tmp_path / "a.tif", flat, -180.0), moon, rows=90)
     assert relief.heights[50, 50] == pytest.approx(520.0)
-    assert relief.tops[50, 50] == 560.0
+    assert relief.max_heights[50, 50] == 560.0
 
 
 def test_a_model_of_a_part_is_refused_with_its_share(tmp_path, moon, counts):

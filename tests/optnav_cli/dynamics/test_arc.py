@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.dynamics.arc import Fix, OrbitArc
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
@@ -15,7 +15,7 @@ START_S = 8.2e8
 
 @pytest.fixture(scope="module")
 def orbit():
-    return OrbitMotion(Forces(AnalyticMotion(MOON)))
+    return OrbitMotion(Forces(AnalyticEphemeris(MOON)))
 
 
 def state_at(height_m=100e3, heading=0.8):

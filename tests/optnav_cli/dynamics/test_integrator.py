@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
 
@@ -68,7 +68,7 @@ def test_without_perturbations_the_orbit_is_keplers_ellipse(a, e):
 
 @pytest.mark.parametrize("seconds", [900.0, -900.0, 7000.0])
 def test_the_transition_is_the_derivative_of_the_flow(seconds):
-    orbit = OrbitMotion(Forces(AnalyticMotion(MOON)))
+    orbit = OrbitMotion(Forces(AnalyticEphemeris(MOON)))
     start = kepler(1.85e6, 0.02, 1.2, 300.0)
     to = np.array([NOON + seconds])
     _, (transition,) = orbit.propagate(start, NOON, to)
@@ -85,7 +85,7 @@ def test_the_transition_is_the_derivative_of_the_flow(seconds):
 
 
 def test_going_there_and_back_ends_where_it_began():
-    orbit = OrbitMotion(Forces(AnalyticMotion(MOON)))
+    orbit = OrbitMotion(Forces(AnalyticEphemeris(MOON)))
     start = kepler(1.85e6, 0.02, 1.2, 0.0)
     there, forth = orbit.propagate(start, NOON, np.array([NOON + 3000.0]))
     again, back = orbit.propagate(there[0], NOON + 3000.0, np.array([NOON]))
@@ -133,7 +133,7 @@ def test_j2_turns_the_node_at_the_textbook_rate():
 
 
 def test_the_earths_tide_is_that_of_two_point_masses():
-    motion = AnalyticMotion(MOON)
+    motion = AnalyticEphemeris(MOON)
     forces = Forces(motion)
     place = np.array([6e7, -3e7, 2e7])
     earth, sun = motion.position_m("earth", NOON), motion.position_m("sun", NOON)
@@ -149,7 +149,7 @@ def test_the_earths_tide_is_that_of_two_point_masses():
 
 def test_what_is_left_out_has_the_size_that_the_whole_field_shows():
     """GLGM-3's coefficients summed from degree 3 to 120: rms acceleration by height, m/s^2."""
-    forces = Forces(AnalyticMotion(MOON))
+    forces = Forces(AnalyticEphemeris(MOON))
     for height_m, rms in ((50e3, 7.6e-4), (100e3, 5.1e-4), (400e3, 1.45e-4)):
         left = forces.unmodelled(np.array([0.0, 0.0, MOON.radius_m + height_m]))
         assert rms < np.sqrt(3.0) * left.sigma_m_s2 < 2.0 * rms
@@ -157,7 +157,7 @@ def test_what_is_left_out_has_the_size_that_the_whole_field_shows():
 
 
 def test_noise_grows_with_time_and_both_ways():
-    orbit = OrbitMotion(Forces(AnalyticMotion(MOON)))
+    orbit = OrbitMotion(Forces(AnalyticEphemeris(MOON)))
     state = kepler(1.84e6, 0.0, 0.5, 0.0)
     sigma = [np.sqrt(orbit.noise(state, t)[0, 0]) for t in (60.0, 600.0, -600.0)]
     assert 0.5 < sigma[0] < 5.0

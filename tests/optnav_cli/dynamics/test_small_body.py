@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.dynamics.arc import Fix, OrbitArc
 from optnav_cli.dynamics.forces import Forces, even_field
 from optnav_cli.dynamics.integrator import OrbitMotion
@@ -17,7 +17,7 @@ from optnav_cli.simulation.approach import approach_states
 from optnav_cli.simulation.scenario import Approach, load_scenario
 
 PHOBOS = load_body("phobos")
-MOTION = AnalyticMotion(PHOBOS)
+MOTION = AnalyticEphemeris(PHOBOS)
 NOON = 8.2e8  # TDB s, late in 2025
 SHARE_SIGMA = 1e-4  # of the distance: what a limb gives
 ROOT = Path(__file__).resolve().parents[3]
@@ -35,7 +35,7 @@ def test_the_path_is_that_of_two_bodies_that_fall_about_mars():
     """Phobos' even field and Mars as points, each body integrated about Mars for itself."""
     gm, mars_gm = PHOBOS.gm_m3_s2, load_body("mars").gm_m3_s2
     even = replace(PHOBOS, gravity=type(PHOBOS.gravity)(0.0, 0.0, 11.08, 0.0))
-    orbit = OrbitMotion(Forces(AnalyticMotion(even)))
+    orbit = OrbitMotion(Forces(AnalyticEphemeris(even)))
     start = np.array([60e3, -20e3, 10e3, -20.0, 5.0, 3.0])
 
     def rates(t, y):
@@ -78,7 +78,7 @@ def test_predicted_priors_are_as_good_as_they_say(known, seeds):
     known  False: of a body whose file has no [gravity]
     """
     body = PHOBOS if known else replace(PHOBOS, gravity=None)
-    orbit = OrbitMotion(Forces(AnalyticMotion(body)))
+    orbit = OrbitMotion(Forces(AnalyticEphemeris(body)))
     times, states = path()
     squares, sigmas = [], []
     for seed in range(seeds):

@@ -18,15 +18,17 @@ def test_the_covariance_of_errors_that_neighbours_share_is_that_of_the_solutions
     rng = np.random.default_rng(8)
     points = np.column_stack([rng.uniform(-3e3, 3e3, (24, 2)), rng.uniform(-300.0, 300.0, 24)])
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
-    alike = np.exp(-((apart / (reach * 1e3)) ** 2))
-    root = np.linalg.cholesky(alike + 1e-9 * np.eye(24))
+    error_correlation = np.exp(-((apart / (reach * 1e3)) ** 2))
+    root = np.linalg.cholesky(error_correlation + 1e-9 * np.eye(24))
     pixels, _ = predict(CAMERA, POSE, points)
     covariances = np.tile(np.eye(2) * SIGMA_PX**2, (24, 1, 1))
     nees = {True: [], False: []}
     for _ in range(60):
         seen = Sightings(points, pixels + SIGMA_PX * (root @ rng.normal(size=(24, 2))), covariances)
         for known, values in nees.items():
-            found = resect_robustly(CAMERA, seen, POSE, 0.0, alike=alike if known else None)
+            found = resect_robustly(
+                CAMERA, seen, POSE, 0.0, error_correlation=error_correlation if known else None
+            )
             error = found.resection.pose.position_m - POSE.position_m
             covariance = found.resection.position_covariance_m2
             values.append(float(error @ np.linalg.solve(covariance, error)) / 3.0)

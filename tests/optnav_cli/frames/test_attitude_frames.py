@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion, SpiceMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris, SpiceEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.geometry.rotations import quaternion_from_rotation
 from optnav_cli.camera.camera import Camera
@@ -40,7 +40,7 @@ def by_toolkit(utc: str) -> Rotation:
 
 def star_folder(tmp_path: Path, kernels: list[Path]) -> Path:
     """One camera attitude relative to the body, written against the stars by the toolkit."""
-    SpiceMotion(load_body("moon"), kernels).body_from_inertial(0.0)  # loads the kernels
+    SpiceEphemeris(load_body("moon"), kernels).body_from_inertial(0.0)  # loads the kernels
     told = {utc: quaternion_from_rotation(CAMERA_FROM_BODY * by_toolkit(utc).inv()) for utc in UTCS}
     return folder_of(tmp_path, told)
 
@@ -101,7 +101,7 @@ def test_the_body_turns_under_a_fixed_camera_by_half_a_degree_an_hour(tmp_path: 
 def test_the_sun_comes_from_the_same_source(tmp_path: Path, kernels: list[Path]) -> None:
     path = star_folder(tmp_path, kernels)
     moon = load_body("moon")
-    for named, motion in ((kernels, SpiceMotion(moon, kernels)), ([], AnalyticMotion(moon))):
+    for named, motion in ((kernels, SpiceEphemeris(moon, kernels)), ([], AnalyticEphemeris(moon))):
         for frame in read_folder(path, named).frames:
             assert frame.tdb_s is not None
             assert frame.sun_body is not None

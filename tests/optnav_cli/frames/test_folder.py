@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import ConfigError, DataError, OptnavError
@@ -63,7 +63,7 @@ def test_empty_cells_mean_free_unknown_or_from_the_time(tmp_path: Path) -> None:
     assert frame.attitude_sigma_rad is None
     assert frame.position_m is None
     assert frame.position_sigma_m is None
-    expected = AnalyticMotion(load_body("moon")).sun_body(utc_to_tdb_s(UTC))
+    expected = AnalyticEphemeris(load_body("moon")).sun_body(utc_to_tdb_s(UTC))
     assert frame.sun_body is not None
     np.testing.assert_array_equal(frame.sun_body, expected)
 

@@ -20,7 +20,7 @@ from catalog.terrain.mesh.refine import refined, roughened
 from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.mesh.smooth import smooth_corners
 from catalog.terrain.mesh.terrain import MeshTerrain
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -119,7 +119,7 @@ def test_behind_a_blur_points_are_found_in_relief_that_the_model_hides(
     path = path_of("bundled:phobos_thomas.tab", Path())
     smooth = smooth_corners(path, "west", 1e3, shape.vertices, shape.faces, 2)
     terrain = terrain_of(body, shape, smooth, tmp_path_factory.mktemp("smooth"))
-    detail = Detail(
+    detail = SyntheticRelief(
         7, shape.posting_m, body.radius_m, smallest_m=160.0, rms_slope_deg=15.0, saturation=0.1
     )
     fine = refined(shape, 2)

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
@@ -19,14 +19,14 @@ from optnav_cli.dynamics.integrator import OrbitMotion
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation import autonomous
-from optnav_cli.navigation.autonomous import Navigator, World
+from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.method import UnsolvedFrameError
-from optnav_cli.navigation.outline import Outline
+from optnav_cli.navigation.outline import BodyFix
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.solution import OutlineMarks
 
 MOON = load_body("moon")
-MOTION = AnalyticMotion(MOON)
+MOTION = AnalyticEphemeris(MOON)
 START_S = 8.2e8
 SUN = np.array([1.0, 0.0, 0.0])
 MARKS = OutlineMarks.of_disc(np.array([31.5, 31.5]))
@@ -81,7 +81,7 @@ class Sky:
         monkeypatch.setattr(autonomous.outline, "navigate", self.outline)
         monkeypatch.setattr(autonomous.control_points, "navigate", self.points)
         coarse = Field([Layer(np.array([948.0, 15168.0]))])
-        self.world = World(coarse, MOTION, None, NavigateSettings(), None)
+        self.world = NavigationInputs(coarse, MOTION, None, NavigateSettings(), None)
         self.navigator = Navigator(self.world)
 
     def outline(self, picture, camera, camera_from_body, *_):
@@ -91,7 +91,7 @@ class Sky:
                 known if isinstance(known, str) else "the Sun is on the dark side"
             )
         place = self.truth[self.frame] + known
-        return Outline("horizon", place, np.eye(3) * 200.0**2, 0.1, 900, 200.0, MARKS, "")
+        return BodyFix("horizon", place, np.eye(3) * 200.0**2, 0.1, 900, 200.0, MARKS, "")
 
     def points(self, picture, camera, prior, *_):
         self.priors.append(prior)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
-from optnav_cli.navigation.history import Track
+from catalog.bodies.ephemeris import AnalyticEphemeris
+from optnav_cli.navigation.history import History
 
 START_S = 8.2e8
 FAR_M = np.array([1.0e8, 0.0, 0.0])
@@ -13,11 +13,11 @@ NARROW_M2 = np.diag([4.0e4, 5.0e3, 5.0e3]) ** 2
 
 
 def test_a_sharper_fix_at_the_same_time_may_lie_off_by_what_the_first_did_not_know():
-    track = Track(AnalyticMotion(load_body("moon")))
+    track = History(AnalyticEphemeris(load_body("moon")))
     track.keep(START_S, FAR_M, WIDE_M2, "wide")
-    assert track.beyond_reach(START_S, FAR_M + [6.1e5, 0.0, 0.0], NARROW_M2) == ""
-    assert track.beyond_reach(START_S, FAR_M + [6.1e6, 0.0, 0.0], NARROW_M2) == (
+    assert track.exceeds_max_speed(START_S, FAR_M + [6.1e5, 0.0, 0.0], NARROW_M2) == ""
+    assert track.exceeds_max_speed(START_S, FAR_M + [6.1e6, 0.0, 0.0], NARROW_M2) == (
         "6100 km from the fix 0 s before"
     )
     track.keep(START_S, FAR_M, NARROW_M2, "narrow")
-    assert track.beyond_reach(START_S, FAR_M + [6.1e5, 0.0, 0.0], NARROW_M2) != ""
+    assert track.exceeds_max_speed(START_S, FAR_M + [6.1e5, 0.0, 0.0], NARROW_M2) != ""

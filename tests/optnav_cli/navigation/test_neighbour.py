@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
@@ -16,7 +16,7 @@ from tests.optnav_cli.measurements.disc.drawn_discs import RADIUS_M, blurred_dis
 
 MOON = load_body("moon")
 TDB_S = 8.2e8
-EARTH = other_body(AnalyticMotion(MOON), TDB_S)
+EARTH = other_body(AnalyticEphemeris(MOON), TDB_S)
 CAMERA = Camera("wide", "pinhole", 260, 260, 650.0, (129.5, 129.5))
 SIDE = np.cross(EARTH.centre_m, [0.1, 0.2, 1.0])
 SIDE /= np.linalg.norm(SIDE)

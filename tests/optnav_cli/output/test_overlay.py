@@ -10,7 +10,7 @@ from catalog.geometry.projection import Stereographic
 from optnav_cli.camera.camera import Camera
 from optnav_cli.output.canvas import DISC, FOUND, PREDICTED, REJECTED, RESIDUAL, eight_bits
 from optnav_cli.output.overlay import (
-    LONGEST_PX,
+    MAX_PX,
     draw_overlay,
     overlay_path,
     patch_outlines,
@@ -38,7 +38,7 @@ def near(image, x, y, colour, reach=9):
 
 @pytest.mark.parametrize("side", [600, 1200, 2400])
 def test_marks_stand_where_the_frames_pixels_are(side):
-    factor = min(1.0, LONGEST_PX / side)
+    factor = min(1.0, MAX_PX / side)
     matches = [
         a_match(100, 150, (0.2, 0.1), residual=(2.0, 0.0)),
         a_match(400, 300, (60.0, 0.0), used=False),
@@ -47,7 +47,7 @@ def test_marks_stand_where_the_frames_pixels_are(side):
     image = draw_overlay(
         np.zeros((side, side), np.uint8), unsolved("a.png", "", "too few"), matches
     )
-    assert image.shape[1] == min(side, LONGEST_PX)
+    assert image.shape[1] == min(side, MAX_PX)
     assert image.shape[0] > image.shape[1]  # the legend
 
     def at(x, y, colour):

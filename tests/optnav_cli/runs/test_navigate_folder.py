@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion, SpiceMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris, SpiceEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError
 from catalog.progress import SilentProgress
@@ -265,7 +265,7 @@ def star_folder(place, world, taken, kernels):
     tdb_s = utc_to_tdb_s(utc)
     by_kernels, by_theory = (
         motion.body_from_inertial(tdb_s)
-        for motion in (SpiceMotion(moon, kernels), AnalyticMotion(moon))
+        for motion in (SpiceEphemeris(moon, kernels), AnalyticEphemeris(moon))
     )
     turned = pose.camera_from_body * Rotation.from_matrix(by_kernels @ by_theory.T)
     frame = good_frame("a.png", taken, utc=utc, tdb_s=tdb_s, camera_from_body=turned)

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.file import MeshSettings
@@ -17,7 +17,7 @@ from catalog.terrain.mesh.shape import Shape, load_shape
 from optnav_cli.simulation.approach import masses_of
 from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
 from optnav_cli.simulation.sections import ApproachSettings
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.trajectory import shots
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -27,27 +27,27 @@ MARS_RADIUS_M = load_body("mars").radius_m
 
 
 @pytest.fixture(scope="module")
-def flight() -> list[Shot]:
+def flight() -> list[Exposure]:
     """The shipped approach."""
     return shots(load_scenario(SHIPPED), PHOBOS)
 
 
-def test_pictures_are_taken_at_even_ratios_down_to_the_lowest_point(flight: list[Shot]) -> None:
+def test_pictures_are_taken_at_even_ratios_down_to_the_lowest_point(flight: list[Exposure]) -> None:
     distances = np.array([np.linalg.norm(s.position_m) for s in flight])
     np.testing.assert_allclose(distances, 1e3 * np.geomspace(300.0, 20.0, 60), rtol=1e-4)
     times = np.array([s.tdb_s for s in flight])
     assert times[-1] == utc_to_tdb_s("2026-05-12T07:00:00Z")
     assert (np.diff(times) > 0.0).all()
-    assert all(s.prior_m is None and not s.told_sun for s in flight)
-    motion = AnalyticMotion(PHOBOS)
+    assert all(s.prior_m is None and not s.reported_sun for s in flight)
+    motion = AnalyticEphemeris(PHOBOS)
     last = [motion.body_from_inertial(s.tdb_s).T @ s.position_m for s in flight[-2:]]
     speed = np.linalg.norm(last[1] - last[0]) / np.diff(times[-2:])[0]
     assert speed == pytest.approx(35.0, rel=0.02)
 
 
-def test_mars_is_out_of_view_and_casts_no_shadow(flight: list[Shot]) -> None:
+def test_mars_is_out_of_view_and_casts_no_shadow(flight: list[Exposure]) -> None:
     """As the scenario says; the half diagonal of the camera's field is 16.6 deg."""
-    motion = AnalyticMotion(PHOBOS)
+    motion = AnalyticEphemeris(PHOBOS)
     for shot in flight:
         mars = motion.body_from_inertial(shot.tdb_s) @ motion.position_m("mars", shot.tdb_s)
         distance = float(np.linalg.norm(mars))
@@ -86,7 +86,7 @@ def test_point_masses_pull_as_the_even_shape_does() -> None:
         assert found == pytest.approx(factor * (1e3 * field.radius_km / r) ** 2, abs=6e-5)
 
 
-def test_fewer_pictures_fly_the_same_path(flight: list[Shot]) -> None:
+def test_fewer_pictures_fly_the_same_path(flight: list[Exposure]) -> None:
     few = shots(fewer_pictures(load_scenario(SHIPPED), 3), PHOBOS)
     assert [round(float(np.linalg.norm(s.position_m)) / 1e3) for s in few] == [300, 77, 20]
     np.testing.assert_allclose(few[-1].position_m, flight[-1].position_m, atol=1e-3)

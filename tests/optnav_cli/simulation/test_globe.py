@@ -11,7 +11,7 @@ from catalog.bodies.body import load_body
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.photometry import hapke
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.globe_frame import GlobeRenderer
 from optnav_cli.simulation.globe_heights import GlobeHeights
@@ -24,7 +24,7 @@ from optnav_cli.simulation.globe_terrain import (
 )
 from optnav_cli.simulation.run import simulate
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.simulation.trajectory import Shot, shots
+from optnav_cli.simulation.trajectory import Exposure, shots
 
 RADIUS_M = 1_737_400.0
 ROOT = Path(__file__).resolve().parents[3]
@@ -32,7 +32,7 @@ NARROW = Camera("narrow", "pinhole", 400, 320, 1000.0, (199.5, 159.5))
 WIDE = Camera("wide", "equidistant", 440, 440, 115.0, (219.5, 219.5))
 
 
-def shot_at(position: np.ndarray, target: np.ndarray, sun: np.ndarray) -> Shot:
+def shot_at(position: np.ndarray, target: np.ndarray, sun: np.ndarray) -> Exposure:
     """A shot whose boresight points at a body-fixed place."""
     scenario = load_scenario(ROOT / "configs" / "scenarios" / "far_010000km.toml")
     boresight = (target - position) / np.linalg.norm(target - position)
@@ -52,7 +52,7 @@ def renderer(camera: Camera, heights: np.ndarray | None = None) -> GlobeRenderer
     return GlobeRenderer(globe, {None: GlobeTerrain(globe, None)}, camera)
 
 
-def exact_sphere(camera: Camera, shot: Shot, samples: int, inside: np.ndarray) -> np.ndarray:
+def exact_sphere(camera: Camera, shot: Exposure, samples: int, inside: np.ndarray) -> np.ndarray:
     """Radiance of a smooth sphere: means over samples x samples exact rays of the marked pixels."""
     rows, cols = np.nonzero(inside)
     offset = (np.arange(samples) + 0.5) / samples - 0.5
@@ -77,7 +77,7 @@ def exact_sphere(camera: Camera, shot: Shot, samples: int, inside: np.ndarray) -
     return out
 
 
-def limb_pixels(camera: Camera, shot: Shot, within_px: float) -> np.ndarray:
+def limb_pixels(camera: Camera, shot: Exposure, within_px: float) -> np.ndarray:
     """Pixels near the sphere's outline."""
     x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
     rays = shot.camera_from_body.inv().apply(
@@ -204,7 +204,7 @@ def test_turned_frames_put_the_view_where_the_grid_is_even():
 
 def test_relief_in_a_turned_frame_is_that_of_the_body():
     """Against single points of the relief: the grid holds means over its cells, 300 m across."""
-    detail = Detail(4, 4000.0, RADIUS_M, smallest_m=2000.0, saturation=0.05)
+    detail = SyntheticRelief(4, 4000.0, RADIUS_M, smallest_m=2000.0, saturation=0.05)
     step = 300.0 / RADIUS_M
     for centre in ([0.1, -0.2, 1.0], [-1.0, 1e-3, 0.05]):
         turned = level_frame(np.array(centre) / np.linalg.norm(centre))
@@ -220,7 +220,9 @@ def test_relief_in_a_turned_frame_is_that_of_the_body():
 
 def test_neighbouring_windows_hold_the_same_ground():
     globe = GlobeHeights(globe_of(Rotation.identity())[::2, ::2].copy(), RADIUS_M)
-    terrain = GlobeTerrain(globe, Detail(2, globe.posting_m, RADIUS_M, smallest_m=globe.posting_m))
+    terrain = GlobeTerrain(
+        globe, SyntheticRelief(2, globe.posting_m, RADIUS_M, smallest_m=globe.posting_m)
+    )
     posting = float(terrain.postings()[0])
     found = []
     place = xyz_from_latlon(1.35, 1.3, 1.0)
@@ -246,7 +248,9 @@ def test_grounds_far_away_keep_the_crests_of_their_limb():
     rng = np.random.default_rng(3)
     rough = rng.normal(0.0, 400.0, (360, 720)).astype(np.float32)
     globe = GlobeHeights(rough, RADIUS_M)
-    terrain = GlobeTerrain(globe, Detail(2, globe.posting_m, RADIUS_M, smallest_m=globe.posting_m))
+    terrain = GlobeTerrain(
+        globe, SyntheticRelief(2, globe.posting_m, RADIUS_M, smallest_m=globe.posting_m)
+    )
     sun = np.array([1.0, 0.0, 0.0])
     centre = tuple(fixed_centre(np.array([0.2, -0.9, 0.3])).tolist())
     skylines = []

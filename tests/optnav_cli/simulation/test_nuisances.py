@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.scenario import Scenario, load_scenario
 from optnav_cli.simulation.sections import (
@@ -19,12 +19,12 @@ from optnav_cli.simulation.sections import (
     StructureSettings,
 )
 from optnav_cli.simulation.sensor import Besides, expose
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.surroundings import Surroundings, bright_stars
 from optnav_cli.simulation.trajectory import shots
 
 ROOT = Path(__file__).resolve().parents[3]
-MOTION = AnalyticMotion(load_body("moon"))
+MOTION = AnalyticEphemeris(load_body("moon"))
 CAMERA = Camera("unk", "pinhole", 300, 200, 1500.0, (149.5, 99.5))
 SENSOR = SensorSettings(psf_sigma_px=0.8, snr=50.0, read_noise_e=10.0, bits=12)
 
@@ -35,7 +35,7 @@ def scenario_with(**sections: object) -> Scenario:
     return msgspec.structs.replace(scenario, **{"sensor": SENSOR, **sections})
 
 
-def looking(direction_inertial: np.ndarray) -> Shot:
+def looking(direction_inertial: np.ndarray) -> Exposure:
     """A shot with the boresight along an inertial direction."""
     first = shots(scenario_with(), MOTION.body)[0]
     z = MOTION.body_from_inertial(first.tdb_s) @ direction_inertial
@@ -68,7 +68,9 @@ def test_the_star_list_is_that_of_the_naked_eye():
         assert stars.magnitudes[found] == pytest.approx(magnitude, abs=0.02)
 
 
-def star_picture(to_magnitude: float, shot: Shot, radiance: np.ndarray | None = None) -> np.ndarray:
+def star_picture(
+    to_magnitude: float, shot: Exposure, radiance: np.ndarray | None = None
+) -> np.ndarray:
     sky = SkySettings(stars_to_magnitude=to_magnitude)
     around = Surroundings(scenario_with(sky=sky), CAMERA, MOTION)
     dark = np.zeros(CAMERA.shape, np.float32) if radiance is None else radiance

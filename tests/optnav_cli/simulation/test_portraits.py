@@ -16,7 +16,7 @@ from optnav_cli.simulation.mesh_frame import MeshRenderer
 from optnav_cli.simulation.run import simulate
 from optnav_cli.simulation.scenario import Portraits, fewer_pictures, load_scenario
 from optnav_cli.simulation.sections import PortraitSettings
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.trajectory import shots
 from optnav_cli.simulation.truth_mesh import TruthMesh
 
@@ -78,7 +78,7 @@ def ball(truth: TruthMesh) -> MeshRenderer:
     return MeshRenderer(truth, CAMERA)
 
 
-def full(distance_m: float, aside_px: np.ndarray) -> Shot:
+def full(distance_m: float, aside_px: np.ndarray) -> Exposure:
     """The ball in full light, its centre beside the middle of the picture."""
     scenario = load_scenario(ROOT / "configs" / "scenarios" / "phobos_limb_1000km.toml")
     shot = shots(fewer_pictures(scenario, 1), load_body("phobos"))[0]

@@ -20,7 +20,7 @@ from optnav_cli.simulation import run
 from optnav_cli.simulation.frame import Renderer
 from optnav_cli.simulation.scenario import Scenario, SensorSettings, load_scenario
 from optnav_cli.simulation.sensor import expose
-from optnav_cli.simulation.trajectory import Shot, shots
+from optnav_cli.simulation.trajectory import Exposure, shots
 
 RADIUS_M = 1_737_400.0
 SMALL = """
@@ -57,7 +57,7 @@ def scenario_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def flight(scenario_file: Path) -> tuple[Scenario, list[Shot]]:
+def flight(scenario_file: Path) -> tuple[Scenario, list[Exposure]]:
     scenario = load_scenario(scenario_file)
     return scenario, shots(scenario, load_body("moon"))
 
@@ -84,7 +84,7 @@ def test_impossible_settings_are_named(scenario_file: Path, old: str, new: str, 
 
 
 def test_pictures_of_a_pass_lie_on_one_great_circle_at_orbital_speed(
-    flight: tuple[Scenario, list[Shot]],
+    flight: tuple[Scenario, list[Exposure]],
 ):
     _, pictures = flight
     first, second = pictures[0].position_m, pictures[1].position_m
@@ -96,7 +96,7 @@ def test_pictures_of_a_pass_lie_on_one_great_circle_at_orbital_speed(
 
 
 def test_the_camera_looks_down_with_the_top_of_the_picture_forward(
-    flight: tuple[Scenario, list[Shot]],
+    flight: tuple[Scenario, list[Exposure]],
 ):
     _, pictures = flight
     rotation = pictures[0].camera_from_body
@@ -141,7 +141,7 @@ def test_prior_and_attitude_errors_have_the_stated_size(scenario_file: Path):
     error = np.array([s.prior_m - s.position_m for s in pictures])
     # 2400 numbers: 1.4 % of scatter
     assert error.std() == pytest.approx(3000.0, rel=0.06)
-    turns = [(s.told_camera_from_body * s.camera_from_body.inv()).as_rotvec() for s in pictures]
+    turns = [(s.reported_camera_from_body * s.camera_from_body.inv()).as_rotvec() for s in pictures]
     assert np.degrees(np.std(turns)) * 3600.0 == pytest.approx(10.0, rel=0.06)
 
 

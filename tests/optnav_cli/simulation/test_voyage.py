@@ -8,19 +8,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import AnalyticMotion
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.simulation.run import simulate
 from optnav_cli.simulation.scenario import (
-    Voyage,
+    InertialPath,
     fewer_pictures,
     load_scenario,
     scenario_motion,
 )
-from optnav_cli.simulation.shot import Shot
+from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.trajectory import shots
 from optnav_cli.simulation.voyage import flight_states, transfer_states
 
@@ -70,9 +70,9 @@ def flight_file(tmp_path: Path) -> Path:
     return tmp_path / "flight.toml"
 
 
-def voyage(path: Path) -> Voyage:
+def voyage(path: Path) -> InertialPath:
     scenario = load_scenario(path)
-    assert isinstance(scenario, Voyage)
+    assert isinstance(scenario, InertialPath)
     return scenario
 
 
@@ -80,7 +80,7 @@ def test_a_flight_is_the_conic_of_its_heights(flight_file: Path):
     """Energy and angular momentum of the two-body orbit; J2 and tides move them by parts in 1e4."""
     scenario = voyage(flight_file)
     flight = msgspec.structs.replace(scenario.flight, rough_gravity=False, frames=12)
-    motion = AnalyticMotion(MOON)
+    motion = AnalyticEphemeris(MOON)
     times, states = flight_states(flight, motion, 1)
     assert times[0] == utc_to_tdb_s("2005-03-01T12:00:00Z")
     np.testing.assert_allclose(np.diff(times), 600.0)
@@ -101,7 +101,7 @@ def test_a_flight_is_the_conic_of_its_heights(flight_file: Path):
 
 def test_rough_gravity_moves_a_flight_by_its_known_size(flight_file: Path):
     flight = msgspec.structs.replace(voyage(flight_file).flight, frames=6)
-    motion = AnalyticMotion(MOON)
+    motion = AnalyticEphemeris(MOON)
     smooth = msgspec.structs.replace(flight, rough_gravity=False)
     _, exact = flight_states(smooth, motion, 1)
     drift = [
@@ -118,7 +118,7 @@ def test_rough_gravity_moves_a_flight_by_its_known_size(flight_file: Path):
 def test_a_transfer_comes_from_afar_to_the_lowest_point():
     path = ROOT / "configs" / "scenarios" / "transfer.toml"
     transfer = msgspec.structs.replace(voyage(path).transfer, frames=12)
-    times, states = transfer_states(transfer, AnalyticMotion(MOON))
+    times, states = transfer_states(transfer, AnalyticEphemeris(MOON))
     r = np.linalg.norm(states[:, :3], axis=1)
     wanted = np.geomspace(transfer.from_km + R_KM, transfer.to_km + R_KM, 12) * 1e3
     # times are found between steps of the path
@@ -166,10 +166,10 @@ def test_cameras_of_one_ship_share_place_time_and_attitude_error(flight_file: Pa
         assert one.utc == two.utc
         np.testing.assert_array_equal(one.position_m, two.position_m)
         mounted = two.camera_from_body * one.camera_from_body.inv()
-        told = two.told_camera_from_body * one.told_camera_from_body.inv()
+        told = two.reported_camera_from_body * one.reported_camera_from_body.inv()
         assert (told * mounted.inv()).magnitude() < 1e-12
         sides.append(mounted.as_matrix())
-        error = (one.told_camera_from_body * one.camera_from_body.inv()).magnitude()
+        error = (one.reported_camera_from_body * one.camera_from_body.inv()).magnitude()
         assert 1.0 < np.degrees(error) * 3600.0 < 60.0
     np.testing.assert_allclose(sides[0], sides[1], atol=1e-12)
     boresight = pictures[1].camera_from_body.inv().apply([0.0, 0.0, 1.0])
@@ -177,7 +177,7 @@ def test_cameras_of_one_ship_share_place_time_and_attitude_error(flight_file: Pa
     assert np.degrees(np.arccos(boresight @ down)) == pytest.approx(60.0, abs=1e-6)
 
 
-def _simulated(flight_file: Path, tmp_path: Path) -> tuple[list[Shot], Path]:
+def _simulated(flight_file: Path, tmp_path: Path) -> tuple[list[Exposure], Path]:
     simulate(flight_file, tmp_path / "out")
     scenario = load_scenario(flight_file)
     return shots(scenario, MOON, scenario_motion(scenario, MOON)), tmp_path / "out"
@@ -192,7 +192,7 @@ def test_inertial_attitudes_are_written_without_prior_and_sun(flight_file: Path,
     for frame, shot in zip(folder.frames, truth, strict=True):
         assert frame.problem is None
         assert frame.position_m is None
-        assert (frame.camera_from_body * shot.told_camera_from_body.inv()).magnitude() < 1e-10
+        assert (frame.camera_from_body * shot.reported_camera_from_body.inv()).magnitude() < 1e-10
         np.testing.assert_allclose(frame.sun_body, shot.sun_body, atol=1e-12)
     assert ",,,,,,\n" in (out / "frames.csv").read_text()
     for row, shot in zip(read_truth(out / "truth.csv", folder.settings), truth, strict=True):
@@ -210,17 +210,19 @@ def test_with_kernels_the_truth_turns_by_them_and_files_hold_the_stars_attitude(
         FLIGHT.replace("frames = 3", "frames = 1") + f"\n[spice]\nkernels = {kernels}\n"
     )
     truth, out = _simulated(flight_file, tmp_path)
-    theory = AnalyticMotion(MOON)
+    theory = AnalyticEphemeris(MOON)
     frame = read_folder(out).frames[0]
     shot = truth[0]
     assert frame.camera_from_body is not None
-    off = (frame.camera_from_body * shot.told_camera_from_body.inv()).magnitude()
+    off = (frame.camera_from_body * shot.reported_camera_from_body.inv()).magnitude()
     assert 0.0 < off * 1_737_400.0 < 5.0
     again = read_folder(out, [Path(kernel) for kernel in kernels]).frames[0].camera_from_body
     assert again is not None
-    assert (again * shot.told_camera_from_body.inv()).magnitude() < 1e-11
+    assert (again * shot.reported_camera_from_body.inv()).magnitude() < 1e-11
     true = scenario_motion(load_scenario(flight_file), MOON)
-    told = shot.told_camera_from_body * Rotation.from_matrix(true.body_from_inertial(shot.tdb_s))
+    told = shot.reported_camera_from_body * Rotation.from_matrix(
+        true.body_from_inertial(shot.tdb_s)
+    )
     read = frame.camera_from_body * Rotation.from_matrix(theory.body_from_inertial(shot.tdb_s))
     assert (told * read.inv()).magnitude() < 1e-10
 

@@ -13,7 +13,7 @@ from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, whole_sphere
 from catalog.terrain.dem.source import DemSettings
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.simulation import run
 from optnav_cli.simulation.globe_heights import read_globe
 from optnav_cli.simulation.scenario import load_scenario
@@ -44,9 +44,9 @@ def heights() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def details() -> dict[int | None, Detail]:
+def details() -> dict[int | None, SyntheticRelief]:
     return {
-        seed: Detail(seed, POSTING_M, RADIUS_M, smallest_m=3800.0, rms_slope_deg=5.0)
+        seed: SyntheticRelief(seed, POSTING_M, RADIUS_M, smallest_m=3800.0, rms_slope_deg=5.0)
         for seed in (1, 2)
     }
 

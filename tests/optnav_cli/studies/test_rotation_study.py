@@ -42,7 +42,7 @@ class MadeKernels:
 @pytest.fixture(scope="module")
 def fit() -> RotationFit:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rotation, "SpiceMotion", MadeKernels)
+        patch.setattr(rotation, "SpiceEphemeris", MadeKernels)
         return run(SilentProgress(), load_body("moon"), [], (2000.0, 2010.0), 2)
 
 

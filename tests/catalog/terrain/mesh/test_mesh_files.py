@@ -178,7 +178,7 @@ def test_too_many_faces_are_refused_from_the_header_or_one_pass(
     header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face 20000000\n"
     with pytest.raises(DataError, match=r"20,000,000 faces; .* up to 12,000,000"):
         load(header + "end_header\n", "huge.ply")
-    monkeypatch.setattr(file, "MOST_FACES", 1000)
+    monkeypatch.setattr(file, "MAX_FACES", 1000)
     with pytest.raises(DataError, match="has 1,280 faces"):
         load(ellipsoid_km, "huge.obj")
 

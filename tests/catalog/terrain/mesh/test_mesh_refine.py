@@ -11,7 +11,7 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.refine import refined, roughened
 from catalog.terrain.mesh.shape import Shape, load_shape
-from catalog.terrain.synthetic.relief import Detail
+from catalog.terrain.synthetic.relief import SyntheticRelief
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_a_refined_mesh_keeps_the_vertices_and_stays_closed(ball: Shape) -> None
 
 
 def test_relief_goes_along_the_normals(ball: Shape) -> None:
-    detail = Detail(7, 60.0, 1000.0, smallest_m=30.0, rms_slope_deg=10.0, saturation=0.1)
+    detail = SyntheticRelief(7, 60.0, 1000.0, smallest_m=30.0, rms_slope_deg=10.0, saturation=0.1)
     rough = roughened(ball, detail)
     lat, lon, _ = latlon_from_xyz(ball.vertices)
     heights = np.linalg.norm(rough.vertices, axis=1) - 1000.0
@@ -54,7 +54,7 @@ def test_relief_goes_along_the_normals(ball: Shape) -> None:
 def test_relief_of_the_phobos_scenarios_is_20_m_rms() -> None:
     body = load_body("phobos")
     shape = load_shape(MeshSettings("bundled:phobos_thomas.tab", "km", "west"), Path(), body)
-    detail = Detail(
+    detail = SyntheticRelief(
         501, shape.posting_m, body.radius_m, smallest_m=160.0, rms_slope_deg=15.0, saturation=0.1
     )
     offset = np.linalg.norm(roughened(shape, detail).vertices - shape.vertices, axis=1)

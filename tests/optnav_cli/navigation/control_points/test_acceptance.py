@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.navigation.control_points.acceptance import (
-    LEAST_DECADES,
-    LEAST_NEAR_DECADES,
-    decades_against_chance,
+    MIN_DECADES,
+    MIN_NEAR_DECADES,
     decades_of_parts,
-    doubt_of_matches,
-    doubt_of_place,
+    log10_false_alarms,
+    rejection_of_matches,
+    rejection_of_place,
 )
 
 
@@ -34,43 +34,43 @@ def robust(count, freedom=3, factor=1.0):
 
 
 def test_two_good_matches_of_two_are_a_solution():
-    assert decades_against_chance([0.85, 0.8], 2, 80) > 2 * LEAST_DECADES
-    assert doubt_of_matches(robust(2, freedom=1), LEAST_DECADES + 0.1, 2) == ""
+    assert log10_false_alarms([0.85, 0.8], 2, 80) > 2 * MIN_DECADES
+    assert rejection_of_matches(robust(2, freedom=1), MIN_DECADES + 0.1, 2) == ""
 
 
 def test_two_weak_matches_of_twenty_are_what_chance_offers():
-    assert decades_against_chance([0.34, 0.31], 20, 80) < LEAST_DECADES
-    assert "by chance" in doubt_of_matches(robust(2, freedom=1), LEAST_DECADES - 0.1, 20)
+    assert log10_false_alarms([0.34, 0.31], 20, 80) < MIN_DECADES
+    assert "by chance" in rejection_of_matches(robust(2, freedom=1), MIN_DECADES - 0.1, 20)
 
 
 def test_many_weak_matches_among_many_more_are_no_evidence():
     """Scores as a wrong pose found them with templates of 32 nodes: 23 of 116 'agreed'."""
     scores = np.linspace(0.31, 0.62, 23)
-    assert decades_against_chance(scores, 116, 32) < LEAST_DECADES
+    assert log10_false_alarms(scores, 116, 32) < MIN_DECADES
 
 
 def test_a_real_frame_with_poor_scores_still_stands():
-    assert decades_against_chance([0.45] * 8, 20, 80) > LEAST_DECADES
-    assert decades_against_chance([0.85] * 6, 7, 32) > LEAST_DECADES
+    assert log10_false_alarms([0.45] * 8, 20, 80) > MIN_DECADES
+    assert log10_false_alarms([0.85] * 6, 7, 32) > MIN_DECADES
 
 
 def test_evidence_grows_with_scores_points_and_template_and_falls_with_points_tried():
-    base = decades_against_chance([0.6] * 4, 6, 64)
-    assert decades_against_chance([0.7] * 4, 6, 64) > base
-    assert decades_against_chance([0.6] * 5, 6, 64) > base
-    assert decades_against_chance([0.6] * 4, 6, 80) > base
-    assert decades_against_chance([0.6] * 4, 12, 64) < base
-    assert decades_against_chance([], 5, 80) <= 0.0
+    base = log10_false_alarms([0.6] * 4, 6, 64)
+    assert log10_false_alarms([0.7] * 4, 6, 64) > base
+    assert log10_false_alarms([0.6] * 5, 6, 64) > base
+    assert log10_false_alarms([0.6] * 4, 6, 80) > base
+    assert log10_false_alarms([0.6] * 4, 12, 64) < base
+    assert log10_false_alarms([], 5, 80) <= 0.0
 
 
 def test_three_points_cannot_check_a_free_attitude():
-    assert "at least 4" in doubt_of_matches(robust(3, freedom=0), 30.0, 3)
-    assert doubt_of_matches(robust(4, freedom=2), 30.0, 4) == ""
+    assert "at least 4" in rejection_of_matches(robust(3, freedom=0), 30.0, 3)
+    assert rejection_of_matches(robust(4, freedom=2), 30.0, 4) == ""
 
 
 def test_matches_that_scatter_far_beyond_their_sigmas_are_no_solution():
-    assert "scatter 5.0 times" in doubt_of_matches(robust(9, factor=25.0), 30.0, 9)
-    assert doubt_of_matches(robust(9, factor=4.0), 30.0, 9) == ""
+    assert "scatter 5.0 times" in rejection_of_matches(robust(9, factor=25.0), 30.0, 9)
+    assert rejection_of_matches(robust(9, factor=4.0), 30.0, 9) == ""
 
 
 def test_ground_that_two_templates_show_is_evidence_once():
@@ -82,7 +82,7 @@ def test_ground_that_two_templates_show_is_evidence_once():
 
 def test_a_wide_search_offers_more_places_by_chance():
     near = decades_of_parts([7.0, 7.0], [1.0, 1.0], 2, 1.0)
-    assert near > LEAST_NEAR_DECADES
+    assert near > MIN_NEAR_DECADES
     # ten times as far to either side are a hundred times as many places for each template
     assert decades_of_parts([7.0, 7.0], [1.0, 1.0], 2, 15.0) == pytest.approx(near - 4.0)
 
@@ -90,7 +90,7 @@ def test_a_wide_search_offers_more_places_by_chance():
 @pytest.mark.parametrize(("away_m", "right"), [(9e3, True), (14e3, True), (20e3, False)])
 def test_a_position_many_sigmas_from_the_prior_is_refused(away_m, right):
     pose = Pose(np.array([1.9e6 + away_m, 0.0, 0.0]), Rotation.identity())
-    doubt = doubt_of_place(
+    doubt = rejection_of_place(
         pose, np.eye(3) * 20.0**2, np.array([1.9e6, 0.0, 0.0]), np.eye(3) * 3e3**2
     )
     assert (doubt == "") is right
@@ -101,11 +101,11 @@ def test_a_position_many_sigmas_from_the_prior_is_refused(away_m, right):
 def test_a_prior_of_no_sigma_still_leaves_the_room_that_every_search_has():
     prior = np.array([1.9e6, 0.0, 0.0])
     pose = Pose(prior + [0.0, 800.0, 0.0], Rotation.identity())
-    assert doubt_of_place(pose, np.eye(3) * 20.0**2, prior, np.zeros((3, 3))) == ""
+    assert rejection_of_place(pose, np.eye(3) * 20.0**2, prior, np.zeros((3, 3))) == ""
 
 
 def test_a_weakly_determined_pose_is_not_held_against_the_prior():
     """With a free attitude and few points the pose itself may be kilometres uncertain."""
     prior = np.array([1.9e6, 0.0, 0.0])
     pose = Pose(prior + [0.0, 9e3, 0.0], Rotation.identity())
-    assert doubt_of_place(pose, np.eye(3) * 4e3**2, prior, np.eye(3) * 500.0**2) == ""
+    assert rejection_of_place(pose, np.eye(3) * 4e3**2, prior, np.eye(3) * 500.0**2) == ""

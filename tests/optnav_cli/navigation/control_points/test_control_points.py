@@ -41,7 +41,7 @@ def solve(world, field, picture, pose, sun, *, seed=1, sigma=0.0, attitude=None,
     believed = Pose(
         pose.position_m + rng.normal(0.0, PRIOR_SIGMA_M, 3), attitude or pose.camera_from_body
     )
-    prior = Prior.even(believed, PRIOR_SIGMA_M, sigma)
+    prior = Prior.isotropic(believed, PRIOR_SIGMA_M, sigma)
     options = {"camera": world.camera, "settings": SETTINGS, "matcher": match_ncc} | changes
     return navigate(PicturePyramid(picture), prior=prior, sun_body=sun, points=field, **options)
 

@@ -26,11 +26,11 @@ def sun(elevation_deg, azimuth_deg=90.0):
     return ENU @ np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
 
 
-def errors(offsets, elevation_deg=30.0, score=1.0, hidden_m=0.0):
+def errors(offsets, elevation_deg=30.0, score=1.0, unresolved_posting_m=0.0):
     place = points(offsets)
     n = len(place)
     ground, postings = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
-    hidden = np.full(n, hidden_m)
+    hidden = np.full(n, unresolved_posting_m)
     return common_errors_px(
         place, ground, np.full(n, score), sun(elevation_deg), postings, postings, hidden
     )
@@ -86,7 +86,7 @@ def test_a_single_point_has_finite_errors():
 
 
 def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points_own():
-    known, hidden = errors(SQUARE), errors(SQUARE, hidden_m=300.0)
+    known, hidden = errors(SQUARE), errors(SQUARE, unresolved_posting_m=300.0)
     growth = np.linalg.norm(hidden, axis=1) - np.linalg.norm(known, axis=1)
     grown = np.flatnonzero((growth > 1e-9).all(axis=0))
     # the rise that is alike on all sides, and both shifts

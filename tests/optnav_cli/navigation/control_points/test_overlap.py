@@ -5,9 +5,9 @@ import pytest
 
 from optnav_cli.matching.point_match import SeenPart
 from optnav_cli.navigation.control_points.error_model import (
-    alikeness,
     footprints,
     ground_alikeness,
+    overlap_correlation,
     own_shares,
 )
 
@@ -22,40 +22,40 @@ def part(x, y, side=400.0):
 def test_templates_apart_share_nothing():
     masks = footprints([part(0, 0), part(500, 500)], SIZE)
     assert own_shares(masks) == pytest.approx([1.0, 1.0])
-    assert alikeness(masks) == pytest.approx(np.eye(2))
+    assert overlap_correlation(masks) == pytest.approx(np.eye(2))
 
 
 def test_the_same_ground_counts_once():
     masks = footprints([part(100, 100)] * 3, SIZE)
     assert own_shares(masks) == pytest.approx([1.0 / 3.0] * 3)
-    assert alikeness(masks) == pytest.approx(np.ones((3, 3)))
+    assert overlap_correlation(masks) == pytest.approx(np.ones((3, 3)))
 
 
 def test_half_the_ground_is_half_as_much_alike():
     masks = footprints([part(100, 100), part(300, 100)], SIZE)
-    assert alikeness(masks)[0, 1] == pytest.approx(0.5, abs=0.03)
+    assert overlap_correlation(masks)[0, 1] == pytest.approx(0.5, abs=0.03)
     assert own_shares(masks) == pytest.approx([0.75, 0.75], abs=0.02)
 
 
 def test_ground_outside_the_frame_is_not_shared():
     """Two templates that meet outside only."""
     masks = footprints([part(-200, 100), part(900, 100), part(-300, 100)], SIZE)
-    alike = alikeness(masks)
-    assert alike[0, 1] == 0.0
-    assert 0.5 < alike[0, 2] < 1.0
+    error_correlation = overlap_correlation(masks)
+    assert error_correlation[0, 1] == 0.0
+    assert 0.5 < error_correlation[0, 2] < 1.0
 
 
 def test_likeness_is_a_covariance_whatever_the_places():
     rng = np.random.default_rng(4)
     masks = footprints([part(*rng.uniform(-300, 900, 2)) for _ in range(20)], SIZE)
-    assert np.linalg.eigvalsh(alikeness(masks)).min() > -1e-9
+    assert np.linalg.eigvalsh(overlap_correlation(masks)).min() > -1e-9
 
 
 def test_a_template_whose_corners_are_not_seen_covers_nothing():
     nowhere = part(np.nan, 0.0)
     masks = footprints([nowhere, part(100, 100)], SIZE)
     assert own_shares(masks) == pytest.approx([0.0, 1.0])
-    assert np.isfinite(alikeness(masks)).all()
+    assert np.isfinite(overlap_correlation(masks)).all()
 
 
 def test_templates_on_common_ground_err_together():

@@ -144,7 +144,7 @@ def test_a_limb_of_other_ground_is_no_position():
     points = limb_points(position, turned)
     wrong = grounds()[1]
     other = GlobalRelief(
-        np.ascontiguousarray(wrong.heights[::-1]), np.ascontiguousarray(wrong.tops[::-1]),
+        np.ascontiguousarray(wrong.heights[::-1]), np.ascontiguousarray(wrong.max_heights[::-1]),
         wrong.radius_m, "another",
     )  # fmt: skip
     with pytest.raises(NoSolutionError, match="not the skyline of moon's relief"):

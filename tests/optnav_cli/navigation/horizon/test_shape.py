@@ -21,10 +21,10 @@ from optnav_cli.navigation.horizon import navigate
 from optnav_cli.navigation.horizon.shape_limb import (
     ShapeGround,
     is_shape,
+    relief_fraction,
     shape_limb,
-    stand_off,
 )
-from optnav_cli.navigation.horizon.sight import Sight
+from optnav_cli.navigation.horizon.sight import LimbRays
 from tests.optnav_cli.navigation.horizon.limbs import grounds, limb_points, place
 
 PHOBOS = load_body("phobos")
@@ -70,7 +70,7 @@ def shapes():
     rough = waves(2 * ROWS, (800.0, 500.0), 1.0, 2)
     rough *= 20.0 / rough.std()
     truth = (relief.heights_at(lat, lon) + rough).astype(np.float32)
-    return relief, replace(model, heights=truth, tops=truth)
+    return relief, replace(model, heights=truth, max_heights=truth)
 
 
 def view(seed, phase_deg):
@@ -129,8 +129,8 @@ def nees(fix, position):
 def test_a_small_body_s_relief_is_its_shape_and_the_moon_s_is_not():
     assert is_shape(shapes()[0])
     assert not is_shape(grounds()[1])
-    assert 0.05 < stand_off(PHOBOS) < 0.15
-    assert stand_off(load_body("moon")) == stand_off(load_body("mars")) == 0.002
+    assert 0.05 < relief_fraction(PHOBOS) < 0.15
+    assert relief_fraction(load_body("moon")) == relief_fraction(load_body("mars")) == 0.002
 
 
 @cache
@@ -171,7 +171,7 @@ def test_silhouettes_are_where_rays_begin_to_miss_the_mesh():
         met = mesh.first_hits(position, rays)[0] >= 0
         low, high = np.where(met, middle, low), np.where(met, high, middle)
     rays = np.sin(low)[:, None] * across - np.cos(low)[:, None] * axes[2]
-    sight = Sight(rays, np.full(90, PIXEL), np.full(90, 0.1), 1e-9, 0.0, np.arange(90))
+    sight = LimbRays(rays, np.full(90, PIXEL), np.full(90, 0.1), 1e-9, 0.0, np.arange(90))
     limb = shape_limb(ShapeGround(LimbRelief(relief, 0.0), 0.0, 0.0, 0.0, 0.0), position, sight,
                       None)  # fmt: skip
     beside_m = limb.offsets * limb.ranges
@@ -185,7 +185,9 @@ def test_offsets_change_as_their_rates_say():
     position, sun, camera_from_body = view(3, 40.0)
     points = lit_points(relief, position, sun, camera_from_body, 0.0)
     rays = camera_from_body.apply(CAMERA.unproject(points.pixels), inverse=True)
-    sight = Sight(rays, np.full(len(rays), PIXEL), points.sigma_px, 1e-6, 0.0, np.arange(len(rays)))
+    sight = LimbRays(
+        rays, np.full(len(rays), PIXEL), points.sigma_px, 1e-6, 0.0, np.arange(len(rays))
+    )
     ground = ShapeGround(LimbRelief(relief, 0.0), 0.0, 0.0, 0.0, 0.0)
     limb = shape_limb(ground, position, sight, None)
     for step in 30.0 * nadir_axes(position)[:2]:
@@ -243,7 +245,7 @@ def test_contact_binaries_are_solved_or_refused():
             limb = find_limb(
                 np.clip(np.rint(light), 0.0, 255.0).astype(np.float32), CAMERA,
                 camera_from_body.apply(sun),
-                saturation=255.0, stretch=stretch, relief=stand_off(body),
+                saturation=255.0, stretch=stretch, relief=relief_fraction(body),
             )  # fmt: skip
             fix = navigate(limb, CAMERA, camera_from_body, 0.0, sun, body, relief)
         except NoSolutionError:
