@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
 from optnav_cli.measurements.bright_body import Levels
 from optnav_cli.measurements.edge_light import blurred_powers, power_table
@@ -29,6 +30,9 @@ SHAPE_STEPS = np.array([0.005, 0.02, 0.02])
 SHAPE_LARGEST = np.array([0.3, 0.7, 0.7])
 SHAPE_TURNS, SHAPE_HALVINGS = 6, 4
 MOST_SHAPING = 300  # profiles that find the common blur and law
+# A profile without an edge leaves no residual: so that losing them is no improvement, each step of
+# the search keeps this share of the edges. At some mixtures the law turns dark and none is left.
+LEAST_KEPT_SHARE = 0.5
 START_GAIN_SHARE = 0.02  # scatter of the lit pixels over their brightness, before it is measured
 SKY_PRIOR_SIGMAS = 3.0
 MODEL_SIGMA_PX = 0.01  # what the model leaves of a single edge: the pixel's square, the cusps
@@ -203,9 +207,16 @@ class _Fitter:
         )
         return self.residual
 
+    def placed(self) -> int:
+        """How many profiles have an edge under the last shape."""
+        return int(np.isfinite(self.result[:, 0]).sum())
+
 
 def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeShape:
-    """Blur, law and noise of a picture's edges, from some of its profiles."""
+    """Blur, law and noise of a picture's edges, from some of its profiles.
+
+    Raises NoSolutionError when no profile has an edge.
+    """
     n = len(profiles.start)
     some = np.unique(np.linspace(0, n - 1, min(n, MOST_SHAPING)).astype(np.int64))
     fitter = _Fitter(profiles.subset(some), levels.sky, saturation)
@@ -241,6 +252,9 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
 
     best = np.array([start.blur_px, *start.mixture])
     at_best = residuals(best)
+    least_placed = LEAST_KEPT_SHARE * fitter.placed()
+    if least_placed == 0.0:
+        raise NoSolutionError("no limb point has an edge that stands out of the noise")
     for _ in range(SHAPE_TURNS):
         columns = [residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
         jacobian = np.stack(columns, axis=1) / SHAPE_STEPS
@@ -251,6 +265,7 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
             better[0] = np.clip(better[0], *BLUR_RANGE_PX)
             at_better = residuals(better)
             improved = float(at_better @ at_better) < float(at_best @ at_best)
+            improved = improved and fitter.placed() >= least_placed
             if improved:
                 break
             move *= 0.4
