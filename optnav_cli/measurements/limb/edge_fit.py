@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
+from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.candidates import BORDER_PX, Candidates, outward_normals
@@ -21,7 +22,7 @@ from optnav_cli.measurements.segmentation import Levels
 # Profiles reach this far to the dark and to the bright side of the crossing, px along the scan,
 # and so deep inside, px and in radii of the limb's bend: further in the ground's pattern rules.
 BEFORE_PX, AFTER_PX = 7, 8
-MAX_PX, MAX_SHARE = 6.0, 0.35
+MAX_DEPTH_PX, MAX_DEPTH_SHARE = 6.0, 0.35
 
 
 ITERATIONS = 12
@@ -36,6 +37,9 @@ SHAPE_STEPS = np.array([0.005, 0.02, 0.02])
 SHAPE_LARGEST = np.array([0.3, 0.7, 0.7])
 SHAPE_TURNS, SHAPE_HALVINGS = 6, 4
 MAX_SHAPING = 300  # profiles that find the common blur and law
+# A profile without an edge leaves no residual: so that losing them is no improvement, each step of
+# the search keeps this share of the edges. At some mixtures the law turns dark and none is left.
+MIN_KEPT_SHARE = 0.5
 START_GAIN_SHARE = 0.02  # scatter of the lit pixels over their brightness, before it is measured
 SKY_PRIOR_SIGMAS = 3.0
 MODEL_SIGMA_PX = 0.01  # what the model leaves of a single edge: the pixel's square, the cusps
@@ -210,9 +214,16 @@ class _Fitter:
         )
         return self.residual
 
+    def placed(self) -> int:
+        """How many profiles have an edge under the last shape."""
+        return int(np.isfinite(self.result[:, 0]).sum())
+
 
 def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeShape:
-    """Blur, law and noise of a picture's edges, from some of its profiles."""
+    """Blur, law and noise of a picture's edges, from some of its profiles.
+
+    Raises NoSolutionError when no profile has an edge.
+    """
     n = len(profiles.start)
     some = np.unique(np.linspace(0, n - 1, min(n, MAX_SHAPING)).astype(np.int64))
     fitter = _Fitter(profiles.subset(some), levels.sky, saturation)
@@ -248,6 +259,9 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
 
     best = np.array([start.blur_px, *start.mixture])
     at_best = residuals(best)
+    least_placed = MIN_KEPT_SHARE * fitter.placed()
+    if least_placed == 0.0:
+        raise NoSolutionError("no limb point has an edge that stands out of the noise")
     for _ in range(SHAPE_TURNS):
         columns = [residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
         jacobian = np.stack(columns, axis=1) / SHAPE_STEPS
@@ -258,6 +272,7 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
             better[0] = np.clip(better[0], *BLUR_RANGE_PX)
             at_better = residuals(better)
             improved = float(at_better @ at_better) < float(at_best @ at_best)
+            improved = improved and fitter.placed() >= least_placed
             if improved:
                 break
             move *= 0.4
@@ -335,7 +350,7 @@ def profiles_across(
         camera, limb.pixels + np.array([[[2.0]], [[-2.0]]]) * along, cone.stretch
     )
     bend = -0.5 * ((cone.depth(aside) / rad_per_px).mean(axis=0) - distance)
-    deepest = np.minimum(MAX_PX, np.maximum(MAX_SHARE / np.maximum(bend, 1e-6), 2.5))
+    deepest = np.minimum(MAX_DEPTH_PX, np.maximum(MAX_DEPTH_SHARE / np.maximum(bend, 1e-6), 2.5))
     usable = inside & (depth < distance[:, None] + deepest[:, None])
     usable &= camera.contains(places.astype(np.float64), BORDER_PX - 3)
     depth = np.where(usable, depth, np.nan)

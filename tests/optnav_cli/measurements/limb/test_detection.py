@@ -115,6 +115,23 @@ def test_a_fisheye_s_limb_beyond_its_axis_is_a_cone():
     assert np.degrees(np.arccos(min(limb.cone_axis_camera @ axis, 1.0))) < 0.02
 
 
+@pytest.mark.parametrize("softness_px", [0.6, 0.8])
+def test_an_even_disc_under_a_high_sun_has_a_limb(softness_px):
+    """No mixture of brightness laws is even up to such an edge; some of them turn it dark."""
+    camera = Camera("wide", "equidistant", 400, 400, 120.0, (199.5, 199.5))
+    axis = np.array([0.02, 0.01, 1.0])
+    axis /= np.linalg.norm(axis)
+    off_axis = np.arccos(camera.unproject(pixel_grid(camera)) @ axis)
+    depth_px = (np.radians(66.0) - off_axis) * camera.focal_length_px
+    light = 200.0 / (1.0 + np.exp(-np.clip(depth_px / softness_px, -50.0, 50.0)))
+    noise = np.random.default_rng(1).normal(3.0, 1.5, light.shape)
+    picture = np.clip(np.rint(light + noise), 0, 255).astype(np.float32)
+    limb = find_limb(picture, camera, -axis, saturation=255.0)
+    found = np.arccos(camera.unproject(limb.pixels) @ axis)
+    assert abs(found.mean() - np.radians(66.0)) * camera.focal_length_px < 0.3
+    assert limb.arc_deg > 330.0
+
+
 def stars(size_px, rng):
     picture = np.zeros((size_px, size_px))
     for x, y in rng.integers(5, size_px - 5, (40, 2)):
