@@ -7,6 +7,7 @@ that of a circular orbit in size, which a prediction some seconds ahead can bear
 """
 
 from dataclasses import dataclass
+from operator import add
 from typing import Protocol
 
 import numpy as np
@@ -14,14 +15,15 @@ from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
+from optnav_cli.estimation.least_squares import Iteration, VectorPrior, solve
+from optnav_cli.estimation.models.fixes import FixesModel, OrbitModel
 
 # A right fix is farther from the arc than this once in a million.
 GATE_PROBABILITY = 1e-6
 GATE = float(chi2.isf(GATE_PROBABILITY, 3))
 MAX_FIXES = 12
-ITERATIONS = 12
-# The state has settled when a step is below this share of its sigma.
-SETTLED_SIGMAS = 1e-3
+_NO_ORBIT = "the fixes fit no orbit"
+ITERATION = Iteration(12, 1e-3, undetermined=_NO_ORBIT, unsettled=_NO_ORBIT)
 # Further ahead than the orbit takes for one radian an arc of a few minutes says little, and the
 # frames may belong to another flight.
 MAX_GAP_RAD = 1.0
@@ -31,18 +33,8 @@ EXCESS_M_S = 1000.0
 MAX_SHARE = 0.005
 
 
-class OrbitModel(Protocol):
-    """What the arc needs of the motion without thrust, see `optnav_cli.dynamics.integrator`."""
-
-    def propagate(
-        self, state: FloatArray, from_s: float, to_s: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """States (n, 6) and transitions (n, 6, 6) at other times."""
-        ...
-
-    def noise(self, state: FloatArray, seconds: float) -> FloatArray:
-        """Covariance (6, 6) that unmodelled forces add in a time."""
-        ...
+class ArcModel(OrbitModel, Protocol):
+    """What the arc needs of the motion without thrust."""
 
     def circular_speed(self, position_m: FloatArray) -> float:
         """Of a circular orbit through a place, m/s."""
@@ -92,7 +84,7 @@ class OrbitArc:
     wrong, and a new one begins with the two.
     """
 
-    def __init__(self, model: OrbitModel) -> None:
+    def __init__(self, model: ArcModel) -> None:
         self._model = model
         self._fixes: list[Fix] = []
         self._doubted: Fix | None = None
@@ -156,29 +148,19 @@ class OrbitArc:
         last = self._fixes[-1]
         speed = float(np.hypot(self._model.circular_speed(last.position_m), EXCESS_M_S))
         state = np.concatenate([last.position_m, self._first_velocity(speed)])
-        times = np.array([fix.tdb_s for fix in self._fixes])
-        for _ in range(ITERATIONS):
-            states, transitions = self._model.propagate(state, last.tdb_s, times)
-            normal = np.diag([0.0] * 3 + [1.0 / speed**2] * 3)
-            gradient = -normal @ state
-            misfit = float(state @ normal @ state)
-            for fix, reached, transition in zip(self._fixes, states, transitions, strict=True):
-                noise = self._model.noise(state, fix.tdb_s - last.tdb_s)[:3, :3]
-                weight = np.linalg.inv(fix.covariance_m2 + noise)
-                by_state, offset = transition[:3], fix.position_m - reached[:3]
-                normal += by_state.T @ weight @ by_state
-                gradient += by_state.T @ weight @ offset
-                misfit += float(offset @ weight @ offset)
-            covariance = np.linalg.inv(normal)
-            step = covariance @ gradient
-            state = state + step
-            if float(step @ normal @ step) < SETTLED_SIGMAS**2:
-                # three measurements a fix and three of the velocity's size, six unknowns
-                if misfit > chi2.isf(GATE_PROBABILITY, 3 * len(times)):
-                    break
-                self._fitted = state, (covariance + covariance.T) / 2.0
-                return self._fitted
-        raise NoSolutionError("the fixes fit no orbit")
+        fixes = FixesModel(
+            self._model,
+            np.array([fix.tdb_s for fix in self._fixes]),
+            [fix.position_m for fix in self._fixes],
+            [fix.covariance_m2 for fix in self._fixes],
+        )
+        velocity = VectorPrior(3, np.zeros(3), np.full(3, speed), 6)
+        found = solve([fixes, velocity], state, add, ITERATION)
+        # three measurements a fix and three of the velocity's size, six unknowns
+        if found.cost > chi2.isf(GATE_PROBABILITY, found.degrees_of_freedom):
+            raise NoSolutionError(_NO_ORBIT)
+        self._fitted = found.state, found.covariance
+        return self._fitted
 
     def _first_velocity(self, speed: float) -> FloatArray:
         """A guess from the last two fixes that lie far enough apart to tell, else none."""

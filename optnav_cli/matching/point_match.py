@@ -10,7 +10,7 @@ from catalog.correlation.ncc import cropped, match_ncc
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
 from catalog.correlation.similarity import Matcher, match_similarity
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
 

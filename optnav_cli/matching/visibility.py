@@ -6,7 +6,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.geometry.latlon import latlon_from_xyz
-from optnav_cli.estimation.resection import Pose, ProjectingCamera
+from optnav_cli.estimation.models.points import Pose, ProjectingCamera
 
 
 @dataclass(frozen=True)

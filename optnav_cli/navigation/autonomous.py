@@ -24,7 +24,7 @@ from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.arc import GATE
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -91,7 +91,7 @@ def observation_of(frame: Frame, camera: Camera, picture: Picture) -> Observatio
 
 def row_of_points(observation: Observation, fix: ControlPointFix) -> Solution:
     """The row of a frame that control points solved."""
-    resection = fix.solution.resection
+    resection = fix.solution
     used = [t.residual_px for t in fix.tried if t.used and t.residual_px is not None]
     return solved(
         *observation.row,

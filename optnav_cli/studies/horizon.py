@@ -27,7 +27,7 @@ from catalog.terrain.relief.sums import load_relief
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.navigation import horizon
+from optnav_cli.navigation.horizon import method as horizon
 from optnav_cli.navigation.neighbour import View, other_body
 from optnav_cli.navigation.outline import detect_limb, mask_neighbour
 from optnav_cli.studies.horizon_table import CaseFigures, FrameResult, Row, figures_of

@@ -18,7 +18,7 @@ from catalog.store.reader import Catalog
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.reference import Reference
 from optnav_cli.simulation.truth_terrain import TruthTerrain
 

@@ -13,8 +13,8 @@ from scipy.special import gammaln
 from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
-from optnav_cli.estimation.resection import Pose
-from optnav_cli.estimation.robust import RobustResection
+from optnav_cli.estimation.models.points import Pose
+from optnav_cli.estimation.resection import Resection
 from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
 
 # Best scores on unrelated ground, from 14 000 searches of other, mirrored and random pictures
@@ -83,7 +83,7 @@ def _choices(used: int, tried: int) -> float:
 
 
 def rejection_of_matches(
-    solution: RobustResection,
+    solution: Resection,
     decades: float,
     tried: int,
     least_decades: float = MIN_DECADES,
@@ -94,7 +94,7 @@ def rejection_of_matches(
     decades  against chance, of `log10_false_alarms` or `decades_of_parts`;  tried as there
     """
     used = int(solution.used.sum())
-    if solution.resection.degrees_of_freedom < 1:
+    if solution.degrees_of_freedom < 1:
         return f"{used} control points leave no check on a free attitude; at least 4 are needed"
     if solution.variance_factor > most_factor:
         return (

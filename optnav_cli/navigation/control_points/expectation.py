@@ -7,7 +7,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.correlation.similarity import Matcher
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.search_plan import finest_level, template_nodes
 from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view

@@ -14,8 +14,8 @@ from catalog.control_point import ControlPoint
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
-from optnav_cli.estimation.robust import RobustResection
+from optnav_cli.estimation.models.points import Pose
+from optnav_cli.estimation.resection import Resection
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.matching.visibility import View
@@ -72,7 +72,7 @@ class TriedPoint:
 class ControlPointFix:
     """A solved frame; `remark` says what a reader of the row should know."""
 
-    solution: RobustResection
+    solution: Resection
     tried: list[TriedPoint]
     remark: str = ""
 
@@ -96,7 +96,7 @@ def navigate(
     frame = FrameContext(picture, camera, sun_body, points, settings, matcher)
     pose = prior.pose
     covariance = _prior_covariance(prior, settings)
-    solution: RobustResection | None = None
+    solution: Resection | None = None
     tried: list[TriedPoint] = []
     previous_finest = False
     searched_postings = np.inf
@@ -119,9 +119,9 @@ def navigate(
             reason = f"{error} ({len(believed)} of {len(view)} matched)"
             raise UnsolvedFrameError(reason, tried) from error
         tried = _tried(points, view, matches, solution, believed)
-        step = solution.resection.pose.position_m - pose.position_m
-        pose = solution.resection.pose
-        position_covariance = solution.resection.position_covariance_m2
+        step = solution.pose.position_m - pose.position_m
+        pose = solution.pose
+        position_covariance = solution.position_covariance_m2
         doubt = rejection_of_place(
             pose, position_covariance, prior.pose.position_m, prior.position_covariance_m2
         )
@@ -155,8 +155,8 @@ def _prior_covariance(prior: Prior, settings: NavigateSettings) -> FloatArray:
     return full
 
 
-def _full_covariance(solution: RobustResection) -> FloatArray:
-    solved = solution.resection.covariance
+def _full_covariance(solution: Resection) -> FloatArray:
+    solved = solution.covariance
     full = np.zeros((6, 6))
     full[: len(solved), : len(solved)] = solved
     return full
@@ -202,7 +202,7 @@ def _tried(
     points: ControlPointField,
     view: View,
     matches: list[PointMatch],
-    solution: RobustResection | None,
+    solution: Resection | None,
     believed: list[int],
 ) -> list[TriedPoint]:
     place = {k: i for i, k in enumerate(believed)}

@@ -6,8 +6,8 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.correlation.masked import blur_nodes
-from optnav_cli.estimation.resection import Pose, Sightings, predict
-from optnav_cli.estimation.robust import RobustResection, resect_robustly
+from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.estimation.resection import Resection, resect_robustly
 from optnav_cli.matching.point_match import (
     MatchGates,
     PointMatch,
@@ -132,7 +132,7 @@ def solve(
     believed: list[int],
     pose: Pose,
     prior: Prior,
-) -> RobustResection:
+) -> Resection:
     """Resect from the believed matches, from a pose. Raises NoSolutionError."""
     points = frame.points
     kept = [k for k in believed if matches[k].covariance_px2 is not None]

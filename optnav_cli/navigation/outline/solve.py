@@ -16,9 +16,9 @@ from optnav_cli.measurements.disc.fit import rad_per_px
 from optnav_cli.measurements.disc.moments import is_round
 from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
 from optnav_cli.measurements.limb.sun_check import rejection_of_sun
-from optnav_cli.navigation import horizon
 from optnav_cli.navigation.disc import brightness_centre, whole_disc
-from optnav_cli.navigation.horizon.shape_limb import relief_fraction
+from optnav_cli.navigation.horizon import method as horizon
+from optnav_cli.navigation.horizon.shape_skyline import relief_fraction
 from optnav_cli.navigation.neighbour import View
 from optnav_cli.solution import OutlineMarks
 

@@ -13,7 +13,7 @@ from catalog.correlation.ncc import match_ncc
 from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.navigation.control_points.method import UnsolvedFrameError, navigate
 from optnav_cli.navigation.control_points.solve import Prior
@@ -47,7 +47,7 @@ def solve(world, field, picture, pose, sun, *, seed=1, sigma=0.0, attitude=None,
 
 
 def mahalanobis(fix, truth):
-    resection = fix.solution.resection
+    resection = fix.solution
     error = resection.pose.position_m - truth.position_m
     return float(np.sqrt(error @ np.linalg.solve(resection.position_covariance_m2, error)))
 
@@ -59,7 +59,7 @@ def test_with_an_exact_attitude_the_truth_lies_inside_four_sigma(
     picture, pose, sun = scene
     fix = solve(rough_world, field_of(rough_world), picture, pose, sun, matcher=matcher)
     assert mahalanobis(fix, pose) < 4.0
-    assert np.linalg.norm(fix.solution.resection.pose.position_m - pose.position_m) < 30.0
+    assert np.linalg.norm(fix.solution.pose.position_m - pose.position_m) < 30.0
     used = [point for point in fix.tried if point.used]
     assert len(used) >= 0.9 * len(fix.tried) >= 12
     assert np.sqrt(np.mean([point.residual_px**2 for point in used])) < 0.15
@@ -77,7 +77,7 @@ def test_with_ten_arc_seconds_of_attitude_noise_the_truth_lies_inside_four_sigma
             rough_world, field, picture, pose, sun, seed=seed, sigma=10 * ARCSEC, attitude=attitude
         )
         assert mahalanobis(fix, pose) < 4.0
-        stated = np.sqrt(np.trace(fix.solution.resection.position_covariance_m2))
+        stated = np.sqrt(np.trace(fix.solution.position_covariance_m2))
         # 10" at 100 km are 4.8 m across on each of two axes
         assert 6.0 < stated < 60.0
 
@@ -112,7 +112,7 @@ def test_with_a_free_attitude_position_and_attitude_are_found(rough_world, field
         attitude=turn * pose.camera_from_body,
     )
     assert mahalanobis(fix, pose) < 4.0
-    resection = fix.solution.resection
+    resection = fix.solution
     off = (resection.pose.camera_from_body * pose.camera_from_body.inv()).magnitude()
     assert off < 4.0 * np.sqrt(3.0) * resection.attitude_sigma_rad
     assert off < np.radians(0.1)
