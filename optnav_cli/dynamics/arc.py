@@ -17,12 +17,14 @@ from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.least_squares import Iteration, VectorPrior, solve
 from optnav_cli.estimation.models.fixes import FixesModel, OrbitModel
+from optnav_cli.fix import PositionPrior
+from optnav_cli.reasons import Reason, ReasonCode
 
 # A right fix is farther from the arc than this once in a million.
 GATE_PROBABILITY = 1e-6
 GATE = float(chi2.isf(GATE_PROBABILITY, 3))
 MAX_FIXES = 12
-_NO_ORBIT = "the fixes fit no orbit"
+_NO_ORBIT = Reason(ReasonCode.NO_SOLUTION, "the fixes fit no orbit")
 ITERATION = Iteration(12, 1e-3, undetermined=_NO_ORBIT, unsettled=_NO_ORBIT)
 # Further ahead than the orbit takes for one radian an arc of a few minutes says little, and the
 # frames may belong to another flight.
@@ -46,7 +48,7 @@ class ArcModel(OrbitModel, Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Fix:
+class TimedPosition:
     """A position (3,), m, inertial, with its covariance (3, 3), at a time, TDB s."""
 
     tdb_s: float
@@ -54,26 +56,15 @@ class Fix:
     covariance_m2: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """Where the arc leads: position (3,) and covariance (3, 3), inertial; from how many fixes."""
+@dataclass(frozen=True)
+class ArcDisagreement:
+    """How far a fix lies from the arc's prediction, in words.
 
-    position_m: FloatArray
-    covariance_m2: FloatArray
-    fixes: int
+    new_arc  whether the fix begins a new arc; otherwise it is left out until the next one agrees
+    """
 
-    def distance_squared(self, fix: Fix) -> float:
-        """Squared distance of a fix in units of both covariances; expectation 3."""
-        offset = fix.position_m - self.position_m
-        return float(offset @ np.linalg.solve(self.covariance_m2 + fix.covariance_m2, offset))
-
-
-@dataclass(frozen=True, eq=False)
-class Contradiction:
-    """A fix that does not lie where the arc led; `ended`: a new arc begins with it."""
-
-    predicted: Prediction
-    ended: bool
+    words: str
+    new_arc: bool
 
 
 class OrbitArc:
@@ -86,14 +77,14 @@ class OrbitArc:
 
     def __init__(self, model: ArcModel) -> None:
         self._model = model
-        self._fixes: list[Fix] = []
-        self._doubted: Fix | None = None
+        self._fixes: list[TimedPosition] = []
+        self._doubted: TimedPosition | None = None
         self._fitted: tuple[FloatArray, FloatArray] | None = None
 
-    def predict(self, tdb_s: float) -> Prediction | None:
-        """The position at a time not before the last fix; None where the arc says nothing of use.
+    def predict(self, tdb_s: float) -> PositionPrior | None:
+        """The inertial position at a time not before the last fix; None where that is of no use.
 
-        It says nothing without fixes, when the fixes fit no orbit, long after them, and when they
+        There is none without fixes, when the fixes fit no orbit, long after them, and when they
         leave more than a small share of the distance open.
         """
         if not self._fixes or self._is_over(tdb_s):
@@ -110,27 +101,38 @@ class OrbitArc:
         widest = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
         if not widest < MAX_SHARE * float(np.linalg.norm(position)):
             return None
-        return Prediction(position, spread, len(self._fixes))
+        count = len(self._fixes)
+        source = f"arc of {count} fixes" if count > 1 else "arc of one fix"
+        return PositionPrior(position, spread, source)
 
-    def add(self, fix: Fix, *, sure: bool = False) -> Contradiction | None:
-        """Take in a fix not before the last; says so when it does not lie where the arc leads.
+    def add(self, fix: TimedPosition, *, confirmed: bool = False) -> ArcDisagreement | None:
+        """Add a fix not before the last; how it disagrees where it does not lie on the arc.
 
-        sure  the fix rests on two methods that agree: where it contradicts the arc, the arc ends
+        confirmed  two methods agree on the fix: where it contradicts the arc, the arc ends
         """
         predicted = self.predict(fix.tdb_s)
-        if predicted is None or predicted.distance_squared(fix) < GATE:
+        if predicted is None:
             # an arc that says nothing of use is not worth keeping, but for its first fix
             young = len(self._fixes) < 2 and not self._is_over(fix.tdb_s)
-            kept = self._fixes if predicted is not None or young else []
-            self._restart(_with(kept, fix))
+            self._restart(_with(self._fixes if young else [], fix))
             return None
-        ended = sure or self._doubted is not None
-        if ended:
-            doubted = [] if sure or self._doubted is None else [self._doubted]
+        offset = fix.position_m - predicted.position_m
+        covariance = predicted.covariance_m2 + fix.covariance_m2
+        square = float(offset @ np.linalg.solve(covariance, offset))
+        if square < GATE:
+            self._restart(_with(self._fixes, fix))
+            return None
+        new_arc = confirmed or self._doubted is not None
+        if new_arc:
+            doubted = [] if confirmed or self._doubted is None else [self._doubted]
             self._restart(_with(doubted, fix))
         else:
             self._doubted = fix
-        return Contradiction(predicted, ended)
+        words = (
+            f"{np.linalg.norm(offset) / 1e3:.1f} km ({np.sqrt(square):.0f} sigmas) from where the "
+            f"{predicted.source} leads"
+        )
+        return ArcDisagreement(words, new_arc)
 
     def _is_over(self, tdb_s: float) -> bool:
         if not self._fixes:
@@ -138,7 +140,7 @@ class OrbitArc:
         last = self._fixes[-1]
         return tdb_s - last.tdb_s > MAX_GAP_RAD * self._model.radian_s(last.position_m)
 
-    def _restart(self, fixes: list[Fix]) -> None:
+    def _restart(self, fixes: list[TimedPosition]) -> None:
         self._fixes, self._doubted, self._fitted = fixes[-MAX_FIXES:], None, None
 
     def _fit(self) -> tuple[FloatArray, FloatArray]:
@@ -158,7 +160,7 @@ class OrbitArc:
         found = solve([fixes, velocity], state, add, ITERATION)
         # three measurements a fix and three of the velocity's size, six unknowns
         if found.cost > chi2.isf(GATE_PROBABILITY, found.degrees_of_freedom):
-            raise NoSolutionError(_NO_ORBIT)
+            raise _NO_ORBIT.error()
         self._fitted = found.state, found.covariance
         return self._fitted
 
@@ -177,7 +179,7 @@ class OrbitArc:
         return np.zeros(3)
 
 
-def _with(fixes: list[Fix], fix: Fix) -> list[Fix]:
+def _with(fixes: list[TimedPosition], fix: TimedPosition) -> list[TimedPosition]:
     """Fixes and a new one; of two at one time the more certain stays."""
     if fixes and fix.tdb_s <= fixes[-1].tdb_s:
         both = sorted((fixes[-1], fix), key=lambda f: float(np.trace(f.covariance_m2)))

@@ -104,16 +104,7 @@ def _meat(
     bin in the normal matrix N, the fit leaves E g_b g_c' = (b = c) N_b - N_b inv(N) N_c.
     Returns both (3, 3), and how many windows of CORRELATION_DEG the points fill.
     """
-    scores, normals = np.zeros((BINS, 3)), np.zeros((BINS, 3, 3))
-    for i in range(azimuths.size):
-        at = int((azimuths[i] / (2.0 * np.pi) + 0.5) * BINS) % BINS
-        for k in range(3):
-            scaled = weights[i] * rows[i, k]
-            scores[at, k] += scaled * residuals[i]
-            for m in range(k, 3):
-                normals[at, k, m] += scaled * rows[i, m]
-    for i in range(BINS):
-        mirrored(normals[i])
+    scores, normals = _binned(rows, residuals, weights, azimuths)
     reach = round(CORRELATION_DEG * BINS / 360.0)
     meat, expected, seen = np.zeros((3, 3)), np.zeros((3, 3)), 0
     score, normal = np.empty(3), np.empty((3, 3))
@@ -139,6 +130,24 @@ def _meat(
                         left -= normals[i, k, a] * inverse[a, b] * normal[b, m]
                 expected[k, m] += left
     return meat, expected, seen * (360.0 / BINS) / CORRELATION_DEG
+
+
+@kernel
+def _binned(
+    rows: FloatArray, residuals: FloatArray, weights: FloatArray, azimuths: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Scores (BINS, 3) and normal matrices (BINS, 3, 3) of the points in each bin of azimuth."""
+    scores, normals = np.zeros((BINS, 3)), np.zeros((BINS, 3, 3))
+    for i in range(azimuths.size):
+        at = int((azimuths[i] / (2.0 * np.pi) + 0.5) * BINS) % BINS
+        for k in range(3):
+            scaled = weights[i] * rows[i, k]
+            scores[at, k] += scaled * residuals[i]
+            for m in range(k, 3):
+                normals[at, k, m] += scaled * rows[i, m]
+    for i in range(BINS):
+        mirrored(normals[i])
+    return scores, normals
 
 
 @kernel

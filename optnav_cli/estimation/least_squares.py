@@ -11,8 +11,8 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray
-from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
+from optnav_cli.reasons import Reason
 
 MIN_PIVOT = 1e-13  # of a normal matrix scaled to a unit diagonal: below it an unknown is open
 # A step that raises the cost so many times is followed by damped ones.
@@ -72,13 +72,13 @@ class Iteration:
     settled_sigmas  a step below this share of its own sigma is the last
     each_unknown    whether every unknown's step is judged by that unknown's sigma, or all at once
     damped          whether steps are shortened after one that raised the cost
-    undetermined, unsettled  reasons why there is no solution, in words
+    undetermined, unsettled  why there is no solution
     """
 
     max_steps: int
     settled_sigmas: float
-    undetermined: str
-    unsettled: str
+    undetermined: Reason
+    unsettled: Reason
     each_unknown: bool = False
     damped: bool = False
 
@@ -164,49 +164,33 @@ def solve(
         cost = new_cost
         covariance, step, judged = _step(normal, gradient, damping, iteration.each_unknown)
         if not np.isfinite(judged):
-            raise NoSolutionError(iteration.undetermined)
+            raise iteration.undetermined.error()
         state = move(state, step)
         if judged < iteration.settled_sigmas and damping < 1.0:
             return Estimate(state, covariance, covariance, terms)
         damping *= 0.1
-    raise NoSolutionError(iteration.unsettled)
+    raise iteration.unsettled.error()
 
 
 @kernel
 def inverse_of(matrix: FloatArray) -> FloatArray:
-    """Inverse of a symmetric positive matrix (k, k) by Cholesky; NaN where an unknown is open."""
-    k = matrix.shape[0]
-    scale, lower = np.empty(k), np.zeros((k, k))
-    for i in range(k):
-        scale[i] = 1.0 / np.sqrt(matrix[i, i])
-    for j in range(k):
-        pivot = matrix[j, j] * scale[j] * scale[j]
-        for m in range(j):
-            pivot -= lower[j, m] * lower[j, m]
+    """Inverse of a symmetric positive matrix (k, k); NaN where an unknown is open."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    scales = np.outer(scale, scale)
+    inverse = matrix * scales
+    # Gauss-Jordan: the pivots of a positive matrix need no order
+    for j in range(len(scale)):
+        pivot = inverse[j, j]
         if not pivot > MIN_PIVOT:
-            return np.full((k, k), np.nan)
-        lower[j, j] = np.sqrt(pivot)
-        for i in range(j + 1, k):
-            value = matrix[i, j] * scale[i] * scale[j]
-            for m in range(j):
-                value -= lower[i, m] * lower[j, m]
-            lower[i, j] = value / lower[j, j]
-    # the inverse of the triangle, in its place
-    for j in range(k):
-        lower[j, j] = 1.0 / lower[j, j]
-        for i in range(j + 1, k):
-            value = 0.0
-            for m in range(j, i):
-                value -= lower[i, m] * lower[m, j]
-            lower[i, j] = value / lower[i, i]
-    inverse = np.empty((k, k))
-    for i in range(k):
-        for j in range(i, k):
-            value = 0.0
-            for m in range(j, k):
-                value += lower[m, i] * lower[m, j]
-            inverse[i, j] = inverse[j, i] = value * scale[i] * scale[j]
-    return inverse
+            return np.full(matrix.shape, np.nan)
+        inverse[j, j] = 1.0
+        inverse[j] /= pivot
+        for i in range(len(scale)):
+            if i != j:
+                factor = inverse[i, j]
+                inverse[i, j] = 0.0
+                inverse[i] -= factor * inverse[j]
+    return 0.5 * (inverse + inverse.T) * scales
 
 
 @kernel

@@ -19,12 +19,15 @@ from optnav_cli.estimation.models.points import (
     predict,
 )
 from optnav_cli.estimation.robust import consensus, gated, rescaled
+from optnav_cli.reasons import Reason, ReasonCode
 
 ITERATION = Iteration(
     max_steps=30,
     settled_sigmas=1e-4,
-    undetermined="the control points do not fix all unknowns (degenerate geometry)",
-    unsettled="the position did not settle in 30 iterations",
+    undetermined=Reason(
+        ReasonCode.DEGENERATE, "the control points do not fix all unknowns (degenerate geometry)"
+    ),
+    unsettled=Reason(ReasonCode.NOT_SETTLED, "the position did not settle in 30 iterations"),
     each_unknown=True,
     damped=True,
 )
@@ -82,7 +85,8 @@ def resect(
     count = 2 * len(sightings) + (3 if attitude_sigma_rad else 0)
     if count < unknowns or len(sightings) < 2:
         raise NoSolutionError(
-            f"{len(sightings)} control points are too few for {unknowns} unknowns"
+            f"{len(sightings)} control points are too few for {unknowns} unknowns",
+            ReasonCode.FEW_POINTS,
         )
     models: list[Model[Pose]] = [PointsModel(camera, sightings, unknowns)]
     if attitude_sigma_rad:
@@ -113,7 +117,9 @@ def resect_robustly(
     """
     fewest = 2 if attitude_sigma_rad is not None else 3
     if len(sightings) < fewest:
-        raise NoSolutionError(f"{len(sightings)} matched control points; {fewest} are needed")
+        raise NoSolutionError(
+            f"{len(sightings)} matched control points; {fewest} are needed", ReasonCode.FEW_POINTS
+        )
     gate = float(chi2.ppf(gate_probability, 2))
     squares_of = PointsModel(camera, sightings, 6).squares
     sigma = attitude_sigma_rad
@@ -128,7 +134,9 @@ def resect_robustly(
         gate,
     )
     if agreeing.sum() < fewest:
-        raise NoSolutionError(f"no {fewest} matches agree on a position")
+        raise NoSolutionError(
+            f"no {fewest} matches agree on a position", ReasonCode.POINTS_DISAGREE
+        )
     found, used, factor = gated(
         agreeing,
         fewest,

@@ -15,6 +15,7 @@ from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
 from optnav_cli.estimation.least_squares import Estimate, inverse_of
+from optnav_cli.reasons import ReasonCode
 
 TUKEY = 4.685  # 95 % efficient for normal errors
 MAD_TO_SIGMA = 1.4826
@@ -110,7 +111,7 @@ def gated(
     """
     for _ in range(MAX_GATE_ROUNDS):
         if used.sum() < fewest:
-            raise NoSolutionError("the matches contradict each other")
+            raise NoSolutionError("the matches contradict each other", ReasonCode.POINTS_DISAGREE)
         estimate = solve(used)
         squares = squares_of(estimate.state)
         factor = variance_factor(squares[used], estimate.degrees_of_freedom)

@@ -6,7 +6,7 @@ Lengths are written to 0.1 mm, quaternions to 15 decimals; what is unknown is an
 import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,10 +15,11 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
+from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
 from optnav_cli.frames.csv_table import number, numbers
 from optnav_cli.frames.frames import QUATERNION
 from optnav_cli.frames.run_settings import FileAttitude
-from optnav_cli.solution import MatchRow, Solution, Status
+from optnav_cli.reasons import Reason, ReasonCode
 
 Row = dict[str, str]
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -28,13 +29,13 @@ SOLUTION_COLUMNS = (
     *(f"cov_{name}_m2" for name in COVARIANCE),
     *("qw", "qx", "qy", "qz", "attitude_sigma_arcsec", "lat_deg", "lon_deg", "height_m"),
     *("n_predicted", "n_matched", "n_used", "residual_rms_px"),
-    *("prior", "n_limb", "arc_deg", "reason"),
+    *("prior", "n_limb", "arc_deg", "reason", "reason_code"),
 )
 MATCH_COLUMNS = (
     *("file", "catalog", "id", "level", "lat_deg", "lon_deg", "radius_m"),
     *("predicted_x_px", "predicted_y_px", "measured_x_px", "measured_y_px"),
     *("score", "runner_up", "sun_elevation_deg", "residual_x_px", "residual_y_px"),
-    *("used", "reason"),
+    *("used", "reason", "reason_code"),
 )
 
 
@@ -123,6 +124,7 @@ def _solution_row(solution: Solution, attitude: FileAttitude) -> Row:
     row = dict.fromkeys(SOLUTION_COLUMNS, "")
     row.update(file=solution.file, utc=solution.utc, status=solution.status)
     row.update(method=solution.method, reason=solution.reason, prior=solution.prior)
+    row["reason_code"] = solution.reason_code
     if solution.position_m is not None:
         lat, lon, radius = latlon_from_xyz(solution.position_m)
         row.update(zip(("x_m", "y_m", "z_m"), _all(solution.position_m, 4), strict=True))
@@ -152,28 +154,49 @@ def _solution(row: Row, where: str, attitude: FileAttitude) -> Solution:
     upper = _vector(row, [f"cov_{name}_m2" for name in COVARIANCE], where)
     written = _quaternion(row, where)
     sigma = optional_number(row, "attitude_sigma_arcsec", where)
-    if row["status"] == "solved" and (position is None or upper is None):
-        raise DataError(
-            f"{where}: a solved frame without position or covariance; run navigate again"
-        )
-    return Solution(
-        file=row["file"],
-        utc=row["utc"],
-        status=cast(Status, row["status"]),
-        method=row["method"],
-        position_m=position,
-        covariance_m2=None if upper is None else _covariance(upper, where),
-        camera_from_body=None if written is None else attitude.read(written, row["utc"]),
-        attitude_sigma_rad=None if sigma is None else sigma * ARCSEC,
+    reason = Reason(_reason_code(row, where), row["reason"])
+    evidence = Evidence(
         n_predicted=_count(row, "n_predicted", where),
         n_matched=_count(row, "n_matched", where),
         n_used=_count(row, "n_used", where),
         residual_rms_px=optional_number(row, "residual_rms_px", where),
-        reason=row["reason"],
-        prior=row["prior"],
         n_limb=_count(row, "n_limb", where),
         arc_deg=optional_number(row, "arc_deg", where),
     )
+    method = _method(row, where)
+    outcome: Fix | NoFix = NoFix(reason, method, evidence)
+    if row["status"] == "solved":
+        if position is None or upper is None or method is None:
+            raise DataError(
+                f"{where}: a solved frame without method, position or covariance; "
+                "run navigate again"
+            )
+        outcome = Fix(
+            method,
+            position,
+            _covariance(upper, where),
+            None if written is None else attitude.read(written, row["utc"]),
+            None if sigma is None else sigma * ARCSEC,
+            evidence,
+            reason,
+        )
+    return Solution(row["file"], row["utc"], outcome, row["prior"])
+
+
+def _method(row: Row, where: str) -> Method | None:
+    try:
+        return Method(row["method"]) if row["method"] else None
+    except ValueError as error:
+        raise DataError(
+            f"{where}: method is '{row['method']}'; wanted {', '.join(Method)}"
+        ) from error
+
+
+def _reason_code(row: Row, where: str) -> ReasonCode:
+    try:
+        return ReasonCode(row["reason_code"])
+    except ValueError as error:
+        raise DataError(f"{where}: '{row['reason_code']}' is no reason code") from error
 
 
 def _covariance(upper: FloatArray, where: str) -> FloatArray:
@@ -190,6 +213,7 @@ def _match_row(match: MatchRow) -> Row:
     row = dict.fromkeys(MATCH_COLUMNS, "")
     row.update(file=match.file, catalog=match.catalog)
     row.update(id=str(match.cp_id), level=str(match.level), reason=match.reason)
+    row["reason_code"] = match.reason_code
     row["lat_deg"], row["lon_deg"] = _latlon_deg(float(lat), float(lon))
     row["radius_m"] = fixed(float(radius), 4)
     pairs = (
@@ -230,6 +254,7 @@ def _match(row: Row, where: str) -> MatchRow:
         sun_elevation_deg=optional_number(row, "sun_elevation_deg", where),
         residual_px=_pixel(row, "residual", where),
         catalog=row["catalog"],
+        reason_code=_reason_code(row, where),
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
-from optnav_cli.navigation import outline
+from optnav_cli.navigation.outline import method as outline
 from optnav_cli.studies.disc_scene import GROUNDS, Disc, DiscScene, Shape
 
 SEED = 77031

@@ -7,7 +7,7 @@ from catalog.terrain.relief.sums import load_relief
 from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.estimation.models.limb import fit_limb
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation.outline import navigate
+from optnav_cli.navigation.outline.method import navigate
 from tests.bench.timing import best, one_core, sized, within
 from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.navigation.horizon.limbs import CAMERA, MOON, attitude, place

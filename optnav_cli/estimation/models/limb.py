@@ -26,10 +26,13 @@ from optnav_cli.estimation.least_squares import (
     solve,
 )
 from optnav_cli.estimation.robust import tukey
+from optnav_cli.reasons import Reason, ReasonCode
 
 MIN_LIMB_POINTS = 4  # three unknowns, one equation a point, and one left to see an error by
 MIN_DETERMINANT = 1e-14  # of the linear fit's normal matrix, over its diagonal's product
-_UNSETTLED = "the fit of the limb does not settle on a position outside the body"
+_UNSETTLED = Reason(
+    ReasonCode.NOT_SETTLED, "the fit of the limb does not settle on a position outside the body"
+)
 ITERATION = Iteration(20, 1e-3, undetermined=_UNSETTLED, unsettled=_UNSETTLED)
 
 
@@ -56,14 +59,14 @@ class LimbModel:
         """Position (3,) by e . s = 1. Raises NoSolutionError for what is no cone about a body."""
         start = _linear(self._stretched, self._stated, self._radii)
         if not np.isfinite(start[0]):
-            raise NoSolutionError("the limb points do not lie on a cone about the body")
+            raise NoSolutionError(
+                "the limb points do not lie on a cone about the body", ReasonCode.LIMB_MISFIT
+            )
         return start
 
     def linearise(self, state: FloatArray) -> Linearisation:
         """The angles from a position (3,). Raises NoSolutionError for one inside the body."""
-        n = len(self._stated)
-        rows, residuals, weights = np.empty((n, 3)), np.empty(n), np.empty(n)
-        normal, gradient, cost = _equations(
+        found = _equations(
             self._stretched,
             self._lengths,
             self._stated,
@@ -71,13 +74,10 @@ class LimbModel:
             self._sizes,
             state,
             self._cut,
-            rows,
-            residuals,
-            weights,
         )
-        if not cost < np.inf:
-            raise NoSolutionError(_UNSETTLED)
-        return Linearisation(normal, gradient, cost, residuals, rows, weights)
+        if not found[2] < np.inf:
+            raise _UNSETTLED.error()
+        return Linearisation(*found)
 
 
 def linear_position(directions: ArrayLike, radii_m: ArrayLike) -> FloatArray:
@@ -126,7 +126,9 @@ def _checked(directions: ArrayLike, radii_m: ArrayLike) -> tuple[FloatArray, Flo
     if rays.ndim != 2 or rays.shape[1] != 3:
         raise ValueError(f"expected directions (n, 3), got {rays.shape}")
     if len(rays) < MIN_LIMB_POINTS:
-        raise NoSolutionError(f"{len(rays)} limb points; {MIN_LIMB_POINTS} are needed")
+        raise NoSolutionError(
+            f"{len(rays)} limb points; {MIN_LIMB_POINTS} are needed", ReasonCode.NOISY_LIMB
+        )
     return rays, np.ascontiguousarray(radii_m, dtype=np.float64)
 
 
@@ -206,22 +208,25 @@ def _residual(
 
 @kernel
 def _equations(
-    stretched: FloatArray, lengths: FloatArray, stated: FloatArray, radii: FloatArray,
-    sizes: FloatArray, position: FloatArray, cut: float,
-    rows: FloatArray, residuals: FloatArray, weights: FloatArray,
-) -> tuple[FloatArray, FloatArray, float]:  # fmt: skip
-    """Normal matrix, right side and cost at a position, infinite inside the body.
-
-    Writes the Jacobian (n, 3), residuals (n,) and weights (n,).
-    """
+    stretched: FloatArray,
+    lengths: FloatArray,
+    stated: FloatArray,
+    radii: FloatArray,
+    sizes: FloatArray,
+    position: FloatArray,
+    cut: float,
+) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray, FloatArray]:
+    """The fields of `Linearisation` at a position; the cost is infinite inside the body."""
+    n = len(stated)
+    rows, residuals, weights = np.empty((n, 3)), np.empty(n), np.empty(n)
     normal, gradient, cost = np.zeros((3, 3)), np.zeros(3), 0.0
     scale, row = 1.0 / radii, np.empty(3)
     p = position * scale
     distance = np.sqrt((p * p).sum())
     if not distance > sizes.max():
-        return normal, gradient, np.inf
+        return normal, gradient, np.inf, residuals, rows, weights
     p /= distance
-    for i in range(len(stated)):
+    for i in range(n):
         r = _residual(stretched[i], lengths[i], sizes[i], p, distance, scale, row)
         weight = stated[i] * tukey(r / cut)
         residuals[i], weights[i] = r, weight
@@ -232,4 +237,4 @@ def _equations(
             gradient[k] += scaled * r
             for m in range(k, 3):
                 normal[k, m] += scaled * row[m]
-    return mirrored(normal), gradient, cost
+    return mirrored(normal), gradient, cost, residuals, rows, weights

@@ -16,6 +16,7 @@ from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
 from optnav_cli.estimation.least_squares import Linearisation, linearised
+from optnav_cli.reasons import ReasonCode
 
 
 class ProjectingCamera(Protocol):
@@ -92,7 +93,10 @@ class PointsModel:
         pixels, jacobian = predict(self._camera, state, self._sightings.points_body_m)
         residuals = self._sightings.pixels - pixels
         if not np.isfinite(residuals).all():
-            raise NoSolutionError("a control point left the camera's view during the iteration")
+            raise NoSolutionError(
+                "a control point left the camera's view during the iteration",
+                ReasonCode.NOT_SETTLED,
+            )
         return linearised(residuals, jacobian[:, :, : self._unknowns], self._information)
 
     def squares(self, pose: Pose) -> FloatArray:

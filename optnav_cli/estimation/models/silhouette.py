@@ -20,10 +20,18 @@ from optnav_cli.estimation.least_squares import (
 )
 from optnav_cli.estimation.models.limb import MIN_LIMB_POINTS
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 ROUNDS = 6  # of weights and solution; later ones change a thousandth of a sigma
 # Of weights that are given: the step that they make is the only one.
-ONE_STEP = Iteration(1, np.inf, "the limb points leave a direction of the position open", "")
+ONE_STEP = Iteration(
+    1,
+    np.inf,
+    undetermined=Reason(
+        ReasonCode.DEGENERATE, "the limb points leave a direction of the position open"
+    ),
+    unsettled=NO_REASON,
+)
 
 
 class SilhouetteModel:
@@ -65,7 +73,9 @@ def silhouette_step(
     points or points that leave a direction open.
     """
     if len(offsets) < MIN_LIMB_POINTS:
-        raise NoSolutionError(f"{len(offsets)} limb points; {MIN_LIMB_POINTS} are needed")
+        raise NoSolutionError(
+            f"{len(offsets)} limb points; {MIN_LIMB_POINTS} are needed", ReasonCode.NOISY_LIMB
+        )
     stated = 1.0 / (sigmas * sigmas)
     # begun by the absolute values' minimum, which a third of outliers does not carry away
     weights = stated

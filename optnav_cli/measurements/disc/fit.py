@@ -19,6 +19,7 @@ from optnav_cli.measurements.limb.cone import Cone, stretched_rays
 from optnav_cli.measurements.limb.edge_fit import EdgeShape, Profiles, locate_edges
 from optnav_cli.measurements.limb.photometry import three_laws
 from optnav_cli.measurements.segmentation import Levels, measure_levels
+from optnav_cli.reasons import Reason, ReasonCode
 
 MAX_RADIUS_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
 FINE = 4  # sub-pixels a side
@@ -32,9 +33,10 @@ BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.3  # where it is not calibrated
 MIXTURE_SIGMA = 0.1  # of the shares of the second and the third law
 STEPS = np.array([0.03, 0.03, 0.03, 0.03, 0.05, 0.05])  # x, y, radius, blur: px; the two shares
 MAX_MOVE = np.array([1.0, 1.0, 1.0, 0.3, 0.2, 0.2])
-_OTHER_LIGHT = (
+_OTHER_LIGHT = Reason(
+    ReasonCode.WRONG_LIGHT,
     "the disc's light is not that of a sphere under the Sun of attitude and time: one of these "
-    "is wrong, or it is another body"
+    "is wrong, or it is another body",
 )
 ITERATION = Iteration(15, 0.1, _OTHER_LIGHT, _OTHER_LIGHT, each_unknown=True)
 
@@ -156,7 +158,7 @@ class DiscModel:
     def linearise(self, state: FloatArray) -> Linearisation:
         """The pixels at a state (6,). Raises NoSolutionError where there is no disc to draw."""
         if not (np.isfinite(state).all() and state[2] > 1.0):
-            raise NoSolutionError(_OTHER_LIGHT)
+            raise _OTHER_LIGHT.error()
         model = self._drawn(state)
         brightness = float(model @ self._seen) / max(float(model @ model), 1e-30)
         light = np.maximum(brightness * model, 0.0)
@@ -197,7 +199,7 @@ def fit_disc(
     size = np.full(2, 2 * reach + 1)
     height, width = picture.shape
     if (corner < 0).any() or (corner + size > (width, height)).any():
-        raise NoSolutionError("the frame cuts the disc or its surroundings")
+        raise NoSolutionError("the frame cuts the disc or its surroundings", ReasonCode.CUT_DISC)
     part = picture[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]]
     values = part.astype(np.float64)
     levels = measure_levels(picture)

@@ -18,6 +18,7 @@ from optnav_cli.measurements.limb.candidates import BORDER_PX, Candidates, outwa
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, distances, stretched_rays
 from optnav_cli.measurements.limb.photometry import blurred_powers, laws_across_limb, power_table
 from optnav_cli.measurements.segmentation import Levels
+from optnav_cli.reasons import ReasonCode
 
 # Profiles reach this far to the dark and to the bright side of the crossing, px along the scan,
 # and so deep inside, px and in radii of the limb's bend: further in the ground's pattern rules.
@@ -102,23 +103,21 @@ def _fit(
     depth: FloatArray,
     start: FloatArray,
     law: FloatArray,
-    blur: float,
     table: FloatArray,
-    sky: float,
-    variance: float,
-    gain: float,
-    saturation: float,
+    common: FloatArray,
     state: FloatArray,
-    result: FloatArray,
-    residual: FloatArray,
-) -> None:
+) -> tuple[FloatArray, FloatArray]:
     """Level, brightness and depth of each edge by Gauss-Newton.
 
+    common  blur, sky, variance, gain and saturation of the picture
     state (n, 3): level, brightness, depth; where to start, and the answer
-    result (n, 3): variance of the depth, chi-square, freedom; NaN where it fails
-    residual (n, m): normalised; 0 where a pixel is not used
+
+    Returns (n, 3): variance of the depth, chi-square, freedom, NaN where it fails; and the
+    normalised residuals (n, m), 0 where a pixel is not used.
     """
+    blur, sky, variance, gain, saturation = common
     n, m = values.shape
+    result, residual = np.empty((n, 3)), np.zeros((n, m))
     out = np.empty((2, law.shape[1]))
     prior = 1.0 / (SKY_PRIOR_SIGMAS * SKY_PRIOR_SIGMAS * variance)
     for i in range(n):
@@ -179,6 +178,7 @@ def _fit(
             continue
         state[i, 0], state[i, 1], state[i, 2] = level, bright, place
         result[i, 0], result[i, 1], result[i, 2] = spread_place, total, used - 3
+    return result, residual
 
 
 class _Fitter:
@@ -190,29 +190,22 @@ class _Fitter:
         bright = np.nanmax(np.where(np.isnan(profiles.depth), np.nan, profiles.values), axis=1)
         self.state = np.stack([np.full(n, sky), np.maximum(bright - sky, 1.0), profiles.start], 1)
         self.result = np.empty((n, 3))
-        self.residual = np.zeros(profiles.values.shape)
 
     def run(self, shape: EdgeShape) -> FloatArray:
         """Normalised residuals (n, m) after fitting every profile with a common shape."""
         second, third = shape.mixture
         laws = self.profiles.laws
         law = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
-        _fit(
+        self.result, residual = _fit(
             self.profiles.values,
             self.profiles.depth,
             self.profiles.start,
             law,
-            shape.blur_px,
             power_table(),
-            self.sky,
-            shape.variance,
-            shape.gain,
-            self.saturation,
+            np.array([shape.blur_px, self.sky, shape.variance, shape.gain, self.saturation]),
             self.state,
-            self.result,
-            self.residual,
         )
-        return self.residual
+        return residual
 
     def placed(self) -> int:
         """How many profiles have an edge under the last shape."""
@@ -261,7 +254,9 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
     at_best = residuals(best)
     least_placed = MIN_KEPT_SHARE * fitter.placed()
     if least_placed == 0.0:
-        raise NoSolutionError("no limb point has an edge that stands out of the noise")
+        raise NoSolutionError(
+            "no limb point has an edge that stands out of the noise", ReasonCode.NOISY_LIMB
+        )
     for _ in range(SHAPE_TURNS):
         columns = [residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
         jacobian = np.stack(columns, axis=1) / SHAPE_STEPS

@@ -3,8 +3,6 @@
 The ellipsoid comes first; where the body's relief or shape is known, then its own skyline.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -17,6 +15,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.consider import considered
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.estimation.models.limb import fit_limb
+from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.measurements.limb.detection import LimbPoints
 from optnav_cli.navigation.horizon.limb_rays import (
     LimbRays,
@@ -30,33 +29,10 @@ from optnav_cli.navigation.horizon.limb_rays import (
 from optnav_cli.navigation.horizon.relief_skyline import MAX_MISFIT, relief_skyline
 from optnav_cli.navigation.horizon.shape_skyline import is_shape, shape_skyline
 from optnav_cli.navigation.horizon.skyline import Followed, Skyline, follow, with_limb_errors
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
 INVERSE_MISFIT_SHARE = 0.6  # of the misfit: below it the inverse rotation is the better one
-
-
-@dataclass(frozen=True, eq=False)
-class HorizonFix:
-    """A camera position from limb points.
-
-    position_m       (3,)   body frame
-    covariance_m2    (3, 3)
-    arc_deg          azimuth about the nadir that the used points cover
-    residual_rms_px  across the limb, of the used points
-    residuals_px     (n_points,) of each, positive away from the body; NaN of those left out
-    n_used           kept: lit by the relief, and not outvoted
-    terrain          whether the relief's skyline was the model, or the bare ellipsoid
-    remark           what a reader should know; empty when nothing
-    """
-
-    position_m: FloatArray
-    covariance_m2: FloatArray
-    arc_deg: float
-    residual_rms_px: float
-    residuals_px: FloatArray
-    n_used: int
-    terrain: bool
-    remark: str
 
 
 def navigate(
@@ -67,7 +43,7 @@ def navigate(
     sun_body: ArrayLike | None,
     body: Body,
     relief: GlobalRelief | None = None,
-) -> HorizonFix:
+) -> Fix:
     """The camera's position from the lit limb in one picture.
 
     attitude_sigma_rad  of each axis of camera_from_body
@@ -94,8 +70,11 @@ def navigate(
             if is_shape(relief) or last.fit.misfit <= MAX_MISFIT:
                 raise
             inverse = limb_rays_of(points, camera, camera_from_body.inv())
+            if not _fits_better(inverse, skyline, last, body):
+                raise
             raise NoSolutionError(
-                f"{error}{_inverse_rotation_remark(inverse, skyline, last, body)}"
+                f"{error}; it fits the inverse rotation: is the quaternion body_from_camera?",
+                ReasonCode.WRONG_ATTITUDE,
             ) from None
         fit, rays, azimuths = last.fit.estimate, last.fit.rays, last.fit.azimuths
         position, covariance = with_limb_errors(skyline, last.fit)
@@ -104,15 +83,20 @@ def navigate(
     in_pixels = fit.measured.residuals[used] / rays.pixel_angle[used]
     residuals = np.full(len(points), np.nan)
     residuals[rays.numbers[used]] = in_pixels
-    return HorizonFix(
-        position_m=position,
-        covariance_m2=covariance + attitude_covariance(position, attitude_sigma_rad),
-        arc_deg=arc,
-        residual_rms_px=float(np.sqrt(np.mean(in_pixels**2))),
-        residuals_px=residuals,
-        n_used=int(used.sum()),
-        terrain=relief is not None,
-        remark=f"short arc of limb, {arc:.0f} deg" if arc < SHORT_ARC_DEG else "",
+    short = Reason(ReasonCode.SHORT_ARC, f"short arc of limb, {arc:.0f} deg")
+    return Fix(
+        Method.HORIZON_SPHERE if relief is None else Method.HORIZON,
+        position,
+        covariance + attitude_covariance(position, attitude_sigma_rad),
+        camera_from_body,
+        attitude_sigma_rad,
+        Evidence(
+            residual_rms_px=float(np.sqrt(np.mean(in_pixels**2))),
+            n_limb=int(used.sum()),
+            arc_deg=arc,
+            outline=OutlineMarks(points.pixels, points.inward, residuals),
+        ),
+        short if arc < SHORT_ARC_DEG else NO_REASON,
     )
 
 
@@ -138,18 +122,13 @@ def _on_ellipsoid(
     return position, fit.noise + relief + considered(fit.measured.gain(fit.noise), errors)
 
 
-def _inverse_rotation_remark(rays: LimbRays, skyline: Skyline, last: Followed, body: Body) -> str:
-    """Words for a limb that fits the skyline under the inverse rotation, else none.
-
-    rays  of that rotation
-    """
+def _fits_better(inverse: LimbRays, skyline: Skyline, last: Followed, body: Body) -> bool:
+    """Whether rays by the inverse rotation fit a skyline, where those of the stated one do not."""
     try:
-        start = fit_limb(rays.rays, rays.own_sigmas(), body.radii_m).state
+        start = fit_limb(inverse.rays, inverse.own_sigmas(), body.radii_m).state
         # the Sun was turned into the picture by the same attitude: what is lit is not known
-        inverse = follow(skyline, rays, start, None)
-        skyline.check(inverse)
+        found = follow(skyline, inverse, start, None)
+        skyline.check(found)
     except NoSolutionError:
-        return ""
-    if inverse.fit.misfit > INVERSE_MISFIT_SHARE * last.fit.misfit:
-        return ""
-    return "; it fits the inverse rotation: is the quaternion body_from_camera?"
+        return False
+    return found.fit.misfit <= INVERSE_MISFIT_SHARE * last.fit.misfit

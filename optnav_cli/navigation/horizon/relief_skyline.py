@@ -20,6 +20,7 @@ from optnav_cli.estimation.models.limb import fit_limb
 from optnav_cli.estimation.robust import TUKEY, scatter
 from optnav_cli.navigation.horizon.limb_rays import LimbRays
 from optnav_cli.navigation.horizon.skyline import Followed, SkylineFit, usable_rays
+from optnav_cli.reasons import ReasonCode
 
 # Skylines of cells' means lie low, of their tops high. What meets the ground of 32 cells a degree
 # with seeded relief below, from 50 to 20 000 km: 0.8 of the way from means to tops at 16 cells a
@@ -104,12 +105,14 @@ class ReliefSkyline:
             raise NoSolutionError(
                 f"the limb is not the skyline of {self._body_name}'s relief: it scatters by "
                 f"{last.fit.misfit:.1f} times what is expected; check attitude, time, camera and "
-                "body"
+                "body",
+                ReasonCode.LIMB_MISFIT,
             )
         if not last.settled:
             raise NoSolutionError(
                 f"the position still moves by {last.moved_m:.0f} m after {last.passes} passes over "
-                "the relief"
+                "the relief",
+                ReasonCode.NOT_SETTLED,
             )
 
     def _distance(self, position: FloatArray) -> float:

@@ -26,6 +26,7 @@ from optnav_cli.estimation.robust import scatter
 from optnav_cli.measurements.limb.detection import RELIEF
 from optnav_cli.navigation.horizon.limb_rays import LimbRays
 from optnav_cli.navigation.horizon.skyline import Followed, SkylineFit, usable_rays
+from optnav_cli.reasons import ReasonCode
 
 SHAPE_SHARE = 0.05  # of the radius, highest to lowest: the Moon has 0.011, Phobos 0.5
 # Round ground with 19 m rms of relief (hills and craters) below the 319 m of the 2 deg model of
@@ -94,7 +95,9 @@ class ShapeSkyline:
             position, line.offsets[usable], line.rates[usable], sigmas, azimuths, least_cut
         )
         if float(np.linalg.norm(fit.state)) <= self.limb.radius_m:
-            raise NoSolutionError("the limb leads to a position inside the body")
+            raise NoSolutionError(
+                "the limb leads to a position inside the body", ReasonCode.INSIDE_BODY
+            )
         return SkylineFit(
             fit,
             kept,
@@ -113,20 +116,23 @@ class ShapeSkyline:
         if not last.settled:
             raise NoSolutionError(
                 f"the position still moves by {last.moved_m:.0f} m after {last.passes} passes over "
-                "the shape"
+                "the shape",
+                ReasonCode.NOT_SETTLED,
             )
         share = float(last.fit.estimate.used.mean())
         if share < MIN_KEPT_SHARE:
             raise NoSolutionError(
                 f"only {100.0 * share:.0f} % of the lit limb lie on the silhouette of the shape; "
                 "check attitude, time, camera and body, or the shape has parts that hide behind "
-                "each other"
+                "each other",
+                ReasonCode.LIMB_MISFIT,
             )
         if last.fit.misfit > MAX_MISFIT:
             raise NoSolutionError(
                 f"the limb is not the silhouette of the shape: it scatters by "
                 f"{last.fit.misfit:.1f} times what is expected; check attitude, time, camera and "
-                "body"
+                "body",
+                ReasonCode.LIMB_MISFIT,
             )
 
     def silhouette(

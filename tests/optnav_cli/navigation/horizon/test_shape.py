@@ -204,7 +204,7 @@ def test_rough_shapes_are_fixed_to_metres_and_say_so():
         points = lit_points(truth, position, sun, camera_from_body)
         fix = navigate(points, CAMERA, camera_from_body, 0.0, sun, PHOBOS, relief)
         bare = navigate(points, CAMERA, camera_from_body, 0.0, sun, PHOBOS)
-        assert (fix.terrain, bare.terrain) == (True, False)
+        assert (fix.method, bare.method) == ("horizon", "horizon_sphere")
         both = split(fix.position_m - position, position)
         along.append(both[0])
         across.append(both[1])
@@ -263,5 +263,5 @@ def test_the_moon_keeps_its_own_way():
     turned = Rotation.from_matrix(np.stack([axes[0], -axes[1], -axes[2]]))
     fix = navigate(limb_points(position, turned), preset_camera("shnk"), turned, 0.0, None,
                    load_body("moon"), grounds()[1])  # fmt: skip
-    assert fix.terrain
+    assert fix.method == "horizon"
     assert np.linalg.norm(fix.position_m - position) < 500.0
