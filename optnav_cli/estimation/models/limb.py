@@ -143,9 +143,10 @@ def _stretch(rays: FloatArray, radii: FloatArray) -> tuple[FloatArray, FloatArra
     for i in range(rays.shape[0]):
         x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
         a, b, c = x * p, y * q, z * r
-        length = np.sqrt(a * a + b * b + c * c)
-        out[i, 0], out[i, 1], out[i, 2] = a / length, b / length, c / length
-        lengths[i] = length / np.sqrt(x * x + y * y + z * z)
+        square = a * a + b * b + c * c
+        unit = 1.0 / np.sqrt(square)
+        out[i, 0], out[i, 1], out[i, 2] = a * unit, b * unit, c * unit
+        lengths[i] = np.sqrt(square / (x * x + y * y + z * z))
     return out, lengths
 
 
@@ -172,41 +173,6 @@ def _linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> Fl
 
 
 @kernel
-def _residual(
-    ray: FloatArray,
-    length: float,
-    size: float,
-    u: FloatArray,
-    distance: float,
-    scale: FloatArray,
-    row: FloatArray,
-) -> float:
-    """Angle of a ray beyond the tangent cone, rad; less its rate by the position goes to `row`.
-
-    ray (3,) unit and `length` from `_stretch`;  size of the body at this ray, in semi-axes
-    u (3,) unit, `distance`: the position in the stretched frame;  scale (3,) inverse semi-axes
-    """
-    a, b, c = ray[0], ray[1], ray[2]
-    cos_a = -(a * u[0] + b * u[1] + c * u[2])
-    # across the line to the centre: of length sin a
-    p, q, r = a + cos_a * u[0], b + cos_a * u[1], c + cos_a * u[2]
-    sin_a = np.sqrt(p * p + q * q + r * r) + 1e-30
-    sin_x = size / distance
-    cos_x = np.sqrt(max(1.0 - sin_x * sin_x, 1e-30))
-    sine = sin_a * cos_x - cos_a * sin_x
-    # how fast that angle in the stretched frame changes with the true one, as the ray turns
-    gx, gy = (u[0] + cos_a * a) * scale[0], (u[1] + cos_a * b) * scale[1]
-    gz = (u[2] + cos_a * c) * scale[2]
-    rate = np.sqrt(gx * gx + gy * gy + gz * gz) / (length * sin_a) + 1e-30
-    f, g = 1.0 / (sin_a * distance * rate), sin_x / (cos_x * distance * rate)
-    row[0] = -(p * f + u[0] * g) * scale[0]
-    row[1] = -(q * f + u[1] * g) * scale[1]
-    row[2] = -(r * f + u[2] * g) * scale[2]
-    answer: float = sine / rate
-    return answer
-
-
-@kernel
 def _equations(
     stretched: FloatArray,
     lengths: FloatArray,
@@ -220,21 +186,41 @@ def _equations(
     n = len(stated)
     rows, residuals, weights = np.empty((n, 3)), np.empty(n), np.empty(n)
     normal, gradient, cost = np.zeros((3, 3)), np.zeros(3), 0.0
-    scale, row = 1.0 / radii, np.empty(3)
-    p = position * scale
+    p = position / radii
     distance = np.sqrt((p * p).sum())
     if not distance > sizes.max():
         return normal, gradient, np.inf, residuals, rows, weights
-    p /= distance
+    ux, uy, uz = p / distance
+    sx, sy, sz = 1.0 / radii
+    nearness, sharpness = 1.0 / distance, 1.0 / cut
+    n00, n01, n02, n11, n12, n22, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    # few divisions, for these and the roots take the time
     for i in range(n):
-        r = _residual(stretched[i], lengths[i], sizes[i], p, distance, scale, row)
-        weight = stated[i] * tukey(r / cut)
-        residuals[i], weights[i] = r, weight
-        cost += weight * r * r
-        for k in range(3):
-            rows[i, k] = row[k]
-            scaled = weight * row[k]
-            gradient[k] += scaled * r
-            for m in range(k, 3):
-                normal[k, m] += scaled * row[m]
-    return mirrored(normal), gradient, cost, residuals, rows, weights
+        a, b, c = stretched[i, 0], stretched[i, 1], stretched[i, 2]
+        cos_a = -(a * ux + b * uy + c * uz)
+        # across the line to the centre: of length sin a
+        x, y, z = a + cos_a * ux, b + cos_a * uy, c + cos_a * uz
+        sin_a = np.sqrt(x * x + y * y + z * z)
+        sin_x = sizes[i] * nearness
+        cos_x = np.sqrt(max(1.0 - sin_x * sin_x, 1e-30))
+        # the angle in the stretched frame changes with the true one, as the ray turns, as fast as
+        # this gradient is long, over `lengths` and sin a
+        gx, gy, gz = (ux + cos_a * a) * sx, (uy + cos_a * b) * sy, (uz + cos_a * c) * sz
+        slowness = lengths[i] / (np.sqrt(gx * gx + gy * gy + gz * gz) + 1e-30)
+        f = -slowness * nearness
+        g = f * sin_a * sin_x / cos_x
+        j0, j1, j2 = (x * f + ux * g) * sx, (y * f + uy * g) * sy, (z * f + uz * g) * sz
+        r = (sin_a * cos_x - cos_a * sin_x) * sin_a * slowness
+        w = stated[i] * tukey(r * sharpness)
+        rows[i, 0], rows[i, 1], rows[i, 2] = j0, j1, j2
+        residuals[i], weights[i] = r, w
+        cost += w * r * r
+        w0, w1, w2 = w * j0, w * j1, w * j2
+        n00, n01, n02 = n00 + w0 * j0, n01 + w0 * j1, n02 + w0 * j2
+        n11, n12, n22 = n11 + w1 * j1, n12 + w1 * j2, n22 + w2 * j2
+        g0, g1, g2 = g0 + w0 * r, g1 + w1 * r, g2 + w2 * r
+    normal[0, 0], normal[0, 1], normal[0, 2] = n00, n01, n02
+    normal[1, 0], normal[1, 1], normal[1, 2] = n01, n11, n12
+    normal[2, 0], normal[2, 1], normal[2, 2] = n02, n12, n22
+    gradient[0], gradient[1], gradient[2] = g0, g1, g2
+    return normal, gradient, cost, residuals, rows, weights
