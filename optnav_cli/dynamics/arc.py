@@ -175,7 +175,7 @@ class OrbitArc:
                 # the chord's velocity is that of its middle; the pull since then turns it
                 away = last.position_m
                 pull = -(self._model.circular_speed(away) ** 2) * away / float(away @ away)
-                return np.asarray(chord + pull * gap / 2.0)
+                return chord + pull * gap / 2.0
         return np.zeros(3)
 
 

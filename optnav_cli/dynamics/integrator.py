@@ -85,4 +85,4 @@ class OrbitMotion:
             raise NoSolutionError(
                 f"the orbit cannot be followed for {since[-1]:.0f} s", ReasonCode.NO_SOLUTION
             )
-        return np.asarray(found.y)
+        return found.y

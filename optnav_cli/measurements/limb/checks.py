@@ -59,7 +59,7 @@ def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation:
 def azimuths(cone: Cone, rays: FloatArray) -> FloatArray:
     """Azimuth (n,) of unit rays about a cone's axis, rad."""
     u, v = _basis(cone.axis)
-    return np.asarray(np.arctan2(rays @ v, rays @ u))
+    return np.arctan2(rays @ v, rays @ u)
 
 
 def arc_deg(cone: Cone, rays: FloatArray, step_px: float, rad_per_px: float) -> float:

@@ -41,14 +41,15 @@ class Cone:
     def axis_camera(self) -> FloatArray:
         """Unit vector (3,) to the body's centre, camera frame."""
         axis = np.linalg.solve(self.stretch, self.axis)
-        return np.asarray(axis / np.linalg.norm(axis))
+        return axis / np.linalg.norm(axis)
 
     def depth(self, rays: FloatArray) -> FloatArray:
         """How far inside the cone unit rays (..., 3), stretched, lie, rad; negative in the sky."""
         # of unit vectors: the chord keeps small angles exact, and is quicker than the cross product
         x, y, z = np.moveaxis(rays - self.axis, -1, 0)
         chord = np.sqrt(x * x + y * y + z * z)
-        return np.asarray(self.angle - 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+        depth: FloatArray = self.angle - 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
+        return depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ def stretched_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> F
     if (stretch == np.eye(3)).all():
         return rays
     rays = rays @ stretch.T
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 def pixel_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> PixelRays:
@@ -204,7 +205,8 @@ def agreeing(cone: Cone, where: PixelRays, gradient: FloatArray, relief: float) 
     rad_per_px = slope / max(np.sin(cone.angle), 1e-12)
     limit = BASE_TOLERANCE_PX + relief * np.tan(cone.angle) / np.maximum(rad_per_px, 1e-12)
     cosine = (inward * gradient).sum(axis=1) / np.maximum(np.linalg.norm(gradient, axis=1), 1e-12)
-    return np.asarray((np.abs(distance) < limit) & (cosine > MIN_COSINE))
+    agrees: BoolArray = (np.abs(distance) < limit) & (cosine > MIN_COSINE)
+    return agrees
 
 
 def fit_cone(where: PixelRays, used: BoolArray, start: Cone) -> Cone | None:

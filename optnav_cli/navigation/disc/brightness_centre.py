@@ -133,4 +133,4 @@ def _tangent(
 def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
     """Change (3, 2) of the unit ray by the pixel."""
     steps = 0.5 * np.eye(2)
-    return np.asarray((camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T)
+    return (camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T

@@ -71,7 +71,7 @@ def navigate(
 
     def place(state: FloatArray) -> FloatArray:
         ray = camera.unproject(state[:2])
-        return np.asarray(-ray * body.radius_m / np.sin(state[2] * per_px))
+        return -ray * body.radius_m / np.sin(state[2] * per_px)
 
     state = np.append(fit.centre_px, fit.radius_px)
     steps = STEP_PX * np.eye(3)
