@@ -90,7 +90,7 @@ def run(
         config_path, work = config_path.absolute(), work.absolute()
     config = load_build_config(config_path)
     try:
-        body = load_body(config.body.name)
+        body = load_body(config.body.name, config_path.parent)
     except ConfigError as error:
         raise ConfigError(f"{config_path}: [body] name: {error}") from None
     workspace = Workspace(work)
