@@ -115,10 +115,8 @@ def _csv_type(value: object) -> str:
 
 def _write_csv(catalog: Catalog, path: Path) -> None:
     # the columns of an empty catalog are those of the point that it does not have
-    blank = ControlPoint(
-        0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, (0.0,) * catalog.meta.levels,
-        (0.0,) * SHADOW_AZIMUTHS, False,
-    )  # fmt: skip
+    lists = (0.0,) * catalog.meta.levels, (0.0,) * SHADOW_AZIMUTHS
+    blank = ControlPoint(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, *lists, usable=False)
     columns = point_properties(blank)
     places = {"lon_deg": "CoordX", "lat_deg": "CoordY"}
     types = ",".join(places.get(name, _csv_type(value)) for name, value in columns.items())

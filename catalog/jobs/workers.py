@@ -20,6 +20,7 @@ from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
+from catalog.cache import Cache
 from catalog.errors import WorkersError
 
 HELD = (signal.SIGINT, signal.SIGTERM)
@@ -320,13 +321,10 @@ def start_worker() -> None:
         threading.Thread(target=follow, daemon=True).start()
 
 
-_context: tuple[bytes, Any] = (b"", None)
+_contexts: Cache[bytes, Any] = Cache(1)
 
 
 def call_in_worker(blob: bytes, function: Callable[[Any, T], R], chunk: T) -> R:
     """Run a chunk with a pickled context, which is kept, with its open files, for the next."""
-    global _context
-    digest = hashlib.sha256(blob).digest()
-    if _context[0] != digest:
-        _context = (digest, pickle.loads(blob))
-    return function(_context[1], chunk)
+    context = _contexts.get(hashlib.sha256(blob).digest(), lambda: pickle.loads(blob))
+    return function(context, chunk)
