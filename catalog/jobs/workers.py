@@ -93,12 +93,11 @@ class SerialWorkers:
     def run(
         self, function: Callable[[Any, T], R], context: Any, chunks: Sequence[T]
     ) -> Iterator[tuple[int, R]]:
-        """See Workers."""
         for position, chunk in enumerate(chunks):
             yield position, function(context, chunk)
 
     def close(self) -> None:
-        """See Workers."""
+        pass
 
 
 class Pool(Protocol):
@@ -147,13 +146,12 @@ class ExecutorWorkers:
 
     @property
     def count(self) -> int:
-        """See Workers."""
         return self._pool.count
 
     def run(
         self, function: Callable[[Any, T], R], context: Any, chunks: Sequence[T]
     ) -> Iterator[tuple[int, R]]:
-        """See Workers. Raises OptnavError when workers die again and again."""
+        """Raise OptnavError when workers die again and again."""
         todo = list(range(len(chunks)))
         lost: Counter[int] = Counter()  # how often each piece took a worker with it
         packed = self._pool.pack(context)
@@ -216,7 +214,6 @@ class ExecutorWorkers:
                     pool.abandon()
 
     def close(self) -> None:
-        """See Workers."""
         self._pool.close()
 
 
@@ -248,11 +245,9 @@ class LocalPool:
         self._others: set[int | None] = set()  # child processes that are not this one's workers
 
     def pack(self, context: Any) -> bytes:
-        """See Pool."""
         return pickle.dumps(context)
 
     def executor(self) -> Executor:
-        """See Pool."""
         if self._executor is None:
             self._others = {child.pid for child in multiprocessing.active_children()}
             # spawned, not forked: a fork copies locks and threads of the numeric libraries
@@ -263,10 +258,9 @@ class LocalPool:
         return self._executor
 
     def look(self) -> None:
-        """See Pool. A dead process is told by its futures."""
+        """Do nothing: futures tell of a dead process."""
 
     def survive(self, loss: Exception, losses: int) -> None:
-        """See Pool."""
         if losses > DEATHS_WITHOUT_PROGRESS:
             raise WorkersError(
                 f"worker processes died {losses} times without finishing a piece of work "
@@ -274,7 +268,6 @@ class LocalPool:
             ) from None
 
     def abandon(self) -> None:
-        """See Pool."""
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
             self._executor = None
@@ -283,7 +276,6 @@ class LocalPool:
                 child.terminate()
 
     def close(self) -> None:
-        """See Pool."""
         if self._executor is not None:
             self._executor.shutdown()
             self._executor = None
