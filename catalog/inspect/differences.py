@@ -9,10 +9,9 @@ import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.control_point import Flag
-from catalog.errors import OutputError
+from catalog.files import replacing_file, starts_with
 from catalog.inspect.compare import CERTIFICATE, Comparison, Side
 from catalog.store.features import reasons_text
-from catalog.store.partial import replacing
 from catalog.store.records import Record
 
 SHOWN = 10  # lines a kind; the table (`difference_table`) has all
@@ -196,27 +195,20 @@ LISTS = ("uniqueness", "shadow_limit_deg")  # told by their largest difference
 def write_table(found: Comparison, path: Path) -> int:
     """Write every point that differs to a CSV file, in the order of ids; returns their number.
 
-    Raises OutputError for a
-    place that cannot be written or an existing file that is no such table.
+    Raises OutputError for a place that cannot be written or an existing file that is no such table.
     """
-    start = ",".join(FIRST_COLUMNS)
-
-    def ours(old: Path) -> bool:
-        with old.open("rb") as file:
-            return file.read(len(start)) == start.encode()
-
     rows = sorted(_rows(found), key=lambda row: int(str(row["id"])))
     names = [*FIRST_COLUMNS, "nodes_in_one_only"]
     for name in ("lat_deg", "lon_deg", "usable", "reasons", "source", *CERTIFICATE):
         names += [f"{name}_change"] if name in LISTS else [f"{name}_first", f"{name}_second"]
-    with replacing(path, ours) as partial:
-        try:
-            with partial.open("w", encoding="utf-8", newline="") as file:
-                table = csv.DictWriter(file, names, restval="", lineterminator="\n")
-                table.writeheader()
-                table.writerows(rows)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    ours = starts_with(",".join(FIRST_COLUMNS).encode())
+    with (
+        replacing_file(path, ours) as new,
+        new.open("w", encoding="utf-8", newline="") as file,
+    ):
+        table = csv.DictWriter(file, names, restval="", lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
     return len(rows)
 
 
