@@ -8,10 +8,9 @@ import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.control_point import Flag
-from catalog.errors import OutputError
+from catalog.files import replacing_file, starts_with
 from catalog.inspect.compare import CERTIFICATE, Comparison, Side
 from catalog.store.features import reasons_text
-from catalog.store.partial import replacing
 from catalog.store.records import Record
 from catalog.tables import Column, Table
 
@@ -231,18 +230,9 @@ def write_table(found: Comparison, path: Path) -> int:
 
     Raises OutputError for a place that cannot be written or an existing file that is no such table.
     """
-    start = ",".join(DIFFERENCES.names[:6])
-
-    def ours(old: Path) -> bool:
-        with old.open("rb") as file:
-            return file.read(len(start)) == start.encode()
-
     rows = sorted(_rows(found), key=lambda row: int(str(row["id"])))
-    with replacing(path, ours) as partial:
-        try:
-            return DIFFERENCES.write(partial, rows)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    with replacing_file(path, starts_with(",".join(DIFFERENCES.names[:6]).encode())) as new:
+        return DIFFERENCES.write(new, rows)
 
 
 def _rows(found: Comparison) -> Iterator[dict[str, object]]:

@@ -22,9 +22,10 @@ from rasterio.transform import Affine
 from catalog.arrays import FloatArray, IntArray
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint
 from catalog.errors import DataError, OutputError
+from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
+from catalog.store.connection import SIDECARS, is_points_file
 from catalog.store.features import reasons_text
-from catalog.store.partial import is_points_file, replacing
 from catalog.store.reader import Catalog
 from catalog.store.records import unknown_as_none
 from catalog.store.schema import create_tables, insert_service_rows, srs_of
@@ -102,17 +103,10 @@ def _geojson_lines(catalog: Catalog) -> Iterator[str]:
     yield "\n]}\n"
 
 
-def _starts_as_ours(start: str) -> Callable[[Path], bool]:
-    def check(path: Path) -> bool:
-        with path.open("rb") as file:
-            return file.read(len(start)) == start.encode()
-
-    return check
-
-
 def _write_geojson(catalog: Catalog, path: Path) -> None:
-    with replacing(path, _starts_as_ours(GEOJSON_START)) as partial:
-        _write_text(path, partial, _geojson_lines(catalog))
+    ours = starts_with(GEOJSON_START.encode())
+    with replacing_file(path, ours) as new, new.open("w", encoding="utf-8") as file:
+        file.writelines(_geojson_lines(catalog))
 
 
 def points_table(levels: int) -> Table:
@@ -154,31 +148,17 @@ def _csv_type(column: Column) -> str:
 
 def _write_csv(catalog: Catalog, path: Path) -> None:
     table = points_table(catalog.meta.levels)
-    ours = _starts_as_ours(",".join(table.names[:6]))
+    types = ",".join(map(_csv_type, table.columns))
     wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)[4]
-    with replacing(path, ours) as partial:
-        try:
-            table.write(partial, map(point_properties, catalog.points()))
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-        types = ",".join(map(_csv_type, table.columns))
-        for suffix, text in ((".csvt", types + "\n"), (".prj", wkt + "\n")):
-            beside = path.with_suffix(suffix)
-            with replacing(beside, lambda _: True) as partial_beside:
-                _write_text(beside, partial_beside, iter([text]))
-
-
-def _write_text(path: Path, partial: Path, parts: Iterator[str]) -> None:
-    try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.writelines(parts)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    with replacing_file(path, starts_with(",".join(table.names[:6]).encode())) as new:
+        table.write(new, map(point_properties, catalog.points()))
+        for suffix, text in ((".csvt", types), (".prj", wkt)):
+            write_output(path.with_suffix(suffix), f"{text}\n".encode(), lambda _: True)
 
 
 def _write_geopackage(catalog: Catalog, path: Path) -> None:
     with (
-        replacing(path, is_points_file) as partial,
+        replacing_file(path, is_points_file, SIDECARS) as partial,
         closing(sqlite3.connect(partial, isolation_level=None)) as db,
     ):
         db.execute("PRAGMA journal_mode = OFF")
@@ -213,14 +193,7 @@ def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int
     else:
         solid: Any = trimesh.Trimesh(vertices, faces, process=False)
         data = solid.export(file_type="obj", header=name, digits=4).encode()
-    with replacing(path, _is_our_patch) as partial:
-        try:
-            partial.write_bytes(data)
-        except OSError as error:
-            raise OutputError(
-                f"{path}: cannot be written ({error.strerror}); free some space or name another "
-                "place"
-            ) from error
+    write_output(path, data, _is_our_patch)
     return len(faces)
 
 
@@ -311,7 +284,7 @@ def export_relief(catalog: Catalog, path: Path) -> int:
         "compress": "deflate",
         "predictor": 3,
     }
-    with replacing(path, _is_our_relief) as partial:
+    with replacing_file(path, _is_our_relief) as partial:
         try:
             with rasterio.open(partial, "w", **profile) as file:
                 file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{RELIEF_NAME}: {relief.source}")

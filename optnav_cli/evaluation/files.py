@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from catalog.errors import DataError
+from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.evaluation.error_rows import error_cells
 from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures, MethodFigures, Spread, method_words
 from optnav_cli.frames.tables import EVALUATION
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.output.replace import replacing_file, starts_with
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import fixed
 
