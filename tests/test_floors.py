@@ -13,7 +13,7 @@ PACKAGES = ("catalog", "optnav_cli")
 FLOORS = (
     {"catalog.errors", "catalog.arrays"},
     {"catalog.config", "catalog.progress", "catalog.files", "catalog.cache", "catalog.geometry"},
-    {"catalog.bodies"},
+    {"catalog.bodies", "catalog.tables"},
     {"catalog.terrain", "catalog.photometry", "catalog.control_point"},
     {"catalog.rendering", "catalog.correlation"},
     {"catalog.selection", "catalog.store"},
