@@ -27,10 +27,9 @@ from catalog.files import check_file
 from catalog.jobs import usage
 from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.cluster import check_address, cluster_workers
-from catalog.jobs.records import encode_records
 from catalog.jobs.usage import Account, StageAccount
 from catalog.jobs.workers import available_cores, workers_of
-from catalog.jobs.workspace import MARK, Workspace, stage_key
+from catalog.jobs.workspace import MARK, Workspace, encode_records, stage_key
 from catalog.progress import Progress, SilentProgress
 from catalog.store.connection import is_catalog_file
 from catalog.store.patches import PreparedPoint

@@ -10,8 +10,7 @@ from catalog.arrays import BoolArray, FloatArray
 from catalog.control_point import Flag
 from catalog.files import replacing_file, starts_with
 from catalog.inspect.compare import CERTIFICATE, Comparison, Side
-from catalog.store.features import reasons_text
-from catalog.store.records import Record
+from catalog.store.records import Record, reasons_text
 from catalog.tables import Column, Table
 
 SHOWN = 10  # lines a kind; the table (`difference_table`) has all

@@ -12,7 +12,7 @@ from catalog.control_point import Patch, Pyramid
 from catalog.errors import OutputError
 from catalog.files import check_file, write_output
 from catalog.rendering.map_view import render_map
-from catalog.store.features import reasons_text
+from catalog.store.records import reasons_text
 
 HEADER_BYTES = 33  # of a PNG: its magic number and its first chunk
 # A text chunk by which we know a picture of ours again: length, type, text, CRC-32 of both.
