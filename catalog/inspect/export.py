@@ -5,7 +5,6 @@ its (pre-RFC 7946) crs member, CSV in a .prj file beside it (and column types in
 GeoPackage in its own table.
 """
 
-import csv
 import json
 import sqlite3
 from collections.abc import Callable, Iterator
@@ -30,10 +29,10 @@ from catalog.store.reader import Catalog
 from catalog.store.records import reasons_text, unknown_as_none
 from catalog.store.schema import create_tables, insert_service_rows, srs_of
 from catalog.store.writer import insert_features
+from catalog.tables import Column, Table
 
 # what begins a file that we wrote, and may therefore write again
 GEOJSON_START = '{"type":"FeatureCollection","name":"control_points","optnav":"catalog layer"'
-FIRST_COLUMNS = ("id", "lon_deg", "lat_deg", "radius_m", "usable", "reasons")
 
 Properties = dict[str, object]
 
@@ -109,25 +108,49 @@ def _write_geojson(catalog: Catalog, path: Path) -> None:
         file.writelines(_geojson_lines(catalog))
 
 
-def _csv_type(value: object) -> str:
-    return {int: "Integer64", str: "String"}.get(type(value), "Real")
+def points_table(levels: int) -> Table:
+    """The columns of the CSV layer of a catalog whose points have so many levels."""
+
+    def number(name: str, meaning: str, unit: str = "") -> Column:
+        return Column(name, meaning, unit=unit, empty=True)
+
+    azimuths = [i * 360 // SHADOW_AZIMUTHS for i in range(SHADOW_AZIMUTHS)]
+    return Table(
+        (
+            Column("id", "the control point's id", "count"),
+            Column("lon_deg", "longitude, -180 to 180, east positive", unit="deg"),
+            Column("lat_deg", "latitude, planetocentric", unit="deg"),
+            number("radius_m", "distance from the body's centre", "m"),
+            Column("usable", "whether navigation uses it", "flag"),
+            Column("reasons", "why not", "text", empty=True),
+            Column("flags", "the reasons as a sum of bits", "count"),
+            number("localisation_px", "predicted match error, 1 sigma, nodes", "px"),
+            number("hessian_eigenvalue", "least eigenvalue of the correlation's curvature"),
+            number("recognition_rate", "share of the recognition trials that succeeded"),
+            Column("trials", "recognition trials", "count"),
+            Column("source", "terrain models of its finest patch", "text", empty=True),
+            *(number(f"uniqueness_{k}", f"uniqueness margin, level {k}") for k in range(levels)),
+            *(
+                number(f"shadow_limit_{a:03d}_deg", f"Sun elevation without shadow, azimuth {a}",
+                       "deg")
+                for a in azimuths
+            ),
+        )
+    )  # fmt: skip
+
+
+def _csv_type(column: Column) -> str:
+    places = {"lon_deg": "CoordX", "lat_deg": "CoordY"}
+    kinds = {"text": "String", "number": "Real"}
+    return places.get(column.name, kinds.get(column.kind, "Integer64"))
 
 
 def _write_csv(catalog: Catalog, path: Path) -> None:
-    # the columns of an empty catalog are those of the point that it does not have
-    lists = (0.0,) * catalog.meta.levels, (0.0,) * SHADOW_AZIMUTHS
-    blank = ControlPoint(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, *lists, usable=False)
-    columns = point_properties(blank)
-    places = {"lon_deg": "CoordX", "lat_deg": "CoordY"}
-    types = ",".join(places.get(name, _csv_type(value)) for name, value in columns.items())
-    ours = starts_with(",".join(FIRST_COLUMNS).encode())
+    table = points_table(catalog.meta.levels)
+    types = ",".join(map(_csv_type, table.columns))
     wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)[4]
-    with replacing_file(path, ours) as new:
-        with new.open("w", encoding="utf-8", newline="") as file:
-            rows = csv.DictWriter(file, list(columns), lineterminator="\n")
-            rows.writeheader()
-            for point in catalog.points():
-                rows.writerow(point_properties(point))
+    with replacing_file(path, starts_with(",".join(table.names[:6]).encode())) as new:
+        table.write(new, map(point_properties, catalog.points()))
         for suffix, text in ((".csvt", types), (".prj", wkt)):
             write_output(path.with_suffix(suffix), f"{text}\n".encode(), lambda _: True)
 

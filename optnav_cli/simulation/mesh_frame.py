@@ -3,7 +3,7 @@
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.rendering.mesh.scene import MeshScene
+from catalog.rendering.mesh_scene import MeshScene
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.truth_mesh import TruthMesh
