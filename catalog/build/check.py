@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -198,48 +197,12 @@ def _uniqueness(
     return tuple(margins)
 
 
-class CheckedPoint(msgspec.Struct, frozen=True):
-    """A control point as far as it is known before it is written."""
-
-    cell: int
-    lat_deg: float
-    lon_deg: float
-    height_m: float
-    localisation_px: float
-    hessian_eigenvalue: float
-    recognition_rate: float
-    trials: int
-    uniqueness: tuple[float, ...]
-    shadow_limit_deg: tuple[float, ...]
-    usable: bool
-    flags: int
-    source: str
-
-    def point(self, context: StageContext) -> ControlPoint:
-        """The control point of the record."""
-        return ControlPoint(
-            id=self.cell,
-            lat_deg=self.lat_deg,
-            lon_deg=self.lon_deg,
-            radius_m=context.body.radius_m + self.height_m,
-            localisation_px=self.localisation_px,
-            hessian_eigenvalue=self.hessian_eigenvalue,
-            recognition_rate=self.recognition_rate,
-            trials=self.trials,
-            uniqueness=self.uniqueness,
-            shadow_limit_deg=self.shadow_limit_deg,
-            usable=self.usable,
-            flags=Flag(self.flags),
-            source=self.source,
-        )
-
-
-def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[CheckedPoint]:
+def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
     """The point of each cell with its certificate."""
     return [check_cell(context, record) for record in records]
 
 
-def check_cell(context: StageContext, record: SelectedCell) -> CheckedPoint:
+def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:
     """The first place that passes well; else the one recognised most often, usable or not.
 
     Earlier places win ties: they have the smaller predicted error. A place meets no more trials
@@ -252,33 +215,33 @@ def check_cell(context: StageContext, record: SelectedCell) -> CheckedPoint:
         found = Certificate(context, record, place, number)
         found.try_for(best.successes + 1 if best is not None and best.usable else 0)
         if found.usable and found.recognition_rate >= settings.good_recognition:
-            return _record(context, found)
+            return _point(context, found)
         if best is None or found.merit > best.merit:
             best = found
     if best is None:
         raise ValueError(f"cell {record.cell}: no place to check")
     if not best.usable:
         best.finish()
-    return _record(context, best)
+    return _point(context, best)
 
 
-def _record(context: StageContext, found: Certificate) -> CheckedPoint:
-    place = found.place
+def _point(context: StageContext, found: Certificate) -> ControlPoint:
+    place, terrain = found.place, context.mosaic
     lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
-    return CheckedPoint(
-        cell=found.cell,
+    height_m = float(np.nan_to_num(terrain.heights(lat, lon, context.posting_m)))
+    projection = context.projection(place.lat_deg, place.lon_deg)
+    return ControlPoint(
+        id=found.cell,
         lat_deg=place.lat_deg,
         lon_deg=place.lon_deg,
-        height_m=float(np.nan_to_num(context.mosaic.heights(lat, lon, context.posting_m))),
+        radius_m=context.body.radius_m + height_m,
         localisation_px=place.localisation_px,
         hessian_eigenvalue=place.hessian_eigenvalue,
         recognition_rate=found.recognition_rate,
         trials=found.trials,
         uniqueness=found.uniqueness,
-        shadow_limit_deg=tuple(float(limit) for limit in found.shadow_limits_deg),
+        shadow_limit_deg=tuple(found.shadow_limits_deg.tolist()),
         usable=found.usable,
-        flags=int(found.flags),
-        source=context.mosaic.provenance(
-            context.projection(place.lat_deg, place.lon_deg), context.posting_m, context.size
-        ),
+        flags=found.flags,
+        source=terrain.provenance(projection, context.posting_m, context.size),
     )

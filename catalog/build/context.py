@@ -2,7 +2,7 @@
 
     render.render_chunk(context, cells)   -> list[RenderedCell]
     select.select(context, records)       -> list[SelectedCell]    all records, by cell number
-    check.check_chunk(context, records)   -> list[CheckedPoint]
+    check.check_chunk(context, records)   -> list[ControlPoint]
     write.prepare_chunk(context, points)  -> list[PreparedPoint]   for `write.write`
 
 Chunk functions run in worker processes and must not depend on which cells share a chunk. Records
