@@ -13,7 +13,7 @@ import catalog
 from catalog.bodies.body import Body, load_body
 from catalog.build import check, render, select, write
 from catalog.build.config import BuildConfig, load_build_config
-from catalog.build.context import DemRecord
+from catalog.build.context import DemRecord, IngestRun
 from catalog.build.ingest import Bbox, MeshRecord
 from catalog.build.inputs import BuildInputs, prepare_inputs
 from catalog.build.relief import stored_relief
@@ -131,16 +131,16 @@ class _Build:
         """All wanted stages in order; a stage whose forerunner is not done is refused."""
         report = BuildReport(self.workspace.folder, self.account)
         with self._stage("ingest") as stage:  # every run begins with it
-            inputs = prepare_inputs(
+            run = IngestRun(
                 self.workspace,
                 self.config,
                 self.config_path,
                 self.body,
-                bbox,
                 self.count,
                 self.progress,
                 stage,
             )
+            inputs = prepare_inputs(run, bbox)
             report.dems, self.account.cells = inputs.dems, inputs.cells
         rendered = self._results(inputs, "render", RenderedCell)
         checked = self._results(inputs, "check", ControlPoint)
