@@ -18,21 +18,6 @@ from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.uniqueness import uniqueness_margin
 from catalog.terrain.skyline.local import skyline_limits_deg
 
-
-def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
-    """Share of the Suns whose elevation is below the skyline limit of their azimuth.
-
-    limits_deg  (k,)    limit by azimuth, bins centred on 0, 360/k, ... degrees east of north
-    suns_local  (n, 3)  unit vectors east, north, up
-    """
-    limits = np.asarray(limits_deg, dtype=np.float64)
-    suns = np.asarray(suns_local, dtype=np.float64).reshape(-1, 3)
-    azimuth = np.degrees(np.arctan2(suns[:, 0], suns[:, 1]))
-    bins = np.rint(azimuth / (360.0 / limits.size)).astype(np.int64) % limits.size
-    elevation = np.degrees(np.arcsin(np.clip(suns[:, 2], -1.0, 1.0)))
-    return float((elevation < limits[bins]).mean())
-
-
 # Room on every side of the square that uniqueness describes, nodes of its level.
 UNIQUENESS_ROOM = 8
 UNIQUENESS_SUN = np.radians(25.0)
@@ -160,6 +145,48 @@ class Certificate:
             self.successes += outcome.accepted and outcome.distance <= settings.max_error_nodes
 
 
+def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
+    """The point of each cell with its certificate."""
+    return [check_cell(context, record) for record in records]
+
+
+def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:
+    """The first place that passes well; else the one recognised most often, usable or not.
+
+    Earlier places win ties: they have the smaller predicted error. A place meets no more trials
+    than it takes to see that it is out, or no better than one before it; the one that is kept
+    meets them all.
+    """
+    settings = context.config.check
+    best: Certificate | None = None
+    for number, place in enumerate(record.places[: settings.places]):
+        found = Certificate(context, record, place, number)
+        found.try_for(best.successes + 1 if best is not None and best.usable else 0)
+        if found.usable and found.recognition_rate >= settings.good_recognition:
+            return _point(context, found)
+        if best is None or found.merit > best.merit:
+            best = found
+    if best is None:
+        raise ValueError(f"cell {record.cell}: no place to check")
+    if not best.usable:
+        best.finish()
+    return _point(context, best)
+
+
+def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
+    """Share of the Suns whose elevation is below the skyline limit of their azimuth.
+
+    limits_deg  (k,)    limit by azimuth, bins centred on 0, 360/k, ... degrees east of north
+    suns_local  (n, 3)  unit vectors east, north, up
+    """
+    limits = np.asarray(limits_deg, dtype=np.float64)
+    suns = np.asarray(suns_local, dtype=np.float64).reshape(-1, 3)
+    azimuth = np.degrees(np.arctan2(suns[:, 0], suns[:, 1]))
+    bins = np.rint(azimuth / (360.0 / limits.size)).astype(np.int64) % limits.size
+    elevation = np.degrees(np.arcsin(np.clip(suns[:, 2], -1.0, 1.0)))
+    return float((elevation < limits[bins]).mean())
+
+
 def _uniqueness(
     context: StageContext, projection: MapProjection, patches: Sequence[Patch]
 ) -> tuple[float, ...]:
@@ -195,34 +222,6 @@ def _uniqueness(
             )
         )
     return tuple(margins)
-
-
-def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
-    """The point of each cell with its certificate."""
-    return [check_cell(context, record) for record in records]
-
-
-def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:
-    """The first place that passes well; else the one recognised most often, usable or not.
-
-    Earlier places win ties: they have the smaller predicted error. A place meets no more trials
-    than it takes to see that it is out, or no better than one before it; the one that is kept
-    meets them all.
-    """
-    settings = context.config.check
-    best: Certificate | None = None
-    for number, place in enumerate(record.places[: settings.places]):
-        found = Certificate(context, record, place, number)
-        found.try_for(best.successes + 1 if best is not None and best.usable else 0)
-        if found.usable and found.recognition_rate >= settings.good_recognition:
-            return _point(context, found)
-        if best is None or found.merit > best.merit:
-            best = found
-    if best is None:
-        raise ValueError(f"cell {record.cell}: no place to check")
-    if not best.usable:
-        best.finish()
-    return _point(context, best)
 
 
 def _point(context: StageContext, found: Certificate) -> ControlPoint:

@@ -33,6 +33,14 @@ from catalog.tables import Column, Table
 
 # what begins a file that we wrote, and may therefore write again
 GEOJSON_START = '{"type":"FeatureCollection","name":"control_points","optnav":"catalog layer"'
+RELIEF_NAME = "optnav relief"  # begins a file of ours
+RELIEF_ENDINGS = (".tif", ".tiff")
+BANDS = ("mean height, m", "highest place, m")
+PATCH_NAME = "optnav patch"  # what stands near the beginning of a file that we wrote
+PATCH_ENDINGS = (".obj", ".glb")
+HEAD_BYTES = 4096
+BASE_SHARE = 0.2
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 Properties = dict[str, object]
 
@@ -169,13 +177,6 @@ def _write_geopackage(catalog: Catalog, path: Path) -> None:
         db.execute("COMMIT")
 
 
-PATCH_NAME = "optnav patch"  # what stands near the beginning of a file that we wrote
-PATCH_ENDINGS = (".obj", ".glb")
-HEAD_BYTES = 4096
-BASE_SHARE = 0.2
-Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-
-
 def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int:
     """Write a point's patch as a solid to a .obj or .glb file; returns its number of triangles.
 
@@ -250,11 +251,6 @@ def _faces(size: int) -> IntArray:
 def _is_our_patch(path: Path) -> bool:
     with path.open("rb") as file:
         return PATCH_NAME.encode() in file.read(HEAD_BYTES)
-
-
-RELIEF_NAME = "optnav relief"  # what begins a file that we wrote, and may therefore write again
-RELIEF_ENDINGS = (".tif", ".tiff")
-BANDS = ("mean height, m", "highest place, m")
 
 
 def export_relief(catalog: Catalog, path: Path) -> int:
