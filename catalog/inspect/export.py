@@ -1,8 +1,12 @@
-"""The points of a catalog as a map layer for other programs: GeoJSON, CSV or a plain GeoPackage.
+"""A catalog for other programs: its points as a map layer, its relief, a patch as a solid.
 
-All three carry the body's coordinate system in the way that GDAL and QGIS read it back: GeoJSON in
+A layer is GeoJSON, CSV or a plain GeoPackage. All three carry the body's coordinate system in the way that GDAL and QGIS read it back: GeoJSON in
 its (pre-RFC 7946) crs member, CSV in a .prj file beside it (and column types in a .csvt file), the
-GeoPackage in its own table.
+GeoPackage in its own table. The relief is a GeoTIFF.
+
+The top of a patch's solid is the ground, its sides go down the map's verticals, its bottom lies a
+fifth of its width below the lowest ground. Lengths are metres from the control point: OBJ has east,
+north, up as x, y, z, GLB as x, -z, y, as its standard wants.
 """
 
 import json

@@ -39,6 +39,8 @@ THREAD_LIMITS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS",
 def uninterrupted() -> Iterator[None]:
     """Hold SIGINT and SIGTERM back until the block is left; for short blocks.
 
+    Python raises KeyboardInterrupt between any two steps, also just after a library took a lock and
+    before it could promise to release it. Whoever needs that lock then waits for ever.
     Does nothing outside the main thread, where no signal arrives, or for a signal whose handler
     is not a Python function.
     """
