@@ -1,6 +1,7 @@
 """Ingest: read every terrain model whole, average it, and find the cells that have ground.
 
-A mesh is checked once and then ready for rays in the work folder. A kill costs the reading of the terrain model in work, minutes for gigabytes; those before it stay.
+A mesh is checked once and then ready for rays in the work folder. A kill costs the reading of the
+terrain model in work, minutes for gigabytes; those before it stay.
 """
 
 import io

@@ -1,8 +1,9 @@
 """A catalog for other programs: its points as a map layer, its relief, a patch as a solid.
 
-A layer is GeoJSON, CSV or a plain GeoPackage. All three carry the body's coordinate system in the way that GDAL and QGIS read it back: GeoJSON in
-its (pre-RFC 7946) crs member, CSV in a .prj file beside it (and column types in a .csvt file), the
-GeoPackage in its own table. The relief is a GeoTIFF.
+A layer is GeoJSON, CSV or a plain GeoPackage. All three carry the body's coordinate system in the
+way that GDAL and QGIS read it back: GeoJSON in its (pre-RFC 7946) crs member, CSV in a .prj file
+beside it (and column types in a .csvt file), the GeoPackage in its own table. The relief is a
+GeoTIFF.
 
 The top of a patch's solid is the ground, its sides go down the map's verticals, its bottom lies a
 fifth of its width below the lowest ground. Lengths are metres from the control point: OBJ has east,

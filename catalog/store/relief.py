@@ -19,7 +19,7 @@ from catalog.store.codec import Encoded, decode, decode_counts, encode
 from catalog.store.manifest import CatalogMeta, ReliefMeta
 from catalog.store.patches import patches_digest
 from catalog.store.records import checksum
-from catalog.store.schema import RELIEF
+from catalog.store.schema import RELIEF, RELIEF_COLUMNS
 from catalog.terrain.relief.relief import GlobalRelief
 
 ReliefRow = tuple[int, int, int, int, int, float, float, int, bytes]  # as RELIEF_COLUMNS
@@ -31,17 +31,6 @@ MEAN_STEP_M = 1.0
 TOP_STEP_M = 4.0
 TILE = 720  # cells a side: a row of some 500 kB wastes little of its last page
 
-RELIEF_COLUMNS = (
-    "id",
-    "layer",
-    "tile_row",
-    "tile_col",
-    "size",
-    "step",
-    "value_offset",
-    "checksum",
-    "data",
-)
 SELECT_TILE = f"SELECT {', '.join(RELIEF_COLUMNS)} FROM {RELIEF} WHERE id = ?"
 _HEADER = struct.Struct("<4q2d")
 
