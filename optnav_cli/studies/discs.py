@@ -23,34 +23,31 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.config import resource
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.shape import load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
 from catalog.terrain.relief.relief import GlobalRelief
-from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation import outline
-from optnav_cli.simulation.globe_frame import GlobeRenderer
-from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
-from optnav_cli.simulation.globe_terrain import GlobeTerrain
-from optnav_cli.simulation.mesh_frame import MeshRenderer
-from optnav_cli.simulation.scenario import Portraits, load_scenario
-from optnav_cli.simulation.sections import SensorSettings
+from optnav_cli.simulation.exposure import Exposure, TruthGround
+from optnav_cli.simulation.globe_ground import GlobeGround
+from optnav_cli.simulation.mesh_ground import MeshGround
+from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.sections import DetailSettings, SensorSettings
 from optnav_cli.simulation.sensor import expose
-from optnav_cli.simulation.shot import Exposure
-from optnav_cli.simulation.truth_mesh import TruthMesh
 from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, rms, tally
 
 Shape = Literal["moon", "phobos"]
 
-GLOBE = "data/moon_gld100_4ppd.tif"
+GLOBE, GLOBE_ROWS = "data/moon_gld100_4ppd.tif", 720
 PHOBOS = "configs/scenarios/phobos_disc.toml"
 CAMERAS: dict[Shape, tuple[str, ...]] = {"moon": ("shnk", "unk"), "phobos": ("tsnn_shtk",)}
 GROUNDS = (7301, 7302, 7303)  # seeds of relief that no other study and no scenario has
@@ -95,23 +92,18 @@ class DiscScene:
         self._shape: Shape = shape
         self.body = load_body(shape)
         self.relief: GlobalRelief | None = None
+        self._ground: TruthGround
         if shape == "phobos":
             scenario = load_scenario(resource(PHOBOS))
-            if not isinstance(scenario, Portraits):
+            if scenario.shape is None:
                 raise TypeError(f"{PHOBOS} is no scenario of a small body")
-            self._ground = TruthMesh(scenario, self.body)
-            self.relief = _relief(scenario, self.body)
+            self._ground = MeshGround(scenario.shape, scenario.detail, self.body)
+            self.relief = _relief(scenario.shape, self.body)
         else:
-            heights = read_globe(DemSettings(str(resource(GLOBE))), self.body)
-            self._heights = GlobeHeights(heights, self.body.radius_m)
-            self._grounds: dict[int | None, GlobeTerrain] = {
-                seed: GlobeTerrain(self._heights, self._detail(seed)) for seed in GROUNDS
-            }
-
-    def _detail(self, seed: int) -> SyntheticRelief:
-        posting = self._heights.posting_m
-        return SyntheticRelief(seed, posting, self.body.radius_m, smallest_m=posting / 2.0,
-                      rms_slope_deg=5.0, saturation=0.05)  # fmt: skip
+            model = DemSettings(str(resource(GLOBE)))
+            finest = np.pi * self.body.radius_m / GLOBE_ROWS / 2.0
+            detail = DetailSettings(GROUNDS, smallest_m=finest, rms_slope_deg=5.0)
+            self._ground = GlobeGround.of_model(model, detail, self.body, kept=1)
 
     def draw(self, diameter_px: float, ground: int, rng: np.random.Generator) -> Disc:
         """A disc of this size over one of GROUNDS, all else drawn at random."""
@@ -127,10 +119,23 @@ class DiscScene:
         radius = float(np.mean(self.body.radii_m))
         angle = 0.5 * diameter_px * _rad_per_px(camera, middle)
         position = radius / np.sin(angle) * up
-        turn = Rotation.align_vectors(middle[None], -up[None])[0]
-        turn = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi) * middle) * turn
-        shot = Exposure(0, 0, "", "", 0.0, position, turn, sun, None, turn, ground)
-        radiance = self._radiance(camera, shot)
+        camera_from_body = Rotation.align_vectors(middle[None], -up[None])[0]
+        roll = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi) * middle)
+        camera_from_body = roll * camera_from_body
+        exposure = Exposure(
+            index=0,
+            pass_index=0,
+            file="",
+            utc="",
+            tdb_s=0.0,
+            position_m=position,
+            camera_from_body=camera_from_body,
+            sun_body=sun,
+            prior_m=None,
+            reported_camera_from_body=camera_from_body,
+            ground_seed=ground,
+        )
+        radiance = self._ground.radiance(_finer(camera), exposure)
         blurred = cv2.GaussianBlur(radiance, (0, 0), psf * FINE)
         light = np.asarray(
             cv2.resize(blurred, (side, side), interpolation=cv2.INTER_AREA), dtype=np.float32
@@ -139,21 +144,14 @@ class DiscScene:
         sensor = SensorSettings(psf_sigma_px=0.0, snr=float(rng.uniform(*SNR)), bits=bits)
         counts = expose(light, sensor, rng).astype(np.float32)
         return Disc(
-            Picture(counts, FULL[bits]), camera, position, turn, sun,
+            Picture(counts, FULL[bits]), camera, position, camera_from_body, sun,
             diameter_px, float(np.degrees(phase)),
         )  # fmt: skip
 
-    def _radiance(self, camera: Camera, shot: Exposure) -> Float32Array:
-        """Radiance over fine pixels."""
-        fine = _finer(camera)
-        if self._shape == "phobos":
-            return MeshRenderer(self._ground, fine).radiance(shot)
-        return GlobeRenderer(self._heights, self._grounds, fine).radiance(shot)
 
-
-def _relief(scenario: Portraits, body: Body) -> GlobalRelief:
-    """The relief that a catalog of the scenario's shape model carries."""
-    shape = load_shape(scenario.mesh, Path.cwd(), body)
+def _relief(model: MeshSettings, body: Body) -> GlobalRelief:
+    """The relief that a catalog of the shape model carries."""
+    shape = load_shape(model, Path.cwd(), body)
     with tempfile.TemporaryDirectory() as folder:
         corners = Path(folder) / "corners.npy"
         np.save(corners, shape.vertices[shape.faces])

@@ -20,8 +20,7 @@ from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
-from optnav_cli.simulation.run import scenario_copy
-from optnav_cli.simulation.scenario import fewer_pictures, load_scenario
+from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.studies.tables import Cell, Column, Table
 
 GLOBE = "shared:moon/moon_gld100_32ppd.tif"  # the ground of shipped scenarios
@@ -57,7 +56,7 @@ def shipped_pictures(output: Path, name: str, frames: int | None, progress: Prog
     """
     scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
     if frames is not None:
-        scenario = fewer_pictures(scenario, frames)
+        scenario = scenario.shortened(frames)
     place = output / "pictures" / name
     place.parent.mkdir(exist_ok=True)
     mark = place / "scenario.json"

@@ -30,16 +30,15 @@ from optnav_cli.matching.point_match import NO_DISTORTION, Distortion, MatchGate
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import plan_distortion
 from optnav_cli.navigation.settings import MatchSettings
+from optnav_cli.simulation.region_ground import WHOLE, TruthTerrain
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
-from optnav_cli.simulation.truth_terrain import TruthTerrain
 
 DEM, GLOBE = "data/tycho_gld100_256ppd.tif", "data/moon_gld100_4ppd.tif"
 MIDDLE_DEG = (-43.0, -11.0)  # of the terrain model
 # The seen ground has nodes of half the catalog's, with what a scenario adds by itself.
 POSTING_M, FINER = 118.45, 2
 MIN_M, SLOPE_DEG, SATURATION = 30.0, 3.0, 0.05
-WHOLE = (-np.pi, -0.5 * np.pi, np.pi, 0.5 * np.pi)
 SUN_ELEVATIONS_DEG = (25.0, 15.0, 35.0, 20.0, 30.0, 40.0)
 MATCHERS: dict[str, Matcher] = {"NCC": match_ncc, "SURF-64": match_surf}
 TEMPLATE_NODES, SEARCH_NODES, SHIFT_NODES = 64, 8, 5.0

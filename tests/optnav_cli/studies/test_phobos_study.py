@@ -11,7 +11,9 @@ from catalog.errors import NothingToDoError
 from catalog.jobs.usage import Account, StageAccount
 from catalog.progress import SilentProgress
 from optnav_cli.evaluation.figures import FrameError
-from optnav_cli.simulation.scenario import Approach, Portraits, load_scenario
+from optnav_cli.simulation.approach import Approach
+from optnav_cli.simulation.portraits import Portraits
+from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.solution import solved, unsolved
 from optnav_cli.studies.phobos import ROWS, Results, Row, RowResult, report, run
 
