@@ -115,7 +115,7 @@ def config_type(kind: str) -> type[msgspec.Struct]:
         from optnav_cli.navigation.settings import NavigateSettings
 
         return NavigateSettings
-    from optnav_cli.simulation.scenario import Scenario
+    from optnav_cli.simulation.passes import Scenario
 
     return Scenario
 

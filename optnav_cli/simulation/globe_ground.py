@@ -8,17 +8,24 @@ Turned frames come from a fixed set of directions, so neighbouring pictures shar
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numba
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
 from catalog.cache import Cache
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
+from catalog.rendering.rays.scene import Scene
+from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
-from optnav_cli.simulation.globe_heights import GlobeHeights
+from optnav_cli.camera.camera import Camera
+from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays
+from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
+from optnav_cli.simulation.sections import DetailSettings, relief_below
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad
 
@@ -36,6 +43,10 @@ RAISED_TO, RAISED_FROM = np.radians(32.0), np.radians(45.0)  # latitudes of a gr
 NODES_A_PIXEL = 1.4  # at the horizon; relief between nodes is smaller than a pixel there
 COARSE_ROWS = 720  # of the ground beyond the window: 0.25°
 CHUNK = 256  # rows sampled at once
+PROBE_PX = 32  # distance of the rays that find out which ground a picture shows
+ROUND = np.radians(2.0)  # boxes are widened to multiples of it, so that neighbours share them
+MARGIN = np.radians(1.0)  # relief and what lies between the probing rays
+LIMB_SAMPLES = 8  # rays a side of a pixel at the limb: its share of sky is right to 0.01
 
 
 @dataclass(frozen=True)
@@ -68,7 +79,8 @@ class GlobeTerrain:
 
     def postings(self) -> FloatArray:
         """Postings (m) that windows may have, finest first."""
-        return np.asarray(self._heights.posting_m / FINER * 2.0 ** np.arange(POSTINGS))
+        finest = float(self._heights.posting_m) / FINER
+        return finest * np.exp2(np.arange(POSTINGS, dtype=np.float64))
 
     def window(self, view: View, sun_body: FloatArray) -> tuple[FloatArray, Ground, Ground]:
         """The ground of a view: (grid_from_body (3, 3), the window, the whole body coarsely).
@@ -153,6 +165,81 @@ class GlobeTerrain:
         return out
 
 
+class GlobeGround:
+    """The ground of a whole body; `grounds` has the terrain of each seed."""
+
+    def __init__(self, heights: GlobeHeights, grounds: dict[int | None, GlobeTerrain]) -> None:
+        self._heights, self._grounds = heights, grounds
+        self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
+
+    @classmethod
+    def of_model(
+        cls, model: DemSettings, detail: DetailSettings, body: Body, kept: int
+    ) -> "GlobeGround":
+        """The ground of a model of the whole body with relief below its posting.
+
+        kept  windows to keep, one a camera. Raises ConfigError or DataError for the model
+        """
+        heights = GlobeHeights(read_globe(model, body), body.radius_m)
+        reliefs: dict[int | None, SyntheticRelief | None] = {
+            seed: relief_below(detail, seed, heights.posting_m, body.radius_m)
+            for seed in detail.seeds
+        }
+        return cls(
+            heights,
+            {
+                seed: GlobeTerrain(heights, relief, kept)
+                for seed, relief in (reliefs or {None: None}).items()
+            },
+        )
+
+    def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
+        """Mean radiance factor over each pixel (height, width) of a picture, sky 0."""
+        body_from_camera = exposure.camera_from_body.inv().as_matrix()
+        corners = self._corners(camera)
+        view = self._view(camera, exposure.position_m, corners, body_from_camera)
+        if view is None:
+            return np.zeros(camera.shape, np.float32)
+        ground = self._grounds[exposure.ground_seed]
+        grid_from_body, fine, wide = ground.window(view, exposure.sun_body)
+        scene = Scene(fine, wide, grid_from_body @ exposure.sun_body)
+        rays = corners @ (grid_from_body @ body_from_camera).T
+        return scene.picture(grid_from_body @ exposure.position_m, rays, limb_samples=LIMB_SAMPLES)
+
+    def _view(
+        self,
+        camera: Camera,
+        position: FloatArray,
+        corners: FloatArray,
+        body_from_camera: FloatArray,
+    ) -> View | None:
+        """The ground that a picture shows, None when it shows only sky."""
+        rows, cols = camera.shape
+        r = np.unique(np.append(np.arange(0, rows, PROBE_PX), rows))
+        c = np.unique(np.append(np.arange(0, cols, PROBE_PX), cols))
+        rays = (corners[r][:, c] @ body_from_camera.T).reshape(-1, 3)
+        distance = float(np.linalg.norm(position))
+        seen = _seen(self._heights, position, rays, PROBE_PX * camera.angular_resolution)
+        if seen is None:
+            return None
+        radius = self._heights.radius_m
+        horizon = np.sqrt(max(distance**2 - radius**2, 1e6))
+        wanted = horizon * camera.angular_resolution / NODES_A_PIXEL
+        centre = fixed_centre(seen.mean(axis=0))
+        box = _box(seen @ level_frame(centre).T)
+        there = next(iter(self._grounds.values())).postings()
+        if box is None:
+            centre = fixed_centre(position)
+            nodes = 2.0 * np.pi * np.radians(102.0)
+            posting = _posting(there, wanted)
+        else:
+            posting = _posting(there[:LEVEL_POSTINGS], wanted)
+            nodes = (box[2] - box[0]) * (box[3] - box[1])
+        while nodes * (radius / posting) ** 2 > MAX_NODES:
+            posting *= 2.0
+        return View(tuple(centre.tolist()), box, posting)
+
+
 def fixed_centre(direction: FloatArray) -> FloatArray:
     """The nearest of a fixed set of directions, some 4° apart, at most 3° from any direction."""
     unit = direction / np.linalg.norm(direction)
@@ -201,3 +288,51 @@ def _body_latlon(
             r = turned[0, 2] * x + turned[1, 2] * y + turned[2, 2] * z
             out_lat[i, j] = np.arctan2(r, np.sqrt(p * p + q * q))
             out_lon[i, j] = np.arctan2(q, p)
+
+
+def _posting(there: FloatArray, wanted_m: float) -> float:
+    """The coarsest of postings (n,), finest first, not above the wanted one, else the finest."""
+    fine_enough = there[there <= wanted_m]
+    return float(fine_enough[-1] if fine_enough.size else there[0])
+
+
+def _seen(
+    heights: GlobeHeights, position: FloatArray, rays: FloatArray, apart: float
+) -> FloatArray | None:
+    """Directions (n, 3) from the body's centre to ground that rays may meet, None for none.
+
+    A ray can meet ground between the spheres of the highest and the lowest height.
+    """
+    rays = rays[np.isfinite(rays).all(axis=1)]
+    top, floor = heights.radius_m + heights.highest_m, heights.radius_m + heights.lowest_m
+    along = rays @ position
+    square = float(position @ position)
+    clear = along**2 - square + top**2
+    # between two probing rays that miss, a third may graze the body
+    nearest = np.sqrt(np.maximum(square - along**2, 0.0)) - top
+    close = (along < 0.0) & (nearest < apart * np.sqrt(square))
+    inside = close | (square < top**2)
+    if not inside.any():
+        return None
+    rays, along, clear = rays[inside], along[inside], np.maximum(clear[inside], 0.0)
+    start = np.maximum(-along - np.sqrt(clear), 0.0)
+    end = np.maximum(-along + np.sqrt(clear), 0.0)
+    below = along**2 - square + floor**2
+    ends = (below > 0.0) & (along < 0.0)
+    end[ends] = -along[ends] - np.sqrt(below[ends])
+    points = [position + s[:, None] * rays for s in (start, 0.5 * (start + end), end)]
+    found = np.concatenate(points)
+    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+
+
+def _box(seen: FloatArray) -> tuple[float, float, float, float] | None:
+    """The rounded box around directions in a level frame, None when it would reach too far."""
+    lat = np.arcsin(np.clip(seen[:, 2], -1.0, 1.0))
+    lon = np.arctan2(seen[:, 1], seen[:, 0])
+    edges = np.array([lon.min(), lat.min(), lon.max(), lat.max()]) + MARGIN * np.array(
+        [-1.0, -1.0, 1.0, 1.0]
+    )
+    if np.abs(edges).max() + 0.5 * CENTRES > MAX_LEVEL:
+        return None
+    low, high = np.floor(edges[:2] / ROUND) * ROUND, np.ceil(edges[2:] / ROUND) * ROUND
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])

@@ -5,7 +5,11 @@ at the date. Gravity is that of the navigator's predictions (point mass, J2, C22
 leave out is added to a [flight] as noise of its known size, so that no prediction is exact.
 """
 
+from typing import Annotated, Self
+
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
@@ -14,9 +18,9 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
-from optnav_cli.simulation.scenario import AnyScenario, InertialPath
-from optnav_cli.simulation.sections import FlightSettings, TransferSettings
-from optnav_cli.simulation.shot import ROUGHNESS, Epoch
+from optnav_cli.simulation.exposure import ROUGHNESS, Epoch
+from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.sections import Inclination, Positive
 
 States = tuple[FloatArray, FloatArray]
 
@@ -24,17 +28,90 @@ MAX_APPROACH_S = 20 * 86400.0
 APPROACH_STEPS = 400  # places that times are found between: 1e-6 of the distance
 
 
-def voyage_states(voyage: InertialPath, motion: Ephemeris) -> States:
-    """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a voyage's pictures.
+class FlightSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One orbit in inertial space, moved by gravity alone, under the Sun of its date.
 
-    Raises ConfigError for a path that does not come from as far as wanted.
+    lowest_km, highest_km  heights of its ends over the reference sphere
+    inclination_deg        to the equator of the start
+    node_deg               longitude on the body of the ascending node at the start
+    lowest_at_deg          from the node to the lowest point, along the flight
+    start_at_deg           from the node to where the first picture is taken
+    rough_gravity          also what the force model leaves out, of its known size, by the seed
     """
-    if voyage.flight is not None:
-        return flight_states(voyage.flight, motion, voyage.seed)
-    return transfer_states(voyage.transfer or TransferSettings(), motion)
+
+    lowest_km: Positive
+    highest_km: Positive
+    inclination_deg: Inclination = 90.0
+    node_deg: float = 0.0
+    lowest_at_deg: float = 0.0
+    start_at_deg: float = 0.0
+    start_utc: str = "2026-01-01T00:00:00Z"
+    frames: Annotated[int, Meta(ge=1)] = 1
+    spacing_s: Positive = 60.0
+    rough_gravity: bool = True
 
 
-def moments_of(scenario: AnyScenario, motion: Ephemeris, states: States) -> list[Epoch]:
+class TransferSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An approach to the lowest point of a path that comes from far away.
+
+    from_km, to_km   heights over the reference sphere of the first and the last, lowest picture
+    excess_speed_km_s  speed against the body that the path would have far away from it
+    frames           pictures at distances from the centre in even ratios
+    inclination_deg, node_deg, lowest_at_deg  as in [flight], at the arrival
+    """
+
+    from_km: Positive = 100_000.0
+    to_km: Positive = 100.0
+    excess_speed_km_s: Positive = 0.9
+    inclination_deg: Inclination = 60.0
+    node_deg: float = 0.0
+    lowest_at_deg: float = 0.0
+    arrival_utc: str = "2026-01-01T00:00:00Z"
+    frames: Annotated[int, Meta(ge=2)] = 60
+
+
+class InertialPath(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A real path in inertial space under the Sun of its date: one of the two."""
+
+    flight: FlightSettings | None = None
+    transfer: TransferSettings | None = None
+
+    def check(self) -> None:
+        super().check()
+        flight, transfer = self.flight, self.transfer
+        if flight is not None and transfer is not None:
+            raise ConfigError("there are [flight] and [transfer]; give one of them")
+        if flight is not None and flight.lowest_km > flight.highest_km:
+            raise ConfigError(
+                f"[flight] lowest_km is {flight.lowest_km:g}, above highest_km "
+                f"{flight.highest_km:g}; exchange them"
+            )
+        if transfer is not None and transfer.to_km >= transfer.from_km:
+            raise ConfigError(
+                f"[transfer] to_km is {transfer.to_km:g}, not below from_km "
+                f"{transfer.from_km:g}; the path comes from far and ends near"
+            )
+
+    def shortened(self, frames: int) -> Self:
+        """A flight ends earlier, a transfer takes larger steps."""
+        flight, transfer = self.flight, self.transfer
+        if flight is not None:
+            flight = msgspec.structs.replace(flight, frames=min(flight.frames, frames))
+        if transfer is not None:
+            fewer = min(transfer.frames, max(frames, 2))
+            transfer = msgspec.structs.replace(transfer, frames=fewer)
+        return msgspec.structs.replace(self, flight=flight, transfer=transfer)
+
+    def epochs(self, motion: Ephemeris) -> list[Epoch]:
+        """Raises ConfigError for a path that meets the body or comes from nearer than wanted."""
+        if self.flight is not None:
+            states = flight_states(self.flight, motion, self.seed)
+        else:
+            states = transfer_states(self.transfer or TransferSettings(), motion)
+        return epochs_of(self, motion, states)
+
+
+def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list[Epoch]:
     """All times when pictures are taken, with the ship's place in the body-fixed frame.
 
     Raises ConfigError for a path that meets the body.
@@ -42,8 +119,8 @@ def moments_of(scenario: AnyScenario, motion: Ephemeris, states: States) -> list
     found: list[Epoch] = []
     seeds = scenario.detail.seeds
     for number, (tdb_s, state) in enumerate(zip(*states, strict=True)):
-        turn = motion.body_from_inertial(float(tdb_s))
-        position, velocity = turn @ state[:3], turn @ state[3:]
+        body_from_inertial = motion.body_from_inertial(float(tdb_s))
+        position, velocity = (body_from_inertial @ v for v in (state[:3], state[3:]))
         up = position / np.linalg.norm(position)
         # straight towards the body there is no forward; then the body's north will do
         for ahead in (velocity, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])):
@@ -129,7 +206,8 @@ def path_frame(
     """Rotation (3, 3), inertial from a path's own axes: x to the lowest point, y onward, z up."""
     tilt, node, lowest = np.radians([inclination_deg, node_deg, lowest_at_deg])
     body_from_path = _about_z(node) @ _about_x(tilt) @ _about_z(lowest)
-    return np.asarray(motion.body_from_inertial(tdb_s).T @ body_from_path)
+    inertial_from_path: FloatArray = motion.body_from_inertial(tdb_s).T @ body_from_path
+    return inertial_from_path
 
 
 def _on_conic(gm: float, low: float, speed: float, anomaly: float) -> tuple[FloatArray, FloatArray]:

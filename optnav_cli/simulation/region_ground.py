@@ -6,6 +6,7 @@ runs smoothly into what lies below: the next model, in the end the globe.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -15,17 +16,23 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.cache import Cache
 from catalog.errors import ConfigError
+from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.grid import sample_bicubic
 from catalog.rendering.rays.ground import Ground, make_ground
+from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.synthetic.relief import SyntheticRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays
 from optnav_cli.simulation.globe_heights import (
     SPLINE_MARGIN,
+    WideGround,
     read_globe,
     sample_spline,
     spline_coefficients,
 )
-from optnav_cli.simulation.wide_ground import WideGround
+from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.sections import relief_below
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad
 
@@ -35,6 +42,10 @@ KEPT_WINDOWS = 2
 FEATHER_M = 8000.0  # about a pixel of the globe
 MAX_WINDOW = 100_000_000  # nodes
 POLAR_LATITUDE = np.radians(86.0)  # beyond it a lattice of longitudes is no good
+PROBE_PX = 64  # distance of the rays that find out which ground a picture shows
+NARROW = np.radians(60.0)  # wider cameras get all the fine ground there is
+SHARED_NODES = 40_000_000  # a scene of several pictures holds no more than this
+WHOLE: Box = (-np.pi, -0.5 * np.pi, np.pi, 0.5 * np.pi)
 
 
 class TruthTerrain:
@@ -48,11 +59,14 @@ class TruthTerrain:
     """
 
     def __init__(
-        self, body: Body, dems: tuple[DemSettings, ...], globe: DemSettings,
+        self,
+        body: Body,
+        dems: tuple[DemSettings, ...],
+        globe: DemSettings,
         details: Mapping[int | None, SyntheticRelief | None],
         globe_details: Mapping[int | None, SyntheticRelief] = MappingProxyType({}),
         cameras_m: Sequence[FloatArray] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.body, self._details = body, details
         self._sources = [DemSource.open(dem, Path.cwd(), body) for dem in dems]
         first = self._sources[0]
@@ -66,10 +80,9 @@ class TruthTerrain:
         self._stretch = 1.0 / float(np.cos(0.5 * (south + north)))
         self._tiles: Cache[tuple[int | None, int, int, int], Float32Array] = Cache(KEPT_TILES)
         self._windows: Cache[tuple[int | None, int, Box], Ground] = Cache(KEPT_WINDOWS)
-        self._wide = WideGround(
-            read_globe(globe, body), body.radius_m, 0.5 * (self.box[0] + self.box[2]) + np.pi,
-            globe_details, cameras_m,
-        )  # fmt: skip
+        seam = 0.5 * (self.box[0] + self.box[2]) + np.pi
+        heights = read_globe(globe, body)
+        self._wide = WideGround(heights, body.radius_m, seam, globe_details, cameras_m)
 
     def wide(self, seed: int | None) -> Ground:
         """The ground of a seed outside the terrain models, all round the body."""
@@ -177,7 +190,8 @@ class TruthTerrain:
             across = (0.5 * (east - west) - np.abs(offset) - inset) / self._stretch
         metres = np.minimum(down[:, None], across[None, :]) * self.body.radius_m
         x = np.clip(metres / FEATHER_M, 0.0, 1.0)
-        return np.asarray(x * x * (3.0 - 2.0 * x))
+        share: FloatArray = x * x * (3.0 - 2.0 * x)
+        return share
 
     def _source_heights(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> Float32Array:
         """Spline heights of one model at the nodes of a tile, NaN beside holes."""
@@ -207,3 +221,111 @@ class TruthTerrain:
             found = sample_spline(spline_coefficients(heights), y, x)
         found[~inside] = np.nan
         return found
+
+
+def truth_terrain(scenario: ScenarioBase, body: Body, flight: Sequence[Exposure]) -> TruthTerrain:
+    """The ground of a scenario. Raises ConfigError or DataError for terrain that cannot be used."""
+    first = DemSource.open(scenario.dem[0], Path.cwd(), body)
+    globe, around = DemSettings(scenario.globe.path), scenario.globe.detail
+    seeds = scenario.detail.seeds
+    details: dict[int | None, SyntheticRelief | None] = {None: None}
+    for seed in seeds:
+        details[seed] = relief_below(scenario.detail, seed, first.posting_m, body.radius_m)
+    if not around:
+        return TruthTerrain(body, scenario.dem, globe, details)
+    posting_m = DemSource.open(globe, Path.cwd(), body).posting_m
+    wide: dict[int | None, SyntheticRelief] = {
+        seed: relief_below(around, seed, posting_m, body.radius_m) for seed in seeds
+    }
+    cameras_m = [exposure.position_m for exposure in flight]
+    return TruthTerrain(body, scenario.dem, globe, details, wide, cameras_m)
+
+
+class RegionGround:
+    """The ground of a region for the pictures of a flight, by each camera in their order.
+
+    Neighbouring pictures of a pass that see nearly the same ground share one scene, so its terrain
+    is made and its shadows are cast once. Which do follows from the exposures alone.
+    """
+
+    def __init__(
+        self, terrain: TruthTerrain, cameras: Sequence[Camera], flight: Sequence[Exposure]
+    ) -> None:
+        self._terrain = terrain
+        self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
+        self._plans: dict[int, tuple[int, Box]] = {}
+        for number, camera in enumerate(cameras):
+            self._plan(camera, [exposure for exposure in flight if exposure.camera == number])
+        self._scenes: dict[int, tuple[tuple[object, ...], Scene]] = {}
+
+    def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
+        """Mean radiance factor over each pixel (height, width), sky 0, of one of the flight."""
+        seed, number = exposure.ground_seed, exposure.camera
+        factor, box = self._plans[exposure.index]
+        key = (seed, factor, box, exposure.sun_body.tobytes())
+        if number not in self._scenes or self._scenes[number][0] != key:
+            self._scenes.pop(number, None)  # let go of the old one before the new one is made
+            fine = self._terrain.window(seed, factor, box)
+            between = None if box == WHOLE else self._terrain.window(seed, 1, WHOLE)
+            scene = Scene(fine, self._terrain.wide(seed), exposure.sun_body, between)
+            self._scenes[number] = key, scene
+        rays = self._corners(camera) @ exposure.camera_from_body.as_matrix()
+        return self._scenes[number][1].picture(exposure.position_m, rays)
+
+    def _plan(self, camera: Camera, flight: Sequence[Exposure]) -> None:
+        """Fineness and box of the ground for each picture of a camera, by its index."""
+        plans = self._plans
+        group: list[Exposure] = []
+        shared: Box = WHOLE
+        for exposure in flight:
+            box, gsd = self._footprint(camera, exposure)
+            factor = self._terrain.factor_for(gsd)
+            last = group[-1] if group else None
+            joined = _around(shared, box) if last else box
+            if (
+                last is None
+                or last.pass_index != exposure.pass_index
+                or plans[last.index][0] != factor
+                or self._terrain.nodes(factor, joined) > SHARED_NODES
+            ):
+                group, joined = [], box
+            group.append(exposure)
+            shared = joined
+            for member in group:
+                plans[member.index] = (factor, shared)
+
+    def _footprint(self, camera: Camera, exposure: Exposure) -> tuple[Box, float]:
+        """The box of ground that a picture shows, with a margin for relief, and its finest GSD."""
+        body, position = self._terrain.body, exposure.position_m
+        radius = body.radius_m
+        height = float(np.linalg.norm(position)) - radius
+        gsd = max(height, 1.0) * camera.angular_resolution
+        rows, cols = camera.shape
+        r = np.unique(np.append(np.arange(0, rows, PROBE_PX), rows))
+        c = np.unique(np.append(np.arange(0, cols, PROBE_PX), cols))
+        rays = self._corners(camera)[r][:, c] @ exposure.camera_from_body.as_matrix()
+        along = distance_to_sphere(position, rays, radius)
+        cosine = rays.reshape(-1, 3) @ (-position / np.linalg.norm(position))
+        if not np.isfinite(along).all() or np.nanmin(cosine) < np.cos(NARROW):
+            return WHOLE, gsd
+        points = position + along[..., None] * rays
+        lat = np.arcsin(points[..., 2] / radius)
+        middle = np.arctan2(position[1], position[0])
+        lon = np.arctan2(points[..., 1], points[..., 0])
+        lon = middle + np.mod(lon - middle + np.pi, 2.0 * np.pi) - np.pi
+        # relief moves what a slanted ray meets; the tangent of the slant is at most this
+        slant = np.tan(np.arccos(np.nanmin(cosine)))
+        relief = max(abs(body.plausible_heights_m[0]), body.plausible_heights_m[1])
+        margin = (relief * slant + 500.0) / radius
+        wider = margin / np.cos(min(np.abs(lat).max() + margin, 1.5))
+        return (
+            float(lon.min() - wider), float(lat.min() - margin),
+            float(lon.max() + wider), float(lat.max() + margin),
+        ), gsd  # fmt: skip
+
+
+def _around(a: Box, b: Box) -> Box:
+    """The box around two; the second one is brought to the first one's turn of longitude."""
+    turn = 2.0 * np.pi * round((a[0] + a[2] - b[0] - b[2]) / (4.0 * np.pi))
+    west, east = min(a[0], b[0] + turn), max(a[2], b[2] + turn)
+    return west, min(a[1], b[1]), east, max(a[3], b[3])

@@ -1,4 +1,4 @@
-"""Real paths: two-body truths, dates and kernels, several cameras, what is told and what is not."""
+"""Real paths: two-body truths, dates and kernels, several cameras, what is stated and what not."""
 
 from pathlib import Path
 
@@ -13,16 +13,10 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.simulation.exposure import Exposure
+from optnav_cli.simulation.inertial_path import InertialPath, flight_states, transfer_states
 from optnav_cli.simulation.run import simulate
-from optnav_cli.simulation.scenario import (
-    InertialPath,
-    fewer_pictures,
-    load_scenario,
-    scenario_motion,
-)
-from optnav_cli.simulation.shot import Exposure
-from optnav_cli.simulation.trajectory import shots
-from optnav_cli.simulation.voyage import flight_states, transfer_states
+from optnav_cli.simulation.scenario import load_scenario, scenario_motion
 
 ROOT = Path(__file__).resolve().parents[3]
 MOON = load_body("moon")
@@ -135,7 +129,7 @@ def test_a_transfer_that_cannot_come_from_so_far_is_refused(flight_file: Path):
     text = FLIGHT[: FLIGHT.index("[flight]")]
     flight_file.write_text(text + "[transfer]\nfrom_km = 9e6\n")
     with pytest.raises(ConfigError, match="km at most"):
-        shots(load_scenario(flight_file), MOON)
+        load_scenario(flight_file).exposures(AnalyticEphemeris(MOON))
 
 
 @pytest.mark.parametrize(
@@ -158,7 +152,7 @@ def test_impossible_voyages_are_named(
 
 
 def test_cameras_of_one_ship_share_place_time_and_attitude_error(flight_file: Path):
-    pictures = shots(load_scenario(flight_file), MOON)
+    pictures = load_scenario(flight_file).exposures(AnalyticEphemeris(MOON))
     assert [s.file for s in pictures[:2]] == ["frame_0000_small.png", "frame_0000_side.png"]
     assert len(pictures) == 6
     sides = []
@@ -166,8 +160,8 @@ def test_cameras_of_one_ship_share_place_time_and_attitude_error(flight_file: Pa
         assert one.utc == two.utc
         np.testing.assert_array_equal(one.position_m, two.position_m)
         mounted = two.camera_from_body * one.camera_from_body.inv()
-        told = two.reported_camera_from_body * one.reported_camera_from_body.inv()
-        assert (told * mounted.inv()).magnitude() < 1e-12
+        stated = two.reported_camera_from_body * one.reported_camera_from_body.inv()
+        assert (stated * mounted.inv()).magnitude() < 1e-12
         sides.append(mounted.as_matrix())
         error = (one.reported_camera_from_body * one.camera_from_body.inv()).magnitude()
         assert 1.0 < np.degrees(error) * 3600.0 < 60.0
@@ -180,7 +174,7 @@ def test_cameras_of_one_ship_share_place_time_and_attitude_error(flight_file: Pa
 def _simulated(flight_file: Path, tmp_path: Path) -> tuple[list[Exposure], Path]:
     simulate(flight_file, tmp_path / "out")
     scenario = load_scenario(flight_file)
-    return shots(scenario, MOON, scenario_motion(scenario, MOON)), tmp_path / "out"
+    return scenario.exposures(scenario_motion(scenario, MOON)), tmp_path / "out"
 
 
 def test_inertial_attitudes_are_written_without_prior_and_sun(flight_file: Path, tmp_path: Path):
@@ -220,19 +214,19 @@ def test_with_kernels_the_truth_turns_by_them_and_files_hold_the_stars_attitude(
     assert again is not None
     assert (again * shot.reported_camera_from_body.inv()).magnitude() < 1e-11
     true = scenario_motion(load_scenario(flight_file), MOON)
-    told = shot.reported_camera_from_body * Rotation.from_matrix(
+    stated = shot.reported_camera_from_body * Rotation.from_matrix(
         true.body_from_inertial(shot.tdb_s)
     )
     read = frame.camera_from_body * Rotation.from_matrix(theory.body_from_inertial(shot.tdb_s))
-    assert (told * read.inv()).magnitude() < 1e-10
+    assert (stated * read.inv()).magnitude() < 1e-10
 
 
 def test_fewer_pictures_of_any_scenario(flight_file: Path):
-    assert len(shots(fewer_pictures(load_scenario(flight_file), 2), MOON)) == 4
+    assert len(load_scenario(flight_file).shortened(2).exposures(AnalyticEphemeris(MOON))) == 4
     passes = load_scenario(ROOT / "configs" / "scenarios" / "shnk_200km.toml")
-    assert len(shots(fewer_pictures(passes, 5), MOON)) == 5
+    assert len(passes.shortened(5).exposures(AnalyticEphemeris(MOON))) == 5
     approach = load_scenario(ROOT / "configs" / "scenarios" / "transfer.toml")
-    assert len({s.utc for s in shots(fewer_pictures(approach, 3), MOON)}) == 3
+    assert len({s.utc for s in approach.shortened(3).exposures(AnalyticEphemeris(MOON))}) == 3
 
 
 def test_the_template_shows_voyages_too(tmp_path: Path):
