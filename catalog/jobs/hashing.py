@@ -7,13 +7,11 @@ from pathlib import Path
 import msgspec
 
 from catalog.errors import DataError
+from catalog.files import PIECE, hash_file
 from catalog.jobs.workspace import Workspace
 from catalog.progress import Progress
 
 HASHES = "dem-hashes.json"
-
-
-MEGABYTE = 1_000_000
 
 
 def _known_hashes(workspace: Workspace) -> dict[str, str]:
@@ -36,23 +34,13 @@ def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress
             state = path.stat()
             name = f"{path.resolve()} {state.st_size} {state.st_mtime_ns}"
             if name not in known:
-                known[name] = _file_hash(path, state.st_size, progress)
+                size = -(-state.st_size // PIECE)
+                with progress.stage("checksum", total=size, unit="MB") as shown:
+                    known[name] = hash_file(path, shown.advance)
         except OSError as error:
             raise DataError(
                 f"{path}: cannot be read ({error.strerror or error}); check its permissions"
             ) from None
         whole.update(bytes.fromhex(known[name]))
     workspace.put(HASHES, msgspec.json.encode(known))
-    return whole.hexdigest()
-
-
-def _file_hash(path: Path, size: int, progress: Progress) -> str:
-    whole = hashlib.sha256()
-    with (
-        path.open("rb") as file,
-        progress.stage("checksum", total=-(-size // MEGABYTE), unit="MB") as shown,
-    ):
-        while data := file.read(MEGABYTE):
-            whole.update(data)
-            shown.advance()
     return whole.hexdigest()

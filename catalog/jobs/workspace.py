@@ -5,18 +5,18 @@ results depend on. Changed settings make another key, so nothing stale is ever r
 appears by rename, complete, or not at all.
 """
 
-import fcntl
 import hashlib
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from catalog.errors import OutputError
+from catalog.files import PARTIAL, locked, put_file
 from catalog.jobs.records import DamagedRecordsError, are_whole, decode_records
 
 MARK = "optnav-workspace.json"
@@ -72,24 +72,19 @@ class Workspace:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the folder for this process. Raises OutputError when another one works in it.
-
-        The lock goes with the process, so a killed one leaves none behind.
-        """
+        """Hold the folder for this process. Raises OutputError when another one works in it."""
         path = self.folder / LOCK
-        try:
-            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as error:
-            raise _unwritable(self.folder, error) from None
-        try:
+        with ExitStack() as held:
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                owner = os.read(handle, 32).decode("ascii", "replace").strip() or "unknown"
+                handle = held.enter_context(locked(path))
+            except BlockingIOError:
+                owner = path.read_text(encoding="ascii", errors="replace").strip() or "unknown"
                 raise OutputError(
                     f"{self.folder}: process {owner} works in it; "
                     "wait for it or name another work folder"
                 ) from None
+            except OSError as error:
+                raise _unwritable(self.folder, error) from None
             os.ftruncate(handle, 0)
             os.pwrite(handle, f"{os.getpid()}\n".encode("ascii"), 0)
             self._clear_remains()
@@ -98,12 +93,10 @@ class Workspace:
             except BaseException:
                 self._leave_no_trace()
                 raise
-        finally:
-            os.close(handle)
 
     def _clear_remains(self) -> None:
         """Remove what killed processes were writing."""
-        for path in self.folder.rglob("*.partial"):
+        for path in self.folder.rglob(f"*{PARTIAL}"):
             if path.is_file():
                 path.unlink(missing_ok=True)
 
@@ -118,17 +111,9 @@ class Workspace:
 
     def put(self, name: str, data: bytes) -> None:
         """Write a file so that it is there whole or not at all, also after a loss of power."""
-        path = self.folder / name
-        partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with partial.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(partial, path)
+            put_file(self.folder / name, data)
         except OSError as error:
-            partial.unlink(missing_ok=True)
             raise _unwritable(self.folder, error) from None
 
     def get(self, name: str) -> bytes | None:

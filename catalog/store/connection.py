@@ -2,14 +2,16 @@
 
 import os
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 from urllib.parse import quote
 
 from catalog.errors import DataError
 from catalog.store.manifest import CatalogMeta, meta_from_rows
-from catalog.store.partial import SQLITE_MAGIC
-from catalog.store.schema import META
+from catalog.store.schema import META, PAGE_SIZE, POINT_COLUMNS, POINTS
 
+SQLITE_MAGIC = b"SQLite format 3\0"
+SIDECARS = ("-wal", "-shm", "-journal")
 CACHE_KIB = 8192
 
 
@@ -69,6 +71,26 @@ def read_meta(db: sqlite3.Connection, path: Path) -> CatalogMeta:
             f"{path}: the catalog is damaged: {error}; restore it or build it again"
         ) from None
     return meta_from_rows(rows, str(path))
+
+
+def is_catalog_file(path: Path) -> bool:
+    """Whether a file is a catalog of ours, even one that is damaged or cut short."""
+    with path.open("rb") as file:
+        first_page = file.read(PAGE_SIZE)
+    # the first page holds the text of the schema
+    return first_page.startswith(SQLITE_MAGIC) and META.encode() in first_page
+
+
+def is_points_file(path: Path) -> bool:
+    """Whether a file is an exported layer of ours: our points without a catalog around them."""
+    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro&immutable=1"
+    try:
+        with closing(sqlite3.connect(uri, uri=True)) as db:
+            points = db.execute(f"SELECT name FROM pragma_table_info('{POINTS}')").fetchall()
+            meta = db.execute(f"SELECT name FROM pragma_table_info('{META}')").fetchall()
+    except sqlite3.Error:
+        return False
+    return tuple(name for (name,) in points) == POINT_COLUMNS and not meta
 
 
 def live_log(path: Path) -> Path | None:
