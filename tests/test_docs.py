@@ -5,13 +5,11 @@ import re
 import shlex
 import subprocess
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 
 import click
 import pytest
 
-from optnav_cli.lazy_group import LazyGroup
 from optnav_cli.main import cli
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -96,13 +94,6 @@ def test_makes_of_the_readme_exist() -> None:
 def test_pictures_and_files_that_the_readme_names_are_there() -> None:
     for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", README):
         assert (CHECKOUT / target).exists(), f"README.md names {target}"
-
-
-def test_a_study_is_found_by_its_file_and_offers_a_command() -> None:
-    study = COMMANDS["study"]
-    assert isinstance(study, LazyGroup)
-    for entry in study.table.values():
-        assert isinstance(getattr(import_module(entry.module), entry.attribute), click.Command)
 
 
 def files() -> Iterator[Path]:
