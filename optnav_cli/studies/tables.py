@@ -89,6 +89,10 @@ class Table:
 
     def to_markdown(self) -> str:
         """The table for a document, without its title."""
+        if len(self.rows) == 1 and len(self.columns) > MAX_ACROSS:
+            pairs = zip(self.columns, self.rows[0])
+            lines = [f"| {c.title} | {c.shown(cell)} {c.unit}".rstrip() + " |" for c, cell in pairs]
+            return "\n".join(["| | |", "|---|---|", *lines])
         heads = [f"{c.title}, {c.unit}" if c.unit else c.title for c in self.columns]
         rules = ["---" if left else "---:" for left in self._is_text()]
         body = [[c.shown(cell) for c, cell in zip(self.columns, r)] for r in self.rows]
