@@ -19,9 +19,10 @@ import numpy as np
 
 from catalog.bodies.body import load_body
 from catalog.build import check, render, select
-from catalog.build.check import CheckedPoint, outcomes_at
+from catalog.build.check import CheckedPoint
 from catalog.build.config import BodySettings, BuildConfig, CheckSettings, RenderSettings
 from catalog.build.context import StageContext
+from catalog.build.trials import outcomes_at
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, Stage

@@ -217,9 +217,9 @@ def test_trials_that_are_not_run_would_not_have_changed_the_choice(mosaic, selec
     strict = CheckSettings(places=4, trials=8, good_recognition=1.0, max_error_nodes=0.25)
     hard = context_of(mosaic, check=strict)
     run = []
-    of_trials = check.run_trials
+    of_trials = check.outcomes_at
     monkeypatch.setattr(
-        check, "run_trials", lambda *a, **k: (run.append(1) or o for o in of_trials(*a, **k))
+        check, "outcomes_at", lambda *a, **k: (run.append(1) or o for o in of_trials(*a, **k))
     )
     found = check.check_chunk(hard, selected)
     early, run[:] = len(run), []
