@@ -25,7 +25,7 @@ from catalog.config import resource
 from catalog.control_point import Flag
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
-from catalog.jobs.records import decode_records, encode_records
+from catalog.jobs.workspace import decode_records, encode_records
 from catalog.rendering.map_view import render_map
 from catalog.selection.match_error import predict_match
 from catalog.terrain.dem.mosaic import Mosaic
