@@ -221,9 +221,16 @@ def ingest_mesh(
         shape = load_shape(settings, base_dir, body, progress)
         halvings = _halvings(shape, finest_m)
         record = MeshRecord(
-            path.name, digest, folder, len(shape.vertices), len(shape.faces), shape.posting_m,
-            shape.volume_m3 / 1e9, halvings, shape.mended,
-        )  # fmt: skip
+            name=path.name,
+            sha256=digest,
+            folder=folder,
+            vertices=len(shape.vertices),
+            faces=len(shape.faces),
+            posting_m=shape.posting_m,
+            volume_km3=shape.volume_m3 / 1e9,
+            halvings=halvings,
+            mended=shape.mended,
+        )
         corners = io.BytesIO()
         np.save(corners, _corners(shape, settings, path, halvings))
         workspace.put(f"{folder}/{CORNERS}", corners.getvalue())
@@ -234,8 +241,8 @@ def ingest_mesh(
         log.info(
             "%s: oversampled: patches have %.3g m between nodes, the mesh %.3g m between vertices;"
             " they are cut from a smooth surface through these",
-            path.name, finest_m, record.posting_m,
-        )  # fmt: skip
+            *(path.name, finest_m, record.posting_m),
+        )
     place = workspace.path(folder, CORNERS)
     return MeshTerrain(body, place, record.name, record.posting_m), record
 

@@ -238,7 +238,8 @@ class Catalog:
         # chords keep their digits at small angles, where cosines do not
         chord = np.linalg.norm(self.direction - centre, axis=1)
         limit = 2.0 * math.sin(math.radians(min(max(radius_deg, 0.0), 180.0)) / 2.0)
-        return np.asarray(self.ids[chord <= limit])
+        near: IntArray = self.ids[chord <= limit]
+        return near
 
     def patches(self, point_id: int) -> tuple[Patch, ...]:
         """The height grids of a point, finest first; empty for a point kept without any.

@@ -51,7 +51,7 @@ USED = _count("n_used", "of these, kept by the solution")
 STATUS = _text("status", "solved or unsolved")
 METHOD = _text("method", "how the frame was solved, or how far it got", empty=True)
 REASON = _text("reason", "why a frame is unsolved, or a remark", empty=True)
-REASON_CODE = _text("reason_code", "the reason's code; of several, the decisive one's", empty=True)
+REASON_CODE = _text("reason_code", "the code of that reason, for programs", empty=True)
 
 FRAMES = Table(
     (
@@ -114,7 +114,8 @@ MATCHES = Table(
         _number("sun_elevation_deg", "the Sun above the point's horizon", "deg", "z.4f"),
         *_pixel("residual", "measured less predicted, after the solution"),
         Column("used", "whether the solution keeps it", "flag"),
-        *(_text("reason", "why not", empty=True), REASON_CODE),
+        _text("reason", "why not", empty=True),
+        REASON_CODE,
     )
 )
 

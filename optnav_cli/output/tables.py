@@ -88,7 +88,7 @@ def _solution(row: Row, attitude: FileAttitude) -> Solution:
     position, upper = row.vector(POSITION), row.vector(COVARIANCE)
     quaternion, sigma = row.vector(QUATERNION), row.number("attitude_sigma_arcsec")
     written = None if quaternion is None else rotation_from_quaternion(*quaternion)
-    method, reason = _method(row["method"]), Reason(_reason_code(row), row["reason"])
+    reason = Reason(_reason_code(row), row["reason"])
     evidence = Evidence(
         n_predicted=row.count("n_predicted"),
         n_matched=row.count("n_matched"),
@@ -97,6 +97,7 @@ def _solution(row: Row, attitude: FileAttitude) -> Solution:
         n_limb=row.count("n_limb"),
         arc_deg=row.number("arc_deg"),
     )
+    method = _method(row)
     outcome: Fix | NoFix = NoFix(reason, method, evidence)
     if row["status"] == "solved":
         if position is None or upper is None or method is None:
@@ -115,11 +116,11 @@ def _solution(row: Row, attitude: FileAttitude) -> Solution:
     return Solution(row["file"], row["utc"], outcome, row["prior"])
 
 
-def _method(name: str) -> Method | None:
+def _method(row: Row) -> Method | None:
     try:
-        return Method(name) if name else None
+        return Method(row["method"]) if row["method"] else None
     except ValueError as error:
-        raise DataError(f"method is '{name}'; wanted {', '.join(Method)}") from error
+        raise DataError(f"method is '{row['method']}'; wanted {', '.join(Method)}") from error
 
 
 def _reason_code(row: Row) -> ReasonCode:
