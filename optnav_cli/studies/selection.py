@@ -32,6 +32,7 @@ from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Outcome
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
+from optnav_cli.studies.tables import Cell, Column, StudyReport, Table
 
 Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
 
@@ -248,26 +249,49 @@ def difference(better: Strategy, other: Strategy) -> Interval:
     return a - b, a - b - low, a - b + high
 
 
-def format_table(rows: Sequence[SelectionRow]) -> str:
-    """The rows for people to read."""
-    lines = []
+COLUMNS = (
+    Column("posting_m", "posting", "m", ".0f"),
+    Column("cells", "cells"),
+    Column("strategy", "strategy"),
+    Column("trials", "trials"),
+    Column("recognised", "recognised", "%", ".1f"),
+    Column("recognised_low", "from", "%", ".1f"),
+    Column("recognised_high", "to", "%", ".1f"),
+    Column("error_m", "error", "m", ".0f"),
+    Column("error_low_m", "from", "m", ".0f"),
+    Column("error_high_m", "to", "m", ".0f"),
+    Column("wrong", "wrong", "%", ".1f"),
+)
+GAIN_COLUMNS = (
+    Column("posting_m", "posting", "m", ".0f"),
+    Column("over", "chosen over"),
+    Column("gain", "gain", "points", "+.1f"),
+    Column("gain_low", "from", "points", "+.1f"),
+    Column("gain_high", "to", "points", "+.1f"),
+)
+
+
+def report(rows: Sequence[SelectionRow]) -> StudyReport:
+    """Strategies by posting, and what chosen points gain; ranges are 95 % intervals."""
+    lines: list[tuple[Cell, ...]] = []
+    gains: list[tuple[Cell, ...]] = []
     for row in rows:
-        lines.append(f"posting {row.posting_m:.0f} m, {row.cells} cells, 95 % intervals")
-        lines.append(f"{'strategy':16}{'trials':>7}  {'recognised':24}{'error, m':22}wrong")
         for one in row.strategies:
-            rate, low, high = (100.0 * value for value in one.rate)
-            share = f"{rate:.1f} % ({low:.1f}..{high:.1f})"
-            error = f"{one.error_m[0]:.0f} ({one.error_m[1]:.0f}..{one.error_m[2]:.0f})"
-            lines.append(
-                f"{one.name:16}{one.trials:7d}  {share:24}{error:22}{100.0 * one.wrong:.1f} %"
-            )
-        gains = (
+            start = (row.posting_m, row.cells, one.name, one.trials)
+            lines.append((*start, *_percent(one.rate), *one.error_m, 100.0 * one.wrong))
+        for over, gain in (
             ("random", row.over_random),
             ("one-Sun corner", row.over_corner),
             ("one-Sun Harris", row.over_harris),
-        )
-        for what, gain in gains:
-            value, low, high = (100.0 * v for v in gain)
-            lines.append(f"chosen over {what}: {value:+.1f} points ({low:+.1f}..{high:+.1f})")
-        lines.append("")
-    return "\n".join(lines).rstrip()
+        ):
+            gains.append((row.posting_m, over, *_percent(gain)))
+    tables = (
+        Table("strategies, 95 % intervals", COLUMNS, tuple(lines)),
+        Table("gain of recognition, 95 % intervals", GAIN_COLUMNS, tuple(gains)),
+    )
+    return StudyReport(tables)
+
+
+def _percent(interval: Interval) -> Interval:
+    value, low, high = interval
+    return 100.0 * value, 100.0 * low, 100.0 * high
