@@ -16,9 +16,10 @@ from optnav_cli.matching.search_plan import (
     search_room,
 )
 from optnav_cli.navigation.control_points.error_model import (
+    MatchedPoints,
     common_errors_px,
     footprints,
-    ground_alikeness,
+    ground_correlation,
     overlap_correlation,
     own_covariances_px2,
 )
@@ -126,25 +127,25 @@ def solve(
         samples = view.metres_per_pixel[kept]
         triples = zip(levels.tolist(), samples.tolist(), finest.tolist(), strict=True)
         nodes = [frame.template_nodes(*three) for three in triples]
-        error_correlation = ground_alikeness(places, levels * nodes)
+        error_correlation = ground_correlation(places, levels * nodes)
         if parts:
             size_px = frame.camera.width_px, frame.camera.height_px
             error_correlation[np.ix_(list(parts), list(parts))] = overlap_correlation(
                 footprints(list(parts.values()), size_px)
             )
         _, jacobian = predict(frame.camera, pose, places)
-        pixel_per_metre = -jacobian[
-            :, :, :3
-        ]  # a point that moves one way looks as if the camera moved
-        hidden = np.where(levels < finest, finest, 0.0)
-        postings = np.maximum(levels, finest)  # of what is known, not of the nodes
-        suns = view.sun_elevation_deg[kept]
-        own = own_covariances_px2(places, pixel_per_metre, postings, finest, suns, hidden)
-        sightings = replace(sightings, covariances_px2=sightings.covariances_px2 + own)
-        scores = np.array([matches[k].score or 0.0 for k in kept])
-        common = common_errors_px(
-            places, pixel_per_metre, scores, frame.sun_body, finest, postings, hidden
+        errors = MatchedPoints(
+            places,
+            -jacobian[:, :, :3],  # a point that moves one way looks as if the camera moved
+            np.array([matches[k].score or 0.0 for k in kept]),
+            view.sun_elevation_deg[kept],
+            np.maximum(levels, finest),  # of what is known, not of the nodes
+            finest,
+            np.where(levels < finest, finest, 0.0),
         )
+        covariances = sightings.covariances_px2 + own_covariances_px2(errors)
+        sightings = replace(sightings, covariances_px2=covariances)
+        common = common_errors_px(errors, frame.sun_body)
     free = observation.attitude_sigma_rad is None
     attitude = pose.camera_from_body if free else observation.camera_from_body
     return resect_robustly(

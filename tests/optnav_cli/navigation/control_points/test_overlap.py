@@ -6,7 +6,7 @@ import pytest
 from optnav_cli.matching.point_match import SeenPart
 from optnav_cli.navigation.control_points.error_model import (
     footprints,
-    ground_alikeness,
+    ground_correlation,
     overlap_correlation,
     own_shares,
 )
@@ -62,7 +62,7 @@ def test_templates_on_common_ground_err_together():
     """Against the common area of squares drawn cell by cell; discs stand for them to an eighth."""
     places = np.array([[0.0, 0.0], [30e3, 0.0], [0.0, 55e3], [40e3, 40e3], [500e3, 0.0]])
     widths = np.array([76e3, 76e3, 76e3, 38e3, 76e3])
-    found = ground_alikeness(np.column_stack([places, np.full(5, 1737e3)]), widths)
+    found = ground_correlation(np.column_stack([places, np.full(5, 1737e3)]), widths)
     assert np.allclose(np.diag(found), 1.0)
     assert np.allclose(found, found.T)
     assert (np.linalg.eigvalsh(found) > 0.0).all()
