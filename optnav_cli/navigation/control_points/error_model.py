@@ -249,10 +249,10 @@ def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
 
 def _lines_of_sight(pixel_per_metre: FloatArray, up: FloatArray) -> FloatArray:
     """Unit vectors (n, 3) from the points to the camera: a step along them moves no pixel."""
-    sight = np.cross(pixel_per_metre[:, 0], pixel_per_metre[:, 1])
+    sight: FloatArray = np.cross(pixel_per_metre[:, 0], pixel_per_metre[:, 1])
     sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-30)
-    outward: FloatArray = np.where(np.einsum("ni,ni->n", sight, up) < 0.0, -1.0, 1.0)
-    return sight * outward[:, None]
+    sight = sight * np.where(np.einsum("ni,ni->n", sight, up) < 0.0, -1.0, 1.0)[:, None]
+    return sight
 
 
 def _cos_emission(sight: FloatArray, up: FloatArray) -> FloatArray:
