@@ -76,10 +76,7 @@ class PointLayer:
     def subset(self, keep: BoolArray) -> "PointLayer":
         """The layer with some of its points."""
         return replace(
-            self,
-            ids=self.ids[keep],
-            xyz_m=self.xyz_m[keep],
-            skyline_deg=self.skyline_deg[keep],
+            self, ids=self.ids[keep], xyz_m=self.xyz_m[keep], skyline_deg=self.skyline_deg[keep]
         )
 
 

@@ -15,14 +15,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.estimation.robust import RobustResection
-from optnav_cli.fix import (
-    Evidence,
-    Fix,
-    MatchRow,
-    Method,
-    PositionPrior,
-    UnsolvedFrameError,
-)
+from optnav_cli.fix import Evidence, Fix, MatchRow, Method, PositionPrior, UnsolvedFrameError
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.navigation.control_points.acceptance import (

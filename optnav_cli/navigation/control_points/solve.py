@@ -86,24 +86,14 @@ def match_all(
         plan = SearchPlan(level, template, room, sample, distortion, blur)
         matches.append(
             match_point(
-                reference,
-                plan,
-                frame.picture,
-                camera,
-                pose,
-                frame.sun_body,
-                frame.matcher,
-                gates,
+                reference, plan, frame.picture, camera, pose, frame.sun_body, frame.matcher, gates
             )
         )
     return matches, at_finest, searched_postings
 
 
 def solve(
-    frame: FrameContext,
-    view: ExpectedPoints,
-    matches: list[PointMatch],
-    pose: Pose,
+    frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], pose: Pose
 ) -> RobustResection:
     """Resect from the accepted matches, from a pose. Raises NoSolutionError."""
     points, observation = frame.points, frame.observation
@@ -116,9 +106,7 @@ def solve(
         # what the frame shows of a cut template is not centred on the point
         places[i], pixels[i] = part.place_m, part.pixel
     sightings = Sightings(
-        places,
-        pixels,
-        np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2),
+        places, pixels, np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2)
     )
     common = error_correlation = None
     if kept:
