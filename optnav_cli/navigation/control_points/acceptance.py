@@ -79,8 +79,8 @@ def decades_of_parts(
 
 def _choices(used: int, tried: int) -> float:
     """Powers of ten of the ways to pick the used points of those that were tried."""
-    most = max(tried, used)
-    choices = gammaln(most + 1.0) - gammaln(used + 1.0) - gammaln(most - used + 1.0)
+    offered = max(tried, used)
+    choices = gammaln(offered + 1.0) - gammaln(used + 1.0) - gammaln(offered - used + 1.0)
     return float(choices / np.log(10.0))
 
 

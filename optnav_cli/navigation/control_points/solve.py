@@ -28,11 +28,8 @@ from optnav_cli.reasons import Reason, ReasonCode
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
 DISTORTION_SIGMAS = 2.0
-# Behind a blur a score is worth what the samples are that were compared: least of their root's
-# multiples.
+# Behind a blur: score times the root of the samples that were compared.
 MIN_STRENGTH = 3.0
-
-
 DAMAGED = Reason(ReasonCode.DAMAGED_PATCH, "patch damaged in the catalog")
 
 
@@ -65,7 +62,7 @@ def match_all(
     for k, index in enumerate(view.index):
         reference = points.reference(int(index))
         if reference is None:
-            matches.append(PointMatch(0, None, None, None, None, None, DAMAGED))
+            matches.append(PointMatch(0, DAMAGED))
             continue
         sample = float(view.metres_per_pixel[k])
         postings = points.postings_m(int(index))
