@@ -63,7 +63,7 @@ def navigate_folder(
     started = datetime.now(UTC)
     folder = read_folder(pictures, [Path(name) for name in settings.spice.kernels])
     log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
-    with opened(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
+    with open_catalogs(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
         points = open_field(catalogs, folder)
         ground = whole_relief(catalogs, relief, folder)
         inertial = folder.settings.attitude == "camera_from_inertial"
@@ -106,7 +106,7 @@ def navigate_folder(
 
 
 @contextmanager
-def opened(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
+def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
     """Open catalogs, and close them at the end.
 
     Raises ConfigError for two of one file name, which matches.csv could not tell apart, and
