@@ -100,7 +100,7 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
     known, hidden = errors(SQUARE), errors(SQUARE, unresolved_posting_m=300.0)
     growth = np.linalg.norm(hidden, axis=1) - np.linalg.norm(known, axis=1)
     grown = np.flatnonzero((growth > 1e-9).all(axis=0))
-    # the rise that is alike on all sides, and both shifts
+    # the rise that is the same on all sides, and both shifts
     assert {12, 15, 16} <= set(grown.tolist())
     assert (growth > -1e-12).all()
     flat = [own_covariances_px2(matched(SQUARE, unresolved_posting_m=m)) for m in (0.0, 300.0)]
