@@ -9,6 +9,9 @@ BIN := .venv/bin
 READY := .venv/.ready
 OUT ?= optnav-demo
 ARGS ?=
+# One process a core, a test file at a time, in the order of the folders, so that what the tests of
+# a file share is made once and the longest files do not come last.
+PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup demo test check lint types tests bench bench-global golden lock clean
 
@@ -45,8 +48,8 @@ lint: $(READY) ## style alone
 types: $(READY) ## types alone
 	$(BIN)/mypy
 
-tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest)
-	$(BIN)/python -m pytest $(ARGS)
+tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: one process)
+	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 study-%: $(READY) ## one long experiment behind the figures, such as study-selection
 	$(BIN)/optnav study $* $(ARGS)

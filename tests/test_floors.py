@@ -12,8 +12,8 @@ PACKAGES = ("catalog", "optnav_cli")
 # Lowest first. An image arrives with the first floor of optnav_cli.
 FLOORS = (
     {"catalog.errors", "catalog.arrays"},
-    {"catalog.config", "catalog.progress", "catalog.geometry"},
-    {"catalog.bodies"},
+    {"catalog.config", "catalog.progress", "catalog.files", "catalog.cache", "catalog.geometry"},
+    {"catalog.bodies", "catalog.tables"},
     {"catalog.terrain", "catalog.photometry", "catalog.control_point"},
     {"catalog.rendering", "catalog.correlation"},
     {"catalog.selection", "catalog.store"},

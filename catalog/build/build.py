@@ -23,15 +23,15 @@ from catalog.build.select import SelectedCell
 from catalog.build.write import find_published, remember_published
 from catalog.control_point import ControlPoint, Flag
 from catalog.errors import ConfigError, NothingToDoError, UsageError
+from catalog.files import check_file
 from catalog.jobs import usage
 from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.cluster import check_address, cluster_workers
-from catalog.jobs.records import encode_records
 from catalog.jobs.usage import Account, StageAccount
 from catalog.jobs.workers import available_cores, workers_of
-from catalog.jobs.workspace import MARK, Workspace, stage_key
+from catalog.jobs.workspace import MARK, Workspace, encode_records, stage_key
 from catalog.progress import Progress, SilentProgress
-from catalog.store.partial import check_place
+from catalog.store.connection import is_catalog_file
 from catalog.store.patches import PreparedPoint
 from catalog.terrain.dem.file import path_of
 
@@ -79,7 +79,7 @@ def run(
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}: wanted 1 or more")
     if output is not None:
-        check_place(output)  # before hours of work for a place that cannot be used
+        check_file(output, is_catalog_file)  # before hours of work for a place that cannot be used
     if work is None:
         if output is None:
             raise UsageError("name a work folder with --work")
@@ -90,7 +90,7 @@ def run(
         config_path, work = config_path.absolute(), work.absolute()
     config = load_build_config(config_path)
     try:
-        body = load_body(config.body.name)
+        body = load_body(config.body.name, config_path.parent)
     except ConfigError as error:
         raise ConfigError(f"{config_path}: [body] name: {error}") from None
     workspace = Workspace(work)

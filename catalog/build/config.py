@@ -19,7 +19,7 @@ from catalog.terrain.mesh.file import MeshSettings
 
 
 class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[body]. name: a file of configs/bodies."""
+    """[body]. name: of configs/bodies, or the path of a body file, from this file's folder."""
 
     name: str
 

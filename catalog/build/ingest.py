@@ -19,10 +19,8 @@ from catalog.build.context import DemRecord
 from catalog.build.relief import ReliefRecord, make_or_keep
 from catalog.errors import ConfigError, DataError, UsageError
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.code_key import code_key
-from catalog.jobs.hashing import content_hash
 from catalog.jobs.usage import StageAccount
-from catalog.jobs.workspace import Workspace, stage_key
+from catalog.jobs.workspace import Workspace, code_key, content_hash, stage_key
 from catalog.progress import Progress
 from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import path_of

@@ -25,9 +25,8 @@ from catalog.build.ingest import (
 from catalog.build.relief import ReliefRecord, settle_relief
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.code_key import code_key
 from catalog.jobs.usage import StageAccount
-from catalog.jobs.workspace import Workspace, stage_key
+from catalog.jobs.workspace import Workspace, code_key, stage_key
 from catalog.progress import Progress
 
 MANIFEST = "manifest.json"

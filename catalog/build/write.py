@@ -22,12 +22,11 @@ from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers
 from catalog.jobs.workspace import Workspace
 from catalog.progress import Progress
-from catalog.store.connection import connect, live_log, read_meta
+from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
 from catalog.store.manifest import PLAIN_VERSION, PLANES_VERSION, CatalogMeta, PlanesMeta
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
-from catalog.store.seal import SealState, seal_state
 from catalog.store.writer import Written, write_catalog
 from catalog.terrain.mesh.terrain import MeshTerrain
 

@@ -10,9 +10,9 @@ import numpy as np
 from catalog.arrays import ByteArray, Float32Array
 from catalog.control_point import Patch, Pyramid
 from catalog.errors import OutputError
+from catalog.files import check_file, write_output
 from catalog.rendering.map_view import render_map
-from catalog.store.features import reasons_text
-from catalog.store.partial import check_place, replacing
+from catalog.store.records import reasons_text
 
 HEADER_BYTES = 33  # of a PNG: its magic number and its first chunk
 # A text chunk by which we know a picture of ours again: length, type, text, CRC-32 of both.
@@ -73,21 +73,14 @@ def write_png(picture: ByteArray, path: Path) -> None:
     if not done:
         raise OutputError(f"{path}: a picture of {picture.shape} pixels cannot be coded")
     coded = data.tobytes()
-    with replacing(path, _is_ours) as partial:
-        try:
-            partial.write_bytes(coded[:HEADER_BYTES] + OUR_MARK + coded[HEADER_BYTES:])
-        except OSError as error:
-            raise OutputError(
-                f"{path}: cannot be written ({error.strerror}); free some space or name another "
-                "place"
-            ) from error
+    write_output(path, coded[:HEADER_BYTES] + OUR_MARK + coded[HEADER_BYTES:], _is_ours)
 
 
 def check_png_place(path: Path) -> None:
     """Raise OutputError for another ending than .png, or a place where no picture can be put."""
     if path.suffix.lower() != ".png":
         raise OutputError(f"{str(path)!r}: the picture is a PNG; choose a name that ends in .png")
-    check_place(path, _is_ours)
+    check_file(path, _is_ours)
 
 
 def _is_ours(path: Path) -> bool:

@@ -18,8 +18,8 @@ from urllib.parse import urlsplit
 
 from catalog.errors import UsageError, WorkersError
 from catalog.jobs.cluster_node import Needs, call_on_node, files_of, needs_of, unfit
-from catalog.jobs.code_key import code_key
 from catalog.jobs.workers import ExecutorWorkers, Workers
+from catalog.jobs.workspace import code_key
 
 log = logging.getLogger(__name__)
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from catalog.errors import WorkersError
-from catalog.jobs.code_key import code_key, surroundings
 from catalog.jobs.workers import call_in_worker
+from catalog.jobs.workspace import code_key, surroundings
 
 # Of a file that is compared: enough to tell another terrain model or another overview of the same
 # size, without reading all of it on every worker. Dates are not compared: copies have others.

@@ -23,7 +23,7 @@ from typing import TypeVar
 import msgspec
 
 from catalog.control_point import Flag
-from catalog.store.features import reasons_text
+from catalog.store.records import reasons_text
 
 R = TypeVar("R")
 

@@ -16,11 +16,10 @@ from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
 from catalog.store.connection import connect, read_meta
-from catalog.store.features import record_from_row
 from catalog.store.index import CellIndex
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import StoredPatch, patch_from_row, stored_patch_from_row
-from catalog.store.records import Record, checksum, point_from_record, record_type
+from catalog.store.records import Record, checksum, point_from_record, record_from_row, record_type
 from catalog.store.relief import read_relief
 from catalog.store.schema import (
     HEIGHT_LAYER,

@@ -10,6 +10,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import NothingToDoError
+from catalog.files import replacing_folder
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import Folder, read_folder
@@ -20,7 +21,6 @@ from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import patch_outlines, write_overlay
 from optnav_cli.output.recording import Recording, describe
-from optnav_cli.output.replace import replacing_folder
 from optnav_cli.output.run_folder import MATCHES, OVERLAYS, RECORDING, SOLUTION, copy_inputs
 from optnav_cli.output.tables import write_matches, write_solutions
 from optnav_cli.runs.catalogs import open_field, opened, whole_relief

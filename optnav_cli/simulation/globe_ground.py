@@ -7,7 +7,6 @@ from far away the grid's pole lies below the camera and its equator runs along t
 Turned frames come from a fixed set of directions, so neighbouring pictures share their ground.
 """
 
-from collections import OrderedDict
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
+from catalog.cache import Cache
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
@@ -73,9 +73,9 @@ class GlobeTerrain:
     def __init__(
         self, heights: GlobeHeights, detail: SyntheticRelief | None, kept: int = 1
     ) -> None:
-        self._heights, self._detail, self._most = heights, detail, kept
+        self._heights, self._detail = heights, detail
         self._lost: dict[float, float] = {}
-        self._kept: OrderedDict[object, tuple[FloatArray, Ground, Ground]] = OrderedDict()
+        self._kept: Cache[object, tuple[FloatArray, Ground, Ground]] = Cache(kept)
 
     def postings(self) -> FloatArray:
         """Postings (m) that windows may have, finest first."""
@@ -88,15 +88,11 @@ class GlobeTerrain:
         sun_body  where the Sun is: the seam of a ground that faces the camera is put in the dark
         """
         key: tuple[object, ...] = (view, None if view.box else sun_body.tobytes())
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
-        while len(self._kept) >= self._most:
-            self._kept.popitem(last=False)  # let go of the old one before the new one is made
         centre = np.array(view.centre)
         turned = level_frame(centre) if view.box else facing_frame(centre, sun_body)
-        self._kept[key] = turned, self._window(view, turned), self._coarse(turned)
-        return self._kept[key]
+        return self._kept.get(
+            key, lambda: (turned, self._window(view, turned), self._coarse(turned))
+        )
 
     def _window(self, view: View, turned: FloatArray) -> Ground:
         step = view.posting_m / self._heights.radius_m

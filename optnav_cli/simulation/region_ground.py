@@ -5,7 +5,6 @@ tiles, so every picture of a seed shows the same ground. Toward the border of a 
 runs smoothly into what lies below: the next model, in the end the globe.
 """
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
+from catalog.cache import Cache
 from catalog.errors import ConfigError
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.grid import sample_bicubic
@@ -38,6 +38,7 @@ Box = tuple[float, float, float, float]  # west, south, east, north, rad
 
 TILE = 1024  # nodes a side
 KEPT_TILES = 120  # 0.5 GB
+KEPT_WINDOWS = 2
 FEATHER_M = 8000.0  # about a pixel of the globe
 MAX_WINDOW = 100_000_000  # nodes
 POLAR_LATITUDE = np.radians(86.0)  # beyond it a lattice of longitudes is no good
@@ -77,8 +78,8 @@ class TruthTerrain:
             self.box = (self.box[0], south, self.box[2], north)
         self.posting_m = first.posting_m
         self._stretch = 1.0 / float(np.cos(0.5 * (south + north)))
-        self._tiles: OrderedDict[tuple[int | None, int, int, int], Float32Array] = OrderedDict()
-        self._windows: OrderedDict[tuple[int | None, int, Box], Ground] = OrderedDict()
+        self._tiles: Cache[tuple[int | None, int, int, int], Float32Array] = Cache(KEPT_TILES)
+        self._windows: Cache[tuple[int | None, int, Box], Ground] = Cache(KEPT_WINDOWS)
         seam = 0.5 * (self.box[0] + self.box[2]) + np.pi
         heights = read_globe(globe, body)
         self._wide = WideGround(heights, body.radius_m, seam, globe_details, cameras_m)
@@ -99,10 +100,9 @@ class TruthTerrain:
 
         Raises ConfigError when the box holds too much ground at this resolution.
         """
-        key = (seed, factor, box)
-        if key in self._windows:
-            self._windows.move_to_end(key)
-            return self._windows[key]
+        return self._windows.get((seed, factor, box), lambda: self._window(seed, factor, box))
+
+    def _window(self, seed: int | None, factor: int, box: Box) -> Ground:
         step_lat, step_lon = self._steps(factor)
         top, left, rows, cols = self._place(factor, box)
         if rows * cols > MAX_WINDOW:
@@ -117,13 +117,9 @@ class TruthTerrain:
                 r, c = tile_row * TILE - top, tile_col * TILE - left
                 a, b, d, e = max(r, 0), max(c, 0), min(r + TILE, rows), min(c + TILE, cols)
                 out[a:d, b:e] = tile[a - r : d - r, b - c : e - c]
-        ground = make_ground(
+        return make_ground(
             out, -top * step_lat, left * step_lon, step_lat, step_lon, self.body.radius_m
         )
-        self._windows[key] = ground
-        while len(self._windows) > 2:
-            self._windows.popitem(last=False)
-        return ground
 
     def nodes(self, factor: int, box: Box) -> int:
         """How many nodes the window of a box has."""
@@ -156,9 +152,11 @@ class TruthTerrain:
 
     def _tile(self, seed: int | None, factor: int, tile_row: int, tile_col: int) -> Float32Array:
         key = (seed, factor, tile_row, tile_col)
-        if key in self._tiles:
-            self._tiles.move_to_end(key)
-            return self._tiles[key]
+        return self._tiles.get(key, lambda: self._made_tile(*key))
+
+    def _made_tile(
+        self, seed: int | None, factor: int, tile_row: int, tile_col: int
+    ) -> Float32Array:
         step_lat, step_lon = self._steps(factor)
         lat = -(tile_row * TILE + np.arange(TILE, dtype=np.float64)) * step_lat
         lon = (tile_col * TILE + np.arange(TILE, dtype=np.float64)) * step_lon
@@ -179,9 +177,6 @@ class TruthTerrain:
                 own += detail.window(lat[0], lon[0], step_lat, step_lon, TILE, TILE)
             share[~np.isfinite(own)] = 0.0
             heights += (share * (np.where(share > 0.0, own, heights) - heights)).astype(np.float32)
-        self._tiles[key] = heights
-        while len(self._tiles) > KEPT_TILES:
-            self._tiles.popitem(last=False)
         return heights
 
     def _share(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
@@ -261,21 +256,20 @@ class RegionGround:
         self._plans: dict[int, tuple[int, Box]] = {}
         for number, camera in enumerate(cameras):
             self._plan(camera, [exposure for exposure in flight if exposure.camera == number])
-        self._scenes: dict[int, tuple[tuple[object, ...], Scene]] = {}
+        self._scenes: Cache[object, Scene] = Cache(len(cameras))
 
     def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width), sky 0, of one of the flight."""
-        seed, number = exposure.ground_seed, exposure.camera
-        factor, box = self._plans[exposure.index]
-        key = (seed, factor, box, exposure.sun_body.tobytes())
-        if number not in self._scenes or self._scenes[number][0] != key:
-            self._scenes.pop(number, None)  # let go of the old one before the new one is made
+        seed, (factor, box) = exposure.ground_seed, self._plans[exposure.index]
+
+        def scene() -> Scene:
             fine = self._terrain.window(seed, factor, box)
             between = None if box == WHOLE else self._terrain.window(seed, 1, WHOLE)
-            scene = Scene(fine, self._terrain.wide(seed), exposure.sun_body, between)
-            self._scenes[number] = key, scene
+            return Scene(fine, self._terrain.wide(seed), exposure.sun_body, between)
+
+        key = (exposure.camera, seed, factor, box, exposure.sun_body.tobytes())
         rays = self._corners(camera) @ exposure.camera_from_body.as_matrix()
-        return self._scenes[number][1].picture(exposure.position_m, rays)
+        return self._scenes.get(key, scene).picture(exposure.position_m, rays)
 
     def _plan(self, camera: Camera, flight: Sequence[Exposure]) -> None:
         """Fineness and box of the ground for each picture of a camera, by its index."""

@@ -168,9 +168,9 @@ def test_matches_come_back_as_they_were_written(tmp_path):
         (",solved,", ",maybe,", "status is 'maybe'"),
         ("1900000.0000", "nan", "x_m is nan"),
         ("1900000.0000", "", "x_m is empty, but"),
-        ("cov_xy_m2", "cov", "column 'cov_xy_m2' is missing"),
+        ("cov_xy_m2", "cov", "no column 'cov_xy_m2'; is 'cov' meant"),
         (",19,", ",-19,", "n_used is '-19'"),
-        ("2.0000", "2.0000,5", "not as many fields"),
+        ("2.0000", "2.0000,5", "the row has 30 values; wanted 29"),
     ],
 )
 def test_a_damaged_row_is_named(tmp_path, moon, old, new, word):

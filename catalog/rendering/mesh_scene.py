@@ -5,20 +5,29 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, Int32Array, IntArray
 from catalog.geometry.kernel import kernel
+from catalog.geometry.vectors import unit
 from catalog.photometry.hapke import LUNAR, HapkeParameters, reflectance_scalar
 from catalog.terrain.mesh.rays import MeshRays, outward
+
+# Shadow rays start so far over their face, share of the body's reach: 32 bits end at a hundredth.
+LIFT = 1e-5
 
 
 @kernel
 def facing_the_sun(
-    corners: FloatArray, faces: Int32Array, origin: FloatArray, rays: FloatArray,
-    distances: FloatArray, sun: FloatArray, lift: float, numbers: IntArray,
-    starts: FloatArray,
-) -> int:  # fmt: skip
-    """Which rays (n, 3) meet faces turned to the Sun, and points `lift` m over where they do.
+    corners: FloatArray,
+    faces: Int32Array,
+    origin: FloatArray,
+    rays: FloatArray,
+    distances: FloatArray,
+    sun: FloatArray,
+    lift: float,
+) -> tuple[IntArray, FloatArray]:
+    """Numbers (m) of the rays (n, 3) that meet faces turned to the Sun.
 
-    Fills numbers (n) and starts (n, 3); returns how many there are.
+    Also the points (m, 3) `lift` m above where they do.
     """
+    numbers, starts = np.empty(faces.size, np.int64), np.empty((faces.size, 3))
     count = 0
     for n in range(faces.size):
         if faces[n] < 0:
@@ -32,14 +41,19 @@ def facing_the_sun(
         starts[count, 1] = origin[1] + distances[n] * rays[n, 1] + up * y
         starts[count, 2] = origin[2] + distances[n] * rays[n, 2] + up * z
         count += 1
-    return count
+    return numbers[:count], starts[:count]
 
 
 @kernel
 def radiance_of(
-    corners: FloatArray, faces: Int32Array, rays: FloatArray, lit: IntArray,
-    sun: FloatArray, surface: HapkeParameters, out: Float32Array,
-) -> None:  # fmt: skip
+    corners: FloatArray,
+    faces: Int32Array,
+    rays: FloatArray,
+    lit: IntArray,
+    sun: FloatArray,
+    surface: HapkeParameters,
+    out: Float32Array,
+) -> None:
     """Put Hapke's radiance factor of the faces that lit rays meet into out (n)."""
     for n in lit:
         x, y, z = outward(corners, faces[n])
@@ -48,10 +62,6 @@ def radiance_of(
         mu = -(x * rays[n, 0] + y * rays[n, 1] + z * rays[n, 2]) / length
         cos_g = -(rays[n, 0] * sun[0] + rays[n, 1] * sun[1] + rays[n, 2] * sun[2])
         out[n] = reflectance_scalar(mu0, mu, cos_g, surface)
-
-
-# Shadow rays start so far over their face, share of the body's reach: 32 bits end at a hundredth.
-LIFT = 1e-5
 
 
 class MeshScene:
@@ -65,8 +75,7 @@ class MeshScene:
     def __init__(
         self, mesh: MeshRays, sun_body: ArrayLike, surface: HapkeParameters = LUNAR
     ) -> None:
-        sun = np.array(sun_body, dtype=np.float64)
-        self.mesh, self.sun, self.surface = mesh, sun / np.linalg.norm(sun), surface
+        self.mesh, self.sun, self.surface = mesh, unit(sun_body), surface
 
     def radiance(self, origin_m: ArrayLike, rays: ArrayLike) -> tuple[Float32Array, Int32Array]:
         """Radiance factors (n) along unit rays (n, 3) from a camera (3,) m outside the body.
@@ -80,13 +89,9 @@ class MeshScene:
             rays = np.where(seen[:, None], rays, 0.0)  # no direction meets nothing
         faces, distances = self.mesh.first_hits(origin, rays)
         faces[~seen] = -1
-        numbers, starts = np.empty(len(rays), np.int64), np.empty((len(rays), 3))
-        lift = LIFT * self.mesh.reach_m
-        corners = self.mesh.corners
-        count = facing_the_sun(
-            corners, faces, origin, rays, distances, self.sun, lift, numbers, starts
-        )
-        lit = numbers[:count][~self.mesh.are_blocked(starts[:count], self.sun)]
+        corners, lift = self.mesh.corners, LIFT * self.mesh.reach_m
+        numbers, starts = facing_the_sun(corners, faces, origin, rays, distances, self.sun, lift)
+        lit = numbers[~self.mesh.are_blocked(starts, self.sun)]
         out = np.zeros(len(rays), np.float32)
         radiance_of(corners, faces, rays, lit, self.sun, self.surface, out)
         return out, faces

@@ -10,9 +10,9 @@ import textwrap
 
 import pytest
 
+from catalog import files
 from catalog.errors import OutputError
-from optnav_cli.output import replace
-from optnav_cli.output.replace import replacing_file, replacing_folder, starts_with
+from catalog.files import replacing_file, replacing_folder, starts_with
 
 
 def fill(folder, word, kind="run"):
@@ -41,7 +41,7 @@ def test_a_new_folder_appears_whole_and_nothing_stays_beside_it(tmp_path):
 @pytest.mark.parametrize("exchange", [True, False], ids=["one step", "two steps"])
 def test_an_older_output_is_replaced_and_its_files_go(tmp_path, monkeypatch, exchange):
     if not exchange:
-        monkeypatch.setattr(replace, "_exchange", lambda one, other: False)
+        monkeypatch.setattr(files, "_exchange", lambda one, other: False)
     target = tmp_path / "run"
     with replacing_folder(target, "run") as new:
         fill(new, "one")
@@ -117,7 +117,7 @@ def test_forgetting_the_manifest_is_a_bug_and_writes_nothing(tmp_path):
 KILLED = """
     import json, os, signal, sys, time
     from pathlib import Path
-    from optnav_cli.output.replace import replacing_folder
+    from catalog.files import replacing_folder
     with replacing_folder(Path(sys.argv[1]), "run") as new:
         (new / "manifest.json").write_text(json.dumps({"made_by": "optnav", "kind": "run"}))
         (new / "half.txt").write_text("half")
@@ -170,7 +170,7 @@ def test_a_file_is_replaced_when_it_is_ours_and_refused_when_it_is_not(tmp_path)
         fail_halfway(new, RuntimeError)
     assert target.read_text().endswith("two")
     target.write_text("a letter")
-    with pytest.raises(OutputError, match="not made by this command"):
+    with pytest.raises(OutputError, match="not made by optnav"):
         replacing_file(target, ours).__enter__()
     (tmp_path / "folder").mkdir()
     with pytest.raises(OutputError, match="a folder is in the way"):
