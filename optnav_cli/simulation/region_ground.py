@@ -317,10 +317,8 @@ class RegionGround:
         relief = max(abs(body.plausible_heights_m[0]), body.plausible_heights_m[1])
         margin = (relief * slant + 500.0) / radius
         wider = margin / np.cos(min(np.abs(lat).max() + margin, 1.5))
-        return (
-            float(lon.min() - wider), float(lat.min() - margin),
-            float(lon.max() + wider), float(lat.max() + margin),
-        ), gsd  # fmt: skip
+        west, east = float(lon.min() - wider), float(lon.max() + wider)
+        return (west, float(lat.min() - margin), east, float(lat.max() + margin)), gsd
 
 
 def _around(a: Box, b: Box) -> Box:
