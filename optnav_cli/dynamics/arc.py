@@ -15,6 +15,7 @@ from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.least_squares import Iteration, VectorPrior, solve
 from optnav_cli.estimation.models.fixes import FixesModel, OrbitModel
 from optnav_cli.fix import PositionPrior
@@ -117,8 +118,7 @@ class OrbitArc:
             self._restart(_with(self._fixes if young else [], fix))
             return None
         offset = fix.position_m - predicted.position_m
-        covariance = predicted.covariance_m2 + fix.covariance_m2
-        square = float(offset @ np.linalg.solve(covariance, offset))
+        square = squared_distance(offset, predicted.covariance_m2 + fix.covariance_m2)
         if square < GATE:
             self._restart(_with(self._fixes, fix))
             return None

@@ -6,6 +6,7 @@ Fixes are kept in inertial axes, where orbits are simple; what goes in and out i
 import numpy as np
 
 from catalog.bodies.ephemeris import Ephemeris
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.dynamics.arc import GATE, ArcDisagreement, OrbitArc, TimedPosition
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
@@ -86,7 +87,7 @@ class History:
         if predicted is not None:
             offset = fix.position_m - predicted.position_m
             covariance = fix.covariance_m2 + predicted.covariance_m2
-            if float(offset @ np.linalg.solve(covariance, offset)) >= GATE:
+            if squared_distance(offset, covariance) >= GATE:
                 return False
         return not self.exceeds_max_speed(tdb_s, fix)
 

@@ -1,6 +1,5 @@
 """manifest.json: what an output was made from, by which versions; the mark of optnav's outputs."""
 
-import hashlib
 import importlib.metadata
 import json
 import platform
@@ -10,33 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from catalog.errors import DataError
-from optnav_cli.output.replace import MADE_BY, MANIFEST
+from catalog.files import MADE_BY, MANIFEST, hash_file
+from catalog.jobs.workspace import LIBRARIES as OF_THE_CATALOG
 
 FORMAT = 1
-LIBRARIES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "opencv-python-headless",
-    "rasterio",
-    "msgspec",
-    "mcap",
-    "pyerfa",
-    "zstandard",
-)
-CHUNK = 1 << 20
-
-
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, hex. Raises DataError when it cannot be read."""
-    digest = hashlib.sha256()
-    try:
-        with path.open("rb") as file:
-            while chunk := file.read(CHUNK):
-                digest.update(chunk)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    return digest.hexdigest()
+LIBRARIES = (*OF_THE_CATALOG, "msgspec", "mcap", "pyerfa")
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str | None]:

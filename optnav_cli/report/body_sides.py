@@ -11,7 +11,7 @@ import numpy as np
 from catalog.arrays import ByteArray, FloatArray
 from catalog.errors import DataError, UsageError
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.rendering.mesh.scene import MeshScene
+from catalog.rendering.mesh_scene import MeshScene
 from catalog.store.reader import Catalog
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief

@@ -23,8 +23,7 @@ from optnav_cli.navigation.control_points.expectation import FrameContext, expec
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.observation import observation_of
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.runs.catalogs import open_field
-from optnav_cli.runs.frame_job import MATCHERS, solve_frame
+from optnav_cli.runs.navigate_folder import MATCHERS, open_field, solve_frame
 from optnav_cli.studies.apollo import CUBE, PICTURE
 from tests.bench.timing import best, one_core, within
 
@@ -70,7 +69,7 @@ def solve_first(scene: Scene, matcher: str) -> Solution:
 def test_a_frame_on_one_core(scene, matcher):
     with one_core():
         row = solve_first(scene, matcher)
-        seconds = best(lambda: solve_first(scene, matcher), 5)
+        seconds = best(lambda: solve_first(scene, matcher), 10)
     assert row.solved, row.reason
     print(
         f"\n  a frame, {row.n_predicted} control points, {matcher:<4} attitude free  "
@@ -125,7 +124,7 @@ def test_a_control_point_over_all_levels(scene, matcher):
 
     with one_core():
         found = call()
-        seconds = best(call, 20)
+        seconds = best(call, 100)
     searched = [match for match in found if match.score is not None]
     milliseconds = seconds * 1e3
     print(

@@ -13,6 +13,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Iteration, Linearisation, VectorPrior, solve
 from optnav_cli.measurements.limb.cone import Cone, stretched_rays
@@ -94,10 +95,8 @@ def draw_disc(
     outward = rays - (rays @ cone.axis)[:, None] * cone.axis
     side = outward - (outward * rays).sum(axis=1, keepdims=True) * rays
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-15)
-    normal = (sine[:, None] * side - cosine[:, None] * rays) @ cone.stretch
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    seen = np.linalg.solve(cone.stretch, rays.T).T
-    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    normal = unit((sine[:, None] * side - cosine[:, None] * rays) @ cone.stretch)
+    seen = unit(np.linalg.solve(cone.stretch, rays.T).T)
     mu0, mu, cos_phase = normal @ sun_camera, -(normal * seen).sum(axis=1), -(seen @ sun_camera)
     second, third = shape.mixture
     laws = three_laws(mu0, mu, cos_phase, -float(cone.axis_camera() @ sun_camera))

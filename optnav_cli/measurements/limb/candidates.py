@@ -165,9 +165,9 @@ def outward_normals(where: PixelRays, gradient: FloatArray, stretch: FloatArray)
     v = (xx * gradient[:, 1] - xy * gradient[:, 0]) / determinant
     rising = where.by_x * u[:, None] + where.by_y * v[:, None]
     # a normal is a covector: back from the stretched space by the transpose
-    normal = -rising @ stretch
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return normal / np.maximum(length, 1e-30)
+    normal: FloatArray = -rising @ stretch
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    return normal
 
 
 def is_sunlit(

@@ -13,6 +13,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 
 PROPOSALS = 600
@@ -40,8 +41,7 @@ class Cone:
 
     def axis_camera(self) -> FloatArray:
         """Unit vector (3,) to the body's centre, camera frame."""
-        axis = np.linalg.solve(self.stretch, self.axis)
-        return axis / np.linalg.norm(axis)
+        return unit(np.linalg.solve(self.stretch, self.axis))
 
     def depth(self, rays: FloatArray) -> FloatArray:
         """How far inside the cone unit rays (..., 3), stretched, lie, rad; negative in the sky."""
@@ -70,8 +70,7 @@ def stretched_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> F
     rays = camera.unproject(pixels)
     if (stretch == np.eye(3)).all():
         return rays
-    rays = rays @ stretch.T
-    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    return unit(rays @ stretch.T)
 
 
 def pixel_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> PixelRays:

@@ -13,6 +13,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.candidates import BORDER_PX, Candidates, outward_normals
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, distances, stretched_rays
@@ -337,7 +338,7 @@ def profiles_across(
     slope = np.hypot(where.by_x @ cone.axis, where.by_y @ cone.axis)
     # of the ray, not of the cone: a small body's limb may lie a tenth of its radius off the curve
     sine = np.sqrt(np.maximum(1.0 - (where.rays @ cone.axis) ** 2, 1e-30))
-    rad_per_px = np.asarray(slope / sine, dtype=np.float64)
+    rad_per_px: FloatArray = slope / sine
     rays = stretched_rays(camera, places.astype(np.float64), cone.stretch)
     depth = cone.depth(rays) / rad_per_px[:, None]
     # two pixels along the curve's tangent the curve has bent away by 2^2 / 2 radius
@@ -351,8 +352,7 @@ def profiles_across(
     depth = np.where(usable, depth, np.nan)
 
     normal = outward_normals(where, inward, cone.stretch)
-    back = np.linalg.solve(cone.stretch, where.rays.T).T
-    ray = np.asarray(back / np.linalg.norm(back, axis=1, keepdims=True), dtype=np.float64)
+    ray = unit(np.linalg.solve(cone.stretch, where.rays.T).T)
     middle_phase = 1.0 if sun_camera is None else -float(cone.axis_camera() @ sun_camera)
     laws = laws_across_limb(normal, ray, sun_camera, cone.angle, rad_per_px, middle_phase)
-    return Profiles(values, depth, distance, laws), places, np.asarray(bend)
+    return Profiles(values, depth, distance, laws), places, bend

@@ -12,19 +12,12 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.estimation.resection import Resection
-from optnav_cli.fix import (
-    Evidence,
-    Fix,
-    MatchRow,
-    Method,
-    PositionPrior,
-    UnsolvedFrameError,
-)
+from optnav_cli.fix import Evidence, Fix, MatchRow, Method, PositionPrior, UnsolvedFrameError
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
-from optnav_cli.matching.visibility import View
 from optnav_cli.navigation.control_points.acceptance import (
     MAX_PART_FACTOR,
     MAX_VARIANCE_FACTOR,
@@ -38,6 +31,7 @@ from optnav_cli.navigation.control_points.acceptance import (
 )
 from optnav_cli.navigation.control_points.error_model import footprints, own_shares
 from optnav_cli.navigation.control_points.expectation import (
+    ExpectedPoints,
     FrameContext,
     expected,
     select_evenly,
@@ -63,7 +57,7 @@ class _Pass:
     searched_postings  how far the points were searched, postings of the terrain model
     """
 
-    view: View
+    view: ExpectedPoints
     matches: list[PointMatch]
     solution: Resection
     evidence: Evidence
@@ -150,8 +144,8 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         evidence = _evidence(frame, view, matches, None)
         raise UnsolvedFrameError(reason.worded(text), evidence) from error
     resection = solution
-    position, sigmas = resection.pose.position_m, resection.position_covariance_m2
-    reason = rejection_of_place(position, sigmas, prior)
+    position, covariance_m2 = resection.pose.position_m, resection.position_covariance_m2
+    reason = rejection_of_place(position, covariance_m2, prior)
     if reason:
         raise UnsolvedFrameError(reason, _evidence(frame, view, matches, None))
     step = position - pose.position_m
@@ -160,7 +154,7 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         matches,
         solution,
         _evidence(frame, view, matches, solution),
-        float(np.sqrt(step @ np.linalg.solve(sigmas, step))),
+        float(np.sqrt(squared_distance(step, covariance_m2))),
         at_finest,
         searched,
     )
@@ -232,7 +226,10 @@ def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
 
 
 def _evidence(
-    frame: FrameContext, view: View, matches: list[PointMatch], solution: Resection | None
+    frame: FrameContext,
+    view: ExpectedPoints,
+    matches: list[PointMatch],
+    solution: Resection | None,
 ) -> Evidence:
     """The points tried, with what the solution made of them; None: there is no solution."""
     place = {k: i for i, k in enumerate(accepted(matches))}

@@ -127,7 +127,7 @@ def _tangent(
     steps = axes * SMALL_ANGLE
     moved = camera.project(towards + steps) - camera.project(towards - steps)
     matrix = moved.T / (2.0 * SMALL_ANGLE)
-    return np.asarray(matrix), float(np.sqrt(abs(np.linalg.det(matrix)))), axes
+    return matrix, float(np.sqrt(abs(np.linalg.det(matrix)))), axes
 
 
 def _across(camera: Camera, pixel: FloatArray) -> FloatArray:

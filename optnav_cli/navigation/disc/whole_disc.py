@@ -71,7 +71,8 @@ def navigate(
 
     def place(state: FloatArray) -> FloatArray:
         ray = camera.unproject(state[:2])
-        return -ray * body.radius_m / np.sin(state[2] * per_px)
+        position: FloatArray = -ray * body.radius_m / np.sin(state[2] * per_px)
+        return position
 
     state = np.append(fit.centre_px, fit.radius_px)
     steps = STEP_PX * np.eye(3)

@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import squared_distance
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.estimation.least_squares import Estimate
@@ -109,7 +110,7 @@ class ShapeSkyline:
 
     def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
-        return float(step @ np.linalg.solve(estimate.covariance, step)) < STILL_SIGMAS**2
+        return squared_distance(step, estimate.covariance) < STILL_SIGMAS**2
 
     def check(self, last: Followed) -> None:
         """As `Skyline.check`."""

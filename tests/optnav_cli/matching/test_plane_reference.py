@@ -12,7 +12,7 @@ from catalog.control_point import ControlPoint, Patch
 from catalog.correlation.masked import blur_nodes
 from catalog.correlation.ncc import match_ncc
 from catalog.geometry.ellipsoid import foot_of
-from catalog.rendering.mesh.scene import MeshScene
+from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.rays import MeshRays

@@ -182,11 +182,11 @@ def test_matches_come_back_as_they_were_written(tmp_path):
         (",solved,", ",maybe,", "status is 'maybe'"),
         ("1900000.0000", "nan", "x_m is nan"),
         ("1900000.0000", "", "x_m is empty, but"),
-        ("cov_xy_m2", "cov", "column 'cov_xy_m2' is missing"),
+        ("cov_xy_m2", "cov", "no column 'cov_xy_m2'; is 'cov' meant"),
         (",19,", ",-19,", "n_used is '-19'"),
         (",control_points,", ",guess,", "method is 'guess'; wanted control_points, horizon"),
         ("143.25,,", "143.25,,why", "'why' is no reason code"),
-        ("2.0000", "2.0000,5", "not as many fields"),
+        ("2.0000", "2.0000,5", "the row has 31 values; wanted 30"),
     ],
 )
 def test_a_damaged_row_is_named(tmp_path, moon, old, new, word):
