@@ -1,7 +1,7 @@
 """The other body in the picture: where it must stand if a lit disc is the body itself.
 
 On the way to the Moon the Earth shines beside it, and one lit disc looks like another. Time and
-attitude tell them apart: a disc taken for the Moon gives a position, and from there the Earth has
+attitude separate them: a disc taken for the Moon gives a position, and from there the Earth has
 one direction and one size. Light time and aberration move it by 20" and 2 km, which is left out.
 """
 
@@ -25,7 +25,7 @@ MIN_DIAMETER_PX = 5.0
 MARGIN_PX = 6.0
 # Half extent of a lit spot over the disc's radius: cusps are dark, blur and a bent lens widen.
 EXTENTS = (0.5, 1.35)
-BLUR_PX = 2.0
+SPOT_BLUR_PX = 2.0
 MAX_PIXELS = 4000  # of a spot that are looked at
 # From a body's neighbourhood, so near, the neighbour is what a camera shows that misses the body.
 NEAR_RADII = 5.0
@@ -135,7 +135,7 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
 
 def is_seen(disc: Disc, spot: Spot) -> bool:
     """Whether a lit spot is the disc: in its place and of its size."""
-    blur = BLUR_PX * spot.rad_per_px
+    blur = SPOT_BLUR_PX * spot.rad_per_px
     if angle_between(disc.towards, spot.towards) > disc.angle + SIGMAS * disc.sigma + blur:
         return False
     return EXTENTS[0] * disc.angle - blur < spot.extent < EXTENTS[1] * disc.angle + blur

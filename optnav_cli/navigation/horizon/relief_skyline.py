@@ -1,6 +1,6 @@
 """The skyline of a relief on a sphere: every ray touches a sphere of its own skyline's size.
 
-Outliers (crests in shadow, ground that the relief does not know) lose their weight by Tukey's
+Outliers (crests in shadow, ground that is not in the relief) lose their weight by Tukey's
 biweight, whose width follows the scatter: wide while the position is kilometres off, narrow in the
 end.
 """

@@ -1,7 +1,7 @@
 """A position from a limb on a body's own skyline: predicted, fitted, and predicted again.
 
 The skyline is predicted from the position so far and the position fitted to it, until that stands
-still. What the model cannot know (crests in shadow, ground below its cells) loses its weight.
+still. What is not in the model (crests in shadow, ground below its cells) loses its weight.
 """
 
 from dataclasses import dataclass

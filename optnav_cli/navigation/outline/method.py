@@ -18,7 +18,7 @@ from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.segmentation import Blobs, lit_blobs, measure_levels, without_blobs
 from optnav_cli.navigation.neighbour import (
-    BLUR_PX,
+    SPOT_BLUR_PX,
     Disc,
     OtherBody,
     Spot,
@@ -39,7 +39,7 @@ MAX_SPOTS = 30  # the largest; the rest are stars
 MAX_BODIES = 4  # of them are taken for the body
 FARTHEST = 1.5  # from the body, in distances of the other one
 ROUGH_SHARE = 0.3  # error of a range from the extent of a spot
-# Wider uncertain, the other body's direction speaks for nothing.
+# A less certain direction of the other body decides nothing.
 MAX_SIGMA = 0.06
 
 
@@ -109,7 +109,7 @@ def _one_of_two(
     alone: Fix | None,
     reason: Reason,
 ) -> _Choice:
-    """The outline that another body in the picture speaks for, or does not speak against.
+    """The outline that another body in the picture confirms, or does not contradict.
 
     alone, reason  what the picture gives without asking which body it is
     """
@@ -196,7 +196,7 @@ def _may_be(view: View, body: Body, other: OtherBody, spot: Spot, rest: list[Spo
         return True
     towards = view.camera_from_body.inv().apply(spot.towards)
     distance = body.radius_m / np.sin(spot.extent)
-    blur = BLUR_PX * spot.rad_per_px / spot.extent
+    blur = SPOT_BLUR_PX * spot.rad_per_px / spot.extent
     seen = predicted(
         view, other.centre_m, other.radius_m, -distance * towards, (ROUGH_SHARE + blur) * distance
     )

@@ -66,7 +66,7 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
     small = _by_disc(picture, view, body, relief, limb)
     if small is not None:
         return small
-    # close to the body the limb's own relief tells a wrong Sun
+    # close to the body a wrong Sun shows in the fit of the limb's relief
     doubt = _rejection_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
         raise NoSolutionError(f"{doubt}: attitude or time is wrong", ReasonCode.WRONG_LIGHT)
