@@ -41,7 +41,7 @@ class OtherBody:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CameraView:
     """A camera at a time: where it may look, and what it is lit by.
 
     attitude_sigma_rad  1 sigma an axis;  sun_body (3,) unit vector, body frame
@@ -54,7 +54,7 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Disc:
+class PredictedDisc:
     """A disc as a position predicts it.
 
     towards  (3,) unit vector to its centre, camera frame
@@ -88,8 +88,8 @@ def other_body(motion: Ephemeris, tdb_s: float) -> OtherBody | None:
 
 
 def predicted(
-    view: View, centre_m: FloatArray, radius_m: float, position_m: FloatArray, sigma_m: float
-) -> Disc:
+    view: CameraView, centre_m: FloatArray, radius_m: float, position_m: FloatArray, sigma_m: float
+) -> PredictedDisc:
     """A sphere's disc from a position that is good to sigma_m; all in the body frame."""
     away = centre_m - position_m
     distance = float(np.linalg.norm(away))
@@ -97,10 +97,10 @@ def predicted(
     phase = float(np.arccos(np.clip(-(towards @ view.sun_body), -1.0, 1.0)))
     sigma = float(np.hypot(sigma_m / distance, view.attitude_sigma_rad))
     angle = float(np.arcsin(min(radius_m / distance, 1.0)))
-    return Disc(view.camera_from_body.apply(towards), angle, sigma, phase)
+    return PredictedDisc(view.camera_from_body.apply(towards), angle, sigma, phase)
 
 
-def must_be_seen(view: View, disc: Disc, before: Disc) -> bool:
+def must_be_seen(view: CameraView, disc: PredictedDisc, before: PredictedDisc) -> bool:
     """Whether a disc lies whole in the picture, large, lit and clear of another one before it."""
     if disc.phase > MAX_PHASE:
         return False
@@ -133,7 +133,7 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
     return found
 
 
-def is_seen(disc: Disc, spot: Spot) -> bool:
+def is_seen(disc: PredictedDisc, spot: Spot) -> bool:
     """Whether a lit spot is the disc: in its place and of its size."""
     blur = SPOT_BLUR_PX * spot.rad_per_px
     if angle_between(disc.towards, spot.towards) > disc.angle + SIGMAS * disc.sigma + blur:
@@ -141,19 +141,19 @@ def is_seen(disc: Disc, spot: Spot) -> bool:
     return EXTENTS[0] * disc.angle - blur < spot.extent < EXTENTS[1] * disc.angle + blur
 
 
-def is_lit(disc: Disc, spots: list[Spot]) -> bool:
+def is_lit(disc: PredictedDisc, spots: list[Spot]) -> bool:
     """Whether any light comes from where a disc is predicted."""
     reach = disc.angle + SIGMAS * disc.sigma
     return any(angle_between(disc.towards, spot.towards) < reach + spot.extent for spot in spots)
 
 
-def is_within(spot: Spot, disc: Disc) -> bool:
+def is_within(spot: Spot, disc: PredictedDisc) -> bool:
     """Whether a lit spot's middle lies on a disc."""
     return bool(angle_between(disc.towards, spot.towards) < disc.angle)
 
 
 def is_more_likely_neighbour(
-    view: View, other: OtherBody, position_m: FloatArray, sigma_m: float, body_radius_m: float
+    view: CameraView, other: OtherBody, position_m: FloatArray, sigma_m: float, body_radius_m: float
 ) -> bool:
     """Whether a disc taken for the body is the neighbour as the body's surroundings show it.
 

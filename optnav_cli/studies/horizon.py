@@ -28,7 +28,7 @@ from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigation.horizon import method as horizon
-from optnav_cli.navigation.neighbour import View, other_body
+from optnav_cli.navigation.neighbour import CameraView, other_body
 from optnav_cli.navigation.outline.method import mask_neighbour
 from optnav_cli.navigation.outline.one_body import detect_limb
 from optnav_cli.studies.flights import (
@@ -186,7 +186,7 @@ def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]
         for star_sensor, turned in ((False, attitude), (True, slip * attitude)):
             try:
                 if row.far and frame.tdb_s is not None:
-                    view = View(camera, turned, sigma if star_sensor else 0.0, sun)
+                    view = CameraView(camera, turned, sigma if star_sensor else 0.0, sun)
                     other = other_body(folder.motion, frame.tdb_s)
                     picture = mask_neighbour(loaded, view, folder.body, relief, other)
                 begin = time.process_time()

@@ -87,7 +87,7 @@ class EdgeShape:
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
+class LimbEdges:
     """Where the edges lie.
 
     depth       (n,)  inside the fitted cone's curve, px; NaN where no edge fits
@@ -229,7 +229,9 @@ def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeS
     return shape
 
 
-def locate_edges(profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float) -> Edges:
+def locate_edges(
+    profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float
+) -> LimbEdges:
     """Place every edge of the profiles, with what the picture's edges have in common."""
     fitter = _Fitter(profiles, levels.sky, saturation)
     fitter.run(shape)
@@ -238,7 +240,7 @@ def locate_edges(profiles: Profiles, shape: EdgeShape, levels: Levels, saturatio
     mean = float(total[good].sum()) / max(float(freedom[good].sum()), 1.0)
     factor = (total + LOCAL_FREEDOM * mean) / (freedom + LOCAL_FREEDOM)
     depth = np.where(good, fitter.state[:, 2], np.nan)
-    return Edges(depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2))
+    return LimbEdges(depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2))
 
 
 def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:

@@ -19,10 +19,10 @@ from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.segmentation import Blobs, lit_blobs, measure_levels, without_blobs
 from optnav_cli.navigation.neighbour import (
     SPOT_BLUR_PX,
-    Disc,
+    CameraView,
     OtherBody,
+    PredictedDisc,
     Spot,
-    View,
     is_lit,
     is_more_likely_neighbour,
     is_seen,
@@ -59,12 +59,16 @@ def navigate(
     sun_body (3,) unit vector, body frame;  other  the neighbour that may be in the picture as well.
     Raises NoSolutionError with what the picture shows instead.
     """
-    view = View(camera, camera_from_body, attitude_sigma_rad, sun_body)
+    view = CameraView(camera, camera_from_body, attitude_sigma_rad, sun_body)
     return _choose(picture, view, body, relief, other).outline
 
 
 def mask_neighbour(
-    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, other: OtherBody | None
+    picture: Picture,
+    view: CameraView,
+    body: Body,
+    relief: GlobalRelief | None,
+    other: OtherBody | None,
 ) -> Picture:
     """The picture that `navigate` solves: with sky in place of the neighbour where it shows both.
 
@@ -83,7 +87,7 @@ class _Choice:
 
 def _choose(
     picture: Picture,
-    view: View,
+    view: CameraView,
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody | None,
@@ -102,7 +106,7 @@ def _choose(
 
 def _one_of_two(
     picture: Picture,
-    view: View,
+    view: CameraView,
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody,
@@ -162,7 +166,7 @@ def _one_of_two(
 
 def _agreed(
     picture: Picture,
-    view: View,
+    view: CameraView,
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody,
@@ -190,7 +194,7 @@ def _agreed(
     return agreed
 
 
-def _may_be(view: View, body: Body, other: OtherBody, spot: Spot, rest: list[Spot]) -> bool:
+def _may_be(view: CameraView, body: Body, other: OtherBody, spot: Spot, rest: list[Spot]) -> bool:
     """Whether a spot taken for the body puts the other body about where one of the rest is."""
     if spot.extent > NEAR_ANGLE:
         return True
@@ -210,9 +214,9 @@ def _sigma(found: Fix) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(found.covariance_m2)[-1]))
 
 
-def _disc(view: View, body: Body, found: Fix) -> Disc:
+def _disc(view: CameraView, body: Body, found: Fix) -> PredictedDisc:
     return predicted(view, np.zeros(3), body.radius_m, found.position_m, 0.0)
 
 
-def _other_disc(view: View, other: OtherBody, found: Fix) -> Disc:
+def _other_disc(view: CameraView, other: OtherBody, found: Fix) -> PredictedDisc:
     return predicted(view, other.centre_m, other.radius_m, found.position_m, _sigma(found))
