@@ -161,12 +161,8 @@ def _linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> Fl
             for m in range(k, 3):
                 normal[k, m] += scaled * stretched[i, m]
     mirrored(normal)
-    # the determinant by cofactors: of arcs so short that only rounding is left of it make no cone
-    a = normal[1, 1] * normal[2, 2] - normal[1, 2] * normal[2, 1]
-    b = normal[1, 2] * normal[2, 0] - normal[1, 0] * normal[2, 2]
-    c = normal[1, 0] * normal[2, 1] - normal[1, 1] * normal[2, 0]
-    size = normal[0, 0] * normal[1, 1] * normal[2, 2]
-    if not normal[0, 0] * a + normal[0, 1] * b + normal[0, 2] * c > MIN_DETERMINANT * size:
+    # of arcs so short that only rounding is left of the determinant there is no cone
+    if not np.linalg.det(normal) > MIN_DETERMINANT * normal[0, 0] * normal[1, 1] * normal[2, 2]:
         return np.full(3, np.nan)
     s = inverse_of(normal) @ right
     square = s[0] ** 2 + s[1] ** 2 + s[2] ** 2
