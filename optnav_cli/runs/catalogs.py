@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from catalog.bodies.body import Body
 from catalog.errors import ConfigError, DataError
 from catalog.store.reader import Catalog
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
-from optnav_cli.frames.folder import Folder
 from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
 
 
@@ -31,32 +31,32 @@ def opened(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
         yield [stack.enter_context(Catalog.open(path)) for path in paths]
 
 
-def open_field(catalogs: Sequence[Catalog], folder: Folder) -> ControlPointField:
+def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField:
     """The usable control points of catalogs, the first given before the others.
 
     Raises DataError for a catalog of another body or without usable points.
     """
-    return ControlPointField([_layer(catalog, folder) for catalog in catalogs])
+    return ControlPointField([_layer(catalog, body) for catalog in catalogs])
 
 
 def whole_relief(
-    catalogs: Sequence[Catalog], named: Path | None, folder: Folder
+    catalogs: Sequence[Catalog], named: Path | None, body: Body
 ) -> GlobalRelief | None:
     """The body's relief for the horizon: of the named terrain model, else the finest carried one.
 
     None where there is none. Raises DataError for a damaged one or a model of a part of the body.
     """
     if named is not None:
-        return load_relief(str(named), folder.body)
+        return load_relief(str(named), body)
     carried = [relief for c in catalogs if (relief := c.relief()) is not None]
     return min(carried, key=lambda relief: relief.posting_m, default=None)
 
 
-def _layer(catalog: Catalog, folder: Folder) -> PointLayer:
+def _layer(catalog: Catalog, body: Body) -> PointLayer:
     meta, usable = catalog.meta, catalog.usable
-    if meta.body != folder.body.name:
+    if meta.body != body.name:
         raise DataError(
-            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {folder.body.name}: "
+            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {body.name}: "
             "name another catalog, or mend `body` in run.toml"
         )
     if not usable.any():

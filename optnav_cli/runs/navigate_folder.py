@@ -55,8 +55,8 @@ def navigate_folder(
     folder = read_folder(pictures, [Path(name) for name in settings.spice.kernels])
     log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
     with opened(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
-        points = open_field(catalogs, folder)
-        ground = whole_relief(catalogs, relief, folder)
+        points = open_field(catalogs, folder.body)
+        ground = whole_relief(catalogs, relief, folder.body)
         inertial = folder.settings.attitude == "camera_from_inertial"
         inputs = NavigationInputs(
             points, folder.motion, ground, settings, MATCHERS[matcher], inertial
