@@ -15,7 +15,6 @@ from optnav_cli.matching.search_plan import (
     plan_distortion,
     search_room,
 )
-from optnav_cli.matching.visibility import View
 from optnav_cli.navigation.control_points.error_model import (
     common_errors_px,
     footprints,
@@ -23,7 +22,7 @@ from optnav_cli.navigation.control_points.error_model import (
     overlap_correlation,
     own_covariances_px2,
 )
-from optnav_cli.navigation.control_points.expectation import FrameContext
+from optnav_cli.navigation.control_points.expectation import ExpectedPoints, FrameContext
 from optnav_cli.reasons import Reason, ReasonCode
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
@@ -42,7 +41,7 @@ def accepted(matches: list[PointMatch]) -> list[int]:
 
 
 def match_all(
-    frame: FrameContext, view: View, pose: Pose, covariance: FloatArray
+    frame: FrameContext, view: ExpectedPoints, pose: Pose, covariance: FloatArray
 ) -> tuple[list[PointMatch], bool, float]:
     """Match every point of a view.
 
@@ -101,7 +100,7 @@ def match_all(
 
 def solve(
     frame: FrameContext,
-    view: View,
+    view: ExpectedPoints,
     matches: list[PointMatch],
     pose: Pose,
 ) -> RobustResection:
