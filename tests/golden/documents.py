@@ -144,7 +144,7 @@ def _stored(path: Path, command: str) -> str:
     words += [f"--{name} {value}" for name, value in report.arguments.items() if value is not None]
     origin = f"From the run of `{' '.join(words)}` at commit {report.commit}, {report.date}."
     shown = [f"*{table.title}*\n\n{table.to_markdown()}" for table in report.tables]
-    return "\n\n".join([*shown, origin])
+    return "\n\n".join([*shown, *report.notes, origin])
 
 
 def _listed(texts: Mapping[str, str]) -> str:
