@@ -41,7 +41,8 @@ def planet_body(body: Body, orbit: LockedOrbit, tdb_s: float) -> FloatArray:
     # r/a of the ellipse, to the square of e as well
     share = 1.0 - e * np.cos(mean) + 0.5 * e**2 * (1.0 - np.cos(2.0 * mean))
     distance = 1e3 * orbit.semi_major_axis_km * share
-    return np.asarray(distance * np.array([np.cos(longitude), np.sin(longitude), 0.0]))
+    position: FloatArray = distance * np.array([np.cos(longitude), np.sin(longitude), 0.0])
+    return position
 
 
 LIGHT_AU_PER_DAY = 173.1446326846693  # c * 86400 s / 149597870700 m
@@ -54,7 +55,7 @@ def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
     from_sun, velocity = _heliocentric(body.sun, tdb_s / DAY_S)
     direction = -from_sun / np.linalg.norm(from_sun)
     apparent = direction + velocity / LIGHT_AU_PER_DAY
-    return np.asarray(apparent / np.linalg.norm(apparent))
+    return apparent / np.linalg.norm(apparent)
 
 
 def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
@@ -66,7 +67,7 @@ def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
     day = tdb_s / DAY_S
     if body.orbit is not None and of == body.orbit.around:
         turn = body_from_inertial(body, tdb_s)
-        return np.asarray(turn.T @ planet_body(body, body.orbit, tdb_s))
+        return turn.T @ planet_body(body, body.orbit, tdb_s)
     if of == body.name or of == body.sun:
         raise DataError(
             f"there is no theory here of {of} as seen from {body.name}; "
@@ -78,7 +79,7 @@ def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
         return sign * _moon(day)[0] * AU_M
     seen_from = _heliocentric(body.sun, day)[0]
     there = np.zeros(3) if of == "sun" else _heliocentric(of, day)[0]
-    return np.asarray((there - seen_from) * AU_M)
+    return (there - seen_from) * AU_M
 
 
 def _heliocentric(of: str, day: float) -> tuple[FloatArray, FloatArray]:
@@ -172,7 +173,7 @@ class AnalyticEphemeris:
 
     def sun_body(self, tdb_s: float) -> FloatArray:
         """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
-        return np.asarray(self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s))
+        return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
 
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
         """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
@@ -221,11 +222,11 @@ class SpiceEphemeris:
             return self._analytic.sun_inertial(tdb_s)
         of, centre = self._number("sun", _NUMBERS), self._number(self.body.name, _SEEN_FROM)
         sun = self._kernels.position_m(of, centre, tdb_s, apparent=True)
-        return np.asarray(sun / np.linalg.norm(sun))
+        return sun / np.linalg.norm(sun)
 
     def sun_body(self, tdb_s: float) -> FloatArray:
         """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
-        return np.asarray(self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s))
+        return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
 
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
         """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.

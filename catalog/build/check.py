@@ -13,11 +13,11 @@ from catalog.build.context import StageContext
 from catalog.build.select import SelectedCell
 from catalog.build.trials import TRIAL_LEVELS, run_trials, trial_levels
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
+from catalog.selection.match_error import uniqueness_margin
 from catalog.selection.trial import Gate, Outcome, Search
-from catalog.selection.uniqueness import uniqueness_margin
 from catalog.terrain.skyline.local import skyline_limits_deg
 
 

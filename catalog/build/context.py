@@ -23,8 +23,7 @@ from catalog.bodies.body import Body
 from catalog.build.config import BuildConfig
 from catalog.control_point import Patch
 from catalog.geometry.cells import CellGrid
-from catalog.geometry.projection import Stereographic
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.terrain.terrain import Terrain
 
 

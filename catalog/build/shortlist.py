@@ -20,7 +20,7 @@ from catalog.build.cell_map import (
     suns_of,
 )
 from catalog.build.context import StageContext
-from catalog.geometry.graticule import Graticule, Part
+from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.selection.localisation import sun_products
 from catalog.selection.sweep import MARGIN, strongest_windows, tile_sums, window_eigenvalues

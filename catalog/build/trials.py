@@ -7,9 +7,8 @@ import numpy as np
 
 from catalog.arrays import Float32Array
 from catalog.control_point import Patch
-from catalog.correlation.masked import blur_nodes
-from catalog.geometry.projection import Stereographic
-from catalog.geometry.tangent_plane import MapProjection, TangentPlane
+from catalog.correlation.ncc import blur_nodes
+from catalog.geometry.projection import MapProjection, Stereographic, TangentPlane
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.trial import (
     Gate,

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection
 
 
 class Terrain(Protocol):

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
 from catalog.bodies.body import Body
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.projection import Stereographic
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.terrain.dem.feather import Feather
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.source import DemSettings

@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.projection import Stereographic, node_grid
-from catalog.geometry.tangent_plane import MapProjection, TangentPlane
+from catalog.geometry.projection import MapProjection, Stereographic, TangentPlane, node_grid
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 
@@ -140,7 +139,8 @@ class MeshTerrain:
         x, y = node_grid(size * aside, posting_m / aside)
         found = heights(projection, x, y, size * posting_m)
         cells = found.reshape(size, aside, size, aside)
-        return np.asarray(cells.mean(axis=(1, 3)), dtype=np.float32)
+        means: Float32Array = cells.mean(axis=(1, 3)).astype(np.float32)
+        return means
 
     def _lines(
         self, projection: MapProjection, x: FloatArray, y: FloatArray
@@ -159,7 +159,7 @@ class MeshTerrain:
         starts, rays, top = self._lines(projection, x, y)
         _, distance = self.rays.first_hits(starts, rays)
         height = np.where(np.isfinite(distance), top - distance, np.nan)
-        return np.asarray(height.reshape(x.shape))
+        return height.reshape(x.shape)
 
     def _single(
         self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float
@@ -179,7 +179,7 @@ class MeshTerrain:
             met = met[below]
             distance[met] = at[below]
         height[met] = np.nan
-        return np.asarray(height.reshape(x.shape))
+        return height.reshape(x.shape)
 
 
 RAYS_ASIDE = 4  # a side of a cell, whose mean stands for it

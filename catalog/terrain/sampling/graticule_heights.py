@@ -9,7 +9,7 @@ worked out before the part's own corner is taken off them.
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
-from catalog.geometry.graticule import Graticule, Part
+from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.kernel import kernel
 from catalog.terrain.dem.georeference import CYLINDRICAL
 from catalog.terrain.dem.mosaic import Mosaic

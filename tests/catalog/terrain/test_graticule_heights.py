@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rasterio.transform import Affine
 
-from catalog.geometry.graticule import Graticule, Part
+from catalog.geometry.cells import Graticule, Part
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.sampling.graticule_heights import graticule_heights
