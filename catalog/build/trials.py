@@ -8,7 +8,7 @@ import numpy as np
 from catalog.arrays import Float32Array
 from catalog.control_point import Patch
 from catalog.correlation.ncc import blur_nodes
-from catalog.geometry.projection import MapProjection, Stereographic, TangentPlane
+from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.trial import (
     Gate,
@@ -74,9 +74,8 @@ def trial_levels(
         truth = truth + _relief(
             ground % GROUNDS, posting, known, smallest, size, mosaic.body.radius_m, slope_deg
         )
-        # as navigation does, which is told the posting of shape models only
-        planes = isinstance(projection, TangentPlane)
-        blur = blur_nodes(patch.posting_m, mosaic.posting_m) if planes else 0.0
+        # as navigation does: a catalog states the posting of shape models only
+        blur = blur_nodes(patch.posting_m, mosaic.posting_m) if mosaic.in_planes else 0.0
         levels.append(Level(patch.heights_m, truth, patch.posting_m, blur))
     return levels
 

@@ -29,7 +29,6 @@ from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
 from catalog.store.seal import SealState, seal_state
 from catalog.store.writer import Written, write_catalog
-from catalog.terrain.mesh.terrain import MeshTerrain
 
 FILE = "written.json"
 
@@ -96,7 +95,7 @@ def write(
     Raises OutputError for a place that cannot be written.
     """
     terrain, planes = context.mosaic, None
-    if isinstance(terrain, MeshTerrain) and terrain.in_planes:
+    if terrain.in_planes:
         planes = PlanesMeta(context.body.radii_m, terrain.posting_m)
     meta = CatalogMeta(
         body=context.body.name,

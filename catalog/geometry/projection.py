@@ -11,6 +11,7 @@ nowhere would tilt the ground by tens of degrees.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,51 @@ from numpy.typing import ArrayLike
 from catalog.arrays import FloatArray
 from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
+
+
+class MapProjection(Protocol):
+    """The map of a patch: x east and y north, m, about its centre, and heights over a reference."""
+
+    @property
+    def lat(self) -> float:
+        """Latitude (rad) of the vertical at the centre."""
+
+    @property
+    def lon(self) -> float:
+        """East longitude (rad) of the vertical at the centre."""
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the sphere that heights are measured from; very large for a plane."""
+
+    @property
+    def foot_m(self) -> tuple[float, float, float]:
+        """The centre on the reference surface, body frame, m."""
+
+    @property
+    def body_from_local(self) -> FloatArray:
+        """(3, 3): columns east, north, up at the centre, in the body frame."""
+
+    def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
+        """Body-fixed points (..., 3), m, of map points x, y and heights."""
+
+    def latlon(
+        self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Planetocentric latitude and east longitude (rad) of map points at heights (m)."""
+
+    def xy_from_xyz(self, xyz: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Map coordinates (m) of body-fixed points (..., 3) m."""
+
+    def height_of(self, xyz: ArrayLike) -> FloatArray:
+        """Heights (...) m of body-fixed points (..., 3) m."""
+
+    def downward(self, points_m: FloatArray) -> FloatArray:
+        """Unit vectors (n, 3), body frame, along which heights fall at points (n, 3) m."""
+
+    def sun_latitude_deg(self, lat_deg: float) -> float:
+        """Latitude (deg) over the equator of the vertical at a centre of planetocentric lat_deg."""
+
 
 # The radius of a plane, for what computes with a sphere under the map: over 100 km of it the
 # sphere falls off by 5e-6 m.
@@ -85,6 +131,15 @@ class Stereographic:
         length = np.linalg.norm(np.asarray(xyz, dtype=np.float64), axis=-1)
         return np.asarray(length - self.radius_m)
 
+    def downward(self, points_m: FloatArray) -> FloatArray:
+        """Unit vectors (n, 3) towards the sphere's centre at points (n, 3) m."""
+        downward: FloatArray = -points_m / np.linalg.norm(points_m, axis=1)[:, None]
+        return downward
+
+    def sun_latitude_deg(self, lat_deg: float) -> float:
+        """The planetocentric latitude itself: the vertical goes through the body's centre."""
+        return lat_deg
+
     def xy_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Map coordinates (m) of latitudes and longitudes (rad)."""
         return self.xy_from_xyz(xyz_from_latlon(lat, lon, 1.0))
@@ -143,13 +198,18 @@ class TangentPlane:
         """Heights (...) m of body-fixed points (..., 3) m above the plane."""
         return self._local(xyz)[..., 2]
 
+    def downward(self, points_m: FloatArray) -> FloatArray:
+        """The plane's one downward normal, for each of points (n, 3) m."""
+        return np.broadcast_to(-self.body_from_local[:, 2], points_m.shape)
+
+    def sun_latitude_deg(self, lat_deg: float) -> float:
+        """Latitude (deg) of the plane's normal."""
+        return float(np.degrees(self.lat))
+
     def _local(self, xyz: ArrayLike) -> FloatArray:
         offset = np.asarray(xyz, dtype=np.float64) - np.array(self.foot_m)
         local: FloatArray = offset @ self.body_from_local
         return local
-
-
-MapProjection = Stereographic | TangentPlane
 
 
 def node_offsets(size: int, posting_m: float) -> FloatArray:
