@@ -108,3 +108,14 @@ def work_option(*, required: bool) -> Callable[[F], F]:
         help="Folder for what the stages hand on; a stopped run goes on from it."
         + ("" if required else " By default OUTPUT.work."),
     )
+
+
+def matcher_option(command: F) -> F:
+    """`--matcher ncc|surf`: how a control point is recognised."""
+    return click.option(
+        "--matcher",
+        type=click.Choice(["ncc", "surf"]),
+        default="ncc",
+        show_default=True,
+        help="How a control point is recognised.",
+    )(command)

@@ -1,5 +1,6 @@
-"""The constants of a body, read from configs/bodies/NAME.toml."""
+"""The constants of a body, read from configs/bodies/NAME.toml or a file like these."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -126,7 +127,7 @@ class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     frame_error_m: float | None = None
 
 
-class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A body file as it is written."""
 
     name: str
@@ -182,23 +183,28 @@ class Body:
         return correction.error_m
 
 
-def load_body(name: str) -> Body:
-    """The body of this name.
+def load_body(name_or_path: str, beside: Path | None = None) -> Body:
+    """A body of configs/bodies by its name, or the body that a TOML file describes.
 
-    Raises ConfigError for a body that has no file in configs/bodies, naming the nearest one.
+    name_or_path  a path where it holds a separator or ends in ".toml"
+    beside        the folder that a relative path starts from; without it the working folder
+
+    Raises ConfigError for a name without a file, naming the nearest one, and for a wrong file.
     """
+    if name_or_path.endswith(".toml") or "/" in name_or_path or os.sep in name_or_path:
+        return read_body((beside or Path()) / name_or_path)
     folder = resource("configs/bodies/moon.toml").parent
     known = sorted(path.stem for path in folder.glob("*.toml"))
-    if name not in known:
-        near = nearest_name(name.lower(), known)
+    if name_or_path not in known:
+        near = nearest_name(name_or_path.lower(), known)
         hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
-        raise ConfigError(f"no body '{name}'; {hint}")
-    return read_body(folder / f"{name}.toml")
+        raise ConfigError(f"no body '{name_or_path}'; {hint}, or give the path of a body's file")
+    return read_body(folder / f"{name_or_path}.toml")
 
 
 def read_body(path: Path) -> Body:
     """The body a file describes. Raises ConfigError when the file is not a valid body."""
-    settings = load_toml(path, BodySettings)
+    settings = load_toml(path, BodyFile)
     lowest_km, highest_km = settings.plausible_heights_km
     sizes = (settings.radius_km, settings.gm_km3_s2, *settings.radii_km)
     if min(sizes) <= 0.0:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from catalog.arrays import FloatArray
 from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
+from catalog.geometry.vectors import unit
 
 
 class MapProjection(Protocol):
@@ -133,8 +134,7 @@ class Stereographic:
 
     def downward(self, points_m: FloatArray) -> FloatArray:
         """Unit vectors (n, 3) towards the sphere's centre at points (n, 3) m."""
-        downward: FloatArray = -points_m / np.linalg.norm(points_m, axis=1)[:, None]
-        return downward
+        return -unit(points_m)
 
     def sun_latitude_deg(self, lat_deg: float) -> float:
         """The planetocentric latitude itself: the vertical goes through the body's centre."""

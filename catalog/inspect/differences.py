@@ -1,19 +1,17 @@
 """Differences of two catalogs in words, for people and the logs of pipelines."""
 
-import csv
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.control_point import Flag
-from catalog.errors import OutputError
-from catalog.inspect.compare import CERTIFICATE, Comparison, Side
-from catalog.store.features import reasons_text
-from catalog.store.partial import replacing
-from catalog.store.records import Record
+from catalog.files import replacing_file, starts_with
+from catalog.inspect.compare import CERTIFICATE, ComparedCatalog, Comparison
+from catalog.store.records import Record, reasons_text
+from catalog.tables import Column, Table
 
 SHOWN = 10  # lines a kind; the table (`difference_table`) has all
 
@@ -68,7 +66,7 @@ def lines(found: Comparison) -> Iterator[str]:
     yield from _certificates(found)
 
 
-def _alone(side: Side) -> Iterator[str]:
+def _alone(side: ComparedCatalog) -> Iterator[str]:
     if not len(side.only):
         return
     yield f"only in {side.path}: {_points(len(side.only))}"
@@ -185,39 +183,55 @@ def _state(record: Record) -> str:
     return f"{state} ({reasons})" if reasons else state
 
 
-def _source(side: Side, record: Record) -> str:
+def _source(side: ComparedCatalog, record: Record) -> str:
     return side.meta.point_sources[int(record["source"])] or "none"
 
 
-FIRST_COLUMNS = ("id", "change", "moved_m", "radius_change_m", "height_max_m", "height_rms_m")
 LISTS = ("uniqueness", "shadow_limit_deg")  # told by their largest difference
+
+
+def _pair(name: str, meaning: str, kind: Literal["text", "number"], form: str) -> list[Column]:
+    return [
+        Column(f"{name}_{which}", f"{meaning} in the {which}", kind, form=form, empty=True)
+        for which in ("first", "second")
+    ]
+
+
+DIFFERENCES = Table(
+    (
+        Column("id", "the control point's id", "count"),
+        Column("change", "differs, only in first or only in second", "text"),
+        Column("moved_m", "how far its place moved", unit="m", form=".3f", empty=True),
+        Column("radius_change_m", "second radius less first", unit="m", form=".3f", empty=True),
+        Column("height_max_m", "largest change of a height", unit="m", form=".3f", empty=True),
+        Column("height_rms_m", "rms change of its heights", unit="m", form=".3f", empty=True),
+        Column("nodes_in_one_only", "nodes with a height in one only", "count", empty=True),
+        *_pair("lat_deg", "latitude", "number", ".10g"),
+        *_pair("lon_deg", "longitude", "number", ".10g"),
+        *_pair("usable", "1 for a usable point", "text", ""),
+        *_pair("reasons", "why it is not usable", "text", ""),
+        *_pair("source", "terrain model", "text", ""),
+        *(
+            column
+            for name in CERTIFICATE
+            for column in (
+                [Column(f"{name}_change", f"largest change of {name}", form=".4g", empty=True)]
+                if name in LISTS
+                else _pair(name, name, "number", ".10g")
+            )
+        ),
+    )
+)
 
 
 def write_table(found: Comparison, path: Path) -> int:
     """Write every point that differs to a CSV file, in the order of ids; returns their number.
 
-    Raises OutputError for a
-    place that cannot be written or an existing file that is no such table.
+    Raises OutputError for a place that cannot be written or an existing file that is no such table.
     """
-    start = ",".join(FIRST_COLUMNS)
-
-    def ours(old: Path) -> bool:
-        with old.open("rb") as file:
-            return file.read(len(start)) == start.encode()
-
     rows = sorted(_rows(found), key=lambda row: int(str(row["id"])))
-    names = [*FIRST_COLUMNS, "nodes_in_one_only"]
-    for name in ("lat_deg", "lon_deg", "usable", "reasons", "source", *CERTIFICATE):
-        names += [f"{name}_change"] if name in LISTS else [f"{name}_first", f"{name}_second"]
-    with replacing(path, ours) as partial:
-        try:
-            with partial.open("w", encoding="utf-8", newline="") as file:
-                table = csv.DictWriter(file, names, restval="", lineterminator="\n")
-                table.writeheader()
-                table.writerows(rows)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-    return len(rows)
+    with replacing_file(path, starts_with(",".join(DIFFERENCES.names[:6]).encode())) as new:
+        return DIFFERENCES.write(new, rows)
 
 
 def _rows(found: Comparison) -> Iterator[dict[str, object]]:
@@ -230,19 +244,19 @@ def _rows(found: Comparison) -> Iterator[dict[str, object]]:
         row = {
             "id": int(before["id"]),
             "change": "differs",
-            "moved_m": f"{found.moved_m[number]:.3f}",
-            "radius_change_m": _text(float(after["radius_m"] - before["radius_m"]), ".3f"),
-            "height_max_m": _text(float(found.height_max_m[number]), ".3f"),
-            "height_rms_m": _text(float(found.height_rms_m[number]), ".3f"),
+            "moved_m": float(found.moved_m[number]),
+            "radius_change_m": float(after["radius_m"] - before["radius_m"]),
+            "height_max_m": float(found.height_max_m[number]),
+            "height_rms_m": float(found.height_rms_m[number]),
             "nodes_in_one_only": int(found.holes[number]),
         }
-        row |= {f"{name}_change": _text(float(lists[name][number]), ".4g") for name in LISTS}
+        row |= {f"{name}_change": float(lists[name][number]) for name in LISTS}
         yield (
             row | _columns(found.first, before, "first") | _columns(found.second, after, "second")
         )
 
 
-def _columns(side: Side, record: Record, suffix: str) -> dict[str, object]:
+def _columns(side: ComparedCatalog, record: Record, suffix: str) -> dict[str, object]:
     """What one catalog says about a point."""
     columns: dict[str, object] = {
         "usable": int(record["usable"]),
@@ -251,10 +265,5 @@ def _columns(side: Side, record: Record, suffix: str) -> dict[str, object]:
     }
     for name in ("lat_deg", "lon_deg", *CERTIFICATE):
         if name not in LISTS:
-            columns[name] = _text(float(record[name]), ".10g")
+            columns[name] = float(record[name])
     return {f"{name}_{suffix}": value for name, value in columns.items()}
-
-
-def _text(value: float, form: str) -> str:
-    """A number, empty for unknown."""
-    return format(value, form) if np.isfinite(value) else ""

@@ -10,9 +10,9 @@ import numpy as np
 from catalog.arrays import ByteArray, Float32Array
 from catalog.control_point import Patch, Pyramid
 from catalog.errors import OutputError
+from catalog.files import check_file, write_output
 from catalog.rendering.map_view import render_map
-from catalog.store.features import reasons_text
-from catalog.store.partial import check_place, replacing
+from catalog.store.records import reasons_text
 
 HEADER_BYTES = 33  # of a PNG: its magic number and its first chunk
 # A text chunk by which we know a picture of ours again: length, type, text, CRC-32 of both.
@@ -73,21 +73,14 @@ def write_png(picture: ByteArray, path: Path) -> None:
     if not done:
         raise OutputError(f"{path}: a picture of {picture.shape} pixels cannot be coded")
     coded = data.tobytes()
-    with replacing(path, _is_ours) as partial:
-        try:
-            partial.write_bytes(coded[:HEADER_BYTES] + OUR_MARK + coded[HEADER_BYTES:])
-        except OSError as error:
-            raise OutputError(
-                f"{path}: cannot be written ({error.strerror}); free some space or name another "
-                "place"
-            ) from error
+    write_output(path, coded[:HEADER_BYTES] + OUR_MARK + coded[HEADER_BYTES:], _is_ours)
 
 
 def check_png_place(path: Path) -> None:
     """Raise OutputError for another ending than .png, or a place where no picture can be put."""
     if path.suffix.lower() != ".png":
         raise OutputError(f"{str(path)!r}: the picture is a PNG; choose a name that ends in .png")
-    check_place(path, _is_ours)
+    check_file(path, _is_ours)
 
 
 def _is_ours(path: Path) -> bool:
@@ -153,9 +146,9 @@ def _heights_in_colour(patch: Patch) -> ByteArray:
     # ground that rises away from the north-west faces the light
     facing = strength * (eastward + southward) / np.sqrt(2.0)
     shade = np.clip(0.75 + 0.35 * facing, 0.25, 1.2)
-    toned = np.clip(colours * shade[..., None], 0.0, 255.0).astype(np.uint8)
+    toned: ByteArray = np.clip(colours * shade[..., None], 0.0, 255.0).astype(np.uint8)
     toned[~known] = _NO_DATA
-    return np.asarray(toned)
+    return toned
 
 
 def _in_grey(brightness: Float32Array) -> ByteArray:
@@ -166,4 +159,4 @@ def _in_grey(brightness: Float32Array) -> ByteArray:
     grey = np.rint(255.0 * scaled**0.8).astype(np.uint8)
     tile = np.repeat(grey[..., None], 3, axis=2)
     tile[~known] = _NO_DATA
-    return np.asarray(tile)
+    return tile

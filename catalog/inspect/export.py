@@ -5,7 +5,6 @@ its (pre-RFC 7946) crs member, CSV in a .prj file beside it (and column types in
 GeoPackage in its own table.
 """
 
-import csv
 import json
 import sqlite3
 from collections.abc import Callable, Iterator
@@ -23,17 +22,17 @@ from rasterio.transform import Affine
 from catalog.arrays import FloatArray, IntArray
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint
 from catalog.errors import DataError, OutputError
+from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
-from catalog.store.features import reasons_text
-from catalog.store.partial import is_points_file, replacing
+from catalog.store.connection import SIDECARS, is_points_file
 from catalog.store.reader import Catalog
-from catalog.store.records import unknown_as_none
+from catalog.store.records import reasons_text, unknown_as_none
 from catalog.store.schema import create_tables, insert_service_rows, srs_of
 from catalog.store.writer import insert_features
+from catalog.tables import Column, Table
 
 # what begins a file that we wrote, and may therefore write again
 GEOJSON_START = '{"type":"FeatureCollection","name":"control_points","optnav":"catalog layer"'
-FIRST_COLUMNS = ("id", "lon_deg", "lat_deg", "radius_m", "usable", "reasons")
 
 Properties = dict[str, object]
 
@@ -103,60 +102,62 @@ def _geojson_lines(catalog: Catalog) -> Iterator[str]:
     yield "\n]}\n"
 
 
-def _starts_as_ours(start: str) -> Callable[[Path], bool]:
-    def check(path: Path) -> bool:
-        with path.open("rb") as file:
-            return file.read(len(start)) == start.encode()
-
-    return check
-
-
 def _write_geojson(catalog: Catalog, path: Path) -> None:
-    with replacing(path, _starts_as_ours(GEOJSON_START)) as partial:
-        _write_text(path, partial, _geojson_lines(catalog))
+    ours = starts_with(GEOJSON_START.encode())
+    with replacing_file(path, ours) as new, new.open("w", encoding="utf-8") as file:
+        file.writelines(_geojson_lines(catalog))
 
 
-def _csv_type(value: object) -> str:
-    return {int: "Integer64", str: "String"}.get(type(value), "Real")
+def points_table(levels: int) -> Table:
+    """The columns of the CSV layer of a catalog whose points have so many levels."""
+
+    def number(name: str, meaning: str, unit: str = "") -> Column:
+        return Column(name, meaning, unit=unit, empty=True)
+
+    azimuths = [i * 360 // SHADOW_AZIMUTHS for i in range(SHADOW_AZIMUTHS)]
+    return Table(
+        (
+            Column("id", "the control point's id", "count"),
+            Column("lon_deg", "longitude, -180 to 180, east positive", unit="deg"),
+            Column("lat_deg", "latitude, planetocentric", unit="deg"),
+            number("radius_m", "distance from the body's centre", "m"),
+            Column("usable", "whether navigation uses it", "flag"),
+            Column("reasons", "why not", "text", empty=True),
+            Column("flags", "the reasons as a sum of bits", "count"),
+            number("localisation_px", "predicted match error, 1 sigma, nodes", "px"),
+            number("hessian_eigenvalue", "least eigenvalue of the correlation's curvature"),
+            number("recognition_rate", "share of the recognition trials that succeeded"),
+            Column("trials", "recognition trials", "count"),
+            Column("source", "terrain models of its finest patch", "text", empty=True),
+            *(number(f"uniqueness_{k}", f"uniqueness margin, level {k}") for k in range(levels)),
+            *(
+                number(f"shadow_limit_{a:03d}_deg", f"Sun elevation without shadow, azimuth {a}",
+                       "deg")
+                for a in azimuths
+            ),
+        )
+    )  # fmt: skip
+
+
+def _csv_type(column: Column) -> str:
+    places = {"lon_deg": "CoordX", "lat_deg": "CoordY"}
+    kinds = {"text": "String", "number": "Real"}
+    return places.get(column.name, kinds.get(column.kind, "Integer64"))
 
 
 def _write_csv(catalog: Catalog, path: Path) -> None:
-    # the columns of an empty catalog are those of the point that it does not have
-    blank = ControlPoint(
-        0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, (0.0,) * catalog.meta.levels,
-        (0.0,) * SHADOW_AZIMUTHS, False,
-    )  # fmt: skip
-    columns = point_properties(blank)
-    places = {"lon_deg": "CoordX", "lat_deg": "CoordY"}
-    types = ",".join(places.get(name, _csv_type(value)) for name, value in columns.items())
-    ours = _starts_as_ours(",".join(FIRST_COLUMNS))
+    table = points_table(catalog.meta.levels)
+    types = ",".join(map(_csv_type, table.columns))
     wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)[4]
-    with replacing(path, ours) as partial:
-        try:
-            with partial.open("w", encoding="utf-8", newline="") as file:
-                rows = csv.DictWriter(file, list(columns), lineterminator="\n")
-                rows.writeheader()
-                for point in catalog.points():
-                    rows.writerow(point_properties(point))
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-        for suffix, text in ((".csvt", types + "\n"), (".prj", wkt + "\n")):
-            beside = path.with_suffix(suffix)
-            with replacing(beside, lambda _: True) as partial_beside:
-                _write_text(beside, partial_beside, iter([text]))
-
-
-def _write_text(path: Path, partial: Path, parts: Iterator[str]) -> None:
-    try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.writelines(parts)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    with replacing_file(path, starts_with(",".join(table.names[:6]).encode())) as new:
+        table.write(new, map(point_properties, catalog.points()))
+        for suffix, text in ((".csvt", types), (".prj", wkt)):
+            write_output(path.with_suffix(suffix), f"{text}\n".encode(), lambda _: True)
 
 
 def _write_geopackage(catalog: Catalog, path: Path) -> None:
     with (
-        replacing(path, is_points_file) as partial,
+        replacing_file(path, is_points_file, SIDECARS) as partial,
         closing(sqlite3.connect(partial, isolation_level=None)) as db,
     ):
         db.execute("PRAGMA journal_mode = OFF")
@@ -191,14 +192,7 @@ def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int
     else:
         solid: Any = trimesh.Trimesh(vertices, faces, process=False)
         data = solid.export(file_type="obj", header=name, digits=4).encode()
-    with replacing(path, _is_our_patch) as partial:
-        try:
-            partial.write_bytes(data)
-        except OSError as error:
-            raise OutputError(
-                f"{path}: cannot be written ({error.strerror}); free some space or name another "
-                "place"
-            ) from error
+    write_output(path, data, _is_our_patch)
     return len(faces)
 
 
@@ -289,7 +283,7 @@ def export_relief(catalog: Catalog, path: Path) -> int:
         "compress": "deflate",
         "predictor": 3,
     }
-    with replacing(path, _is_our_relief) as partial:
+    with replacing_file(path, _is_our_relief) as partial:
         try:
             with rasterio.open(partial, "w", **profile) as file:
                 file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{RELIEF_NAME}: {relief.source}")

@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, Int32Array, IntArray
 from catalog.geometry.kernel import kernel
+from catalog.geometry.vectors import unit
 from catalog.photometry.hapke import LUNAR, HapkeParameters, reflectance_scalar
 from catalog.terrain.mesh.rays import MeshRays, outward
 
@@ -74,8 +75,7 @@ class MeshScene:
     def __init__(
         self, mesh: MeshRays, sun_body: ArrayLike, surface: HapkeParameters = LUNAR
     ) -> None:
-        sun = np.array(sun_body, dtype=np.float64)
-        self.mesh, self.sun, self.surface = mesh, sun / np.linalg.norm(sun), surface
+        self.mesh, self.sun, self.surface = mesh, unit(sun_body), surface
 
     def radiance(self, origin_m: ArrayLike, rays: ArrayLike) -> tuple[Float32Array, Int32Array]:
         """Radiance factors (n) along unit rays (n, 3) from a camera (3,) m outside the body.

@@ -35,10 +35,10 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     """
     from catalog.build import build
     from catalog.config import resource
+    from catalog.files import check_folder
     from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
     from optnav_cli.navigation.settings import NavigateSettings
     from optnav_cli.output.manifest import write_manifest
-    from optnav_cli.output.replace import check_folder
     from optnav_cli.report import write_report
     from optnav_cli.runs.navigate_folder import navigate_folder
     from optnav_cli.runs.simulate_folder import simulate_folder

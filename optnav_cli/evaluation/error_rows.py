@@ -10,20 +10,11 @@ from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC
+from catalog.tables import Row
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.evaluation.motion import directions_of_motion
+from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.output.run_folder import RunFolder
-from optnav_cli.output.tables import Row, fixed, optional_number, read_table
-
-EVALUATION_COLUMNS = (
-    *("file", "utc", "status", "method", "camera", "forward", "truth_height_m"),
-    *("error_r_m", "error_n_m", "error_b_m", "sigma_r_m", "sigma_n_m", "sigma_b_m"),
-    *("range_error_percent", "range_sigma_percent"),
-    *("direction_error_arcsec", "direction_sigma_arcsec"),
-    *("normalised_error_squared", "attitude_error_arcsec"),
-    *("n_predicted", "n_matched", "n_used", "n_wrong", "reason"),
-)
-ERROR_COLUMNS, SIGMA_COLUMNS = EVALUATION_COLUMNS[7:10], EVALUATION_COLUMNS[10:13]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,50 +43,47 @@ class ErrorRow:
     direction_sigma: float | None = None
 
 
-def row_of(frame: FrameError) -> Row:
+def error_cells(frame: FrameError) -> dict[str, object]:
     """A frame as a row of evaluation.csv."""
     solution = frame.solution
-    row = dict.fromkeys(EVALUATION_COLUMNS, "")
-    row.update(file=frame.file, utc=frame.utc, status=solution.status, forward=frame.forward)
-    row.update(method=solution.method, camera=frame.camera)
-    row.update(truth_height_m=fixed(frame.height_m, 3), reason=solution.reason)
-    for columns, values in ((ERROR_COLUMNS, frame.error_rnb_m), (SIGMA_COLUMNS, frame.sigma_rnb_m)):
-        if values is not None:
-            row.update(zip(columns, (fixed(float(v), 3) for v in values), strict=True))
-    if frame.range_error is not None:
-        for name, value in zip(("error", "sigma"), frame.range_error, strict=True):
-            row[f"range_{name}_percent"] = fixed(100.0 * value, 6)
-    if frame.direction_error is not None:
-        for name, value in zip(("error", "sigma"), frame.direction_error, strict=True):
-            row[f"direction_{name}_arcsec"] = fixed(value / ARCSEC, 4)
-    row["normalised_error_squared"] = fixed(frame.nees, 6)
-    if frame.attitude_error_rad is not None:
-        row["attitude_error_arcsec"] = fixed(frame.attitude_error_rad / ARCSEC, 4)
-    counts = {
+    cells: dict[str, object] = {
+        "file": frame.file,
+        "utc": frame.utc,
+        "status": solution.status,
+        "method": solution.method,
+        "camera": frame.camera,
+        "forward": frame.forward,
+        "truth_height_m": frame.height_m,
+        "normalised_error_squared": frame.nees,
         "n_predicted": solution.n_predicted,
         "n_matched": solution.n_matched,
         "n_used": solution.n_used,
         "n_wrong": frame.n_wrong,
+        "reason": solution.reason,
     }
-    row.update({name: "" if value is None else str(value) for name, value in counts.items()})
-    return row
+    for columns, values in ((ERRORS, frame.error_rnb_m), (SIGMAS, frame.sigma_rnb_m)):
+        if values is not None:
+            cells |= zip(columns, values, strict=True)
+    if frame.range_error is not None:
+        error, sigma = (100.0 * share for share in frame.range_error)
+        cells |= {"range_error_percent": error, "range_sigma_percent": sigma}
+    if frame.direction_error is not None:
+        error, sigma = (angle / ARCSEC for angle in frame.direction_error)
+        cells |= {"direction_error_arcsec": error, "direction_sigma_arcsec": sigma}
+    if frame.attitude_error_rad is not None:
+        cells["attitude_error_arcsec"] = frame.attitude_error_rad / ARCSEC
+    return cells
 
 
 def read_error_rows(path: Path) -> list[ErrorRow]:
     """The frames of an evaluation.csv. Raises DataError for a damaged table or an old one."""
     try:
-        table = read_table(path, EVALUATION_COLUMNS)
+        return EVALUATION.read(path, _error_row)
     except DataError as error:
         raise DataError(f"{error}; run `optnav evaluate` again") from error
-    return [_error_row(row, where) for where, row in table]
 
 
-def _error_row(row: Row, where: str) -> ErrorRow:
-    def vector(columns: tuple[str, ...]) -> FloatArray | None:
-        values = [optional_number(row, column, where) for column in columns]
-        known = [value for value in values if value is not None]
-        return np.array(known) if len(known) == len(columns) else None
-
+def _error_row(row: Row) -> ErrorRow:
     return ErrorRow(
         file=row["file"],
         utc=row["utc"],
@@ -103,13 +91,13 @@ def _error_row(row: Row, where: str) -> ErrorRow:
         method=row["method"],
         camera=row["camera"],
         reason=row["reason"],
-        height_m=optional_number(row, "truth_height_m", where),
-        error_rnb_m=vector(ERROR_COLUMNS),
-        sigma_rnb_m=vector(SIGMA_COLUMNS),
-        range_percent=optional_number(row, "range_error_percent", where),
-        range_sigma=optional_number(row, "range_sigma_percent", where),
-        direction_arcsec=optional_number(row, "direction_error_arcsec", where),
-        direction_sigma=optional_number(row, "direction_sigma_arcsec", where),
+        height_m=row.number("truth_height_m"),
+        error_rnb_m=row.vector(ERRORS),
+        sigma_rnb_m=row.vector(SIGMAS),
+        range_percent=row.number("range_error_percent"),
+        range_sigma=row.number("range_sigma_percent"),
+        direction_arcsec=row.number("direction_error_arcsec"),
+        direction_sigma=row.number("direction_sigma_arcsec"),
     )
 
 

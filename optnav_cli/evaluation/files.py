@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from catalog.errors import DataError
+from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
-from optnav_cli.evaluation.error_rows import EVALUATION_COLUMNS, row_of
+from optnav_cli.evaluation.error_rows import error_cells
 from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures, MethodFigures, Spread, method_words
+from optnav_cli.frames.tables import EVALUATION
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.output.replace import replacing_file, starts_with
 from optnav_cli.output.run_folder import read_run
-from optnav_cli.output.tables import fixed, write_table
+from optnav_cli.output.tables import fixed
 
 
 def spread_summary(values: Spread) -> dict[str, float | None]:
@@ -97,7 +98,7 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
     summary = summary_of(evaluation)
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,utc,status,")) as path:
-        write_table(path, EVALUATION_COLUMNS, map(row_of, evaluation.frames))
+        EVALUATION.write(path, map(error_cells, evaluation.frames))
     with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "frames"')) as path:
         path.write_text(text, encoding="utf-8")
 

@@ -14,25 +14,15 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
-from optnav_cli.frames.csv_table import number, numbers, read_rows, write_rows
+from catalog.tables import Row
 from optnav_cli.frames.run_settings import (
     Attitude,
     body_sigma_rad,
     camera_from_body,
     rotation_for_file,
 )
+from optnav_cli.frames.tables import FRAMES, POSITION, QUATERNION, SUN
 
-QUATERNION = ("qw", "qx", "qy", "qz")
-POSITION = ("x_m", "y_m", "z_m")
-SUN = ("sun_x", "sun_y", "sun_z")
-COLUMNS = (
-    *("file", "utc", "camera"),
-    *QUATERNION,
-    "attitude_sigma_arcsec",
-    *POSITION,
-    "position_sigma_m",
-    *SUN,
-)
 # Unit vectors and quaternions are written with a few digits; further off, columns are mixed up.
 UNIT_TOLERANCE = 0.01
 
@@ -76,7 +66,7 @@ def read_frames(
     Raises DataError for what is wrong with the file: it cannot be read, lacks a column, has no
     rows, a row without a picture's name, or a name twice.
     """
-    rows = read_rows(path, COLUMNS)
+    rows = FRAMES.rows(path)
     names = [row["file"] for row in rows]
     for index, name in enumerate(names):
         if not name:
@@ -96,19 +86,14 @@ def write_frames(
     path: Path, motion: Ephemeris, attitude: Attitude, frames: Iterable[Frame]
 ) -> None:
     """Write a frames.csv that `read_frames` reads back. The frames need a usable time."""
-    write_rows(path, COLUMNS, (_row(frame, motion, attitude) for frame in frames))
+    FRAMES.write(path, (_cells(frame, motion, attitude) for frame in frames))
 
 
-def quaternion_texts(rotation: Rotation) -> list[str]:
-    """qw, qx, qy, qz as files hold them; 12 decimals are 0.4 microarcseconds."""
-    return [f"{value:.12f}" for value in quaternion_from_rotation(rotation)]
-
-
-def _frame(row: dict[str, str], motion: Ephemeris, attitude: Attitude, cameras: list[str]) -> Frame:
+def _frame(row: Row, motion: Ephemeris, attitude: Attitude, cameras: list[str]) -> Frame:
     file, utc, camera = row["file"], row["utc"], row["camera"]
     try:
-        if row[""]:
-            raise DataError(row[""])
+        if row.problem:
+            raise DataError(row.problem)
         _check_name(file)
         if camera not in cameras:
             near = nearest_name(camera, cameras)
@@ -140,10 +125,8 @@ def _check_name(file: str) -> None:
         raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
 
 
-def _attitude(
-    row: dict[str, str], motion: Ephemeris, attitude: Attitude, tdb_s: float
-) -> Rotation | None:
-    quaternion = numbers(row, QUATERNION)
+def _attitude(row: Row, motion: Ephemeris, attitude: Attitude, tdb_s: float) -> Rotation | None:
+    quaternion = row.vector(QUATERNION)
     if quaternion is None:
         return None
     _check_unit(quaternion, "the quaternion qw, qx, qy, qz")
@@ -151,15 +134,15 @@ def _attitude(
     return camera_from_body(rotation, attitude, motion, tdb_s)
 
 
-def _sun(row: dict[str, str], motion: Ephemeris, tdb_s: float) -> FloatArray:
-    vector = numbers(row, SUN)
+def _sun(row: Row, motion: Ephemeris, tdb_s: float) -> FloatArray:
+    vector = row.vector(SUN)
     if vector is None:
         return motion.sun_body(tdb_s)
     _check_unit(vector, "the Sun's direction sun_x, sun_y, sun_z")
-    return np.array(vector) / float(np.linalg.norm(vector))
+    return vector / float(np.linalg.norm(vector))
 
 
-def _check_unit(vector: list[float], what: str) -> None:
+def _check_unit(vector: FloatArray, what: str) -> None:
     length = float(np.linalg.norm(vector))
     if length < 1e-12:
         raise DataError(f"{what} is zero; wanted a length of 1")
@@ -167,21 +150,20 @@ def _check_unit(vector: list[float], what: str) -> None:
         raise DataError(f"{what} has a length of {length:.6g}; wanted 1")
 
 
-def _sigma(row: dict[str, str], column: str, unit: float) -> float | None:
-    if not row[column]:
+def _sigma(row: Row, column: str, unit: float) -> float | None:
+    value = row.number(column)
+    if value is None:
         return None
-    value = number(row[column], column, "")
     if value < 0.0:
         raise DataError(f"{column} is {row[column]}; wanted 0 or more")
     return value * unit
 
 
-def _position(row: dict[str, str], body: Body) -> tuple[FloatArray | None, float | None]:
+def _position(row: Row, body: Body) -> tuple[FloatArray | None, float | None]:
     sigma = _sigma(row, "position_sigma_m", 1.0)
-    values = numbers(row, POSITION)
-    if values is None:
+    position = row.vector(POSITION)
+    if position is None:
         return None, None
-    position = np.array(values)
     distance = float(np.linalg.norm(position))
     if distance < body.radius_m + body.plausible_heights_m[0]:
         raise DataError(
@@ -193,24 +175,18 @@ def _position(row: dict[str, str], body: Body) -> tuple[FloatArray | None, float
     return position, sigma
 
 
-def _row(frame: Frame, motion: Ephemeris, attitude: Attitude) -> list[str]:
-    quaternion = [""] * 4
+def _cells(frame: Frame, motion: Ephemeris, attitude: Attitude) -> dict[str, object]:
+    cells: dict[str, object] = {"file": frame.file, "utc": frame.utc, "camera": frame.camera}
     sigma = frame.attitude_sigma_rad
     if sigma is not None and frame.body_sigma_rad > 0.0:
         # the file holds the sensor's part alone
         sigma = float(np.sqrt(max(sigma**2 - frame.body_sigma_rad**2, 0.0)))
+    cells["attitude_sigma_arcsec"] = None if sigma is None else sigma / ARCSEC
     if frame.camera_from_body is not None and frame.tdb_s is not None:
         rotation = rotation_for_file(attitude, motion, frame.tdb_s, frame.camera_from_body)
-        quaternion = quaternion_texts(rotation)
-    return [
-        *(frame.file, frame.utc, frame.camera),
-        *quaternion,
-        "" if sigma is None else f"{sigma / ARCSEC:.6g}",
-        *_texts(frame.position_m, 4),
-        "" if frame.position_sigma_m is None else f"{frame.position_sigma_m:.6g}",
-        *_texts(frame.sun_body, 12),
-    ]
-
-
-def _texts(vector: FloatArray | None, digits: int) -> list[str]:
-    return [""] * 3 if vector is None else [f"{value:.{digits}f}" for value in vector]
+        cells |= zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)
+    cells["position_sigma_m"] = frame.position_sigma_m
+    for columns, vector in ((POSITION, frame.position_m), (SUN, frame.sun_body)):
+        if vector is not None:
+            cells |= zip(columns, vector, strict=True)
+    return cells

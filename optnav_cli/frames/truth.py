@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
@@ -12,12 +11,10 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from catalog.geometry.rotations import rotation_from_quaternion
-from optnav_cli.frames.csv_table import numbers, read_rows, write_rows
-from optnav_cli.frames.frames import POSITION, QUATERNION, quaternion_texts
+from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from catalog.tables import Row
 from optnav_cli.frames.run_settings import RunSettings, camera_from_body, rotation_for_file
-
-COLUMNS = ("file", "utc", *POSITION, *QUATERNION)
+from optnav_cli.frames.tables import POSITION, QUATERNION, TRUTH
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,31 +39,17 @@ def read_truth(path: str | Path, settings: RunSettings) -> list[Truth]:
     # by theory, as everything that is compared with the truth is read
     path, motion = Path(path), AnalyticEphemeris(load_body(settings.body))
     truths: dict[str, Truth] = {}
-    for index, row in enumerate(read_rows(path, COLUMNS)):
-        if "position_sigma_m" in row:
+    for index, row in enumerate(TRUTH.rows(path)):
+        if "position_sigma_m" in row.cells:
             raise DataError(
-                f"{path}: is a frames.csv, what was believed of the camera; wanted the truth.csv"
+                f"{path}: is a frames.csv, what is known before the solution; wanted the truth.csv"
             )
-        where = f"{path}: row {index + 1} ({row['file']}): "
-        if row[""]:
-            raise DataError(f"{where}{row['']}")
-        if row["file"] in truths:
-            raise DataError(f"{where}the file stands there twice; keep one row")
-        position, quaternion = numbers(row, POSITION, where), numbers(row, QUATERNION, where)
-        if position is None or quaternion is None:
-            raise DataError(f"{where}a position or quaternion is empty; fill it in")
         try:
-            tdb_s = utc_to_tdb_s(row["utc"])
-            rotation = rotation_from_quaternion(*quaternion)
+            if row["file"] in truths:
+                raise DataError("the file stands there twice; keep one row")
+            truths[row["file"]] = _truth(row, settings, motion)
         except (DataError, ValueError) as error:
-            raise DataError(f"{where}{error}") from None
-        truths[row["file"]] = Truth(
-            file=row["file"],
-            utc=row["utc"],
-            tdb_s=tdb_s,
-            position_m=np.array(position),
-            camera_from_body=camera_from_body(rotation, settings.attitude, motion, tdb_s),
-        )
+            raise DataError(f"{path}: row {index + 1} ({row['file']}): {error}") from None
     return list(truths.values())
 
 
@@ -81,19 +64,31 @@ def write_truth(
     motion  how the body turns, for attitudes against the stars; by theory if None
     """
     motion = motion or AnalyticEphemeris(load_body(settings.body))
-    write_rows(
-        Path(path),
-        COLUMNS,
-        (
-            [
-                *(truth.file, truth.utc),
-                *(f"{value:.4f}" for value in truth.position_m),
-                *quaternion_texts(
-                    rotation_for_file(
-                        settings.attitude, motion, truth.tdb_s, truth.camera_from_body
-                    )
-                ),
-            ]
-            for truth in truths
-        ),
+    TRUTH.write(Path(path), (_cells(truth, settings, motion) for truth in truths))
+
+
+def _truth(row: Row, settings: RunSettings, motion: Ephemeris) -> Truth:
+    if row.problem:
+        raise DataError(row.problem)
+    position, quaternion = row.vector(POSITION), row.vector(QUATERNION)
+    if position is None or quaternion is None:
+        raise DataError("a position or quaternion is empty; fill it in")
+    tdb_s = utc_to_tdb_s(row["utc"])
+    rotation = rotation_from_quaternion(*quaternion)
+    return Truth(
+        file=row["file"],
+        utc=row["utc"],
+        tdb_s=tdb_s,
+        position_m=position,
+        camera_from_body=camera_from_body(rotation, settings.attitude, motion, tdb_s),
     )
+
+
+def _cells(truth: Truth, settings: RunSettings, motion: Ephemeris) -> dict[str, object]:
+    rotation = rotation_for_file(settings.attitude, motion, truth.tdb_s, truth.camera_from_body)
+    return {
+        "file": truth.file,
+        "utc": truth.utc,
+        **dict(zip(POSITION, truth.position_m, strict=True)),
+        **dict(zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)),
+    }

@@ -1,6 +1,5 @@
 """manifest.json: what an output was made from, by which versions; the mark of optnav's outputs."""
 
-import hashlib
 import importlib.metadata
 import json
 import platform
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from catalog.errors import DataError
-from optnav_cli.output.replace import MADE_BY, MANIFEST
+from catalog.files import MADE_BY, MANIFEST, hash_file
 
 FORMAT = 1
 LIBRARIES = (
@@ -24,19 +23,6 @@ LIBRARIES = (
     "pyerfa",
     "zstandard",
 )
-CHUNK = 1 << 20
-
-
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, hex. Raises DataError when it cannot be read."""
-    digest = hashlib.sha256()
-    try:
-        with path.open("rb") as file:
-            while chunk := file.read(CHUNK):
-                digest.update(chunk)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    return digest.hexdigest()
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str | None]:

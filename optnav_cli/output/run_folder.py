@@ -6,11 +6,13 @@ from pathlib import Path
 
 from catalog.bodies.body import load_body
 from catalog.errors import ConfigError, DataError
+from catalog.tables import Table
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
+from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.frames.run_settings import FileAttitude, RunSettings, read_run_settings
-from optnav_cli.output.tables import read_matches, read_solutions, read_table
-from optnav_cli.solution import MatchRow, Solution
+from optnav_cli.frames.tables import CAMERA, FILE
+from optnav_cli.output.tables import read_matches, read_solutions
 
 SOLUTION, MATCHES = "solution.csv", "matches.csv"
 RECORDING, OVERLAYS = "run.mcap", "overlays"
@@ -60,7 +62,7 @@ def _cameras(path: Path) -> dict[str, Camera]:
         return {}
     known: dict[str, Camera | None] = {}
     cameras = {}
-    for _, row in read_table(path / FRAMES, ("file", "camera")):
+    for row in Table((FILE, CAMERA)).rows(path / FRAMES):
         name = row["camera"]
         if name not in known:
             try:

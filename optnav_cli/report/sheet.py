@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from optnav_cli.output.replace import replacing_file, starts_with
+from catalog.files import replacing_file, starts_with
 from optnav_cli.report.page import DRAWINGS, LIGHT
 from optnav_cli.report.svg import Plot, mark
 

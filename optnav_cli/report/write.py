@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from catalog.errors import DataError
+from catalog.files import replacing_file, starts_with
 from catalog.store.reader import Catalog
-from optnav_cli.output.replace import replacing_file, starts_with
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet

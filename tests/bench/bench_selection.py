@@ -9,8 +9,8 @@ import rasterio
 
 from catalog.bodies.body import load_body
 from catalog.build import check, render, select
-from catalog.build.config import BuildConfig
-from catalog.build.context import BodySettings, StageContext
+from catalog.build.config import BodySettings, BuildConfig
+from catalog.build.context import StageContext
 from catalog.config import resource
 from catalog.correlation.surf64 import descriptors, match_surf
 from catalog.geometry.cells import CellGrid

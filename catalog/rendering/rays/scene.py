@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import kernel, parallel_kernel
+from catalog.geometry.vectors import unit
 from catalog.photometry.hapke import LUNAR, HapkeParameters
 from catalog.rendering.rays.ground import Ground, bilinear, surroundings
 from catalog.rendering.rays.light import BLOCK, Light, light_blocks, shade, shade_blocks
@@ -79,9 +80,8 @@ class Scene:
         between: Ground | None = None,
         surface: HapkeParameters = LUNAR,
     ) -> None:
-        sun = np.array(sun_body, dtype=np.float64)
         self.fine, self.wide, self.surface = fine, wide, surface
-        self.sun = sun / np.linalg.norm(sun)
+        self.sun = unit(sun_body)
         # mountains beyond the fine ground's border shade it from as far as this, about 100 km
         self._around = surroundings(wide, fine, SHADOW_REACH)
         self.between = self._around if between is None else between

@@ -22,7 +22,7 @@ from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.terrain.dem.feather import Feather
 from catalog.terrain.dem.georeference import CYLINDRICAL, Georeference
 from catalog.terrain.dem.source import DemSettings
-from catalog.terrain.pyramid.level_window import LevelWindows, TileCache
+from catalog.terrain.pyramid.level_window import LevelWindows, tile_cache
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.sampling.footprint import sample_level
 from catalog.terrain.sampling.graticule_heights import heights_by_blocks, heights_by_weights
@@ -58,7 +58,7 @@ class Mosaic:
         self._reset()
 
     def _reset(self) -> None:
-        self._cache = TileCache()
+        self._cache = tile_cache()
         self._levels: dict[tuple[int, int], LevelWindows] = {}
         self._feathers: dict[int, Feather | None] = {}
 

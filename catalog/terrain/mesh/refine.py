@@ -21,6 +21,7 @@ from scipy.interpolate import RectBivariateSpline
 from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.vectors import unit
 from catalog.terrain.mesh.shape import Shape
 from catalog.terrain.mesh.table import RadiiGrid, is_grid, read_grid, surface_of
 from catalog.terrain.mesh.winding import edges_of
@@ -209,8 +210,7 @@ def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
         ],
         axis=1,
     )
-    normals: FloatArray = total / np.linalg.norm(total, axis=1)[:, None]
-    return normals
+    return unit(total)
 
 
 def _halved(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:

@@ -4,8 +4,6 @@ Level 0 is read from the file itself; the overviews are tiled GeoTIFFs in a fold
 """
 
 import math
-import os
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +18,7 @@ from rasterio.windows import Window
 from catalog.arrays import BoolArray, Float32Array
 from catalog.bodies.body import Body
 from catalog.errors import DataError, OutputError
+from catalog.files import putting_folder
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem.conversion import HEIGHTS, Conversion
 from catalog.terrain.dem.source import GDAL_CACHE_BYTES, DemSettings, DemSource
@@ -139,21 +138,15 @@ class HeightPyramid:
         Raises DataError for a damaged file, one without data or with impossible heights, and
         OutputError when the place cannot be written.
         """
-        partial = folder.with_name(folder.name + ".partial")
         try:
-            shutil.rmtree(partial, ignore_errors=True)
-            partial.mkdir(parents=True)
-            record = write_levels(source, partial, workers, progress or SilentProgress())
-            (partial / "pyramid.json").write_bytes(msgspec.json.encode(record))
-            shutil.rmtree(folder, ignore_errors=True)
-            os.replace(partial, folder)
+            with putting_folder(folder) as new:
+                record = write_levels(source, new, workers, progress or SilentProgress())
+                (new / "pyramid.json").write_bytes(msgspec.json.encode(record))
         except OSError as error:
             raise OutputError(
                 f"{folder}: overviews cannot be written ({error.strerror or error}); "
                 "free space or choose another work folder"
             ) from None
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
         return cls(source, folder, record)
 
     @classmethod

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
+from catalog.geometry.vectors import unit
 from catalog.terrain.relief.relief import GlobalRelief
 
 SEGMENT = np.radians(0.5)  # jumped or searched as a whole
@@ -75,7 +76,7 @@ class LimbRelief:
     def sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
         """Whether the Sun (3,), a direction, stands clear of the relief at places (n, 3), m."""
         places = np.ascontiguousarray(points, dtype=np.float64)
-        towards = np.asarray(sun, dtype=np.float64) / np.linalg.norm(sun)
+        towards = unit(sun)
         lit = np.empty(len(places), np.bool_)
         _sunlit(self.grid, self.radius_m, self.highest_m, self.posting_m, places, towards, lit)
         return lit
@@ -83,8 +84,7 @@ class LimbRelief:
 
 def nadir_axes(position: ArrayLike) -> FloatArray:
     """Rows (3, 3): two directions across the position (3,), then the position's own; unit."""
-    up = np.asarray(position, dtype=np.float64)
-    up = up / np.linalg.norm(up)
+    up = unit(position)
     first = np.zeros(3)
     first[int(np.argmin(np.abs(up)))] = 1.0
     first -= up * (first @ up)

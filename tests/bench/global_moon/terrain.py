@@ -14,8 +14,6 @@ No craters are stamped: those below 1 km do not show in GLD100, and larger ones 
 Made by bands, so memory does not grow with the raster; the same on any number of cores.
 """
 
-import hashlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,6 +26,7 @@ from rasterio.windows import Window
 from scipy import ndimage
 
 from catalog.arrays import Float32Array, Int16Array
+from catalog.files import hash_file, put_file, replacing_file
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.terrain.synthetic import fractal
 
@@ -137,32 +136,30 @@ def make(
         factor,
         tuple(ground.spacings.tolist()),
         tuple(ground.amplitudes.tolist()),
-        hashlib.sha256(source.read_bytes()).hexdigest(),
+        hash_file(source),
         *ground.shape,
     )
     if is_made(target, recipe):
         return False
     rows, cols = ground.shape
-    partial = target.with_name(target.name + ".partial")
     west, north = ground.profile["transform"].c, ground.profile["transform"].f
     step = ground.posting_m
-    with rasterio.open(
-        partial, "w", driver="GTiff", bigtiff="yes", tiled=True, blockxsize=TILE, blockysize=TILE,
-        height=rows, width=cols, count=1, dtype="int16", nodata=NODATA, crs=ground.profile["crs"],
-        transform=rasterio.Affine(step, 0.0, west, 0.0, -step, north),
-    ) as raster:  # fmt: skip
-        for row in range(0, rows, TILE):
-            height = min(TILE, rows - row)
-            raster.write(
-                ground.window(row, 0, height, cols), 1, window=Window(0, row, cols, height)
-            )
-            tell(f"{(row + height) / rows:4.0%}")
-    recipe = msgspec.structs.replace(recipe, bytes=partial.stat().st_size)
     recipe_path(target).unlink(missing_ok=True)  # never an old recipe beside a new raster
-    os.replace(partial, target)
-    written = recipe_path(target).with_suffix(".partial")
-    written.write_bytes(msgspec.json.format(msgspec.json.encode(recipe)))
-    os.replace(written, recipe_path(target))
+    with replacing_file(target, lambda _: True) as partial:
+        with rasterio.open(
+            partial, "w", driver="GTiff", bigtiff="yes", tiled=True, blockxsize=TILE,
+            blockysize=TILE, height=rows, width=cols, count=1, dtype="int16", nodata=NODATA,
+            crs=ground.profile["crs"],
+            transform=rasterio.Affine(step, 0.0, west, 0.0, -step, north),
+        ) as raster:  # fmt: skip
+            for row in range(0, rows, TILE):
+                height = min(TILE, rows - row)
+                raster.write(
+                    ground.window(row, 0, height, cols), 1, window=Window(0, row, cols, height)
+                )
+                tell(f"{(row + height) / rows:4.0%}")
+        recipe = msgspec.structs.replace(recipe, bytes=partial.stat().st_size)
+    put_file(recipe_path(target), msgspec.json.format(msgspec.json.encode(recipe)))
     return True
 
 

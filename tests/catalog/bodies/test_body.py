@@ -35,10 +35,24 @@ def test_a_misspelt_body_is_answered_with_the_nearest() -> None:
         load_body("xyzzy")
 
 
-@pytest.mark.parametrize("name", ["../bodies/moon", "", "moon.toml"])
-def test_a_body_name_is_not_a_path(name: str) -> None:
-    with pytest.raises(ConfigError, match="no body"):
-        load_body(name)
+def test_a_body_name_may_be_the_path_of_a_file(tmp_path: Path) -> None:
+    path = edited(tmp_path, 'name = "earth"', 'name = "terra"')
+    assert load_body(str(path)).name == "terra"
+    assert load_body("earth.toml", tmp_path) == load_body("./earth.toml", tmp_path)
+    assert load_body(f"../{tmp_path.name}/earth.toml", tmp_path).name == "terra"
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("../bodies/moon", r"bodies/moon: there is no such file"),
+        ("moon.toml", r"moon.toml: there is no such file"),
+        ("", "no body"),
+    ],
+)
+def test_a_path_without_a_body_file_is_refused(tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_body(name, tmp_path)
 
 
 def edited(tmp_path: Path, old: str, new: str) -> Path:

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from catalog.build.build import STAGES, run
+from catalog.config import resource
 from catalog.errors import ConfigError, DataError, NothingToDoError, OutputError, UsageError
-from catalog.jobs.code_key import code_key
+from catalog.jobs.workspace import code_key
+from catalog.store.reader import Catalog
 from catalog.store.verify import verify
 from tests.catalog.build.coarse_tycho import BBOX, CONFIG
 
@@ -237,3 +239,19 @@ def test_progress_of_every_stage_reaches_its_total(config, tmp_path):
 def test_keys_change_with_the_code_that_makes_the_results():
     assert code_key.__wrapped__() == code_key.__wrapped__()
     assert len(code_key()) == 64
+
+
+def test_a_body_file_is_all_that_another_body_needs(config, tmp_path):
+    """The catalog carries what it needs of the body: it opens where the file is not."""
+    text = resource("configs/bodies/moon.toml").read_text(encoding="utf-8")
+    body = tmp_path / "bodies/selene.toml"
+    body.parent.mkdir()
+    body.write_text(text.replace('name = "moon"', 'name = "selene"', 1))
+    config.write_text(CONFIG.replace('name = "moon"', 'name = "bodies/selene.toml"'))
+    report = built(config, tmp_path / "c.gpkg", bbox=BBOX, workers=1)
+    body.unlink()
+    with Catalog.open(report.output) as catalog:
+        assert (catalog.meta.body, catalog.meta.radius_m) == ("selene", 1737400.0)
+        assert len(catalog.patches(int(catalog.ids[0]))) == catalog.meta.levels
+    with pytest.raises(ConfigError, match=r"\[body\] name: .*selene.toml: there is no such file"):
+        run(config, output=tmp_path / "d.gpkg", bbox=BBOX, workers=1)

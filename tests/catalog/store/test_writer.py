@@ -207,16 +207,14 @@ def test_a_link_stays_and_the_file_that_it_names_is_replaced(world: Any, tmp_pat
 
 
 FULL_DISK = """
-import importlib.util, resource, sys
+import resource, sys
 from pathlib import Path
-spec = importlib.util.spec_from_file_location("made", sys.argv[1])
-made = importlib.util.module_from_spec(spec); sys.modules["made"] = made
-spec.loader.exec_module(made)
 from catalog.errors import OutputError
-world = made.make_world(seed=8)
+from tests.catalog.made_catalogs import make_world
+world = make_world(seed=8)
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
 try:
-    world.write(Path(sys.argv[2]))
+    world.write(Path(sys.argv[1]))
 except OutputError as error:
     print("told:", error)
 """
@@ -225,9 +223,8 @@ except OutputError as error:
 def test_a_full_disk_is_told_and_the_old_catalog_is_whole(catalog_copy: Path) -> None:
     """A limit on the size of files stands in for a full disk; both fail in write()."""
     before = catalog_copy.read_bytes()
-    maker = Path(__file__).with_name("conftest.py")
     done = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(maker), str(catalog_copy)],
+        [sys.executable, "-c", FULL_DISK, str(catalog_copy)],
         cwd=Path(__file__).parents[3],
         capture_output=True,
         text=True,

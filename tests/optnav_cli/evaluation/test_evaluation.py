@@ -241,7 +241,7 @@ def test_a_run_of_control_points_alone_has_no_table_of_methods(tmp_path, make_ru
 
 def test_an_evaluation_of_an_older_version_is_told_to_be_made_anew(tmp_path):
     (tmp_path / "evaluation.csv").write_text("file,utc,status,forward\n")
-    with pytest.raises(DataError, match=r"column 'method' is missing.*optnav evaluate` again"):
+    with pytest.raises(DataError, match=r"no column 'method'.*optnav evaluate` again"):
         read_error_rows(tmp_path / "evaluation.csv")
 
 

@@ -12,8 +12,9 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.geometry.rotations import quaternion_from_rotation
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
-from optnav_cli.frames.frames import COLUMNS, Frame
+from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.frames.tables import FRAMES
 
 CAMERA = Camera("wide", "pinhole", 640, 480, 500.0, (319.5, 239.5))
 UTCS = ("1998-03-01T02:03:04.5Z", "2004-11-21T22:10:00Z", "2009-07-20T20:17:40Z")
@@ -23,7 +24,7 @@ CAMERA_FROM_BODY = Rotation.from_rotvec([0.3, -1.2, 2.0])
 def folder_of(tmp_path: Path, quaternions: dict[str, np.ndarray], sigma: str = "10") -> Path:
     """A folder with an attitude against the stars for each time; Sun and position are left out."""
     write_folder(tmp_path, RunSettings("moon", "camera_from_inertial"), [CAMERA], [])
-    lines = [",".join(COLUMNS)]
+    lines = [",".join(FRAMES.names)]
     for number, (utc, quaternion) in enumerate(quaternions.items()):
         texts = ",".join(f"{value:.15f}" for value in quaternion)
         lines.append(f"{number}.png,{utc},wide,{texts},{sigma}" + "," * 7)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from catalog.errors import DataError
-from optnav_cli.output.manifest import hash_file, hash_files, read_manifest, write_manifest
-from optnav_cli.output.replace import made_by_optnav
+from catalog.files import hash_file, made_by_optnav
+from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
 
 STARTED = datetime(2024, 5, 6, 7, 8, 9, tzinfo=UTC)
 

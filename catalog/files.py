@@ -1,0 +1,312 @@
+"""Writing files and folders: built beside their place, made durable, put there in one step.
+
+The output of a command grows in a hidden sibling (".NAME.optnav-new-..."), which the process locks.
+Only when it is complete and on the disk does it take the place that the user named, and never that
+of a file or folder of somebody else. A killed command leaves the old output whole; the next one
+removes what the killed one left behind.
+
+In a work folder, which is optnav's own and locked as a whole, parts are named NAME.partial.
+"""
+
+import ctypes
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import sqlite3
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from catalog.errors import DataError, OutputError
+
+MANIFEST = "manifest.json"
+MADE_BY = "optnav"
+NEW, OLD, PARTIAL = "optnav-new-", "optnav-old", ".partial"
+PIECE = 1_000_000  # bytes that are read at once
+AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+SQLITE_DISK_ERRORS = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN", "SQLITE_READONLY")
+
+IsOurs = Callable[[Path], bool]  # whether a file is an older output of the same kind
+
+
+def starts_with(*prefixes: bytes) -> IsOurs:
+    """A test for `replacing_file`: the file begins with one of these bytes."""
+
+    def test(path: Path) -> bool:
+        with path.open("rb") as file:
+            return file.read(max(map(len, prefixes))).startswith(prefixes)
+
+    return test
+
+
+def check_file(path: Path, ours: IsOurs) -> None:
+    """Raise OutputError for a place where `replacing_file` could not put a file.
+
+    Nothing is touched; long work asks before it begins.
+    """
+    if not path.name:
+        raise OutputError(f"{str(path)!r}: is not a name for a file; name one")
+    try:
+        if path.is_dir():
+            raise OutputError(
+                f"{path}: a folder is in the way of an output file; name another place"
+            )
+        if path.exists() and path.stat().st_size > 0 and not ours(path):
+            raise OutputError(
+                f"{path}: exists and was not made by optnav as such an output; move it away or "
+                "name another file"
+            )
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror}); name another place"
+        ) from None
+
+
+@contextmanager
+def replacing_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> Iterator[Path]:
+    """Give a file name to write; on success that file takes the place of `path`.
+
+    ours      whether an existing file may be replaced; an empty one always may
+    sidecars  endings of files beside `path` that belong to the old file and go with it
+
+    A link stays, and the file it leads to is replaced.
+    Raises OutputError for a folder or a foreign file in the way, an unwritable place, a full disk
+    (of SQLite in the body, too).
+    """
+    check_file(path, ours)
+    path = path.resolve()
+    with _writing(path), _new_folder(path) as folder:
+        yield folder / path.name
+        _sync(folder / path.name)
+        for ending in sidecars:
+            path.with_name(path.name + ending).unlink(missing_ok=True)
+        os.replace(folder / path.name, path)
+        _sync(path.parent)
+
+
+def write_output(path: Path, data: bytes, ours: IsOurs) -> None:
+    """Write a file in one go, as `replacing_file` does."""
+    with replacing_file(path, ours) as new:
+        new.write_bytes(data)
+
+
+def made_by_optnav(folder: Path, kind: str) -> bool:
+    """Whether a folder's manifest says that optnav made it, as this kind of output."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return (
+        isinstance(manifest, dict)
+        and manifest.get("made_by") == MADE_BY
+        and manifest.get("kind") == kind
+    )
+
+
+def check_folder(path: Path, kind: str) -> None:
+    """Raise OutputError unless `path` is free, an empty folder, or an output of this kind."""
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise OutputError(f"{path}: a file is in the way of an output folder; name another place")
+    if any(path.iterdir()) and not made_by_optnav(path, kind):
+        raise OutputError(
+            f"{path}: the folder is not empty and holds no {kind} that optnav made, so it is left "
+            "alone; name another place, or remove it yourself"
+        )
+
+
+@contextmanager
+def replacing_folder(path: Path, kind: str) -> Iterator[Path]:
+    """Give a folder to fill; on success it takes the place of `path`, otherwise it vanishes.
+
+    path  where the output shall be: free, an empty folder, or an older output of the same kind
+    kind  what the output is ("run", "pictures"); its manifest.json must say so in the end
+
+    Raises OutputError for a place that is taken, locked by another optnav or not writable, and
+    for a disk that fills up; ValueError when the caller wrote no manifest.
+    """
+    path = Path(path)
+    if not path.name:
+        raise OutputError(f"{path}: this is not a name for an output; name another place")
+    path = path.resolve()
+    check_folder(path, kind)
+    with _writing(path), _new_folder(path) as new:
+        yield new
+        if not made_by_optnav(new, kind):
+            raise ValueError(f"{path}: the {kind} was left without its manifest")
+        check_folder(path, kind)  # somebody may have come meanwhile
+        for folder, _, names in os.walk(new):
+            for name in names:
+                _sync(Path(folder, name))
+            _sync(Path(folder))
+        _put_in_place(new, path)
+
+
+def put_file(path: Path, data: bytes) -> None:
+    """Write a file of a work folder: whole or not at all, also after a loss of power.
+
+    Raises OSError.
+    """
+    partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_bytes(data)
+        _sync(partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def putting_folder(path: Path) -> Iterator[Path]:
+    """Give a folder to fill in a work folder; on success it takes the place of `path`."""
+    partial = path.with_name(path.name + PARTIAL)
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    try:
+        yield partial
+        shutil.rmtree(path, ignore_errors=True)
+        os.replace(partial, path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def hash_file(path: Path, piece_done: Callable[[], object] = lambda: None) -> str:
+    """SHA-256 of a file's bytes, hex. Raises DataError when it cannot be read.
+
+    piece_done  called after each MB
+    """
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while data := file.read(PIECE):
+                digest.update(data)
+                piece_done()
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror or error}); check its permissions"
+        ) from error
+    return digest.hexdigest()
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[int]:
+    """Hold a folder, or a lock file that is made where it is missing; gives its handle.
+
+    The lock goes with the process, so that a killed one leaves none behind.
+    Raises BlockingIOError when another process holds it, OSError when it cannot be opened.
+    """
+    flags = os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT
+    handle = os.open(path, flags, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield handle
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Turn the failures of a place into an OutputError; errors about other files pass through."""
+    try:
+        yield
+    except (OSError, sqlite3.Error) as error:
+        if isinstance(error, OSError):
+            there = str(error.filename or "").startswith(str(path.parent))
+            failed, reason = there or error.errno in DISK_ERRORS, error.strerror
+        else:
+            name = getattr(error, "sqlite_errorname", "")
+            failed, reason = name.startswith(SQLITE_DISK_ERRORS), None
+        if not failed:
+            raise
+        raise OutputError(
+            f"{path}: cannot be written ({reason or error}); free some space there or name "
+            "another place"
+        ) from error
+
+
+@contextmanager
+def _new_folder(path: Path) -> Iterator[Path]:
+    """A hidden folder beside `path`, held by this process, that is gone afterwards."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _remove_leftovers(path)
+    new = Path(tempfile.mkdtemp(prefix=f".{path.name}.{NEW}", dir=path.parent))
+    try:
+        with locked(new):
+            new.chmod(0o777 & ~_umask())  # mkdtemp makes it private
+            yield new
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Clean up after a killed command; give back an old output that it had moved aside."""
+    old = path.parent / f".{path.name}.{OLD}"
+    if old.exists():
+        if path.exists():
+            shutil.rmtree(old)
+        else:
+            os.rename(old, path)
+    for leftover in sorted(path.parent.glob(f".{_glob_safe(path.name)}.{NEW}*")):
+        try:
+            with locked(leftover):
+                shutil.rmtree(leftover)
+        except FileNotFoundError:  # its own process has just removed it
+            continue
+        except BlockingIOError:
+            raise OutputError(
+                f"{path}: another optnav is writing this output; wait for it or name another place"
+            ) from None
+
+
+def _put_in_place(new: Path, path: Path) -> None:
+    """Make `new` the folder at `path`; what was there is left under the name of `new`."""
+    if not path.exists():
+        os.rename(new, path)
+    elif not _exchange(new, path):
+        # Two steps where the system cannot exchange: a kill between them leaves the old output
+        # under its other name, and the next command gives it back.
+        old = path.parent / f".{path.name}.{OLD}"
+        os.rename(path, old)
+        os.rename(new, path)
+        shutil.rmtree(old, ignore_errors=True)
+    _sync(path.parent)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step; False where the system or file system cannot."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except AttributeError:
+        return False
+    result: int = rename(
+        AT_FDCWD, os.fsencode(one), AT_FDCWD, os.fsencode(other), ctypes.c_uint(RENAME_EXCHANGE)
+    )
+    return result == 0
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _glob_safe(name: str) -> str:
+    return "".join(f"[{c}]" if c in "*?[" else c for c in name)

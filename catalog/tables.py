@@ -1,0 +1,206 @@
+"""CSV tables: columns declared once, from which a table is read, written and documented."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.config import nearest_name
+from catalog.errors import DataError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    kind     what its cells hold; a flag is 0 or 1
+    unit     of a number, as people write it
+    form     how a number is written, as a format specification; "" as Python prints it
+    empty    whether a cell may be empty: unknown, or not applicable
+    """
+
+    name: str
+    meaning: str
+    kind: Literal["text", "number", "count", "flag"] = "number"
+    unit: str = ""
+    form: str = ""
+    empty: bool = False
+
+    def cell(self, value: object) -> str:
+        """A value as it is written; None and numbers that are not finite are empty."""
+        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+            return ""
+        return format(int(bool(value)) if self.kind == "flag" else value, self.form)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table that was read. Messages of its errors name the column, not the place.
+
+    where    "FILE, line N"
+    problem  why the row as a whole cannot be used, or ""
+    """
+
+    where: str
+    cells: Mapping[str, str]
+    columns: Mapping[str, Column] = field(repr=False)
+    problem: str = ""
+
+    def __getitem__(self, column: str) -> str:
+        return self.cells[column]
+
+    def number(self, column: str) -> float | None:
+        """The finite number of a cell, None for an empty one. Raises DataError for all else."""
+        text = self.cells[column]
+        if not text and self.columns[column].empty:
+            return None
+        try:
+            value = float(text)
+        except ValueError:
+            raise DataError(f"{column} is '{text}'; wanted a number") from None
+        if not math.isfinite(value):
+            raise DataError(f"{column} is {text}; wanted a finite number")
+        return value
+
+    def count(self, column: str) -> int | None:
+        """The whole number, 0 or more, of a cell, None for an empty one. Raises DataError."""
+        value = self.number(column)
+        if value is not None and (value < 0 or value != int(value)):
+            raise DataError(f"{column} is '{self.cells[column]}'; wanted a count")
+        return None if value is None else int(value)
+
+    def flag(self, column: str) -> bool:
+        """Whether a cell holds 1 and not 0. Raises DataError for anything else."""
+        if self.cells[column] not in ("0", "1"):
+            raise DataError(f"{column} is '{self.cells[column]}'; wanted 0 or 1")
+        return self.cells[column] == "1"
+
+    def vector(self, columns: Sequence[str]) -> FloatArray | None:
+        """Numbers (n,) of cells that belong together; None when all are empty.
+
+        Raises DataError for a cell that is no finite number or empty alone.
+        """
+        empty = [column for column in columns if not self.cells[column]]
+        if len(empty) == len(columns):
+            return None
+        if empty:
+            raise DataError(f"{empty[0]} is empty, but {', '.join(columns)} belong together")
+        return np.array([self.number(column) for column in columns], np.float64)
+
+
+@dataclass(frozen=True)
+class Table:
+    """The columns of a CSV file, in their order.
+
+    by_hand  people make it, a row for each picture: there must be rows, and the empty cells that a
+             spreadsheet leaves at the end of a line do not count
+    """
+
+    columns: tuple[Column, ...]
+    by_hand: bool = False
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the columns."""
+        return [column.name for column in self.columns]
+
+    def write(self, path: Path, rows: Iterable[Mapping[str, object]]) -> int:
+        """Write a file (UTF-8, line feeds) and return how many rows it has.
+
+        rows  values by column; what is missing stays empty
+        """
+        count = 0
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(self.names)
+            for row in rows:
+                writer.writerow([column.cell(row.get(column.name)) for column in self.columns])
+                count += 1
+        return count
+
+    def read(self, path: Path, parse: Callable[[Row], T]) -> list[T]:
+        """What `parse` makes of each row.
+
+        Raises DataError as `rows` does, and with the row's place for what it or `parse` refuses.
+        """
+        parsed = []
+        for row in self.rows(path):
+            try:
+                if row.problem:
+                    raise DataError(row.problem)
+                parsed.append(parse(row))
+            except (DataError, ValueError) as error:
+                raise DataError(f"{row.where}: {error}") from error
+        return parsed
+
+    def rows(self, path: Path) -> list[Row]:
+        """The rows of a file, cells without surrounding blanks; blank lines are skipped.
+
+        A byte-order mark, CRLF line ends, blanks around names and further columns are accepted.
+        Raises DataError for a file that cannot be read, lacks a column or has one twice, and for
+        one without rows where people make it.
+        """
+        header, *lines = _lines(path) or [(0, [])]
+        if not header[1]:
+            raise DataError(f"{path}: is empty; wanted the header {','.join(self.names)}")
+        self._check_header(path, header[1])
+        if self.by_hand and not lines:
+            raise DataError(f"{path}: has a header but no rows; add a row for each picture")
+        return [self._row(f"{path}, line {number}", header[1], cells) for number, cells in lines]
+
+    def markdown(self) -> str:
+        """The columns as a Markdown table."""
+        lines = ["| column | unit | holds | may be empty |", "|---|---|---|---|"]
+        for column in self.columns:
+            kind = "" if column.kind == "number" else f" ({column.kind})"
+            empty = "yes" if column.empty else ""
+            lines.append(f"| `{column.name}` | {column.unit} | {column.meaning}{kind} | {empty} |")
+        return "\n".join(lines) + "\n"
+
+    def _row(self, where: str, header: list[str], cells: list[str]) -> Row:
+        while self.by_hand and len(cells) > len(header) and not cells[-1]:
+            cells = cells[:-1]
+        problem = ""
+        if len(cells) != len(header):
+            problem = f"the row has {len(cells)} values; wanted {len(header)}"
+        named = dict.fromkeys(header, "") | dict(zip(header, cells, strict=False))
+        return Row(where, named, {column.name: column for column in self.columns}, problem)
+
+    def _check_header(self, path: Path, header: list[str]) -> None:
+        missing = [name for name in self.names if name not in header]
+        if missing:
+            extra = [name for name in header if name not in self.names]
+            near = nearest_name(missing[0], extra)
+            hint = f"is '{near}' meant?" if near else f"wanted {','.join(self.names)}"
+            if len(header) == 1:
+                hint = f"columns are to be set apart by commas: {','.join(self.names)}"
+            raise DataError(f"{path}: has no column '{missing[0]}'; {hint}")
+        twice = sorted({name for name in header if name and header.count(name) > 1})
+        if twice:
+            raise DataError(f"{path}: has the column '{twice[0]}' twice; remove one")
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Line number and cells of each line that is not blank. Raises DataError."""
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise DataError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise DataError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from None
+    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
+    try:
+        lines = [(reader.line_num, [cell.strip() for cell in line]) for line in reader]
+    except csv.Error as error:
+        raise DataError(f"{path}: is not a CSV file: {error}") from None
+    return [(number, cells) for number, cells in lines if any(cells)]

@@ -1,0 +1,141 @@
+"""The columns of every CSV file of a picture folder and of a run folder.
+
+Lengths are written to 0.1 mm; 12 decimals of a quaternion are 0.4 microarcseconds. The "z" of a
+form writes what rounds to zero without a sign.
+"""
+
+from catalog.tables import Column, Table
+
+POSITION = ("x_m", "y_m", "z_m")
+QUATERNION = ("qw", "qx", "qy", "qz")
+SUN = ("sun_x", "sun_y", "sun_z")
+COVARIANCE = ("cov_xx_m2", "cov_xy_m2", "cov_xz_m2", "cov_yy_m2", "cov_yz_m2", "cov_zz_m2")
+ERRORS = ("error_r_m", "error_n_m", "error_b_m")
+SIGMAS = ("sigma_r_m", "sigma_n_m", "sigma_b_m")
+
+
+def _text(name: str, meaning: str, empty: bool = False) -> Column:
+    return Column(name, meaning, "text", empty=empty)
+
+
+def _count(name: str, meaning: str, empty: bool = True) -> Column:
+    return Column(name, meaning, "count", empty=empty)
+
+
+def _number(name: str, meaning: str, unit: str, form: str, empty: bool = True) -> Column:
+    return Column(name, meaning, "number", unit, form, empty)
+
+
+def _position(what: str, form: str, empty: bool = True) -> list[Column]:
+    return [_number(name, f"{what}, body frame, {name[0]}", "m", form, empty) for name in POSITION]
+
+
+def _quaternion(what: str, form: str, empty: bool = True) -> list[Column]:
+    return [
+        _number(name, f"{what}: quaternion of the rotation that run.toml names, {name[1]}", "",
+                form, empty)
+        for name in QUATERNION
+    ]  # fmt: skip
+
+
+def _pixel(name: str, meaning: str, empty: bool = True) -> list[Column]:
+    return [_number(f"{name}_{i}_px", f"{meaning}, {i}", "px", "z.4f", empty) for i in "xy"]
+
+
+FILE = _text("file", "name of the picture, relative to the picture folder")
+UTC = _text("utc", "time of the picture, UTC, as 2023-08-17T05:23:10.250Z")
+CAMERA = _text("camera", "name of the camera, that of a file in cameras/")
+PREDICTED = _count("n_predicted", "control points expected in view, lit, unhidden, inside")
+MATCHED = _count("n_matched", "of these, found by the matcher")
+USED = _count("n_used", "of these, kept by the solution")
+STATUS = _text("status", "solved or unsolved")
+METHOD = _text("method", "how the frame was solved, or how far it got", empty=True)
+REASON = _text("reason", "why a frame is unsolved, or a remark", empty=True)
+REASON_CODE = _text("reason_code", "the code of that reason, for programs", empty=True)
+
+FRAMES = Table(
+    (
+        *(FILE, UTC, CAMERA, *_quaternion("attitude", ".12f")),
+        _number("attitude_sigma_arcsec", "1 sigma an axis; 0: exact, empty: free", "arcsec", ".6g"),
+        *_position("prior position of the camera", ".4f"),
+        _number("position_sigma_m", "1 sigma of the prior position, a component", "m", ".6g"),
+        *(
+            _number(name, f"unit vector to the Sun, body frame, {name[-1]}; empty: by the time",
+                    "", ".12f")
+            for name in SUN
+        ),
+    ),
+    by_hand=True,
+)  # fmt: skip
+
+TRUTH = Table(
+    (
+        *(FILE, UTC, *_position("true position of the camera", ".4f", empty=False)),
+        *_quaternion("true attitude", ".12f", empty=False),
+    ),
+    by_hand=True,
+)
+
+SOLUTION = Table(
+    (
+        *(FILE, UTC, STATUS, METHOD, *_position("position of the camera", "z.4f")),
+        *(
+            _number(name, f"covariance of the position, {name[4:6]}", "m²", ".9e")
+            for name in COVARIANCE
+        ),
+        *_quaternion("attitude used or solved for", "z.15f"),
+        _number("attitude_sigma_arcsec", "its 1 sigma an axis; 0: exact", "arcsec", "z.6f"),
+        _number("lat_deg", "latitude below the camera, planetocentric", "deg", "z.9f"),
+        _number("lon_deg", "longitude below the camera, -180 to 180, east positive", "deg", "z.9f"),
+        _number("height_m", "height above the body's reference sphere", "m", "z.4f"),
+        *(PREDICTED, MATCHED, USED),
+        _number("residual_rms_px", "rms of the residuals, a coordinate", "px", "z.5f"),
+        _text("prior", "where the search for control points began: frames.csv, a method, a camera "
+              "of the same time, an orbit arc", empty=True),
+        _count("n_limb", "limb points that the solution rests on"),
+        _number("arc_deg", "of the limb that they cover, about the nadir", "deg", "z.2f"),
+        *(REASON, REASON_CODE),
+    )
+)  # fmt: skip
+
+MATCHES = Table(
+    (
+        FILE,
+        _text("catalog", "file name of the control point's catalog", empty=True),
+        _count("id", "the control point's id in its catalog", empty=False),
+        _count("level", "pyramid level of the last match, 0 is the finest", empty=False),
+        _number("lat_deg", "the point's latitude, planetocentric", "deg", "z.9f", empty=False),
+        _number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
+        _number("radius_m", "its distance from the body's centre", "m", "z.4f", empty=False),
+        *_pixel("predicted", "where the final pose predicts it", empty=False),
+        *_pixel("measured", "where it was found"),
+        _number("score", "correlation of the best match", "", "z.5f"),
+        _number("runner_up", "correlation of the best rival", "", "z.5f"),
+        _number("sun_elevation_deg", "the Sun above the point's horizon", "deg", "z.4f"),
+        *_pixel("residual", "measured less predicted, after the solution"),
+        Column("used", "whether the solution keeps it", "flag"),
+        _text("reason", "why not", empty=True),
+        REASON_CODE,
+    )
+)
+
+EVALUATION = Table(
+    (
+        *(FILE, UTC, STATUS, METHOD),
+        _text("camera", "name of the camera, where it is known", empty=True),
+        _text("forward", "what the axis N rests on: motion, or local north"),
+        _number("truth_height_m", "true height above the reference sphere", "m", "z.3f"),
+        *(_number(name, f"error along {name[6].upper()}", "m", "z.3f") for name in ERRORS),
+        *(_number(name, f"stated sigma along {name[6].upper()}", "m", "z.3f") for name in SIGMAS),
+        _number("range_error_percent", "error along R, of the true height", "%", "z.6f"),
+        _number("range_sigma_percent", "its stated sigma", "%", "z.6f"),
+        _number("direction_error_arcsec", "error of the direction to the centre", "arcsec", "z.4f"),
+        _number("direction_sigma_arcsec", "its stated rms", "arcsec", "z.4f"),
+        _number("normalised_error_squared", "error squared over the stated covariance; 3 expected",
+                "", "z.6f"),
+        _number("attitude_error_arcsec", "angle of the attitude's error", "arcsec", "z.4f"),
+        *(PREDICTED, MATCHED, USED),
+        _count("n_wrong", "of these, more than 3 px from the truth"),
+        REASON,
+    )
+)  # fmt: skip

@@ -1,0 +1,179 @@
+"""Output places: atomic replacement, refusal of foreign files, what a killed command leaves."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from catalog import files
+from catalog.errors import OutputError
+from catalog.files import replacing_file, replacing_folder, starts_with
+
+
+def fill(folder, word, kind="run"):
+    (folder / "manifest.json").write_text(json.dumps({"made_by": "optnav", "kind": kind}))
+    (folder / "word.txt").write_text(word)
+
+
+def fail_halfway(path, failure):
+    path.write_text("<!-- optnav -->half")
+    raise failure
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_new_folder_appears_whole_and_nothing_stays_beside_it(tmp_path):
+    target = tmp_path / "deep" / "run"
+    with replacing_folder(target, "run") as new:
+        fill(new, "one")
+        assert not target.exists()
+    assert names(target) == ["manifest.json", "word.txt"]
+    assert names(target.parent) == ["run"]
+
+
+@pytest.mark.parametrize("exchange", [True, False], ids=["one step", "two steps"])
+def test_an_older_output_is_replaced_and_its_files_go(tmp_path, monkeypatch, exchange):
+    if not exchange:
+        monkeypatch.setattr(files, "_exchange", lambda one, other: False)
+    target = tmp_path / "run"
+    with replacing_folder(target, "run") as new:
+        fill(new, "one")
+        (new / "only_in_the_first").touch()
+    with replacing_folder(target, "run") as new:
+        fill(new, "two")
+        assert (target / "word.txt").read_text() == "one"
+    assert (target / "word.txt").read_text() == "two"
+    assert names(target) == ["manifest.json", "word.txt"]
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_failure_leaves_the_older_output_alone(tmp_path):
+    target = tmp_path / "run"
+    with replacing_folder(target, "run") as new:
+        fill(new, "one")
+    with pytest.raises(KeyboardInterrupt), replacing_folder(target, "run") as new:
+        fail_halfway(new / "half", KeyboardInterrupt)
+    assert (target / "word.txt").read_text() == "one"
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_foreign_folder_a_file_and_an_output_of_another_kind_are_refused(tmp_path):
+    foreign = tmp_path / "letters"
+    foreign.mkdir()
+    (foreign / "to_mum.txt").touch()
+    with (
+        pytest.raises(OutputError, match=r"letters: the folder is not empty and holds no run"),
+        replacing_folder(foreign, "run"),
+    ):
+        pass
+    assert names(foreign) == ["to_mum.txt"]
+    with pytest.raises(OutputError, match="a file is in the way"):
+        replacing_folder(foreign / "to_mum.txt", "run").__enter__()
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    fill(pictures, "frames", kind="pictures")
+    with pytest.raises(OutputError, match="holds no run that optnav made"):
+        replacing_folder(pictures, "run").__enter__()
+    assert (pictures / "word.txt").read_text() == "frames"
+
+
+def test_an_empty_folder_is_taken(tmp_path):
+    (tmp_path / "run").mkdir()
+    with replacing_folder(tmp_path / "run", "run") as new:
+        fill(new, "one")
+    assert (tmp_path / "run" / "word.txt").read_text() == "one"
+
+
+def test_a_place_below_a_file_is_an_output_error_that_names_it(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match=r"run: cannot be written \(.*another place"):
+        replacing_folder(tmp_path / "file" / "run", "run").__enter__()
+
+
+def test_a_full_disk_is_an_output_error_and_other_failures_pass_through(tmp_path):
+    with (
+        pytest.raises(OutputError, match="No space left"),
+        replacing_folder(tmp_path / "run", "run"),
+    ):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(FileNotFoundError), replacing_folder(tmp_path / "run", "run"):
+        (tmp_path.parent / "no such input").read_text()
+    assert names(tmp_path) == []
+
+
+def test_forgetting_the_manifest_is_a_bug_and_writes_nothing(tmp_path):
+    with pytest.raises(ValueError, match="manifest"), replacing_folder(tmp_path / "run", "run"):
+        pass
+    assert names(tmp_path) == []
+
+
+KILLED = """
+    import json, os, signal, sys, time
+    from pathlib import Path
+    from catalog.files import replacing_folder
+    with replacing_folder(Path(sys.argv[1]), "run") as new:
+        (new / "manifest.json").write_text(json.dumps({"made_by": "optnav", "kind": "run"}))
+        (new / "half.txt").write_text("half")
+        print("ready", flush=True)
+        time.sleep(60)
+"""
+
+
+def test_a_killed_command_leaves_the_old_output_and_the_next_cleans_up(tmp_path):
+    target = tmp_path / "run"
+    with replacing_folder(target, "run") as new:
+        fill(new, "one")
+    writer = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(KILLED), str(target)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with writer:
+        assert writer.stdout.readline() == "ready\n"
+        with pytest.raises(OutputError, match="another optnav is writing this output"):
+            replacing_folder(target, "run").__enter__()
+        writer.send_signal(signal.SIGKILL)
+    assert (target / "word.txt").read_text() == "one"
+    assert len(names(tmp_path)) == 2
+    with replacing_folder(target, "run") as new:
+        fill(new, "two")
+    assert names(tmp_path) == ["run"]
+    assert (target / "word.txt").read_text() == "two"
+
+
+def test_an_output_that_a_kill_left_moved_aside_is_given_back(tmp_path):
+    target = tmp_path / "run"
+    aside = tmp_path / ".run.optnav-old"
+    aside.mkdir()
+    fill(aside, "one")
+    with pytest.raises(RuntimeError), replacing_folder(target, "run"):
+        raise RuntimeError
+    assert (target / "word.txt").read_text() == "one"
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_file_is_replaced_when_it_is_ours_and_refused_when_it_is_not(tmp_path):
+    target = tmp_path / "report.html"
+    ours = starts_with(b"<!-- optnav", b"<!doctype")
+    for word in ("one", "two"):
+        with replacing_file(target, ours) as new:
+            new.write_text("<!-- optnav -->" + word)
+    assert target.read_text().endswith("two")
+    with pytest.raises(RuntimeError), replacing_file(target, ours) as new:
+        fail_halfway(new, RuntimeError)
+    assert target.read_text().endswith("two")
+    target.write_text("a letter")
+    with pytest.raises(OutputError, match="not made by optnav"):
+        replacing_file(target, ours).__enter__()
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OutputError, match="a folder is in the way"):
+        replacing_file(tmp_path / "folder", ours).__enter__()
+    assert target.read_text() == "a letter"
+    assert names(tmp_path) == ["folder", "report.html"]
