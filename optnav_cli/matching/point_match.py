@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.masked import match_masked, thinned, thinning
-from catalog.correlation.ncc import cropped, match_ncc
+from catalog.correlation.ncc import cropped, match_masked, match_ncc, thinned, thinning
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
 from catalog.correlation.similarity import Matcher, match_similarity
 from optnav_cli.camera.camera import Camera

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
 from catalog.correlation.surf64 import match_surf
@@ -64,8 +65,8 @@ def navigate_folder(
     folder = read_folder(pictures, [Path(name) for name in settings.spice.kernels])
     log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
     with open_catalogs(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
-        points = open_field(catalogs, folder)
-        ground = whole_relief(catalogs, relief, folder)
+        points = open_field(catalogs, folder.body)
+        ground = whole_relief(catalogs, relief, folder.body)
         inertial = folder.settings.attitude == "camera_from_inertial"
         inputs = NavigationInputs(
             points, folder.motion, ground, settings, MATCHERS[matcher], inertial
@@ -121,23 +122,23 @@ def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
         yield [stack.enter_context(Catalog.open(path)) for path in paths]
 
 
-def open_field(catalogs: Sequence[Catalog], folder: Folder) -> ControlPointField:
+def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField:
     """The usable control points of catalogs, the first given before the others.
 
     Raises DataError for a catalog of another body or without usable points.
     """
-    return ControlPointField([_layer(catalog, folder) for catalog in catalogs])
+    return ControlPointField([_layer(catalog, body) for catalog in catalogs])
 
 
 def whole_relief(
-    catalogs: Sequence[Catalog], named: Path | None, folder: Folder
+    catalogs: Sequence[Catalog], named: Path | None, body: Body
 ) -> GlobalRelief | None:
     """The body's relief for the horizon: of the named terrain model, else the finest carried one.
 
     None where there is none. Raises DataError for a damaged one or a model of a part of the body.
     """
     if named is not None:
-        return load_relief(str(named), folder.body)
+        return load_relief(str(named), body)
     carried = [relief for c in catalogs if (relief := c.relief()) is not None]
     return min(carried, key=lambda relief: relief.posting_m, default=None)
 
@@ -243,11 +244,11 @@ def _patch_outlines(
     return outlines
 
 
-def _layer(catalog: Catalog, folder: Folder) -> PointLayer:
+def _layer(catalog: Catalog, body: Body) -> PointLayer:
     meta, usable = catalog.meta, catalog.usable
-    if meta.body != folder.body.name:
+    if meta.body != body.name:
         raise DataError(
-            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {folder.body.name}: "
+            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {body.name}: "
             "name another catalog, or mend `body` in run.toml"
         )
     if not usable.any():

@@ -53,7 +53,7 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     write_apollo_folder(resource(PICTURE), resource(CUBE), place / "pictures")
     folder = read_folder(place / "pictures")
     with Catalog.open(catalog) as opened:
-        yield Scene(folder, open_field([opened], folder))
+        yield Scene(folder, open_field([opened], folder.body))
 
 
 def solve_first(scene: Scene, matcher: str) -> Solution:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.correlation.masked import blur_nodes
+from catalog.correlation.ncc import blur_nodes
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.estimation.resection import Resection, resect_robustly
 from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
