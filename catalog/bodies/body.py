@@ -170,8 +170,9 @@ def load_body(name_or_path: str, beside: Path | None = None) -> Body:
 
     Raises ConfigError for a name without a file, naming the nearest one, and for a wrong file.
     """
-    if name_or_path.endswith(".toml") or "/" in name_or_path or os.sep in name_or_path:
-        return read_body((beside or Path()) / name_or_path)
+    own = body_file(name_or_path, beside)
+    if own is not None:
+        return read_body(own)
     folder = resource("configs/bodies/moon.toml").parent
     known = sorted(path.stem for path in folder.glob("*.toml"))
     if name_or_path not in known:
@@ -179,6 +180,13 @@ def load_body(name_or_path: str, beside: Path | None = None) -> Body:
         hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
         raise ConfigError(f"no body '{name_or_path}'; {hint}, or give the path of a body's file")
     return read_body(folder / f"{name_or_path}.toml")
+
+
+def body_file(name_or_path: str, beside: Path | None = None) -> Path | None:
+    """The file that `load_body` reads for a path; None for a name of configs/bodies."""
+    if name_or_path.endswith(".toml") or "/" in name_or_path or os.sep in name_or_path:
+        return (beside or Path()) / name_or_path
+    return None
 
 
 def read_body(path: Path) -> Body:

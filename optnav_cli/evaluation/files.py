@@ -77,7 +77,7 @@ def evaluate_run(run: Path, truth: Path) -> Evaluation:
     Raises DataError for a folder that is no run, a damaged file, a truth of other frames.
     """
     folder = read_run(run)
-    truths = read_truth(truth, folder.settings)
+    truths = read_truth(truth, folder.attitude)
     try:
         return evaluate(
             folder.solutions,

@@ -4,19 +4,25 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from catalog.bodies.body import load_body
+from catalog.bodies.body import body_file
 from catalog.errors import ConfigError, DataError
 from catalog.tables import Table
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
-from optnav_cli.frames.run_settings import FileAttitude, RunSettings, read_run_settings
+from optnav_cli.frames.run_settings import (
+    RUN_TOML,
+    FileAttitude,
+    RunSettings,
+    read_run_settings,
+    write_run_settings,
+)
 from optnav_cli.frames.tables import CAMERA, FILE
 from optnav_cli.output.tables import read_matches, read_solutions
 from optnav_cli.solution import MatchRow, Solution
 
 SOLUTION, MATCHES = "solution.csv", "matches.csv"
 RECORDING, OVERLAYS = "run.mcap", "overlays"
-RUN_TOML, FRAMES, CAMERAS = "run.toml", "frames.csv", "cameras"  # copies of the picture folder's
+FRAMES, CAMERAS = "frames.csv", "cameras"  # copies of the picture folder's
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +37,13 @@ class RunFolder:
     cameras: dict[str, Camera]
 
 
-def copy_inputs(pictures: Path, run: Path) -> None:
-    """Copy run.toml, frames.csv and cameras/ into a run, so that it can be read without them."""
-    for name in (RUN_TOML, FRAMES):
-        shutil.copyfile(pictures / name, run / name)
+def copy_inputs(pictures: Path, settings: RunSettings, run: Path) -> None:
+    """Copy run.toml, the body's own file, frames.csv and cameras/ into a run, to be read alone."""
+    shutil.copyfile(pictures / FRAMES, run / FRAMES)
+    if body_file(settings.body) is None:
+        shutil.copyfile(pictures / RUN_TOML, run / RUN_TOML)
+    else:
+        write_run_settings(settings, run, pictures)
     shutil.copytree(pictures / CAMERAS, run / CAMERAS, copy_function=shutil.copyfile)
 
 
@@ -47,10 +56,10 @@ def read_run(path: Path) -> RunFolder:
         found = "a file" if path.is_file() else "no solution.csv in it"
         raise DataError(f"{path}: {found}; wanted the folder that `optnav navigate -o` wrote")
     try:
-        settings = read_run_settings(path / RUN_TOML)
+        settings, body = read_run_settings(path / RUN_TOML)
     except ConfigError as error:
         raise DataError(f"{error}; the run's copy is needed to read its attitudes") from error
-    attitude = FileAttitude(settings.attitude, load_body(settings.body))
+    attitude = FileAttitude(settings.attitude, body)
     matches = read_matches(path / MATCHES) if (path / MATCHES).exists() else []
     solutions = read_solutions(path / SOLUTION, attitude)
     return RunFolder(path, settings, attitude, solutions, matches, _cameras(path))

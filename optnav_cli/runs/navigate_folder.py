@@ -14,7 +14,6 @@ from catalog.files import replacing_folder
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import Folder, read_folder
-from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.settings import NavigateSettings
@@ -61,10 +60,9 @@ def navigate_folder(
         world = NavigationInputs(
             points, folder.motion, ground, settings, MATCHERS[matcher], inertial
         )
-        copy_inputs(pictures, place)
+        copy_inputs(pictures, folder.settings, place)
         solutions, matches = _navigate_frames(folder, world, place, progress)
-        attitude = FileAttitude(folder.settings.attitude, folder.body, folder.motion)
-        write_solutions(place / SOLUTION, solutions, attitude)
+        write_solutions(place / SOLUTION, solutions, folder.attitude)
         write_matches(place / MATCHES, matches)
         for (_, point_id), reason in points.damaged.items():
             log.warning("control point %d is left out: %s", point_id, reason)

@@ -18,7 +18,7 @@ from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.run_settings import Attitude, RunSettings, SpiceSettings
+from optnav_cli.frames.run_settings import Attitude, FileAttitude, RunSettings, SpiceSettings
 from optnav_cli.frames.truth import Truth, write_truth
 from optnav_cli.simulation.frame import Renderer
 from optnav_cli.simulation.globe_frame import GlobeRenderer
@@ -77,13 +77,13 @@ def simulate(
             _write_png(folder / shot.file, around.with_hot_pixels(counts))
             stage.advance()
     inertial = scenario.attitude.relative_to == "inertial"
-    attitude: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
-    settings = RunSettings(body=body.name, attitude=attitude)
+    name: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
+    settings = RunSettings(body=scenario.body, attitude=name)
     frames = [_frame(shot, scenario, cameras[shot.camera].name) for shot in flight]
     calibrated = [_calibrated(camera, scenario) for camera in cameras]
     write_folder(folder, settings, calibrated, frames, motion)
     truths = [Truth(s.file, s.utc, s.tdb_s, s.position_m, s.camera_from_body) for s in flight]
-    write_truth(folder / "truth.csv", settings, truths, motion)
+    write_truth(folder / "truth.csv", FileAttitude(name, body, motion), truths)
     (folder / "scenario.json").write_bytes(scenario_copy(scenario))
 
 

@@ -58,7 +58,7 @@ def with_star_sensor(pictures: Path, *, priors: bool = True) -> Path:
         if not priors:
             told = replace(told, position_m=None, position_sigma_m=None)
         frames.append(told)
-    write_folder(place, folder.settings, folder.cameras.values(), frames)
+    write_folder(place, folder.settings, folder.cameras.values(), frames, beside=pictures)
     for name in [*(frame.file for frame in frames), "truth.csv"]:
         link = place / name
         link.unlink(missing_ok=True)

@@ -178,7 +178,7 @@ def opening(run: Path, pictures: Path, catalog_path: Path) -> ByteArray:
             sketch.line(right, shown(np.vstack([outline, outline[:1]])), OUTLINE)
     for match in used:
         sketch.dot(right, shown(match.measured_px), 2.5, FOUND)
-    truth = read_truth(pictures / "truth.csv", found.settings)[0]
+    truth = read_truth(pictures / "truth.csv", found.attitude)[0]
     error = float(np.linalg.norm(solution.position_m - truth.position_m))
     legend = sketch.strip(2 * HALF_PX, 34)
     prior = read_folder(pictures).frames[0].position_m
