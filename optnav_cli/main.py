@@ -18,7 +18,7 @@ import click
 
 import catalog
 from catalog.errors import OptnavError
-from optnav_cli.lazy_group import Entry, LazyGroup
+from optnav_cli.options import Entry, LazyGroup
 
 INTERRUPTED = 130
 BAD_PLACE = 3

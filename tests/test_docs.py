@@ -11,8 +11,8 @@ from pathlib import Path
 import click
 import pytest
 
-from optnav_cli.lazy_group import LazyGroup
 from optnav_cli.main import cli
+from optnav_cli.options import LazyGroup
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 README = (CHECKOUT / "README.md").read_text(encoding="utf-8")

@@ -25,6 +25,10 @@ PINHOLE, FISHEYE = 0, 1
 PARAMETERS = 10
 LIMIT, CIRCLE = 8, 9
 _STEPS = 60  # bisection alone would reach the last digit within these
+# A distortion polynomial fitted to a real lens says nothing at 84 degrees from the axis.
+MAX_TANGENT = 10.0
+_RADII = 4000  # the edge is found to a part in 4000 of MAX_TANGENT, then refined
+_AZIMUTHS = 72
 
 
 @kernel
@@ -236,12 +240,6 @@ def rays_of_pixels(model: int, p: FloatArray, pixels: FloatArray, rays: FloatArr
     """Write unit rays (n, 3), camera frame, of pixels (n, 2)."""
     for i in range(pixels.shape[0]):
         rays[i, 0], rays[i, 1], rays[i, 2] = _ray(model, p, pixels[i, 0], pixels[i, 1])
-
-
-# A distortion polynomial fitted to a real lens says nothing at 84 degrees from the axis.
-MAX_TANGENT = 10.0
-_RADII = 4000  # the edge is found to a part in 4000 of MAX_TANGENT, then refined
-_AZIMUTHS = 72
 
 
 def brown_limit(coefficients: tuple[float, ...]) -> float:

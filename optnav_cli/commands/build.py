@@ -61,7 +61,7 @@ def command(
     """
     from catalog.build.build import run
     from optnav_cli.commands.catalog import compare_and_tell, require_reference
-    from optnav_cli.output.account_table import account_lines
+    from optnav_cli.output.wording import account_lines
 
     announce_compilation()
     if check is not None:

@@ -49,7 +49,7 @@ def _stage(name: str) -> click.Command:
         scheduler: str | None = None,
     ) -> None:
         from catalog.build.build import run
-        from optnav_cli.output.account_table import account_lines
+        from optnav_cli.output.wording import account_lines
 
         announce_compilation()
         report = run(
@@ -95,7 +95,7 @@ def write(
 ) -> None:
     """Write the catalog file (its help is given above)."""
     from catalog.build.build import run
-    from optnav_cli.output.account_table import account_lines
+    from optnav_cli.output.wording import account_lines
 
     report = run(
         config, work, stages=("write",), output=output, workers=workers,

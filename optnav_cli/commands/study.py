@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from optnav_cli.lazy_group import Entry, LazyGroup
+from optnav_cli.options import Entry, LazyGroup
 
 PREFIX = "study_"
 

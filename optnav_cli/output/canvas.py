@@ -11,14 +11,27 @@ from catalog.errors import OutputError
 
 DARK, BRIGHT = 0.5, 99.7  # percentiles that become black and white
 SAMPLES = 1 << 16  # pixels that the percentiles are taken from
-PNG_LEVEL = (
-    3  # a tenth smaller than OpenCV's default in a third more time; 9 takes 15 times as long
-)
+# A tenth smaller than OpenCV's default in a third more time; 9 takes 15 times as long.
+PNG_LEVEL = 3
 # What stands so far out of the scatter about the median, or by so much of the whole range, is lit.
 LIT_SIGMAS, LIT_SHARE = 12.0, 0.05
 LIT_BRIGHT = 97.0  # percentile of it that becomes white
 MAD_TO_SIGMA = 1.4826
 GAMMA = 0.8  # lifts the shadows a little; below 1 is brighter
+Bgr = tuple[int, int, int]
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+TEXT_SIZE = 0.45
+SUBPIXEL_BITS = 4  # OpenCV draws at sixteenths of a pixel
+GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's bytes, nobody sees it
+SHADE = 0.8  # the picture is dimmed a little under the marks
+# Blue, green, red. Told apart by people with colour-blindness too, and by shape.
+PREDICTED = (255, 190, 60)
+FOUND = (90, 240, 110)
+REJECTED = (80, 90, 255)
+RESIDUAL = (60, 220, 255)
+OUTLINE = (210, 170, 80)
+DISC = (60, 220, 255)
+RESIDUALS_ENLARGED = 50.0
 
 
 def eight_bits(picture: NDArray[np.generic]) -> ByteArray:
@@ -74,22 +87,6 @@ def encoded(picture: ByteArray, suffix: str, quality: int = 85) -> bytes:
     if not done:
         raise OutputError(f"a picture of {picture.shape} pixels cannot be written as {suffix}")
     return data.tobytes()
-
-
-Bgr = tuple[int, int, int]
-FONT = cv2.FONT_HERSHEY_SIMPLEX
-TEXT_SIZE = 0.45
-SUBPIXEL_BITS = 4  # OpenCV draws at sixteenths of a pixel
-GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's bytes, nobody sees it
-SHADE = 0.8  # the picture is dimmed a little under the marks
-# Blue, green, red. Told apart by people with colour-blindness too, and by shape.
-PREDICTED = (255, 190, 60)
-FOUND = (90, 240, 110)
-REJECTED = (80, 90, 255)
-RESIDUAL = (60, 220, 255)
-OUTLINE = (210, 170, 80)
-DISC = (60, 220, 255)
-RESIDUALS_ENLARGED = 50.0
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ import numpy as np
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from optnav_cli.evaluation.error_rows import ErrorRow, read_error_rows, stated_rows
 from optnav_cli.evaluation.figures import method_rank, method_words
-from optnav_cli.evaluation.files import EVALUATION_CSV
+from optnav_cli.evaluation.files import EVALUATION_CSV, ErrorRow, read_error_rows, stated_rows
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure
 from optnav_cli.report.sheet import Entry, Panel, sheet
@@ -29,6 +28,12 @@ SIGNS = {
 OTHER_SIGN = ("muted", "down")
 UNEVEN = 20.0  # gaps so many times the median one: frames are drawn by number, not by time
 TIME_UNITS = ((600.0, 1.0, "minutes"), (100.0 * 60.0, 60.0, "hours"), (np.inf, 1440.0, "days"))
+AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
+UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small ones
+BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
+FAR = 4.0  # farthest over nearest height from which errors are drawn over the distance, too
+IN_KM_M = 5e3  # errors typically larger are drawn in km
+MAX_REASONS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +130,6 @@ def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, str]:
     minutes = (seconds - seconds[0]) / 60.0
     unit, name = next((u, name) for most, u, name in TIME_UNITS if minutes[-1] <= most)
     return rows, minutes / unit, f"{name} after {rows[0].utc}"
-
-
-AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
-UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small ones
-BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
-FAR = 4.0  # farthest over nearest height from which errors are drawn over the distance, too
-IN_KM_M = 5e3  # errors typically larger are drawn in km
-MAX_REASONS = 4
 
 
 def error_plots(run: RunFolder) -> list[str]:

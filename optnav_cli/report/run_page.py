@@ -23,7 +23,6 @@ from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import OVERLAYS, RunFolder, read_run
 from optnav_cli.output.tables import fixed
 from optnav_cli.report.error_plots import error_plots
-from optnav_cli.report.ground import GroundMap
 from optnav_cli.report.page import (
     data_uri,
     figure,
@@ -38,12 +37,17 @@ from optnav_cli.report.page import (
     tiles,
 )
 from optnav_cli.report.svg import HALF, Plot, span
+from optnav_cli.report.views import GroundMap
 from optnav_cli.solution import Solution
 
 MAX_FOOTPRINTS = 60
 MAX_DOTS = 4000
 BORDER_POINTS = 12  # of a footprint, along each side of the picture
 HISTOGRAM_BINS = 24
+IN_KM_M = 10e3  # lengths from here on are told in km
+MAX_THUMBNAILS = 24
+THUMBNAIL_PX = 560
+ROWS_OPEN = 40  # longer tables are folded
 
 
 def ground_plot(run: RunFolder) -> str:
@@ -140,9 +144,6 @@ def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArr
     distance = distance_to_sphere(solution.position_m, rays_body, run.attitude.body.radius_m)
     lat, lon, _ = latlon_from_xyz(solution.position_m + distance[:, None] * rays_body)
     return lat, lon
-
-
-IN_KM_M = 10e3  # lengths from here on are told in km
 
 
 def read_evaluation(folder: Path) -> dict[str, Any] | None:
@@ -251,11 +252,6 @@ def _spread(values: dict[str, float]) -> str:
 def length_words(metres: float) -> str:
     """A length in m, or in km when it is long."""
     return f"{metres / 1e3:.1f} km" if metres >= IN_KM_M else f"{metres:.1f} m"
-
-
-MAX_THUMBNAILS = 24
-THUMBNAIL_PX = 560
-ROWS_OPEN = 40  # longer tables are folded
 
 
 def run_page(folder: Path) -> str:

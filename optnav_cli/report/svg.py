@@ -14,6 +14,17 @@ from catalog.arrays import FloatArray
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLAIN = (1e-3, 1e4)  # powers of ten outside are written as such
+SHAPES = ("circle", "triangle", "square", "diamond", "down", "cross", "dash")
+# Corners about the middle, in units of the radius; areas are about those of the disc.
+_CORNERS = {
+    "triangle": ((0.0, -1.25), (1.1, 0.8), (-1.1, 0.8)),
+    "down": ((0.0, 1.25), (1.1, -0.8), (-1.1, -0.8)),
+    "square": ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
+    "diamond": ((0.0, -1.25), (1.25, 0.0), (0.0, 1.25), (-1.25, 0.0)),
+}
+LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
+# Plots across the page and of a pair: at these widths their letters are as large as the text's.
+WIDE, HALF = 960, 470
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
@@ -49,16 +60,6 @@ def log_text(value: float) -> str:
     return "10" + str(power).translate(SUPERSCRIPTS)
 
 
-SHAPES = ("circle", "triangle", "square", "diamond", "down", "cross", "dash")
-# Corners about the middle, in units of the radius; areas are about those of the disc.
-_CORNERS = {
-    "triangle": ((0.0, -1.25), (1.1, 0.8), (-1.1, 0.8)),
-    "down": ((0.0, 1.25), (1.1, -0.8), (-1.1, -0.8)),
-    "square": ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
-    "diamond": ((0.0, -1.25), (1.25, 0.0), (0.0, 1.25), (-1.25, 0.0)),
-}
-
-
 def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title: str = "") -> str:
     """A mark as SVG at picture x, y; `series` may add "hollow", `title` is shown under the pointer.
 
@@ -91,11 +92,6 @@ def key_mark(series: str, shape: str, words: str) -> str:
         f'<span class="entry"><svg class="sign" viewBox="0 0 14 14" aria-hidden="true">{drawn}'
         f"</svg>{escape(words)}</span>"
     )
-
-
-LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
-# Plots across the page and of a pair: at these widths their letters are as large as the text's.
-WIDE, HALF = 960, 470
 
 
 class Plot:

@@ -21,7 +21,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.overlay import draw_overlay, patch_outlines
 from optnav_cli.output.run_folder import RunFolder, read_run
-from optnav_cli.report.body_figure import sides_picture
+from optnav_cli.report.body_sides import sides_picture
 from tests.golden import sketch
 
 # From good to bad, as in the reports (viridis), blue green red.

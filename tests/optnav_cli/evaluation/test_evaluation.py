@@ -8,10 +8,15 @@ import pytest
 
 from catalog.config import resource
 from catalog.errors import DataError, DifferenceError, NothingToDoError
-from optnav_cli.evaluation.error_rows import read_error_rows, stated_rows
 from optnav_cli.evaluation.evaluation import pool
 from optnav_cli.evaluation.figures import check_limits
-from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
+from optnav_cli.evaluation.files import (
+    evaluate_run,
+    format_table,
+    read_error_rows,
+    stated_rows,
+    write_evaluation,
+)
 from optnav_cli.frames.run_settings import read_run_settings
 from optnav_cli.output.run_folder import copy_inputs, read_run
 from tests.optnav_cli.output.approach import RADIUS_M, write_approach

@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from optnav_cli.report.ground import GroundMap
 from optnav_cli.report.svg import Plot, log_ticks, number_text, span, ticks
+from optnav_cli.report.views import GroundMap
 
 
 @pytest.mark.parametrize(
