@@ -13,6 +13,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 MIN_VALID_SHARE = 0.6
@@ -33,12 +34,12 @@ class MatchGates:
 
     min_score       correlation at the peak
     rival_ratio     the best rival's score over the peak's must stay below it
-    least_strength  correlation times the root of the samples compared, where the frame may cut
+    min_strength  correlation times the root of the samples compared, where the frame may cut
     """
 
     min_score: float = 0.5
     rival_ratio: float = 0.9
-    least_strength: float = 0.0
+    min_strength: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class Distortion:
 
 
 NO_DISTORTION = Distortion()
+OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +76,7 @@ class PointMatch:
     pixel           (2,) measured, None when refused before a peak was located
     covariance_px2  (2, 2) of the pixel from the peak's curvature
     offset_m        (2,) east and north of the place where the pose expected it
-    reason          empty when the match is believed
+    reason          why it is not used; empty when it is
     part            what was compared, of patches finer than what is known
     """
 
@@ -84,7 +86,7 @@ class PointMatch:
     offset_m: FloatArray | None
     score: float | None
     runner_up: float | None
-    reason: str
+    reason: Reason
     part: SeenPart | None = None
 
 
@@ -116,7 +118,7 @@ def match_point(
         margin = MARGIN_NODES
     posting = reference.patches[level].posting_m
     template = reference.render(level, template_nodes + 2 * margin, sun_body, pose.position_m)
-    refusal = _unfit(cropped(template, margin) if blur_nodes else template)
+    refusal = _rejection_of_template(cropped(template, margin) if blur_nodes else template)
     if refusal:
         return PointMatch(level, None, None, None, None, None, refusal)
     border = search_nodes + margin
@@ -127,7 +129,7 @@ def match_point(
     window = picture.sample(pixels, posting / metres_per_pixel)
     shown = np.isfinite(cropped(window, border))
     if shown.mean() < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
-        return PointMatch(level, None, None, None, None, None, "outside the frame")
+        return PointMatch(level, None, None, None, None, None, OUTSIDE)
     step = thinning(blur_nodes)
     if blur_nodes:
         even = template_nodes % 2 == 0
@@ -156,7 +158,7 @@ def match_point(
         corners = cropped(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
         part = SeenPart(middle, seen, corners, samples)
     offset = np.array([match.dx, -match.dy]) * posting
-    reason = _doubt(match, gates, samples)
+    reason = _rejection_of_match(match, gates, samples)
     if not np.isfinite(match.covariance).all():
         return PointMatch(level, place, None, offset, match.score, match.runner_up, reason, part)
     # White noise under a Gaussian of sigma s is alike over 2 pi s^2 nodes: fewer samples are left.
@@ -182,27 +184,29 @@ def _common_nodes(template: Float32Array, window: Float32Array, match: Match) ->
     return int((np.isfinite(inner) & np.isfinite(seen)).sum())
 
 
-def _unfit(template: Float32Array) -> str:
+def _rejection_of_template(template: Float32Array) -> Reason:
     valid = np.isfinite(template)
     if valid.mean() < MIN_VALID_SHARE:
-        return "no terrain data"
+        return Reason(ReasonCode.NO_TERRAIN, "no terrain data")
     if (template[valid] > 0.0).mean() < MIN_LIT_SHARE:
-        return "in shadow"
-    return ""
+        return Reason(ReasonCode.IN_SHADOW, "in shadow")
+    return NO_REASON
 
 
-def _doubt(match: Match, gates: MatchGates, samples: float) -> str:
-    # samples are counted behind a blur only
+def _rejection_of_match(match: Match, gates: MatchGates, samples: float) -> Reason:
+    score = match.score
     if not np.isfinite(match.covariance).all():
-        return "peak at the border of the search"
-    if match.score < gates.min_score:
-        return f"score {match.score:.2f} below {gates.min_score:.2f}"
-    if samples and match.score * np.sqrt(samples) < gates.least_strength:
-        wanted = gates.least_strength / np.sqrt(samples)
-        return f"score {match.score:.2f} below {wanted:.2f} over {samples:.0f} samples"
-    if match.runner_up > gates.rival_ratio * match.score:
-        return f"rival {match.runner_up:.2f} near score {match.score:.2f}"
-    return ""
+        return Reason(ReasonCode.SEARCH_BORDER, "peak at the border of the search")
+    if score < gates.min_score:
+        return Reason(ReasonCode.LOW_SCORE, f"score {score:.2f} below {gates.min_score:.2f}")
+    # samples are counted behind a blur only
+    if samples and score * np.sqrt(samples) < gates.min_strength:
+        wanted = gates.min_strength / np.sqrt(samples)
+        text = f"score {score:.2f} below {wanted:.2f} over {samples:.0f} samples"
+        return Reason(ReasonCode.LOW_SCORE, text)
+    if match.runner_up > gates.rival_ratio * score:
+        return Reason(ReasonCode.RIVAL, f"rival {match.runner_up:.2f} near score {score:.2f}")
+    return NO_REASON
 
 
 def _displacement(

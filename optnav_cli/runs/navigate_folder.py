@@ -13,6 +13,7 @@ from catalog.errors import NothingToDoError
 from catalog.files import replacing_folder
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField
@@ -23,8 +24,7 @@ from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.run_folder import MATCHES, OVERLAYS, RECORDING, SOLUTION, copy_inputs
 from optnav_cli.output.tables import write_matches, write_solutions
 from optnav_cli.runs.catalogs import open_field, opened, whole_relief
-from optnav_cli.runs.frame_job import MATCHERS, FrameResult, in_order, solve_frame
-from optnav_cli.solution import MatchRow, Solution
+from optnav_cli.runs.frame_job import MATCHERS, in_order, solve_frame
 
 log = logging.getLogger(__name__)
 
@@ -57,12 +57,13 @@ def navigate_folder(
         points = open_field(catalogs, folder)
         ground = whole_relief(catalogs, relief, folder)
         inertial = folder.settings.attitude == "camera_from_inertial"
-        world = NavigationInputs(
+        inputs = NavigationInputs(
             points, folder.motion, ground, settings, MATCHERS[matcher], inertial
         )
         copy_inputs(pictures, folder.settings, place)
-        solutions, matches = _navigate_frames(folder, world, place, progress)
+        solutions = _navigate_frames(folder, inputs, place, progress)
         write_solutions(place / SOLUTION, solutions, folder.attitude)
+        matches = [match for row in solutions for match in row.evidence.matches]
         write_matches(place / MATCHES, matches)
         for (_, point_id), reason in points.damaged.items():
             log.warning("control point %d is left out: %s", point_id, reason)
@@ -94,30 +95,30 @@ def navigate_folder(
 
 
 def _navigate_frames(
-    folder: Folder, world: NavigationInputs, place: Path, progress: Progress
-) -> tuple[list[Solution], list[MatchRow]]:
+    folder: Folder, inputs: NavigationInputs, place: Path, progress: Progress
+) -> list[Solution]:
     """Rows in the order of frames.csv; the frames are navigated in the order of time."""
     solutions: dict[int, Solution] = {}
-    matches: dict[int, list[MatchRow]] = {}
-    navigator = Navigator(world)
+    navigator = Navigator(inputs)
     with (
         progress.stage("navigate", len(folder.frames), "frame") as bar,
         Recording(place / RECORDING, folder.body.name) as recording,
     ):
         for number in in_order(folder):
-            result = solve_frame(folder, folder.frames[number], navigator)
-            solutions[number] = result.solution
-            matches[number] = result.matches
-            recording.add_frame(
-                result.solution, result.matches, result.camera, result.picture, result.marks
-            )
-            if result.picture is not None:
-                _draw(place / OVERLAYS, result, world.points)
-            level = logging.DEBUG if result.solution.solved else logging.WARNING
-            log.log(level, "%s", describe(result.solution))
+            frame = folder.frames[number]
+            row, picture = solve_frame(folder, frame, navigator)
+            solutions[number] = row
+            camera, evidence = folder.cameras.get(frame.camera), row.evidence
+            recording.add_frame(row, evidence.matches, camera, picture, evidence.outline)
+            if camera is not None and picture is not None:
+                outlines = _patch_outlines(row, camera, inputs.points)
+                marks = evidence.outline
+                write_overlay(
+                    place / OVERLAYS, picture, row, evidence.matches, outlines, marks=marks
+                )
+            log.log(logging.DEBUG if row.solved else logging.WARNING, "%s", describe(row))
             bar.advance()
-    rows = [match for number in sorted(matches) for match in matches[number]]
-    return [solutions[number] for number in sorted(solutions)], rows
+    return [solutions[number] for number in sorted(solutions)]
 
 
 def _drawn_sizes(
@@ -130,27 +131,24 @@ def _drawn_sizes(
     return [s for s in sizes if 2.0 * s <= MAX_OUTLINE * across]
 
 
-def _draw(place: Path, result: FrameResult, points: ControlPointField) -> None:
-    if result.picture is None:
-        return
-    solution = result.solution
-    outlines = {}
-    if (
-        result.camera is not None
-        and solution.position_m is not None
-        and solution.camera_from_body is not None
-    ):
-        for match in result.matches:
-            index = points.index_of(match.catalog, match.cp_id)
-            reference = points.reference(index)
-            if reference is None:
-                continue
-            outlines[match.catalog, match.cp_id] = patch_outlines(
-                reference.projection,
-                float(reference.projection.height_of(reference.point.xyz_m)),
-                _drawn_sizes(points, index, match.level, result.camera, solution.position_m),
-                result.camera,
-                solution.position_m,
-                solution.camera_from_body,
-            )
-    write_overlay(place, result.picture, solution, result.matches, outlines, marks=result.marks)
+def _patch_outlines(
+    row: Solution, camera: Camera, points: ControlPointField
+) -> dict[tuple[str, int], list[FloatArray]]:
+    """Outlines in the picture of the patches that were tried, by catalog and id."""
+    fix, outlines = row.fix, {}
+    if fix is None or fix.camera_from_body is None:
+        return {}
+    for match in row.evidence.matches:
+        index = points.index_of(match.catalog, match.cp_id)
+        reference = points.reference(index)
+        if reference is None:
+            continue
+        outlines[match.catalog, match.cp_id] = patch_outlines(
+            reference.projection,
+            float(reference.projection.height_of(reference.point.xyz_m)),
+            _drawn_sizes(points, index, match.level, camera, fix.position_m),
+            camera,
+            fix.position_m,
+            fix.camera_from_body,
+        )
+    return outlines

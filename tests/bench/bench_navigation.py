@@ -11,6 +11,7 @@ from catalog.build import build
 from catalog.config import resource
 from catalog.store.reader import Catalog
 from optnav_cli.estimation.resection import Pose
+from optnav_cli.fix import Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.isis_cube import write_apollo_folder
 from optnav_cli.frames.picture import load_picture
@@ -19,9 +20,10 @@ from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.expectation import FrameContext, expected
 from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.observation import observation_of
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.catalogs import open_field
-from optnav_cli.runs.frame_job import MATCHERS, FrameResult, solve_frame
+from optnav_cli.runs.frame_job import MATCHERS, solve_frame
 from optnav_cli.studies.apollo import CUBE, PICTURE
 from tests.bench.timing import best, one_core, within
 
@@ -54,21 +56,20 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
         yield Scene(folder, open_field([opened], folder))
 
 
-def solve_first(scene: Scene, matcher: str) -> FrameResult:
+def solve_first(scene: Scene, matcher: str) -> Solution:
     """The frame by a navigator that has seen no other."""
     folder = scene.folder
     world = NavigationInputs(
         scene.points, folder.motion, None, NavigateSettings(), MATCHERS[matcher]
     )
-    return solve_frame(folder, folder.frames[0], Navigator(world))
+    return solve_frame(folder, folder.frames[0], Navigator(world))[0]
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
 def test_a_frame_on_one_core(scene, matcher):
     with one_core():
-        result = solve_first(scene, matcher)
+        row = solve_first(scene, matcher)
         seconds = best(lambda: solve_first(scene, matcher), 5)
-    row = result.solution
     assert row.solved, row.reason
     print(
         f"\n  a frame, {row.n_predicted} control points, {matcher:<4} attitude free  "
@@ -84,10 +85,15 @@ def test_a_control_point_over_all_levels(scene, matcher):
     """Each level rendered, resampled and searched; the coarsest one is wider than the frame."""
     frame = scene.folder.frames[0]
     camera = scene.folder.cameras[frame.camera]
-    solved = solve_first(scene, "ncc").solution
-    picture = PicturePyramid(load_picture(scene.folder.picture_path(frame), camera).values)
+    solved = solve_first(scene, "ncc")
+    read = load_picture(scene.folder.picture_path(frame), camera)
+    picture = PicturePyramid(read.values)
     context = FrameContext(
-        picture, camera, frame.sun_body, scene.points, NavigateSettings(), MATCHERS[matcher]
+        observation_of(frame, camera, read),
+        picture,
+        scene.points,
+        NavigateSettings(),
+        MATCHERS[matcher],
     )
     pose = Pose(solved.position_m, solved.camera_from_body)
     view = expected(context, pose, whole=True)

@@ -12,22 +12,33 @@ from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.search_plan import finest_level, template_nodes
 from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view
 from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.reasons import Reason, ReasonCode
 
 # A point may lie so far beyond the frame, share of its template's side, if a part is enough.
 BEYOND_SHARE = 0.3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameContext:
-    """What stays the same while a frame is navigated; sun_body (3,) unit vector, body frame."""
+    """What stays the same while a frame is navigated; `picture` is the observation's."""
 
+    observation: Observation
     picture: PicturePyramid
-    camera: Camera
-    sun_body: FloatArray
     points: ControlPointField
     settings: NavigateSettings
     matcher: Matcher
+
+    @property
+    def camera(self) -> Camera:
+        """The frame's camera."""
+        return self.observation.camera
+
+    @property
+    def sun_body(self) -> FloatArray:
+        """(3,) unit vector to the Sun, body frame."""
+        return self.observation.sun_body
 
     def finest_level(self, postings_m: FloatArray, metres_per_pixel: float) -> int:
         """The finest of some levels worth matching at a ground sample distance."""
@@ -84,14 +95,14 @@ def expected(frame: FrameContext, pose: Pose, whole: bool) -> View:
     return replace(seen, index=near[seen.index])
 
 
-def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
+def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
     """Say which condition emptied the view."""
     points, camera, sun_body = frame.points, frame.camera, frame.sun_body
     settings = frame.settings
     sun = np.degrees(np.arcsin(np.clip(points.verticals @ sun_body, -1.0, 1.0)))
     height = float(np.linalg.norm(pose.position_m)) - points.radius_m
     if height <= 0.0:
-        return "the prior position is inside the body"
+        return Reason(ReasonCode.INSIDE_BODY, "the prior position is inside the body")
     seen = expected_in_view(
         points.xyz_m,
         np.zeros(len(points)),
@@ -103,17 +114,22 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
         verticals=points.verticals,
     )
     if len(seen) == 0:
-        return "no control point of the catalog in the frame at the prior pose"
+        return Reason(
+            ReasonCode.NO_POINTS_IN_VIEW,
+            "no control point of the catalog in the frame at the prior pose",
+        )
     lit = sun[seen.index]
     if ((lit >= settings.view.sun_min_deg) & (lit <= settings.view.sun_max_deg)).any():
-        return (
+        return Reason(
+            ReasonCode.POINTS_HIDDEN,
             f"the {len(seen)} control points in the frame stand in the shadow of the terrain "
-            "about them, or the frame cuts the ground that is compared"
+            "about them, or the frame cuts the ground that is compared",
         )
-    return (
+    return Reason(
+        ReasonCode.POINTS_UNLIT,
         f"none of the {len(seen)} control points in the frame is lit well: Sun elevation "
         f"{lit.min():.1f} to {lit.max():.1f} deg, wanted {settings.view.sun_min_deg:.0f} to "
-        f"{settings.view.sun_max_deg:.0f}"
+        f"{settings.view.sun_max_deg:.0f}",
     )
 
 

@@ -12,7 +12,6 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.frames.truth import Truth
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.solution import solved, unsolved
 from optnav_cli.studies.autonomous import ROWS, SHARES, lit_arc_deg
 from optnav_cli.studies.autonomous_table import (
     Results,
@@ -21,6 +20,7 @@ from optnav_cli.studies.autonomous_table import (
     format_results,
     write_figures,
 )
+from tests.optnav_cli.rows import solved, unsolved
 
 RADIUS_M, HEIGHT_M, UTC = 1737400.0, 2e5, "2026-01-01T00:00:00Z"
 SIGMA_M = 10.0

@@ -12,8 +12,8 @@ from catalog.jobs.usage import Account, StageAccount
 from catalog.progress import SilentProgress
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.simulation.scenario import Approach, Portraits, load_scenario
-from optnav_cli.solution import solved, unsolved
 from optnav_cli.studies.phobos import ROWS, Results, Row, RowResult, format_results, run
+from tests.optnav_cli.rows import solved, unsolved
 
 UTC = "2026-01-01T00:00:00Z"
 ACCOUNT = Account(
