@@ -134,21 +134,17 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
-_main_process = 0
-
-
-def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    """Leave on SIGTERM as on Ctrl-C, so that half-written files are cleared away."""
-    if os.getpid() != _main_process:  # a forked worker is ended by its pool: without a word
-        os._exit(INTERRUPTED)
-    raise KeyboardInterrupt
-
-
 def main() -> NoReturn:
     """Entry point of the `optnav` script."""
-    global _main_process
-    _main_process = os.getpid()
-    signal.signal(signal.SIGTERM, _terminate)
+    process = os.getpid()
+
+    def terminate(number: int, frame: FrameType | None) -> NoReturn:
+        # Leave on SIGTERM as on Ctrl-C, so that half-written files are cleared away.
+        if os.getpid() != process:  # a forked worker is ended by its pool: without a message
+            os._exit(INTERRUPTED)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, terminate)
     sys.exit(run(sys.argv[1:]))
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from catalog.arrays import ByteArray, FloatArray, IntArray
 from catalog.errors import DataError, UsageError
@@ -19,7 +20,7 @@ from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.output.canvas import FONT, SUBPIXEL_BITS
 from optnav_cli.report.catalog_maps import POINT_COLOURS, POINT_WORDS, first_reasons, titles_of
-from optnav_cli.report.page import counted, data_uri, figure, grouped, legend
+from optnav_cli.report.page import counted, data_uri, figure, grouped, legend, side_by_side
 from optnav_cli.report.shades import bgr_of
 from optnav_cli.report.svg import Plot
 from optnav_cli.report.views import THIRD
@@ -179,7 +180,7 @@ def _side(
     return Side(side[2], half, gray, shown(points), [shown(line) for line in lines])
 
 
-def sides_figure(catalog: Catalog) -> str:
+def sides_figure(catalog: Catalog) -> Markup:
     """HTML of the six sides with their points. Raises as `sides` does."""
     kinds = first_reasons(catalog)
     colours = [POINT_COLOURS[kind] for kind in kinds.tolist()]
@@ -200,7 +201,7 @@ def sides_figure(catalog: Catalog) -> str:
         drawings.append(plot.svg(f"Control points seen from {side.name}"))
     keys = legend(_entries(kinds))
     return figure(
-        f'<div class="triple">{"".join(drawings)}</div>',
+        side_by_side("triple", drawings),
         "Where the points are, on the relief that the catalog carries; lines every 30°. A point is "
         "coloured by the first check that it failed.",
         extra=keys,

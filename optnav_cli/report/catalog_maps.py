@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from markupsafe import Markup
 
 from catalog.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from catalog.control_point import SHADOW_AZIMUTHS, Flag
 from catalog.store.reader import Catalog
-from optnav_cli.report.page import data_uri, figure, grouped, legend
+from optnav_cli.report.page import data_uri, figure, grouped, legend, side_by_side
 from optnav_cli.report.relief import GRAY, relief
 from optnav_cli.report.shades import (
     OTHER,
@@ -97,7 +98,7 @@ def first_reasons(catalog: Catalog) -> IntArray:
     return kinds
 
 
-def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
+def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: Markup) -> Markup:
     """Usable points and why others are not, on shaded relief; with a drawing beside the caps."""
     kinds = first_reasons(catalog)
     colours, words = POINT_COLOURS, POINT_WORDS
@@ -141,9 +142,9 @@ def value_map(
     values: FloatArray,
     scale: Scale,
     name: str,
-    histogram: str,
+    histogram: Markup,
     caption: str,
-) -> str:
+) -> Markup:
     """Cells coloured by a value (n,) of their points, with the histogram that is their legend."""
     known = np.isfinite(values)
     colours = np.zeros((len(values), 4), np.uint8)
@@ -155,13 +156,13 @@ def value_map(
         panel.plot(data_uri(panel.painted(colours))).svg(f"Map of {name}: {panel.view.name}")
         for panel in (maps if whole else maps[1:])
     ]
-    unknown = (
-        legend([(OTHER, f"not known: {grouped(int((~known).sum()))}")]) if not known.all() else ""
-    )
+    unknown = Markup()
+    if not known.all():
+        unknown = legend([(OTHER, f"not known: {grouped(int((~known).sum()))}")])
     return figure(_arranged([*drawings, histogram], whole), caption, extra=unknown)
 
 
-def source_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
+def source_map(catalog: Catalog, maps: Sequence[Panel], beside: Markup) -> Markup:
     """Which terrain model each point comes from; with HTML beside the small maps."""
     sources = catalog.records["source"].astype(np.int64)
     names = catalog.meta.point_sources
@@ -176,11 +177,11 @@ def source_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
     return figure(_arranged([*drawings, beside], whole), "Terrain model of each point.", extra=keys)
 
 
-def _arranged(drawings: Sequence[str], whole: bool) -> str:
+def _arranged(drawings: Sequence[Markup], whole: bool) -> Markup:
     """A main map across the page with the rest in a row below it, or all in pairs."""
     if not whole:
-        return f'<div class="pair">{"".join(drawings)}</div>'
-    return f'{drawings[0]}<div class="triple">{"".join(drawings[1:])}</div>'
+        return side_by_side("pair", drawings)
+    return drawings[0] + side_by_side("triple", drawings[1:])
 
 
 def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
@@ -221,7 +222,7 @@ def histogram(
     name: str,
     label: str,
     wide: bool,
-) -> str:
+) -> Markup:
     """How many points have which value, in the colours of the map, over its colour bar.
 
     Usable points are coloured, the others stand on them in gray. Values beyond the edges are
@@ -254,7 +255,7 @@ def histogram(
     return plot.svg(f"Histogram of {name}")
 
 
-def latitude_plot(catalog: Catalog) -> str:
+def latitude_plot(catalog: Catalog) -> Markup:
     """Share of usable points by latitude."""
     edges = np.linspace(-90.0, 90.0, round(180.0 / BAND_DEG) + 1)
     total, good = (
@@ -304,7 +305,7 @@ def beyond_words(values: FloatArray, edges: FloatArray) -> str:
     return f"The outermost bars also hold {' and '.join(words)}." if words else ""
 
 
-def shadow_plot(catalog: Catalog) -> str:
+def shadow_plot(catalog: Catalog) -> Markup:
     """The Sun's elevation above which no foreign shadow reaches a patch, by azimuth."""
     chosen = catalog.usable if catalog.usable.any() else np.ones(len(catalog), np.bool_)
     limits = np.asarray(catalog.records["shadow_limit_deg"][chosen], np.float64)
@@ -312,7 +313,7 @@ def shadow_plot(catalog: Catalog) -> str:
     limits = np.column_stack([limits, limits[:, :1]])
     known = limits[np.isfinite(limits).all(axis=1)]
     if len(known) == 0:
-        return ""
+        return Markup()
     lowest, low, middle, high, highest = np.percentile(known, [1, 10, 50, 90, 99], axis=0)
     plot = Plot(
         (0.0, 360.0), (min(0.0, float(lowest.min())), 1.08 * float(highest.max()) + 0.1),

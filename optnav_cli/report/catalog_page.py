@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from catalog.arrays import ByteArray, Float32Array, FloatArray
@@ -40,11 +41,11 @@ from optnav_cli.report.page import (
     grouped,
     image,
     listing,
-    note,
     page,
     paragraph,
     percent,
     section,
+    side_by_side,
     subsection,
     table,
     tiles,
@@ -136,7 +137,7 @@ def quantities(catalog: Catalog) -> list[Quantity]:
     ]  # fmt: skip
 
 
-def _quantity(catalog: Catalog, maps: Sequence[Panel], quantity: Quantity) -> str:
+def _quantity(catalog: Catalog, maps: Sequence[Panel], quantity: Quantity) -> Markup:
     values, usable = quantity.values, catalog.usable
     known = values[np.isfinite(values)]
     if known.size == 0:
@@ -167,7 +168,7 @@ def _quantity(catalog: Catalog, maps: Sequence[Panel], quantity: Quantity) -> st
     return section(quantity.heading, *parts)
 
 
-def _main_numbers(catalog: Catalog) -> str:
+def _main_numbers(catalog: Catalog) -> Markup:
     meta, usable = catalog.meta, catalog.usable
     count = _usable(catalog)
     values = [
@@ -189,7 +190,7 @@ def _main_numbers(catalog: Catalog) -> str:
     return tiles(values)
 
 
-def _warnings(catalog: Catalog) -> list[str]:
+def _warnings(catalog: Catalog) -> list[Markup]:
     found = []
     lost = catalog.meta.count - len(catalog)
     if lost:
@@ -201,10 +202,10 @@ def _warnings(catalog: Catalog) -> list[str]:
         found.append("The catalog holds no control point: there is nothing to draw.")
     elif not catalog.usable.any():
         found.append("The catalog has no usable point: navigation will find nothing with it.")
-    return [note(words) for words in found]
+    return [paragraph(words, "note") for words in found]
 
 
-def _reasons(catalog: Catalog) -> str:
+def _reasons(catalog: Catalog) -> Markup:
     """Why points are not usable: how many fail each check, and how many fail it alone."""
     flags = catalog.records["flags"][~catalog.usable].astype(np.int64)
     if flags.size == 0:
@@ -227,15 +228,15 @@ def _reasons(catalog: Catalog) -> str:
     ) + table(header, rows)
 
 
-def _sides(catalog: Catalog) -> str:
+def _sides(catalog: Catalog) -> Markup:
     try:
         drawing = sides_figure(catalog)
     except DataError as fault:  # damaged relief, or a machine without embree: the rest can be shown
-        drawing = note(str(fault))
+        drawing = paragraph(str(fault), "note")
     return section("On the body", drawing)
 
 
-def _sources(catalog: Catalog, maps: Sequence[Panel]) -> str:
+def _sources(catalog: Catalog, maps: Sequence[Panel]) -> Markup:
     """Points and usable points of each terrain model; with a map where there are several."""
     meta = catalog.meta
     source = catalog.records["source"].astype(np.int64)
@@ -250,7 +251,7 @@ def _sources(catalog: Catalog, maps: Sequence[Panel]) -> str:
     return section("Provenance", source_map(catalog, maps, counts) if several else counts)
 
 
-def _made_from(catalog: Catalog) -> str:
+def _made_from(catalog: Catalog) -> Markup:
     meta = catalog.meta
     facts = [
         ("body", f"{meta.body}, sphere of {meta.radius_m:.12g} m"),
@@ -288,7 +289,7 @@ def _extreme(values: Float32Array, pick: np.ufunc) -> FloatArray:
     return np.asarray(pick.reduce(_finite(values), axis=1), np.float64)
 
 
-def gallery(catalog: Catalog) -> str:
+def gallery(catalog: Catalog) -> Markup:
     """Chosen points with all their levels; "" for a catalog without points."""
     scores = np.asarray(catalog.records["localisation_px"], np.float64)
     rows = np.flatnonzero(catalog.usable & np.isfinite(scores))
@@ -317,10 +318,10 @@ def gallery(catalog: Catalog) -> str:
     for heading, chosen in groups:
         if chosen:
             parts.append(subsection(heading, *(_point(catalog, row) for row in chosen)))
-    return section("Examples", *parts) if len(parts) > 1 else ""
+    return section("Examples", *parts) if len(parts) > 1 else Markup()
 
 
-def _point(catalog: Catalog, row: int) -> str:
+def _point(catalog: Catalog, row: int) -> Markup:
     record, point = catalog.records[row], int(catalog.ids[row])
     tried = int(record["trials"])
     error = float(record["localisation_px"])
@@ -334,14 +335,14 @@ def _point(catalog: Catalog, row: int) -> str:
     try:
         levels = catalog.patches(point)
     except DataError as fault:
-        return note(str(fault))
+        return paragraph(str(fault), "note")
     if not levels:
         return paragraph(f"{'; '.join(words)}. No heights are kept for it.")
-    pictures = "".join(_level(levels[k], k, point) for k in range(len(levels)))
-    return figure(f'<div class="patches">{pictures}</div>', "; ".join(words))
+    pictures = [_level(levels[k], k, point) for k in range(len(levels))]
+    return figure(side_by_side("patches", pictures), "; ".join(words))
 
 
-def _level(patch: Patch, number: int, point: int) -> str:
+def _level(patch: Patch, number: int, point: int) -> Markup:
     width_km = patch.posting_m * patch.size / 1e3
     known = patch.heights_m[np.isfinite(patch.heights_m)]
     relief = f"{float(np.ptp(known)):.0f} m of relief" if known.size else "no data"

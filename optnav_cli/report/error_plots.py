@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.bodies.epochs import utc_to_tdb_s
@@ -132,13 +133,13 @@ def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, str]:
     return rows, minutes / unit, f"{name} after {rows[0].utc}"
 
 
-def error_plots(run: RunFolder) -> list[str]:
-    """Figures (HTML) of a run with a solved frame; without a truth, of what its solutions state."""
+def error_plots(run: RunFolder) -> list[Markup]:
+    """Figures of a run with a solved frame; without a truth, of what its solutions state."""
     frames = frames_of(run)
-    keys = "".join(key_mark(e.series, e.shape, e.words) for e in _legend(frames))
+    keys = Markup().join(key_mark(e.series, e.shape, e.words) for e in _legend(frames))
     figures = []
     for number, (panels, caption) in enumerate(_drawn(frames)):
-        drawings = "".join(panel.plot.svg(panel.description) for panel in panels)
+        drawings = Markup().join(panel.plot.svg(panel.description) for panel in panels)
         more = "" if number else _reasons(frames)
         figures.append(figure(drawings, caption + more, None, keys))
     return figures

@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
@@ -32,6 +33,7 @@ from optnav_cli.report.page import (
     page,
     paragraph,
     section,
+    side_by_side,
     subsection,
     table,
     tiles,
@@ -49,7 +51,7 @@ THUMBNAIL_PX = 560
 ROWS_OPEN = 40  # longer tables are folded
 
 
-def ground_plot(run: RunFolder) -> str:
+def ground_plot(run: RunFolder) -> Markup:
     """Footprints of the solved frames, the places below the camera and the control points."""
     body = run.attitude.body
     solved = [s for s in run.solutions if s.position_m is not None]
@@ -87,7 +89,7 @@ def ground_plot(run: RunFolder) -> str:
     return figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
 
 
-def residual_plots(run: RunFolder) -> list[str]:
+def residual_plots(run: RunFolder) -> list[Markup]:
     """Residuals of the kept matches as a cloud, and the scores of kept and refused ones."""
     used = [m for m in run.matches if m.used and m.residual_px is not None]
     drawings = []
@@ -126,7 +128,7 @@ def residual_plots(run: RunFolder) -> list[str]:
         drawings.append(
             figure(plot.svg("Scores of matches"), "Scores.", {"k3": "used", "k4": "not used"})
         )
-    return [f'<div class="pair">{"".join(drawings)}</div>']
+    return [side_by_side("pair", drawings)]
 
 
 def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArray] | None:
@@ -162,7 +164,7 @@ def read_evaluation(folder: Path) -> dict[str, Any] | None:
     return summary
 
 
-def errors_table(evaluation: dict[str, Any]) -> str:
+def errors_table(evaluation: dict[str, Any]) -> Markup:
     """The section about errors by axis, and by method where there are several."""
     names = {"r": "R (height)", "n": "N (along the motion)", "b": "B (across)"}
     largest = max(evaluation[axis]["max_m"] for axis in names)
@@ -207,7 +209,7 @@ def errors_table(evaluation: dict[str, Any]) -> str:
     return section("Against the truth", *parts)
 
 
-def _methods_table(methods: Sequence[dict[str, Any]]) -> str:
+def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
     """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
     header = (
         *("method", "solved", "R", "N", "B"),
@@ -277,7 +279,7 @@ def run_page(folder: Path) -> str:
     )
 
 
-def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
+def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     solved = [s for s in run.solutions if s.solved]
     values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
     if evaluation is not None:
@@ -297,21 +299,23 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
     if residuals:
         rms = float(np.sqrt(np.mean(np.square(residuals))))
         values.append((f"{rms:.2f} px", "residual, rms a coordinate"))
-    note = "" if evaluation else paragraph("Not compared with a truth: see `optnav evaluate`.")
+    note = (
+        Markup() if evaluation else paragraph("Not compared with a truth: see `optnav evaluate`.")
+    )
     return tiles(values) + note
 
 
-def _refusals(run: RunFolder) -> str:
+def _refusals(run: RunFolder) -> Markup:
     reasons = Counter(
         match.reason_code.meaning or "not used" for match in run.matches if not match.used
     )
     if not reasons:
-        return ""
+        return Markup()
     rows = [(reason, str(count)) for reason, count in sorted(reasons.items(), key=_most_first)]
     return table(("control points tried but not used: why", "times"), rows[:12])
 
 
-def _thumbnails(run: RunFolder) -> str:
+def _thumbnails(run: RunFolder) -> Markup:
     """Overlays, unsolved frames first among equals, evenly through the run."""
     there = [
         solution
@@ -319,7 +323,7 @@ def _thumbnails(run: RunFolder) -> str:
         if overlay_path(run.path / OVERLAYS, solution.file).is_file()
     ]
     if not there:
-        return ""
+        return Markup()
     picked = there
     if len(there) > MAX_THUMBNAILS:
         places = np.linspace(0, len(there) - 1, MAX_THUMBNAILS).round().astype(int)
@@ -338,19 +342,17 @@ def _thumbnails(run: RunFolder) -> str:
         "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times."
     )
     shown = f" {len(picked)} of {len(there)} frames." if len(picked) < len(there) else ""
-    return section(
-        "Pictures", paragraph(words + shown), f'<div class="thumbs">{"".join(pictures)}</div>'
-    )
+    return section("Pictures", paragraph(words + shown), side_by_side("thumbs", pictures))
 
 
-def _unsolved(run: RunFolder) -> str:
+def _unsolved(run: RunFolder) -> Markup:
     rows = [(s.file, s.utc, s.reason) for s in run.solutions if not s.solved]
     if not rows:
-        return ""
+        return Markup()
     return section("Unsolved frames", table(("file", "UTC", "reason"), rows, text_columns=3))
 
 
-def _frames(solutions: Sequence[Solution]) -> str:
+def _frames(solutions: Sequence[Solution]) -> Markup:
     header: tuple[str, ...] = (
         *("file", "UTC", "method", "x, km", "y, km", "z, km", "sigma, m"),
         *("attitude sigma, ″", "predicted", "found", "used", "rms, px"),
@@ -377,11 +379,11 @@ def _frames(solutions: Sequence[Solution]) -> str:
     return content if len(rows) <= ROWS_OPEN else folded(f"All {len(rows)} frames", content)
 
 
-def _made_from(folder: Path) -> str:
+def _made_from(folder: Path) -> Markup:
     try:
         manifest = read_manifest(folder)
     except DataError:  # a run put together by hand is still worth a report
-        return ""
+        return Markup()
     return section("Made from", folded("manifest.json", listing(manifest)))
 
 

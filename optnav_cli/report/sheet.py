@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 
 from catalog.files import replacing_file, starts_with
-from optnav_cli.report.page import DRAWINGS, LIGHT
+from optnav_cli.report.page import styles
 from optnav_cli.report.svg import Plot, mark
 
 BEGINNING = "<!-- optnav picture -->\n"
@@ -14,8 +14,10 @@ EDGE, GAP = 14, 10  # around the whole and between plots, px
 TITLE_HEIGHT, LEGEND_HEIGHT, HEADING_HEIGHT = 26, 22, 18
 LETTER = 6.6  # width of a letter of the legend, px, on average
 STYLE = f"""
-svg {{ {LIGHT} }}
-{DRAWINGS}
+svg {{ {styles("light.css")} }}
+
+{styles("drawings.css")}
+
 svg text.title {{ font-size: 15px; font-weight: 600; }}
 svg text.heading {{ font-weight: 600; }}
 """

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
@@ -85,10 +86,10 @@ def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title
     return f'<polygon class="mark {series}" points="{corners}">{name}</polygon>'
 
 
-def key_mark(series: str, shape: str, words: str) -> str:
+def key_mark(series: str, shape: str, words: str) -> Markup:
     """An entry of an HTML legend: the mark and what it stands for."""
     drawn = mark(7.0, 7.0, series, shape, 4.5)
-    return (
+    return Markup(
         f'<span class="entry"><svg class="sign" viewBox="0 0 14 14" aria-hidden="true">{drawn}'
         f"</svg>{escape(words)}</span>"
     )
@@ -269,7 +270,7 @@ class Plot:
             f'y="{float(self.py(y)):.1f}">{escape(words)}</text>'
         )
 
-    def svg(self, description: str, at: tuple[float, float] | None = None) -> str:
+    def svg(self, description: str, at: tuple[float, float] | None = None) -> Markup:
         """The plot; `description` is read to people who cannot see it.
 
         at  left and top of its place in a larger drawing
@@ -299,7 +300,7 @@ class Plot:
             f'{top + inner[1] / 2:.0f}) rotate(-90)">{escape(self._labels[1])}</text>',
             "</svg>",
         ]
-        return "\n".join(parts)
+        return Markup("\n".join(parts))
 
     def _ticks(self) -> Iterable[str]:
         bottom, right = self.height - self._bottom, self.width - self._right

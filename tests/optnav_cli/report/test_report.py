@@ -95,7 +95,7 @@ def test_an_older_report_is_replaced_and_another_page_is_not(run, tmp_path):
     report_of(run, tmp_path)
     report_of(run, tmp_path)
     (tmp_path / "index.html").write_text("<!doctype html><p>mine</p>")
-    with pytest.raises(OutputError, match="left alone"):
+    with pytest.raises(OutputError, match="was not made by optnav"):
         write_report(run, tmp_path / "index.html")
 
 

@@ -62,5 +62,5 @@ def test_a_picture_replaces_its_forerunner_and_nothing_else(tmp_path):
     for _ in range(2):
         write_sheet(picture, tmp_path / "study.svg")
     (tmp_path / "mine.svg").write_text("<svg/>")
-    with pytest.raises(OutputError, match="left alone"):
+    with pytest.raises(OutputError, match="was not made by optnav"):
         write_sheet(picture, tmp_path / "mine.svg")
