@@ -9,8 +9,11 @@ BIN := .venv/bin
 READY := .venv/.ready
 OUT ?= optnav-demo
 ARGS ?=
+# One process a core, a test file at a time, in the order of the folders, so that what the tests of
+# a file share is made once and the longest files do not come last.
+PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test check lint types tests bench bench-global golden lock clean
+.PHONY: help setup demo test check lint types tests bench bench-global golden docs lock clean
 
 help: ## print this list
 	@echo "optnav: control-point catalogs from terrain, camera positions from pictures"
@@ -45,8 +48,8 @@ lint: $(READY) ## style alone
 types: $(READY) ## types alone
 	$(BIN)/mypy
 
-tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest)
-	$(BIN)/python -m pytest $(ARGS)
+tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: one process)
+	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 study-%: $(READY) ## one long experiment behind the figures, such as study-selection
 	$(BIN)/optnav study $* $(ARGS)
@@ -59,8 +62,11 @@ bench-global: $(if $(DIR),$(READY)) ## a catalog of the whole Moon at full size 
 	  { echo "make: name a folder to work in, on a disk with 19 GB free: make bench-global DIR=/some/folder" >&2; exit 2; }
 	$(BIN)/python -m tests.bench.global_moon "$(DIR)" $(ARGS)
 
-golden: $(READY) ## make the golden values and the README's pictures anew; look at the difference
+golden: $(READY) ## make the golden values and the READMEs' pictures anew; look at the difference
 	$(BIN)/python -m tests.golden $(ARGS)
+
+docs: $(READY) ## write the tables of the READMEs anew, from the code and stored figures
+	$(BIN)/python -m tests.golden.documents
 
 lock: ## make requirements.lock anew from pyproject.toml
 	rm -rf build/lock-env

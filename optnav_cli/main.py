@@ -38,19 +38,20 @@ PLACE_ERRORS = {
 }
 
 _HERE = "optnav_cli.commands"
+_PICTURES = f"{_HERE}.pictures"
 COMMANDS = {
     "demo": Entry(f"{_HERE}.demo", "The main job on the bundled Tycho terrain, with a report."),
-    "build": Entry(f"{_HERE}.build", "Build a control-point catalog from terrain models."),
-    "ingest": Entry(f"{_HERE}.stages", "Build stage 1: read the terrain models.", "ingest"),
-    "render": Entry(f"{_HERE}.stages", "Build stage 2: shortlist points, render them.", "render"),
-    "select": Entry(f"{_HERE}.stages", "Build stage 3: choose the points to check.", "select"),
-    "check": Entry(f"{_HERE}.stages", "Build stage 4: check the chosen points.", "check"),
-    "write": Entry(f"{_HERE}.stages", "Build stage 5: write the catalog file.", "write"),
+    "build": Entry(f"{_HERE}.build", "Build a control-point catalog from terrain models.", "build"),
+    "ingest": Entry(f"{_HERE}.build", "Build stage 1: read the terrain models.", "ingest"),
+    "render": Entry(f"{_HERE}.build", "Build stage 2: shortlist points, render them.", "render"),
+    "select": Entry(f"{_HERE}.build", "Build stage 3: choose the points to check.", "select"),
+    "check": Entry(f"{_HERE}.build", "Build stage 4: check the chosen points.", "check"),
+    "write": Entry(f"{_HERE}.build", "Build stage 5: write the catalog file.", "write"),
     "catalog": Entry(f"{_HERE}.catalog", "Look at, verify and export a catalog."),
-    "simulate": Entry(f"{_HERE}.simulate", "Make a folder of pictures with known positions."),
-    "navigate": Entry(f"{_HERE}.navigate", "Find the camera's position for each picture."),
-    "evaluate": Entry(f"{_HERE}.evaluate", "Compare a run's positions with the truth."),
-    "report": Entry(f"{_HERE}.report", "Make a page about a run or a catalog."),
+    "simulate": Entry(_PICTURES, "Make a folder of pictures with known positions.", "simulate"),
+    "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
+    "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),
+    "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),
     "config": Entry(f"{_HERE}.config", "Print a commented configuration to start from."),
     "study": Entry(f"{_HERE}.study", "Run an experiment behind the figures."),
 }  # fmt: skip

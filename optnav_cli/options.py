@@ -166,3 +166,14 @@ class LazyGroup(click.Group):
         if rows:
             with formatter.section("Commands"):
                 formatter.write_dl(rows)
+
+
+def matcher_option(command: F) -> F:
+    """`--matcher ncc|surf`: how a control point is recognised."""
+    return click.option(
+        "--matcher",
+        type=click.Choice(["ncc", "surf"]),
+        default="ncc",
+        show_default=True,
+        help="How a control point is recognised.",
+    )(command)

@@ -25,6 +25,7 @@ from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
 from catalog.bodies.kernels import KernelSet
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
+from catalog.geometry.vectors import unit
 
 CENTURY_S = 36525.0 * DAY_S
 
@@ -52,9 +53,8 @@ MARS_NUMBER = 4  # of SOFA's plan94
 def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
     """Unit vector (3,) to the apparent Sun, inertial axes, as seen from the body's centre."""
     from_sun, velocity = _heliocentric(body.sun, tdb_s / DAY_S)
-    direction = -from_sun / np.linalg.norm(from_sun)
-    apparent = direction + velocity / LIGHT_AU_PER_DAY
-    return np.asarray(apparent / np.linalg.norm(apparent))
+    direction = -unit(from_sun)
+    return unit(direction + velocity / LIGHT_AU_PER_DAY)
 
 
 def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
@@ -220,8 +220,7 @@ class SpiceEphemeris:
         if not self._orbits:
             return self._analytic.sun_inertial(tdb_s)
         of, centre = self._number("sun", _NUMBERS), self._number(self.body.name, _SEEN_FROM)
-        sun = self._kernels.position_m(of, centre, tdb_s, apparent=True)
-        return np.asarray(sun / np.linalg.norm(sun))
+        return unit(self._kernels.position_m(of, centre, tdb_s, apparent=True))
 
     def sun_body(self, tdb_s: float) -> FloatArray:
         """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""

@@ -1,7 +1,7 @@
 """Check: certify the places of each cell and take the best one that passes."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -11,12 +11,11 @@ from catalog.arrays import FloatArray
 from catalog.build import cell_map, select
 from catalog.build.context import StageContext
 from catalog.build.select import SelectedCell
-from catalog.build.trials import TRIAL_LEVELS, run_trials, trial_levels
+from catalog.build.trials import outcomes_at
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.geometry.tangent_plane import MapProjection
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
-from catalog.selection.trial import Gate, Outcome, Search
 from catalog.selection.uniqueness import uniqueness_margin
 from catalog.terrain.skyline.local import skyline_limits_deg
 
@@ -197,45 +196,6 @@ def _uniqueness(
             )
         )
     return tuple(margins)
-
-
-def outcomes_at(
-    context: StageContext,
-    patches: Sequence[Patch],
-    lat_deg: float,
-    lon_deg: float,
-    *,
-    seed: Sequence[int],
-    relief_seed: int,
-    trials: int,
-) -> Iterator[Outcome]:
-    """Recognition trials of a place under the circumstances that [check] sets, as asked for.
-
-    patches      of the place, finest first
-    seed         of what is drawn for each trial; relief_seed of the ground beyond the DEM's
-    """
-    settings = context.config.check
-    search = Search(template_nodes=min(settings.template_nodes, context.size))
-    projection = context.projection(lat_deg, lon_deg)
-    levels = trial_levels(
-        context.mosaic, projection, patches, search, settings.relief_slope_deg, relief_seed
-    )
-    yield from run_trials(
-        levels,
-        [*patches[TRIAL_LEVELS:], *context.beyond(projection)],
-        projection.radius_m,
-        projection.lat,
-        seed,
-        trials=trials,
-        search=search,
-        gate=Gate(settings.min_score, settings.rival_ratio),
-        sun_range=(np.radians(settings.sun_min_deg), np.radians(settings.sun_max_deg)),
-        max_declination=np.radians(context.config.render.sun_declination_deg),
-        snr=(settings.snr_min, settings.snr_max),
-        max_scale=settings.scale_error,
-        max_roll_deg=settings.roll_deg,
-        max_off_nadir_deg=settings.off_nadir_deg,
-    )
 
 
 class CheckedPoint(msgspec.Struct, frozen=True):

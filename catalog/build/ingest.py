@@ -19,10 +19,8 @@ from catalog.build.context import DemRecord
 from catalog.build.relief import ReliefRecord, make_or_keep
 from catalog.errors import ConfigError, DataError, UsageError
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.code_key import code_key
-from catalog.jobs.hashing import content_hash
 from catalog.jobs.usage import StageAccount
-from catalog.jobs.workspace import Workspace, stage_key
+from catalog.jobs.workspace import Workspace, code_key, content_hash, stage_key
 from catalog.progress import Progress
 from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import path_of
@@ -223,9 +221,16 @@ def ingest_mesh(
         shape = load_shape(settings, base_dir, body, progress)
         halvings = _halvings(shape, finest_m)
         record = MeshRecord(
-            path.name, digest, folder, len(shape.vertices), len(shape.faces), shape.posting_m,
-            shape.volume_m3 / 1e9, halvings, shape.mended,
-        )  # fmt: skip
+            name=path.name,
+            sha256=digest,
+            folder=folder,
+            vertices=len(shape.vertices),
+            faces=len(shape.faces),
+            posting_m=shape.posting_m,
+            volume_km3=shape.volume_m3 / 1e9,
+            halvings=halvings,
+            mended=shape.mended,
+        )
         corners = io.BytesIO()
         np.save(corners, _corners(shape, settings, path, halvings))
         workspace.put(f"{folder}/{CORNERS}", corners.getvalue())
@@ -236,8 +241,8 @@ def ingest_mesh(
         log.info(
             "%s: oversampled: patches have %.3g m between nodes, the mesh %.3g m between vertices;"
             " they are cut from a smooth surface through these",
-            path.name, finest_m, record.posting_m,
-        )  # fmt: skip
+            *(path.name, finest_m, record.posting_m),
+        )
     place = workspace.path(folder, CORNERS)
     return MeshTerrain(body, place, record.name, record.posting_m), record
 

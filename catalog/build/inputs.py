@@ -25,9 +25,8 @@ from catalog.build.ingest import (
 from catalog.build.relief import ReliefRecord, settle_relief
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.code_key import code_key
 from catalog.jobs.usage import StageAccount
-from catalog.jobs.workspace import Workspace, stage_key
+from catalog.jobs.workspace import Workspace, code_key, stage_key
 from catalog.progress import Progress
 
 MANIFEST = "manifest.json"
@@ -111,9 +110,9 @@ def prepare_inputs(
         # paths and ranks do not matter by themselves: what was read, and in which order, does
         read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
     keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
-    world = BuildInputs(context, records, chunks_of(grid, cells), keys, relief)
-    workspace.put(MANIFEST, msgspec.json.format(_manifest(world), indent=2))
-    return world
+    inputs = BuildInputs(context, records, chunks_of(grid, cells), keys, relief)
+    workspace.put(MANIFEST, msgspec.json.format(_manifest(inputs), indent=2))
+    return inputs
 
 
 def _keys(first: str, config: BuildConfig, posting_m: float) -> dict[str, str]:
@@ -162,14 +161,14 @@ def _check_cells(config: BuildConfig, config_path: Path, body: Body, posting_m: 
         )
 
 
-def _manifest(world: BuildInputs) -> bytes:
+def _manifest(inputs: BuildInputs) -> bytes:
     return msgspec.json.encode(
         {
             "software": f"optnav {catalog.__version__}",
-            "body": world.context.body.name,
-            "dems": world.dems,
-            "cells": world.cells,
-            "keys": world.keys,
-            "config": world.context.config,
+            "body": inputs.context.body.name,
+            "dems": inputs.dems,
+            "cells": inputs.cells,
+            "keys": inputs.keys,
+            "config": inputs.context.config,
         }
     )

@@ -15,11 +15,8 @@ import numpy as np
 from catalog.build.config import ReliefSettings
 from catalog.build.context import DemRecord
 from catalog.errors import DataError
-from catalog.jobs.code_key import code_key
-from catalog.jobs.hashing import content_hash
-from catalog.jobs.records import encode_records
 from catalog.jobs.usage import StageAccount
-from catalog.jobs.workspace import Workspace, stage_key
+from catalog.jobs.workspace import Workspace, code_key, content_hash, encode_records, stage_key
 from catalog.progress import Progress
 from catalog.store.relief import PreparedRelief, prepare_relief
 from catalog.terrain.dem.mosaic import Mosaic

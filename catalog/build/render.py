@@ -16,7 +16,7 @@ from catalog.build.context import StageContext
 from catalog.build.shortlist import shortlists
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.tangent_plane import MapProjection
-from catalog.rendering.map_view import render_map
+from catalog.rendering.map_view import render_map_quickly
 from catalog.selection.localisation import hessian_eigenvalue
 from catalog.selection.match_error import predict_match
 
@@ -115,14 +115,13 @@ def _scores(
         outer = [*zip(grids[level + 1 :], postings[level + 1 :], strict=True), *beyond]
         for k, sun in enumerate(suns):
             picture = blurred(
-                render_map(
+                render_map_quickly(
                     grid,
                     posting,
                     sun,
                     radius_m=projection.radius_m,
                     law=settings.law,
                     outer=outer,
-                    quick=True,
                 )
             )
             for i, inside in enumerate(windows[level]):

@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
+from catalog.geometry.vectors import unit
 
 ARCSEC = np.pi / 648000.0  # rad
 
@@ -48,8 +49,7 @@ def rnb_axes(position: ArrayLike, forward: ArrayLike) -> FloatArray:
     R is along the position, B across the plane of motion, N completes them (forward).
     Raises ValueError when the motion is radial.
     """
-    r = np.asarray(position, dtype=np.float64)
-    r = r / np.linalg.norm(r)
+    r = unit(position)
     b = np.cross(r, np.asarray(forward, dtype=np.float64))
     length = float(np.linalg.norm(b))
     if length < 1e-12 * float(np.linalg.norm(forward)) or length == 0.0:

@@ -100,7 +100,7 @@ CERTIFICATE = (
 
 
 @dataclass(frozen=True)
-class Side:
+class ComparedCatalog:
     """One of the two catalogs."""
 
     path: Path
@@ -139,8 +139,8 @@ class Comparison:
                   other cells (then `settings` says so)
     """
 
-    first: Side
-    second: Side
+    first: ComparedCatalog
+    second: ComparedCatalog
     settings: tuple[Change, ...]
     provenance: tuple[Change, ...]
     comparable: bool
@@ -161,7 +161,7 @@ class Comparison:
     @property
     def ids(self) -> IntArray:
         """(n,) ids of shared points that differ."""
-        return np.asarray(self.before["id"], dtype=np.int64)
+        return self.before["id"].astype(np.int64)
 
     def field_changed(self, name: str) -> BoolArray:
         """(n,) where a field of the records differs."""
@@ -176,7 +176,8 @@ class Comparison:
         levels = min(a.shape[1], b.shape[1])
         a, b = a[:, :levels], b[:, :levels]
         change = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(a - b))
-        return np.asarray(np.where(np.isnan(change), np.inf, change).max(axis=1, initial=0.0))
+        largest: FloatArray = np.where(np.isnan(change), np.inf, change).max(axis=1, initial=0.0)
+        return largest
 
 
 def compare(first: str | Path, second: str | Path, progress: Progress | None = None) -> Comparison:
@@ -266,14 +267,14 @@ def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
     return ReliefChange(cells, float(np.abs(means).max()), rms, float(np.abs(max_heights).max()))
 
 
-def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> Side:
+def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> ComparedCatalog:
     """What stands in one catalog only; its patches are read to know that they are whole."""
     alone = ~np.isin(catalog.ids, shared)
     for number in catalog.ids[alone].tolist():
         catalog.stored_patches(number)
         stage.advance()
     only = catalog.records[alone] if comparable else catalog.records[:0]
-    return Side(catalog.path, catalog.meta, only)
+    return ComparedCatalog(catalog.path, catalog.meta, only)
 
 
 def _same_content(one: tuple[StoredPatch, ...], other: tuple[StoredPatch, ...]) -> bool:
@@ -312,7 +313,8 @@ def _height_differences(
 def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
     """(n,) angles between unit vectors (n, 3), rad; the chord keeps its digits at small ones."""
     chord = np.linalg.norm(one - other, axis=1)
-    return np.asarray(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
+    angles: FloatArray = 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
+    return angles
 
 
 def _names(meta: CatalogMeta, records: RecordArray) -> NDArray[np.str_]:
@@ -330,4 +332,5 @@ def _differs(one: NDArray[np.generic], other: NDArray[np.generic]) -> BoolArray:
     a, b = _columns(one), _columns(other)
     levels = min(a.shape[1], b.shape[1])  # of catalogs with more and fewer levels
     a, b = a[:, :levels], b[:, :levels]
-    return np.asarray(((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1))
+    different: BoolArray = ((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1)
+    return different

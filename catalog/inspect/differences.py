@@ -9,9 +9,8 @@ import numpy as np
 from catalog.arrays import BoolArray, FloatArray
 from catalog.control_point import Flag
 from catalog.files import replacing_file, starts_with
-from catalog.inspect.compare import CERTIFICATE, Comparison, Side
-from catalog.store.features import reasons_text
-from catalog.store.records import Record
+from catalog.inspect.compare import CERTIFICATE, ComparedCatalog, Comparison
+from catalog.store.records import Record, reasons_text
 from catalog.tables import Column, Table
 
 SHOWN = 10  # lines a kind; the table (`difference_table`) has all
@@ -67,7 +66,7 @@ def lines(found: Comparison) -> Iterator[str]:
     yield from _certificates(found)
 
 
-def _alone(side: Side) -> Iterator[str]:
+def _alone(side: ComparedCatalog) -> Iterator[str]:
     if not len(side.only):
         return
     yield f"only in {side.path}: {_points(len(side.only))}"
@@ -184,7 +183,7 @@ def _state(record: Record) -> str:
     return f"{state} ({reasons})" if reasons else state
 
 
-def _source(side: Side, record: Record) -> str:
+def _source(side: ComparedCatalog, record: Record) -> str:
     return side.meta.point_sources[int(record["source"])] or "none"
 
 
@@ -257,7 +256,7 @@ def _rows(found: Comparison) -> Iterator[dict[str, object]]:
         )
 
 
-def _columns(side: Side, record: Record, suffix: str) -> dict[str, object]:
+def _columns(side: ComparedCatalog, record: Record, suffix: str) -> dict[str, object]:
     """What one catalog says about a point."""
     columns: dict[str, object] = {
         "usable": int(record["usable"]),

@@ -25,9 +25,8 @@ from catalog.errors import DataError, OutputError
 from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
 from catalog.store.connection import SIDECARS, is_points_file
-from catalog.store.features import reasons_text
 from catalog.store.reader import Catalog
-from catalog.store.records import unknown_as_none
+from catalog.store.records import reasons_text, unknown_as_none
 from catalog.store.schema import create_tables, insert_service_rows, srs_of
 from catalog.store.writer import insert_features
 from catalog.tables import Column, Table

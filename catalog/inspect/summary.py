@@ -5,9 +5,9 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.control_point import ControlPoint, Flag
 from catalog.geometry.latlon import angular_distance
-from catalog.store.features import reasons_text
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
+from catalog.store.records import reasons_text
 
 
 def rejected_by_reason(catalog: Catalog) -> dict[str, int]:

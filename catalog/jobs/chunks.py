@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from catalog.jobs.records import encode_records
 from catalog.jobs.usage import StageAccount, Usage, metered
 from catalog.jobs.workers import Workers
-from catalog.jobs.workspace import Workspace
+from catalog.jobs.workspace import Workspace, encode_records
 from catalog.progress import Stage
 
 

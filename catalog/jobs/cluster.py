@@ -18,8 +18,8 @@ from urllib.parse import urlsplit
 
 from catalog.errors import UsageError, WorkersError
 from catalog.jobs.cluster_node import Needs, call_on_node, files_of, needs_of, unfit
-from catalog.jobs.code_key import code_key
 from catalog.jobs.workers import ExecutorWorkers, Workers
+from catalog.jobs.workspace import code_key
 
 log = logging.getLogger(__name__)
 
@@ -190,13 +190,11 @@ class ClusterPool:
             self._ask_all()
 
     def pack(self, context: Any) -> bytes:
-        """See Pool."""
         # 6 kB for one terrain model: no trouble to send with each chunk of seconds of work
         self.need(needs_of(files_of(context)))
         return pickle.dumps((self._needs, pickle.dumps(context)))
 
     def executor(self) -> Executor:
-        """See Pool."""
         if self._client is None:
             self._connect()
         if self._executor is None:
@@ -205,7 +203,7 @@ class ClusterPool:
         return self._executor
 
     def look(self) -> None:
-        """See Pool. Keeps `count`, tells who left; raises WorkersError when all left for good."""
+        """Keep `count`, name who left; raise WorkersError when all left for good."""
         now = time.monotonic()
         if now - self._looked < LOOK_S:
             return
@@ -222,7 +220,6 @@ class ClusterPool:
             )
 
     def survive(self, loss: Exception, losses: int) -> None:
-        """See Pool."""
         if isinstance(loss, ImportError):
             raise WorkersError(
                 f"{self.address}: a worker cannot load what it needs ({loss}); install the same "
@@ -241,13 +238,12 @@ class ClusterPool:
             ) from None
 
     def abandon(self) -> None:
-        """See Pool. A scheduler forgets the work of a client that leaves."""
+        """Leave: a scheduler forgets the work of a client that is gone."""
         client, self._client, self._executor = self._client, None, None
         if client is not None:
             client.close(timeout=ANSWER_S)
 
     def close(self) -> None:
-        """See Pool."""
         self.abandon()
         self._silence.end()
 

@@ -23,7 +23,7 @@ from typing import TypeVar
 import msgspec
 
 from catalog.control_point import Flag
-from catalog.store.features import reasons_text
+from catalog.store.records import reasons_text
 
 R = TypeVar("R")
 
@@ -196,27 +196,38 @@ def _process() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
-_lock = threading.Lock()
-_under_way = 0
-_told = _State(0.0, 0, None, None)  # what was reported already, while work is under way
+class _Meter:
+    """Shares out what this process uses among the threads that work at the same time.
+
+    Each reports what was used since the last report, so that their sum is right.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._under_way = 0
+        self._reported = _State(0.0, 0, None, None)
+
+    def begin(self) -> None:
+        with self._lock:
+            if self._under_way == 0:
+                self._reported = _state()
+            self._under_way += 1
+
+    def end(self) -> Usage:
+        with self._lock:
+            self._under_way -= 1
+            before, self._reported = self._reported, _state()
+            return _between(before, self._reported)
+
+
+_meter = _Meter()
 
 
 def metered(work: Callable[[], R]) -> tuple[R, Usage]:
-    """Do work and tell what it used.
-
-    A process counts as a whole. Where threads of it work at the same time, each reports what was
-    used since the last report, so that their sum is right.
-    """
-    global _under_way, _told
-    with _lock:
-        if _under_way == 0:
-            _told = _state()
-        _under_way += 1
+    """Do work and tell what it used; a process counts as a whole."""
+    _meter.begin()
     try:
         result = work()
     finally:
-        with _lock:
-            _under_way -= 1
-            before, _told = _told, _state()
-            usage = _between(before, _told)
+        usage = _meter.end()
     return result, usage

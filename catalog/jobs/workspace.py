@@ -2,38 +2,62 @@
 
 Each stage keeps its results in a folder named after the stage and a key, the hash of all that its
 results depend on. Changed settings make another key, so nothing stale is ever read. A result file
-appears by rename, complete, or not at all.
+appears by rename, complete, or not at all. It holds records: msgpack with numpy arrays, compressed
+and guarded by a checksum.
 """
 
 import hashlib
 import os
+import platform
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
+import numpy as np
+import zstandard
 
-from catalog.errors import OutputError
-from catalog.files import PARTIAL, locked, put_file
-from catalog.jobs.records import DamagedRecordsError, are_whole, decode_records
+import catalog
+from catalog.errors import DataError, OutputError
+from catalog.files import PARTIAL, PIECE, hash_file, locked, put_file
+from catalog.progress import Progress
+
+T = TypeVar("T")
 
 MARK = "optnav-workspace.json"
 LOCK = "lock"
+HASHES = "dem-hashes.json"
 FORMAT = 1
 KEY_CHARACTERS = 16
+MAGIC = b"optnav1\n"
+HASH_BYTES = 16
+# Another version of one of these may round or choose otherwise.
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "rasterio",
+    "pyproj",
+    "zstandard",
+    "trimesh",
+    "manifold3d",
+    "embreex",
+)
+
+
+class DamagedRecordsError(ValueError):
+    """Bytes that were cut short or changed."""
 
 
 class _Mark(msgspec.Struct):
     made_by: str
     format: int
-
-
-def stage_key(*parts: Any) -> str:
-    """Key of all that a stage's results depend on; parts are anything that msgspec can encode."""
-    plain = msgspec.json.encode(msgspec.to_builtins(parts), order="deterministic")
-    return hashlib.sha256(plain).hexdigest()[:KEY_CHARACTERS]
 
 
 class Workspace:
@@ -149,8 +173,117 @@ class Workspace:
                 shutil.rmtree(path, ignore_errors=True)
 
 
+def stage_key(*parts: Any) -> str:
+    """Key of all that a stage's results depend on; parts are anything that msgspec can encode."""
+    plain = msgspec.json.encode(msgspec.to_builtins(parts), order="deterministic")
+    return hashlib.sha256(plain).hexdigest()[:KEY_CHARACTERS]
+
+
+@cache
+def code_key() -> str:
+    """Hash of the package's own code: results of other code are not taken for ours.
+
+    Read once: a process goes on with the code that it has loaded, whatever is installed meanwhile.
+    """
+    whole = hashlib.sha256(catalog.__version__.encode())
+    package = Path(str(files("catalog")))
+    for path in sorted(package.rglob("*.py")):
+        whole.update(path.relative_to(package).as_posix().encode())
+        whole.update(path.read_bytes())
+    return whole.hexdigest()
+
+
+@cache
+def surroundings() -> tuple[tuple[str, str], ...]:
+    """Name and version of what the same bytes need beside the code."""
+    found = [("python", ".".join(platform.python_version_tuple()[:2]))]
+    found.append(("processor", platform.machine()))
+    for name in LIBRARIES:
+        try:
+            found.append((name, version(name)))
+        except PackageNotFoundError:  # built from source under another name: cannot be compared
+            found.append((name, "unknown"))
+    return tuple(found)
+
+
+def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress) -> str:
+    """SHA-256 over files, one after the other; one of the same size and date is not read again.
+
+    Raises DataError for a file that cannot be read.
+    """
+    known = _known_hashes(workspace)
+    whole = hashlib.sha256()
+    for path in files:
+        try:
+            state = path.stat()
+            name = f"{path.resolve()} {state.st_size} {state.st_mtime_ns}"
+            if name not in known:
+                size = -(-state.st_size // PIECE)
+                with progress.stage("checksum", total=size, unit="MB") as shown:
+                    known[name] = hash_file(path, shown.advance)
+        except OSError as error:
+            raise DataError(
+                f"{path}: cannot be read ({error.strerror or error}); check its permissions"
+            ) from None
+        whole.update(bytes.fromhex(known[name]))
+    workspace.put(HASHES, msgspec.json.encode(known))
+    return whole.hexdigest()
+
+
+def encode_records(records: Sequence[Any]) -> bytes:
+    """Structs or dataclasses as bytes; the same records give the same bytes."""
+    payload = zstandard.ZstdCompressor(level=1).compress(
+        msgspec.msgpack.encode(records, enc_hook=_plain)
+    )
+    return MAGIC + hashlib.sha256(payload).digest()[:HASH_BYTES] + payload
+
+
+def are_whole(data: bytes) -> bool:
+    """Whether bytes of `encode_records` are as they were made."""
+    head = len(MAGIC) + HASH_BYTES
+    stated = data[len(MAGIC) : head]
+    return data.startswith(MAGIC) and (
+        hashlib.sha256(memoryview(data)[head:]).digest()[:HASH_BYTES] == stated
+    )
+
+
+def decode_records(data: bytes, type_: type[T]) -> list[T]:
+    """The records of a type. Raises DamagedRecordsError."""
+    if not are_whole(data):
+        raise DamagedRecordsError("checksum differs")
+    payload = memoryview(data)[len(MAGIC) + HASH_BYTES :]
+    plain = zstandard.ZstdDecompressor().decompress(payload)
+    try:
+        return msgspec.msgpack.decode(plain, type=list[type_], dec_hook=_array)  # type: ignore[valid-type]
+    except msgspec.MsgspecError as error:
+        raise DamagedRecordsError(str(error)) from None
+
+
 def _unwritable(folder: Path, error: OSError) -> OutputError:
     return OutputError(
         f"{folder}: cannot be written ({error.strerror or error}); "
         "free space, change its permissions or name another work folder"
     )
+
+
+def _known_hashes(workspace: Workspace) -> dict[str, str]:
+    data = workspace.get(HASHES)
+    try:
+        return msgspec.json.decode(data, type=dict[str, str]) if data else {}
+    except msgspec.MsgspecError:
+        return {}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return [value.dtype.str, list(value.shape), np.ascontiguousarray(value).tobytes()]
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(f"records cannot hold a {type(value).__name__}")
+
+
+def _array(type_: type, value: Any) -> Any:
+    if type_ is np.ndarray:
+        dtype, shape, data = value
+        return np.frombuffer(data, dtype=np.dtype(dtype)).reshape(shape)
+    raise NotImplementedError(f"records cannot hold a {type_.__name__}")

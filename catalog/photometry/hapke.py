@@ -18,7 +18,7 @@ from catalog.geometry.kernel import kernel
 
 
 class HapkeParameters(NamedTuple):
-    """What describes a surface.
+    """The parameters of a surface.
 
     w          single-scattering albedo
     b, c       double Henyey-Greenstein lobes: width, and (1 + c) / 2 of it goes backwards
@@ -147,13 +147,16 @@ def reflectance_scalar(mu0: float, mu: float, cos_phase: float, surface: HapkePa
 
 
 @kernel
-def _reflectance_flat(
-    mu0: FloatArray, mu: FloatArray, cos_phase: FloatArray, surface: HapkeParameters
-) -> FloatArray:
-    out = np.empty(mu0.size)
-    for i in range(mu0.size):
-        out[i] = reflectance_scalar(mu0[i], mu[i], cos_phase[i], surface)
+def _reflectance_flat(cosines: FloatArray, surface: HapkeParameters) -> FloatArray:
+    out = np.empty(cosines.shape[1])
+    for i in range(out.size):
+        out[i] = reflectance_scalar(cosines[0, i], cosines[1, i], cosines[2, i], surface)
     return out
+
+
+def broadcast_cosines(mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> FloatArray:
+    """(3, ...) cosines of incidence, emission and phase, broadcast against each other."""
+    return np.stack(np.broadcast_arrays(mu0, mu, cos_phase)).astype(np.float64)
 
 
 def reflectance(
@@ -165,13 +168,5 @@ def reflectance(
     surface             Hapke's parameters
     Returns the broadcast shape; zero where mu0 <= 0 or mu <= 0.
     """
-    a, b, c = np.broadcast_arrays(
-        np.asarray(mu0, np.float64), np.asarray(mu, np.float64), np.asarray(cos_phase, np.float64)
-    )
-    flat = _reflectance_flat(
-        np.ascontiguousarray(a).ravel(),
-        np.ascontiguousarray(b).ravel(),
-        np.ascontiguousarray(c).ravel(),
-        surface,
-    )
-    return flat.reshape(a.shape)
+    cosines = broadcast_cosines(mu0, mu, cos_phase)
+    return _reflectance_flat(cosines.reshape(3, -1), surface).reshape(cosines.shape[1:])

@@ -1,19 +1,140 @@
-"""The brightness laws by name."""
+"""The simple brightness laws, and all laws by name and by number.
 
+Lambert: equally bright from everywhere. Lommel-Seeliger: single scattering in a dark, smooth layer,
+without a phase function; the law of the on-board reference. Lunar-Lambert (A. S. McEwen, Icarus 92
+(1991) 298): Lommel-Seeliger near full Moon, more Lambert-like as phase grows; the Moon's
+coefficients of L are those of the USGS program ISIS (class LunarLambertMcEwen, written by McEwen):
+L = 1 - 0.019 g + 0.242e-3 g^2 - 1.46e-6 g^3 with g in degrees.
+"""
+
+import math
 from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
 from catalog.errors import ConfigError
-from catalog.photometry import hapke, lambert, lommel_seeliger, lunar_lambert
+from catalog.geometry.kernel import kernel
+from catalog.photometry import hapke
+from catalog.photometry.hapke import HapkeParameters, broadcast_cosines
+
+NORMAL_ALBEDO = 0.12  # the Moon's geometric albedo in V (Allen's Astrophysical Quantities, 4th ed.)
+HAPKE, LOMMEL_SEELIGER, LUNAR_LAMBERT, LAMBERT = 0, 1, 2, 3  # numbers of the laws in kernels
 
 Law = Callable[..., FloatArray]
 
+
+class SurfaceLaw(NamedTuple):
+    """A law as kernels take it.
+
+    number   HAPKE, LOMMEL_SEELIGER, LUNAR_LAMBERT or LAMBERT
+    surface  parameters of Hapke's law
+    albedo   normal albedo of the other laws
+    """
+
+    number: int
+    surface: HapkeParameters
+    albedo: float
+
+
+@kernel
+def lambert_scalar(mu0: float, mu: float, albedo: float) -> float:
+    """Radiance factor A mu0, zero when the Sun or the camera is below the surface."""
+    if not (mu0 > 0.0 and mu > 0.0):
+        return 0.0
+    return albedo * mu0
+
+
+@kernel
+def lommel_seeliger_scalar(mu0: float, mu: float, albedo: float) -> float:
+    """Radiance factor 2 A mu0 / (mu0 + mu); A is what vertical light seen from above returns."""
+    if not (mu0 > 0.0 and mu > 0.0):
+        return 0.0
+    return 2.0 * albedo * mu0 / (mu0 + mu)
+
+
+@kernel
+def lunar_weight(cos_phase: float) -> float:
+    """Share L of the Lommel-Seeliger term.
+
+    Beyond 103 deg of phase the cubic is negative, and would make ground that faces the Sun dark;
+    there L is held at 0, pure Lambert (ours).
+    """
+    g = math.degrees(math.acos(min(max(cos_phase, -1.0), 1.0)))
+    return max(1.0 + g * (-0.019 + g * (0.242e-3 - 1.46e-6 * g)), 0.0) if g < 110.0 else 0.0
+
+
+@kernel
+def lunar_lambert_scalar(mu0: float, mu: float, cos_phase: float, albedo: float) -> float:
+    """Radiance factor A (2 L mu0 / (mu0 + mu) + (1 - L) mu0)."""
+    if mu0 <= 0.0 or mu <= 0.0:
+        return 0.0
+    weight = lunar_weight(cos_phase)
+    return albedo * (2.0 * weight * mu0 / (mu0 + mu) + (1.0 - weight) * mu0)
+
+
+@kernel
+def reflectance_by_law(mu0: float, mu: float, cos_phase: float, law: SurfaceLaw) -> float:
+    """Radiance factor of one geometry by a law's number."""
+    if law.number == HAPKE:
+        return hapke.reflectance_scalar(mu0, mu, cos_phase, law.surface)
+    if law.number == LOMMEL_SEELIGER:
+        return lommel_seeliger_scalar(mu0, mu, law.albedo)
+    if law.number == LUNAR_LAMBERT:
+        return lunar_lambert_scalar(mu0, mu, cos_phase, law.albedo)
+    return lambert_scalar(mu0, mu, law.albedo)
+
+
+@kernel
+def _reflectance_flat(cosines: FloatArray, law: SurfaceLaw) -> FloatArray:
+    out = np.empty(cosines.shape[1])
+    for i in range(out.size):
+        out[i] = reflectance_by_law(cosines[0, i], cosines[1, i], cosines[2, i], law)
+    return out
+
+
+def _reflectance(
+    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, number: int, albedo: float
+) -> FloatArray:
+    cosines = broadcast_cosines(mu0, mu, cos_phase)
+    law = SurfaceLaw(number, hapke.LUNAR, float(albedo))
+    return _reflectance_flat(cosines.reshape(3, -1), law).reshape(cosines.shape[1:])
+
+
+def lambert(
+    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = NORMAL_ALBEDO
+) -> FloatArray:
+    """Radiance factor by Lambert's law; zero where mu0 <= 0 or mu <= 0.
+
+    mu0, mu, cos_phase  cosines of incidence, emission and phase; shapes broadcast
+    albedo              normal albedo
+    """
+    return _reflectance(mu0, mu, cos_phase, LAMBERT, albedo)
+
+
+def lommel_seeliger(
+    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = NORMAL_ALBEDO
+) -> FloatArray:
+    """Radiance factor by the Lommel-Seeliger law; the arguments are those of `lambert`."""
+    return _reflectance(mu0, mu, cos_phase, LOMMEL_SEELIGER, albedo)
+
+
+def lunar_lambert(
+    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = NORMAL_ALBEDO
+) -> FloatArray:
+    """Radiance factor by McEwen's lunar-Lambert law; the arguments are those of `lambert`."""
+    return _reflectance(mu0, mu, cos_phase, LUNAR_LAMBERT, albedo)
+
+
 LAWS: dict[str, Law] = {
     "hapke": hapke.reflectance,
-    "lommel_seeliger": lommel_seeliger.reflectance,
-    "lunar_lambert": lunar_lambert.reflectance,
-    "lambert": lambert.reflectance,
+    "lommel_seeliger": lommel_seeliger,
+    "lunar_lambert": lunar_lambert,
+    "lambert": lambert,
 }
+LAW_NUMBERS = {name: number for number, name in enumerate(LAWS)}
 
 
 def law_by_name(name: str) -> Law:

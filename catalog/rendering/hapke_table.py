@@ -14,7 +14,7 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
-from catalog.rendering.shading import darken, row_normals
+from catalog.rendering.shading import MapGrid, darken, row_normals
 
 TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated
 TABLE_SIZE = 129
@@ -77,7 +77,7 @@ def _fill(
     cos_g: float,
     surface: HapkeParameters,
 ) -> None:
-    """Compute the four elements from [i, j] on that are not known yet."""
+    """Compute those of the four elements from [i, j] on that are still NaN."""
     step = 2.0 * TABLE_SLOPE / (table.shape[0] - 1)
     for row in range(i, i + 2):
         for col in range(j, j + 2):
@@ -88,20 +88,19 @@ def _fill(
 
 @kernel
 def shade_hapke(
-    heights: Float32Array,
-    posting: float,
-    radius: float,
+    grid: MapGrid,
     sun: FloatArray,
     view: FloatArray,
     surface: HapkeParameters,
     lit: BoolArray,
     table: FloatArray,
 ) -> Float32Array:
-    """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit.
+    """Radiance factor (n, n) of every node seen from the same direction `view` (3,) unit.
 
+    lit    (n, n), or (0, 0) when all nodes are lit
     table  of this Sun, view and surface, see `slope_table`; what is needed is filled in
     """
-    size = heights.shape[0]
+    size = grid.heights.shape[0]
     out = np.zeros((size, size), np.float32)
     normals = np.empty((3, size))
     nx, ny, nz = normals[0], normals[1], normals[2]
@@ -112,7 +111,7 @@ def shade_hapke(
     per_step = steps / (2.0 * TABLE_SLOPE)
     geometric, x, y = np.empty(size), np.empty(size), np.empty(size)
     for row in range(size):
-        row_normals(heights, row, posting, radius, normals)
+        row_normals(grid, row, normals)
         line = out[row]
         # apart from the table, so that it is compiled to vector instructions
         for c in range(size):
@@ -137,5 +136,5 @@ def shade_hapke(
                 mu = nx[c] * vx + ny[c] * vy + nz[c] * vz
                 length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
                 line[c] = reflectance_scalar(mu0 / length, mu / length, cos_g, surface)
-        darken(heights, lit, row, line)
+        darken(grid.heights, lit, row, line)
     return out

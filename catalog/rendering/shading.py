@@ -7,15 +7,26 @@ more than the flat formula. To first order it is the flat normal with the gradie
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-from catalog.photometry import hapke, lambert, lommel_seeliger, lunar_lambert
-from catalog.photometry.hapke import HapkeParameters
+from catalog.photometry.laws import SurfaceLaw, reflectance_by_law
 
-HAPKE, LOMMEL_SEELIGER, LUNAR_LAMBERT, LAMBERT = 0, 1, 2, 3
+
+class MapGrid(NamedTuple):
+    """The heights of a map grid as kernels take them.
+
+    heights  (n, n) float32  m above the reference sphere, NaN for no data; row 0 north
+    posting  m between nodes
+    radius   m, of the reference sphere
+    """
+
+    heights: Float32Array
+    posting: float
+    radius: float
 
 
 @kernel
@@ -65,15 +76,14 @@ def _row_slopes(
 
 
 @kernel
-def row_normals(
-    heights: Float32Array, row: int, posting: float, radius: float, normals: FloatArray
-) -> None:
+def row_normals(grid: MapGrid, row: int, normals: FloatArray) -> None:
     """Fill normals (3, n) with a row's outward normals (any length; east, north, up at the centre).
 
     Times (1 + q), with u = x/2R, v = y/2R, q = u^2 + v^2: the local up is (2u, 2v, 1 - q), map east
     (1 - u^2 + v^2, -2uv, -2u), map north (-2uv, 1 + u^2 - v^2, -2v). A metre of map is 1 / (1 + q)
     metres on the sphere and (R + h) / R times as much at the ground.
     """
+    heights, posting, radius = grid
     size = heights.shape[0]
     nx, ny, nz = normals[0], normals[1], normals[2]
     _row_slopes(heights, row, posting, nx, ny)
@@ -93,20 +103,6 @@ def row_normals(
 
 
 @kernel
-def brightness(
-    law: int, mu0: float, mu: float, cos_g: float, surface: HapkeParameters, albedo: float
-) -> float:
-    """Radiance factor by a law's number."""
-    if law == HAPKE:
-        return hapke.reflectance_scalar(mu0, mu, cos_g, surface)
-    if law == LOMMEL_SEELIGER:
-        return lommel_seeliger.reflectance_scalar(mu0, mu, albedo)
-    if law == LUNAR_LAMBERT:
-        return lunar_lambert.reflectance_scalar(mu0, mu, cos_g, albedo)
-    return lambert.reflectance_scalar(mu0, mu, albedo)
-
-
-@kernel
 def darken(heights: Float32Array, lit: BoolArray, row: int, line: Float32Array) -> None:
     """Put the row's shadows and holes into its brightness."""
     here = heights[row]
@@ -120,21 +116,15 @@ def darken(heights: Float32Array, lit: BoolArray, row: int, line: Float32Array) 
 
 @kernel
 def shade_two_terms(
-    heights: Float32Array,
-    posting: float,
-    radius: float,
-    sun: FloatArray,
-    view: FloatArray,
-    weight: float,
-    albedo: float,
-    lit: BoolArray,
+    grid: MapGrid, sun: FloatArray, view: FloatArray, weight: float, albedo: float, lit: BoolArray
 ) -> Float32Array:
-    """Every node seen from the same direction `view` (3,) unit; `lit` may be (0, 0): all lit.
+    """Radiance factor (n, n) of every node seen from the same direction `view` (3,) unit.
 
+    lit     (n, n), or (0, 0) when all nodes are lit
     weight  share of the Lommel-Seeliger term, the rest is Lambert's: all three simple laws are so,
             for one Sun and one view
     """
-    size = heights.shape[0]
+    size = grid.heights.shape[0]
     out = np.empty((size, size), np.float32)
     normals = np.empty((3, size))
     nx, ny, nz = normals[0], normals[1], normals[2]
@@ -142,7 +132,7 @@ def shade_two_terms(
     vx, vy, vz = view[0], view[1], view[2]
     ratio, plain = 2.0 * albedo * weight, albedo * (1.0 - weight)
     for row in range(size):
-        row_normals(heights, row, posting, radius, normals)
+        row_normals(grid, row, normals)
         line = out[row]
         for c in range(size):
             mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz
@@ -150,30 +140,22 @@ def shade_two_terms(
             length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
             value = mu0 * (ratio / (mu0 + mu) + plain / length)
             line[c] = value if (mu0 > 0.0) & (mu > 0.0) else 0.0
-        darken(heights, lit, row, line)
+        darken(grid.heights, lit, row, line)
     return out
 
 
 @kernel
 def shade_fixed(
-    heights: Float32Array,
-    posting: float,
-    radius: float,
-    sun: FloatArray,
-    view: FloatArray,
-    law: int,
-    surface: HapkeParameters,
-    albedo: float,
-    lit: BoolArray,
+    grid: MapGrid, sun: FloatArray, view: FloatArray, law: SurfaceLaw, lit: BoolArray
 ) -> Float32Array:
     """As `shade_two_terms`, by any law, each node evaluated."""
-    size = heights.shape[0]
+    size = grid.heights.shape[0]
     out = np.zeros((size, size), np.float32)
     normals = np.empty((3, size))
     nx, ny, nz = normals[0], normals[1], normals[2]
     cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
     for row in range(size):
-        row_normals(heights, row, posting, radius, normals)
+        row_normals(grid, row, normals)
         line = out[row]
         for c in range(size):
             if lit.shape[0] > 0 and not lit[row, c]:
@@ -181,31 +163,24 @@ def shade_fixed(
             length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
             mu0 = (nx[c] * sun[0] + ny[c] * sun[1] + nz[c] * sun[2]) / length
             mu = (nx[c] * view[0] + ny[c] * view[1] + nz[c] * view[2]) / length
-            line[c] = brightness(law, mu0, mu, cos_g, surface, albedo)
-        darken(heights, lit, row, line)
+            line[c] = reflectance_by_law(mu0, mu, cos_g, law)
+        darken(grid.heights, lit, row, line)
     return out
 
 
 @kernel
 def shade_from_camera(
-    heights: Float32Array,
-    posting: float,
-    radius: float,
-    sun: FloatArray,
-    camera: FloatArray,
-    law: int,
-    surface: HapkeParameters,
-    albedo: float,
-    lit: BoolArray,
+    grid: MapGrid, sun: FloatArray, camera: FloatArray, law: SurfaceLaw, lit: BoolArray
 ) -> Float32Array:
-    """Every node seen from a place: `camera` (3,) m from the centre's foot on the sphere."""
+    """The same for a near camera: `camera` (3,) m from the centre's foot on the sphere."""
+    heights, posting, radius = grid
     size = heights.shape[0]
     out = np.zeros((size, size), np.float32)
     normals = np.empty((3, size))
     nx, ny, nz = normals[0], normals[1], normals[2]
     middle = (size - 1) / 2.0
     for row in range(size):
-        row_normals(heights, row, posting, radius, normals)
+        row_normals(grid, row, normals)
         v = (middle - row) * posting / (2.0 * radius)
         for c in range(size):
             h = heights[row, c]
@@ -222,6 +197,6 @@ def shade_from_camera(
             mu0 = (nx[c] * sun[0] + ny[c] * sun[1] + nz[c] * sun[2]) / length
             mu = (nx[c] * vx + ny[c] * vy + nz[c] * vz) / (length * distance)
             cos_g = (sun[0] * vx + sun[1] * vy + sun[2] * vz) / distance
-            out[row, c] = brightness(law, mu0, mu, cos_g, surface, albedo)
+            out[row, c] = reflectance_by_law(mu0, mu, cos_g, law)
         darken(heights, lit, row, out[row])
     return out

@@ -28,6 +28,23 @@ NO_FIELD: FloatArray = np.empty((0, 0))
 NO_MASK: BoolArray = np.empty((0, 0), dtype=np.bool_)
 
 
+class _Sweep(NamedTuple):
+    """How grids are swept under a Sun.
+
+    swap    rows and columns change places: the sweep follows the columns
+    flip_t  rows are swept against their order
+    flip_c  lines run to lower columns
+    shear   columns that a line moves a row, 0..1
+    climb   climb of a ray to the Sun a metre along the rows' order
+    """
+
+    swap: bool
+    flip_t: bool
+    flip_c: bool
+    shear: float
+    climb: float
+
+
 @kernel
 def _sample_field(field: FloatArray, t: float, c: float) -> float:
     """Shadow height between the nodes of a coarser field; NOTHING outside it."""
@@ -65,10 +82,7 @@ def _sweep(
     heights: Float32Array,
     posting: float,
     radius: float,
-    flip_t: bool,
-    flip_c: bool,
-    shear: float,
-    climb: float,
+    sweep: _Sweep,
     outer: FloatArray,
     ratio: float,
     field: FloatArray,
@@ -76,16 +90,14 @@ def _sweep(
 ) -> None:
     """Sweep a grid away from the Sun, row by row.
 
-    heights  (n, n)  rows are swept in their order, or against it (flip_t); lines run to higher
-             columns, or to lower ones (flip_c)
-    shear    columns that a line moves a row, 0..1
-    climb    climb of a ray to the Sun a metre along the rows' order
+    heights  (n, n)  transposed where the sweep swaps rows and columns
     outer    (m, m)  field of a coarser grid about the same centre, or (0, 0)
     ratio    this grid's posting in postings of the coarser one
     field    (n, n) or (0, 0)  receives the height that ground must pass to see the Sun, in the
              order of the sweep
     lit      (n, n) or (0, 0)  receives whether the node's ground does, in the order of `heights`
     """
+    _, flip_t, flip_c, shear, climb = sweep
     size = heights.shape[0]
     want_field, want_lit, has_outer = field.shape[0] > 0, lit.shape[0] > 0, outer.shape[0] > 0
     middle = (size - 1) / 2.0
@@ -147,16 +159,6 @@ class ShadowField(NamedTuple):
 
 
 Outer = Sequence[tuple[Float32Array, float]] | ShadowField
-
-
-class _Sweep(NamedTuple):
-    """How grids are swept under a Sun; see `_sweep`. swap: columns stand for rows."""
-
-    swap: bool
-    flip_t: bool
-    flip_c: bool
-    shear: float
-    climb: float
 
 
 def lit_mask(
@@ -254,11 +256,8 @@ def _swept(
     field: FloatArray,
     lit: BoolArray,
 ) -> None:
-    _sweep(
-        _rows_along(grid, sweep.swap), float(posting_m), float(radius_m), sweep.flip_t,
-        sweep.flip_c, sweep.shear, sweep.climb, outer.heights, posting_m / outer.posting_m, field,
-        lit,
-    )  # fmt: skip
+    heights, ratio = _rows_along(grid, sweep.swap), posting_m / outer.posting_m
+    _sweep(heights, float(posting_m), float(radius_m), sweep, outer.heights, ratio, field, lit)
 
 
 def _refuse_shape(grid: Float32Array, what: str) -> None:

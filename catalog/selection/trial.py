@@ -17,7 +17,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.correlation.masked import thinned, thinning
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import match_similarity
-from catalog.rendering.map_view import render_map
+from catalog.rendering.map_view import render_map, render_map_quickly
 from catalog.rendering.shadow import shadow_field
 from catalog.selection.trial_picture import FINER, picture_of, side_under
 
@@ -195,14 +195,12 @@ def run_trial(
         offset = FINER * _FLIP @ offset
         truth_from_picture = FINER * _FLIP @ ground_from_picture @ believed @ _FLIP
         side = side_under(truth_from_picture, offset, window, level.truth.shape[0])
-        seen = render_map(
+        seen = render_map_quickly(
             _centre(level.truth, side),
             level.posting_m / FINER,
             sun,
             view_local=circumstances.view_local,
-            law="hapke",
             radius_m=radius_m,
-            quick=True,
             outer=around,
         )
         picture = picture_of(

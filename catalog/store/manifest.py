@@ -13,7 +13,6 @@ from typing import Any
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
 from catalog.geometry.tangent_plane import FLAT_RADIUS_M, MapProjection
-from catalog.store.seal import OPEN_SEAL, SEAL
 
 FORMAT = "optnav catalog"
 FORMAT_VERSION = 3  # that this program reads up to
@@ -26,6 +25,9 @@ PLANES = (
     "heights along its normal, which goes through the point"
 )
 CHECKSUM = "checksum"
+SEAL = "seal"  # of all bytes of the file, see `catalog.store.connection`
+COUNTER_DIGITS, HASH_DIGITS = 8, 64
+OPEN_SEAL = "0" * COUNTER_DIGITS + ":" + "0" * HASH_DIGITS
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class CatalogMeta:
     count, usable, digest  filled in by the writer
     relief         of the whole body; None without one
     planes         where patches lie in tangent planes; None on the sphere
-    seal           of the file that it was read from (see `catalog.store.seal`); "" for none
+    seal           of the file that it was read from (see `catalog.store.connection`); "" for none
     """
 
     body: str

@@ -16,11 +16,10 @@ from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
 from catalog.store.connection import connect, read_meta
-from catalog.store.features import record_from_row
 from catalog.store.index import CellIndex
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import StoredPatch, patch_from_row, stored_patch_from_row
-from catalog.store.records import Record, checksum, point_from_record, record_type
+from catalog.store.records import Record, checksum, point_from_record, record_from_row, record_type
 from catalog.store.relief import read_relief
 from catalog.store.schema import (
     HEIGHT_LAYER,
@@ -239,7 +238,8 @@ class Catalog:
         # chords keep their digits at small angles, where cosines do not
         chord = np.linalg.norm(self.direction - centre, axis=1)
         limit = 2.0 * math.sin(math.radians(min(max(radius_deg, 0.0), 180.0)) / 2.0)
-        return np.asarray(self.ids[chord <= limit])
+        near: IntArray = self.ids[chord <= limit]
+        return near
 
     def patches(self, point_id: int) -> tuple[Patch, ...]:
         """The height grids of a point, finest first; empty for a point kept without any.

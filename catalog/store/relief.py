@@ -54,7 +54,7 @@ class PreparedRelief:
     rows: tuple[ReliefRow, ...]
 
 
-class Place(NamedTuple):
+class TilePlace(NamedTuple):
     """Where a tile lies: its layer, and its row and column among the tiles."""
 
     layer: int
@@ -126,12 +126,12 @@ def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | Non
     return GlobalRelief(means, max_heights, meta.radius_m, meta.relief.source)
 
 
-def tile_places(meta: ReliefMeta) -> list[Place]:
+def tile_places(meta: ReliefMeta) -> list[TilePlace]:
     """All tiles of a relief in the order of their keys."""
     return [*_places(meta.rows, MEANS), *_places(meta.rows, TOPS)]
 
 
-def read_tile(db: sqlite3.Connection, place: Place) -> Tile:
+def read_tile(db: sqlite3.Connection, place: TilePlace) -> Tile:
     """A tile as it is stored. Raises DataError unless it is there and its checksum fits."""
     try:
         row = db.execute(SELECT_TILE, (place.key,)).fetchone()
@@ -162,7 +162,7 @@ def add_tile(digest: "hashlib._Hash", header: bytes, counts: Int16Array) -> None
     digest.update(np.ascontiguousarray(counts, dtype="<i2").data)
 
 
-def _tile_from_row(row: Sequence[object], place: Place) -> Tile:
+def _tile_from_row(row: Sequence[object], place: TilePlace) -> Tile:
     key, layer, tile_row, tile_col, size, step, offset, stored, data = row
     if (
         (key, layer, tile_row, tile_col) != (place.key, *place)
@@ -180,7 +180,7 @@ def _tile_from_row(row: Sequence[object], place: Place) -> Tile:
     return Tile(encoded, header)
 
 
-def _header(place: Place, encoded: Encoded) -> bytes:
+def _header(place: TilePlace, encoded: Encoded) -> bytes:
     return _HEADER.pack(*place, encoded.size, encoded.step, encoded.offset)
 
 
@@ -188,14 +188,14 @@ def _tile_size(number: int) -> int:
     return min(TILE, number)
 
 
-def _places(number: int, layer: int) -> Iterator[Place]:
+def _places(number: int, layer: int) -> Iterator[TilePlace]:
     size = _tile_size(number)
     for row in range(-(-number // size)):
         for col in range(-(-2 * number // size)):
-            yield Place(layer, row, col)
+            yield TilePlace(layer, row, col)
 
 
-def _encoded(grid: Float32Array, place: Place, step: float) -> tuple[Encoded, Int16Array]:
+def _encoded(grid: Float32Array, place: TilePlace, step: float) -> tuple[Encoded, Int16Array]:
     size = _tile_size(grid.shape[0])
     part = grid[
         place.row * size : (place.row + 1) * size, place.col * size : (place.col + 1) * size

@@ -9,12 +9,11 @@ from pathlib import Path
 from catalog.arrays import RecordArray
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
-from catalog.store.connection import connect, live_log, read_meta
-from catalog.store.digest import CatalogDigest, patches_digest, point_digest
-from catalog.store.features import record_from_row
+from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
 from catalog.store.manifest import CatalogMeta
-from catalog.store.patches import content_from_row
+from catalog.store.patches import CatalogDigest, content_from_row, patches_digest, point_digest
 from catalog.store.reader import SELECT_PATCHES, read_records
+from catalog.store.records import record_from_row
 from catalog.store.relief import relief_digest, tile_places
 from catalog.store.schema import (
     APPLICATION_ID,
@@ -28,7 +27,6 @@ from catalog.store.schema import (
     service_rows,
     srs_of,
 )
-from catalog.store.seal import SealState, seal_state
 
 # an R-tree keeps float32 corners, rounded outward
 RTREE_TOLERANCE_DEG = 4e-5

@@ -12,15 +12,14 @@ import numpy as np
 from catalog.control_point import ControlPoint
 from catalog.files import replacing_file
 from catalog.geometry.cells import CellGrid
-from catalog.store.connection import SIDECARS, is_catalog_file
-from catalog.store.digest import CatalogDigest, point_digest
-from catalog.store.features import feature_row
+from catalog.store.connection import SIDECARS, is_catalog_file, put_seal
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import RELIEF_VERSION, CatalogMeta, rows_from_meta
-from catalog.store.patches import PreparedPoint
+from catalog.store.patches import CatalogDigest, PreparedPoint, point_digest
 from catalog.store.records import (
     Record,
     checksum,
+    feature_row,
     point_from_record,
     record_from_point,
     record_type,
@@ -41,7 +40,6 @@ from catalog.store.schema import (
     insert_service_rows,
     srs_of,
 )
-from catalog.store.seal import put_seal
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
-"""`optnav build`: a control-point catalog from terrain models, all stages."""
+"""`optnav build`: a catalog from terrain models; each of its stages alone is a command, too."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,10 +17,15 @@ from optnav_cli.options import (
     workers_option,
 )
 
+if TYPE_CHECKING:
+    from catalog.build.build import BuildReport
 
-@click.command(short_help="Build a control-point catalog from terrain models.")
+CATALOG_HELP = "The catalog file (GeoPackage); an earlier catalog is replaced."
+
+
+@click.command("build", short_help="Build a control-point catalog from terrain models.")
 @path_argument("config")
-@output_option("The catalog file (GeoPackage); an earlier catalog is replaced.")
+@output_option(CATALOG_HELP)
 @work_option(required=False)
 @workers_option
 @scheduler_option
@@ -30,7 +37,7 @@ from optnav_cli.options import (
     help="Compare the new catalog with this one; exit code 5 if its content differs.",
 )
 @pass_progress
-def command(
+def build(
     progress: ConsoleProgress,
     config: Path,
     output: Path,
@@ -61,17 +68,100 @@ def command(
     """
     from catalog.build.build import run
     from optnav_cli.commands.catalog import compare_and_tell, require_reference
-    from optnav_cli.output.wording import account_lines
 
     announce_compilation()
     if check is not None:
         require_reference(check, output)  # before hours of work
     report = run(
-        config, work, output=output, workers=workers, scheduler=scheduler, bbox=bbox,
+        config,
+        work,
+        output=output,
+        workers=workers,
+        scheduler=scheduler,
+        bbox=bbox,
         progress=progress,
-    )  # fmt: skip
-    tell(account_lines(report.account))
-    click.echo(f"{output}: {report.points} control points, {report.usable} usable")
-    click.echo(f"digest: {report.digest}")
+    )
+    _tell_catalog(output, report)
     if check is not None:
         compare_and_tell(check, output, progress)
+
+
+def _stage(
+    name: str, text: str, *, on_workers: bool = False, writes: bool = False
+) -> click.Command:
+    """The command of one stage, with the options that all of them take.
+
+    on_workers  whether a cluster can do it;  writes  whether its result is the catalog
+    """
+
+    def call(
+        progress: ConsoleProgress,
+        /,
+        config: Path,
+        work: Path,
+        workers: int | None,
+        bbox: BoundingBox | None,
+        scheduler: str | None = None,
+        output: Path | None = None,
+    ) -> None:
+        from catalog.build.build import run
+
+        announce_compilation()
+        report = run(
+            config,
+            work,
+            stages=(name,),
+            output=output,
+            workers=workers,
+            scheduler=scheduler,
+            bbox=bbox,
+            progress=progress,
+        )
+        if output is None:
+            _tell_account(report)
+            click.echo(f"{work}: {name} is done for {report.account.cells} cells")
+        else:
+            _tell_catalog(output, report)
+
+    options = [path_argument("config")]
+    options += [output_option(CATALOG_HELP)] if writes else []
+    options += [work_option(required=True), workers_option]
+    options += [scheduler_option] if on_workers else []
+    command: Callable[..., None] = pass_progress(call)
+    for option in reversed([*options, bbox_option]):
+        command = option(command)
+    example = f"optnav {name} moon.toml --work moon.work{' -o moon.gpkg' if writes else ''}"
+    return click.command(
+        name,
+        help=f"{text}\n\nThe stage works on what the stages before it left in the workspace; give "
+        f"it the same CONFIG and --bbox as these.\n\n\b\nExample:\n  {example}",
+    )(command)
+
+
+def _tell_account(report: "BuildReport") -> None:
+    from optnav_cli.output.wording import account_lines
+
+    tell(account_lines(report.account))
+
+
+def _tell_catalog(output: Path, report: "BuildReport") -> None:
+    _tell_account(report)
+    click.echo(f"{output}: {report.points} control points, {report.usable} usable")
+    click.echo(f"digest: {report.digest}")
+
+
+ingest = _stage(
+    "ingest", "Read the terrain models that CONFIG names, average them and find their cells."
+)
+render = _stage(
+    "render",
+    "Shortlist points in each cell and render them under all Suns.",
+    on_workers=True,
+)
+select = _stage("select", "Choose among each cell's shortlist the points to check.")
+check = _stage(
+    "check",
+    "Check the chosen points: uniqueness, foreign shadows, recognition trials.",
+    on_workers=True,
+)
+write = _stage("write", "Write the catalog file.", on_workers=True, writes=True)

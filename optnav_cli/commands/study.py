@@ -1,35 +1,19 @@
-"""`optnav study`: the experiments behind the figures, each a file study_NAME.py beside this one."""
+"""`optnav study`: the experiments behind the figures, a command each from the studies' registry."""
 
-import ast
-from collections.abc import Mapping
-from functools import cache
+import inspect
 from pathlib import Path
+from typing import Any
 
 import click
 
-from optnav_cli.options import Entry, LazyGroup
-
-PREFIX = "study_"
-
-
-@cache
-def studies() -> Mapping[str, Entry]:
-    """The studies that are there; the first line of a file's docstring is its short help.
-
-    The files are parsed, not imported: listing them must not load what they compute with.
-    """
-    found = {}
-    for path in sorted(Path(__file__).parent.glob(f"{PREFIX}*.py")):
-        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or path.stem
-        name = path.stem.removeprefix(PREFIX).replace("_", "-")
-        line = text.splitlines()[0].rpartition("`: ")[2]
-        found[name] = Entry(f"optnav_cli.commands.{path.stem}", line[:1].upper() + line[1:])
-    return found
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.options import LazyGroup
+from optnav_cli.studies.registry import STUDIES, Study
 
 
-@click.group(cls=LazyGroup, table=studies)
+@click.group(cls=LazyGroup)
 def command() -> None:
-    """Run one of the experiments behind the figures of the README.
+    """Run one of the experiments behind the figures of the documents.
 
     Studies repeat trials with fixed seeds and take minutes to hours.
 
@@ -37,3 +21,50 @@ def command() -> None:
     Example:
       optnav study resection
     """
+
+
+def _command(study: Study) -> click.Command:
+    """The command of one study: its own options, and what all of them have."""
+
+    @pass_progress
+    def call(
+        progress: ConsoleProgress,
+        /,
+        json_file: Path | None,
+        plot: Path | None = None,
+        **options: Any,
+    ) -> None:
+        if study.compiles:
+            announce_compilation()
+        result = study.function("run")(progress=progress, **options)
+        report = study.function("report")(result)
+        click.echo(report.to_text(), err=bool(study.prints))
+        if study.prints:
+            click.echo(study.function(study.prints)(result))
+        if plot is not None:
+            from optnav_cli.report.sheet import write_sheet
+
+            write_sheet(study.function("picture")(result), plot)
+        if json_file is not None:
+            report.signed(study.name, options).write(json_file)
+
+    parameters = [*study.options]
+    if study.draws:
+        parameters.append(_file("Draw the curves into this file (SVG).", "-o", "--output", "plot"))
+    parameters.append(_file("Also write the tables into this file (JSON).", "--json", "json_file"))
+    return click.Command(
+        study.name,
+        callback=call,
+        params=parameters,
+        short_help=study.question,
+        help=f"{inspect.cleandoc(study.text)}\n\n\b\nExample:\n"
+        f"  optnav study {study.name} {study.example}".rstrip(),
+    )
+
+
+def _file(text: str, *names: str) -> click.Option:
+    return click.Option(names, type=click.Path(path_type=Path), help=text)
+
+
+for _study in STUDIES:
+    command.add_command(_command(_study))

@@ -13,6 +13,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
+from optnav_cli.matching.search_plan import NO_DISTORTION, SearchPlan
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
@@ -28,9 +29,12 @@ CHANCE_NODES_PER_SAMPLE = 6.0
 MARGIN_NODES = 8
 
 
+OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
+
+
 @dataclass(frozen=True)
 class MatchGates:
-    """When a found peak is believed.
+    """When a correlation peak is accepted.
 
     min_score       correlation at the peak
     rival_ratio     the best rival's score over the peak's must stay below it
@@ -40,18 +44,6 @@ class MatchGates:
     min_score: float = 0.5
     rival_ratio: float = 0.9
     min_strength: float = 0.0
-
-
-@dataclass(frozen=True)
-class Distortion:
-    """Rolls (rad) and scales that the picture may have against the reference."""
-
-    rolls: tuple[float, ...] = (0.0,)
-    scales: tuple[float, ...] = (1.0,)
-
-
-NO_DISTORTION = Distortion()
-OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,55 +84,49 @@ class PointMatch:
 
 def match_point(
     reference: Reference,
-    level: int,
-    template_nodes: int,
-    search_nodes: int,
+    plan: SearchPlan,
     picture: PicturePyramid,
     camera: Camera,
     pose: Pose,
     sun_body: FloatArray,
-    metres_per_pixel: float,
     matcher: Matcher,
     gates: MatchGates,
-    distortion: Distortion = NO_DISTORTION,
-    blur_nodes: float = 0.0,
 ) -> PointMatch:
-    """Search a control point within `search_nodes` of where the pose expects it.
+    """Search a control point about where the pose expects it.
 
-    template_nodes  side of the reference; search_nodes  room on every side, nodes of the level
-    distortion      rolls and scales to try, where the pose may be off by so much that it shows
-    blur_nodes      sigma of a blur on both sides, where patches are finer than what is known
+    sun_body (3,) unit vector, body frame
     """
+    level, search_nodes, blur_nodes = plan.level, plan.search_nodes, plan.blur_nodes
     if blur_nodes:
         margin = int(np.ceil(MARGIN_NODES * thinning(blur_nodes)))
         search_nodes = max(search_nodes, int(np.ceil(MIN_ROOM * thinning(blur_nodes))))
     else:
         margin = MARGIN_NODES
     posting = reference.patches[level].posting_m
-    template = reference.render(level, template_nodes + 2 * margin, sun_body, pose.position_m)
+    template = reference.render(level, plan.template_nodes + 2 * margin, sun_body, pose.position_m)
     refusal = _rejection_of_template(cropped(template, margin) if blur_nodes else template)
     if refusal:
         return PointMatch(level, None, None, None, None, None, refusal)
     border = search_nodes + margin
-    size = template_nodes + 2 * border
+    size = plan.template_nodes + 2 * border
     surface = reference.surface(level, size)
     turn = pose.camera_from_body.as_matrix()
     pixels = camera.project_from_body(surface, pose.position_m, turn)
-    window = picture.sample(pixels, posting / metres_per_pixel)
+    window = picture.sample(pixels, posting / plan.metres_per_pixel)
     shown = np.isfinite(cropped(window, border))
     if shown.mean() < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
         return PointMatch(level, None, None, None, None, None, OUTSIDE)
     step = thinning(blur_nodes)
     if blur_nodes:
-        even = template_nodes % 2 == 0
+        even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
         # what the frame cuts is told from what is there only by correlation with holes
         matcher = match_masked if matcher is match_ncc else matcher
-    if distortion == NO_DISTORTION:
+    if plan.distortion == NO_DISTORTION:
         match = matcher(template, window, MARGIN_NODES)
     else:
         match = match_similarity(
-            template, window, distortion.rolls, distortion.scales, matcher, MARGIN_NODES
+            template, window, plan.distortion.rolls, plan.distortion.scales, matcher, MARGIN_NODES
         ).match
     samples = 0.0
     if blur_nodes:
@@ -148,7 +134,7 @@ def match_point(
         match = match._replace(
             dx=match.dx * step, dy=match.dy * step, covariance=match.covariance * step**2
         )
-    shift, jacobian = _displacement(pixels, match, template_nodes)
+    shift, jacobian = _displacement(pixels, match, plan.template_nodes)
     expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, turn)
     place = expected + shift
     part = None
@@ -229,7 +215,8 @@ def _displacement(
 
     def mean(down: int, right: int) -> FloatArray:
         block = planes[:, down : down + template_nodes, right : right + template_nodes]
-        return np.asarray(average(block, axis=(1, 2)))
+        middle: FloatArray = average(block, axis=(1, 2))
+        return middle
 
     here = (1 - v) * ((1 - u) * mean(r, c) + u * mean(r, c + 1))
     here = here + v * ((1 - u) * mean(r + 1, c) + u * mean(r + 1, c + 1))

@@ -7,14 +7,15 @@ from pathlib import Path
 from catalog.files import check_folder, hash_file, replacing_folder
 from catalog.progress import Progress
 from optnav_cli.output.manifest import write_manifest
-from optnav_cli.simulation.run import scenario_copy, simulate
-from optnav_cli.simulation.scenario import AnyScenario, load_scenario
+from optnav_cli.simulation.run import simulate
+from optnav_cli.simulation.scenario import load_scenario, scenario_copy
+from optnav_cli.simulation.scenario_base import ScenarioBase
 
 KIND = "pictures"
 
 
 def simulate_folder(
-    scenario: AnyScenario | Path, pictures: Path, progress: Progress, workers: int | None = None
+    scenario: ScenarioBase | Path, pictures: Path, progress: Progress, workers: int | None = None
 ) -> None:
     """Simulate the pictures of a scenario and put the folder in place when it is complete.
 

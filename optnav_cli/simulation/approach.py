@@ -9,8 +9,11 @@ of its field. The Sun's tide between the two, 1e-7 of the planet's, is left out.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Self
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from scipy.integrate import solve_ivp
 
 from catalog.arrays import FloatArray
@@ -19,8 +22,10 @@ from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.shape import Shape, load_shape
-from optnav_cli.simulation.scenario import Approach
-from optnav_cli.simulation.voyage import States, path_frame
+from optnav_cli.simulation.exposure import Epoch
+from optnav_cli.simulation.inertial_path import States, epochs_of, path_frame
+from optnav_cli.simulation.scenario_base import ShapeScenario
+from optnav_cli.simulation.sections import Inclination, Positive
 
 RELATIVE = 1e-12
 TOLERANCE = np.array([1e-3] * 3 + [1e-7] * 3)  # m and m/s: planets are 1e7 m away
@@ -28,6 +33,49 @@ LAYERS = 4  # masses from the centre to each face: the field at two radii is rig
 APART_S = 10.0  # places of the body that its velocity is found from
 MAX_S = 5 * 86400.0
 STEPS = 4000  # times that distances are looked up between: 1e-5 of them
+
+
+class ApproachSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A slow way to the lowest point of a path past a small body; see `approach`.
+
+    from_km, to_km   from the body's centre: the first picture and the last, lowest one
+    speed_m_s        at the lowest point, against the body
+    frames           pictures at distances from the centre in even ratios
+    inclination_deg, node_deg, lowest_at_deg  as in [flight], at the arrival
+    """
+
+    from_km: Positive = 300.0
+    to_km: Positive = 20.0
+    speed_m_s: Positive = 30.0
+    inclination_deg: Inclination = 90.0
+    node_deg: float = 0.0
+    lowest_at_deg: float = 0.0
+    arrival_utc: str = "2026-01-01T00:00:00Z"
+    frames: Annotated[int, Meta(ge=2)] = 60
+
+
+class Approach(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A real path past a small body under the Sun of its date."""
+
+    approach: ApproachSettings
+
+    def check(self) -> None:
+        super().check()
+        from_km, to_km = self.approach.from_km, self.approach.to_km
+        if to_km >= from_km:
+            raise ConfigError(
+                f"[approach] to_km is {to_km:g}, not below from_km {from_km:g}; "
+                "the path comes from far and ends near"
+            )
+
+    def shortened(self, frames: int) -> Self:
+        """The same path in larger steps."""
+        fewer = max(2, min(self.approach.frames, frames))
+        approach = msgspec.structs.replace(self.approach, frames=fewer)
+        return msgspec.structs.replace(self, approach=approach)
+
+    def epochs(self, motion: Ephemeris) -> list[Epoch]:
+        return epochs_of(self, motion, approach_states(self, motion))
 
 
 def approach_states(scenario: Approach, motion: Ephemeris) -> States:
@@ -55,10 +103,10 @@ def approach_states(scenario: Approach, motion: Ephemeris) -> States:
         )
 
     start = np.concatenate([centre + state, centre])
+    span, tolerances = (arrival, arrival - longest), np.tile(TOLERANCE, 2)
     path = solve_ivp(
-        rates, (arrival, arrival - longest), start, "DOP853",
-        dense_output=True, rtol=RELATIVE, atol=np.tile(TOLERANCE, 2),
-    )  # fmt: skip
+        rates, span, start, "DOP853", dense_output=True, rtol=RELATIVE, atol=tolerances
+    )
     back = longest * np.linspace(0.0, 1.0, STEPS) ** 2
     flown = path.sol(arrival - back)
     distances = np.linalg.norm(flown[:3] - flown[6:9], axis=0)
@@ -75,7 +123,7 @@ def approach_states(scenario: Approach, motion: Ephemeris) -> States:
     rise = np.sqrt(np.maximum(distances[:end] - low, 0.0))
     times = arrival - np.interp(np.sqrt(wanted - low), rise, back[:end])
     flown = path.sol(times)
-    return times, np.asarray((flown[:6] - flown[6:]).T)
+    return times, (flown[:6] - flown[6:]).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +168,11 @@ class _Pull:
 
     def of_body(self, tdb_s: float, offset_m: FloatArray) -> FloatArray:
         """On a ship `offset_m` (3,) from the body, m/s^2."""
-        turn = self._motion.body_from_inertial(tdb_s)
-        away = turn @ offset_m - self._masses.places_m
+        body_from_inertial = self._motion.body_from_inertial(tdb_s)
+        away = body_from_inertial @ offset_m - self._masses.places_m
         share = self._masses.gm_m3_s2 / np.einsum("ij,ij->i", away, away) ** 1.5
-        return np.asarray(-(share @ away) @ turn)
+        pull: FloatArray = -(share @ away) @ body_from_inertial
+        return pull
 
     def of_planet(self, tdb_s: float, place_m: FloatArray) -> FloatArray:
         """At a place (3,) about the planet, m/s^2: point mass and J2."""
@@ -139,4 +188,5 @@ class _Pull:
         size = 1.5 * planet.gravity.j2 * (1e3 * planet.gravity.radius_km / r) ** 2
         # the textbook's J2 (Vallado, "Fundamentals of Astrodynamics"), written with the pole
         bent = (1.0 - 5.0 * up**2) * place_m / r + 2.0 * up * pole
-        return np.asarray(pull - planet.gm_m3_s2 / r**2 * size * bent)
+        pull -= planet.gm_m3_s2 / r**2 * size * bent
+        return pull

@@ -1,56 +1,96 @@
 """Single pictures of a whole small body, each from its own place and under its own Sun."""
 
+from typing import Self
+
+import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
-from optnav_cli.simulation.scenario import Portraits
-from optnav_cli.simulation.shot import PLACE, Epoch
+from optnav_cli.simulation.exposure import PLACE, Epoch
+from optnav_cli.simulation.passes import GOLDEN
+from optnav_cli.simulation.scenario_base import ShapeScenario
+from optnav_cli.simulation.sections import Count, NotNegative, Phase, Positive
 
 MAX_TRIES = 1000  # places and Suns drawn for one picture
-GOLDEN = 0.6180339887498949
 
 
-def portrait_moments(scenario: Portraits, body: Body) -> list[Epoch]:
-    """When and from where the pictures are taken.
+class PortraitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Single pictures of a whole body from all sides.
 
-    Distances go from the first to the last in even ratios, phases fill their range in even steps in
-    an order that mixes them; places are drawn evenly over all directions from the body.
-    Raises ConfigError for a distance within the body and for a phase under no Sun that it has.
+    distance_km            from the body's centre: of the first picture and of the last one
+    phase_deg              lowest and highest angle at the body between the camera and the Sun
+    subsolar_latitude_deg  how far from the equator the Sun stands overhead at most
     """
-    settings = scenario.portraits
-    lowest = body.radius_m + body.plausible_heights_m[1]
-    if 1e3 * min(settings.distance_km) <= lowest:
-        raise ConfigError(
-            f"[portraits] distance_km comes down to {min(settings.distance_km):g} km from the "
-            f"centre of {body.name}, whose ground may reach {lowest / 1e3:g} km; wanted more"
-        )
-    start = utc_to_tdb_s(settings.start_utc)
-    distances = 1e3 * np.geomspace(*settings.distance_km, settings.frames)
-    low, high = np.radians(settings.phase_deg)
-    seeds = scenario.detail.seeds
-    found: list[Epoch] = []
-    for number in range(settings.frames):
-        share = np.mod(0.5 / settings.frames + number * GOLDEN, 1.0)
-        rng = np.random.default_rng([scenario.seed, PLACE, number])
-        up, sun = _place_and_sun(
-            float(low + (high - low) * share), np.radians(settings.subsolar_latitude_deg), rng
-        )
-        found.append(
-            Epoch(
-                number=number,
-                pass_index=number,
-                tdb_s=start + number * settings.interval_s,
-                position_m=distances[number] * up,
-                forward=_square_to(up, np.array([0.0, 0.0, 1.0])),
-                sun_body=sun,
-                reported_sun=True,
-                ground_seed=seeds[number * len(seeds) // settings.frames] if seeds else None,
+
+    distance_km: tuple[Positive, Positive]
+    frames: Count = 1
+    phase_deg: tuple[Phase, Phase] = (20.0, 70.0)
+    subsolar_latitude_deg: NotNegative = 26.0
+    start_utc: str = "2026-01-01T00:00:00Z"
+    interval_s: Positive = 86400.0
+
+
+class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Single pictures of a small body from all sides."""
+
+    portraits: PortraitSettings
+
+    def check(self) -> None:
+        super().check()
+        low, high = self.portraits.phase_deg
+        if low > high:
+            raise ConfigError(
+                f"[portraits] phase_deg is {low:g}..{high:g}; put the lower one first"
             )
-        )
-    return found
+
+    def shortened(self, frames: int) -> Self:
+        fewer = min(self.portraits.frames, frames)
+        portraits = msgspec.structs.replace(self.portraits, frames=fewer)
+        return msgspec.structs.replace(self, portraits=portraits)
+
+    def epochs(self, motion: Ephemeris) -> list[Epoch]:
+        """When and from where the pictures are taken.
+
+        Distances go from the first to the last in even ratios, phases fill their range in even
+        steps in an order that mixes them; places are drawn evenly over all directions from the
+        body. Raises ConfigError for a distance within the body and for a phase under no Sun that
+        it has.
+        """
+        settings = self.portraits
+        body = motion.body
+        lowest = body.radius_m + body.plausible_heights_m[1]
+        if 1e3 * min(settings.distance_km) <= lowest:
+            raise ConfigError(
+                f"[portraits] distance_km comes down to {min(settings.distance_km):g} km from the "
+                f"centre of {body.name}, whose ground may reach {lowest / 1e3:g} km; wanted more"
+            )
+        start = utc_to_tdb_s(settings.start_utc)
+        distances = 1e3 * np.geomspace(*settings.distance_km, settings.frames)
+        low, high = np.radians(settings.phase_deg)
+        seeds = self.detail.seeds
+        found: list[Epoch] = []
+        for number in range(settings.frames):
+            share = np.mod(0.5 / settings.frames + number * GOLDEN, 1.0)
+            rng = np.random.default_rng([self.seed, PLACE, number])
+            up, sun = _place_and_sun(
+                float(low + (high - low) * share), np.radians(settings.subsolar_latitude_deg), rng
+            )
+            found.append(
+                Epoch(
+                    number=number,
+                    pass_index=number,
+                    tdb_s=start + number * settings.interval_s,
+                    position_m=distances[number] * up,
+                    forward=_square_to(up, np.array([0.0, 0.0, 1.0])),
+                    sun_body=sun,
+                    reported_sun=True,
+                    ground_seed=seeds[number * len(seeds) // settings.frames] if seeds else None,
+                )
+            )
+        return found
 
 
 def _place_and_sun(

@@ -1,74 +1,21 @@
-"""The sections of a scenario file that all scenarios share; see `scenario`."""
+"""The sections of a scenario file that all kinds of scenario share; see `scenario_base`."""
 
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
+from catalog.terrain.synthetic.relief import SyntheticRelief
+
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
+Count = Annotated[int, Meta(ge=1)]
 Inclination = Annotated[float, Meta(ge=0.0, le=180.0)]
-
-
-class FlightSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One orbit in inertial space, moved by gravity alone, under the Sun of its date.
-
-    lowest_km, highest_km  heights of its ends over the reference sphere
-    inclination_deg        to the equator of the start
-    node_deg               longitude on the body of the ascending node at the start
-    lowest_at_deg          from the node to the lowest point, along the flight
-    start_at_deg           from the node to where the first picture is taken
-    rough_gravity          also what the force model leaves out, of its known size, by the seed
-    """
-
-    lowest_km: Positive
-    highest_km: Positive
-    inclination_deg: Inclination = 90.0
-    node_deg: float = 0.0
-    lowest_at_deg: float = 0.0
-    start_at_deg: float = 0.0
-    start_utc: str = "2026-01-01T00:00:00Z"
-    frames: Annotated[int, Meta(ge=1)] = 1
-    spacing_s: Positive = 60.0
-    rough_gravity: bool = True
-
-
-class TransferSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """An approach to the lowest point of a path that comes from far away.
-
-    from_km, to_km   heights over the reference sphere of the first and the last, lowest picture
-    excess_speed_km_s  speed against the body that the path would have far away from it
-    frames           pictures at distances from the centre in even ratios
-    inclination_deg, node_deg, lowest_at_deg  as in [flight], at the arrival
-    """
-
-    from_km: Positive = 100_000.0
-    to_km: Positive = 100.0
-    excess_speed_km_s: Positive = 0.9
-    inclination_deg: Inclination = 60.0
-    node_deg: float = 0.0
-    lowest_at_deg: float = 0.0
-    arrival_utc: str = "2026-01-01T00:00:00Z"
-    frames: Annotated[int, Meta(ge=2)] = 60
-
-
-class ApproachSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A slow way to the lowest point of a path past a small body; see `approach`.
-
-    from_km, to_km   from the body's centre: the first picture and the last, lowest one
-    speed_m_s        at the lowest point, against the body
-    frames           pictures at distances from the centre in even ratios
-    inclination_deg, node_deg, lowest_at_deg  as in [flight], at the arrival
-    """
-
-    from_km: Positive = 300.0
-    to_km: Positive = 20.0
-    speed_m_s: Positive = 30.0
-    inclination_deg: Inclination = 90.0
-    node_deg: float = 0.0
-    lowest_at_deg: float = 0.0
-    arrival_utc: str = "2026-01-01T00:00:00Z"
-    frames: Annotated[int, Meta(ge=2)] = 60
+Latitude = Annotated[float, Meta(ge=-90.0, le=90.0)]
+Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
+Phase = Annotated[float, Meta(ge=0.0, le=180.0)]
+Pixel = tuple[float, float]
+AttitudeFrame = Literal["body", "inertial"]
 
 
 class MountedCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -81,12 +28,6 @@ class MountedCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     forward_deg: float = 0.0
     right_deg: float = 0.0
     roll_deg: float = 0.0
-
-
-AttitudeFrame = Literal["body", "inertial"]
-
-
-Pixel = tuple[float, float]
 
 
 class SkySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -125,12 +66,6 @@ class StructureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     width_px: NotNegative = 0.0
     brightness: NotNegative = 0.0
     camera: str = ""
-
-
-Count = Annotated[int, Meta(ge=1)]
-Latitude = Annotated[float, Meta(ge=-90.0, le=90.0)]
-Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
-Phase = Annotated[float, Meta(ge=0.0, le=180.0)]
 
 
 class GlobeDetailSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -172,39 +107,6 @@ class CameraSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
 
 
-class OrbitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Passes on circular orbits, each over its own place.
-
-    box_deg      west, south, east, north of where the middles of the passes lie
-    heading_deg  lowest and highest direction of flight there, east of north
-    """
-
-    altitude_km: Positive
-    box_deg: tuple[float, Latitude, float, Latitude]
-    passes: Count = 1
-    frames: Count = 1
-    spacing_s: Positive = 10.0
-    heading_deg: tuple[float, float] = (-180.0, 180.0)
-    start_utc: str = "2026-01-01T00:00:00Z"
-    pass_interval_s: Positive = 7200.0
-
-
-class PortraitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Single pictures of a whole body from all sides.
-
-    distance_km            from the body's centre: of the first picture and of the last one
-    phase_deg              lowest and highest angle at the body between the camera and the Sun
-    subsolar_latitude_deg  how far from the equator the Sun stands overhead at most
-    """
-
-    distance_km: tuple[Positive, Positive]
-    frames: Count = 1
-    phase_deg: tuple[Phase, Phase] = (20.0, 70.0)
-    subsolar_latitude_deg: NotNegative = 26.0
-    start_utc: str = "2026-01-01T00:00:00Z"
-    interval_s: Positive = 86400.0
-
-
 class PointingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Boresight and roll about the way down and forward, each with its scatter (1 sigma a frame).
 
@@ -216,17 +118,6 @@ class PointingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     roll_deg: float = 0.0
     tilt_sigma_deg: NotNegative = 0.0
     roll_sigma_deg: NotNegative = 0.0
-
-
-class SunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The Sun of each pass, morning or evening, as high at the pass' middle as the range says.
-
-    elevation_deg          lowest and highest; the passes share the range evenly
-    subsolar_latitude_deg  how far from the equator the Sun stands overhead at most (Moon: 1.54)
-    """
-
-    elevation_deg: tuple[Elevation, Elevation] = (10.0, 45.0)
-    subsolar_latitude_deg: NotNegative = 1.5
 
 
 class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -263,3 +154,17 @@ class AttitudeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sigma_arcsec: NotNegative = 0.0
     free: bool = False
     relative_to: AttitudeFrame = "body"
+
+
+def relief_below(
+    settings: DetailSettings | GlobeDetailSettings, seed: int, posting_m: float, radius_m: float
+) -> SyntheticRelief:
+    """The seeded relief that a section adds below the posting of a model."""
+    return SyntheticRelief(
+        seed,
+        posting_m,
+        radius_m,
+        smallest_m=min(settings.smallest_m, posting_m),
+        rms_slope_deg=settings.rms_slope_deg,
+        saturation=settings.saturation,
+    )

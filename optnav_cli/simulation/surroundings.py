@@ -12,10 +12,10 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.config import resource
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.scenario import AnyScenario
+from optnav_cli.simulation.exposure import Exposure
+from optnav_cli.simulation.scenario_base import ScenarioBase
 from optnav_cli.simulation.sections import GlareSettings, SensorSettings, StructureSettings
 from optnav_cli.simulation.sensor import Besides, Counts, add_hot_pixels
-from optnav_cli.simulation.shot import Exposure
 
 FINER = 4  # sub-pixels a side that outlines are drawn on
 UNEVEN = 0.2  # how much the brightness of a part varies over it, of its mean
@@ -55,12 +55,14 @@ def structure_cover(
     return cover, brightness
 
 
-def glare_veil(shot: Exposure, rays_camera: FloatArray, settings: GlareSettings) -> Float32Array:
+def glare_veil(
+    exposure: Exposure, rays_camera: FloatArray, settings: GlareSettings
+) -> Float32Array:
     """Stray light (rows, cols) as a share of the bright ground.
 
     rays_camera  (rows, cols, 3) unit rays of the pixels' middles; NaN where the camera sees nothing
     """
-    sun = shot.camera_from_body.apply(shot.sun_body)
+    sun = exposure.camera_from_body.apply(exposure.sun_body)
     angle = np.degrees(np.arccos(np.clip(rays_camera @ sun, -1.0, 1.0)))
     nearest = float(np.nanmin(angle))
     veil = settings.strength * np.exp(-(angle - nearest) / settings.falloff_deg)
@@ -93,7 +95,11 @@ def bright_stars() -> Stars:
 
 
 def star_light(
-    shot: Exposure, camera: Camera, motion: Ephemeris, to_magnitude: float, sensor: SensorSettings
+    exposure: Exposure,
+    camera: Camera,
+    motion: Ephemeris,
+    to_magnitude: float,
+    sensor: SensorSettings,
 ) -> Float32Array:
     """Electrons (rows, cols) of the stars in view, as the lens blurs them.
 
@@ -105,10 +111,10 @@ def star_light(
     """
     stars = bright_stars()
     out = np.zeros(camera.shape, np.float32)
-    directions = stars.directions @ motion.body_from_inertial(shot.tdb_s).T
+    directions = stars.directions @ motion.body_from_inertial(exposure.tdb_s).T
     chosen = stars.magnitudes <= to_magnitude + 2.0
-    chosen &= ~_behind(shot.position_m, directions, motion.body.radius_m)
-    pixels = camera.project(directions[chosen] @ shot.camera_from_body.as_matrix().T)
+    chosen &= ~_behind(exposure.position_m, directions, motion.body.radius_m)
+    pixels = camera.project(directions[chosen] @ exposure.camera_from_body.as_matrix().T)
     sigma = max(sensor.psf_sigma_px, SHARPEST_PX)
     # the middle pixel's share of a star that falls on its middle
     peak = float((ndtr(0.5 / sigma) - ndtr(-0.5 / sigma)) ** 2)
@@ -133,13 +139,15 @@ def _add_point(out: Float32Array, x: float, y: float, electrons: float, sigma: f
     out[r0:r1, c0:c1] += (electrons * np.outer(np.diff(down), np.diff(across))).astype(np.float32)
 
 
-def add_earth(radiance: Float32Array, shot: Exposure, camera: Camera, motion: Ephemeris) -> None:
+def add_earth(
+    radiance: Float32Array, exposure: Exposure, camera: Camera, motion: Ephemeris
+) -> None:
     """The Earth as a lit sphere without features, where nothing stands before it; in place."""
     radius = load_body("earth").radius_m
-    body_from_inertial = motion.body_from_inertial(shot.tdb_s)
-    centre = body_from_inertial @ motion.position_m("earth", shot.tdb_s) - shot.position_m
+    body_from_inertial = motion.body_from_inertial(exposure.tdb_s)
+    centre = body_from_inertial @ motion.position_m("earth", exposure.tdb_s) - exposure.position_m
     distance = float(np.linalg.norm(centre))
-    in_camera = shot.camera_from_body.apply(centre) / distance
+    in_camera = exposure.camera_from_body.apply(centre) / distance
     rim = _rim(in_camera, float(np.arcsin(radius / distance)))
     pixels = camera.project(rim)
     pixels = pixels[np.isfinite(pixels).all(axis=1)]
@@ -160,9 +168,9 @@ def add_earth(radiance: Float32Array, shot: Exposure, camera: Camera, motion: Ep
         hit = (square > 0.0) & (along > 0.0)
         point = (along - np.sqrt(np.maximum(square, 0.0)))[..., None] * rays
     normal = (point - distance * in_camera) / radius
-    sun = shot.camera_from_body.apply(shot.sun_body)
-    in_body = rays @ shot.camera_from_body.as_matrix()
-    hit &= ~_behind(shot.position_m, in_body, motion.body.radius_m)
+    sun = exposure.camera_from_body.apply(exposure.sun_body)
+    in_body = rays @ exposure.camera_from_body.as_matrix()
+    hit &= ~_behind(exposure.position_m, in_body, motion.body.radius_m)
     value = np.where(hit, EARTH_RADIANCE * np.maximum(normal @ sun, 0.0), 0.0)
     n = EARTH_SAMPLES
     mean = value.reshape(value.shape[0] // n, n, value.shape[1] // n, n).mean(axis=(1, 3))
@@ -194,7 +202,7 @@ HOT, STRUCTURE = 23, 29  # streams of random numbers, apart from those of noise 
 class Surroundings:
     """Sky, ship and faults of one camera; `motion` says where the stars and the Earth stand."""
 
-    def __init__(self, scenario: AnyScenario, camera: Camera, motion: Ephemeris) -> None:
+    def __init__(self, scenario: ScenarioBase, camera: Camera, motion: Ephemeris) -> None:
         self._scenario, self._camera, self._motion = scenario, camera, motion
         seed = scenario.seed * 1000 + STRUCTURE
         self._cover = (
@@ -205,20 +213,20 @@ class Surroundings:
             x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
             self._rays = camera.unproject(np.stack([x, y], axis=-1).astype(np.float64))
 
-    def besides(self, shot: Exposure, radiance: Float32Array) -> Besides | None:
-        """What to expose beside the radiance of a shot, None for nothing.
+    def besides(self, exposure: Exposure, radiance: Float32Array) -> Besides | None:
+        """What to expose beside the radiance of a picture, None for nothing.
 
         The Earth, where it is wanted and in view, is put into the radiance, in place.
         """
         sky = self._scenario.sky
         if sky.earth:
-            add_earth(radiance, shot, self._camera, self._motion)
+            add_earth(radiance, exposure, self._camera, self._motion)
         veil, stars = None, None
         if self._rays is not None:
-            veil = glare_veil(shot, self._rays, self._scenario.glare)
+            veil = glare_veil(exposure, self._rays, self._scenario.glare)
         if sky.stars_to_magnitude > 0.0:
             stars = star_light(
-                shot, self._camera, self._motion, sky.stars_to_magnitude, self._scenario.sensor
+                exposure, self._camera, self._motion, sky.stars_to_magnitude, self._scenario.sensor
             )
         if self._cover is None and veil is None and stars is None:
             return None

@@ -18,6 +18,7 @@ from optnav_cli.frames.isis_cube import apollo_frame, read_cube_pose, write_apol
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.studies.tables import Column, StudyReport, Table
 
 PICTURE = "data/apollo15/AS15-M-0297_SML.png"
 CUBE = "data/apollo15/AS15-M-0297_crop.cub"
@@ -86,20 +87,23 @@ def _result(place: Path, cube: Path, picture: str, matcher: str) -> ApolloResult
     )
 
 
-def format_result(result: ApolloResult) -> str:
-    """The figures in words."""
-    correction = " / ".join(f"{v:+.0f}" for v in result.correction_rnb_m)
-    sigma = " / ".join(f"{v:.0f}" for v in result.sigma_rnb_m)
-    turn = " / ".join(f"{v:+.3f}" for v in result.turn_deg)
-    share = 100.0 * result.recognised / max(result.predicted, 1)
-    return "\n".join(
-        [
-            f"AS15-M-0297 over GLD100 at 474 m, attitude free, matcher {result.matcher}",
-            f"control points   {result.recognised} of {result.predicted} used ({share:.0f} %)",
-            f"residual         {result.residual_px:.3f} px, {result.residual_m:.0f} m a coordinate",
-            f"position         {correction} m from the label, R / N / B",
-            f"sigma            {sigma} m, R / N / B",
-            f"attitude         {turn} deg from the label, about camera x / y / z",
-            f"run              {result.run}",
-        ]
-    )
+COLUMNS = (
+    Column("matcher", "matcher"),
+    Column("used", "control points used"),
+    Column("predicted", "predicted"),
+    Column("residual_px", "residual a coordinate", "px", ".3f"),
+    Column("residual_m", "residual on the ground", "m", ".0f"),
+    *(Column(f"correction_{a.lower()}_m", f"position less label, {a}", "m", "+.0f") for a in "RNB"),
+    *(Column(f"sigma_{a.lower()}_m", f"sigma, {a}", "m", ".0f") for a in "RNB"),
+    *(Column(f"turn_{a}_deg", f"attitude from label, {a}", "°", "+.3f") for a in "xyz"),
+)
+
+
+def report(result: ApolloResult) -> StudyReport:
+    """The figures of the frame; camera axes x, y, z."""
+    counts = (result.matcher, result.recognised, result.predicted)
+    solved = (result.correction_rnb_m, result.sigma_rnb_m, result.turn_deg)
+    errors = np.concatenate([[result.residual_px, result.residual_m], *solved])
+    title = "AS15-M-0297 over GLD100 at 474 m, attitude free"
+    table = Table(title, COLUMNS, ((*counts, *map(float, errors)),))
+    return StudyReport((table,), (f"run: {result.run.name}",))

@@ -21,6 +21,7 @@ from catalog.progress import Progress
 from optnav_cli.estimation.limb_fit import fit_limb, linear_position
 from optnav_cli.report.sheet import Entry, Panel, sheet
 from optnav_cli.report.svg import Plot
+from optnav_cli.studies.tables import Column, StudyReport, Table
 
 RADIUS_M = 1_737_400.0
 STEP_DEG = 0.01
@@ -128,23 +129,27 @@ def limb_errors(rng: np.random.Generator, interval_deg: float, count: int) -> li
     ]
 
 
-def format_table(rows: Sequence[ArcRow]) -> str:
-    """Text tables, a fit each: rows by arc, columns by interval."""
-    lines = []
-    for name in FITS:
-        lines.append(f"{name} fit: error of direction / of angular radius, in sigmas of one point")
-        lines.append("arc, deg" + "".join(f"{f'interval {c:g}°':>20}" for c in INTERVALS_DEG))
+def report(rows: Sequence[ArcRow]) -> StudyReport:
+    """A table a fit: rows by arc, columns by interval."""
+    columns = [Column("arc_deg", "arc", "°", ".0f")]
+    for interval in INTERVALS_DEG:
+        for quantity in ("direction", "radius"):
+            name = f"{quantity}_{interval:g}_deg"
+            columns.append(Column(name, quantity, f"σ, {interval:g}°", ".3g"))
+    columns.append(Column("unsolved", "unsolved", "%", ".0f"))
+    tables = []
+    for fit in FITS:
+        lines = []
         for arc in ARCS_DEG:
-            cells = [r for r in rows if r.fit == name and r.arc_deg == arc]
-            text = "".join(f"{f'{_short(c.direction)} / {_short(c.radius)}':>20}" for c in cells)
-            lost = max(cell.unsolved for cell in cells)
-            lines.append(f"{arc:>8.0f}{text}" + (f"  ({lost:.0%} unsolved)" if lost else ""))
-        lines.append("")
-    return "\n".join(lines).rstrip()
-
-
-def _short(value: float) -> str:
-    return f"{value:.3f}" if value < 1.0 else f"{value:.3g}"
+            cells = [r for r in rows if r.fit == fit and r.arc_deg == arc]
+            errors = (error for c in cells for error in (c.direction, c.radius))
+            lines.append((arc, *errors, 100.0 * max(cell.unsolved for cell in cells)))
+        title = (
+            f"{fit} fit: errors of direction and angular radius, in sigmas of one point, "
+            "by the interval over which points' errors are correlated"
+        )
+        tables.append(Table(title, tuple(columns), tuple(lines)))
+    return StudyReport(tuple(tables))
 
 
 def picture(rows: Sequence[ArcRow]) -> str:

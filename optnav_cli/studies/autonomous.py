@@ -1,6 +1,6 @@
 """The autonomous loop's figures: flights without any prior, over Tycho and all over the Moon.
 
-Over Tycho both cameras of the ship fly the shipped scenarios with nothing told but time, Sun and
+Over Tycho both cameras of the ship fly the shipped scenarios with nothing stated but time, Sun and
 an attitude that is off by 10 arc seconds an axis; the ground beyond Tycho's 118 m model is the
 948 m model of the whole Moon. The navigator has Tycho's 118 m catalog on top of a 948 m one of the
 surroundings. All over the Moon single fisheye pictures from 50 to 800 km count how many frames are
@@ -10,6 +10,7 @@ sigmas.
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +23,78 @@ from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
 from optnav_cli.evaluation.evaluation import pool
-from optnav_cli.evaluation.figures import FrameError
+from optnav_cli.evaluation.figures import FrameError, figures_of
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import Truth, read_truth
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.autonomous_table import Results, Row, RowResult, ShareResult, write_figures
-from optnav_cli.studies.pictures import GLOBE, shipped_pictures, with_star_sensor
+from optnav_cli.studies.flights import (
+    FIGURES,
+    GLOBE,
+    frames_table,
+    limit_with_star_sensor,
+    shipped_pictures,
+    sigmas_off,
+    with_star_sensor,
+)
+from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, tally
 
 WIDE, NARROW = "shnk", "unk"
 # What the loop must see of the ground about Tycho from 400 km: 20 deg of arc about the flights.
 SURROUNDINGS_DEG = (-50.0, -66.0, 28.0, -20.0)
 AZIMUTHS = 720
+ENOUGH_ARC_DEG = 140.0
+MIN_SOLVED = 0.95
+MAX_SIGMAS = 5.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: a scenario, whose camera counts, and the figures to reach, m.
+
+    star_sensor  whether horizontal_m is for exact attitudes, so that the star sensor's part is
+                 added in quadrature
+    """
+
+    name: str
+    scenario: str
+    camera: str
+    horizontal_m: float
+    height_m: float
+    star_sensor: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class RowResult:
+    """The frames of a row's camera."""
+
+    row: Row
+    frames: tuple[FrameError, ...]
+
+    @property
+    def limit_m(self) -> float:
+        """What the horizontal error may be; the star sensor adds its part in quadrature."""
+        limit = self.row.horizontal_m
+        return limit_with_star_sensor(limit, self.frames) if self.row.star_sensor else limit
+
+
+@dataclass(frozen=True, eq=False)
+class ShareResult:
+    """The frames of a scenario and the arc of lit limb that each truly shows, deg."""
+
+    scenario: str
+    frames: tuple[FrameError, ...]
+    arcs_deg: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """Both tables."""
+
+    rows: tuple[RowResult, ...]
+    shares: tuple[ShareResult, ...]
+
 
 ROWS = (
     Row("wide camera, 100 km", "tycho_100km", WIDE, 30.0, 30.0),
@@ -69,12 +129,12 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
             )
         own = tuple(frame for frame in flown[row.scenario] if frame.camera == row.camera)
         found.append(RowResult(row, own))
-        write_figures(output / "figures.json", found, [])
+        write_figures(output / FIGURES, Results(tuple(found), ()))
     shares: list[ShareResult] = []
     for name in (s for s in SHARES if rows in s):
         errors, arcs = _flown(output, name, frames, catalogs, relief, progress)
         shares.append(ShareResult(name, tuple(errors), tuple(arcs)))
-        write_figures(output / "figures.json", found, shares)
+        write_figures(output / FIGURES, Results(tuple(found), tuple(shares)))
     if not found and not shares:
         raise NothingToDoError(f"no row of the study is called '{rows}'")
     return Results(tuple(found), tuple(shares))
@@ -110,7 +170,7 @@ def _flown(
     progress: Progress,
 ) -> tuple[list[FrameError], list[float]]:
     """A scenario's frames against their truth, and the arcs of lit limb in them."""
-    pictures = _told_nothing(shipped_pictures(output, name, frames, progress))
+    pictures = _without_priors(shipped_pictures(output, name, frames, progress))
     place = output / "runs" / name
     place.parent.mkdir(exist_ok=True)
     # without a solution the run is written all the same, and that is a figure too
@@ -130,10 +190,10 @@ def _flown(
     return errors, arcs
 
 
-def _told_nothing(pictures: Path) -> Path:
+def _without_priors(pictures: Path) -> Path:
     """The same pictures without a prior, attitudes off as a star sensor's are.
 
-    Scenarios that are flown without a prior tell such attitudes themselves.
+    Scenarios that are flown without a prior state such attitudes themselves.
     """
     frames = read_folder(pictures).frames
     if all(frame.position_m is None for frame in frames):
@@ -160,3 +220,83 @@ def _catalog(
     place = output / f"{name}.gpkg"
     build.run(config, output=place, bbox=bbox, progress=progress)
     return place
+
+
+ROW_COLUMNS = (
+    Column("case", "case"),
+    Column("solved", "solved"),
+    Column("frames", "frames"),
+    Column("horizontal_rms_m", "horizontal, rms", "m", ".1f"),
+    Column("horizontal_limit_m", "asked ≤", "m", ".0f"),
+    Column("height_rms_m", "height, rms", "m", ".1f"),
+    Column("height_limit_m", "asked ≤", "m", ".0f"),
+    Column("nees", "NEES", "", ".2f"),
+    Column("worst", "worst", "σ", ".1f"),
+)
+SHARE_COLUMNS = (
+    Column("scenario", "arc of lit limb"),
+    Column("enough_solved", f"≥ {ENOUGH_ARC_DEG:.0f}°, solved"),
+    Column("enough_frames", "of"),
+    Column("less_solved", "less, solved"),
+    Column("less_frames", "of"),
+    Column("worst", "worst", "σ", ".1f"),
+    Column("methods", "methods"),
+)
+
+
+def report(results: Results) -> StudyReport:
+    """Both tables, and how many frames are wrong by more than MAX_SIGMAS."""
+    tables, notes = [], []
+    if results.rows:
+        tables.append(Table("", ROW_COLUMNS, tuple(_row_cells(row) for row in results.rows)))
+    if results.shares:
+        shares = [_share_cells(share.scenario, [share]) for share in results.shares]
+        if len(shares) > 1:
+            shares.append(_share_cells("together", results.shares))
+            notes.append(f"wanted: {100 * MIN_SOLVED:.0f} % of those with an arc of 140°")
+        tables.append(Table("", SHARE_COLUMNS, tuple(shares)))
+    every = [frame for row in results.rows for frame in row.frames]
+    every += [frame for share in results.shares for frame in share.frames]
+    wrong = sum(sigmas_off(frame) > MAX_SIGMAS for frame in every)
+    notes.append(
+        f"wrong by more than {MAX_SIGMAS:.0f} of their own sigmas: {wrong} of {len(every)}"
+    )
+    return StudyReport(tuple(tables), tuple(notes))
+
+
+def _row_cells(result: RowResult) -> tuple[Cell, ...]:
+    solved = [frame for frame in result.frames if frame.nees is not None]
+    start = (result.row.name, len(solved), len(result.frames))
+    limits = (result.limit_m, result.row.height_m)
+    if not solved:
+        return (*start, None, limits[0], None, limits[1], None, None)
+    f = figures_of(result.frames)
+    errors = (f.horizontal_rms_m, limits[0], f.height_rms_m, limits[1])
+    return (*start, *errors, f.nees, max(sigmas_off(frame) for frame in solved))
+
+
+def _share_cells(name: str, shares: Sequence[ShareResult]) -> tuple[Cell, ...]:
+    pairs = [pair for s in shares for pair in zip(s.frames, s.arcs_deg, strict=True)]
+    counts: list[int] = []
+    for wide in (True, False):
+        group = [frame for frame, arc in pairs if (arc >= ENOUGH_ARC_DEG) is wide]
+        counts += [sum(frame.nees is not None for frame in group), len(group)]
+    worst = max((sigmas_off(frame) for frame, _ in pairs), default=0.0)
+    methods = [frame.solution.method for frame, _ in pairs if frame.nees is not None]
+    return (name, *counts, worst, tally(methods))
+
+
+def write_figures(path: Path, results: Results) -> None:
+    """The tables, and every frame of them with its arc of lit limb."""
+    single = frames_table(
+        {r.row.name: r.frames for r in results.rows}
+        | {share.scenario: share.frames for share in results.shares}
+    )
+    columns = (
+        Column("scenario", "scenario"),
+        Column("file", "file"),
+        Column("arc_deg", "lit limb", "°", ".1f"),
+    )
+    pairs = ((s, *pair) for s in results.shares for pair in zip(s.frames, s.arcs_deg, strict=True))
+    arcs = Table("arcs", columns, tuple((s.scenario, frame.file, arc) for s, frame, arc in pairs))
+    StudyReport((*report(results).tables, single, arcs)).write(path)

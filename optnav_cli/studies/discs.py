@@ -5,26 +5,179 @@ side, at its own phase (0-120 deg), blur (0.5-1.2 px), noise (SNR 20-100) and de
 12 bits), by the shipped cameras. Each is solved as `optnav navigate` solves a lone frame with an
 exact attitude, once with its blur calibrated to 0.05 px and once without. No size of the error
 model was set by these discs.
+
+The light is blurred before it falls on the pixels, on a grid of finer pixels, so that a blur is the
+one that a camera file states; pictures of the simulator are blurred pixel by pixel.
 """
 
 import json
+import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
+from typing import Literal
 
+import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
+from catalog.bodies.body import Body, load_body
+from catalog.config import resource
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.mesh.file import MeshSettings
+from catalog.terrain.mesh.shape import load_shape
+from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
+from catalog.terrain.relief.relief import GlobalRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation import outline
-from optnav_cli.studies.disc_scene import GROUNDS, Disc, DiscScene, Shape
+from optnav_cli.simulation.exposure import Exposure, TruthGround
+from optnav_cli.simulation.globe_ground import GlobeGround
+from optnav_cli.simulation.mesh_ground import MeshGround
+from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.sections import DetailSettings, SensorSettings
+from optnav_cli.simulation.sensor import expose
+from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, rms, tally
 
+Shape = Literal["moon", "phobos"]
+
+GLOBE, GLOBE_ROWS = "data/moon_gld100_4ppd.tif", 720
+PHOBOS = "configs/scenarios/phobos_disc.toml"
+CAMERAS: dict[Shape, tuple[str, ...]] = {"moon": ("shnk", "unk"), "phobos": ("tsnn_shtk",)}
+GROUNDS = (7301, 7302, 7303)  # seeds of relief that no other study and no scenario has
+FINE = 5  # pixels a side that are drawn for one
+SIDES_PX = (64, 128)  # of the part of a picture that is drawn; the larger one for discs over
+SMALL_PX = 16.0
+OFF_AXIS = 0.35  # the part's middle lies up to here from the picture's, in sides of the picture
+PHASE_DEG = (0.0, 120.0)
+PSF_PX = (0.5, 1.2)
+PSF_ERROR_PX = 0.05  # of the calibration
+SNR = (20.0, 100.0)
+BITS = (8, 12)
+FULL = {8: 255.0, 12: 65535.0}  # where their files saturate
 SEED = 77031
 SHAPES: tuple[Shape, ...] = ("moon", "phobos")
 EDGES_PX = (2.2, 3.0, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)  # of the bins of diameter
 NEES = (0.7, 1.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Disc:
+    """A drawn disc with its truth.
+
+    camera            of the part that is drawn, with its blur as calibrated
+    position_m        (3,) body frame;  sun_body (3,) unit vector
+    diameter_px       of the body's mean sphere
+    """
+
+    picture: Picture
+    camera: Camera
+    position_m: FloatArray
+    camera_from_body: Rotation
+    sun_body: FloatArray
+    diameter_px: float
+    phase_deg: float
+
+
+class DiscScene:
+    """Discs of one body; `relief` is what a navigator knows of its shape, None of a sphere."""
+
+    def __init__(self, shape: Shape) -> None:
+        self._shape: Shape = shape
+        self.body = load_body(shape)
+        self.relief: GlobalRelief | None = None
+        self._ground: TruthGround
+        if shape == "phobos":
+            scenario = load_scenario(resource(PHOBOS))
+            if scenario.shape is None:
+                raise TypeError(f"{PHOBOS} is no scenario of a small body")
+            self._ground = MeshGround(scenario.shape, scenario.detail, self.body)
+            self.relief = _relief(scenario.shape, self.body)
+        else:
+            model = DemSettings(str(resource(GLOBE)))
+            finest = np.pi * self.body.radius_m / GLOBE_ROWS / 2.0
+            detail = DetailSettings(GROUNDS, smallest_m=finest, rms_slope_deg=5.0)
+            self._ground = GlobeGround.of_model(model, detail, self.body, kept=1)
+
+    def draw(self, diameter_px: float, ground: int, rng: np.random.Generator) -> Disc:
+        """A disc of this size over one of GROUNDS, all else drawn at random."""
+        psf = rng.uniform(*PSF_PX)
+        stated = max(psf + rng.normal(0.0, PSF_ERROR_PX), 0.0)
+        preset = preset_camera(str(rng.choice(CAMERAS[self._shape])))
+        side = SIDES_PX[int(diameter_px > SMALL_PX)]
+        camera = replace(_part(preset, side, rng), psf_sigma_px=stated, psf_error_px=PSF_ERROR_PX)
+        middle = camera.unproject(0.5 * (side - 1) + rng.uniform(-1.0, 1.0, 2))
+        phase = rng.uniform(*np.radians(PHASE_DEG))
+        up, aside = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+        sun = np.cos(phase) * up + np.sin(phase) * aside
+        radius = float(np.mean(self.body.radii_m))
+        angle = 0.5 * diameter_px * _rad_per_px(camera, middle)
+        position = radius / np.sin(angle) * up
+        camera_from_body = Rotation.align_vectors(middle[None], -up[None])[0]
+        roll = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi) * middle)
+        camera_from_body = roll * camera_from_body
+        exposure = Exposure(
+            index=0,
+            pass_index=0,
+            file="",
+            utc="",
+            tdb_s=0.0,
+            position_m=position,
+            camera_from_body=camera_from_body,
+            sun_body=sun,
+            prior_m=None,
+            reported_camera_from_body=camera_from_body,
+            ground_seed=ground,
+        )
+        radiance = self._ground.radiance(_finer(camera), exposure)
+        blurred = cv2.GaussianBlur(radiance, (0, 0), psf * FINE)
+        light = np.asarray(
+            cv2.resize(blurred, (side, side), interpolation=cv2.INTER_AREA), dtype=np.float32
+        )
+        bits = int(rng.choice(BITS))
+        sensor = SensorSettings(psf_sigma_px=0.0, snr=float(rng.uniform(*SNR)), bits=bits)
+        counts = expose(light, sensor, rng).astype(np.float32)
+        return Disc(
+            Picture(counts, FULL[bits]), camera, position, camera_from_body, sun,
+            diameter_px, float(np.degrees(phase)),
+        )  # fmt: skip
+
+
+def _relief(model: MeshSettings, body: Body) -> GlobalRelief:
+    """The relief that a catalog of the shape model carries."""
+    shape = load_shape(model, Path.cwd(), body)
+    with tempfile.TemporaryDirectory() as folder:
+        corners = Path(folder) / "corners.npy"
+        np.save(corners, shape.vertices[shape.faces])
+        return relief_of_mesh(MeshTerrain(body, corners, "shape model", shape.posting_m))
+
+
+def _part(camera: Camera, side: int, rng: np.random.Generator) -> Camera:
+    """A square part of a camera's picture, somewhere off the axis."""
+    off = rng.uniform(-OFF_AXIS, OFF_AXIS, 2) * camera.width_px
+    x, y = 0.5 * (side - 1) - off
+    return replace(camera, width_px=side, height_px=side, principal_point_px=(float(x), float(y)))
+
+
+def _finer(camera: Camera) -> Camera:
+    x, y = (FINE * (value + 0.5) - 0.5 for value in camera.principal_point_px)
+    return replace(
+        camera, width_px=FINE * camera.width_px, height_px=FINE * camera.height_px,
+        focal_length_px=FINE * camera.focal_length_px, principal_point_px=(x, y),
+    )  # fmt: skip
+
+
+def _rad_per_px(camera: Camera, towards: FloatArray) -> float:
+    """Side of the square that a pixel sees there."""
+    pixel = camera.project(towards)
+    steps = camera.unproject(pixel + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    return float(np.sqrt(np.linalg.norm(np.cross(steps[1] - steps[0], steps[2] - steps[0]))))
 
 
 @dataclass(frozen=True)
@@ -98,43 +251,44 @@ def solve(scene: DiscScene, disc: Disc, blur_known: bool) -> DiscResult:
     )
 
 
-def format_table(results: Sequence[DiscResult]) -> str:
+COLUMNS = (
+    Column("disc", "disc"),
+    Column("solved", "solved"),
+    Column("discs", "discs"),
+    Column("direction_px", "direction, rms", "px", ".3f"),
+    Column("direction_nees", "NEES", "", ".2f"),
+    Column("range_share", "range, rms", "%", ".2f"),
+    Column("range_nees", "NEES", "", ".2f"),
+    Column("worst", "worst", "σ", ".1f"),
+    Column("methods", "methods"),
+)
+
+
+def report(results: Sequence[DiscResult]) -> StudyReport:
     """One line a body, knowledge of the blur and bin of diameter."""
-    lines = [
-        f"{'disc':<28}{'solved':>8}{'direction':>12}{'NEES':>7}{'range':>9}{'NEES':>7}{'worst':>8}"
-        "  methods"
-    ]
-    for shape in SHAPES:
-        for blur_known in (True, False):
-            for low, high in pairwise(EDGES_PX):
-                own = [
-                    r
-                    for r in results
-                    if (r.shape, r.blur_known) == (shape, blur_known)
-                    and low <= r.diameter_px < high
-                ]
-                name = f"{shape}, {low:g}-{high:g} px" + ("" if blur_known else ", blur unknown")
-                lines.append(_line(name, own))
-    lines.append(f"wanted: NEES {NEES[0]}-{NEES[1]}; worst: of direction or range, in sigmas")
+    rows = []
+    for shape, blur_known, (low, high) in product(SHAPES, (True, False), pairwise(EDGES_PX)):
+        own = [
+            r
+            for r in results
+            if (r.shape, r.blur_known) == (shape, blur_known) and low <= r.diameter_px < high
+        ]
+        name = f"{shape}, {low:g}-{high:g} px" + ("" if blur_known else ", blur unknown")
+        rows.append(_cells(name, own))
     reasons = Counter(r.reason.rpartition("; ")[2][:90] for r in results if not r.method)
-    lines += [f"{count} not solved: {reason}" for reason, count in reasons.most_common(6)]
-    return "\n".join(lines)
+    notes = [f"wanted: NEES {NEES[0]}-{NEES[1]}; worst: of direction or range"]
+    notes += [f"{count} not solved: {reason}" for reason, count in reasons.most_common(6)]
+    return StudyReport((Table("", COLUMNS, tuple(rows)),), tuple(notes))
 
 
-def _line(name: str, results: Sequence[DiscResult]) -> str:
+def _cells(name: str, results: Sequence[DiscResult]) -> tuple[Cell, ...]:
     solved = [r for r in results if r.method]
-    start = f"{name:<28}{len(solved):>4}/{len(results):<3}"
+    start = (name, len(solved), len(results))
     if not solved:
-        return f"{start}  none solved"
-    direction = np.sqrt(np.mean([r.direction_px**2 for r in solved]))
-    share = 100.0 * np.sqrt(np.mean([r.range_share**2 for r in solved]))
-    across, along = (
-        np.array([getattr(r, key) for r in solved]) for key in ("direction_nees", "range_nees")
-    )
+        return (*start, None, None, None, None, None, "none solved")
+    across = np.array([r.direction_nees for r in solved])
+    along = np.array([r.range_nees for r in solved])
+    direction = (rms([r.direction_px for r in solved]), across.mean())
+    ranges = (100.0 * rms([r.range_share for r in solved]), along.mean())
     worst = np.sqrt(max(2.0 * across.max(), along.max()))
-    methods = Counter(r.method.replace("_", " ") for r in solved)
-    tally = ", ".join(f"{count} {method}" for method, count in sorted(methods.items()))
-    return (
-        f"{start}{direction:>9.3f} px{across.mean():>7.2f}{share:>7.2f} %{along.mean():>7.2f}"
-        f"{worst:>6.1f} σ  {tally}"
-    )
+    return (*start, *direction, *ranges, worst, tally([r.method for r in solved]))

@@ -19,15 +19,17 @@ import numpy as np
 
 from catalog.bodies.body import load_body
 from catalog.build import check, render, select
-from catalog.build.check import CheckedPoint, outcomes_at
+from catalog.build.check import CheckedPoint
 from catalog.build.config import BodySettings, BuildConfig, CheckSettings, RenderSettings
 from catalog.build.context import StageContext
+from catalog.build.trials import outcomes_at
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, Stage
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.studies.selection import DEM, SUNS, Z95, free_grounds
+from optnav_cli.studies.tables import Column, StudyReport, Table
 
 ALL = 24  # candidates: the spacing between them leaves no room for more
 ALL_SPACED = 0.08  # of a cell between candidates
@@ -186,25 +188,28 @@ def _rate(
     return known[place]
 
 
-def format_table(rows: Sequence[EconomyRow]) -> str:
-    """The rows for people to read."""
+COLUMNS = (
+    Column("cell_deg", "cell", "°", "g"),
+    Column("cells", "cells"),
+    Column("trials", "new trials", "a place"),
+    Column("policy", "policy"),
+    Column("render_ms", "render", "ms", ".1f"),
+    Column("check_ms", "check", "ms", ".1f"),
+    Column("usable", "usable", "%", ".1f"),
+    Column("recognised", "recognised", "%", ".1f"),
+    Column("against", "against build", "points", "+.1f"),
+    Column("against_half", "± (95 %)", "points", ".1f"),
+    Column("same", "same place", "%", ".0f"),
+)
+
+
+def report(rows: Sequence[EconomyRow]) -> StudyReport:
+    """All policies by size of cell."""
     lines = []
     for row in rows:
-        if row.policy == rows[0].policy:
-            lines.append(
-                f"cells of {row.cell_deg:g} deg: {row.cells}, {row.trials} new trials a place"
-            )
-            lines.append(
-                f"{'policy':12}{'render, ms':>11}{'check, ms':>11}{'usable':>9}{'recognised':>12}"
-                f"{'against build (95 %)':>24}{'same place':>12}"
-            )
-        difference, half = (100.0 * value for value in row.against)
-        against = f"{difference:+.1f} ± {half:.1f} points" if row.policy != rows[0].policy else ""
-        lines.append(
-            f"{row.policy:12}{row.milliseconds[0]:11.1f}{row.milliseconds[1]:11.1f}"
-            f"{100.0 * row.usable:8.1f}%{100.0 * row.rate:11.1f}%{against:>24}"
-            f"{100.0 * row.same:11.0f}%"
-        )
-        if row.policy == policies()[-1].name:
-            lines.append("")
-    return "\n".join(lines).rstrip()
+        start = (row.cell_deg, row.cells, row.trials, row.policy, *row.milliseconds)
+        own = row.policy == rows[0].policy
+        against = (None, None) if own else (100.0 * row.against[0], 100.0 * row.against[1])
+        shares = (100.0 * row.usable, 100.0 * row.rate)
+        lines.append((*start, *shares, *against, 100.0 * row.same))
+    return StudyReport((Table("", COLUMNS, tuple(lines)),))

@@ -2,15 +2,14 @@
 
 Every row takes the pictures of a shipped scenario (ground of 32 pixels a degree with seeded relief
 below) and solves each from its limb alone: as a sphere's, and over a relief of 16 cells a degree;
-with the exact attitude, and with one that is off by 10 arc seconds an axis. Nothing else is told
+with the exact attitude, and with one that is off by 10 arc seconds an axis. Nothing else is stated
 but the Sun. Errors are those over the ground below the camera and in height; far away those of
 direction and range.
 """
 
-import json
 import time
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.errors import NoSolutionError, NothingToDoError
+from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of
@@ -30,8 +29,85 @@ from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigation import horizon
 from optnav_cli.navigation.neighbour import View, other_body
 from optnav_cli.navigation.outline import detect_limb, mask_neighbour
-from optnav_cli.studies.horizon_table import CaseFigures, FrameResult, Row, figures_of
-from optnav_cli.studies.pictures import GLOBE, SEED, STAR_SENSOR_ARCSEC, shipped_pictures
+from optnav_cli.studies.flights import (
+    FIGURES,
+    GLOBE,
+    SEED,
+    STAR_SENSOR_ARCSEC,
+    rows_named,
+    shipped_pictures,
+)
+from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, rms
+
+DIRECTION_ARCSEC, DIRECTION_STAR_ARCSEC = 5.0, 20.0  # what far rows ask for
+MAX_SSP_M = 600.0
+BETTER = 10.0  # times, of relief against sphere over the ground
+NEES = (0.7, 1.4)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table, a scenario, and what is asked of the terrain-aware horizon.
+
+    ssp_m, ssp_star_m  rms over the ground with exact attitude and with the star sensor's
+    height_m           rms of the height
+    range_share        rms of the range as a share of it, of a far row
+    Nothing is asked of a crescent but that no solution is wrong by 5 of its own sigmas.
+    """
+
+    name: str
+    scenario: str
+    ssp_m: float | None = None
+    ssp_star_m: float | None = None
+    height_m: float | None = None
+    range_share: float | None = None
+
+    @property
+    def far(self) -> bool:
+        """Whether the Earth may stand beside the Moon."""
+        return self.range_share is not None
+
+
+@dataclass(frozen=True)
+class LimbFix:
+    """A picture solved in one way; without a solution only the reason counts.
+
+    ssp_m, direction_arcsec  angle at the body's centre between the true and the found position, as
+                             metres of ground and as an angle: the direction of the centre is off
+                             by as much
+    nees                     normalised error squared over its expectation
+    seconds                  of the processor, edges included
+    """
+
+    file: str
+    terrain: bool
+    star_sensor: bool
+    ssp_m: float = np.nan
+    height_m: float = np.nan
+    range_share: float = np.nan
+    direction_arcsec: float = np.nan
+    nees: float = np.nan
+    arc_deg: float = np.nan
+    seconds: float = np.nan
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class CaseFigures:
+    """Figures over the pictures of a row solved in one way; NaN where none is solved."""
+
+    frames: int
+    solved: int
+    ssp_rms_m: float
+    ssp_max_m: float
+    height_rms_m: float
+    range_rms_share: float
+    direction_rms_arcsec: float
+    nees: float
+    worst_sigmas: float
+    median_seconds: float
+    reasons: tuple[str, ...]
+
 
 ROWS = (
     Row("nadir 50 km", "horizon_050km", 250.0, 280.0, 100.0),
@@ -71,21 +147,19 @@ def run(
     Raises ConfigError where the shared data are not named.
     """
     globe = path_of(GLOBE, Path.cwd())
-    chosen = [row for row in ROWS if rows in row.name]
-    if not chosen:
-        raise NothingToDoError(f"no row of the study is called '{rows}'")
+    chosen = rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
-    results = []
+    results: list[RowResult] = []
     for row in chosen:
         folder = read_folder(shipped_pictures(output, row.scenario, frames, progress))
         results.append(measure(row, folder, load_relief(str(globe), folder.body)))
-        _write(output / "figures.json", results)
+        StudyReport((*report(results).tables, _ways(results))).write(output / FIGURES)
     return results
 
 
 def measure(row: Row, folder: Folder, relief: GlobalRelief) -> RowResult:
     """Solve every picture of a folder in four ways and compare with its truth.csv."""
-    found: dict[tuple[bool, bool], list[FrameResult]] = {
+    found: dict[tuple[bool, bool], list[LimbFix]] = {
         (terrain, star): [] for terrain in (False, True) for star in (False, True)
     }
     for frame in _frames(row, folder, relief):
@@ -96,7 +170,7 @@ def measure(row: Row, folder: Folder, relief: GlobalRelief) -> RowResult:
     )
 
 
-def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[FrameResult]:
+def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]:
     rng = np.random.default_rng(SEED)
     sigma = STAR_SENSOR_ARCSEC * ARCSEC
     truths = {t.file: t for t in read_truth(folder.path / "truth.csv", folder.attitude)}
@@ -117,7 +191,7 @@ def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[FrameRes
                 limb = detect_limb(picture, camera, turned, sun, folder.body)
             except NoSolutionError as error:
                 for terrain in (False, True):
-                    yield FrameResult(frame.file, terrain, star_sensor, reason=str(error))
+                    yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
                 continue
             finding = time.process_time() - begin
             for terrain in (False, True):
@@ -128,7 +202,7 @@ def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[FrameRes
                         relief if terrain else None,
                     )  # fmt: skip
                 except NoSolutionError as error:
-                    yield FrameResult(frame.file, terrain, star_sensor, reason=str(error))
+                    yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
                     continue
                 seconds = finding + time.process_time() - begin
                 truth = truths[frame.file].position_m
@@ -138,7 +212,7 @@ def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[FrameRes
 def _compared(
     file: str, terrain: bool, star_sensor: bool, fix: horizon.HorizonFix, truth: FloatArray,
     body: Body, seconds: float,
-) -> FrameResult:  # fmt: skip
+) -> LimbFix:  # fmt: skip
     """A fix against the true position (3,)."""
     error = fix.position_m - truth
     distance = float(np.linalg.norm(truth))
@@ -146,7 +220,7 @@ def _compared(
     height = float(error @ up)
     below = fix.position_m / np.linalg.norm(fix.position_m)
     over = float(np.arctan2(np.linalg.norm(np.cross(below, up)), below @ up))
-    return FrameResult(
+    return LimbFix(
         file, terrain, star_sensor,
         ssp_m=over * body.radius_m,
         height_m=height,
@@ -158,6 +232,108 @@ def _compared(
     )  # fmt: skip
 
 
-def _write(path: Path, results: list[RowResult]) -> None:
-    content = [asdict(result) for result in results]
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+def figures_of(frames: Sequence[LimbFix]) -> CaseFigures:
+    """Figures over frames that were solved in the same way."""
+    good = [frame for frame in frames if not frame.reason]
+
+    def values(name: str) -> list[float]:
+        return [getattr(frame, name) for frame in good]
+
+    nees = np.array([frame.nees for frame in good])
+    return CaseFigures(
+        frames=len(frames),
+        solved=len(good),
+        ssp_rms_m=rms(values("ssp_m")),
+        ssp_max_m=max((frame.ssp_m for frame in good), default=float("nan")),
+        height_rms_m=rms(values("height_m")),
+        range_rms_share=rms(values("range_share")),
+        direction_rms_arcsec=rms(values("direction_arcsec")),
+        nees=float(nees.mean()) if good else float("nan"),
+        worst_sigmas=float(np.sqrt(3.0 * nees.max())) if good else float("nan"),
+        median_seconds=float(np.median([f.seconds for f in good])) if good else float("nan"),
+        reasons=tuple(frame.reason for frame in frames if frame.reason),
+    )
+
+
+NEAR_COLUMNS = (
+    Column("case", "case"),
+    Column("solved", "solved"),
+    Column("frames", "frames"),
+    Column("sphere_ssp_m", "sphere, SSP", "m", ".0f"),
+    Column("sphere_height_m", "height", "m", ".0f"),
+    Column("terrain_ssp_m", "terrain, SSP", "m", ".0f"),
+    Column("ssp_limit_m", "asked ≤", "m", ".0f"),
+    Column("ssp_max_m", "max", "m", ".0f"),
+    Column("terrain_height_m", "height", "m", ".0f"),
+    Column("height_limit_m", "asked ≤", "m", ".0f"),
+    Column("star_ssp_m", "SSP, 10″", "m", ".0f"),
+    Column("star_ssp_limit_m", "asked ≤", "m", ".0f"),
+    Column("better", "better", "times", ".0f"),
+)
+FAR_COLUMNS = (
+    Column("case", "case"),
+    Column("solved", "solved"),
+    Column("frames", "frames"),
+    Column("sphere_range", "sphere, range", "%", ".4f"),
+    Column("terrain_range", "terrain, range", "%", ".4f"),
+    Column("range_limit", "asked ≤", "%", ".2f"),
+    Column("direction", "direction", "″", ".1f"),
+    Column("direction_limit", "asked ≤", "″", ".0f"),
+    Column("star_direction", "direction, 10″", "″", ".1f"),
+    Column("star_direction_limit", "asked ≤", "″", ".0f"),
+)
+COMMON_COLUMNS = (
+    Column("nees", "NEES", "", ".2f"),
+    Column("star_nees", "NEES, 10″", "", ".2f"),
+    Column("worst", "worst", "σ", ".1f"),
+    Column("cpu_ms", "CPU", "ms", ".0f"),
+)
+
+
+def report(results: Sequence[RowResult]) -> StudyReport:
+    """Near rows, far rows (rms), and why frames were not solved."""
+    tables = []
+    for far, columns in ((False, NEAR_COLUMNS), (True, FAR_COLUMNS)):
+        rows = tuple(_cells(result) for result in results if result.row.far is far)
+        if rows:
+            tables.append(Table("", (*columns, *COMMON_COLUMNS), rows))
+    notes = []
+    for result in results:
+        for reason in sorted(set(result.terrain.reasons)):
+            count = result.terrain.reasons.count(reason)
+            notes.append(f"{result.row.name}: {count} not solved: {reason}")
+    notes.append(
+        f"wanted besides: max {MAX_SSP_M:.0f} m, {BETTER:.0f} times better than the sphere, "
+        f"NEES {NEES[0]}-{NEES[1]}, worst below 5 σ"
+    )
+    return StudyReport(tuple(tables), tuple(notes))
+
+
+def _cells(result: RowResult) -> tuple[Cell, ...]:
+    row, sphere, terrain, star = result.row, result.sphere, result.terrain, result.terrain_star
+    own: tuple[Cell, ...]
+    if row.range_share is None:
+        ground = (terrain.ssp_rms_m, row.ssp_m, terrain.ssp_max_m)
+        height = (terrain.height_rms_m, row.height_m)
+        with_star = (star.ssp_rms_m, row.ssp_star_m, sphere.ssp_rms_m / terrain.ssp_rms_m)
+        own = (sphere.ssp_rms_m, sphere.height_rms_m, *ground, *height, *with_star)
+    else:
+        shares = (sphere.range_rms_share, terrain.range_rms_share, row.range_share)
+        direction = (terrain.direction_rms_arcsec, DIRECTION_ARCSEC)
+        off = (star.direction_rms_arcsec, DIRECTION_STAR_ARCSEC)
+        own = (*(100.0 * share for share in shares), *direction, *off)
+    worst = max(terrain.worst_sigmas, star.worst_sigmas)
+    common = (terrain.nees, star.nees, worst, terrain.median_seconds * 1e3)
+    return (row.name, terrain.solved, terrain.frames, *own, *common)
+
+
+def _ways(results: Sequence[RowResult]) -> Table:
+    """All figures of every row solved in each of the four ways."""
+    names = [field.name for field in fields(CaseFigures) if field.name != "reasons"]
+    columns = (Column("case", "case"), Column("way", "way"), *(Column(n, n) for n in names))
+    rows = tuple(
+        (result.row.name, way, *(getattr(getattr(result, way), name) for name in names))
+        for result in results
+        for way in ("sphere", "terrain", "sphere_star", "terrain_star")
+    )
+    return Table("ways", columns, rows)

@@ -6,7 +6,7 @@ points of the catalog of the bundled Tycho terrain (118 m) are looked for in pic
 ground with craters and relief below 118 m added, by Hapke's law with cast shadows, blurred, noisy,
 in 8 bits, a pixel as large as a node.
 
-*Unaided* measures what the comparison itself bears: the pose that the matcher is told is wrong by
+*Unaided* measures what the comparison itself bears: the pose that the matcher gets is wrong by
 exactly that roll, distance or slant about the point (the point stays where it is but for a shift of
 up to 5 nodes), and nothing but the place is searched, at the finest level. *Aided* is what the
 navigator makes of it: rolls and scales searched as it plans them, the view known and the slant
@@ -14,7 +14,7 @@ taken out by resampling into the point's map projection, noise averaged one pyra
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,7 +25,6 @@ from catalog.progress import Progress
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.report.sheet import Entry, Panel, sheet
 from optnav_cli.report.svg import Plot
-from optnav_cli.studies.matching_scene import references, scenes
 from optnav_cli.studies.matching_trials import (
     AXES,
     MATCHERS,
@@ -33,8 +32,11 @@ from optnav_cli.studies.matching_trials import (
     SLANT,
     Axis,
     Trial,
+    draw_scenes,
+    references,
     trials_of,
 )
+from optnav_cli.studies.tables import Column, StudyReport, Table
 
 CAMERA = "unk"
 MAX_ERROR_NODES = 3.0  # a match further from the truth is a wrong one, as `evaluate` counts
@@ -46,7 +48,7 @@ class MatchingRow:
     """All trials of one error by one matcher.
 
     recognised   share whose best place lies within MAX_ERROR_NODES of the truth
-    believed     share recognised and passed by the gates
+    accepted     share recognised and passed by the gates
     wrong        share passed by the gates, but further away
     error_nodes  rms of the recognised ones' places
     """
@@ -57,19 +59,19 @@ class MatchingRow:
     aided: bool
     trials: int
     recognised: float
-    believed: float
+    accepted: float
     wrong: float
     error_nodes: float
 
 
-def run(progress: Progress, count: int = 2, seed: int = 1) -> list[MatchingRow]:
-    """All errors, on `count` grounds under as many Suns."""
+def run(progress: Progress, scenes: int = 2, seed: int = 1) -> list[MatchingRow]:
+    """All errors, on as many grounds under as many Suns as there are `scenes`."""
     body, camera = load_body("moon"), preset_camera(CAMERA)
     trials: list[Trial] = []
     with TemporaryDirectory(prefix="optnav-") as folder:
         points = references(Path(folder), progress)
     range_m = points[0].patches[0].posting_m * camera.focal_length_px
-    for scene in scenes(body, camera, range_m, count, SLANT.values, progress):
+    for scene in draw_scenes(body, camera, range_m, scenes, SLANT.values, progress):
         trials += trials_of(scene, points, camera, seed)
     return summarise(trials)
 
@@ -94,7 +96,7 @@ def _row(
     axis: str, value: float, matcher: str, aided: bool, trials: Sequence[Trial]
 ) -> MatchingRow:
     errors = np.array([np.inf if t.error_nodes is None else t.error_nodes for t in trials])
-    believed = np.array([trial.believed for trial in trials])
+    accepted = np.array([trial.accepted for trial in trials])
     good = errors <= MAX_ERROR_NODES
     return MatchingRow(
         axis,
@@ -103,8 +105,8 @@ def _row(
         aided,
         len(trials),
         float(good.mean()),
-        float((good & believed).mean()),
-        float((~good & believed).mean()),
+        float((good & accepted).mean()),
+        float((~good & accepted).mean()),
         float(np.sqrt(np.mean(errors[good] ** 2))) if good.any() else float("nan"),
     )
 
@@ -125,38 +127,49 @@ def tolerance(rows: Sequence[MatchingRow]) -> tuple[float, bool]:
     return values[-1], False
 
 
-def format_table(rows: Sequence[MatchingRow]) -> str:
-    """A text table for every error, and what is borne at RECOGNISED."""
-    fewest, most = (f(row.trials for row in rows) for f in (min, max))
-    lines = [
-        f"{fewest} to {most} trials a value; share recognised (within {MAX_ERROR_NODES:g} nodes of "
-        "the truth), % / rms error of these, nodes / believed by the gates, %"
-    ]
+COLUMNS = (
+    Column("matcher", "matcher"),
+    Column("aid", "aid"),
+    Column("value", "value", "", "g"),
+    Column("trials", "trials"),
+    Column("recognised", "recognised", "%", ".0f"),
+    Column("error_nodes", "error, rms", "nodes", ".2f"),
+    Column("accepted", "accepted", "%", ".0f"),
+    Column("wrong", "wrong", "%", ".0f"),
+)
+BORNE_COLUMNS = (
+    Column("error", "error"),
+    Column("matcher", "matcher"),
+    Column("aid", "aid"),
+    Column("borne", f"borne with {100.0 * RECOGNISED:.0f} % recognised"),
+    Column("stated", "stated"),
+)
+
+
+def report(rows: Sequence[MatchingRow]) -> StudyReport:
+    """A table for every error, and what is borne at RECOGNISED."""
+    tables, tolerances = [], []
     for axis in AXES:
-        lines += ["", f"{axis.name + ', ' + axis.unit:<30}" + _cells(f"{v:g}" for v in axis.values)]
+        lines = []
         for name, aided, chosen in curves(rows, axis):
-            label = f"{name}, {axis.aid if aided else 'unaided'}"
-            cells = (
-                f"{100.0 * r.recognised:.0f} / {r.error_nodes:.2f} / {100.0 * r.believed:.0f}"
+            aid = axis.aid if aided else "unaided"
+            lines += [
+                (name, aid, r.value, r.trials, 100.0 * r.recognised, r.error_nodes,
+                 100.0 * r.accepted, 100.0 * r.wrong)
                 for r in chosen
-            )
-            lines.append(f"{label:<30}{_cells(cells)}")
+            ]  # fmt: skip
+            stated = quantity(axis, axis.stated)
+            tolerances.append((axis.name, name, aid, borne(axis, chosen), stated))
+        columns = tuple(replace(c, unit=axis.unit) if c.name == "value" else c for c in COLUMNS)
+        tables.append(Table(axis.name, columns, tuple(lines)))
+    tables.append(Table("", BORNE_COLUMNS, tuple(tolerances)))
     worst = max(rows, key=lambda row: row.wrong)
-    lines += [
-        "",
-        f"wrong places believed: at most {100.0 * worst.wrong:.0f} % ({worst.matcher}, "
+    notes = (
+        f"recognised: within {MAX_ERROR_NODES:g} nodes of the truth; accepted: by the gates",
+        f"wrong places accepted: at most {100.0 * worst.wrong:.0f} % ({worst.matcher}, "
         f"{worst.axis} {worst.value:g}, {'aided' if worst.aided else 'unaided'})",
-        "",
-        f"borne with {100.0 * RECOGNISED:.0f} % recognised:",
-    ]
-    for axis in AXES:
-        for name, aided, chosen in curves(rows, axis):
-            label = f"{name}, {axis.aid if aided else 'unaided'}"
-            lines.append(
-                f"  {axis.name:<10} {label:<30}{borne(axis, chosen):>12}  "
-                f"(stated: {quantity(axis, axis.stated)})"
-            )
-    return "\n".join(lines)
+    )
+    return StudyReport(tuple(tables), notes)
 
 
 def curves(rows: Sequence[MatchingRow], axis: Axis) -> list[tuple[str, bool, list[MatchingRow]]]:
@@ -185,10 +198,6 @@ def borne(axis: Axis, rows: Sequence[MatchingRow]) -> str:
     value, falls = tolerance(rows)
     sign = "" if falls else ("< " if axis is NOISE else "> ")
     return sign + quantity(axis, value)
-
-
-def _cells(texts: Iterable[str]) -> str:
-    return "".join(f"{text:>17}" for text in texts)
 
 
 SIGNS = {"NCC": ("s1", "circle"), "SURF-64": ("s2", "triangle")}

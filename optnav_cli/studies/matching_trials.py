@@ -1,24 +1,50 @@
-"""Trials of the matching study: points looked for in pictures from poses that are wrong."""
+"""The matching study's pictures and trials: points looked for from poses that are wrong.
+
+The points are those of a real catalog, the pictures show richer ground.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
+from catalog.build import build
+from catalog.config import resource
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
 from catalog.correlation.surf64 import match_surf
+from catalog.geometry.latlon import body_from_local, xyz_from_latlon
+from catalog.progress import Progress
+from catalog.rendering.rays.scene import Scene as LitGround
+from catalog.store.reader import Catalog
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import NO_DISTORTION, Distortion, MatchGates, match_point
+from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
-from optnav_cli.matching.search_plan import plan_distortion
+from optnav_cli.matching.search_plan import (
+    NO_DISTORTION,
+    Distortion,
+    SearchPlan,
+    plan_distortion,
+)
 from optnav_cli.navigation.settings import MatchSettings
+from optnav_cli.simulation.region_ground import WHOLE, TruthTerrain
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
-from optnav_cli.studies.matching_scene import RIGHT, Scene, Wrong, wrong_pose
 
+DEM, GLOBE = "data/tycho_gld100_256ppd.tif", "data/moon_gld100_4ppd.tif"
+MIDDLE_DEG = (-43.0, -11.0)  # of the terrain model
+# The seen ground has nodes of half the catalog's, with what a scenario adds by itself.
+POSTING_M, FINER = 118.45, 2
+MIN_M, SLOPE_DEG, SATURATION = 30.0, 3.0, 0.05
+SUN_ELEVATIONS_DEG = (25.0, 15.0, 35.0, 20.0, 30.0, 40.0)
 MATCHERS: dict[str, Matcher] = {"NCC": match_ncc, "SURF-64": match_surf}
 TEMPLATE_NODES, SEARCH_NODES, SHIFT_NODES = 64, 8, 5.0
 FRAME_MARGIN_PX = 80.0  # half a search window, stretched and turned as the worst prior does
@@ -27,9 +53,129 @@ SNR = 50.0
 SEARCH_SIGMAS = 2.0
 
 
+@dataclass(frozen=True, eq=False)
+class StudyPicture:
+    """One picture before its noise.
+
+    radiance       (h, w)  over the pixels
+    pose           from which it was taken; sun_body (3,) unit vector
+    off_nadir_deg  at the middle of the picture
+    """
+
+    number: int
+    radiance: Float32Array
+    pose: Pose
+    sun_body: FloatArray
+    off_nadir_deg: float
+
+
+def references(work: Path, progress: Progress) -> list[Reference]:
+    """The usable control points of the bundled Tycho terrain, from a catalog built in `work`."""
+    path = work / "tycho.gpkg"
+    build.run(resource("configs/catalogs/tycho.toml"), output=path, progress=progress)
+    with Catalog.open(path) as catalog:
+        radius = catalog.meta.radius_m
+        return [
+            Reference(catalog.point(int(cp)), catalog.patches(int(cp)), radius)
+            for cp in catalog.ids[catalog.usable]
+        ]
+
+
+def draw_scenes(
+    body: Body,
+    camera: Camera,
+    range_m: float,
+    count: int,
+    off_nadir_deg: Sequence[float],
+    progress: Progress,
+) -> Iterator[StudyPicture]:
+    """Pictures of the terrain's middle; `count` Suns and grounds, each from all angles.
+
+    range_m        from the camera to the ground in the middle
+    off_nadir_deg  between the local vertical there and the way to the camera
+    """
+    lat, lon = np.radians(MIDDLE_DEG)
+    local, middle = body_from_local(lat, lon), xyz_from_latlon(lat, lon, body.radius_m)
+    x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
+    corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
+    details: dict[int | None, SyntheticRelief | None] = {
+        number: SyntheticRelief(
+            number + 1, POSTING_M, body.radius_m,
+            smallest_m=MIN_M, rms_slope_deg=SLOPE_DEG, saturation=SATURATION,
+        )
+        for number in range(count)
+    }  # fmt: skip
+    terrain = TruthTerrain(
+        body, (DemSettings(str(resource(DEM))),), DemSettings(str(resource(GLOBE))), details
+    )
+    with progress.stage("look", count * len(off_nadir_deg), "picture") as bar:
+        for number in range(count):
+            sun = local @ _sun_local(number)
+            ground = LitGround(terrain.window(number, FINER, WHOLE), terrain.wide(number), sun)
+            for angle in off_nadir_deg:
+                pose = _pose(local, middle, range_m, angle if number % 2 else -angle)
+                rays = corners @ pose.camera_from_body.as_matrix()
+                radiance = ground.picture(pose.position_m, rays)
+                yield StudyPicture(number, radiance, pose, sun, angle)
+                bar.advance()  # with what the caller does with it
+
+
+def _sun_local(number: int) -> FloatArray:
+    """Morning or evening, low or high: unit vector east, north, up."""
+    elevation = np.radians(SUN_ELEVATIONS_DEG[number % len(SUN_ELEVATIONS_DEG)])
+    east = 1.0 if number // 2 % 2 else -1.0
+    return np.array([east * np.cos(elevation), 0.0, np.sin(elevation)])
+
+
+def _pose(local: FloatArray, middle: FloatArray, range_m: float, off_nadir_deg: float) -> Pose:
+    """A camera that looks at the middle of the ground from the north (south when negative).
+
+    So never along the Sun's rays, which come from east or west.
+    """
+    angle = np.radians(off_nadir_deg)
+    up = local @ np.array([0.0, np.sin(angle), np.cos(angle)])
+    right = local[:, 0]
+    attitude = Rotation.from_matrix(np.stack([right, np.cross(-up, right), -up]))
+    return Pose(middle + range_m * up, attitude)
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """How a stated pose is wrong about a point, which keeps its pixel.
+
+    roll   rad about the line of sight
+    scale  relative error of the distance
+    lean   the view is taken to be from straight above the point
+    """
+
+    roll: float = 0.0
+    scale: float = 0.0
+    lean: bool = False
+
+    def other_way(self) -> "Wrong":
+        """The same by the opposite sign."""
+        return Wrong(-self.roll, -self.scale, self.lean)
+
+
+RIGHT = Wrong()
+
+
+def wrong_pose(pose: Pose, point_m: FloatArray, wrong: Wrong) -> Pose:
+    """The pose that is stated when `pose` is the truth; point_m (3,) body frame."""
+    away = pose.position_m - point_m
+    attitude = pose.camera_from_body
+    distance = float(np.linalg.norm(away))
+    attitude = attitude * Rotation.from_rotvec(wrong.roll * away / distance)
+    if wrong.lean:
+        vertical = point_m / np.linalg.norm(point_m)
+        turn, _ = Rotation.align_vectors(vertical[None], away[None] / distance)
+        away, attitude = turn.apply(away), attitude * turn.inv()
+    return Pose(point_m + (1.0 + wrong.scale) * away, attitude)
+
+
 @dataclass(frozen=True)
 class Axis:
-    """One kind of error: its values, from the harmless end on, and what the seed states."""
+    """One kind of error: its values, from the harmless end on, and what the source states."""
 
     name: str
     unit: str
@@ -56,7 +202,7 @@ class Trial:
     """A point looked for once.
 
     error_nodes  distance of the best place from the truth, finest nodes; None without a place
-    believed     whether the navigator's gates pass the match
+    accepted     whether the navigator's gates pass the match
     """
 
     axis: str
@@ -64,10 +210,12 @@ class Trial:
     matcher: str
     aided: bool
     error_nodes: float | None
-    believed: bool
+    accepted: bool
 
 
-def trials_of(scene: Scene, points: Sequence[Reference], camera: Camera, seed: int) -> list[Trial]:
+def trials_of(
+    scene: StudyPicture, points: Sequence[Reference], camera: Camera, seed: int
+) -> list[Trial]:
     """What one picture is good for: its slant, and every other error when it has none."""
     seen = [point for point in points if _whole(point, scene.pose, camera)]
     rng = np.random.default_rng([seed, scene.number, round(scene.off_nadir_deg)])
@@ -109,7 +257,11 @@ class Look:
     """Looks for points in pictures of one scene."""
 
     def __init__(
-        self, scene: Scene, points: Sequence[Reference], camera: Camera, rng: np.random.Generator
+        self,
+        scene: StudyPicture,
+        points: Sequence[Reference],
+        camera: Camera,
+        rng: np.random.Generator,
     ) -> None:
         self.scene, self.points, self.camera, self.rng = scene, points, camera, rng
         settings = MatchSettings()
@@ -127,14 +279,15 @@ class Look:
         """Every point by every matcher from a pose that is wrong, by either sign in turn."""
         for number, point in enumerate(self.points):
             error = wrong.other_way() if number % 2 else wrong
-            told = wrong_pose(self.scene.pose, point.point.xyz_m, error)
+            stated = wrong_pose(self.scene.pose, point.point.xyz_m, error)
             shift = self.rng.uniform(-SHIFT_NODES, SHIFT_NODES, 2) * point.patches[0].posting_m
             east, north, _ = point.projection.body_from_local.T
-            told = Pose(told.position_m + shift[0] * east + shift[1] * north, told.camera_from_body)
+            place = stated.position_m + shift[0] * east + shift[1] * north
+            stated = Pose(place, stated.camera_from_body)
             for name, matcher in MATCHERS.items():
-                off, believed = self._error(point, told, picture, level, matcher, distortion)
+                off, accepted = self._error(point, stated, picture, level, matcher, distortion)
                 held = self._slant(point) if axis is SLANT else value
-                yield Trial(axis.name, held, name, aided, off, believed)
+                yield Trial(axis.name, held, name, aided, off, accepted)
 
     def _slant(self, point: Reference) -> float:
         """Off-nadir angle at a point, rounded to the study's values: it changes over a picture."""
@@ -145,17 +298,23 @@ class Look:
         return min(SLANT.values, key=lambda value: abs(value - angle))
 
     def _error(
-        self, point: Reference, told: Pose, picture: PicturePyramid, level: int,
+        self, point: Reference, stated: Pose, picture: PicturePyramid, level: int,
         matcher: Matcher, distortion: Distortion,
     ) -> tuple[float | None, bool]:  # fmt: skip
         """Distance from the truth, finest nodes, and whether the gates pass the match."""
         place, pose = point.point.xyz_m, self.scene.pose
-        distance = float(np.linalg.norm(told.position_m - place))
+        distance = float(np.linalg.norm(stated.position_m - place))
         sample = distance / self.camera.focal_length_px
         match = match_point(
-            point, level, TEMPLATE_NODES, SEARCH_NODES, picture, self.camera, told,
-            self.scene.sun_body, sample, matcher, self.gates, distortion,
-        )  # fmt: skip
+            point,
+            SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion),
+            picture,
+            self.camera,
+            stated,
+            self.scene.sun_body,
+            matcher,
+            self.gates,
+        )
         if match.pixel is None:
             return None, False
         truth = self.camera.project_from_body(

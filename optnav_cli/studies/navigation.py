@@ -2,29 +2,31 @@
 
 Every row flies a shipped scenario (other ground seeds, places, Suns and headings a pass), builds
 the catalog of the bundled 118 m terrain at the row's cell size, navigates every picture from a
-prior 3 km off, and adds the errors up. The rows with a star sensor reuse the pictures and tell
-the navigator attitudes that are off by 10 arc seconds an axis.
+prior 3 km off, and adds the errors up. The rows with a star sensor reuse the pictures with
+attitudes that are off by 10 arc seconds an axis.
 """
 
-import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from catalog.build import build
 from catalog.config import resource
-from catalog.errors import NothingToDoError
 from catalog.progress import Progress
 from optnav_cli.evaluation.evaluation import Evaluation, pool
 from optnav_cli.evaluation.figures import Figures
-from optnav_cli.evaluation.files import evaluate_run, summary_of
+from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.pictures import STAR_SENSOR_ARCSEC, shipped_pictures, with_star_sensor
-
-# What 10 arc seconds of attitude cost on the ground, both axes: 1.41 x 10" = 0.069 m a kilometre.
-STAR_SENSOR_M_PER_KM = 0.07
+from optnav_cli.studies.flights import (
+    FIGURES,
+    frames_table,
+    limit_with_star_sensor,
+    rows_named,
+    shipped_pictures,
+    with_star_sensor,
+)
+from optnav_cli.studies.tables import Column, StudyReport, Table
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,11 @@ class RowResult:
     figures: Figures
     limit_m: float
 
+    @property
+    def case(self) -> str:
+        """Name of the row, and whether a star sensor's attitudes were stated."""
+        return self.row.name + (", 10″" if self.star_sensor else "")
+
 
 def run(
     output: Path, progress: Progress, frames: int | None = None, rows: str = ""
@@ -66,9 +73,10 @@ def run(
     frames  pictures of a scenario, its own number when None
     rows    only rows whose name contains this
     """
+    chosen = rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
-    results = []
-    for row in (r for r in ROWS if rows in r.name):
+    results: list[RowResult] = []
+    for row in chosen:
         catalog = _catalog(output, row.cell_deg, progress)
         for star_sensor in (False, True):
             parts = []
@@ -81,45 +89,50 @@ def run(
                 navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", place, progress)
                 parts.append(evaluate_run(place, pictures / "truth.csv"))
             evaluation = pool(parts)
-            limit = _limit(row, evaluation) if star_sensor else row.horizontal_m
+            limit = row.horizontal_m
+            if star_sensor:
+                limit = limit_with_star_sensor(limit, evaluation.frames)
             results.append(RowResult(row, star_sensor, evaluation, evaluation.figures(), limit))
-            _write(output / "figures.json", results)
-    if not results:
-        raise NothingToDoError(f"no row of the study is called '{rows}'")
+            single = frames_table({r.case: r.evaluation.frames for r in results})
+            StudyReport((*report(results).tables, single)).write(output / FIGURES)
     return results
 
 
-def _limit(row: Row, evaluation: Evaluation) -> float:
-    """A row's horizontal limit with what the star sensor adds in quadrature at its heights."""
-    heights_km = np.array([frame.height_m for frame in evaluation.frames]) / 1e3
-    extra = float(np.mean((STAR_SENSOR_M_PER_KM * heights_km) ** 2))
-    return float(np.sqrt(row.horizontal_m**2 + extra))
+COLUMNS = (
+    Column("case", "case"),
+    Column("solved", "solved"),
+    Column("frames", "frames"),
+    Column("horizontal_rms_m", "horizontal, rms", "m", ".1f"),
+    Column("horizontal_limit_m", "asked ≤", "m", ".0f"),
+    Column("height_rms_m", "height, rms", "m", ".1f"),
+    Column("height_limit_m", "asked ≤", "m", ".0f"),
+    Column("nees", "NEES", "", ".2f"),
+    Column("inside_3_sigma", "in 3σ", "%", ".0f"),
+    Column("used", "used", "%", ".2f"),
+    Column("wrong", "wrong"),
+    Column("checked", "checked"),
+)
 
 
-def format_results(results: list[RowResult]) -> str:
-    """The table in text, one line a row, and the counts over all rows."""
-    lines = [
-        f"{'case':<32}{'frames':>8}{'horizontal':>18}{'height':>16}{'NEES':>7}{'in 3σ':>7}"
-        f"{'used':>8}{'wrong':>10}"
-    ]
+def report(results: Sequence[RowResult]) -> StudyReport:
+    """The table, one line a row, and the counts over all rows."""
+    rows = []
     for result in results:
         f = result.figures
-        name = result.row.name + (", 10″" if result.star_sensor else "")
-        lines.append(
-            f"{name:<32}{f.solved:>4}/{f.frames:<3}"
-            f"{f.horizontal_rms_m:>8.1f} (≤ {result.limit_m:.0f}) m"
-            f"{f.height_rms_m:>7.1f} (≤ {result.row.height_m:.0f}) m"
-            f"{f.nees:>7.2f}{min(f.inside_3_sigma) * 100:>6.0f}%"
-            f"{100.0 * f.n_used / f.n_predicted:>7.2f}%{f.n_wrong:>4}/{f.n_checked}"
-        )
+        errors = (f.horizontal_rms_m, result.limit_m, f.height_rms_m, result.row.height_m, f.nees)
+        used = 100.0 * f.n_used / f.n_predicted
+        counts = (100.0 * min(f.inside_3_sigma), used, f.n_wrong, f.n_checked)
+        rows.append((result.case, f.solved, f.frames, *errors, *counts))
     wrong = sum(r.figures.n_wrong for r in results)
     checked = sum(r.figures.n_checked for r in results)
     used = sum(r.figures.n_used for r in results)
     predicted = sum(r.figures.n_predicted for r in results)
-    lines.append(f"recognised {used} of {predicted} ({100.0 * used / predicted:.2f} %)")
-    lines.append(f"wrong matches kept {wrong} of {checked} ({100.0 * wrong / checked:.3f} %)")
-    lines.append("relative to the terrain model's own frame; GLD100 itself is about 50 m from LOLA")
-    return "\n".join(lines)
+    notes = (
+        f"recognised {used} of {predicted} ({100.0 * used / predicted:.2f} %)",
+        f"wrong matches kept {wrong} of {checked} ({100.0 * wrong / checked:.3f} %)",
+        "relative to the terrain model's own frame; GLD100 itself is about 50 m from LOLA",
+    )
+    return StudyReport((Table("", COLUMNS, tuple(rows)),), notes)
 
 
 def _catalog(output: Path, cell_deg: float, progress: Progress) -> Path:
@@ -133,17 +146,3 @@ def _catalog(output: Path, cell_deg: float, progress: Progress) -> Path:
     catalog = config.with_suffix(".gpkg")
     build.run(config, output=catalog, progress=progress)
     return catalog
-
-
-def _write(path: Path, results: list[RowResult]) -> None:
-    content = [
-        {
-            "case": result.row.name,
-            "attitude_sigma_arcsec": STAR_SENSOR_ARCSEC if result.star_sensor else 0.0,
-            "horizontal_limit_m": result.limit_m,
-            "height_limit_m": result.row.height_m,
-            **summary_of(result.evaluation),
-        }
-        for result in results
-    ]
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -3,17 +3,14 @@
 The truth is the 2 degree shape model, refined and with relief of 20 m rms below its posting
 (configs/scenarios/phobos_*.toml); the navigator has the catalog of the plain model. Attitudes are
 off by a star sensor's 10 arc seconds an axis. Rows are flown without any prior, so that each frame
-is solved by what it shows, but those named so, which are told a position to 100 m. The approach is
-one flight, whose frames have those before them.
+is solved by what it shows, but those named so, whose positions are stated to 100 m. The approach
+is one flight, whose frames have those before them.
 """
 
-import json
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from catalog.build import build
@@ -25,21 +22,28 @@ from optnav_cli.evaluation.figures import FrameError, figures_of
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.pictures import shipped_pictures, with_star_sensor
+from optnav_cli.studies.flights import (
+    FIGURES,
+    frames_table,
+    rows_named,
+    shipped_pictures,
+    sigmas_off,
+    with_star_sensor,
+)
+from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, rms, tally
 
 WIDE, NARROW = "tsnn_shtk", "tsnn_utk"
 POINTS_M = 195.0  # half of the model's posting, 2 degrees of the equator
 BUILD_LIMIT_S = 180.0  # by the clock, on two cores
 NEES = (0.7, 1.4)
-FIGURES = "figures.json"
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of the table, the pictures of a scenario by one camera.
 
-    prior        whether a position is told
-    flown        whether the scenario tells attitudes as a star sensor does, so that none are made
+    prior        whether a position is stated
+    flown        whether the scenario states attitudes as a star sensor does, so that none are made
     distance_km  only frames between these distances from the centre
     across_m     asked of the error across the line of sight, rms;  range_share along it
     """
@@ -96,9 +100,7 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
     frames  pictures of a scenario a camera, its own number when None
     rows    only rows whose name contains this
     """
-    chosen = [row for row in ROWS if rows in row.name]
-    if not chosen:
-        raise NothingToDoError(f"no row of the study is called '{rows}'")
+    chosen = rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
     catalog = output / "phobos.gpkg"
     config = resource("configs/catalogs/phobos.toml")
@@ -106,13 +108,16 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
     found: list[RowResult] = []
     runs: dict[str, tuple[FrameError, ...]] = {}
     for row in chosen:
-        told = shipped_pictures(output, row.scenario, frames, progress)
+        folder = shipped_pictures(output, row.scenario, frames, progress)
         if not row.flown:
-            told = with_star_sensor(told, priors=row.prior)
-        if told.name not in runs:
-            runs[told.name] = _navigated(told, catalog, output / "runs" / told.name, progress)
-        found.append(RowResult(row, tuple(e for e in runs[told.name] if _is_of(row, e))))
-        _write(output / FIGURES, account, found)
+            folder = with_star_sensor(folder, priors=row.prior)
+        name = folder.name
+        if name not in runs:
+            runs[name] = _navigated(folder, catalog, output / "runs" / name, progress)
+        found.append(RowResult(row, tuple(error for error in runs[name] if _is_of(row, error))))
+        single = frames_table({result.row.name: result.frames for result in found})
+        so_far = report(Results(account, tuple(found)))
+        StudyReport((*so_far.tables, single), so_far.notes).write(output / FIGURES)
     return Results(account, tuple(found))
 
 
@@ -131,28 +136,33 @@ def _is_of(row: Row, frame: FrameError) -> bool:
     return frame.camera == row.camera and nearest <= frame.distance_m / 1e3 < farthest
 
 
-def format_results(results: Results) -> str:
-    """The build's line, the table, and why frames were not solved."""
-    lines = [_build_line(results.account), ""]
-    lines.append(
-        f"{'case':<28}{'solved':>9}{'across, rms':>20}{'max':>8}{'range':>12}{'share':>19}"
-        f"{'NEES':>7}{'worst':>7}  methods"
-    )
-    lines += [_line(result) for result in results.rows]
-    lines.append(f"wanted besides: NEES {NEES[0]}-{NEES[1]}")
+COLUMNS = (
+    Column("case", "case"),
+    Column("solved", "solved"),
+    Column("frames", "frames"),
+    Column("across_rms_m", "across, rms", "m", ".1f"),
+    Column("across_limit_m", "asked ≤", "m", ".0f"),
+    Column("across_max_m", "max", "m", ".0f"),
+    Column("range_rms_m", "range, rms", "m", ".1f"),
+    Column("range_share", "of range", "%", ".3f"),
+    Column("range_share_limit", "asked ≤", "%", ".1f"),
+    Column("nees", "NEES", "", ".2f"),
+    Column("worst", "worst", "σ", ".1f"),
+    Column("methods", "methods"),
+)
+
+
+def report(results: Results) -> StudyReport:
+    """The table, the build's line, and why frames were not solved."""
+    notes = [_build_line(results.account), f"wanted besides: NEES {NEES[0]}-{NEES[1]}"]
     for result in results.rows:
         # what the first method tried says; the others' words follow in solution.csv
         reasons = [f.solution.reason.partition(";")[0] for f in result.frames if f.nees is None]
-        lines += [
+        notes += [
             f"{result.row.name}: {reasons.count(reason)} not solved: {reason}"
             for reason in sorted(set(reasons))
         ]
-    return "\n".join(lines)
-
-
-def sigmas_off(frame: FrameError) -> float:
-    """How far a solved frame is off in its own sigmas; 0 for an unsolved one."""
-    return 0.0 if frame.nees is None else float(np.sqrt(frame.nees))
+    return StudyReport((Table("", COLUMNS, tuple(map(_cells, results.rows))),), tuple(notes))
 
 
 def _build_line(account: Account) -> str:
@@ -165,45 +175,18 @@ def _build_line(account: Account) -> str:
     )
 
 
-def _line(result: RowResult) -> str:
+def _cells(result: RowResult) -> tuple[Cell, ...]:
     row = result.row
     solved = [frame for frame in result.frames if frame.error_rnb_m is not None]
-    start = f"{row.name:<28}{len(solved):>5}/{len(result.frames):<3}"
+    start = (row.name, len(solved), len(result.frames))
+    asked = None if row.range_share is None else 100.0 * row.range_share
     if not solved:
-        return f"{start}  none solved"
-    figures = figures_of(result.frames)
+        return (*start, None, row.across_m, None, None, None, asked, None, None, "none solved")
+    f = figures_of(result.frames)
     shares = [float(f.error_rnb_m[0]) / f.distance_m for f in solved if f.error_rnb_m is not None]
-    share = float(np.sqrt(np.mean(np.square(shares))))
-    methods = [frame.solution.method for frame in solved]
-    tally = ", ".join(f"{methods.count(m)} {m.replace('_', ' ')}" for m in sorted(set(methods)))
-    asked = "" if row.across_m is None else f"(≤ {row.across_m:.0f})"
-    of_range = "" if row.range_share is None else f"(≤ {100.0 * row.range_share:.1f})"
-    return (
-        f"{start}{figures.horizontal_rms_m:>10.1f} {asked:<8}m{figures.horizontal_max_m:>6.0f} m"
-        f"{figures.height_rms_m:>10.1f} m{100.0 * share:>10.3f} {of_range:<7}%"
-        f"{figures.nees:>7.2f}{max(sigmas_off(f) for f in solved):>5.1f} σ  {tally}"
+    errors = (f.horizontal_rms_m, row.across_m, f.horizontal_max_m, f.height_rms_m)
+    worst, methods = (
+        max(map(sigmas_off, solved)),
+        tally([frame.solution.method for frame in solved]),
     )
-
-
-def _write(path: Path, account: Account, rows: Sequence[RowResult]) -> None:
-    content = {
-        "catalog": msgspec.to_builtins(account),
-        "rows": [
-            {"case": result.row.name, "frames": [_frame(frame) for frame in result.frames]}
-            for result in rows
-        ],
-    }
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-
-
-def _frame(frame: FrameError) -> dict[str, object]:
-    error = None if frame.error_rnb_m is None else [float(v) for v in frame.error_rnb_m]
-    return {
-        "file": frame.file,
-        "distance_m": frame.distance_m,
-        "method": frame.solution.method,
-        "prior": frame.solution.prior,
-        "error_rnb_m": error,
-        "sigmas": sigmas_off(frame) if error else None,
-        "reason": frame.solution.reason,
-    }
+    return (*start, *errors, 100.0 * rms(shares), asked, f.nees, worst, methods)

@@ -10,6 +10,7 @@ The pictures are high-passed whole and cut afterwards: a template high-passed by
 own border, which moves a peak by 0.15 nodes even between equal pictures, more than the law does.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -25,6 +26,7 @@ from catalog.geometry.projection import Stereographic, node_grid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.terrain.dem.source import DemSettings, DemSource
+from optnav_cli.studies.tables import Column, StudyReport, Table
 
 DEM = "data/tycho_gld100_256ppd.tif"
 POSTING_M = 118.45
@@ -148,28 +150,31 @@ def _direction(elevation_deg: float, azimuth_deg: float) -> FloatArray:
     return np.array([np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)])
 
 
-def format_table(rows: list[PhotometryRow]) -> str:
-    """A text table, one line an emission angle and law; mean and worst over Suns and views."""
-    lines = [
-        "Against Hapke's law on Tycho's ground at 118 m, Sun 10, 25 and 45° high, phase over 20°;",
-        "mean / worst over Suns and views of the correlation of the high-passed pictures",
-        "and of the rms shift of a 64-node template's peak (nodes)",
-        "emission  " + "".join(f"{law:^34}" for law in SIMPLE_LAWS),
-    ]
-    for emission in sorted({row.emission_deg for row in rows}):
-        cells = [row for row in rows if row.emission_deg == emission]
-        text = "".join(
-            f"{c.correlation[0]:>10.3f} /{c.correlation[1]:>6.3f}"
-            f"{c.shift[0]:>8.2f} /{c.shift[1]:>5.2f} "
-            for c in cells
-        )
-        lines.append(f"{emission:>7.0f}°  {text}")
+COLUMNS = (
+    Column("emission_deg", "emission", "°", ".0f"),
+    Column("correlation_mean", "correlation", "mean", ".3f"),
+    Column("correlation_least", "correlation", "least", ".3f"),
+    Column("shift_mean", "rms shift", "mean, nodes", ".2f"),
+    Column("shift_greatest", "rms shift", "greatest, nodes", ".2f"),
+)
+
+
+def report(rows: Sequence[PhotometryRow]) -> StudyReport:
+    """A table a law, one line an emission angle; mean and worst over Suns and views."""
+    tables, notes = [], []
     for law in SIMPLE_LAWS:
-        below = [row for row in rows if row.law == law and row.emission_deg < 60.0]
-        lines.append(
+        own = [row for row in rows if row.law == law]
+        lines = tuple((row.emission_deg, *row.correlation, *row.shift) for row in own)
+        tables.append(Table(f"{law} against Hapke's law", COLUMNS, lines))
+        below = [row for row in own if row.emission_deg < 60.0]
+        notes.append(
             f"{law} below 60° of emission: correlation "
             f"{np.mean([r.correlation[0] for r in below]):.3f} on average, "
             f"at least {min(r.correlation[1] for r in below):.3f}; "
             f"peaks move by at most {max(r.shift[1] for r in below):.2f} nodes"
         )
-    return "\n".join(lines)
+    notes.append(
+        "Tycho's ground at 118 m, Sun 10, 25 and 45° high, phase over 20°; correlation of the "
+        "high-passed pictures, rms shift of a 64-node template's peak"
+    )
+    return StudyReport(tuple(tables), tuple(notes))

@@ -23,6 +23,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose, Sightings, predict, resect
 from optnav_cli.report.sheet import Entry, Panel, sheet
 from optnav_cli.report.svg import Plot
+from optnav_cli.studies.tables import Column, StudyReport, Table
 
 HEIGHT_M = 200e3
 RADIUS_M = 1_737_400.0
@@ -98,28 +99,33 @@ def one_geometry(
     )
 
 
-def format_table(rows: list[ResectionRow]) -> str:
-    """Two text tables: rows by the number of points, columns by intersection angle."""
-    lines = []
+def report(rows: Sequence[ResectionRow]) -> StudyReport:
+    """Two tables: rows by the number of points, columns by intersection angle."""
+    columns = [Column("points", "points")]
+    for angle in ANGLES_DEG:
+        for quantity in ("horizontal", "height"):
+            columns.append(Column(f"{quantity}_{angle:g}_deg", quantity, f"σ, {angle:g}°", ".2f"))
+    tables = []
     for free in (False, True):
         chosen = [row for row in rows if row.free_attitude == free]
-        title = "free" if free else "known"
-        lines.append(f"attitude {title}: horizontal (a component) / height error, point sigmas")
-        lines.append("points  " + "".join(f"{angle:>16.0f}°" for angle in ANGLES_DEG))
+        lines = []
         for count in sorted({row.count for row in chosen}):
             cells = [row for row in chosen if row.count == count]
-            text = "".join(f"{c.horizontal:>9.2f} /{c.height:>6.2f}" for c in cells)
-            lines.append(f"{count:>6}  {text}")
-        lines.append("")
+            errors = (error for cell in cells for error in (cell.horizontal, cell.height))
+            lines.append((count, *errors))
+        title = (
+            f"attitude {'free' if free else 'known'}: horizontal (a component) and height error, "
+            "point sigmas, by intersection angle"
+        )
+        tables.append(Table(title, tuple(columns), tuple(lines)))
     known = {(r.count, r.angle_deg): r.horizontal for r in rows if not r.free_attitude}
-    for row in rows:
-        if row.free_attitude and row.count == 4 and row.angle_deg in (40.0, 80.0):
-            ratio = row.horizontal / known[row.count, row.angle_deg]
-            lines.append(
-                f"4 points, {row.angle_deg:.0f}°: free attitude makes the horizontal error "
-                f"{ratio:.1f} times larger"
-            )
-    return "\n".join(lines)
+    notes = [
+        f"4 points, {row.angle_deg:.0f}°: free attitude makes the horizontal error "
+        f"{row.horizontal / known[row.count, row.angle_deg]:.1f} times larger"
+        for row in rows
+        if row.free_attitude and row.count == 4 and row.angle_deg in (40.0, 80.0)
+    ]
+    return StudyReport(tuple(tables), tuple(notes))
 
 
 def picture(rows: list[ResectionRow]) -> str:

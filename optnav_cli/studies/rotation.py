@@ -18,12 +18,13 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import ComplexArray, FloatArray
-from catalog.bodies.body import Body, CorrectionTerm, RotationCorrection
+from catalog.bodies.body import Body, CorrectionTerm, RotationCorrection, load_body
 from catalog.bodies.ephemeris import SpiceEphemeris
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import CENTURY_S, body_from_inertial
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
+from optnav_cli.studies.tables import Cell, Column, StudyReport, Table
 
 Name = tuple[int, ...]
 
@@ -167,14 +168,15 @@ class RotationFit:
 
 
 def run(
-    progress: Progress, body: Body, kernels: Sequence[Path], years: tuple[float, float], terms: int
+    progress: Progress, body: str, kernels: Sequence[Path], years: tuple[float, float], terms: int
 ) -> RotationFit:
     """Fit `terms` lines to the kernels' rotation over a span of years and check the result.
 
-    Raises DataError for kernels that do not cover the span.
+    Raises ConfigError for an unknown body, DataError for kernels that do not cover the span.
     """
-    spice = SpiceEphemeris(body, kernels)
-    published = replace(body, rotation_correction=None)
+    turning = load_body(body)
+    spice = SpiceEphemeris(turning, kernels)
+    published = replace(turning, rotation_correction=None)
     first, last = ((year - 2000.0) * 365.25 * DAY_S for year in years)
     first, last = first + EDGE_S, last - EDGE_S
     times = np.linspace(first, last, int((last - first) / (STEP_DAYS * DAY_S)))
@@ -188,18 +190,20 @@ def run(
             fit.refine()
     checks = np.random.default_rng(1).uniform(first, last, CHECKS)
     correction = _correction(fit, years)
-    corrected = replace(body, rotation_correction=correction)
-    left_m = turns(spice, corrected, checks) * body.radius_m
+    corrected = replace(turning, rotation_correction=correction)
+    left_m = turns(spice, corrected, checks) * turning.radius_m
     axes_m = np.sqrt(np.mean(left_m**2, axis=0))
     shift = np.linalg.norm(left_m, axis=1)
     decades = 10 * np.floor((2000.0 + checks / (365.25 * DAY_S)) / 10.0).astype(int)
     return RotationFit(
-        body,
+        turning,
         spice.name,
         # of the worst axis, rounded up
         msgspec.structs.replace(correction, error_m=float(np.ceil(axes_m.max() * 10.0) / 10.0)),
         fit.lines,
-        _rms_and_largest(np.linalg.norm(turns(spice, published, checks), axis=1) * body.radius_m),
+        _rms_and_largest(
+            np.linalg.norm(turns(spice, published, checks), axis=1) * turning.radius_m
+        ),
         axes_m,
         _rms_and_largest(shift),
         [(int(d), *_rms_and_largest(shift[decades == d])) for d in np.unique(decades)],
@@ -264,20 +268,26 @@ def format_toml(fit: RotationFit) -> str:
     return "\n".join([*lines, "]"])
 
 
-def format_table(fit: RotationFit) -> str:
+COLUMNS = (
+    Column("series", "series"),
+    Column("rms_m", "shift, rms", "m", ".2f"),
+    Column("largest_m", "largest", "m", ".2f"),
+    *(Column(f"{axis}_rms_m", f"about {axis}, rms", "m", ".2f") for axis in "xyz"),
+)
+
+
+def report(fit: RotationFit) -> StudyReport:
     """What the fit has reached, at times that it has not seen."""
-    x, y, z = fit.axes_m
-    rows = [
-        f"rotation of {fit.body.name}, {len(fit.lines)} terms, against {fit.kernels}",
-        f"shift of the surface at {CHECKS} times between those of the fit, m: rms, largest",
-        f"  published series       {fit.before_m[0]:7.2f} {fit.before_m[1]:7.2f}",
-        f"  with the correction    {fit.after_m[0]:7.2f} {fit.after_m[1]:7.2f}"
-        f"   (x {x:.2f}, y {y:.2f}, z {z:.2f} rms)",
+    rows: list[tuple[Cell, ...]] = [
+        ("published", *fit.before_m, None, None, None),
+        ("with the correction", *fit.after_m, *(float(value) for value in fit.axes_m)),
     ]
-    rows += [
-        f"  from {year:4d}              {rms:7.2f} {most:7.2f}" for year, rms, most in fit.by_decade
-    ]
-    return "\n".join(rows)
+    rows += [(f"  from {year}", rms, most, None, None, None) for year, rms, most in fit.by_decade]
+    title = (
+        f"rotation of {fit.body.name}, {len(fit.lines)} terms, against {fit.kernels}: shift of the "
+        f"surface at {CHECKS} times between those of the fit"
+    )
+    return StudyReport((Table(title, COLUMNS, tuple(rows)),))
 
 
 def _rms_and_largest(shift: FloatArray) -> tuple[float, float]:

@@ -20,10 +20,10 @@ import numpy as np
 
 from catalog.bodies.body import load_body
 from catalog.build import check, render, select
-from catalog.build.cell_map import Ground, cell_ground, separation_places, suns_of
-from catalog.build.check import outcomes_at
+from catalog.build.cell_map import CellGround, cell_ground, separation_places, suns_of
 from catalog.build.config import BodySettings, BuildConfig
 from catalog.build.context import StageContext
+from catalog.build.trials import outcomes_at
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress
@@ -32,6 +32,7 @@ from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Outcome
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
+from optnav_cli.studies.tables import Cell, Column, StudyReport, Table
 
 Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
 
@@ -129,7 +130,7 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     )
 
 
-def free_grounds(context: StageContext) -> dict[int, Ground]:
+def free_grounds(context: StageContext) -> dict[int, CellGround]:
     """Grounds by cell, of all cells that lie on the terrain with most of their places' patches."""
     grounds = {}
     for cell in range(context.grid.total):
@@ -141,12 +142,12 @@ def free_grounds(context: StageContext) -> dict[int, Ground]:
     return grounds
 
 
-def _mostly_free(ground: Ground) -> bool:
+def _mostly_free(ground: CellGround) -> bool:
     """Whether there is a choice: cells on the terrain's edge leave the same few places to all."""
     return bool((ground.inside & ground.whole).sum() >= MIN_FREE * ground.inside.sum())
 
 
-def _random(ground: Ground, seed: Sequence[int]) -> tuple[float, float]:
+def _random(ground: CellGround, seed: Sequence[int]) -> tuple[float, float]:
     places = np.argwhere(ground.inside & ground.whole)
     row, col = places[np.random.default_rng(seed).integers(len(places))]
     return float(ground.lat[row, col]), float(ground.lon[row, col])
@@ -154,7 +155,7 @@ def _random(ground: Ground, seed: Sequence[int]) -> tuple[float, float]:
 
 def _one_sun_harris(
     context: StageContext,
-    grounds: dict[int, Ground],
+    grounds: dict[int, CellGround],
     turn: int,
     window: int | None = None,
 ) -> dict[int, tuple[float, float]]:
@@ -248,26 +249,49 @@ def difference(better: Strategy, other: Strategy) -> Interval:
     return a - b, a - b - low, a - b + high
 
 
-def format_table(rows: Sequence[SelectionRow]) -> str:
-    """The rows for people to read."""
-    lines = []
+COLUMNS = (
+    Column("posting_m", "posting", "m", ".0f"),
+    Column("cells", "cells"),
+    Column("strategy", "strategy"),
+    Column("trials", "trials"),
+    Column("recognised", "recognised", "%", ".1f"),
+    Column("recognised_low", "from", "%", ".1f"),
+    Column("recognised_high", "to", "%", ".1f"),
+    Column("error_m", "error", "m", ".0f"),
+    Column("error_low_m", "from", "m", ".0f"),
+    Column("error_high_m", "to", "m", ".0f"),
+    Column("wrong", "wrong", "%", ".1f"),
+)
+GAIN_COLUMNS = (
+    Column("posting_m", "posting", "m", ".0f"),
+    Column("over", "chosen over"),
+    Column("gain", "gain", "points", "+.1f"),
+    Column("gain_low", "from", "points", "+.1f"),
+    Column("gain_high", "to", "points", "+.1f"),
+)
+
+
+def report(rows: Sequence[SelectionRow]) -> StudyReport:
+    """Strategies by posting, and what chosen points gain; ranges are 95 % intervals."""
+    lines: list[tuple[Cell, ...]] = []
+    gains: list[tuple[Cell, ...]] = []
     for row in rows:
-        lines.append(f"posting {row.posting_m:.0f} m, {row.cells} cells, 95 % intervals")
-        lines.append(f"{'strategy':16}{'trials':>7}  {'recognised':24}{'error, m':22}wrong")
         for one in row.strategies:
-            rate, low, high = (100.0 * value for value in one.rate)
-            share = f"{rate:.1f} % ({low:.1f}..{high:.1f})"
-            error = f"{one.error_m[0]:.0f} ({one.error_m[1]:.0f}..{one.error_m[2]:.0f})"
-            lines.append(
-                f"{one.name:16}{one.trials:7d}  {share:24}{error:22}{100.0 * one.wrong:.1f} %"
-            )
-        gains = (
+            start = (row.posting_m, row.cells, one.name, one.trials)
+            lines.append((*start, *_percent(one.rate), *one.error_m, 100.0 * one.wrong))
+        for over, gain in (
             ("random", row.over_random),
             ("one-Sun corner", row.over_corner),
             ("one-Sun Harris", row.over_harris),
-        )
-        for what, gain in gains:
-            value, low, high = (100.0 * v for v in gain)
-            lines.append(f"chosen over {what}: {value:+.1f} points ({low:+.1f}..{high:+.1f})")
-        lines.append("")
-    return "\n".join(lines).rstrip()
+        ):
+            gains.append((row.posting_m, over, *_percent(gain)))
+    tables = (
+        Table("strategies, 95 % intervals", COLUMNS, tuple(lines)),
+        Table("gain of recognition, 95 % intervals", GAIN_COLUMNS, tuple(gains)),
+    )
+    return StudyReport(tables)
+
+
+def _percent(interval: Interval) -> Interval:
+    value, low, high = interval
+    return 100.0 * value, 100.0 * low, 100.0 * high

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from catalog.store.compare import compare
-from catalog.store.export import export
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -21,6 +19,8 @@ from catalog.config import resource
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import xyz_from_latlon
+from catalog.inspect.compare import compare
+from catalog.inspect.export import export
 from catalog.store.codec import encode
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import prepare_point

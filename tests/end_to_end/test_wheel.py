@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -56,7 +57,25 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     ).stdout.strip()  # fmt: skip
     libraries = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
     (Path(site) / "libraries.pth").write_text("\n".join(sorted(libraries)) + "\n")
+    share_compiled_kernels(Path(site))
     return scripts
+
+
+def share_compiled_kernels(site: Path) -> None:
+    """Let the installed package find the kernels that the checkout has compiled already.
+
+    Compiling them anew takes a minute. Numba takes a stored kernel only where size and time of
+    its source file are those that it was compiled from, so the files get the times of the checkout.
+    """
+    for package in ("catalog", "optnav_cli"):
+        for source in (CHECKOUT / package).rglob("*.py"):
+            copy = site / source.relative_to(CHECKOUT)
+            assert copy.read_bytes() == source.read_bytes()
+            shutil.copystat(source, copy)
+        for kernel in (CHECKOUT / package).rglob("__pycache__/*.nb[ic]"):
+            copy = site / kernel.relative_to(CHECKOUT)
+            copy.parent.mkdir(exist_ok=True)
+            shutil.copy2(kernel, copy)
 
 
 def test_the_wheel_holds_all_modules_configs_and_data(wheel: Path) -> None:

@@ -1,5 +1,7 @@
 """Radiance of ground nodes: slope, cast shadow with its penumbra, and a photometric law."""
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -7,12 +9,25 @@ from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
 from catalog.rendering.rays.ground import Ground
-from catalog.rendering.rays.march import DARK, walk
+from catalog.rendering.rays.march import DARK, Ray, walk
 
 SUN_RADIUS = 0.00465  # rad, as seen from 1 au
 BLOCK = 32  # nodes a side of the blocks that are lit and shaded together
 # nodes beside the one that is tested do not shade it: there the slope decides
 _FIRST_NODES = 1.0
+
+
+class Light(NamedTuple):
+    """What the brightness of ground depends on.
+
+    sun      (3,) unit vector, body frame
+    camera   (3,) m, body frame
+    surface  Hapke's parameters
+    """
+
+    sun: FloatArray
+    camera: FloatArray
+    surface: HapkeParameters
 
 
 @kernel
@@ -56,31 +71,38 @@ def lit_share(
     full = 2.0 * SUN_RADIUS
     s = _FIRST_NODES * first.step_lat * first.radius_m
     end = _way_out(r, low, first)
-    how, s, _, _, deepest = walk(first, x, y, z, dx, dy, dz, s, end, 0, full)
+    ray = Ray(x, y, z, dx, dy, dz)
+    how, s, _, _, deepest = walk(first, ray, s, end, 0, full)
     end = _way_out(r, low, second)
     if how != DARK and s < end:
         s = max(s, second.step_lat * second.radius_m)
-        how, s, _, _, deep = walk(second, x, y, z, dx, dy, dz, s, end, 2, full)
+        how, s, _, _, deep = walk(second, ray, s, end, 2, full)
         deepest = max(deepest, deep)
     end = _way_out(r, low, third)
     if how != DARK and s < end:
         s = max(s, third.step_lat * third.radius_m)
-        how, s, _, _, deep = walk(third, x, y, z, dx, dy, dz, s, end, 2, full)
+        how, s, _, _, deep = walk(third, ray, s, end, 2, full)
         deepest = max(deepest, deep)
     return max(0.0, 1.0 - deepest / full)
 
 
 @kernel
 def shade(
-    ground: Ground, lat: float, height: float, up: tuple[float, float, float],
-    east: tuple[float, float, float], south_rate: float, east_rate: float,
-    sun: FloatArray, camera: FloatArray, surface: HapkeParameters,
-) -> float:  # fmt: skip
+    ground: Ground,
+    lat: float,
+    height: float,
+    up: tuple[float, float, float],
+    east: tuple[float, float, float],
+    south_rate: float,
+    east_rate: float,
+    light: Light,
+) -> float:
     """Radiance factor of a place with given height gradients.
 
     up, east    unit vectors of the place, body frame
     south_rate  m a row southward; east_rate m a column eastward
     """
+    sun, camera, surface = light
     r = ground.radius_m + height
     slope_n = -south_rate / (ground.step_lat * r)
     slope_e = east_rate / (ground.step_lon * r * max(np.cos(lat), 1e-6))
@@ -115,10 +137,9 @@ def shade_node(
     east_rate = (h[i, d] - h[i, c]) / (d - c)
     lat, lon = ground.north - i * ground.step_lat, ground.west + j * ground.step_lon
     cos_lat, sin_lat, cos_lon, sin_lon = np.cos(lat), np.sin(lat), np.cos(lon), np.sin(lon)
-    return shade(
-        ground, lat, float(h[i, j]), (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat),
-        (-sin_lon, cos_lon, 0.0), south_rate, east_rate, sun, camera, surface,
-    )  # fmt: skip
+    up, east = (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat), (-sin_lon, cos_lon, 0.0)
+    light = Light(sun, camera, surface)
+    return shade(ground, lat, float(h[i, j]), up, east, south_rate, east_rate, light)
 
 
 @parallel_kernel
@@ -150,9 +171,14 @@ def light_blocks(
 
 @parallel_kernel
 def shade_blocks(
-    ground: Ground, sun: FloatArray, camera: FloatArray, surface: HapkeParameters,
-    wanted: ByteArray, lit: ByteArray, out: Float32Array,
-) -> None:  # fmt: skip
+    ground: Ground,
+    sun: FloatArray,
+    camera: FloatArray,
+    surface: HapkeParameters,
+    wanted: ByteArray,
+    lit: ByteArray,
+    out: Float32Array,
+) -> None:
     """Radiance factors of the nodes in wanted blocks (1), cast shadows included, into `out`."""
     rows, cols = ground.heights.shape
     for bi in numba.prange(wanted.shape[0]):
@@ -163,5 +189,6 @@ def shade_blocks(
                 for j in range(bj * BLOCK, min((bj + 1) * BLOCK, cols)):
                     value = 0.0
                     if lit[i, j] > 0:
-                        value = shade_node(ground, i, j, sun, camera, surface) * lit[i, j] / 255.0
+                        value = shade_node(ground, i, j, sun, camera, surface) * lit[i, j]
+                        value /= 255.0
                     out[i, j] = np.float32(value)

@@ -4,19 +4,40 @@ The ray is followed from block to block. A block whose highest node stays below 
 in one step; in the last instance single cells are tested, so no crest is jumped. Places along the
 ray are second-order polynomials (of gnomonic coordinates) about an anchor that moves on every 10
 km, within 0.2 m of the exact ones, so that a step needs no trigonometry and no division. Nearer
-than 7 deg to a pole the anchor moves more often.
+than 7 deg to a pole the anchor moves more often. `trace` nests two
+grids: a fine one over a region, a smooth one of the body around it.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
+from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import kernel
-from catalog.rendering.rays.ground import Ground, bilinear
+from catalog.rendering.rays.ground import Ground, bilinear, grid_place
 
 LEFT, HIT, DARK = 0, 1, 2  # how a walk ends: out of the grid or the range, on the ground, in shadow
 ANCHOR_REACH = 0.006  # rad
 POLE_REACH = 0.05  # of the distance from the axis: places are off by 4e-5 of that distance
 MAX_STEPS = 20_000  # a grid's diagonal cell by cell; only a stop for what should not happen
 _NUDGE = 1e-3  # nodes that a step goes beyond a block's border
+SKY, FINE, WIDE = 0, 1, 2  # what a ray meets
+# Steeper slopes than this do not occur on a grid of kilometres (a 35 deg wall between two nodes);
+# steps along a ray are no longer than its height over such a slope allows.
+STEEPEST_WIDE_SLOPE = 0.5
+_CLOSE_M = 0.3  # a ray this near to the wide ground has met it
+_MAX_TRACE_STEPS = 2000
+
+
+class Ray(NamedTuple):
+    """Origin (m) and unit direction of a ray, body frame."""
+
+    ox: float
+    oy: float
+    oz: float
+    dx: float
+    dy: float
+    dz: float
 
 
 @kernel
@@ -34,13 +55,10 @@ def _block_top(ground: Ground, level: int, row: int, col: int) -> float:
 
 @kernel
 def walk(
-    ground: Ground,
-    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float,
-    start: float, end: float, level: int, darkness: float,
-) -> tuple[int, float, float, float, float]:  # fmt: skip
+    ground: Ground, ray: Ray, start: float, end: float, level: int, darkness: float
+) -> tuple[int, float, float, float, float]:
     """Follow a ray over a grid.
 
-    o, d        origin (m) and unit direction, body frame
     start, end  m along the ray; at `start` the ray is above the ground
     level       0..3: blocks of 4, 16, 64 or 256 nodes to try first
     darkness    0: stop at the first hit. Positive (a shadow test along a Sun's lower limb): keep
@@ -48,6 +66,7 @@ def walk(
                 stop when it reaches this value
     Returns (LEFT | HIT | DARK, distance, row, col, deepest angle).
     """
+    ox, oy, oz, dx, dy, dz = ray
     last_row, last_col = ground.heights.shape[0] - 1.0, ground.heights.shape[1] - 1.0
     per_lat, per_lon = 1.0 / ground.step_lat, 1.0 / ground.step_lon
     t, reach, anchor, deepest = 0.0, -1.0, start, 0.0
@@ -110,8 +129,9 @@ def walk(
         clearance = after - bilinear(ground.heights, next_row, next_col)
         if clearance < 0.0:
             if darkness <= 0.0:
-                way = _refine(ground, step, row, col, height, next_row - row, next_col - col, after)
-                row, col = row + way * (next_row - row), col + way * (next_col - col)
+                over = next_row - row, next_col - col
+                way = _refine(ground, step, (row, col), over, (height, after))
+                row, col = row + way * over[0], col + way * over[1]
                 return HIT, anchor + t + way * step, row, col, 0.0
             deepest = max(deepest, -clearance / (anchor + ahead))
             if deepest >= darkness:
@@ -123,10 +143,17 @@ def walk(
 
 @kernel
 def _refine(
-    ground: Ground, step: float, row: float, col: float, height: float,
-    rows: float, cols: float, after: float,
-) -> float:  # fmt: skip
-    """Where in 0..1 of a step within one cell the ray crosses the ground: bisection to 1 cm."""
+    ground: Ground,
+    step: float,
+    place: tuple[float, float],
+    over: tuple[float, float],
+    heights: tuple[float, float],
+) -> float:
+    """Where in 0..1 of a step within one cell the ray crosses the ground: bisection to 1 cm.
+
+    step     m;  over  rows and columns of the step from `place` on;  heights  m, its two ends
+    """
+    (row, col), (rows, cols), (height, after) = place, over, heights
     low, high = 0.0, 1.0
     for _ in range(24):
         t = 0.5 * (low + high)
@@ -138,3 +165,76 @@ def _refine(
         if (high - low) * step < 0.01:
             break
     return 0.5 * (low + high)
+
+
+@kernel
+def _to_box(fine: Ground, lat: float, lon: float) -> float:
+    """A lower bound of the ground distance (m) from a place to the fine grid's box; 0 inside."""
+    rows, cols = fine.heights.shape
+    south, width = fine.north - (rows - 1) * fine.step_lat, (cols - 1) * fine.step_lon
+    far: float = max(0.0, max(lat - fine.north, south - lat))
+    east = lon - fine.west
+    east -= 2.0 * np.pi * np.floor(east / (2.0 * np.pi))
+    if east > width:
+        turn = min(east - width, 2.0 * np.pi - east)
+        widest = max(abs(lat), abs(fine.north), abs(south))
+        # a chord of the smaller circle never exceeds the way over the ground
+        far = max(far, 2.0 / np.pi * np.cos(min(widest, 0.5 * np.pi)) * turn)
+    return far * fine.radius_m
+
+
+@kernel
+def trace(fine: Ground, wide: Ground, ray: Ray, hint: float) -> tuple[int, float, float, float]:
+    """First crossing of a ray with the ground.
+
+    fine, wide  inside the box of `fine` its heights are the ground, outside those of `wide`
+    hint        a distance (m) where the ray is known to be above the fine ground; 0 for unknown
+    Returns (SKY | FINE | WIDE, distance, row, col), row and column on the grid that was met.
+    """
+    ox, oy, oz, dx, dy, dz = ray
+    radius = wide.radius_m
+    top = radius + max(fine.highest_m, wide.highest_m) + 1.0
+    floor = radius + min(fine.lowest_m, wide.lowest_m) - 1.0
+    along = ox * dx + oy * dy + oz * dz
+    length = np.sqrt(ox * ox + oy * oy + oz * oz)
+    inside = along * along - (length - top) * (length + top)
+    if inside <= 0.0:
+        return SKY, np.inf, 0.0, 0.0
+    start, end = -along - np.sqrt(inside), -along + np.sqrt(inside)
+    if end <= 0.0:
+        return SKY, np.inf, 0.0, 0.0
+    below = along * along - (length - floor) * (length + floor)
+    if below > 0.0 and -along - np.sqrt(below) > 0.0:
+        end = -along - np.sqrt(below) + 1.0
+    s = max(start, hint, 0.0)
+    level = 1 if hint > 0.0 else 2
+    rows, cols = fine.heights.shape
+    last, last_clear = s, np.inf
+    for _ in range(_MAX_TRACE_STEPS):
+        if s >= end:
+            break
+        px, py, pz = ox + s * dx, oy + s * dy, oz + s * dz
+        row, col = grid_place(fine, px, py, pz)
+        if 0.0 <= row < rows - 1 and 0.0 <= col < cols - 1:
+            how, at, row, col, _ = walk(fine, ray, s, end, level, 0.0)
+            if how == HIT:
+                return FINE, at, row, col
+            s = max(at, s) + 1.0
+            last, last_clear = s, np.inf
+            continue
+        r = np.sqrt(px * px + py * py + pz * pz)
+        row, col = grid_place(wide, px, py, pz)
+        clear = r - radius - bicubic_at(wide.heights, row, col)
+        if clear < _CLOSE_M:
+            if clear < -_CLOSE_M and last_clear < np.inf:
+                s = last + (s - last) * last_clear / (last_clear - clear)
+                row, col = grid_place(wide, ox + s * dx, oy + s * dy, oz + s * dz)
+            return WIDE, s, row, col
+        last, last_clear = s, clear
+        climb = (px * dx + py * dy + pz * dz) / r
+        flat = np.sqrt(max(1.0 - climb * climb, 1e-12))
+        step = clear / (max(-climb, 0.0) + STEEPEST_WIDE_SLOPE * flat)
+        lat, lon = np.arctan2(pz, np.sqrt(px * px + py * py)), np.arctan2(py, px)
+        # over the ground the ray moves at most `flat` times its own way (and it is above it)
+        s += max(min(step, max(_to_box(fine, lat, lon) / flat, 1.0)), 0.1)
+    return SKY, np.inf, 0.0, 0.0

@@ -81,7 +81,7 @@ class Feather:
 
     def _tile(self, down: int, along: int) -> Float32Array:
         key = self.index, -1, down, along
-        return self.cache.tile(key, lambda: self._distances(down, along))
+        return self.cache.get(key, lambda: self._distances(down, along))
 
     def _distances(self, down: int, along: int) -> Float32Array:
         """Distances (TILE + 1, TILE + 1), m, to the next block that is not whole, to the reach."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.vectors import unit
 from catalog.terrain.mesh.shape import Shape
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
@@ -43,7 +44,7 @@ def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
         ],
         axis=1,
     )
-    return np.asarray(total / np.linalg.norm(total, axis=1)[:, None])
+    return unit(total)
 
 
 def _halved(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:

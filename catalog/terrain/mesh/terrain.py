@@ -18,6 +18,7 @@ from catalog.bodies.body import Body
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.geometry.tangent_plane import MapProjection, TangentPlane
+from catalog.geometry.vectors import unit
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 
@@ -150,7 +151,7 @@ class MeshTerrain:
         starts = projection.points(x.ravel(), y.ravel(), top)
         if isinstance(projection, TangentPlane):
             return starts, np.broadcast_to(-projection.body_from_local[:, 2], starts.shape), top
-        return starts, -starts / np.linalg.norm(starts, axis=1)[:, None], top
+        return starts, -unit(starts), top
 
     def _first(
         self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float

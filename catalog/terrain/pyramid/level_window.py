@@ -1,11 +1,9 @@
 """Windows of a pyramid level that go on across ±180° and the poles; tiles in a bounded cache."""
 
-from collections import OrderedDict
-from collections.abc import Callable
-
 import numpy as np
 
 from catalog.arrays import Float32Array
+from catalog.cache import Cache
 from catalog.geometry.kernel import kernel
 from catalog.terrain.dem.conversion import HEIGHTS
 from catalog.terrain.dem.georeference import Georeference
@@ -17,26 +15,12 @@ READ_COLUMNS = 4096  # read at once when columns are averaged
 MIN_COLUMNS = 16  # left of a level whose columns are averaged
 
 
-class TileCache:
-    """The tiles used last, over all pyramids of a mosaic, up to CACHE_BYTES."""
+TileCache = Cache[tuple[int, ...], Float32Array]
 
-    def __init__(self) -> None:
-        self.held_bytes = 0
-        self._tiles: OrderedDict[tuple[int, ...], Float32Array] = OrderedDict()
 
-    def tile(self, key: tuple[int, ...], make: Callable[[], Float32Array]) -> Float32Array:
-        """The tile of a key, made if it is not held."""
-        found = self._tiles.get(key)
-        if found is not None:
-            self._tiles.move_to_end(key)
-            return found
-        made = make()
-        self._tiles[key] = made
-        self.held_bytes += made.nbytes
-        while self.held_bytes > CACHE_BYTES and len(self._tiles) > 1:
-            _, dropped = self._tiles.popitem(last=False)
-            self.held_bytes -= dropped.nbytes
-        return made
+def tile_cache() -> TileCache:
+    """A cache of tiles for all pyramids of a mosaic."""
+    return Cache(CACHE_BYTES, lambda tile: int(tile.nbytes))
 
 
 def mirrored_poles(place: Georeference) -> tuple[bool, bool]:
@@ -47,7 +31,10 @@ def mirrored_poles(place: Georeference) -> tuple[bool, bool]:
 
 
 class LevelWindows:
-    """One level of a pyramid as an endless sheet, its columns averaged 2^halvings at a time."""
+    """One level of a pyramid, going on across ±180° and the poles.
+
+    Its columns are averaged 2^halvings at a time.
+    """
 
     def __init__(
         self,
@@ -94,7 +81,7 @@ class LevelWindows:
         return self._halved[halvings]
 
     def window(self, row0: int, col0: int, height: int, width: int) -> Float32Array:
-        """Heights (height, width); NaN where the sheet has none.
+        """Heights (height, width); NaN where the level has none.
 
         Rows beyond a pole are those of the meridian on its other side.
         """
@@ -145,7 +132,7 @@ class LevelWindows:
     def _tile(self, down: int, along: int) -> Float32Array:
         """Tile (down, along); shorter at the raster's far edges."""
         key = (self.index, self.level, self.halvings, down, along)
-        return self.cache.tile(key, lambda: self._make(down, along))
+        return self.cache.get(key, lambda: self._make(down, along))
 
     def _make(self, down: int, along: int) -> Float32Array:
         rows, cols = self.shape

@@ -11,7 +11,8 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import surface_at
 from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.photometry import hapke, lambert, lommel_seeliger
+from catalog.photometry import hapke
+from catalog.photometry.laws import lambert, lommel_seeliger
 from catalog.terrain.relief.relief import GlobalRelief, relief_height
 from optnav_cli.measurements.segmentation import ROUNDING_VARIANCE, lit_blobs, measure_levels
 from optnav_cli.reasons import ReasonCode
@@ -21,8 +22,8 @@ from optnav_cli.reasons import ReasonCode
 SMOOTH, ROUGH = (hapke.LUNAR._replace(theta_bar=np.radians(mean)) for mean in (15.0, 30.0))
 LAWS = (
     hapke.reflectance,
-    lommel_seeliger.reflectance,
-    lambert.reflectance,
+    lommel_seeliger,
+    lambert,
     partial(hapke.reflectance, surface=SMOOTH),
     partial(hapke.reflectance, surface=ROUGH),
 )

@@ -1,6 +1,5 @@
 """The usable control points of one or more catalogs: arrays for choosing, points on demand."""
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from catalog.cache import Cache
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
@@ -108,7 +108,7 @@ class ControlPointField:
         self.skyline_deg = np.concatenate([layer.skyline_deg for layer in kept])
         self.radius_m = kept[0].radius_m
         self.damaged: dict[tuple[str, int], str] = {}
-        self._references: OrderedDict[int, Reference] = OrderedDict()
+        self._references: Cache[int, Reference] = Cache(MAX_REFERENCES)
         self._lowest_m = [
             float(np.linalg.norm(layer.xyz_m, axis=1).min(initial=np.inf)) for layer in kept
         ]
@@ -179,22 +179,18 @@ class ControlPointField:
         name = self.name(index)
         if name in self.damaged:
             return None
-        if index in self._references:
-            self._references.move_to_end(index)
-            return self._references[index]
         layer = self._layer(index)
-        store = layer.store
+        planes_on_m = None if layer.planes is None else layer.planes.radii_m
+
+        def made() -> Reference:
+            point, patches = layer.store.point(name[1]), layer.store.patches(name[1])
+            return Reference(point, patches, layer.radius_m, planes_on_m)
+
         try:
-            patches = store.patches(name[1])
+            return self._references.get(index, made)
         except DataError as error:
             self.damaged[name] = str(error)
             return None
-        planes_on_m = None if layer.planes is None else layer.planes.radii_m
-        reference = Reference(store.point(name[1]), patches, layer.radius_m, planes_on_m)
-        self._references[index] = reference
-        if len(self._references) > MAX_REFERENCES:
-            self._references.popitem(last=False)
-        return reference
 
     def half_sizes_m(self, index: int, level: int) -> list[float]:
         """Half a side of a point's patches from a level up, m."""

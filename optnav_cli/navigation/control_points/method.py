@@ -24,7 +24,6 @@ from optnav_cli.fix import (
 )
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
-from optnav_cli.matching.visibility import View
 from optnav_cli.navigation.control_points.acceptance import (
     MAX_PART_FACTOR,
     MAX_VARIANCE_FACTOR,
@@ -38,6 +37,7 @@ from optnav_cli.navigation.control_points.acceptance import (
 )
 from optnav_cli.navigation.control_points.error_model import footprints, own_shares
 from optnav_cli.navigation.control_points.expectation import (
+    ExpectedPoints,
     FrameContext,
     expected,
     select_evenly,
@@ -63,7 +63,7 @@ class _Pass:
     searched_postings  how far the points were searched, postings of the terrain model
     """
 
-    view: View
+    view: ExpectedPoints
     matches: list[PointMatch]
     solution: RobustResection
     evidence: Evidence
@@ -232,7 +232,10 @@ def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
 
 
 def _evidence(
-    frame: FrameContext, view: View, matches: list[PointMatch], solution: RobustResection | None
+    frame: FrameContext,
+    view: ExpectedPoints,
+    matches: list[PointMatch],
+    solution: RobustResection | None,
 ) -> Evidence:
     """The points tried, with what the solution made of them; None: there is no solution."""
     place = {k: i for i, k in enumerate(accepted(matches))}

@@ -9,8 +9,12 @@ from catalog.correlation.masked import blur_nodes
 from optnav_cli.estimation.resection import Pose, Sightings, predict
 from optnav_cli.estimation.robust import RobustResection, resect_robustly
 from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
-from optnav_cli.matching.search_plan import ground_uncertainty_m, plan_distortion, plan_search
-from optnav_cli.matching.visibility import View
+from optnav_cli.matching.search_plan import (
+    SearchPlan,
+    ground_uncertainty_m,
+    plan_distortion,
+    search_room,
+)
 from optnav_cli.navigation.control_points.error_model import (
     common_errors_px,
     footprints,
@@ -18,7 +22,7 @@ from optnav_cli.navigation.control_points.error_model import (
     overlap_correlation,
     own_covariances_px2,
 )
-from optnav_cli.navigation.control_points.expectation import FrameContext
+from optnav_cli.navigation.control_points.expectation import ExpectedPoints, FrameContext
 from optnav_cli.reasons import Reason, ReasonCode
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
@@ -37,7 +41,7 @@ def accepted(matches: list[PointMatch]) -> list[int]:
 
 
 def match_all(
-    frame: FrameContext, view: View, pose: Pose, covariance: FloatArray
+    frame: FrameContext, view: ExpectedPoints, pose: Pose, covariance: FloatArray
 ) -> tuple[list[PointMatch], bool, float]:
     """Match every point of a view.
 
@@ -65,35 +69,30 @@ def match_all(
         sample = float(view.metres_per_pixel[k])
         postings = points.postings_m(int(index))
         finest = frame.finest_level(postings, sample)
-        plan = plan_search(
+        level, room = search_room(
             postings,
             finest,
             float(uncertainty[k]),
             settings.match.search_sigmas,
             settings.match.max_search_nodes,
         )
-        at_finest = at_finest and plan.level == finest
-        posting = float(postings[plan.level])
+        at_finest = at_finest and level == finest
+        posting = float(postings[level])
         template = frame.template_nodes(posting, sample, float(known[k]))
-        distortion = plan_distortion(
-            template, roll_sigma, height_sigma / float(ranges[k]), DISTORTION_SIGMAS
-        )
+        scale_sigma = height_sigma / float(ranges[k])
+        distortion = plan_distortion(template, roll_sigma, scale_sigma, DISTORTION_SIGMAS)
         blur = blur_nodes(posting, float(known[k]))
+        plan = SearchPlan(level, template, room, sample, distortion, blur)
         matches.append(
             match_point(
                 reference,
-                plan.level,
-                template,
-                plan.search_nodes,
+                plan,
                 frame.picture,
                 camera,
                 pose,
                 frame.sun_body,
-                sample,
                 frame.matcher,
                 gates,
-                distortion,
-                blur,
             )
         )
     return matches, at_finest, searched_postings
@@ -101,7 +100,7 @@ def match_all(
 
 def solve(
     frame: FrameContext,
-    view: View,
+    view: ExpectedPoints,
     matches: list[PointMatch],
     pose: Pose,
 ) -> RobustResection:

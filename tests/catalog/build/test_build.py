@@ -8,7 +8,7 @@ import pytest
 from catalog.build.build import STAGES, run
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError, NothingToDoError, OutputError, UsageError
-from catalog.jobs.code_key import code_key
+from catalog.jobs.workspace import code_key
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
 from tests.catalog.build.coarse_tycho import BBOX, CONFIG

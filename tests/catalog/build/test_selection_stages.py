@@ -25,8 +25,8 @@ from catalog.config import resource
 from catalog.control_point import Flag
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
-from catalog.jobs.records import decode_records, encode_records
-from catalog.rendering.map_view import render_map
+from catalog.jobs.workspace import decode_records, encode_records
+from catalog.rendering.map_view import render_map, render_map_quickly
 from catalog.selection.match_error import predict_match
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
@@ -131,8 +131,8 @@ def test_places_too_far_apart_for_one_ground_are_rendered_alone(
     sides = set()
     monkeypatch.setattr(
         render,
-        "render_map",
-        lambda grid, *a, **k: sides.add(len(grid)) or render_map(grid, *a, **k),
+        "render_map_quickly",
+        lambda grid, *a, **k: sides.add(len(grid)) or render_map_quickly(grid, *a, **k),
     )
     alone = render.render_chunk(context, cells[:4])
     assert sides == {context.config.render.window_nodes + 2 * render.SHADOW_NODES}
@@ -217,9 +217,9 @@ def test_trials_that_are_not_run_would_not_have_changed_the_choice(mosaic, selec
     strict = CheckSettings(places=4, trials=8, good_recognition=1.0, max_error_nodes=0.25)
     hard = context_of(mosaic, check=strict)
     run = []
-    of_trials = check.run_trials
+    of_trials = check.outcomes_at
     monkeypatch.setattr(
-        check, "run_trials", lambda *a, **k: (run.append(1) or o for o in of_trials(*a, **k))
+        check, "outcomes_at", lambda *a, **k: (run.append(1) or o for o in of_trials(*a, **k))
     )
     found = check.check_chunk(hard, selected)
     early, run[:] = len(run), []

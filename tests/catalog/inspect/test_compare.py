@@ -250,7 +250,7 @@ def test_the_same_heights_packed_in_another_way_are_the_same(
         (key,),
     ).fetchone()
     db.close()
-    from catalog.store.digest import patch_header
+    from catalog.store.patches import patch_header
     from catalog.store.records import checksum
 
     raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=1 << 20)
@@ -288,7 +288,7 @@ def test_a_digest_that_is_not_that_of_the_content_is_told(
     written: Written, catalog_copy: Path
 ) -> None:
     """Patches of two points exchanged, with their checksums made anew."""
-    from catalog.store.digest import patch_header
+    from catalog.store.patches import patch_header
     from catalog.store.records import checksum
 
     db = sqlite3.connect(catalog_copy)

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from catalog.jobs.records import DamagedRecordsError, decode_records, encode_records
+from catalog.jobs.workspace import DamagedRecordsError, decode_records, encode_records
 
 
 class Thing(msgspec.Struct):

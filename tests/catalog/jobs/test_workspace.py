@@ -8,8 +8,7 @@ import msgspec
 import pytest
 
 from catalog.errors import OutputError
-from catalog.jobs.records import encode_records
-from catalog.jobs.workspace import Workspace, stage_key
+from catalog.jobs.workspace import Workspace, encode_records, stage_key
 
 
 class Thing(msgspec.Struct):

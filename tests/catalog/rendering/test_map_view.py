@@ -12,9 +12,10 @@ from catalog.errors import ConfigError
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.photometry import hapke
 from catalog.photometry.hapke import LUNAR
-from catalog.rendering import shading
+from catalog.photometry.laws import HAPKE, NORMAL_ALBEDO, SurfaceLaw
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE, shade_hapke, slope_table
 from catalog.rendering.map_view import ALL_LIT, render_map
+from catalog.rendering.shading import MapGrid, shade_fixed
 
 MOON_M = 1_737_400.0
 POSTING_M = 118.45
@@ -52,9 +53,8 @@ def test_shading_over_the_curved_body_follows_normals_made_in_space(tycho, radiu
     normal, _ = normals_from_points(heights, posting, radius)
     direction = sun(30.0, 200.0)
     expected = np.clip(normal @ direction, 0.0, None)
-    lambert = render_map(
-        heights, posting, direction, radius_m=radius, law="lambert", albedo=1.0, shadows=False
-    )
+    lambert = render_map(heights, posting, direction, radius_m=radius, law="lambert", outer=None)
+    lambert /= np.float32(NORMAL_ALBEDO)
     # (h/R)^2 is left out of the stretch; the small body has h/R of some 1e-2
     np.testing.assert_allclose(lambert[1:-1, 1:-1], expected, atol=2e-4)
 
@@ -70,7 +70,7 @@ def test_a_near_camera_sees_each_node_along_its_own_line(tycho):
         normal @ direction, (normal * to_camera).sum(-1), to_camera @ direction
     )
     got = render_map(
-        heights, POSTING_M, direction, radius_m=MOON_M, camera_local=camera, shadows=False
+        heights, POSTING_M, direction, radius_m=MOON_M, camera_local=camera, outer=None
     )
     np.testing.assert_allclose(got[1:-1, 1:-1], expected, atol=2e-5)
 
@@ -105,10 +105,9 @@ def test_lambert_on_a_flat_body_is_gdals_hillshade(tycho, tmp_path, azimuth):
         sun(35.0, azimuth),
         radius_m=1e12,
         law="lambert",
-        albedo=1.0,
-        shadows=False,
+        outer=None,
     )[1:-1, 1:-1]
-    assert np.abs(1.0 + 254.0 * ours - gdal).max() < 1.01
+    assert np.abs(1.0 + 254.0 / NORMAL_ALBEDO * ours - gdal).max() < 1.01
 
 
 @pytest.mark.parametrize(
@@ -125,11 +124,11 @@ def test_the_slope_table_is_as_good_as_hapke_node_by_node(
     Four times as much for the table of small grids: a tenth of an 8-bit count.
     """
     towards, view = sun(sun_elevation, 70.0), sun(view_elevation, 200.0)
-    exact = shading.shade_fixed(
-        tycho, POSTING_M, MOON_M, towards, view, shading.HAPKE, LUNAR, 0.12, ALL_LIT
-    )
+    grid = MapGrid(tycho, POSTING_M, MOON_M)
+    law = SurfaceLaw(HAPKE, LUNAR, NORMAL_ALBEDO)
+    exact = shade_fixed(grid, towards, view, law, ALL_LIT)
     table = slope_table(towards, view, LUNAR, size)
-    read = shade_hapke(tycho, POSTING_M, MOON_M, towards, view, LUNAR, ALL_LIT, table)
+    read = shade_hapke(grid, towards, view, LUNAR, ALL_LIT, table)
     error = read - exact
     assert np.sqrt((error**2).mean()) < factor * 1e-3 * exact.std()
     assert np.abs(error).max() < factor * 1e-3
@@ -140,7 +139,8 @@ def test_a_table_filled_for_one_ground_serves_another(tycho):
     table = np.full((SMALL_TABLE_SIZE, SMALL_TABLE_SIZE), np.nan)
 
     def shaded(heights, table):
-        return shade_hapke(heights, POSTING_M, MOON_M, towards, view, LUNAR, ALL_LIT, table)
+        grid = MapGrid(heights, POSTING_M, MOON_M)
+        return shade_hapke(grid, towards, view, LUNAR, ALL_LIT, table)
 
     gentle = shaded((0.05 * tycho).astype(np.float32), table)
     assert 0 < np.isfinite(table).sum() < 0.2 * table.size
@@ -167,7 +167,7 @@ def test_shadow_is_black_and_holes_stay_holes(tycho, law):
     picture = render_map(heights, POSTING_M, sun(6, 90), radius_m=MOON_M, law=law)
     assert np.isnan(picture[30:33, 40]).all()
     assert np.isfinite(np.delete(picture.ravel(), [r * 80 + 40 for r in (30, 31, 32)])).all()
-    lit = render_map(heights, POSTING_M, sun(6, 90), radius_m=MOON_M, law=law, shadows=False)
+    lit = render_map(heights, POSTING_M, sun(6, 90), radius_m=MOON_M, law=law, outer=None)
     dark = (picture == 0.0) & (lit > 0.0)
     assert dark.sum() > 20
     np.testing.assert_array_equal(picture[picture > 0.0], lit[picture > 0.0])

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from catalog.photometry.hapke import LUNAR, reflectance_scalar
-from catalog.rendering.mesh.scene import MeshScene
+from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.rays import MeshRays, first_of_all
 
 RADIUS_M = 5000.0

@@ -9,8 +9,8 @@ from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_l
 from catalog.photometry import hapke
 from catalog.rendering.rays.ground import Ground, make_ground, surroundings, whole_sphere
 from catalog.rendering.rays.light import lit_share
+from catalog.rendering.rays.march import FINE, SKY, WIDE, Ray, trace
 from catalog.rendering.rays.scene import Scene
-from catalog.rendering.rays.trace import FINE, SKY, WIDE, trace
 
 RADIUS_M = 1_737_400.0
 STEP = 200.0 / RADIUS_M
@@ -53,7 +53,7 @@ def height_over(ground: Ground, point: np.ndarray) -> np.ndarray:
 
 def traced(ground: Ground, wide: Ground, origin: np.ndarray, rays: np.ndarray):
     """What rays (n, 3) from one origin meet, and how far away."""
-    found = [trace(ground, wide, *origin, *ray, 0.0)[:2] for ray in rays]
+    found = [trace(ground, wide, Ray(*origin, *ray), 0.0)[:2] for ray in rays]
     return np.array([kind for kind, _ in found]), np.array([distance for _, distance in found])
 
 

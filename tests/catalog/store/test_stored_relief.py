@@ -20,10 +20,10 @@ from catalog.inspect.differences import lines, summary
 from catalog.inspect.export import export_relief
 from catalog.inspect.summary import describe
 from catalog.store import relief as stored
+from catalog.store.connection import SealState
 from catalog.store.patches import prepare_point
 from catalog.store.reader import Catalog
 from catalog.store.relief import prepare_relief
-from catalog.store.seal import SealState
 from catalog.store.verify import verify
 from catalog.store.writer import Written, write_catalog
 from catalog.terrain.relief.relief import GlobalRelief

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError
-from catalog.store.seal import SealState
+from catalog.store.connection import SealState
 from catalog.store.verify import verify
 from catalog.store.writer import Written
 

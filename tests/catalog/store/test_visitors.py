@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError
+from catalog.store.connection import SealState
 from catalog.store.reader import Catalog
-from catalog.store.seal import SealState
 from catalog.store.verify import Verification, verify
 from catalog.store.writer import Written
 

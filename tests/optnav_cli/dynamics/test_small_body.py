@@ -13,8 +13,8 @@ from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.dynamics.arc import Fix, OrbitArc
 from optnav_cli.dynamics.forces import Forces, even_field
 from optnav_cli.dynamics.integrator import OrbitMotion
-from optnav_cli.simulation.approach import approach_states
-from optnav_cli.simulation.scenario import Approach, load_scenario
+from optnav_cli.simulation.approach import Approach, approach_states
+from optnav_cli.simulation.scenario import load_scenario
 
 PHOBOS = load_body("phobos")
 MOTION = AnalyticEphemeris(PHOBOS)

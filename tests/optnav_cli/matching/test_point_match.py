@@ -13,8 +13,9 @@ from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose, predict
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import Distortion, MatchGates, match_point
+from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
+from optnav_cli.matching.search_plan import Distortion, SearchPlan
 from optnav_cli.reasons import ReasonCode
 from tests.optnav_cli.conftest import pixel_grid
 
@@ -61,22 +62,13 @@ def picture_of(reference, pose, sun, level=0, size=200):
 
 
 def search(reference, picture, pose, sun, **changes):
-    options = {
-        "level": 0,
-        "template_nodes": 64,
-        "search_nodes": 12,
-        "matcher": match_ncc,
-        "gates": MatchGates(0.5, 0.9),
-    } | changes
-    return match_point(
-        reference,
-        picture=PicturePyramid(picture),
-        camera=CAMERA,
-        pose=pose,
-        sun_body=sun,
+    options = {"matcher": match_ncc, "gates": MatchGates(0.5, 0.9)}
+    options |= {name: changes.pop(name) for name in options if name in changes}
+    plan = SearchPlan(
+        **{"level": 0, "template_nodes": 64, "search_nodes": 12} | changes,
         metres_per_pixel=METRES_PER_PIXEL,
-        **options,
     )
+    return match_point(reference, plan, PicturePyramid(picture), CAMERA, pose, sun, **options)
 
 
 @pytest.mark.parametrize("matcher", [match_ncc, match_surf])

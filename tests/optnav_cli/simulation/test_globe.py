@@ -8,23 +8,24 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.photometry import hapke
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.globe_frame import GlobeRenderer
-from optnav_cli.simulation.globe_heights import GlobeHeights
-from optnav_cli.simulation.globe_terrain import (
+from optnav_cli.simulation.exposure import Exposure
+from optnav_cli.simulation.globe_ground import (
+    GlobeGround,
     GlobeTerrain,
     View,
     facing_frame,
     fixed_centre,
     level_frame,
 )
+from optnav_cli.simulation.globe_heights import GlobeHeights
 from optnav_cli.simulation.run import simulate
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.simulation.trajectory import Exposure, shots
 
 RADIUS_M = 1_737_400.0
 ROOT = Path(__file__).resolve().parents[3]
@@ -39,17 +40,17 @@ def shot_at(position: np.ndarray, target: np.ndarray, sun: np.ndarray) -> Exposu
     x = np.cross(boresight, [0.3, -0.5, 0.8])
     x /= np.linalg.norm(x)
     rotation = Rotation.from_matrix(np.stack([x, np.cross(boresight, x), boresight]))
-    first = shots(scenario, load_body("moon"))[0]
+    first = scenario.exposures(AnalyticEphemeris(load_body("moon")))[0]
     return replace(
         first, position_m=position, camera_from_body=rotation, sun_body=sun / np.linalg.norm(sun),
         ground_seed=None,
     )  # fmt: skip
 
 
-def renderer(camera: Camera, heights: np.ndarray | None = None) -> GlobeRenderer:
+def ground(heights: np.ndarray | None = None) -> GlobeGround:
     model = np.zeros((180, 360), np.float32) if heights is None else heights
     globe = GlobeHeights(model, RADIUS_M)
-    return GlobeRenderer(globe, {None: GlobeTerrain(globe, None)}, camera)
+    return GlobeGround(globe, {None: GlobeTerrain(globe, None)})
 
 
 def exact_sphere(camera: Camera, shot: Exposure, samples: int, inside: np.ndarray) -> np.ndarray:
@@ -108,7 +109,7 @@ def test_the_limb_of_a_smooth_sphere_is_right_to_a_hundredth_of_a_pixel(
     shot = shot_at(
         position, target, position + 0.2 * np.linalg.norm(position) * np.array([1, 0, 0])
     )
-    found = renderer(camera).radiance(shot).astype(float)
+    found = ground().radiance(camera, shot).astype(float)
     near = limb_pixels(camera, shot, 2.0)
     expected = exact_sphere(camera, shot, 24, near)
     x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
@@ -129,7 +130,7 @@ def test_the_whole_disc_far_away_has_the_light_and_centre_of_the_exact_one():
     position = xyz_from_latlon(-0.3, -3.1, RADIUS_M + 1e8)
     camera = Camera("unk", "pinhole", 240, 240, 4183.87, (119.5, 119.5))
     shot = shot_at(position, np.array([9e5, 2e6, -1e6]), np.array([-0.5, -0.6, 0.3]))
-    found = renderer(camera).radiance(shot).astype(float)
+    found = ground().radiance(camera, shot).astype(float)
     x, y = np.meshgrid(np.arange(240.0), np.arange(240.0))
     centre = camera.project(shot.camera_from_body.apply(-position))
     disc = np.hypot(x - centre[0], y - centre[1]) < 75.0  # its radius is 71.5 px
@@ -175,7 +176,7 @@ def test_the_poles_and_180_degrees_look_like_any_other_place(
             sun_body=rotation.apply(shot.sun_body),
             camera_from_body=shot.camera_from_body * rotation.inv(),
         )  # fmt: skip
-        pictures.append(renderer(camera, globe_of(rotation)).radiance(shot).astype(float))
+        pictures.append(ground(globe_of(rotation)).radiance(camera, shot).astype(float))
     one, other = pictures
     assert one.std() > 0.2 * one.max() / 5.0
     difference = np.abs(one - other)

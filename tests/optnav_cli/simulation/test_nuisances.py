@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.scenario import Scenario, load_scenario
+from optnav_cli.simulation.exposure import Exposure
+from optnav_cli.simulation.passes import Scenario
+from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import (
     GlareSettings,
     SensorSettings,
@@ -19,9 +21,7 @@ from optnav_cli.simulation.sections import (
     StructureSettings,
 )
 from optnav_cli.simulation.sensor import Besides, expose
-from optnav_cli.simulation.shot import Exposure
 from optnav_cli.simulation.surroundings import Surroundings, bright_stars
-from optnav_cli.simulation.trajectory import shots
 
 ROOT = Path(__file__).resolve().parents[3]
 MOTION = AnalyticEphemeris(load_body("moon"))
@@ -37,7 +37,7 @@ def scenario_with(**sections: object) -> Scenario:
 
 def looking(direction_inertial: np.ndarray) -> Exposure:
     """A shot with the boresight along an inertial direction."""
-    first = shots(scenario_with(), MOTION.body)[0]
+    first = scenario_with().exposures(AnalyticEphemeris(MOTION.body))[0]
     z = MOTION.body_from_inertial(first.tdb_s) @ direction_inertial
     z = z / np.linalg.norm(z)
     x = np.cross(z, [0.4, 0.3, -0.8])

@@ -10,15 +10,14 @@ import pytest
 import trimesh
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import ConfigError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.mesh_frame import MeshRenderer
+from optnav_cli.simulation.exposure import Exposure
+from optnav_cli.simulation.mesh_ground import MeshGround
+from optnav_cli.simulation.portraits import Portraits, PortraitSettings
 from optnav_cli.simulation.run import simulate
-from optnav_cli.simulation.scenario import Portraits, fewer_pictures, load_scenario
-from optnav_cli.simulation.sections import PortraitSettings
-from optnav_cli.simulation.shot import Exposure
-from optnav_cli.simulation.trajectory import shots
-from optnav_cli.simulation.truth_mesh import TruthMesh
+from optnav_cli.simulation.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[3]
 CAMERA = Camera("small", "pinhole", 200, 160, 500.0, (99.5, 79.5))
@@ -62,26 +61,21 @@ def portraits(path: Path) -> Portraits:
 
 
 @pytest.fixture(scope="module")
-def truth(tmp_path_factory: pytest.TempPathFactory) -> TruthMesh:
+def ball(tmp_path_factory: pytest.TempPathFactory) -> MeshGround:
     """A ball of Phobos' size without relief."""
     folder = tmp_path_factory.mktemp("ball")
     trimesh.creation.icosphere(4, radius=13.0).export(folder / "ball.ply")
     text = SCENARIO.replace("bundled:phobos_thomas.tab", "ball.ply")
     text = text.replace(', longitude = "west"', "").replace("{ smallest", "{ seeds = [], smallest")
     (folder / "ball.toml").write_text(text.replace("small.toml", "tsnn_shtk"))
-    return TruthMesh(portraits(folder / "ball.toml"), load_body("phobos"))
-
-
-@pytest.fixture(scope="module")
-def ball(truth: TruthMesh) -> MeshRenderer:
-    """The ball seen by CAMERA."""
-    return MeshRenderer(truth, CAMERA)
+    scenario = portraits(folder / "ball.toml")
+    return MeshGround(scenario.mesh, scenario.detail, load_body("phobos"))
 
 
 def full(distance_m: float, aside_px: np.ndarray) -> Exposure:
     """The ball in full light, its centre beside the middle of the picture."""
     scenario = load_scenario(ROOT / "configs" / "scenarios" / "phobos_limb_1000km.toml")
-    shot = shots(fewer_pictures(scenario, 1), load_body("phobos"))[0]
+    shot = scenario.shortened(1).exposures(AnalyticEphemeris(load_body("phobos")))[0]
     ahead = shot.camera_from_body.inv().apply([*(aside_px / CAMERA.focal_length_px), 1.0])
     ahead /= np.linalg.norm(ahead)
     return replace(shot, position_m=-distance_m * ahead, sun_body=-ahead, ground_seed=None)
@@ -104,36 +98,36 @@ def light(image: np.ndarray) -> tuple[float, np.ndarray]:
 
 @pytest.mark.parametrize("across_px", [12.0, 30.0])
 def test_a_ball_of_any_size_in_full_light_lies_about_its_centre(
-    ball: MeshRenderer, across_px: float
+    ball: MeshGround, across_px: float
 ) -> None:
     aside = np.array([3.37, -2.18])
     shot = full(26e3 * CAMERA.focal_length_px / across_px, aside)
-    _, middle = light(ball.radiance(shot))
+    _, middle = light(ball.radiance(CAMERA, shot))
     np.testing.assert_allclose(middle, np.array([99.5, 79.5]) + aside, atol=0.01)
 
 
-def test_a_small_disc_is_the_mean_of_a_finer_camera_s_picture(truth: TruthMesh) -> None:
+def test_a_small_disc_is_the_mean_of_a_finer_camera_s_picture(ball: MeshGround) -> None:
     coarse = Camera("coarse", "pinhole", 24, 20, 500.0, (11.5, 9.5))
     fine = Camera("fine", "pinhole", 384, 320, 8000.0, (191.5, 159.5))
     shot = replace(full(26e3 * 500.0 / 2.5, np.array([3.37, -2.18])), sun_body=aslant(40.0))
-    found = MeshRenderer(truth, coarse).radiance(shot)
-    wanted = MeshRenderer(truth, fine).radiance(shot).reshape(20, 16, 24, 16).mean(axis=(1, 3))
+    found = ball.radiance(coarse, shot)
+    wanted = ball.radiance(fine, shot).reshape(20, 16, 24, 16).mean(axis=(1, 3))
     assert 9 <= (found > 0.0).sum() <= 16
     # the finer camera sees the limb right to a hundredth of its pixels
     np.testing.assert_allclose(found, wanted, atol=0.01 * wanted.max())
 
 
-def test_light_falls_with_the_square_of_the_distance(ball: MeshRenderer) -> None:
+def test_light_falls_with_the_square_of_the_distance(ball: MeshGround) -> None:
     sums = []
     for distance in (1e6, 5e6):
         shot = replace(full(distance, np.array([0.3, 0.4])), sun_body=aslant(40.0))
-        sums.append(light(ball.radiance(shot))[0] * distance**2)
+        sums.append(light(ball.radiance(CAMERA, shot))[0] * distance**2)
     assert sums[1] == pytest.approx(sums[0], rel=3e-3)
 
 
-def test_a_body_beside_the_field_is_not_in_the_picture(ball: MeshRenderer) -> None:
-    assert not ball.radiance(full(4e6, np.array([400.0, 0.0]))).any()
-    half = ball.radiance(full(150e3, np.array([99.5 + 0.5, 0.0])))
+def test_a_body_beside_the_field_is_not_in_the_picture(ball: MeshGround) -> None:
+    assert not ball.radiance(CAMERA, full(4e6, np.array([400.0, 0.0]))).any()
+    half = ball.radiance(CAMERA, full(150e3, np.array([99.5 + 0.5, 0.0])))
     assert half[:, -1].any()
     assert not half[:, :40].any()
 
@@ -141,7 +135,7 @@ def test_a_body_beside_the_field_is_not_in_the_picture(ball: MeshRenderer) -> No
 def test_portraits_are_taken_where_they_are_wanted(path: Path) -> None:
     text = SCENARIO.replace("frames = 3", "frames = 40\nphase_deg = [25.0, 60.0]")
     path.write_text(text)
-    flight = shots(portraits(path), load_body("phobos"))
+    flight = portraits(path).exposures(AnalyticEphemeris(load_body("phobos")))
     distances = np.array([np.linalg.norm(s.position_m) for s in flight])
     assert distances[[0, -1]] == pytest.approx([400e3, 100e3])
     assert np.ptp(np.diff(np.log(distances))) < 1e-9

@@ -10,6 +10,7 @@ import rasterio
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
@@ -17,10 +18,12 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.simulation import run
-from optnav_cli.simulation.frame import Renderer
-from optnav_cli.simulation.scenario import Scenario, SensorSettings, load_scenario
+from optnav_cli.simulation.exposure import Exposure
+from optnav_cli.simulation.passes import Scenario
+from optnav_cli.simulation.region_ground import RegionGround, truth_terrain
+from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
-from optnav_cli.simulation.trajectory import Exposure, shots
 
 RADIUS_M = 1_737_400.0
 SMALL = """
@@ -59,7 +62,7 @@ def scenario_file(tmp_path: Path) -> Path:
 @pytest.fixture
 def flight(scenario_file: Path) -> tuple[Scenario, list[Exposure]]:
     scenario = load_scenario(scenario_file)
-    return scenario, shots(scenario, load_body("moon"))
+    return scenario, scenario.exposures(AnalyticEphemeris(load_body("moon")))
 
 
 def test_a_misspelt_key_is_refused_with_the_right_one(scenario_file: Path):
@@ -109,7 +112,7 @@ def test_the_camera_looks_down_with_the_top_of_the_picture_forward(
 
 def test_the_boresight_turns_where_the_settings_say(scenario_file: Path):
     scenario_file.write_text(SMALL + "\n[pointing]\nforward_deg = 10.0\nroll_deg = 90.0\n")
-    shot, after = shots(load_scenario(scenario_file), load_body("moon"))[:2]
+    shot, after = load_scenario(scenario_file).exposures(AnalyticEphemeris(load_body("moon")))[:2]
     boresight = shot.camera_from_body.inv().apply([0.0, 0.0, 1.0])
     down = -shot.position_m / np.linalg.norm(shot.position_m)
     assert np.degrees(np.arccos(boresight @ down)) == pytest.approx(10.0, abs=1e-6)
@@ -123,7 +126,7 @@ def test_the_sun_stands_as_high_as_wanted_where_the_latitude_allows(
     box = f"[170.0, {lat_deg}, -170.0, {lat_deg}]"
     text = SMALL.replace("[-11.5, -43.5, -10.5, -42.5]", box).replace("passes = 2", "passes = 9")
     scenario_file.write_text(text.replace("frames = 2", "frames = 1"))
-    pictures = shots(load_scenario(scenario_file), load_body("moon"))
+    pictures = load_scenario(scenario_file).exposures(AnalyticEphemeris(load_body("moon")))
     up = [s.position_m / np.linalg.norm(s.position_m) for s in pictures]
     found = np.degrees(np.arcsin([s.sun_body @ u for s, u in zip(pictures, up)]))
     highest = min(45.0, 90.0 - abs(lat_deg) + 1.5)
@@ -137,7 +140,7 @@ def test_the_sun_stands_as_high_as_wanted_where_the_latitude_allows(
 
 def test_prior_and_attitude_errors_have_the_stated_size(scenario_file: Path):
     scenario_file.write_text(SMALL.replace("frames = 2", "frames = 400"))
-    pictures = shots(load_scenario(scenario_file), load_body("moon"))
+    pictures = load_scenario(scenario_file).exposures(AnalyticEphemeris(load_body("moon")))
     error = np.array([s.prior_m - s.position_m for s in pictures])
     # 2400 numbers: 1.4 % of scatter
     assert error.std() == pytest.approx(3000.0, rel=0.06)
@@ -198,7 +201,7 @@ def test_a_run_writes_a_folder_that_reads_back_and_the_same_bytes_again(
 def test_passes_over_different_seeds_see_different_ground(scenario_file: Path):
     scenario = load_scenario(scenario_file)
     body = load_body("moon")
-    terrain = run.truth_terrain(scenario, body, shots(scenario, body))
+    terrain = truth_terrain(scenario, body, scenario.exposures(AnalyticEphemeris(body)))
     box = (np.radians(-11.1), np.radians(-43.1), np.radians(-11.0), np.radians(-43.0))
     one, two, bare = (terrain.window(seed, 2, box).heights for seed in (1, 2, None))
     assert 0.5 < np.std(one - bare) < 5.0
@@ -208,7 +211,7 @@ def test_passes_over_different_seeds_see_different_ground(scenario_file: Path):
 def test_ground_between_the_model_nodes_passes_through_them_and_joins_the_globe(
     scenario_file: Path,
 ):
-    terrain = run.truth_terrain(load_scenario(scenario_file), load_body("moon"), [])
+    terrain = truth_terrain(load_scenario(scenario_file), load_body("moon"), [])
     with rasterio.open(terrain._sources[0].path) as dataset:
         heights = dataset.read(1).astype(float)
     source = terrain._sources[0]
@@ -277,11 +280,12 @@ def test_a_peak_appears_where_the_camera_projects_it(tmp_path: Path, model: str)
         for k in range(4):
             sun = xyz_from_latlon(0.7 * np.cos(k * np.pi / 2), 0.7 * np.sin(k * np.pi / 2), 1.0)
             shot = replace(
-                shots(scenario, body)[0], index=0, position_m=position, sun_body=sun,
+                scenario.exposures(AnalyticEphemeris(body))[0],
+                index=0, position_m=position, sun_body=sun,
                 camera_from_body=rotation,
             )  # fmt: skip
-            renderer = Renderer(run.truth_terrain(scenario, body, [shot]), camera, [shot])
-            pictures[name].append(renderer.radiance(shot).astype(float))
+            ground = RegionGround(truth_terrain(scenario, body, [shot]), [camera], [shot])
+            pictures[name].append(ground.radiance(camera, shot).astype(float))
     change = np.abs(sum(pictures["peak"]) - sum(pictures["flat"]))
     rows, cols = np.mgrid[:91, :101]
     found = np.array([(change * cols).sum(), (change * rows).sum()]) / change.sum()
@@ -296,7 +300,7 @@ def test_every_shipped_scenario_loads_and_the_template_shows_the_defaults():
     assert len(shipped) >= 6
     for path in shipped:
         scenario = load_scenario(path)
-        assert len(shots(scenario, load_body(scenario.body))) >= 12
+        assert len(scenario.exposures(AnalyticEphemeris(load_body(scenario.body)))) >= 12
     template = load_scenario(root / "templates" / "scenario.toml")
     plain = Scenario(camera=template.camera, orbit=template.orbit)
     shown = msgspec.to_builtins(msgspec.structs.replace(template, dem=plain.dem, globe=plain.globe))

@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.config import resource
 from catalog.errors import ConfigError
 from catalog.geometry.grid import sample_bicubic
@@ -14,11 +15,9 @@ from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, whole_sphere
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
-from optnav_cli.simulation import run
-from optnav_cli.simulation.globe_heights import read_globe
-from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.simulation.trajectory import shots
-from optnav_cli.simulation.wide_ground import WideGround, seen_from
+from optnav_cli.simulation.globe_heights import WideGround, read_globe, seen_from
+from optnav_cli.simulation.region_ground import truth_terrain
+from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 
 RADIUS_M = 1_737_400.0
 POSTING_M = np.pi * RADIUS_M / 720
@@ -149,7 +148,7 @@ def test_what_a_flight_cannot_see_stays_smooth(heights, details):
 def test_a_terrain_model_joins_the_rough_globe_at_its_border(tmp_path: Path):
     (tmp_path / "s.toml").write_text(SCENARIO.format(globe=ROUGH))
     scenario, body = load_scenario(tmp_path / "s.toml"), load_body("moon")
-    terrain = run.truth_terrain(scenario, body, shots(scenario, body))
+    terrain = truth_terrain(scenario, body, scenario.exposures(AnalyticEphemeris(body)))
     west, south, _, _ = terrain.box
     for seed in (1, 2):
         edge = terrain.window(seed, 2, (west, south, west + 1e-3, south + 2e-3))
@@ -164,7 +163,7 @@ def test_a_terrain_model_joins_the_rough_globe_at_its_border(tmp_path: Path):
     inside = (np.radians(-11.1), np.radians(-43.1), np.radians(-11.0), np.radians(-43.0))
     (tmp_path / "plain.toml").write_text(SCENARIO.format(globe=""))
     plain = load_scenario(tmp_path / "plain.toml")
-    bare = run.truth_terrain(plain, body, shots(plain, body))
+    bare = truth_terrain(plain, body, plain.exposures(AnalyticEphemeris(body)))
     np.testing.assert_array_equal(
         terrain.window(1, 2, inside).heights, bare.window(1, 2, inside).heights
     )
@@ -172,9 +171,9 @@ def test_a_terrain_model_joins_the_rough_globe_at_its_border(tmp_path: Path):
 
 def test_detail_of_the_globe_is_told_only_where_it_is_set(tmp_path: Path):
     (tmp_path / "s.toml").write_text(SCENARIO.format(globe=ROUGH))
-    assert b'"rms_slope_deg": 5.0' in run.scenario_copy(load_scenario(tmp_path / "s.toml"))
+    assert b'"rms_slope_deg": 5.0' in scenario_copy(load_scenario(tmp_path / "s.toml"))
     (tmp_path / "s.toml").write_text(SCENARIO.format(globe=""))
-    copy = run.scenario_copy(load_scenario(tmp_path / "s.toml"))
+    copy = scenario_copy(load_scenario(tmp_path / "s.toml"))
     assert copy.count(b'"detail"') == 1
 
 

@@ -12,10 +12,10 @@ from optnav_cli.studies.arc import (
     ROUND,
     STEP_DEG,
     ArcRow,
-    format_table,
     limb_errors,
     one_arc,
     picture,
+    report,
 )
 
 FAR_KM = 1e6  # the Moon is so small there that its limb is a plane circle
@@ -77,9 +77,10 @@ def test_table_and_picture_hold_every_arc_and_interval():
         for arc in ARCS_DEG
         for interval in INTERVALS_DEG
     ]
-    table = format_table(rows)
-    assert table.count("0.500 / 0.250") == len(rows)
-    assert "(10% unsolved)" in table
+    tables = report(rows).tables
+    cells = [cell for table in tables for row in table.rows for cell in row[1:-1]]
+    assert cells == [0.5, 0.25] * len(rows)
+    assert {table.column("unsolved")[-1] for table in tables} == {10.0}
     root = ET.fromstring(picture(rows))
     svg = "{http://www.w3.org/2000/svg}"
     for panel in root.findall(f"{svg}svg"):

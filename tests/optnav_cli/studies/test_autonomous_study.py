@@ -1,6 +1,5 @@
 """The autonomous study's tables, and the arc of lit limb that a picture truly shows."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +11,17 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.frames.truth import Truth
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.studies.autonomous import ROWS, SHARES, lit_arc_deg
-from optnav_cli.studies.autonomous_table import (
+from optnav_cli.studies.autonomous import (
+    ROWS,
+    SHARES,
     Results,
     RowResult,
     ShareResult,
-    format_results,
+    lit_arc_deg,
+    report,
     write_figures,
 )
+from optnav_cli.studies.tables import StudyReport
 from tests.optnav_cli.rows import solved, unsolved
 
 RADIUS_M, HEIGHT_M, UTC = 1737400.0, 2e5, "2026-01-01T00:00:00Z"
@@ -83,22 +85,24 @@ def test_the_tables_say_what_is_solved_asked_and_wrong(tmp_path: Path) -> None:
         ShareResult(SHARES[0], (good, missed()), (150.0, 160.0)),
         ShareResult(SHARES[1], (good, good), (139.0, 141.0)),
     )
-    text = format_results(Results((row,), shares))
-    lines = {line[:24].strip(): line[24:] for line in text.splitlines()}
-    case = lines["wide camera, 400 km"]
-    assert "2/3" in case
-    assert f"{np.hypot(10.0, 60.0) / np.sqrt(2.0):.1f} (≤ 40) m" in case
-    assert f"{3.0 / np.sqrt(2.0):.1f} (≤ 30) m" in case
-    assert "6.0 σ" in case
-    assert lines[SHARES[0]].split()[:2] == ["1/2", "0/0"]
-    assert lines[SHARES[1]].split()[:2] == ["1/1", "1/1"]
-    assert lines["together"].split()[:2] == ["2/3", "1/1"]
-    assert "3 horizon" in lines["together"]
-    assert text.endswith("wrong by more than 5 of their own sigmas: 1 of 7")
+    results = Results((row,), shares)
+    cases, arcs = (table for table in report(results).tables)
+    assert cases.column("case") == ["wide camera, 400 km"]
+    assert (cases.column("solved"), cases.column("frames")) == ([2], [3])
+    horizontal = np.hypot(10.0, 60.0) / np.sqrt(2.0)
+    assert cases.column("horizontal_rms_m") == pytest.approx([horizontal], rel=1e-5)
+    assert cases.column("horizontal_limit_m") == [40.0]
+    assert cases.column("height_rms_m") == pytest.approx([3.0 / np.sqrt(2.0)], rel=1e-5)
+    assert cases.column("height_limit_m") == [30.0]
+    assert cases.column("worst") == [6.0]
+    assert arcs.column("scenario") == [SHARES[0], SHARES[1], "together"]
+    assert [row[1:5] for row in arcs.rows] == [(1, 2, 0, 0), (1, 1, 1, 1), (2, 3, 1, 1)]
+    assert arcs.column("methods")[-1] == "3 horizon"
+    assert report(results).notes[-1] == "wrong by more than 5 of their own sigmas: 1 of 7"
 
-    write_figures(tmp_path / "figures.json", [row], shares)
-    written = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
-    sigmas = [frame["sigmas"] for frame in written["rows"][0]["frames"]]
-    assert sigmas == [pytest.approx(np.sqrt(1.09)), 6.0, None]
-    arcs = [frame["lit_arc_deg"] for frame in written["shares"][1]["frames"]]
-    assert arcs == [139.0, 141.0]
+    write_figures(tmp_path / "figures.json", results)
+    text = (tmp_path / "figures.json").read_text(encoding="utf-8")
+    *_, single, lit = StudyReport.from_json(text).tables
+    sigmas = single.column("sigmas")[:3]
+    assert sigmas == [pytest.approx(np.sqrt(1.09), rel=1e-5), 6.0, None]
+    assert lit.column("arc_deg")[2:] == [139.0, 141.0]

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from optnav_cli.studies.disc_scene import DiscScene
-from optnav_cli.studies.discs import DiscResult, format_table, solve
+from optnav_cli.studies.discs import DiscResult, DiscScene, report, solve
 
 
 def result(**values):
@@ -16,13 +15,16 @@ def test_the_table_keeps_direction_and_range_apart_and_counts_refusals():
                  range_nees=2.0)  # fmt: skip
     two = result(method="brightness_centre", direction_px=0.04, range_share=-0.03,
                  direction_nees=4.5, range_nees=1.0)  # fmt: skip
-    text = format_table([one, two, result(reason="no limb; a star looks the same")])
-    line = next(line for line in text.splitlines() if line.startswith("moon, 4-6 px "))
-    assert "2/3" in line
-    assert "0.035 px   2.50" in line
-    assert "3.54 %   1.50" in line
-    assert "3.0 σ  1 brightness centre, 1 horizon" in line
-    assert "1 not solved: a star looks the same" in text
+    found = report([one, two, result(reason="no limb; a star looks the same")])
+    table = found.tables[0]
+    row = dict(zip(table.columns, table.rows[table.column("disc").index("moon, 4-6 px")]))
+    shown = {column.name: column.shown(cell) for column, cell in row.items()}
+    assert (shown["solved"], shown["discs"]) == ("2", "3")
+    assert (shown["direction_px"], shown["direction_nees"]) == ("0.035", "2.50")
+    assert (shown["range_share"], shown["range_nees"]) == ("3.54", "1.50")
+    assert shown["worst"] == "3.0"
+    assert shown["methods"] == "1 brightness centre, 1 horizon"
+    assert "1 not solved: a star looks the same" in found.notes
 
 
 def test_a_drawn_disc_has_the_place_and_size_that_its_truth_says():

@@ -42,6 +42,6 @@ def test_policies_meet_the_same_trials(context, monkeypatch):
     assert (again.against, again.same, again.rate) == ((0.0, 0.0), 1.0, build.rate)
     assert build.trials == 8
     assert 0.5 < build.rate <= 1.0  # highlands at twice the posting are recognised
-    text = economy.format_table([build, again])
-    assert "cells of 1 deg: 2, 8 new trials a place" in text
-    assert "+0.0 ± 0.0 points" in text
+    (table,) = economy.report([build, again]).tables
+    assert [row[:3] for row in table.rows] == [(1.0, 2, 8)] * 2
+    assert (table.column("against"), table.column("against_half")) == ([None, 0.0], [None, 0.0])

@@ -9,12 +9,11 @@ from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import SilentProgress
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.studies.horizon import ROWS, RowResult, run
-from optnav_cli.studies.horizon_table import FrameResult, figures_of, format_results
+from optnav_cli.studies.horizon import ROWS, LimbFix, RowResult, figures_of, report, run
 
 
 def frame(ssp_m, nees, **values):
-    return FrameResult(
+    return LimbFix(
         "a.png", True, False, ssp_m=ssp_m, height_m=-10.0, range_share=1e-4,
         direction_arcsec=3.0, nees=nees, arc_deg=300.0, seconds=0.2, **values,
     )  # fmt: skip
@@ -30,7 +29,7 @@ def test_every_row_has_a_scenario_with_enough_pictures(row):
 
 
 def test_unsolved_frames_count_but_have_no_errors():
-    frames = [frame(30.0, 1.0), frame(40.0, 3.0), FrameResult("b.png", True, False, reason="dark")]
+    frames = [frame(30.0, 1.0), frame(40.0, 3.0), LimbFix("b.png", True, False, reason="dark")]
     figures = figures_of(frames)
     assert (figures.frames, figures.solved) == (3, 2)
     assert figures.ssp_rms_m == pytest.approx(np.sqrt(1250.0))
@@ -43,15 +42,15 @@ def test_unsolved_frames_count_but_have_no_errors():
 def test_the_table_names_what_is_asked_and_why_frames_failed():
     solved = figures_of([frame(30.0, 1.0)])
     poor = figures_of([frame(600.0, 1.0)])
-    none = figures_of([FrameResult("b.png", True, False, reason="no lit limb")])
+    none = figures_of([LimbFix("b.png", True, False, reason="no lit limb")])
     near = RowResult(ROWS[0], poor, solved, poor, solved)
     far = RowResult(ROWS[-1], poor, solved, poor, solved)
     dark = replace(near, terrain=none)
-    text = format_results([near, far])
-    assert "30   (≤250)" in text
-    assert "20x" in text
-    assert "0.0100 (≤0.20) %" in text
-    assert "1 not solved: no lit limb" in format_results([dark])
+    by_limb, far_away = report([near, far]).tables
+    assert (by_limb.column("terrain_ssp_m"), by_limb.column("ssp_limit_m")) == ([30.0], [250.0])
+    assert by_limb.column("better") == [20.0]
+    assert (far_away.column("terrain_range"), far_away.column("range_limit")) == ([0.01], [0.2])
+    assert any("1 not solved: no lit limb" in note for note in report([dark]).notes)
 
 
 def test_a_row_that_is_not_there_is_said(tmp_path, shared_data, monkeypatch):

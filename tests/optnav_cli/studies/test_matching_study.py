@@ -10,12 +10,11 @@ from optnav_cli.matching.reference import Reference
 from optnav_cli.studies.matching import (
     MatchingRow,
     borne,
-    format_table,
     picture,
+    report,
     summarise,
     tolerance,
 )
-from optnav_cli.studies.matching_scene import Scene, Wrong, wrong_pose
 from optnav_cli.studies.matching_trials import (
     AXES,
     MATCHERS,
@@ -24,8 +23,11 @@ from optnav_cli.studies.matching_trials import (
     SCALE,
     SLANT,
     Look,
+    StudyPicture,
     Trial,
+    Wrong,
     roll_search,
+    wrong_pose,
 )
 
 
@@ -35,7 +37,7 @@ def look(rough_world):
     lat, lon = np.radians([-43.0, -11.0])
     pose = rough_world.pose(100e3, lat=lat, lon=lon)
     sun = rough_world.sun(25.0, 70.0)
-    scene = Scene(0, rough_world.picture(pose, sun, snr=1e4, bits=12), pose, sun, 0.0)
+    scene = StudyPicture(0, rough_world.picture(pose, sun, snr=1e4, bits=12), pose, sun, 0.0)
     near = sorted(
         rough_world.control_points,
         key=lambda pair: np.linalg.norm(pair[0].xyz_m / 1.7374e6 - pose.position_m / 1.8374e6),
@@ -52,22 +54,22 @@ def test_a_wrong_pose_sees_the_point_in_the_same_pixel(look, rough_world, wrong)
     pose = look.scene.pose
     # far from nadir, so that a lean has something to take away
     pose = replace(pose, position_m=pose.position_m + 60e3 * np.array([0.3, 0.9, 0.1]))
-    told = wrong_pose(pose, point, wrong)
+    stated = wrong_pose(pose, point, wrong)
 
     def pixel(p):
         return rough_world.camera.project_from_body(
             point, p.position_m, p.camera_from_body.as_matrix()
         )
 
-    np.testing.assert_allclose(pixel(told), pixel(pose), atol=1e-6)
-    distance = np.linalg.norm(told.position_m - point) / np.linalg.norm(pose.position_m - point)
+    np.testing.assert_allclose(pixel(stated), pixel(pose), atol=1e-6)
+    distance = np.linalg.norm(stated.position_m - point) / np.linalg.norm(pose.position_m - point)
     assert distance == pytest.approx(1.0 + wrong.scale)
-    away = (told.position_m - point) / np.linalg.norm(told.position_m - point)
+    away = (stated.position_m - point) / np.linalg.norm(stated.position_m - point)
     true_away = (pose.position_m - point) / np.linalg.norm(pose.position_m - point)
     wanted = point / np.linalg.norm(point) if wrong.lean else true_away
     np.testing.assert_allclose(away, wanted, atol=1e-9)
     if not wrong.lean:
-        turn = (told.camera_from_body * pose.camera_from_body.inv()).magnitude()
+        turn = (stated.camera_from_body * pose.camera_from_body.inv()).magnitude()
         assert turn == pytest.approx(abs(wrong.roll), abs=1e-9)
 
 
@@ -90,7 +92,7 @@ def test_points_are_found_from_a_right_pose_whatever_the_shift(look):
     assert {t.matcher for t in trials} == set(MATCHERS)
     assert rate(trials) == 1.0
     assert rms(trials) < 0.3
-    assert all(t.believed for t in trials if t.matcher == "NCC")
+    assert all(t.accepted for t in trials if t.matcher == "NCC")
 
 
 def test_a_roll_harms_and_searching_rolls_mends_it(look):
@@ -143,11 +145,11 @@ def test_the_tolerance_is_where_the_curve_crosses_nine_tenths():
 
 def test_trials_add_up_to_shares_and_errors():
     trials = [
-        Trial("roll", 2.0, "NCC", False, error, believed)
-        for error, believed in ((0.3, True), (0.4, False), (5.0, True), (None, False))
+        Trial("roll", 2.0, "NCC", False, error, accepted)
+        for error, accepted in ((0.3, True), (0.4, False), (5.0, True), (None, False))
     ]
     (row,) = summarise(trials)
-    assert (row.trials, row.recognised, row.believed, row.wrong) == (4, 0.5, 0.25, 0.25)
+    assert (row.trials, row.recognised, row.accepted, row.wrong) == (4, 0.5, 0.25, 0.25)
     assert row.error_nodes == pytest.approx(np.sqrt((0.3**2 + 0.4**2) / 2.0))
 
 
@@ -159,9 +161,9 @@ def test_table_and_picture_have_every_curve():
         for aided in (False, True)
         for row in rows_of(axis, np.linspace(1.0, 0.5, len(axis.values)), name, aided)
     ]
-    table = format_table(rows)
-    assert table.count("stated: ") == 16
-    assert "stated: SNR 10" in table
+    stated = report(rows).tables[-1].column("stated")
+    assert len(stated) == 16
+    assert stated[0] == "SNR 10"
     root = ET.fromstring(picture(rows))
     svg = "{http://www.w3.org/2000/svg}"
     panels = root.findall(f"{svg}svg")

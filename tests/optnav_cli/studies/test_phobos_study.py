@@ -11,8 +11,10 @@ from catalog.errors import NothingToDoError
 from catalog.jobs.usage import Account, StageAccount
 from catalog.progress import SilentProgress
 from optnav_cli.evaluation.figures import FrameError
-from optnav_cli.simulation.scenario import Approach, Portraits, load_scenario
-from optnav_cli.studies.phobos import ROWS, Results, Row, RowResult, format_results, run
+from optnav_cli.simulation.approach import Approach
+from optnav_cli.simulation.portraits import Portraits
+from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.studies.phobos import ROWS, Results, Row, RowResult, report, run
 from tests.optnav_cli.rows import solved, unsolved
 
 UTC = "2026-01-01T00:00:00Z"
@@ -58,20 +60,21 @@ def test_the_table_says_what_is_found_asked_and_missed() -> None:
         found([100.0, 0.0, 10.0], 50.0, 100e3),
         missed("no limb in view; and no frame before leads here"),
     )
-    text = format_results(Results(ACCOUNT, (RowResult(ROWS[3], frames),)))
-    assert "266 of 412 points usable, 90 s (≤ 180)" in text
-    assert "150 s of processors" in text
-    line = next(line for line in text.splitlines() if line.startswith("limb, 100 km"))
-    assert "2/3" in line
-    assert "10.0 (≤ 15)" in line
-    assert "0.100 (≤ 0.1)" in line
-    assert "1.35" in line  # 10100 / 2500 / 3
-    assert "2.0 σ  2 horizon" in line
-    assert "limb, 100 km: 1 not solved: no limb in view" in text
+    found_report = report(Results(ACCOUNT, (RowResult(ROWS[3], frames),)))
+    (table,) = found_report.tables
+    shown = {c.name: c.shown(cell) for c, cell in zip(table.columns, table.rows[0], strict=True)}
+    assert "266 of 412 points usable, 90 s (≤ 180)" in found_report.notes[0]
+    assert "150 s of processors" in found_report.notes[0]
+    assert (shown["case"], shown["solved"], shown["frames"]) == ("limb, 100 km", "2", "3")
+    assert (shown["across_rms_m"], shown["across_limit_m"]) == ("10.0", "15")
+    assert (shown["range_share"], shown["range_share_limit"]) == ("0.100", "0.1")
+    assert shown["nees"] == "1.35"  # 10100 / 2500 / 3
+    assert (shown["worst"], shown["methods"]) == ("2.0", "2 horizon")
+    assert "limb, 100 km: 1 not solved: no limb in view" in found_report.notes
 
 
 def test_a_row_without_solutions_says_so() -> None:
-    text = format_results(Results(ACCOUNT, (RowResult(ROWS[-1], (missed("dark"),)),)))
+    text = report(Results(ACCOUNT, (RowResult(ROWS[-1], (missed("dark"),)),))).to_text()
     assert "none solved" in text
     assert "1 not solved: dark" in text
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.progress import SilentProgress
-from optnav_cli.studies.photometry import compare, format_table, run, tycho_ground
+from optnav_cli.studies.photometry import compare, report, run, tycho_ground
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +38,9 @@ def test_the_laws_part_with_emission(rows):
 
 
 def test_the_table_names_every_law_and_angle(rows):
-    text = format_table(rows)
-    assert "lunar_lambert below 60°" in text
-    assert text.count("°  ") >= 7
+    found = report(rows)
+    assert any("lunar_lambert below 60°" in note for note in found.notes)
+    assert [len(table.rows) for table in found.tables] == [7, 7, 7]
 
 
 def test_the_ground_is_the_tile_at_its_true_scale():

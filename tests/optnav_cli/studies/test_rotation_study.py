@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from catalog.bodies.body import CorrectionTerm, RotationCorrection, load_body
+from catalog.bodies.body import CorrectionTerm, RotationCorrection
 from catalog.bodies.rotation import body_from_inertial
 from catalog.progress import SilentProgress
 from optnav_cli.studies import rotation
-from optnav_cli.studies.rotation import RotationFit, format_table, format_toml, run
+from optnav_cli.studies.rotation import RotationFit, format_toml, report, run
 
 MADE = RotationCorrection(
     years=(2000.0, 2010.0),
@@ -43,7 +43,7 @@ class MadeKernels:
 def fit() -> RotationFit:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rotation, "SpiceEphemeris", MadeKernels)
-        return run(SilentProgress(), load_body("moon"), [], (2000.0, 2010.0), 2)
+        return run(SilentProgress(), "moon", [], (2000.0, 2010.0), 2)
 
 
 def test_known_terms_are_found_again(fit: RotationFit) -> None:
@@ -60,7 +60,7 @@ def test_what_is_printed_is_a_section_of_a_body_file(fit: RotationFit) -> None:
     section = tomllib.loads(format_toml(fit))["rotation_correction"]
     assert msgspec.convert(section, RotationCorrection) == fit.correction
     assert "# 2F - 2D, 173.3" in format_toml(fit)
-    assert "from 2000" in format_table(fit)
+    assert "from 2000" in report(fit).to_text()
 
 
 def test_thirty_terms_tell_most_of_the_moons_real_difference(
@@ -69,7 +69,7 @@ def test_thirty_terms_tell_most_of_the_moons_real_difference(
     pytest.importorskip("spiceypy", reason="needs spiceypy")
     names = ("moon_080317.tf", "moon_pa_de421_1900-2050.bpc")
     kernels = [shared_data(f"spice/{name}") for name in names]
-    fit = run(SilentProgress(), load_body("moon"), kernels, (1995.0, 2015.0), 30)
+    fit = run(SilentProgress(), "moon", kernels, (1995.0, 2015.0), 30)
     assert 70.0 < fit.before_m[0] < 90.0
     assert fit.after_m[0] < fit.before_m[0] / 12.0  # 120 terms over 150 years: a hundredth
     assert fit.correction.error_m >= np.max(fit.axes_m)

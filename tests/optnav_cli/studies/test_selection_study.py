@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binomtest
 
 from catalog.selection.trial import Outcome
-from optnav_cli.studies.selection import SelectionRow, difference, format_table, summarise, wilson
+from optnav_cli.studies.selection import SelectionRow, difference, report, summarise, wilson
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 10), (7, 10), (81, 263), (1000, 1000)])
@@ -42,9 +42,9 @@ def test_the_table_names_strategies_gains_and_intervals():
     one = summarise("chosen", outcomes(90, 10), 1.5, 118.0)
     other = summarise("random", outcomes(70, 30), 1.5, 118.0)
     gain = difference(one, other)
-    text = format_table([SelectionRow(118.0, 7, (other, one), gain, gain, gain)])
-    assert "posting 118 m, 7 cells" in text
-    assert "chosen over random: +20.0 points" in text
+    strategies, gains = report([SelectionRow(118.0, 7, (other, one), gain, gain, gain)]).tables
+    assert [row[:3] for row in strategies.rows] == [(118.0, 7, "random"), (118.0, 7, "chosen")]
+    assert dict(zip(gains.column("over"), gains.column("gain")))["random"] == pytest.approx(20.0)
 
 
 def test_intervals_of_nothing_are_wide_open():

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from catalog.bodies.body import load_body
-from catalog.rendering.mesh.scene import MeshScene
+from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.shape import load_shape

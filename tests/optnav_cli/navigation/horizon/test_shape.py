@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.rendering.mesh.scene import MeshScene
+from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes

@@ -1,0 +1,143 @@
+"""`optnav simulate | navigate | evaluate | report`: from a scenario to a page about a run."""
+
+from pathlib import Path
+
+import click
+
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.options import matcher_option, output_option, path_argument
+
+LIMIT = click.FloatRange(min=0.0, min_open=True)
+
+
+@click.command("simulate", short_help="Make a folder of pictures with known positions.")
+@path_argument("scenario")
+@output_option("Folder for the pictures; an earlier simulation in it is replaced.")
+@pass_progress
+def simulate(progress: ConsoleProgress, scenario: Path, output: Path) -> None:
+    """Make a folder of pictures as a camera over the terrain of SCENARIO takes them.
+
+    The folder is what `optnav navigate` reads, with the truth in truth.csv beside it.
+
+    \b
+    Example:
+      optnav config template scenario > flight.toml
+      optnav simulate flight.toml -o pictures
+    """
+    from optnav_cli.runs.simulate_folder import simulate_folder
+
+    announce_compilation()
+    simulate_folder(scenario, output, progress)
+    click.echo(output)
+
+
+@click.command("navigate", short_help="Find the camera's position for each picture.")
+@path_argument("folder")
+@click.option(
+    "--catalog",
+    "catalogs",
+    type=click.Path(path_type=Path),
+    required=True,
+    multiple=True,
+    help="A control-point catalog to navigate with. Of several, the first has priority where it "
+    "has points.",
+)
+@click.option(
+    "--config",
+    type=click.Path(path_type=Path),
+    help="Settings; `optnav config template navigate` prints the defaults.",
+)
+@matcher_option
+@click.option(
+    "--relief",
+    type=click.Path(path_type=Path),
+    help="A terrain model of the whole body for the horizon; by default the relief that a catalog "
+    "carries.",
+)
+@output_option("Folder for the results; an earlier run in it is replaced.")
+@pass_progress
+def navigate(
+    progress: ConsoleProgress,
+    folder: Path,
+    catalogs: tuple[Path, ...],
+    config: Path | None,
+    matcher: str,
+    relief: Path | None,
+    output: Path,
+) -> None:
+    """Find the camera's position for each picture of FOLDER.
+
+    FOLDER holds run.toml, cameras/, frames.csv and the pictures. The run folder gets solution.csv
+    (a row a frame), matches.csv (a row a control point), run.mcap, overlays and manifest.json.
+
+    A frame without a prior position in frames.csv is solved by itself: by the limb of the body,
+    then by control points; earlier frames and other cameras at the same time serve where it shows
+    no limb.
+
+    Ends with exit code 4 when no frame could be solved.
+
+    \b
+    Example:
+      optnav navigate pictures --catalog tycho.gpkg --catalog moon.gpkg -o run
+    """
+    from optnav_cli.navigation.settings import NavigateSettings, load_settings
+    from optnav_cli.runs.navigate_folder import navigate_folder
+
+    settings = load_settings(config) if config else NavigateSettings()
+    announce_compilation()
+    navigate_folder(folder, catalogs, settings, matcher, output, progress, relief)
+    click.echo(output)
+
+
+@click.command("evaluate", short_help="Compare a run's positions with the truth.")
+@path_argument("run")
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="The truth.csv beside the simulated pictures.",
+)
+@click.option(
+    "--max-horizontal-m", type=LIMIT, help="Exit code 5 if the rms along and across is larger."
+)
+@click.option("--max-height-m", type=LIMIT, help="Exit code 5 if the rms of the height is larger.")
+def evaluate(
+    run: Path, truth: Path, max_horizontal_m: float | None, max_height_m: float | None
+) -> None:
+    """Compare the positions of RUN with the truth.
+
+    Prints a table of errors along the radius (R), the motion (N) and across (B), and writes
+    evaluation.json and evaluation.csv into RUN. Ends with exit code 5 when a limit is passed.
+
+    \b
+    Example:
+      optnav evaluate run --truth pictures/truth.csv --max-horizontal-m 30
+    """
+    from optnav_cli.evaluation.figures import check_limits
+    from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
+
+    evaluation = evaluate_run(run, truth)
+    click.echo(format_table(evaluation))
+    write_evaluation(evaluation, run)
+    check_limits(evaluation.figures(), max_horizontal_m, max_height_m)
+
+
+@click.command("report", short_help="Make a page about a run or a catalog.")
+@path_argument("source")
+@output_option("The page, one HTML file with its pictures inside; or .svg, a run's errors alone.")
+def report(source: Path, output: Path) -> None:
+    """Make a page about SOURCE, a run folder or a catalog.
+
+    Of a run that was compared with the truth it shows the errors against time and height, by
+    method and camera; of another one what its solutions state.
+
+    \b
+    Example:
+      optnav report run -o report.html
+      optnav report run -o errors.svg
+      optnav report moon.gpkg -o catalog.html
+    """
+    from optnav_cli.report import write_report
+
+    write_report(source, output)
+    click.echo(output)

@@ -1,0 +1,239 @@
+"""Real paths: an orbit about a body in inertial space, and the approach to one from far away.
+
+The body turns under the path by its motion (theory or SPICE kernels), the Sun stands where it does
+at the date. Gravity is that of the navigator's predictions (point mass, J2, C22, tides); what those
+leave out is added to a [flight] as noise of its known size, so that no prediction is exact.
+"""
+
+from typing import Annotated, Self
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from catalog.arrays import FloatArray
+from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import Ephemeris
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.errors import ConfigError
+from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.simulation.exposure import ROUGHNESS, Epoch
+from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.sections import Inclination, Positive
+
+States = tuple[FloatArray, FloatArray]
+
+MAX_APPROACH_S = 20 * 86400.0
+APPROACH_STEPS = 400  # places that times are found between: 1e-6 of the distance
+
+
+class FlightSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One orbit in inertial space, moved by gravity alone, under the Sun of its date.
+
+    lowest_km, highest_km  heights of its ends over the reference sphere
+    inclination_deg        to the equator of the start
+    node_deg               longitude on the body of the ascending node at the start
+    lowest_at_deg          from the node to the lowest point, along the flight
+    start_at_deg           from the node to where the first picture is taken
+    rough_gravity          also what the force model leaves out, of its known size, by the seed
+    """
+
+    lowest_km: Positive
+    highest_km: Positive
+    inclination_deg: Inclination = 90.0
+    node_deg: float = 0.0
+    lowest_at_deg: float = 0.0
+    start_at_deg: float = 0.0
+    start_utc: str = "2026-01-01T00:00:00Z"
+    frames: Annotated[int, Meta(ge=1)] = 1
+    spacing_s: Positive = 60.0
+    rough_gravity: bool = True
+
+
+class TransferSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An approach to the lowest point of a path that comes from far away.
+
+    from_km, to_km   heights over the reference sphere of the first and the last, lowest picture
+    excess_speed_km_s  speed against the body that the path would have far away from it
+    frames           pictures at distances from the centre in even ratios
+    inclination_deg, node_deg, lowest_at_deg  as in [flight], at the arrival
+    """
+
+    from_km: Positive = 100_000.0
+    to_km: Positive = 100.0
+    excess_speed_km_s: Positive = 0.9
+    inclination_deg: Inclination = 60.0
+    node_deg: float = 0.0
+    lowest_at_deg: float = 0.0
+    arrival_utc: str = "2026-01-01T00:00:00Z"
+    frames: Annotated[int, Meta(ge=2)] = 60
+
+
+class InertialPath(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A real path in inertial space under the Sun of its date: one of the two."""
+
+    flight: FlightSettings | None = None
+    transfer: TransferSettings | None = None
+
+    def check(self) -> None:
+        super().check()
+        flight, transfer = self.flight, self.transfer
+        if flight is not None and transfer is not None:
+            raise ConfigError("there are [flight] and [transfer]; give one of them")
+        if flight is not None and flight.lowest_km > flight.highest_km:
+            raise ConfigError(
+                f"[flight] lowest_km is {flight.lowest_km:g}, above highest_km "
+                f"{flight.highest_km:g}; exchange them"
+            )
+        if transfer is not None and transfer.to_km >= transfer.from_km:
+            raise ConfigError(
+                f"[transfer] to_km is {transfer.to_km:g}, not below from_km "
+                f"{transfer.from_km:g}; the path comes from far and ends near"
+            )
+
+    def shortened(self, frames: int) -> Self:
+        """A flight ends earlier, a transfer takes larger steps."""
+        flight, transfer = self.flight, self.transfer
+        if flight is not None:
+            flight = msgspec.structs.replace(flight, frames=min(flight.frames, frames))
+        if transfer is not None:
+            fewer = min(transfer.frames, max(frames, 2))
+            transfer = msgspec.structs.replace(transfer, frames=fewer)
+        return msgspec.structs.replace(self, flight=flight, transfer=transfer)
+
+    def epochs(self, motion: Ephemeris) -> list[Epoch]:
+        """Raises ConfigError for a path that meets the body or comes from nearer than wanted."""
+        if self.flight is not None:
+            states = flight_states(self.flight, motion, self.seed)
+        else:
+            states = transfer_states(self.transfer or TransferSettings(), motion)
+        return epochs_of(self, motion, states)
+
+
+def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list[Epoch]:
+    """All times when pictures are taken, with the ship's place in the body-fixed frame.
+
+    Raises ConfigError for a path that meets the body.
+    """
+    found: list[Epoch] = []
+    seeds = scenario.detail.seeds
+    for number, (tdb_s, state) in enumerate(zip(*states, strict=True)):
+        body_from_inertial = motion.body_from_inertial(float(tdb_s))
+        position, velocity = (body_from_inertial @ v for v in (state[:3], state[3:]))
+        up = position / np.linalg.norm(position)
+        # straight towards the body there is no forward; then the body's north will do
+        for ahead in (velocity, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])):
+            level = ahead - (ahead @ up) * up
+            if np.linalg.norm(level) > 1e-6 * np.linalg.norm(ahead):
+                break
+        _check_height(motion.body, position)
+        found.append(
+            Epoch(
+                number=number,
+                pass_index=0,
+                tdb_s=float(tdb_s),
+                position_m=position,
+                forward=level / np.linalg.norm(level),
+                sun_body=motion.sun_body(float(tdb_s)),
+                reported_sun=scenario.attitude.relative_to == "body",
+                ground_seed=seeds[0] if seeds else None,
+            )
+        )
+    return found
+
+
+def flight_states(flight: FlightSettings, motion: Ephemeris, seed: int) -> States:
+    """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a [flight]."""
+    body = motion.body
+    low, high = (body.radius_m + 1e3 * h for h in (flight.lowest_km, flight.highest_km))
+    speed = float(np.sqrt(2.0 * body.gm_m3_s2 * high / (low * (low + high))))
+    start = utc_to_tdb_s(flight.start_utc)
+    times = start + flight.spacing_s * np.arange(flight.frames, dtype=np.float64)
+    frame = path_frame(motion, start, flight.inclination_deg, flight.node_deg, flight.lowest_at_deg)
+    place, velocity = _on_conic(
+        body.gm_m3_s2, low, speed, np.radians(flight.start_at_deg - flight.lowest_at_deg)
+    )
+    state = np.concatenate([frame @ place, frame @ velocity])
+    orbit = OrbitMotion(Forces(motion))
+    if not flight.rough_gravity:
+        return times, orbit.propagate(state, start, times)[0]
+    states = [state]
+    for number in range(1, flight.frames):
+        rng = np.random.default_rng([seed, ROUGHNESS, number])
+        state = orbit.propagate(state, times[number - 1], times[number : number + 1])[0][0]
+        left_out = np.linalg.cholesky(orbit.noise(state, flight.spacing_s))
+        state = state + left_out @ rng.normal(size=6)
+        states.append(state)
+    return times, np.array(states)
+
+
+def transfer_states(transfer: TransferSettings, motion: Ephemeris) -> States:
+    """Times (n,), TDB s, and inertial states (n, 6), m and m/s, of a [transfer]."""
+    body = motion.body
+    low, far = (body.radius_m + 1e3 * h for h in (transfer.to_km, transfer.from_km))
+    excess = 1e3 * transfer.excess_speed_km_s
+    speed = float(np.sqrt(excess**2 + 2.0 * body.gm_m3_s2 / low))
+    arrival = utc_to_tdb_s(transfer.arrival_utc)
+    frame = path_frame(
+        motion, arrival, transfer.inclination_deg, transfer.node_deg, transfer.lowest_at_deg
+    )
+    state = np.concatenate([frame @ [low, 0.0, 0.0], frame @ [0.0, speed, 0.0]])
+    orbit = OrbitMotion(Forces(motion))
+    longest = min(1.5 * far / excess, MAX_APPROACH_S)
+    back = np.concatenate([[0.0], np.geomspace(10.0, longest, APPROACH_STEPS)])
+    distances = np.linalg.norm(orbit.propagate(state, arrival, arrival - back)[0][:, :3], axis=1)
+    rising = distances[1:] > distances[:-1]
+    end = len(back) if rising.all() else int(np.argmin(rising)) + 1
+    if distances[end - 1] < far:
+        raise ConfigError(
+            f"[transfer] comes from {(distances[end - 1] - body.radius_m) / 1e3:.0f} km at most "
+            f"within {longest / 86400.0:.0f} days, not from {transfer.from_km:.0f} km; "
+            "raise excess_speed_km_s or change the arrival"
+        )
+    wanted = np.geomspace(far, low, transfer.frames)
+    # distance grows as the square of time near the lowest point
+    ago = np.interp(
+        np.sqrt(wanted - low), np.sqrt(np.maximum(distances[:end] - low, 0.0)), back[:end]
+    )
+    times = arrival - ago
+    return times, orbit.propagate(state, arrival, times)[0]
+
+
+def path_frame(
+    motion: Ephemeris, tdb_s: float, inclination_deg: float, node_deg: float, lowest_at_deg: float
+) -> FloatArray:
+    """Rotation (3, 3), inertial from a path's own axes: x to the lowest point, y onward, z up."""
+    tilt, node, lowest = np.radians([inclination_deg, node_deg, lowest_at_deg])
+    body_from_path = _about_z(node) @ _about_x(tilt) @ _about_z(lowest)
+    inertial_from_path: FloatArray = motion.body_from_inertial(tdb_s).T @ body_from_path
+    return inertial_from_path
+
+
+def _on_conic(gm: float, low: float, speed: float, anomaly: float) -> tuple[FloatArray, FloatArray]:
+    """Place and velocity at a true anomaly of the path through (low, 0) at velocity (0, speed)."""
+    momentum = low * speed
+    eccentricity = low * speed**2 / gm - 1.0
+    c, s = np.cos(anomaly), np.sin(anomaly)
+    r = momentum**2 / gm / (1.0 + eccentricity * c)
+    place = r * np.array([c, s, 0.0])
+    return place, gm / momentum * np.array([-s, eccentricity + c, 0.0])
+
+
+def _check_height(body: Body, position: FloatArray) -> None:
+    height = float(np.linalg.norm(position)) - body.radius_m
+    if height < body.plausible_heights_m[1]:
+        raise ConfigError(
+            f"the path comes down to {height / 1e3:.1f} km over the reference sphere of "
+            f"{body.name}, where mountains are; raise it"
+        )
+
+
+def _about_z(angle: float) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _about_x(angle: float) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

@@ -1,0 +1,142 @@
+"""Passes on circular orbits over a region, under a Sun that is put where it is wanted."""
+
+from typing import Self
+
+import msgspec
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.ephemeris import Ephemeris
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.errors import ConfigError
+from catalog.geometry.latlon import body_from_local, xyz_from_latlon
+from optnav_cli.simulation.exposure import PLACE, Epoch
+from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.sections import Count, Elevation, Latitude, NotNegative, Positive
+
+GOLDEN = 0.6180339887498949  # steps by it spread any run of passes over a whole range
+
+
+class OrbitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Passes on circular orbits, each over its own place.
+
+    box_deg      west, south, east, north of where the middles of the passes lie
+    heading_deg  lowest and highest direction of flight there, east of north
+    """
+
+    altitude_km: Positive
+    box_deg: tuple[float, Latitude, float, Latitude]
+    passes: Count = 1
+    frames: Count = 1
+    spacing_s: Positive = 10.0
+    heading_deg: tuple[float, float] = (-180.0, 180.0)
+    start_utc: str = "2026-01-01T00:00:00Z"
+    pass_interval_s: Positive = 7200.0
+
+
+class SunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The Sun of each pass, morning or evening, as high at the pass' middle as the range says.
+
+    elevation_deg          lowest and highest; the passes share the range evenly
+    subsolar_latitude_deg  how far from the equator the Sun stands overhead at most (Moon: 1.54)
+    """
+
+    elevation_deg: tuple[Elevation, Elevation] = (10.0, 45.0)
+    subsolar_latitude_deg: NotNegative = 1.5
+
+
+class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Passes on circular orbits under a Sun that is put where it is wanted."""
+
+    orbit: OrbitSettings
+    sun: SunSettings = SunSettings()
+
+    def check(self) -> None:
+        super().check()
+        low, high = self.sun.elevation_deg
+        if low > high:
+            raise ConfigError(f"[sun] elevation_deg is {low}..{high}; put the lower one first")
+        _, south, _, north = self.orbit.box_deg
+        if south > north:
+            raise ConfigError(
+                f"[orbit] box_deg has south {south} above north {north}; "
+                "wanted west, south, east, north"
+            )
+
+    def shortened(self, frames: int) -> Self:
+        """All grounds and Suns stay as long as there is a picture for each."""
+        passes = min(self.orbit.passes, frames)
+        orbit = msgspec.structs.replace(self.orbit, passes=passes, frames=max(1, frames // passes))
+        return msgspec.structs.replace(self, orbit=orbit)
+
+    def epochs(self, motion: Ephemeris) -> list[Epoch]:
+        """The epochs of all passes.
+
+        Passes are circular orbits in the body-fixed frame: the body's own turn, 4 m/s at the
+        Moon's equator, is left out, since each picture is taken from a position, not from a
+        velocity.
+        """
+        orbit = self.orbit
+        body = motion.body
+        radius = body.radius_m + orbit.altitude_km * 1e3
+        rate = float(np.sqrt(body.gm_m3_s2 / radius**3))
+        start = utc_to_tdb_s(orbit.start_utc)
+        found: list[Epoch] = []
+        for number in range(orbit.passes):
+            rng = np.random.default_rng([self.seed, PLACE, number])
+            lat, lon = _place(orbit.box_deg, rng)
+            heading = np.radians(rng.uniform(*orbit.heading_deg))
+            sun = sun_over(self.sun, lat, lon, number, orbit.passes, rng)
+            axes = body_from_local(lat, lon)
+            up = axes[:, 2]
+            ahead = axes @ np.array([np.sin(heading), np.cos(heading), 0.0])
+            seeds = self.detail.seeds
+            ground = seeds[number * len(seeds) // orbit.passes] if seeds else None
+            for step in range(orbit.frames):
+                after = (step - (orbit.frames - 1) / 2.0) * orbit.spacing_s
+                angle = rate * after
+                found.append(
+                    Epoch(
+                        number=len(found),
+                        pass_index=number,
+                        tdb_s=start + number * orbit.pass_interval_s + step * orbit.spacing_s,
+                        position_m=radius * (np.cos(angle) * up + np.sin(angle) * ahead),
+                        forward=np.cos(angle) * ahead - np.sin(angle) * up,
+                        sun_body=sun,
+                        reported_sun=True,
+                        ground_seed=ground,
+                    )
+                )
+        return found
+
+
+def _place(box_deg: tuple[float, float, float, float], rng: np.random.Generator) -> FloatArray:
+    """Latitude and longitude (rad) evenly over a box's area."""
+    west, south, east, north = np.radians(box_deg)
+    lat = np.arcsin(rng.uniform(np.sin(south), np.sin(north)))
+    return np.array([lat, west + rng.uniform() * np.mod(east - west, 2.0 * np.pi)])
+
+
+def sun_over(
+    settings: SunSettings,
+    lat: float,
+    lon: float,
+    number: int,
+    count: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """A unit vector (3,) to the Sun, body frame, that stands over a place as wanted.
+
+    Elevations fill the range in `count` even steps, in an order that mixes them over the passes;
+    one that the latitude does not allow becomes the highest that it does.
+    """
+    low, high = settings.elevation_deg
+    share = np.mod(0.5 / count + number * GOLDEN, 1.0)
+    elevation = np.radians(low + (high - low) * share)
+    declination = np.radians(settings.subsolar_latitude_deg) * rng.uniform(-1.0, 1.0)
+    sine = np.sin(elevation) - np.sin(lat) * np.sin(declination)
+    # at a pole every hour is as good
+    reach = max(float(np.cos(lat) * np.cos(declination)), 1e-9)
+    cosine = np.clip(sine / reach, -1.0, 1.0)
+    hour = np.arccos(cosine) * (1.0 if rng.uniform() < 0.5 else -1.0)
+    return xyz_from_latlon(declination, lon + hour, 1.0)

@@ -1,0 +1,331 @@
+"""The ground that pictures are taken of: terrain models refined with detail, the globe around them.
+
+The fine ground hangs on one lattice of latitudes and longitudes for a whole scenario and is made in
+tiles, so every picture of a seed shows the same ground. Toward the border of a terrain model it
+runs smoothly into what lies below: the next model, in the end the globe.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
+from catalog.cache import Cache
+from catalog.errors import ConfigError
+from catalog.geometry.ellipsoid import distance_to_sphere
+from catalog.geometry.grid import sample_bicubic
+from catalog.rendering.rays.ground import Ground, make_ground
+from catalog.rendering.rays.scene import Scene
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.synthetic.relief import SyntheticRelief
+from optnav_cli.camera.camera import Camera
+from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays
+from optnav_cli.simulation.globe_heights import (
+    SPLINE_MARGIN,
+    WideGround,
+    read_globe,
+    sample_spline,
+    spline_coefficients,
+)
+from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.sections import relief_below
+
+Box = tuple[float, float, float, float]  # west, south, east, north, rad
+
+TILE = 1024  # nodes a side
+KEPT_TILES = 120  # 0.5 GB
+KEPT_WINDOWS = 2
+FEATHER_M = 8000.0  # about a pixel of the globe
+MAX_WINDOW = 100_000_000  # nodes
+POLAR_LATITUDE = np.radians(86.0)  # beyond it a lattice of longitudes is no good
+PROBE_PX = 64  # distance of the rays that find out which ground a picture shows
+NARROW = np.radians(60.0)  # wider cameras get all the fine ground there is
+SHARED_NODES = 40_000_000  # a scene of several pictures holds no more than this
+WHOLE: Box = (-np.pi, -0.5 * np.pi, np.pi, 0.5 * np.pi)
+
+
+class TruthTerrain:
+    """Grounds of one scenario; tiles and windows are kept from picture to picture.
+
+    dems           terrain models in order of priority, with absolute paths
+    globe          a terrain model that goes all round
+    details        the relief to add to the first of the models by seed
+    globe_details  the relief to add to the globe by seed; none: smooth
+    cameras_m      (n, 3) m, body frame, where the ground is looked at from; see `WideGround`
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        dems: tuple[DemSettings, ...],
+        globe: DemSettings,
+        details: Mapping[int | None, SyntheticRelief | None],
+        globe_details: Mapping[int | None, SyntheticRelief] = MappingProxyType({}),
+        cameras_m: Sequence[FloatArray] = (),
+    ) -> None:
+        self.body, self._details = body, details
+        self._sources = [DemSource.open(dem, Path.cwd(), body) for dem in dems]
+        first = self._sources[0]
+        inset = first.posting_m / body.radius_m
+        west, south, east, north = first.latlon_bounds()
+        self.box: Box = (west + inset, south + inset, east - inset, north - inset)
+        if max(abs(south), abs(north)) > POLAR_LATITUDE:
+            south, north = max(south, -POLAR_LATITUDE), min(north, POLAR_LATITUDE)
+            self.box = (self.box[0], south, self.box[2], north)
+        self.posting_m = first.posting_m
+        self._stretch = 1.0 / float(np.cos(0.5 * (south + north)))
+        self._tiles: Cache[tuple[int | None, int, int, int], Float32Array] = Cache(KEPT_TILES)
+        self._windows: Cache[tuple[int | None, int, Box], Ground] = Cache(KEPT_WINDOWS)
+        seam = 0.5 * (self.box[0] + self.box[2]) + np.pi
+        heights = read_globe(globe, body)
+        self._wide = WideGround(heights, body.radius_m, seam, globe_details, cameras_m)
+
+    def wide(self, seed: int | None) -> Ground:
+        """The ground of a seed outside the terrain models, all round the body."""
+        return self._wide.of(seed)
+
+    def factor_for(self, gsd_m: float) -> int:
+        """How many times finer than the terrain model the ground of a picture is: 4 or 2.
+
+        Nodes at two thirds of a pixel are enough; relief below them is averaged.
+        """
+        return 4 if self.posting_m / 2.0 > gsd_m / 1.5 else 2
+
+    def window(self, seed: int | None, factor: int, box: Box) -> Ground:
+        """The fine ground over a box, as far as the first terrain model reaches.
+
+        Raises ConfigError when the box holds too much ground at this resolution.
+        """
+        return self._windows.get((seed, factor, box), lambda: self._window(seed, factor, box))
+
+    def _window(self, seed: int | None, factor: int, box: Box) -> Ground:
+        step_lat, step_lon = self._steps(factor)
+        top, left, rows, cols = self._place(factor, box)
+        if rows * cols > MAX_WINDOW:
+            raise ConfigError(
+                f"a picture sees {rows} x {cols} nodes of {self.posting_m / factor:.0f} m of "
+                f"ground; {MAX_WINDOW} nodes are possible: name a coarser terrain model"
+            )
+        out = np.empty((rows, cols), np.float32)
+        for tile_row in range(top // TILE, (top + rows - 1) // TILE + 1):
+            for tile_col in range(left // TILE, (left + cols - 1) // TILE + 1):
+                tile = self._tile(seed, factor, tile_row, tile_col)
+                r, c = tile_row * TILE - top, tile_col * TILE - left
+                a, b, d, e = max(r, 0), max(c, 0), min(r + TILE, rows), min(c + TILE, cols)
+                out[a:d, b:e] = tile[a - r : d - r, b - c : e - c]
+        return make_ground(
+            out, -top * step_lat, left * step_lon, step_lat, step_lon, self.body.radius_m
+        )
+
+    def nodes(self, factor: int, box: Box) -> int:
+        """How many nodes the window of a box has."""
+        _, _, rows, cols = self._place(factor, box)
+        return rows * cols
+
+    def _place(self, factor: int, box: Box) -> tuple[int, int, int, int]:
+        """First row and column on the lattice, rows and columns of a box's window."""
+        step_lat, step_lon = self._steps(factor)
+        west, south, east, north = self._clip(box)
+        top, bottom = int(np.ceil(-north / step_lat)), int(np.floor(-south / step_lat))
+        left, right = int(np.ceil(west / step_lon)), int(np.floor(east / step_lon))
+        return top, left, max(bottom - top + 1, 4), max(right - left + 1, 4)
+
+    def _steps(self, factor: int) -> tuple[float, float]:
+        step = self.posting_m / factor / self.body.radius_m
+        return step, step * self._stretch
+
+    def _clip(self, box: Box) -> Box:
+        """The part of a box within the first model's, on the model's turn of longitude."""
+        west, south, east, north = box
+        own_west, own_south, own_east, own_north = self.box
+        if east - west >= 2.0 * np.pi:
+            west, east = own_west, own_east
+        turn = 2.0 * np.pi * np.round((0.5 * (own_west + own_east - west - east)) / (2.0 * np.pi))
+        west, east = max(west + turn, own_west), min(east + turn, own_east)
+        south, north = max(south, own_south), min(north, own_north)
+        # without common ground any corner of the model will do: no ray of the picture meets it
+        return west, south, max(west, east), max(south, north)
+
+    def _tile(self, seed: int | None, factor: int, tile_row: int, tile_col: int) -> Float32Array:
+        key = (seed, factor, tile_row, tile_col)
+        return self._tiles.get(key, lambda: self._made_tile(*key))
+
+    def _made_tile(
+        self, seed: int | None, factor: int, tile_row: int, tile_col: int
+    ) -> Float32Array:
+        step_lat, step_lon = self._steps(factor)
+        lat = -(tile_row * TILE + np.arange(TILE, dtype=np.float64)) * step_lat
+        lon = (tile_col * TILE + np.arange(TILE, dtype=np.float64)) * step_lon
+        wide = self.wide(seed)
+        east = np.mod(lon - wide.west, 2.0 * np.pi)
+        row, col = np.meshgrid(
+            (wide.north - lat) / wide.step_lat, east / wide.step_lon, indexing="ij"
+        )
+        heights = sample_bicubic(wide.heights, row, col)
+        for number, source in reversed(list(enumerate(self._sources))):
+            share = self._share(source, lat, lon)
+            if not share.any():
+                continue
+            own = self._source_heights(source, lat, lon)
+            # at the model's own posting the relief below it has no place
+            detail = self._details[seed] if number == 0 and factor > 1 else None
+            if detail is not None:
+                own += detail.window(lat[0], lon[0], step_lat, step_lon, TILE, TILE)
+            share[~np.isfinite(own)] = 0.0
+            heights += (share * (np.where(share > 0.0, own, heights) - heights)).astype(np.float32)
+        return heights
+
+    def _share(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
+        """(rows, cols) 1 inside a model, 0 outside, rising smoothly over FEATHER_M within."""
+        west, south, east, north = source.latlon_bounds()
+        inset = source.posting_m / self.body.radius_m
+        down = np.minimum(north - lat, lat - south) - inset
+        across = np.full(lon.size, np.inf)
+        if not source.wraps:
+            offset = np.mod(lon - 0.5 * (west + east) + np.pi, 2.0 * np.pi) - np.pi
+            across = (0.5 * (east - west) - np.abs(offset) - inset) / self._stretch
+        metres = np.minimum(down[:, None], across[None, :]) * self.body.radius_m
+        x = np.clip(metres / FEATHER_M, 0.0, 1.0)
+        share: FloatArray = x * x * (3.0 - 2.0 * x)
+        return share
+
+    def _source_heights(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> Float32Array:
+        """Spline heights of one model at the nodes of a tile, NaN beside holes."""
+        col, row = source.pixel_from_latlon(lat[:, None], lon[None, :])
+        if source.wraps:
+            period = source.shape[1]
+            col = col[:1, :1] + np.mod(col - col[:1, :1] + 0.5 * period, period) - 0.5 * period
+        rows, cols = source.shape
+        margin = SPLINE_MARGIN
+        top = max(int(np.nanmin(row)) - margin, 0)
+        bottom = min(int(np.nanmax(row)) + margin + 1, rows)
+        left, right = int(np.nanmin(col)) - margin, int(np.nanmax(col)) + margin + 1
+        if not source.wraps:
+            left, right = max(left, 0), min(right, cols)
+        if bottom - top < 2 or right - left < 2:
+            return np.full((lat.size, lon.size), np.nan, np.float32)
+        heights = source.read_window(top, left, bottom - top, right - left)
+        holes = ~np.isfinite(heights)
+        inside = (row >= 0) & (row <= rows - 1)
+        if not source.wraps:
+            inside &= (col >= 0) & (col <= cols - 1)
+        # a spline does not bear holes: where the model has some, convolution leaves them out
+        y, x = np.where(inside, row - top, 0.0), np.where(inside, col - left, 0.0)
+        if holes.any():
+            found = sample_bicubic(heights, y, x)
+        else:
+            found = sample_spline(spline_coefficients(heights), y, x)
+        found[~inside] = np.nan
+        return found
+
+
+def truth_terrain(scenario: ScenarioBase, body: Body, flight: Sequence[Exposure]) -> TruthTerrain:
+    """The ground of a scenario. Raises ConfigError or DataError for terrain that cannot be used."""
+    first = DemSource.open(scenario.dem[0], Path.cwd(), body)
+    globe, around = DemSettings(scenario.globe.path), scenario.globe.detail
+    seeds = scenario.detail.seeds
+    details: dict[int | None, SyntheticRelief | None] = {None: None}
+    for seed in seeds:
+        details[seed] = relief_below(scenario.detail, seed, first.posting_m, body.radius_m)
+    if not around:
+        return TruthTerrain(body, scenario.dem, globe, details)
+    posting_m = DemSource.open(globe, Path.cwd(), body).posting_m
+    wide: dict[int | None, SyntheticRelief] = {
+        seed: relief_below(around, seed, posting_m, body.radius_m) for seed in seeds
+    }
+    cameras_m = [exposure.position_m for exposure in flight]
+    return TruthTerrain(body, scenario.dem, globe, details, wide, cameras_m)
+
+
+class RegionGround:
+    """The ground of a region for the pictures of a flight, by each camera in their order.
+
+    Neighbouring pictures of a pass that see nearly the same ground share one scene, so its terrain
+    is made and its shadows are cast once. Which do follows from the exposures alone.
+    """
+
+    def __init__(
+        self, terrain: TruthTerrain, cameras: Sequence[Camera], flight: Sequence[Exposure]
+    ) -> None:
+        self._terrain = terrain
+        self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
+        self._plans: dict[int, tuple[int, Box]] = {}
+        for number, camera in enumerate(cameras):
+            self._plan(camera, [exposure for exposure in flight if exposure.camera == number])
+        self._scenes: dict[int, tuple[tuple[object, ...], Scene]] = {}
+
+    def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
+        """Mean radiance factor over each pixel (height, width), sky 0, of one of the flight."""
+        seed, number = exposure.ground_seed, exposure.camera
+        factor, box = self._plans[exposure.index]
+        key = (seed, factor, box, exposure.sun_body.tobytes())
+        if number not in self._scenes or self._scenes[number][0] != key:
+            self._scenes.pop(number, None)  # let go of the old one before the new one is made
+            fine = self._terrain.window(seed, factor, box)
+            between = None if box == WHOLE else self._terrain.window(seed, 1, WHOLE)
+            scene = Scene(fine, self._terrain.wide(seed), exposure.sun_body, between)
+            self._scenes[number] = key, scene
+        rays = self._corners(camera) @ exposure.camera_from_body.as_matrix()
+        return self._scenes[number][1].picture(exposure.position_m, rays)
+
+    def _plan(self, camera: Camera, flight: Sequence[Exposure]) -> None:
+        """Fineness and box of the ground for each picture of a camera, by its index."""
+        plans = self._plans
+        group: list[Exposure] = []
+        shared: Box = WHOLE
+        for exposure in flight:
+            box, gsd = self._footprint(camera, exposure)
+            factor = self._terrain.factor_for(gsd)
+            last = group[-1] if group else None
+            joined = _around(shared, box) if last else box
+            if (
+                last is None
+                or last.pass_index != exposure.pass_index
+                or plans[last.index][0] != factor
+                or self._terrain.nodes(factor, joined) > SHARED_NODES
+            ):
+                group, joined = [], box
+            group.append(exposure)
+            shared = joined
+            for member in group:
+                plans[member.index] = (factor, shared)
+
+    def _footprint(self, camera: Camera, exposure: Exposure) -> tuple[Box, float]:
+        """The box of ground that a picture shows, with a margin for relief, and its finest GSD."""
+        body, position = self._terrain.body, exposure.position_m
+        radius = body.radius_m
+        height = float(np.linalg.norm(position)) - radius
+        gsd = max(height, 1.0) * camera.angular_resolution
+        rows, cols = camera.shape
+        r = np.unique(np.append(np.arange(0, rows, PROBE_PX), rows))
+        c = np.unique(np.append(np.arange(0, cols, PROBE_PX), cols))
+        rays = self._corners(camera)[r][:, c] @ exposure.camera_from_body.as_matrix()
+        along = distance_to_sphere(position, rays, radius)
+        cosine = rays.reshape(-1, 3) @ (-position / np.linalg.norm(position))
+        if not np.isfinite(along).all() or np.nanmin(cosine) < np.cos(NARROW):
+            return WHOLE, gsd
+        points = position + along[..., None] * rays
+        lat = np.arcsin(points[..., 2] / radius)
+        middle = np.arctan2(position[1], position[0])
+        lon = np.arctan2(points[..., 1], points[..., 0])
+        lon = middle + np.mod(lon - middle + np.pi, 2.0 * np.pi) - np.pi
+        # relief moves what a slanted ray meets; the tangent of the slant is at most this
+        slant = np.tan(np.arccos(np.nanmin(cosine)))
+        relief = max(abs(body.plausible_heights_m[0]), body.plausible_heights_m[1])
+        margin = (relief * slant + 500.0) / radius
+        wider = margin / np.cos(min(np.abs(lat).max() + margin, 1.5))
+        return (
+            float(lon.min() - wider), float(lat.min() - margin),
+            float(lon.max() + wider), float(lat.max() + margin),
+        ), gsd  # fmt: skip
+
+
+def _around(a: Box, b: Box) -> Box:
+    """The box around two; the second one is brought to the first one's turn of longitude."""
+    turn = 2.0 * np.pi * round((a[0] + a[2] - b[0] - b[2]) / (4.0 * np.pi))
+    west, east = min(a[0], b[0] + turn), max(a[2], b[2] + turn)
+    return west, min(a[1], b[1]), east, max(a[3], b[3])

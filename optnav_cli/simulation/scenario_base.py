@@ -1,0 +1,208 @@
+"""What all kinds of scenario share: their settings, and the pictures of all cameras at all epochs.
+
+A kind of scenario is a file of its own (`passes`, `inertial_path`, `portraits`, `approach`): its
+section, and when and from where it takes pictures.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.ephemeris import Ephemeris
+from catalog.bodies.epochs import utc_from_tdb_s
+from catalog.errors import ConfigError
+from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.mesh.file import MeshSettings
+from optnav_cli.frames.run_settings import SpiceSettings
+from optnav_cli.simulation.exposure import ATTITUDE, POINTING, PRIOR, Epoch, Exposure
+from optnav_cli.simulation.sections import (
+    AttitudeSettings,
+    CameraSettings,
+    DetailSettings,
+    GlareSettings,
+    GlobeSettings,
+    MountedCamera,
+    PointingSettings,
+    PriorSettings,
+    SensorSettings,
+    SkySettings,
+    StructureSettings,
+)
+
+
+@dataclass(frozen=True)
+class FileNames:
+    """What becomes of the name of a scenario's file, by its kind."""
+
+    terrain: Callable[[str], str]
+    shape: Callable[[str], str]
+    camera: Callable[[str], str]
+    body: Callable[[str], str]
+    kernel: Callable[[str], str]
+
+
+class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What every scenario file says, as it is written.
+
+    beside  further cameras of the same ship; all take their pictures at the same times
+    """
+
+    camera: CameraSettings
+    beside: tuple[MountedCamera, ...] = ()
+    dem: tuple[DemSettings, ...] = (DemSettings("tycho_gld100_256ppd.tif"),)
+    body: str = "moon"
+    seed: int = 1
+    globe: GlobeSettings = GlobeSettings()
+    detail: DetailSettings = DetailSettings()
+    pointing: PointingSettings = PointingSettings()
+    sensor: SensorSettings = SensorSettings()
+    prior: PriorSettings = PriorSettings()
+    attitude: AttitudeSettings = AttitudeSettings()
+    spice: SpiceSettings = SpiceSettings()
+    sky: SkySettings = SkySettings()
+    glare: GlareSettings = GlareSettings()
+    structure: tuple[StructureSettings, ...] = ()
+
+    @property
+    def shape(self) -> MeshSettings | None:
+        """The shape model that is flown over; None for the ground of terrain models."""
+        return None
+
+    def epochs(self, motion: Ephemeris) -> list[Epoch]:
+        """When and from where pictures are taken. Raises ConfigError for no possible path.
+
+        motion  of the body; passes and portraits need only the body
+        """
+        raise NotImplementedError
+
+    def shortened(self, frames: int) -> Self:
+        """The same scenario with fewer pictures a camera, for a quick look."""
+        raise NotImplementedError
+
+    def check(self) -> None:
+        """Raise ConfigError for settings that contradict each other."""
+        for dem in self.dem:
+            if dem.feather_km:
+                raise ConfigError(
+                    f"[[dem]] feather_km is {dem.feather_km:g}; wanted 0: "
+                    "simulated ground has hard edges, only builds blend"
+                )
+        if self.globe.detail and not self.dem:
+            raise ConfigError(
+                "[globe] has detail, and there is no [[dem]] that it could lie around; "
+                "put the relief of a whole body into [detail]"
+            )
+
+    def with_files(self, names: FileNames) -> Self:
+        """The same with other names of its files."""
+        dems = (msgspec.structs.replace(dem, path=names.terrain(dem.path)) for dem in self.dem)
+        mounts = (
+            msgspec.structs.replace(mount, name=names.camera(mount.name)) for mount in self.beside
+        )
+        return msgspec.structs.replace(
+            self,
+            dem=tuple(dems),
+            globe=msgspec.structs.replace(self.globe, path=names.terrain(self.globe.path)),
+            body=names.body(self.body),
+            camera=CameraSettings(names.camera(self.camera.name)),
+            beside=tuple(mounts),
+            spice=SpiceSettings(tuple(map(names.kernel, self.spice.kernels))),
+        )
+
+    def exposures(self, motion: Ephemeris) -> list[Exposure]:
+        """The pictures of all cameras at all epochs, in order of time, those of a pass together.
+
+        Cameras of one epoch share its prior and the error of the ship's attitude.
+        Raises ConfigError for a path that cannot be flown.
+        """
+        epochs = self.epochs(motion)
+        mounts = self.mounts()
+        mounted = [None, *(_mounted_from_first(mount) for mount in self.beside)]
+        names = [mount.name.rpartition("/")[2].removesuffix(".toml") for mount in mounts]
+        digits = max(4, len(str(len(epochs))))
+        found: list[Exposure] = []
+        for epoch in epochs:
+            truth = _ship_attitude(self, epoch)
+            stated = _attitude_error(self, epoch.number) * truth
+            noise = np.random.default_rng([self.seed, PRIOR, epoch.number]).normal(size=3)
+            prior = epoch.position_m + self.prior.position_sigma_m * noise
+            for number, own_from_ship in enumerate(mounted):
+                which = f"_{names[number]}" if len(mounted) > 1 else ""
+                found.append(
+                    Exposure(
+                        index=len(found),
+                        pass_index=epoch.pass_index,
+                        file=f"frame_{epoch.number:0{digits}d}{which}.png",
+                        utc=utc_from_tdb_s(epoch.tdb_s),
+                        tdb_s=epoch.tdb_s,
+                        position_m=epoch.position_m,
+                        camera_from_body=truth if own_from_ship is None else own_from_ship * truth,
+                        sun_body=epoch.sun_body,
+                        prior_m=prior if self.prior.given else None,
+                        reported_camera_from_body=(
+                            stated if own_from_ship is None else own_from_ship * stated
+                        ),
+                        ground_seed=epoch.ground_seed,
+                        camera=number,
+                        reported_sun=epoch.reported_sun,
+                    )
+                )
+        return found
+
+    def mounts(self) -> tuple[MountedCamera, ...]:
+        """All cameras, the first one as [pointing] turns the ship."""
+        return (MountedCamera(self.camera.name), *self.beside)
+
+
+class ShapeScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is flown over is a small body, whose ground is a shape model refined by [detail]."""
+
+    mesh: MeshSettings
+    dem: tuple[DemSettings, ...] = ()
+
+    @property
+    def shape(self) -> MeshSettings:
+        return self.mesh
+
+    def check(self) -> None:
+        super().check()
+        if self.dem:
+            raise ConfigError("there are [[dem]] and mesh; give one of them")
+
+    def with_files(self, names: FileNames) -> Self:
+        mesh = msgspec.structs.replace(self.mesh, path=names.shape(self.mesh.path))
+        return msgspec.structs.replace(super().with_files(names), mesh=mesh)
+
+
+def _ship_attitude(scenario: ScenarioBase, epoch: Epoch) -> Rotation:
+    """First camera from body: looking down, the picture's top forward, then turned as set."""
+    pointing = scenario.pointing
+    position, forward = epoch.position_m, epoch.forward
+    down = -position / np.linalg.norm(position)
+    # y points down in the picture: backward; x completes the right-handed camera frame
+    level = Rotation.from_matrix(np.stack([np.cross(-forward, down), -forward, down]))
+    noise = np.random.default_rng([scenario.seed, POINTING, epoch.number]).normal(size=3)
+    ahead = pointing.forward_deg + pointing.tilt_sigma_deg * noise[0]
+    right = pointing.right_deg + pointing.tilt_sigma_deg * noise[1]
+    roll = pointing.roll_deg + pointing.roll_sigma_deg * noise[2]
+    return _turned(ahead, right, roll) * level
+
+
+def _mounted_from_first(mount: MountedCamera) -> Rotation:
+    """A further camera from the first one."""
+    return _turned(mount.forward_deg, mount.right_deg, mount.roll_deg)
+
+
+def _turned(ahead_deg: float, right_deg: float, roll_deg: float) -> Rotation:
+    # the boresight turned forward about x, to the right about y, then the camera about it
+    return Rotation.from_euler("xyz", [ahead_deg, right_deg, roll_deg], degrees=True).inv()
+
+
+def _attitude_error(scenario: ScenarioBase, number: int) -> Rotation:
+    sigma = np.radians(scenario.attitude.sigma_arcsec / 3600.0)
+    noise = np.random.default_rng([scenario.seed, ATTITUDE, number]).normal(size=3)
+    return Rotation.from_rotvec(sigma * noise)

@@ -1,0 +1,130 @@
+"""What the studies of flights share: pictures of shipped scenarios, star sensors, tables of frames.
+
+What a picture shows does not depend on the stated pose, so one folder of pictures serves exact
+attitudes, those of a star sensor and flights without a prior.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.config import resource
+from catalog.errors import NothingToDoError
+from catalog.geometry.rotations import ARCSEC
+from catalog.progress import Progress
+from optnav_cli.evaluation.figures import FrameError
+from optnav_cli.frames.folder import read_folder, write_folder
+from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.scenario import load_scenario, scenario_copy
+from optnav_cli.studies.tables import Cell, Column, Table
+
+GLOBE = "shared:moon/moon_gld100_32ppd.tif"  # the ground of shipped scenarios
+STAR_SENSOR_ARCSEC = 10.0
+# What 10 arc seconds of attitude cost on the ground, both axes: 1.41 x 10" = 0.069 m a kilometre.
+STAR_SENSOR_M_PER_KM = 0.07
+SEED = 10
+FIGURES = "figures.json"  # a flight study's tables, with those of single frames, in its folder
+
+
+class Named(Protocol):
+    """A row of a study."""
+
+    @property
+    def name(self) -> str: ...
+
+
+R = TypeVar("R", bound=Named)
+
+
+def rows_named(rows: Sequence[R], part: str) -> list[R]:
+    """The rows whose name contains a text. Raises NothingToDoError when there is none."""
+    chosen = [row for row in rows if part in row.name]
+    if not chosen:
+        raise NothingToDoError(f"no row of the study is called '{part}'")
+    return chosen
+
+
+def shipped_pictures(output: Path, name: str, frames: int | None, progress: Progress) -> Path:
+    """The picture folder of a shipped scenario; made unless the same one is there.
+
+    output  the study's folder;  frames  pictures of the scenario, its own number when None
+    """
+    scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
+    if frames is not None:
+        scenario = scenario.shortened(frames)
+    place = output / "pictures" / name
+    place.parent.mkdir(exist_ok=True)
+    mark = place / "scenario.json"
+    if not (mark.is_file() and mark.read_bytes() == scenario_copy(scenario)):
+        simulate_folder(scenario, place, progress)
+    return place
+
+
+def with_star_sensor(pictures: Path, *, priors: bool = True) -> Path:
+    """The same pictures with attitudes that are off as a star sensor's are.
+
+    priors  False: and without positions
+    """
+    sigma = STAR_SENSOR_ARCSEC * ARCSEC
+    word = f"{STAR_SENSOR_ARCSEC:g}arcsec"
+    place = pictures.with_name(f"{pictures.name}-{word}" + ("" if priors else "-noprior"))
+    folder = read_folder(pictures)
+    rng = np.random.default_rng(SEED)
+    frames = []
+    for frame in folder.frames:
+        turn = Rotation.from_rotvec(rng.normal(0.0, sigma, 3))
+        attitude = None if frame.camera_from_body is None else turn * frame.camera_from_body
+        stated = replace(frame, camera_from_body=attitude, attitude_sigma_rad=sigma)
+        if not priors:
+            stated = replace(stated, position_m=None, position_sigma_m=None)
+        frames.append(stated)
+    write_folder(place, folder.settings, folder.cameras.values(), frames, beside=pictures)
+    for name in [*(frame.file for frame in frames), "truth.csv"]:
+        link = place / name
+        link.unlink(missing_ok=True)
+        os.link(pictures / name, link)
+    return place
+
+
+def limit_with_star_sensor(limit_m: float, frames: Sequence[FrameError]) -> float:
+    """A limit of the horizontal error and what a star sensor adds at the frames' heights, m."""
+    heights_km = np.array([frame.height_m for frame in frames]) / 1e3
+    extra = np.mean((STAR_SENSOR_M_PER_KM * heights_km) ** 2)
+    return float(np.hypot(limit_m, np.sqrt(extra)))
+
+
+def sigmas_off(frame: FrameError) -> float:
+    """How far a solved frame is off in its own sigmas; 0 for an unsolved one."""
+    return 0.0 if frame.nees is None else float(np.sqrt(frame.nees))
+
+
+FRAME_COLUMNS = (
+    Column("case", "case"),
+    Column("file", "file"),
+    Column("distance_m", "distance", "m", ".0f"),
+    Column("method", "method"),
+    Column("prior", "prior"),
+    *(Column(f"error_{axis.lower()}_m", f"error {axis}", "m", ".1f") for axis in "RNB"),
+    Column("sigmas", "off", "σ", ".1f"),
+    Column("reason", "reason"),
+)
+
+
+def frames_table(cases: Mapping[str, Sequence[FrameError]]) -> Table:
+    """Every frame of a study by case: what it was solved by, and its error or why it has none."""
+    return Table(
+        "frames", FRAME_COLUMNS, tuple(_cells(case, f) for case, own in cases.items() for f in own)
+    )
+
+
+def _cells(case: str, frame: FrameError) -> tuple[Cell, ...]:
+    solved, solution = frame.error_rnb_m is not None, frame.solution
+    error = [None] * 3 if frame.error_rnb_m is None else [float(v) for v in frame.error_rnb_m]
+    sigmas = sigmas_off(frame) if solved else None
+    start = (case, frame.file, frame.distance_m, solution.method, solution.prior)
+    return (*start, *error, sigmas, solution.reason)

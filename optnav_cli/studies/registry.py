@@ -1,0 +1,265 @@
+"""The studies: what each asks, how it is called, and the module that answers.
+
+A study's module has `run(progress, ...)`, which takes the options below by name, and
+`report(result)`, which makes the tables; where there is a plot, `picture(result)` draws it. Modules
+are imported when a study is run, so that listing the studies does not load what they compute with.
+"""
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+@dataclass(frozen=True)
+class Study:
+    """One experiment behind the figures of the documents.
+
+    question  what it measures, in a line;  text  more of it, for its help
+    example   of the command line after `optnav study NAME`
+    options   of the command; their names are those of the arguments of the module's `run`
+    draws     whether -o names a file for a plot
+    compiles  whether kernels run that numba may have to compile
+    prints    a function of the module whose text goes to stdout instead of the tables
+    """
+
+    name: str
+    question: str
+    text: str
+    example: str
+    options: tuple[click.Parameter, ...] = ()
+    draws: bool = False
+    compiles: bool = True
+    prints: str = ""
+
+    def function(self, name: str) -> Any:
+        """A function of the study's module."""
+        return getattr(import_module(f"optnav_cli.studies.{self.name}"), name)
+
+
+def _option(name: str, type_: Any, default: Any, text: str, **more: Any) -> click.Option:
+    shown = default not in (None, "")
+    return click.Option([name], type=type_, default=default, show_default=shown, help=text, **more)
+
+
+def _trials(least: int, default: int, text: str) -> click.Option:
+    return _option("--trials", click.IntRange(min=least), default, text)
+
+
+def _seed(text: str = "Of trials.") -> click.Option:
+    return _option("--seed", click.IntRange(min=0), 1, text)
+
+
+def _folder(default: str, text: str) -> click.Option:
+    return click.Option(
+        ["-o", "--output"], type=click.Path(path_type=Path), default=default, show_default=True,
+        help=text,
+    )  # fmt: skip
+
+
+def _flights(name: str, files: str, row: str) -> tuple[click.Option, ...]:
+    """The options of a study that flies scenarios: its folder, and less than all of it."""
+    return (
+        _folder(f"optnav-{name}", f"Folder for {files}; what is in it is used again."),
+        _option("--frames", click.IntRange(min=1), None, "Pictures of each case; all if left."),
+        _option("--rows", str, "", f"Only rows whose name contains this, such as '{row}'."),
+    )
+
+
+_RUNS = "catalogs, pictures, runs and figures.json"
+
+STUDIES = (
+    Study(
+        "apollo",
+        "Navigate a real Apollo 15 picture over bundled terrain.",
+        """Build the catalog below Apollo 15 metric frame 0297 and navigate the frame.
+
+        Prints how many control points were recognised, the residual, and the correction to the pose
+        in the frame's ISIS cube with its sigma.""",
+        "-o apollo",
+        (
+            _folder("optnav-apollo", "Folder for the catalog, the pictures and the run."),
+            _option(
+                "--matcher",
+                click.Choice(["ncc", "surf"]),
+                "ncc",
+                "How a control point is recognised.",
+            ),
+        ),
+    ),
+    Study(
+        "arc",
+        "Errors of a horizon against the arc of limb in view.",
+        """Fit limbs with correlated errors and tabulate the errors of direction and angular radius.
+
+        Shows why less than 100 degrees of limb make no good horizon, and how relief, whose errors
+        are correlated over degrees of limb, costs more than noise.""",
+        "-o arc.svg",
+        (
+            _trials(5, 100, "Limbs of each interval."),
+            _option(
+                "--height-km",
+                click.FloatRange(min=1.0, max=1e6),
+                200.0,
+                "From which the Moon is seen.",
+            ),
+            _seed("Of errors."),
+        ),
+        draws=True,
+    ),
+    Study(
+        "autonomous",
+        "Flights without any prior: accuracy and share of frames solved.",
+        """Fly without priors over Tycho and all over the Moon, and compare with the truth.
+
+        Needs the 948 m model of the whole Moon in the folder that OPTNAV_SHARED_DATA names. All
+        pictures take some two hours on two cores; --frames 4 gives a first look.""",
+        "--frames 4 --rows wide",
+        _flights("autonomous", _RUNS, "wide"),
+    ),
+    Study(
+        "discs",
+        "Direction and range of discs of 2 to 40 px, and their covariance.",
+        """Draw small discs of the Moon and of Phobos, solve them, and compare with the truth.
+
+        Needs nothing but what is bundled; 30 discs of each size take a quarter of an hour.""",
+        "--discs 5",
+        (
+            _option("--discs", click.IntRange(min=1), 30, "Discs of each size and body."),
+            click.Option(
+                ["-o", "--output"],
+                type=click.Path(path_type=Path),
+                help="JSON file for every disc's errors.",
+            ),
+        ),
+        compiles=False,
+    ),
+    Study(
+        "economy",
+        "The build's settings against slower and quicker ones.",
+        """Choose points on the bundled Tycho terrain by several policies and try to recognise them.
+
+        Prints what the build's few candidates, Suns and trials cost in recognition and gain in
+        time, against all candidates under 32 Suns, against trials of them all, and against fewer
+        candidates.""",
+        "--cell-deg 0.5 --trials 40",
+        (
+            _trials(4, 24, "New recognition trials of each place, at least."),
+            click.Option(
+                ["--cell-deg", "cells_deg"],
+                type=click.FloatRange(min=0.2, max=2.0),
+                multiple=True,
+                default=(1.0, 0.5),
+                show_default=True,
+                help="Side of the cells; may be given several times.",
+            ),
+            _seed(),
+        ),
+    ),
+    Study(
+        "horizon",
+        "Positions from the limb alone, sphere against terrain-aware.",
+        """Solve single pictures from 50 to 100 000 km by their limb, and compare with the truth.
+
+        Needs the 948 m model of the whole Moon in the folder that OPTNAV_SHARED_DATA names. All
+        pictures take some three hours on two cores, solving them two minutes; --frames 6 gives a
+        first look.""",
+        "--frames 6 --rows nadir",
+        _flights("horizon", "pictures and figures.json", "far"),
+    ),
+    Study(
+        "matching",
+        "What matching bears of noise, scale, slant and roll.",
+        """Look for control points of the bundled Tycho terrain by correlation and by SURF-64.
+
+        Prints how many are recognised, and how well, as the picture's noise or the stated scale,
+        slant or roll gets worse: first with nothing but the place searched, then with what the
+        navigator does about it.""",
+        "-o matching.svg",
+        (
+            _option(
+                "--scenes",
+                click.IntRange(min=1, max=24),
+                2,
+                "Grounds and Suns that the pictures are made of.",
+            ),
+            _seed(),
+        ),
+        draws=True,
+    ),
+    Study(
+        "navigation",
+        "The accuracy table, from simulated flights over richer ground.",
+        """Fly, navigate and evaluate every row of the accuracy table.
+
+        All pictures take one to two hours on two cores; --frames 10 gives a first look.""",
+        '--frames 10 --rows "unk 200"',
+        _flights("navigation", _RUNS, "unk 200"),
+    ),
+    Study(
+        "phobos",
+        "Navigation at Phobos, by disc, limb and control points.",
+        """Build the catalog of Phobos, fly to it, navigate, and compare with the truth.
+
+        Needs nothing but what is bundled. All pictures take half an hour on two cores; --frames 4
+        gives a first look.""",
+        "--frames 4 --rows limb",
+        _flights("phobos", _RUNS, "limb"),
+    ),
+    Study(
+        "photometry",
+        "What a simple brightness law costs against Hapke's.",
+        """Draw real ground by Hapke's law and by the simple ones, and compare what a matcher sees.
+
+        Shows, by emission angle, the correlation of the pictures and how far the law alone moves
+        the peak of a template.""",
+        "",
+        compiles=False,
+    ),
+    Study(
+        "resection",
+        "Position errors against number and angle of control points.",
+        """Solve thousands of resections with noisy points and tabulate the errors.
+
+        Shows how the horizontal error falls with the number of points, how the height error grows
+        below 20 degrees of intersection angle, and what solving the attitude too costs.""",
+        "--trials 1000 -o resection.svg",
+        (_trials(10, 300, "Resections of each geometry."), _option("--seed", int, 1, "Of noise.")),
+        draws=True,
+        compiles=False,
+    ),
+    Study(
+        "rotation",
+        "Fit what a body's rotation series lacks against SPICE kernels.",
+        """Fit the small turn between the published rotation of a body and that of SPICE KERNELS.
+
+        Prints the section [rotation_correction] for the body's file, and on stderr what the fit
+        leaves at times that it has not seen. Takes two minutes.""",
+        "moon_080317.tf moon_pa_de421_1900-2050.bpc",
+        (
+            click.Argument(["kernels"], nargs=-1, required=True, type=click.Path(path_type=Path)),
+            _option("--body", str, "moon", "Whose rotation."),
+            _option("--years", (float, float), (1900.0, 2051.0), "First and last year of the fit."),
+            _option(
+                "--terms", click.IntRange(min=1, max=400), 120, "How many trigonometric terms."
+            ),
+        ),
+        compiles=False,
+        prints="format_toml",
+    ),
+    Study(
+        "selection",
+        "Chosen control points against random and one-Sun Harris points.",
+        """Try to recognise chosen, random and one-Sun Harris points on the bundled Tycho terrain.
+
+        Prints recognition rates and errors with 95 % intervals, at the DEM's posting and at twice
+        it.""",
+        "--trials 2000",
+        (
+            _trials(100, 1000, "Recognition trials of each strategy at each posting, at least."),
+            _seed(),
+        ),
+    ),
+)
