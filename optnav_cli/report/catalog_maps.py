@@ -21,7 +21,7 @@ from optnav_cli.report.shades import (
     bgr_of,
     blended,
 )
-from optnav_cli.report.svg import HALF, WIDE, Plot
+from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis
 from optnav_cli.report.views import THIRD, View, rows_of_pixels, views
 
 MAX_DOTS = 1500  # more points are shown by their cells instead of one by one
@@ -236,10 +236,8 @@ def histogram(
     top = 1.08 * max(float((good + bad).max()), MIN_TOP)
     width, height = (THIRD, THIRD) if wide else (HALF, HALF_HEIGHT)
     along = scale.along(edges)
-    plot = Plot(
-        (float(along[0]), float(along[-1])), (-STRIP * top, top), x_label=label, y_label="points",
-        width=width, height=height, log_x=scale.log,
-    )  # fmt: skip
+    x = PlotAxis((float(along[0]), float(along[-1])), label, scale.log)
+    plot = Plot(x, PlotAxis((-STRIP * top, top), "points"), width=width, height=height)
     colours = scale.css((along[:-1] + along[1:]) / 2.0)
     spans = [f"{low:.3g} to {high:.3g}" for low, high in pairwise(edges.tolist())]
     plot.bars(along, good, "full", 0.0, colours, _titles(spans, good, "usable"))
@@ -262,10 +260,8 @@ def latitude_plot(catalog: Catalog) -> Markup:
         np.histogram(catalog.lat_deg[choice], edges)[0]
         for choice in (np.ones(len(catalog), np.bool_), catalog.usable)
     )
-    plot = Plot(
-        (-90.0, 90.0), (0.0, 100.0), x_label="latitude, deg", y_label="usable points, %",
-        width=THIRD, height=THIRD,
-    )  # fmt: skip
+    x, y = PlotAxis((-90.0, 90.0), "latitude, deg"), PlotAxis((0.0, 100.0), "usable points, %")
+    plot = Plot(x, y, width=THIRD, height=THIRD)
     share = 100.0 * good / np.maximum(total, 1)
     titles = [f"{g} of {n} usable" for g, n in zip(good.tolist(), total.tolist(), strict=True)]
     plot.bars(edges, share, "s1", titles=titles)
@@ -315,10 +311,9 @@ def shadow_plot(catalog: Catalog) -> Markup:
     if len(known) == 0:
         return Markup()
     lowest, low, middle, high, highest = np.percentile(known, [1, 10, 50, 90, 99], axis=0)
-    plot = Plot(
-        (0.0, 360.0), (min(0.0, float(lowest.min())), 1.08 * float(highest.max()) + 0.1),
-        x_label="azimuth of the Sun, deg east of north", y_label="Sun elevation, deg", width=WIDE,
-    )  # fmt: skip
+    y = (min(0.0, float(lowest.min())), 1.08 * float(highest.max()) + 0.1)
+    x_axis = PlotAxis((0.0, 360.0), "azimuth of the Sun, deg east of north")
+    plot = Plot(x_axis, PlotAxis(y, "Sun elevation, deg"), width=WIDE)
     plot.band(azimuth, lowest, highest, "s1")
     plot.band(azimuth, low, high, "s1")
     plot.line(azimuth, middle, "s1")

@@ -18,7 +18,7 @@ from optnav_cli.evaluation.files import EVALUATION_CSV, ErrorRow, read_error_row
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure
 from optnav_cli.report.sheet import Entry, Panel, sheet
-from optnav_cli.report.svg import Plot, key_mark, span
+from optnav_cli.report.svg import Plot, PlotAxis, key_mark, span
 
 SIGNS = {
     "brightness_centre": ("s3", "diamond"),
@@ -194,10 +194,8 @@ def _linear_plot(
     frames: Frames, values: FloatArray, band: FloatArray, label: str, x_label: str
 ) -> Plot:
     low = np.zeros(1) if not frames.compared else -band
-    plot = Plot(
-        span(frames.x, 0.03), span(np.concatenate([values, band, low]), 0.08),
-        x_label=x_label, y_label=label, height=200,
-    )  # fmt: skip
+    y = span(np.concatenate([values, band, low]), 0.08)
+    plot = Plot(PlotAxis(span(frames.x, 0.03), x_label), PlotAxis(y, label), height=200)
     if frames.compared:
         for series, places in frames.stretches():
             x, half = frames.x[places], band[places]
@@ -216,9 +214,8 @@ def _log_plot(
 ) -> Plot:
     sizes = np.abs(values)
     y = _log_range(sizes, band)
-    plot = Plot(
-        span(frames.x, 0.03), y, x_label=x_label, y_label=label, height=230, log_y=True,
-    )  # fmt: skip
+    x_axis = PlotAxis(span(frames.x, 0.03), x_label)
+    plot = Plot(x_axis, PlotAxis(y, label, log=True), height=230)
     if frames.compared:
         for series, places in frames.stretches():
             x, top = frames.x[places], _log(band[places], y)
@@ -237,26 +234,19 @@ def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
     rows = frames.rows
     x = np.log10(frames.heights_km)
     panels = []
-    for label, words, error, sigma in (
-        (
-            "range, % of height", "range to the surface",
-            [row.range_percent for row in rows], [row.range_sigma for row in rows],
-        ),
-        (
-            "direction, arcmin", "direction to the centre",
-            [_arcmin(row.direction_arcsec) for row in rows],
-            [_arcmin(row.direction_sigma) for row in rows],
-        ),
-    ):  # fmt: skip
-        stated = np.array(sigma, dtype=np.float64)
+    ranges = [(row.range_percent, row.range_sigma) for row in rows]
+    directions = [(row.direction_arcsec, row.direction_sigma) for row in rows]
+    for label, words, pairs, unit in (
+        ("range, % of height", "range to the surface", ranges, 1.0),
+        ("direction, arcmin", "direction to the centre", directions, 60.0),
+    ):
+        error, stated = np.array(pairs, dtype=np.float64).T / unit
         bound = 3.0 * stated if frames.compared else stated
-        values = np.abs(np.array(error, dtype=np.float64)) if frames.compared else stated
+        values = np.abs(error) if frames.compared else stated
         y = _log_range(values, bound)
         last = label.startswith("direction")
-        plot = Plot(
-            span(x, 0.03), y, x_label="height above the surface, km" if last else "",
-            y_label=label, height=260, log_x=True, log_y=True,
-        )  # fmt: skip
+        x_axis = PlotAxis(span(x, 0.03), "height above the surface, km" if last else "", log=True)
+        plot = Plot(x_axis, PlotAxis(y, label, log=True), height=260)
         if frames.compared:
             for method, camera in frames.series:
                 series, _ = SIGNS.get(method, OTHER_SIGN)
@@ -332,8 +322,4 @@ def _log_range(sizes: FloatArray, bound: FloatArray) -> tuple[float, float]:
 def _log(sizes: FloatArray, y: tuple[float, float]) -> FloatArray:
     """Logarithms; what is smaller than the range stands at its foot."""
     with np.errstate(divide="ignore"):
-        return np.asarray(np.maximum(np.log10(sizes), y[0]))
-
-
-def _arcmin(arcsec: float | None) -> float | None:
-    return None if arcsec is None else arcsec / 60.0
+        return np.maximum(np.log10(sizes), y[0])

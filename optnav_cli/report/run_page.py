@@ -38,7 +38,7 @@ from optnav_cli.report.page import (
     table,
     tiles,
 )
-from optnav_cli.report.svg import HALF, Plot, span
+from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
 from optnav_cli.report.views import GroundMap
 
 MAX_FOOTPRINTS = 60
@@ -97,10 +97,8 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         residual = np.array([m.residual_px for m in used])
         rms = float(np.sqrt(np.mean(residual**2)))
         reach = max(3.2 * rms, float(np.percentile(np.abs(residual), 99.5)))
-        plot = Plot(
-            (-reach, reach), (-reach, reach), x_label="x, px", y_label="y, px",
-            width=HALF, height=420, equal=True,
-        )  # fmt: skip
+        x, y = (PlotAxis((-reach, reach), f"{name}, px") for name in "xy")
+        plot = Plot(x, y, width=HALF, height=420, equal=True)
         few = residual[:: -(-len(residual) // MAX_DOTS)]
         plot.dots(few[:, 0], few[:, 1], "s1", 1.8)
         turn = np.linspace(0.0, 2.0 * np.pi, 73)
@@ -119,10 +117,9 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         edges = np.linspace(*span(values, 0.0), HISTOGRAM_BINS + 1)
         edges = edges if edges[-1] > edges[0] else edges[0] + np.linspace(-0.5, 0.5, 25)
         below, above = (np.histogram(values[c], edges)[0] for c in (~kept, kept))
-        plot = Plot(
-            (edges[0], edges[-1]), (0.0, 1.05 * float((below + above).max())),
-            x_label="score", y_label="matches", width=HALF, height=420,
-        )  # fmt: skip
+        x = PlotAxis((edges[0], edges[-1]), "score")
+        y = PlotAxis((0.0, 1.05 * float((below + above).max())), "matches")
+        plot = Plot(x, y, width=HALF, height=420)
         plot.bars(edges, below, "s4")
         plot.bars(edges, above, "s3", below)
         drawings.append(

@@ -21,7 +21,7 @@ from catalog.geometry.latlon import (
     xyz_from_latlon,
 )
 from catalog.geometry.projection import Stereographic
-from optnav_cli.report.svg import HALF, WIDE, Plot, number_text, span
+from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, number_text, span
 
 MAX_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
 STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
@@ -83,22 +83,17 @@ class GroundMap:
     def plot(self, x: ArrayLike, y: ArrayLike, width: int = WIDE, height: int = 600) -> Plot:
         """An empty map that holds the map coordinates x, y (n,), with its graticule."""
         if not self.regional:
-            return Plot(
-                (-180.0, 180.0), (-90.0, 90.0), x_label="longitude, deg", y_label="latitude, deg",
-                width=width, height=WHOLE_HEIGHT, equal=True,
-            )  # fmt: skip
+            lon = PlotAxis((-180.0, 180.0), "longitude, deg")
+            lat = PlotAxis((-90.0, 90.0), "latitude, deg")
+            return Plot(lon, lat, width=width, height=WHOLE_HEIGHT, equal=True)
         lat0, lon0 = (number_text(round(v, 2)) + DEGREE for v in self.centre_deg)
-        plot = Plot(
-            span(x, 0.04), span(y, 0.04), width=width, height=height, equal=True, axes=False,
-            x_label=f"stereographic about {lat0}, {lon0}; "
-            f"the map is {self._across_km(x, y, width, height):.0f} km wide",
-        )  # fmt: skip
+        x_ends, y_ends = span(x, 0.04), span(y, 0.04)
+        west, east = Plot(x_ends, y_ends, width=width, height=height, equal=True).x
+        words = f"stereographic about {lat0}, {lon0}; the map is {east - west:.0f} km wide"
+        x_axis = PlotAxis(x_ends, words)
+        plot = Plot(x_axis, y_ends, width=width, height=height, equal=True, axes=False)
         self._graticule(plot)
         return plot
-
-    def _across_km(self, x: ArrayLike, y: ArrayLike, width: int, height: int) -> float:
-        plot = Plot(span(x, 0.04), span(y, 0.04), width=width, height=height, equal=True)
-        return plot.x[1] - plot.x[0]
 
     def _graticule(self, plot: Plot) -> None:
         km_per_deg = np.radians(self.radius_m) / 1e3
@@ -244,9 +239,8 @@ def _whole() -> View:
     def plot() -> Plot:
         height = WIDE // 2 + WIDE_MARGINS[2] + WIDE_MARGINS[3]
         x, y = RIM_ROOM * HALF_WIDTH, RIM_ROOM * HALF_HEIGHT
-        drawing = Plot(
-            (-x, x), (-y, y), width=WIDE, height=height, axes=False, margins=WIDE_MARGINS,
-        )  # fmt: skip
+        ends = (-x, x), (-y, y)
+        drawing = Plot(*ends, width=WIDE, height=height, axes=False, margins=WIDE_MARGINS)
         parallel, meridian = np.linspace(-180.0, 180.0, 3), np.linspace(-90.0, 90.0, 61)
         for lat in range(-60, 90, 30):
             drawing.line(*places(np.full(3, float(lat)), parallel), "graticule")
@@ -277,10 +271,8 @@ def _cap(pole_deg: float, radius_m: float) -> View:
         return np.where(outside, np.nan, lat), np.where(outside, np.nan, lon)
 
     def plot() -> Plot:
-        drawing = Plot(
-            (-rim, rim), (-rim, rim), width=THIRD, height=THIRD, axes=False, equal=True,
-            margins=CAP_MARGINS,
-        )  # fmt: skip
+        ends = (-rim, rim)
+        drawing = Plot(ends, ends, width=THIRD, height=THIRD, axes=False, margins=CAP_MARGINS)
         for lat in (70.0, 80.0):
             drawing.line(*ground.places(np.full(181, side * lat), angle), "graticule")
             x, y = ground.places(side * lat, 45.0)

@@ -7,13 +7,14 @@ import pytest
 
 from catalog.errors import OutputError
 from optnav_cli.report.sheet import Entry, Panel, sheet, write_sheet
-from optnav_cli.report.svg import SHAPES, Plot, mark
+from optnav_cli.report.svg import SHAPES, Plot, PlotAxis, mark
 
 SVG = "{http://www.w3.org/2000/svg}"
 
 
 def a_plot(width=300):
-    plot = Plot((0.0, 2.0), (-6.0, 6.0), width=width, log_x=True, log_y=True, x_numbers=(1, 40))
+    x_axis = PlotAxis((0.0, 2.0), log=True, numbers=(1, 40))
+    plot = Plot(x_axis, PlotAxis((-6.0, 6.0), log=True), width=width)
     plot.marks([0.5, np.nan], [1.0, 2.0], "s1 hollow", "triangle", titles=["<a>", "b"])
     return plot
 
