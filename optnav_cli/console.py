@@ -191,7 +191,7 @@ pass_progress = click.make_pass_decorator(ConsoleProgress, ensure=True)
 
 
 def announce_compilation() -> None:
-    """Say once, before or when it happens, that numba compiles its kernels in this run.
+    """Log once, before or when it happens, that numba compiles its kernels in this run.
 
     Later runs find them in numba's cache and start at once.
     """

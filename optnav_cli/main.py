@@ -23,7 +23,7 @@ from optnav_cli.options import Entry, LazyGroup
 INTERRUPTED = 130
 BAD_PLACE = 3
 
-# What the operating system says when an output place cannot be used, and what to do about it.
+# Errors of the operating system when an output place cannot be used, and what to do about it.
 PLACE_ERRORS = {
     errno.ENOSPC: "free some space or choose another place",
     errno.EDQUOT: "free some space or choose another place",
@@ -54,7 +54,7 @@ COMMANDS = {
     "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),
     "config": Entry(f"{_HERE}.config", "Print a commented configuration to start from."),
     "study": Entry(f"{_HERE}.study", "Run an experiment behind the figures."),
-}  # fmt: skip
+}
 
 
 @click.group(
@@ -100,7 +100,7 @@ def run(args: Sequence[str]) -> int:
     """Run a command line and return its exit code; a bug of ours stays a traceback."""
     try:
         code = _invoke(args)
-        sys.stdout.flush()  # here, where a full disk or a reader that left is told as such
+        sys.stdout.flush()  # here, where a full disk or a reader that left has its own message
         return code
     except OptnavError as error:
         return _fail(str(error), error.exit_code)
@@ -125,7 +125,7 @@ def run(args: Sequence[str]) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    """Tell people on stderr why the command ends, and the log file if there is one."""
+    """Write why the command ends to stderr, and to the log file if there is one."""
     import logging
 
     if logging.getLogger().handlers:

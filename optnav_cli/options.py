@@ -63,7 +63,7 @@ def longitude(ctx: click.Context, param: click.Parameter, value: float) -> float
 
 
 def path_argument(name: str) -> Callable[[F], F]:
-    """A path given as an argument; whether it is there is told by who opens it."""
+    """A path given as an argument; whether it exists is checked where it is opened."""
     return click.argument(name, type=click.Path(path_type=Path))
 
 

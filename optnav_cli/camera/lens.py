@@ -273,7 +273,8 @@ def _least_determinant(radii: FloatArray, coefficients: tuple[float, ...]) -> Fl
     xy = slope * a * b + 2.0 * p1 * a + 2.0 * p2 * b
     # Both eigenvalues must be positive; past a double fold the determinant is positive again.
     determinant = np.where(xx + yy > 0.0, xx * yy - xy * xy, -1.0)
-    return np.asarray(determinant.min(axis=1))
+    least: FloatArray = determinant.min(axis=1)
+    return least
 
 
 def fisheye_limit(coefficients: tuple[float, ...]) -> float:

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
-from catalog.tables import Row
+from catalog.tables import CsvRow
 from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures, Spread, method_words
 from optnav_cli.evaluation.motion import directions_of_motion
@@ -92,7 +92,7 @@ def read_error_rows(path: Path) -> list[ErrorRow]:
         raise DataError(f"{error}; run `optnav evaluate` again") from error
 
 
-def _error_row(row: Row) -> ErrorRow:
+def _error_row(row: CsvRow) -> ErrorRow:
     return ErrorRow(
         file=row["file"],
         utc=row["utc"],
@@ -127,21 +127,21 @@ def stated_rows(run: RunFolder) -> list[ErrorRow]:
     rows = []
     for s in run.solutions:
         camera = run.cameras.get(s.file)
-        row = ErrorRow(
-            s.file, s.utc, s.file in axes, s.method, camera.name if camera else "", s.reason, None
-        )
+        name = camera.name if camera else ""
+        row = ErrorRow(s.file, s.utc, s.file in axes, s.method, name, s.reason, None)
         if s.position_m is not None and s.covariance_m2 is not None:
-            turn, _ = axes[s.file]
-            sigma = np.sqrt(np.diag(turn @ s.covariance_m2 @ turn.T))
+            rnb_from_body, _ = axes[s.file]
+            sigma = np.sqrt(np.diag(rnb_from_body @ s.covariance_m2 @ rnb_from_body.T))
             distance = float(np.linalg.norm(s.position_m))
             height = distance - run.attitude.body.radius_m
             across = math.hypot(float(sigma[1]), float(sigma[2])) / distance
-            row = ErrorRow(
-                row.file, row.utc, True, row.method, row.camera, row.reason, height,
+            row = replace(
+                row,
+                height_m=height,
                 sigma_rnb_m=sigma,
                 range_sigma=100.0 * float(sigma[0]) / height if height > 0.0 else None,
                 direction_sigma=across / ARCSEC,
-            )  # fmt: skip
+            )
         rows.append(row)
     return rows
 

@@ -14,7 +14,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
-from catalog.tables import Row
+from catalog.tables import CsvRow
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import FRAMES, POSITION, QUATERNION, SUN
 
@@ -80,7 +80,7 @@ def write_frames(path: Path, attitude: FileAttitude, frames: Iterable[Frame]) ->
     FRAMES.write(path, (_cells(frame, attitude) for frame in frames))
 
 
-def _frame(row: Row, attitude: FileAttitude, cameras: list[str]) -> Frame:
+def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
     file, utc, camera = row["file"], row["utc"], row["camera"]
     try:
         if row.problem:
@@ -116,7 +116,7 @@ def _check_name(file: str) -> None:
         raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
 
 
-def _attitude(row: Row, attitude: FileAttitude, tdb_s: float) -> Rotation | None:
+def _attitude(row: CsvRow, attitude: FileAttitude, tdb_s: float) -> Rotation | None:
     quaternion = row.vector(QUATERNION)
     if quaternion is None:
         return None
@@ -124,7 +124,7 @@ def _attitude(row: Row, attitude: FileAttitude, tdb_s: float) -> Rotation | None
     return attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
 
 
-def _sun(row: Row, motion: Ephemeris, tdb_s: float) -> FloatArray:
+def _sun(row: CsvRow, motion: Ephemeris, tdb_s: float) -> FloatArray:
     vector = row.vector(SUN)
     if vector is None:
         return motion.sun_body(tdb_s)
@@ -140,7 +140,7 @@ def _check_unit(vector: FloatArray, what: str) -> None:
         raise DataError(f"{what} has a length of {length:.6g}; wanted 1")
 
 
-def _sigma(row: Row, column: str, unit: float) -> float | None:
+def _sigma(row: CsvRow, column: str, unit: float) -> float | None:
     value = row.number(column)
     if value is None:
         return None
@@ -149,7 +149,7 @@ def _sigma(row: Row, column: str, unit: float) -> float | None:
     return value * unit
 
 
-def _position(row: Row, body: Body) -> tuple[FloatArray | None, float | None]:
+def _position(row: CsvRow, body: Body) -> tuple[FloatArray | None, float | None]:
     sigma = _sigma(row, "position_sigma_m", 1.0)
     position = row.vector(POSITION)
     if position is None:

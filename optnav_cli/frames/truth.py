@@ -10,7 +10,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
-from catalog.tables import Row
+from catalog.tables import CsvRow
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import POSITION, QUATERNION, TRUTH
 
@@ -30,7 +30,7 @@ class Truth:
 
 
 def read_truth(path: str | Path, attitude: FileAttitude) -> list[Truth]:
-    """Rows of a truth.csv; `attitude` says which rotation its quaternions are.
+    """Rows of a truth.csv; their quaternions are the rotation that `attitude` names.
 
     Raises DataError, with the row, for anything wrong: a truth with holes is no truth.
     """
@@ -56,7 +56,7 @@ def write_truth(path: str | Path, attitude: FileAttitude, truths: Iterable[Truth
     TRUTH.write(Path(path), (_cells(truth, attitude) for truth in truths))
 
 
-def _truth(row: Row, attitude: FileAttitude) -> Truth:
+def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
     if row.problem:
         raise DataError(row.problem)
     position, quaternion = row.vector(POSITION), row.vector(QUATERNION)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from catalog.bodies.body import body_file
 from catalog.errors import ConfigError, DataError
-from catalog.tables import Table
+from catalog.tables import CsvTable
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.fix import MatchRow, Solution
@@ -71,7 +71,7 @@ def _cameras(path: Path) -> dict[str, Camera]:
         return {}
     known: dict[str, Camera | None] = {}
     cameras = {}
-    for row in Table((FILE, CAMERA)).rows(path / FRAMES):
+    for row in CsvTable((FILE, CAMERA)).rows(path / FRAMES):
         name = row["camera"]
         if name not in known:
             try:

@@ -1,4 +1,4 @@
-"""Numbers as people write them, and the account of a build as plain lines."""
+"""Numbers in words, and the account of a build as plain lines."""
 
 from catalog.jobs.usage import Account, Peak, StageAccount
 
@@ -6,7 +6,7 @@ COLUMNS = ("stage", "done", "kept", "time", "CPU", "memory", "a worker", "read",
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say them: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
+    """Seconds in words: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     whole = round(seconds)
@@ -18,7 +18,7 @@ def duration(seconds: float) -> str:
 
 
 def speed(rate: float, unit: str) -> str:
-    """A rate as people say it: 12.3 cells/s, or 4.0 s a cell when it is slow."""
+    """A rate in words: 12.3 cells/s, or 4.0 s a cell when it is slow."""
     if rate <= 0.0:
         return f"no {unit} done yet"
     return f"{rate:.1f} {plural(unit, 2)}/s" if rate >= 1.0 else f"{1.0 / rate:.1f} s a {unit}"
@@ -34,7 +34,7 @@ def plural(unit: str, count: int) -> str:
 
 
 def amount(count: float) -> str:
-    """Bytes as people say them: 870 B, 12.3 MB, 1.04 GB."""
+    """Bytes in words: 870 B, 12.3 MB, 1.04 GB."""
     for limit, unit, decimals in ((1e3, "B", 0), (1e6, "kB", 1), (1e9, "MB", 1)):
         if count < 0.9995 * limit:
             return f"{count / (limit / 1e3):.{decimals}f} {unit}"

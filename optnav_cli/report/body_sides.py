@@ -75,7 +75,7 @@ class Side:
 
 
 def has_sides(catalog: Catalog) -> bool:
-    """Whether a catalog is of a body so small that it is drawn whole, and knows its shape."""
+    """Whether a catalog is of a body so small that it is drawn whole, and carries its relief."""
     return catalog.meta.planes is not None and catalog.meta.relief is not None
 
 
@@ -286,12 +286,12 @@ def _dot(picture: ByteArray, x: float, y: float, colour: str) -> None:
 
 def _joined(tiles: Sequence[ByteArray]) -> ByteArray:
     """Tiles in a row on paper, with gaps about them."""
-    edged = [
-        cv2.copyMakeBorder(tile, 0, GAP_PX, GAP_PX if k == 0 else 0, GAP_PX, cv2.BORDER_CONSTANT,
-                           value=PAPER)
-        for k, tile in enumerate(tiles)
-    ]  # fmt: skip
-    return np.hstack([np.asarray(tile, np.uint8) for tile in edged])
+    height, width = tiles[0].shape[:2]
+    row = np.full((height + GAP_PX, len(tiles) * (width + GAP_PX) + GAP_PX, 3), PAPER, np.uint8)
+    for k, tile in enumerate(tiles):
+        left = GAP_PX + k * (width + GAP_PX)
+        row[:height, left : left + width] = tile
+    return row
 
 
 def _legend(width: int, kinds: IntArray) -> ByteArray:

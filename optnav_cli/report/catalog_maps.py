@@ -22,7 +22,7 @@ from optnav_cli.report.shades import (
     blended,
 )
 from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis
-from optnav_cli.report.views import THIRD, View, rows_of_pixels, views
+from optnav_cli.report.views import THIRD, MapView, rows_of_pixels, views
 
 MAX_DOTS = 1500  # more points are shown by their cells instead of one by one
 TINT, STRONG_TINT, SOLID = 105, 205, 255  # of 255, over the relief
@@ -36,10 +36,10 @@ REASONS = {
     Flag.CROWDED: "too near to a neighbour's point",
     Flag.OVERHANG: "ground hangs over its patch",
 }
-UNTOLD = "no reason given"
-# By the kinds that `first_reasons` tells.
+NO_REASON = "no reason given"
+# By the kinds of `first_reasons`.
 POINT_COLOURS = (USABLE, *REASON_COLOURS, OTHER)
-POINT_WORDS = ("usable", *REASONS.values(), UNTOLD)
+POINT_WORDS = ("usable", *REASONS.values(), NO_REASON)
 NO_SOURCE = "none: no ground at the point"
 BINS = 32
 BAND_DEG = 10.0
@@ -50,10 +50,10 @@ MAX_EXACT_TRIALS = 24  # rates of so many trials have a bar each
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class MapPanel:
     """A map together with the row of the point whose cell each of its pixels is in."""
 
-    view: View
+    view: MapView
     lat_deg: FloatArray
     lon_deg: FloatArray
     rows: Int32Array  # (h, w), -1 for no point
@@ -61,7 +61,7 @@ class Panel:
     def painted(self, colours: ByteArray) -> ByteArray:
         """Picture (h, w, 4) of the points' colours (n, 4); clear where there is no point."""
         clear = np.zeros((1, 4), np.uint8)
-        return np.asarray(np.concatenate([colours, clear])[self.rows], np.uint8)
+        return np.concatenate([colours, clear])[self.rows]
 
     def plot(self, *pictures: str) -> Plot:
         """A drawing of the map with pictures (data addresses) of its pixels on it."""
@@ -73,7 +73,7 @@ class Panel:
         return plot
 
 
-def panels(catalog: Catalog) -> list[Panel]:
+def panels(catalog: Catalog) -> list[MapPanel]:
     """The maps of a catalog with at least one point, the main one first."""
     found = []
     for view in views(
@@ -81,7 +81,7 @@ def panels(catalog: Catalog) -> list[Panel]:
     ):
         lat, lon = view.pixels()
         rows = rows_of_pixels(catalog.grid, catalog.ids, lat, lon)
-        found.append(Panel(view, lat, lon, rows))
+        found.append(MapPanel(view, lat, lon, rows))
     return found
 
 
@@ -98,7 +98,7 @@ def first_reasons(catalog: Catalog) -> IntArray:
     return kinds
 
 
-def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: Markup) -> Markup:
+def usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
     """Usable points and why others are not, on shaded relief; with a drawing beside the caps."""
     kinds = first_reasons(catalog)
     colours, words = POINT_COLOURS, POINT_WORDS
@@ -138,7 +138,7 @@ def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: Markup) -> Marku
 
 def value_map(
     catalog: Catalog,
-    maps: Sequence[Panel],
+    maps: Sequence[MapPanel],
     values: FloatArray,
     scale: Scale,
     name: str,
@@ -162,7 +162,7 @@ def value_map(
     return figure(_arranged([*drawings, histogram], whole), caption, extra=unknown)
 
 
-def source_map(catalog: Catalog, maps: Sequence[Panel], beside: Markup) -> Markup:
+def source_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
     """Which terrain model each point comes from; with HTML beside the small maps."""
     sources = catalog.records["source"].astype(np.int64)
     names = catalog.meta.point_sources
@@ -185,7 +185,7 @@ def _arranged(drawings: Sequence[Markup], whole: bool) -> Markup:
 
 
 def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
-    """What is told of each point under the pointer; kinds (n,) as `first_reasons` tells them."""
+    """What the pointer shows of each point; kinds (n,) as of `first_reasons`."""
     scores = catalog.records["localisation_px"]
     return [
         f"{point}: {POINT_WORDS[kind]}, predicted error {score:.2f} nodes"
@@ -193,7 +193,7 @@ def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
     ]
 
 
-def _dots(plot: Plot, view: View, catalog: Catalog, kinds: IntArray) -> None:
+def _dots(plot: Plot, view: MapView, catalog: Catalog, kinds: IntArray) -> None:
     x, y = view.places(catalog.lat_deg, catalog.lon_deg)
     colours = [POINT_COLOURS[kind] for kind in kinds.tolist()]
     radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
@@ -271,7 +271,7 @@ def latitude_plot(catalog: Catalog) -> Markup:
 def edges_of(scale: Scale) -> FloatArray:
     """Bars over the range of a scale."""
     space = np.geomspace if scale.log else np.linspace
-    return np.asarray(space(scale.low, scale.high, BINS + 1))
+    return space(scale.low, scale.high, BINS + 1)
 
 
 def rate_edges(trials: IntArray) -> FloatArray:
@@ -279,7 +279,7 @@ def rate_edges(trials: IntArray) -> FloatArray:
     numbers = np.unique(trials[trials > 0])
     steps = int(numbers[0]) if len(numbers) == 1 else 20
     steps = min(steps, MAX_EXACT_TRIALS)
-    return np.asarray((np.arange(steps + 2) - 0.5) / steps)
+    return (np.arange(steps + 2) - 0.5) / steps
 
 
 def spread_words(values: FloatArray, usable: BoolArray, form: str) -> str:

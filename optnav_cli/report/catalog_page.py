@@ -15,10 +15,10 @@ from catalog.errors import DataError
 from catalog.store.reader import Catalog
 from optnav_cli.report.body_sides import has_sides, sides_figure
 from optnav_cli.report.catalog_maps import (
+    NO_REASON,
     NO_SOURCE,
     REASONS,
-    UNTOLD,
-    Panel,
+    MapPanel,
     beyond_words,
     edges_of,
     first_reasons,
@@ -60,7 +60,7 @@ NO_DATA_BGR = (150, 140, 140)
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A value of every point (n,), NaN where unknown, and how it is told."""
+    """A value of every point (n,), NaN where unknown, and how it is presented."""
 
     heading: str
     label: str
@@ -137,11 +137,11 @@ def quantities(catalog: Catalog) -> list[Quantity]:
     ]  # fmt: skip
 
 
-def _quantity(catalog: Catalog, maps: Sequence[Panel], quantity: Quantity) -> Markup:
+def _quantity(catalog: Catalog, maps: Sequence[MapPanel], quantity: Quantity) -> Markup:
     values, usable = quantity.values, catalog.usable
     known = values[np.isfinite(values)]
     if known.size == 0:
-        missing = f"The catalog does not tell it ({quantity.label}) of any point."
+        missing = f"The catalog holds no {quantity.label} of any point."
         return section(quantity.heading, paragraph(missing))
     scale = Scale.of(known, quantity.more_is_better, quantity.log)
     edges = quantity.edges
@@ -221,7 +221,7 @@ def _reasons(catalog: Catalog) -> Markup:
             share = percent(counts[0], len(catalog))
             rows.append((text, grouped(counts[0]), share, *map(grouped, counts[1:])))
     if firsts[-1]:
-        rows.append((UNTOLD, grouped(int(firsts[-1])), "", "", grouped(int(firsts[-1]))))
+        rows.append((NO_REASON, grouped(int(firsts[-1])), "", "", grouped(int(firsts[-1]))))
     header = ("why points are not usable", "points", "of all", "for this alone", "so on the map")
     return paragraph(
         f"{counted(flags.size, 'point')} not usable; one may have several reasons."
@@ -236,7 +236,7 @@ def _sides(catalog: Catalog) -> Markup:
     return section("On the body", drawing)
 
 
-def _sources(catalog: Catalog, maps: Sequence[Panel]) -> Markup:
+def _sources(catalog: Catalog, maps: Sequence[MapPanel]) -> Markup:
     """Points and usable points of each terrain model; with a map where there are several."""
     meta = catalog.meta
     source = catalog.records["source"].astype(np.int64)
@@ -259,8 +259,8 @@ def _made_from(catalog: Catalog) -> Markup:
         ("levels", ", ".join(f"{meta.posting_m * 2**k:.6g} m" for k in range(meta.levels))),
         ("nodes a side", str(meta.size)),
         ("height step", f"{meta.height_step_m:.9g} m"),
-        ("software", meta.software or "not told"),
-        ("made", meta.created_utc or "not told"),
+        ("software", meta.software or "not stated"),
+        ("made", meta.created_utc or "not stated"),
         ("format", str(meta.format_version)),
         ("file", f"{catalog.path.stat().st_size / 1e6:.1f} MB"),
         ("digest", catalog.digest),
@@ -286,7 +286,8 @@ def _finite(values: NDArray[np.floating[Any]]) -> FloatArray:
 
 def _extreme(values: Float32Array, pick: np.ufunc) -> FloatArray:
     """The least or highest known value of each row (n, m), NaN where none is known."""
-    return np.asarray(pick.reduce(_finite(values), axis=1), np.float64)
+    extremes: FloatArray = pick.reduce(_finite(values), axis=1)
+    return extremes
 
 
 def gallery(catalog: Catalog) -> Markup:
@@ -368,5 +369,4 @@ def coloured(patch: Patch) -> ByteArray:
     picture = np.clip(tint * light[..., None], 0.0, 255.0).astype(np.uint8)
     picture[~known] = NO_DATA_BGR
     factor = max(1, round(SIDE_PX / patch.size))
-    side = factor * patch.size
-    return np.asarray(cv2.resize(picture, (side, side), interpolation=cv2.INTER_NEAREST), np.uint8)
+    return np.kron(picture, np.ones((factor, factor, 1), np.uint8))

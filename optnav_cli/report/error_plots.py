@@ -1,7 +1,7 @@
 """Errors of a run against time and distance, by method and camera, with 3 stated sigmas.
 
 Zhukov (2025), figures 4 and 5, shows the same: R, N, B over an orbit, and the errors of range and
-direction over a transfer, the methods told apart.
+direction over a transfer, each method in its own colour.
 """
 
 from collections import Counter
@@ -17,7 +17,7 @@ from optnav_cli.evaluation.figures import method_rank, method_words
 from optnav_cli.evaluation.files import EVALUATION_CSV, ErrorRow, read_error_rows, stated_rows
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure
-from optnav_cli.report.sheet import Entry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis, key_mark, span
 
 SIGNS = {
@@ -282,19 +282,19 @@ def _unsolved(plot: Plot, frames: Frames, x: FloatArray) -> None:
     plot.marks(x[places], foot, "muted", "cross", 3.6, titles)
 
 
-def _legend(frames: Frames) -> list[Entry]:
+def _legend(frames: Frames) -> list[LegendEntry]:
     entries = []
     for method, camera in frames.series:
         series, shape = frames.sign(method, camera)
         of_camera = sum(row.camera == camera for row in frames.rows)
         name = method_words(method) + (f", {camera}" if camera else "")
         words = f"{name}: {len(frames.of(method, camera))} of {of_camera}"
-        entries.append(Entry(series, words, shape, line=False))
+        entries.append(LegendEntry(series, words, shape, line=False))
     if frames.compared:
-        entries.append(Entry("s4", "outside 3 stated sigmas", "circle", line=False))
+        entries.append(LegendEntry("s4", "outside 3 stated sigmas", "circle", line=False))
     unsolved = sum(not row.solved for row in frames.rows)
     if unsolved:
-        entries.append(Entry("muted", f"unsolved: {unsolved}", "cross", line=False))
+        entries.append(LegendEntry("muted", f"unsolved: {unsolved}", "cross", line=False))
     return entries
 
 

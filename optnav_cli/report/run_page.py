@@ -45,7 +45,7 @@ MAX_FOOTPRINTS = 60
 MAX_DOTS = 4000
 BORDER_POINTS = 12  # of a footprint, along each side of the picture
 HISTOGRAM_BINS = 24
-IN_KM_M = 10e3  # lengths from here on are told in km
+IN_KM_M = 10e3  # lengths from here on are written in km
 MAX_THUMBNAILS = 24
 THUMBNAIL_PX = 560
 ROWS_OPEN = 40  # longer tables are folded
@@ -101,8 +101,8 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         plot = Plot(x, y, width=HALF, height=420, equal=True)
         few = residual[:: -(-len(residual) // MAX_DOTS)]
         plot.dots(few[:, 0], few[:, 1], "s1", 1.8)
-        turn = np.linspace(0.0, 2.0 * np.pi, 73)
-        plot.line(rms * np.cos(turn), rms * np.sin(turn), "s2", closed=True)
+        angle = np.linspace(0.0, 2.0 * np.pi, 73)
+        plot.line(rms * np.cos(angle), rms * np.sin(angle), "s2", closed=True)
         drawings.append(
             figure(
                 plot.svg("Residuals of the control points used, px"),
@@ -154,7 +154,7 @@ def read_evaluation(folder: Path) -> dict[str, Any] | None:
         return None
     try:
         summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        for axis in "rnb":  # touched here, so that a damaged file is told at once
+        for axis in "rnb":  # read here, so that a damaged file is refused at once
             summary[axis]["bias_m"], summary["share_inside_3_sigma"][axis]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path}: is damaged ({error}); run `optnav evaluate` again") from error

@@ -161,15 +161,13 @@ class Plot:
         """Picture x of data x."""
         low, high = self.x
         scale = self.inner[0] / (high - low)
-        return np.asarray(self._left + (np.asarray(x, dtype=np.float64) - low) * scale)
+        return self._left + (np.asarray(x, dtype=np.float64) - low) * scale
 
     def py(self, y: ArrayLike) -> FloatArray:
         """Picture y of data y, which grows upwards."""
         low, high = self.y
         scale = self.inner[1] / (high - low)
-        return np.asarray(
-            self.height - self._bottom - (np.asarray(y, dtype=np.float64) - low) * scale
-        )
+        return self.height - self._bottom - (np.asarray(y, dtype=np.float64) - low) * scale
 
     def line(self, x: ArrayLike, y: ArrayLike, series: str, closed: bool = False) -> None:
         """A polyline, broken where a point is not finite (`closed` only when all are)."""

@@ -150,7 +150,7 @@ def _entry(plot: Plot, x: FloatArray, y: FloatArray) -> tuple[float, float] | No
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class MapView:
     """One map.
 
     name     what it shows, in words
@@ -179,7 +179,7 @@ class View:
 
 def views(
     grid: CellGrid, ids: IntArray, lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float
-) -> list[View]:
+) -> list[MapView]:
     """The maps that suit a catalog's points (n,), at least one: the main map first."""
     lat, lon = corners_deg(grid, ids)
     lat, lon = np.concatenate([lat.ravel(), lat_deg]), np.concatenate([lon.ravel(), lon_deg])
@@ -213,8 +213,8 @@ def corners_deg(grid: CellGrid, ids: IntArray) -> tuple[FloatArray, FloatArray]:
     return lat, wrap_longitude_deg(lon)
 
 
-def _region(ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height: int) -> View:
-    return View(
+def _region(ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height: int) -> MapView:
+    return MapView(
         "the region, north up" if abs(ground.centre_deg[0]) < 89.0 else "the pole",
         False,
         lambda: ground.plot(x, y, width, height),
@@ -224,7 +224,7 @@ def _region(ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height:
     )
 
 
-def _whole() -> View:
+def _whole() -> MapView:
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     outline = np.array([HALF_WIDTH * np.cos(angle), HALF_HEIGHT * np.sin(angle)])
 
@@ -255,10 +255,10 @@ def _whole() -> View:
         drawing.line(outline[0], outline[1], "rim")
         return drawing
 
-    return View("the whole body, equal-area (Mollweide)", True, plot, latlon, places, outline)
+    return MapView("the whole body, equal-area (Mollweide)", True, plot, latlon, places, outline)
 
 
-def _cap(pole_deg: float, radius_m: float) -> View:
+def _cap(pole_deg: float, radius_m: float) -> MapView:
     ground = GroundMap((pole_deg, 0.0), radius_m, True)
     angle = np.linspace(-180.0, 180.0, 181)
     side = 1.0 if pole_deg > 0.0 else -1.0
@@ -287,7 +287,9 @@ def _cap(pole_deg: float, radius_m: float) -> View:
         return drawing
 
     name = "north" if side > 0.0 else "south"
-    return View(f"the {name} polar cap, stereographic", True, plot, latlon, ground.places, outline)
+    return MapView(
+        f"the {name} polar cap, stereographic", True, plot, latlon, ground.places, outline
+    )
 
 
 def _degrees(value: float) -> str:

@@ -19,7 +19,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.estimation.limb_fit import fit_limb, linear_position
-from optnav_cli.report.sheet import Entry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from optnav_cli.studies.tables import Column, StudyReport, Table
 
@@ -156,11 +156,11 @@ def picture(rows: Sequence[ArcRow]) -> str:
     """The errors as curves (SVG)."""
     own = [row for row in rows if row.fit == next(iter(FITS))]
     legend = [
-        Entry(series, f"errors correlated over {interval:g}°", shape)
+        LegendEntry(series, f"errors correlated over {interval:g}°", shape)
         for series, shape, interval in zip(SERIES, SHAPES, INTERVALS_DEG, strict=True)
     ]
-    legend.append(Entry("muted dashed", "error of one point", ""))
-    legend.append(Entry("s1 dashed", f"linear fit, {COMPARED_DEG:g}°", ""))
+    legend.append(LegendEntry("muted dashed", "error of one point", ""))
+    legend.append(LegendEntry("s1 dashed", f"linear fit, {COMPARED_DEG:g}°", ""))
     panels = [
         _panel(own, "direction to the centre", "direction"),
         _panel(own, "angular radius", "radius"),

@@ -23,7 +23,7 @@ import numpy as np
 from catalog.bodies.body import load_body
 from catalog.progress import Progress
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.report.sheet import Entry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from optnav_cli.studies.matching_trials import (
     AXES,
@@ -209,10 +209,10 @@ def picture(rows: Sequence[MatchingRow]) -> str:
     """Recognition above, error of the place below, one column an error (SVG)."""
     legend = []
     for name, (series, shape) in SIGNS.items():
-        legend.append(Entry(series, f"{name}, unaided", shape))
-        legend.append(Entry(f"{series} dashed hollow", f"{name}, aided as above each", shape))
-    legend.append(Entry("muted dashed", f"{100.0 * RECOGNISED:.0f} %", ""))
-    legend.append(Entry("s4 dashed", "tolerance that the source states", ""))
+        legend.append(LegendEntry(series, f"{name}, unaided", shape))
+        legend.append(LegendEntry(f"{series} dashed hollow", f"{name}, aided as above each", shape))
+    legend.append(LegendEntry("muted dashed", f"{100.0 * RECOGNISED:.0f} %", ""))
+    legend.append(LegendEntry("s4 dashed", "tolerance that the source states", ""))
     return sheet(
         "What matching bears: control points recognised, and the error of their places",
         legend,

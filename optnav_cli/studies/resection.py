@@ -21,7 +21,7 @@ from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose, Sightings, predict, resect
-from optnav_cli.report.sheet import Entry, Panel, sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
 from optnav_cli.studies.tables import Column, StudyReport, Table
 
@@ -131,10 +131,10 @@ def report(rows: Sequence[ResectionRow]) -> StudyReport:
 def picture(rows: list[ResectionRow]) -> str:
     """The errors as curves (SVG): against the angle, and against the number of points."""
     legend = [
-        Entry(series, f"{count} points", shape)
+        LegendEntry(series, f"{count} points", shape)
         for series, shape, count in zip(SERIES, SHAPES, COUNTS, strict=True)
     ]
-    legend.append(Entry("muted dashed", "error of one point", ""))
+    legend.append(LegendEntry("muted dashed", "error of one point", ""))
     panels = []
     for free in (False, True):
         chosen = [row for row in rows if row.free_attitude == free]

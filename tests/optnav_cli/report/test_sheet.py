@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.errors import OutputError
-from optnav_cli.report.sheet import Entry, Panel, sheet, write_sheet
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet, write_sheet
 from optnav_cli.report.svg import SHAPES, Plot, PlotAxis, mark
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -20,7 +20,7 @@ def a_plot(width=300):
 
 
 def test_panels_stand_side_by_side_below_the_legend_and_inside_the_picture():
-    legend = [Entry("s1 dashed", f"series {n} of some length") for n in range(6)]
+    legend = [LegendEntry("s1 dashed", f"series {n} of some length") for n in range(6)]
     rows = [[Panel("left", a_plot(), "l"), Panel("right < left", a_plot(), "r")]]
     root = ET.fromstring(sheet("A & B", legend, rows))
     width, height = float(root.get("width")), float(root.get("height"))
