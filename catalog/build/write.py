@@ -4,6 +4,9 @@ Cutting and compressing is nearly all of the work: its results rest in the work 
 catalog is in its place, so that a kill loses no more of them than of other stages. The file itself
 is put together anew: a database that is continued after a kill needs a journal, which would cost
 every build more than the copying costs the few that are killed.
+
+The work folder remembers what a catalog was made from and the seal of its file, a hash of all its
+bytes. A file that is as it was then stays; one that is damaged, or that a GIS wrote to, does not.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,7 +32,6 @@ from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
 from catalog.store.writer import Written, write_catalog
-from catalog.terrain.mesh.terrain import MeshTerrain
 
 FILE = "written.json"
 CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
@@ -103,7 +105,7 @@ def write(
     Raises OutputError for a place that cannot be written.
     """
     terrain, planes = context.mosaic, None
-    if isinstance(terrain, MeshTerrain) and terrain.in_planes:
+    if terrain.in_planes:
         planes = PlanesMeta(context.body.radii_m, terrain.posting_m)
     meta = CatalogMeta(
         body=context.body.name,

@@ -86,20 +86,18 @@ def write_folder(
     cameras: Iterable[Camera],
     frames: Iterable[Frame],
     motion: Ephemeris | None = None,
-    beside: Path | None = None,
 ) -> None:
     """Write run.toml, the cameras and frames.csv into a folder, which is made where it is missing.
 
     motion  how the body turns, for attitudes against the stars; by theory if None
-    beside  the folder that the path of a body file starts from; without it the working folder
     The pictures are the caller's. The folder then reads back as it was given, to the digits of the
     files: 0.1 mm, 1e-12 of a quaternion.
     """
     path = Path(path)
     (path / "cameras").mkdir(parents=True, exist_ok=True)
-    write_run_settings(settings, path, beside)
+    write_run_settings(settings, path)
     for camera in cameras:
         text = camera_toml(camera)
         (path / "cameras" / f"{camera.name}.toml").write_text(text, encoding="utf-8")
-    attitude = FileAttitude(settings.attitude, load_body(settings.body, beside), motion)
+    attitude = FileAttitude(settings.attitude, load_body(settings.body), motion)
     write_frames(path / "frames.csv", attitude, frames)

@@ -8,13 +8,13 @@ from typing import Literal
 import msgspec
 from scipy.spatial.transform import Rotation
 
-from catalog.bodies.body import Body, body_file, load_body
+from catalog.bodies.body import Body, is_body_file, load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml
 from catalog.errors import ConfigError
 
-RUN_TOML, BODY_TOML = "run.toml", "body.toml"
+RUN_TOML = "run.toml"
 Attitude = Literal["camera_from_body", "camera_from_inertial"]
 
 
@@ -25,9 +25,9 @@ class SpiceSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """run.toml as it is written.
+    """run.toml.
 
-    body      of configs/bodies, or the path of a body file from the folder of run.toml
+    body      a name of configs/bodies, or the path of a body file, from the folder of run.toml
     attitude  which rotation the quaternions of the folder's tables are
     """
 
@@ -36,23 +36,27 @@ class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_run_settings(path: Path) -> tuple[RunSettings, Body]:
-    """A run.toml and the body that it names. Raises ConfigError for a wrong file or body."""
+    """A run.toml, the path of a body file made whole, and the body that it names.
+
+    Raises ConfigError for a wrong file or an unknown body.
+    """
     settings = load_toml(path, RunSettings)
     try:
-        return settings, load_body(settings.body, path.parent)
+        body = load_body(settings.body, path.parent)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+    if is_body_file(settings.body):
+        settings = msgspec.structs.replace(settings, body=str(path.parent / settings.body))
+    return settings, body
 
 
-def write_run_settings(settings: RunSettings, folder: Path, beside: Path | None = None) -> None:
-    """Write the run.toml of a folder, and a copy of the body's file where it has its own.
-
-    beside  the folder that a relative path of the body starts from; without it the working folder
-    """
-    own = body_file(settings.body, beside)
-    if own is not None:
-        shutil.copyfile(own, folder / BODY_TOML)
-    body = settings.body if own is None else BODY_TOML
+def write_run_settings(settings: RunSettings, folder: Path) -> None:
+    """Write run.toml into a folder, and beside it a copy of the body file that it names."""
+    body = settings.body
+    if is_body_file(body):
+        body = Path(body).name
+        if not (folder / body).exists():
+            shutil.copyfile(settings.body, folder / body)
     text = f'body = "{body}"\nattitude = "{settings.attitude}"\n'
     (folder / RUN_TOML).write_text(text, encoding="utf-8")
 

@@ -4,7 +4,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from catalog.bodies.body import body_file
+from catalog.bodies.body import is_body_file
 from catalog.errors import ConfigError, DataError
 from catalog.tables import CsvTable
 from optnav_cli.camera.camera import Camera
@@ -39,11 +39,10 @@ class RunFolder:
 
 def copy_inputs(pictures: Path, settings: RunSettings, run: Path) -> None:
     """Copy run.toml, the body's own file, frames.csv and cameras/ into a run, to be read alone."""
-    shutil.copyfile(pictures / FRAMES, run / FRAMES)
-    if body_file(settings.body) is None:
-        shutil.copyfile(pictures / RUN_TOML, run / RUN_TOML)
-    else:
-        write_run_settings(settings, run, pictures)
+    for name in (RUN_TOML, FRAMES):
+        shutil.copyfile(pictures / name, run / name)
+    if is_body_file(settings.body):
+        write_run_settings(settings, run)
     shutil.copytree(pictures / CAMERAS, run / CAMERAS, copy_function=shutil.copyfile)
 
 

@@ -83,7 +83,7 @@ def with_star_sensor(pictures: Path, *, priors: bool = True) -> Path:
         if not priors:
             stated = replace(stated, position_m=None, position_sigma_m=None)
         frames.append(stated)
-    write_folder(place, folder.settings, folder.cameras.values(), frames, beside=pictures)
+    write_folder(place, folder.settings, folder.cameras.values(), frames)
     for name in [*(frame.file for frame in frames), "truth.csv"]:
         link = place / name
         link.unlink(missing_ok=True)
