@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Column:
+class CsvColumn:
     """One column of a table.
 
     kind     what its cells hold; a flag is 0 or 1
@@ -42,7 +42,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Row:
+class CsvRow:
     """A row of a table that was read. Messages of its errors name the column, not the place.
 
     where    "FILE, line N"
@@ -51,7 +51,7 @@ class Row:
 
     where: str
     cells: Mapping[str, str]
-    columns: Mapping[str, Column] = field(repr=False)
+    columns: Mapping[str, CsvColumn] = field(repr=False)
     problem: str = ""
 
     def __getitem__(self, column: str) -> str:
@@ -97,14 +97,14 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """The columns of a CSV file, in their order.
 
     by_hand  people make it, a row for each picture: there must be rows, and the empty cells that a
              spreadsheet leaves at the end of a line do not count
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[CsvColumn, ...]
     by_hand: bool = False
 
     @property
@@ -126,7 +126,7 @@ class Table:
                 count += 1
         return count
 
-    def read(self, path: Path, parse: Callable[[Row], T]) -> list[T]:
+    def read(self, path: Path, parse: Callable[[CsvRow], T]) -> list[T]:
         """What `parse` makes of each row.
 
         Raises DataError as `rows` does, and with the row's place for what it or `parse` refuses.
@@ -141,7 +141,7 @@ class Table:
                 raise DataError(f"{row.where}: {error}") from error
         return parsed
 
-    def rows(self, path: Path) -> list[Row]:
+    def rows(self, path: Path) -> list[CsvRow]:
         """The rows of a file, cells without surrounding blanks; blank lines are skipped.
 
         A byte-order mark, CRLF line ends, blanks around names and further columns are accepted.
@@ -165,14 +165,14 @@ class Table:
             lines.append(f"| `{column.name}` | {column.unit} | {column.meaning}{kind} | {empty} |")
         return "\n".join(lines) + "\n"
 
-    def _row(self, where: str, header: list[str], cells: list[str]) -> Row:
+    def _row(self, where: str, header: list[str], cells: list[str]) -> CsvRow:
         while self.by_hand and len(cells) > len(header) and not cells[-1]:
             cells = cells[:-1]
         problem = ""
         if len(cells) != len(header):
             problem = f"the row has {len(cells)} values; wanted {len(header)}"
         named = dict.fromkeys(header, "") | dict(zip(header, cells, strict=False))
-        return Row(where, named, {column.name: column for column in self.columns}, problem)
+        return CsvRow(where, named, {column.name: column for column in self.columns}, problem)
 
     def _check_header(self, path: Path, header: list[str]) -> None:
         missing = [name for name in self.names if name not in header]

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -83,19 +84,19 @@ def set_up_logging(*, quiet: bool, verbose: bool, log_file: Path | None) -> None
             ) from None
         lines.setFormatter(JsonLines())
         root.addHandler(lines)
-    for package in PACKAGES:  # libraries below us tell warnings only
+    for package in PACKAGES:  # of libraries below us warnings alone
         logging.getLogger(package).setLevel(logging.DEBUG)
     logging.captureWarnings(True)
 
 
 class _LineStage:
-    """Tells a stage's progress as plain lines through the log."""
+    """A stage whose progress is logged as plain lines now and then."""
 
     def __init__(self, name: str, total: int, unit: str) -> None:
         self.name, self.total, self.unit = name, total, unit
         self.done = self.kept = 0
-        self.started = self._told = time.monotonic()
-        self._told_done = 0
+        self.started = self._logged = time.monotonic()
+        self._logged_done = 0
 
     def keep(self, n: int) -> None:
         self.kept += n
@@ -104,30 +105,26 @@ class _LineStage:
         self.done += n
         now = time.monotonic()
         there = self.kept + self.done
-        if now - self._told < LINE_S or there >= self.total:
+        if now - self._logged < LINE_S or there >= self.total:
             return
-        rate = (self.done - self._told_done) / (now - self._told)
+        rate = (self.done - self._logged_done) / (now - self._logged)
         left = f", {duration((self.total - there) / rate)} left" if rate > 0 else ""
         share = 100 * there // max(self.total, 1)
-        _log.info(
-            "%s: %d of %d %s (%d %%), %s%s%s",
-            self.name, there, self.total, plural(self.unit, self.total), share,
-            speed(rate, self.unit), left, f"; {note}" if note else "",
-        )  # fmt: skip
-        self._told, self._told_done = now, self.done
+        done = f"{there} of {self.total} {plural(self.unit, self.total)} ({share} %)"
+        note = f"; {note}" if note else ""
+        _log.info("%s: %s, %s%s%s", self.name, done, speed(rate, self.unit), left, note)
+        self._logged, self._logged_done = now, self.done
 
     def close(self) -> None:
         took = time.monotonic() - self.started
         rate = f" ({speed(self.done / took, self.unit)})" if took >= 1.0 and self.done else ""
         kept = f"; {self.kept} kept from earlier runs" if self.kept else ""
-        _log.info(
-            "%s: %d %s in %s%s%s",
-            self.name, self.done, plural(self.unit, self.done), duration(took), rate, kept,
-        )  # fmt: skip
+        done = f"{self.done} {plural(self.unit, self.done)} in {duration(took)}"
+        _log.info("%s: %s%s%s", self.name, done, rate, kept)
 
 
 class _BarStage(_LineStage):
-    """Shows a stage as a bar on a terminal; its last line stays in the log."""
+    """A stage shown as a bar on a terminal; its last line stays in the log."""
 
     def __init__(self, name: str, total: int, unit: str, bar: "tqdm[Any]") -> None:
         super().__init__(name, total, unit)
@@ -184,7 +181,7 @@ class ConsoleProgress:
 
 
 def tell(lines: Iterable[str]) -> None:
-    """Lines for people, such as a table; they are in the log file too."""
+    """Print lines, such as a table, for people and for the log file."""
     for line in lines:
         _log.info("%s", line)
 
@@ -194,12 +191,12 @@ pass_progress = click.make_pass_decorator(ConsoleProgress, ensure=True)
 
 
 def announce_compilation() -> None:
-    """Say once, before or when it happens, that numba compiles its kernels in this run.
+    """Log once, before or when it happens, that numba compiles its kernels in this run.
 
     Later runs find them in numba's cache and start at once.
     """
     if not _has_cached_kernels():
-        _tell_compilation()
+        _log_compilation()
         return
     numba_event: Any = import_module("numba.core.event")
     numba_event.Listener.register(_CompilationListener)
@@ -210,7 +207,7 @@ class _CompilationListener:
     """What numba calls around each compilation that its cache could not spare."""
 
     def on_start(self, event: Any) -> None:
-        _tell_compilation()
+        _log_compilation()
 
     def on_end(self, event: Any) -> None:
         return None
@@ -227,15 +224,11 @@ def _has_cached_kernels() -> bool:
     override = os.environ.get("NUMBA_CACHE_DIR")
     base = Path(override) if override else Path(str(files("catalog")))
     if not override and not os.access(base, os.W_OK):
-        return True  # numba then caches for the user elsewhere; its event tells if it compiles
+        return True  # numba then caches for the user elsewhere; its event says if it compiles
     return next(base.rglob("*.nbi"), None) is not None
 
 
-_told_compilation = False
-
-
-def _tell_compilation() -> None:
-    global _told_compilation
-    if not _told_compilation:
-        _told_compilation = True
-        _log.info("compiling numerical kernels, once on this machine; later runs start at once")
+@cache
+def _log_compilation() -> None:
+    """Log, the first time that it is called, that kernels are compiled."""
+    _log.info("compiling numerical kernels, once on this machine; later runs start at once")

@@ -18,12 +18,12 @@ import click
 
 import catalog
 from catalog.errors import OptnavError
-from optnav_cli.lazy_group import Entry, LazyGroup
+from optnav_cli.options import Entry, LazyGroup
 
 INTERRUPTED = 130
 BAD_PLACE = 3
 
-# What the operating system says when an output place cannot be used, and what to do about it.
+# Errors of the operating system when an output place cannot be used, and what to do about it.
 PLACE_ERRORS = {
     errno.ENOSPC: "free some space or choose another place",
     errno.EDQUOT: "free some space or choose another place",
@@ -54,7 +54,7 @@ COMMANDS = {
     "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),
     "config": Entry(f"{_HERE}.config", "Print a commented configuration to start from."),
     "study": Entry(f"{_HERE}.study", "Run an experiment behind the figures."),
-}  # fmt: skip
+}
 
 
 @click.group(
@@ -100,7 +100,7 @@ def run(args: Sequence[str]) -> int:
     """Run a command line and return its exit code; a bug of ours stays a traceback."""
     try:
         code = _invoke(args)
-        sys.stdout.flush()  # here, where a full disk or a reader that left is told as such
+        sys.stdout.flush()  # here, where a full disk or a reader that left has its own message
         return code
     except OptnavError as error:
         return _fail(str(error), error.exit_code)
@@ -125,7 +125,7 @@ def run(args: Sequence[str]) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    """Tell people on stderr why the command ends, and the log file if there is one."""
+    """Write why the command ends to stderr, and to the log file if there is one."""
     import logging
 
     if logging.getLogger().handlers:
@@ -135,21 +135,17 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
-_main_process = 0
-
-
-def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    """Leave on SIGTERM as on Ctrl-C, so that half-written files are cleared away."""
-    if os.getpid() != _main_process:  # a forked worker is ended by its pool: without a word
-        os._exit(INTERRUPTED)
-    raise KeyboardInterrupt
-
-
 def main() -> NoReturn:
     """Entry point of the `optnav` script."""
-    global _main_process
-    _main_process = os.getpid()
-    signal.signal(signal.SIGTERM, _terminate)
+    process = os.getpid()
+
+    def terminate(number: int, frame: FrameType | None) -> NoReturn:
+        # Leave on SIGTERM as on Ctrl-C, so that half-written files are cleared away.
+        if os.getpid() != process:  # a forked worker is ended by its pool: without a message
+            os._exit(INTERRUPTED)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, terminate)
     sys.exit(run(sys.argv[1:]))
 
 

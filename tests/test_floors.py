@@ -31,7 +31,7 @@ FLOORS = (
     {"optnav_cli.report"},
     {"optnav_cli.runs"},
     {"optnav_cli.api"},
-    {"optnav_cli.studies", "optnav_cli.options", "optnav_cli.lazy_group", "optnav_cli.console"},
+    {"optnav_cli.studies", "optnav_cli.options", "optnav_cli.console"},
     {"optnav_cli.commands"},
     {"optnav_cli.main"},
 )

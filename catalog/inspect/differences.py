@@ -11,7 +11,7 @@ from catalog.control_point import Flag
 from catalog.files import replacing_file, starts_with
 from catalog.inspect.compare import CERTIFICATE, ComparedCatalog, Comparison
 from catalog.store.records import Record, reasons_text
-from catalog.tables import Column, Table
+from catalog.tables import CsvColumn, CsvTable
 
 SHOWN = 10  # lines a kind; the table (`difference_table`) has all
 
@@ -192,22 +192,22 @@ def _source(side: ComparedCatalog, record: Record) -> str:
 LISTS = ("uniqueness", "shadow_limit_deg")  # shown by their largest difference
 
 
-def _pair(name: str, meaning: str, kind: Literal["text", "number"], form: str) -> list[Column]:
+def _pair(name: str, meaning: str, kind: Literal["text", "number"], form: str) -> list[CsvColumn]:
     return [
-        Column(f"{name}_{which}", f"{meaning} in the {which}", kind, form=form, empty=True)
+        CsvColumn(f"{name}_{which}", f"{meaning} in the {which}", kind, form=form, empty=True)
         for which in ("first", "second")
     ]
 
 
-DIFFERENCES = Table(
+DIFFERENCES = CsvTable(
     (
-        Column("id", "the control point's id", "count"),
-        Column("change", "differs, only in first or only in second", "text"),
-        Column("moved_m", "how far its place moved", unit="m", form=".3f", empty=True),
-        Column("radius_change_m", "second radius less first", unit="m", form=".3f", empty=True),
-        Column("height_max_m", "largest change of a height", unit="m", form=".3f", empty=True),
-        Column("height_rms_m", "rms change of its heights", unit="m", form=".3f", empty=True),
-        Column("nodes_in_one_only", "nodes with a height in one only", "count", empty=True),
+        CsvColumn("id", "the control point's id", "count"),
+        CsvColumn("change", "differs, only in first or only in second", "text"),
+        CsvColumn("moved_m", "how far its place moved", unit="m", form=".3f", empty=True),
+        CsvColumn("radius_change_m", "second radius less first", unit="m", form=".3f", empty=True),
+        CsvColumn("height_max_m", "largest change of a height", unit="m", form=".3f", empty=True),
+        CsvColumn("height_rms_m", "rms change of its heights", unit="m", form=".3f", empty=True),
+        CsvColumn("nodes_in_one_only", "nodes with a height in one only", "count", empty=True),
         *_pair("lat_deg", "latitude", "number", ".10g"),
         *_pair("lon_deg", "longitude", "number", ".10g"),
         *_pair("usable", "1 for a usable point", "text", ""),
@@ -217,7 +217,7 @@ DIFFERENCES = Table(
             column
             for name in CERTIFICATE
             for column in (
-                [Column(f"{name}_change", f"largest change of {name}", form=".4g", empty=True)]
+                [CsvColumn(f"{name}_change", f"largest change of {name}", form=".4g", empty=True)]
                 if name in LISTS
                 else _pair(name, name, "number", ".10g")
             )

@@ -34,7 +34,7 @@ from catalog.store.reader import Catalog
 from catalog.store.records import reasons_text, unknown_as_none
 from catalog.store.schema import create_tables, insert_service_rows, srs_of
 from catalog.store.writer import insert_features
-from catalog.tables import Column, Table
+from catalog.tables import CsvColumn, CsvTable
 
 # what begins a file that we wrote, and may therefore write again
 GEOJSON_START = '{"type":"FeatureCollection","name":"control_points","optnav":"catalog layer"'
@@ -121,38 +121,39 @@ def _write_geojson(catalog: Catalog, path: Path) -> None:
         file.writelines(_geojson_lines(catalog))
 
 
-def points_table(levels: int) -> Table:
+def points_table(levels: int) -> CsvTable:
     """The columns of the CSV layer of a catalog whose points have so many levels."""
 
-    def number(name: str, meaning: str, unit: str = "") -> Column:
-        return Column(name, meaning, unit=unit, empty=True)
+    def number(name: str, meaning: str, unit: str = "") -> CsvColumn:
+        return CsvColumn(name, meaning, unit=unit, empty=True)
 
     azimuths = [i * 360 // SHADOW_AZIMUTHS for i in range(SHADOW_AZIMUTHS)]
-    return Table(
+    return CsvTable(
         (
-            Column("id", "the control point's id", "count"),
-            Column("lon_deg", "longitude, -180 to 180, east positive", unit="deg"),
-            Column("lat_deg", "latitude, planetocentric", unit="deg"),
+            CsvColumn("id", "the control point's id", "count"),
+            CsvColumn("lon_deg", "longitude, -180 to 180, east positive", unit="deg"),
+            CsvColumn("lat_deg", "latitude, planetocentric", unit="deg"),
             number("radius_m", "distance from the body's centre", "m"),
-            Column("usable", "whether navigation uses it", "flag"),
-            Column("reasons", "why not", "text", empty=True),
-            Column("flags", "the reasons as a sum of bits", "count"),
+            CsvColumn("usable", "whether navigation uses it", "flag"),
+            CsvColumn("reasons", "why not", "text", empty=True),
+            CsvColumn("flags", "the reasons as a sum of bits", "count"),
             number("localisation_px", "predicted match error, 1 sigma, nodes", "px"),
             number("hessian_eigenvalue", "least eigenvalue of the correlation's curvature"),
             number("recognition_rate", "share of the recognition trials that succeeded"),
-            Column("trials", "recognition trials", "count"),
-            Column("source", "terrain models of its finest patch", "text", empty=True),
+            CsvColumn("trials", "recognition trials", "count"),
+            CsvColumn("source", "terrain models of its finest patch", "text", empty=True),
             *(number(f"uniqueness_{k}", f"uniqueness margin, level {k}") for k in range(levels)),
             *(
-                number(f"shadow_limit_{a:03d}_deg", f"Sun elevation without shadow, azimuth {a}",
-                       "deg")
+                number(
+                    f"shadow_limit_{a:03d}_deg", f"Sun elevation without shadow, azimuth {a}", "deg"
+                )
                 for a in azimuths
             ),
         )
-    )  # fmt: skip
+    )
 
 
-def _csv_type(column: Column) -> str:
+def _csv_type(column: CsvColumn) -> str:
     places = {"lon_deg": "CoordX", "lat_deg": "CoordY"}
     kinds = {"text": "String", "number": "Real"}
     return places.get(column.name, kinds.get(column.kind, "Integer64"))

@@ -130,8 +130,9 @@ class Camera:
         """Whether pixels (..., 2) lie in the picture, at least margin_px inside its edge."""
         x, y = np.moveaxis(np.asarray(pixels, dtype=np.float64), -1, 0)
         low = margin_px - 0.5
-        inside_x = (x >= low) & (x <= self.width_px - 1 - low)
-        return np.asarray(inside_x & (y >= low) & (y <= self.height_px - 1 - low))
+        inside: BoolArray = (x >= low) & (x <= self.width_px - 1 - low)
+        inside &= (y >= low) & (y <= self.height_px - 1 - low)
+        return inside
 
 
 def _rows(values: ArrayLike, width: int) -> tuple[FloatArray, tuple[int, ...]]:

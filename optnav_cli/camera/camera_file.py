@@ -17,7 +17,7 @@ _TERMS = {"pinhole": 5, "kannala_brandt": 4}
 _TERM_NAMES = {"pinhole": "[k1, k2, p1, p2, k3]", "kannala_brandt": "[k1, k2, k3, k4]"}
 
 
-class CameraSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
+class CameraFileSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """A camera file as it is written."""
 
     name: str
@@ -40,7 +40,7 @@ def load_camera(path: str | Path) -> Camera:
 
     Raises ConfigError, naming file and key, for a file that is missing, wrong or inconsistent.
     """
-    settings = load_toml(Path(path), CameraSettings)
+    settings = load_toml(Path(path), CameraFileSettings)
     where = str(path)
     _check_picture(settings, where)
     _check_lens(settings, where)
@@ -99,7 +99,7 @@ def camera_toml(camera: Camera) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _check_picture(settings: CameraSettings, where: str) -> None:
+def _check_picture(settings: CameraFileSettings, where: str) -> None:
     for key in ("width_px", "height_px"):
         value = getattr(settings, key)
         if not 1 <= value <= MAX_SIDE_PX:
@@ -114,7 +114,7 @@ def _check_picture(settings: CameraSettings, where: str) -> None:
         raise ConfigError(f"{where}: a number is not finite; correct it")
 
 
-def _check_lens(settings: CameraSettings, where: str) -> None:
+def _check_lens(settings: CameraFileSettings, where: str) -> None:
     model, given = settings.model, len(settings.coefficients)
     if settings.distortion == "brown" and model != "pinhole":
         raise ConfigError(
@@ -132,7 +132,7 @@ def _check_lens(settings: CameraSettings, where: str) -> None:
         )
 
 
-def _check_blur(settings: CameraSettings, where: str) -> None:
+def _check_blur(settings: CameraFileSettings, where: str) -> None:
     sigma, error = settings.psf_sigma_px, settings.psf_error_px
     if (sigma is None) != (error is None):
         missing = "psf_error_px" if error is None else "psf_sigma_px"
@@ -148,7 +148,7 @@ def _check_blur(settings: CameraSettings, where: str) -> None:
         )
 
 
-def _focal_length_px(settings: CameraSettings, where: str) -> float:
+def _focal_length_px(settings: CameraFileSettings, where: str) -> float:
     for key in ("focal_length_px", "focal_length_mm", "pixel_pitch_um"):
         value = getattr(settings, key)
         if value is not None and value <= 0.0:

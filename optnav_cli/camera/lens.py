@@ -25,6 +25,10 @@ PINHOLE, FISHEYE = 0, 1
 PARAMETERS = 10
 LIMIT, CIRCLE = 8, 9
 _STEPS = 60  # bisection alone would reach the last digit within these
+# A distortion polynomial fitted to a real lens says nothing at 84 degrees from the axis.
+MAX_TANGENT = 10.0
+_RADII = 4000  # the edge is found to a part in 4000 of MAX_TANGENT, then refined
+_AZIMUTHS = 72
 
 
 @kernel
@@ -238,12 +242,6 @@ def rays_of_pixels(model: int, p: FloatArray, pixels: FloatArray, rays: FloatArr
         rays[i, 0], rays[i, 1], rays[i, 2] = _ray(model, p, pixels[i, 0], pixels[i, 1])
 
 
-# A distortion polynomial fitted to a real lens says nothing at 84 degrees from the axis.
-MAX_TANGENT = 10.0
-_RADII = 4000  # the edge is found to a part in 4000 of MAX_TANGENT, then refined
-_AZIMUTHS = 72
-
-
 def brown_limit(coefficients: tuple[float, ...]) -> float:
     """Squared tangent of the off-axis angle up to which the Brown model is one to one.
 
@@ -275,7 +273,8 @@ def _least_determinant(radii: FloatArray, coefficients: tuple[float, ...]) -> Fl
     xy = slope * a * b + 2.0 * p1 * a + 2.0 * p2 * b
     # Both eigenvalues must be positive; past a double fold the determinant is positive again.
     determinant = np.where(xx + yy > 0.0, xx * yy - xy * xy, -1.0)
-    return np.asarray(determinant.min(axis=1))
+    least: FloatArray = determinant.min(axis=1)
+    return least
 
 
 def fisheye_limit(coefficients: tuple[float, ...]) -> float:

@@ -139,7 +139,7 @@ def _stage(
 
 
 def _tell_account(report: "BuildReport") -> None:
-    from optnav_cli.output.account_table import account_lines
+    from optnav_cli.output.wording import account_lines
 
     tell(account_lines(report.account))
 

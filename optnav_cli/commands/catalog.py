@@ -7,8 +7,14 @@ import click
 from catalog.errors import DataError
 from catalog.progress import Progress
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.lazy_group import LazyGroup
-from optnav_cli.options import NumberArguments, latitude, longitude, output_option, path_argument
+from optnav_cli.options import (
+    LazyGroup,
+    NumberArguments,
+    latitude,
+    longitude,
+    output_option,
+    path_argument,
+)
 
 
 @click.group(cls=LazyGroup, short_help="Look at, compare, verify, export.")
@@ -93,7 +99,7 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None) -> No
     check_png_place(place)
     with Catalog.open(catalog) as opened:
         if point_id is None:
-            from optnav_cli.report.body_figure import sides_picture
+            from optnav_cli.report.body_sides import sides_picture
 
             write_png(sides_picture(opened), place)
         else:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.lazy_group import LazyGroup
+from optnav_cli.options import LazyGroup
 from optnav_cli.studies.registry import STUDIES, Study
 
 

@@ -19,6 +19,8 @@ METHODS = {
     "horizon": "horizon",
     "control_points": "control points",
 }
+STATED_SIGMAS = 3.0
+CONFIDENCE = 0.95
 
 
 def method_words(method: str) -> str:
@@ -30,10 +32,6 @@ def method_rank(method: str) -> tuple[int, str]:
     """By which methods are ordered: from afar to near, unknown ones last."""
     names = list(METHODS)
     return (names.index(method) if method in names else len(names), method)
-
-
-STATED_SIGMAS = 3.0
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, eq=False)

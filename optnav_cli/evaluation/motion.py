@@ -10,7 +10,7 @@ from catalog.geometry.rotations import rnb_axes
 
 Forward = Literal["motion", "north"]
 # Frames further apart than this in time or on the ground are not neighbours of one pass: the
-# chord between them would no longer tell the direction of motion to a few degrees. Motion slows as
+# chord between them is then off the direction of motion by more than a few degrees. Motion slows as
 # the power 1.5 of the distance (Kepler), so beyond NEAR_M the gap may grow like that.
 MAX_GAP_S, NEAR_M = 1200.0, 2.0e6
 MAX_GAP_DEG = 60.0

@@ -5,12 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris, motion_of
+from catalog.bodies.ephemeris import Ephemeris, motion_of
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
 from optnav_cli.frames.frames import Frame, read_frames, write_frames
-from optnav_cli.frames.run_settings import RunSettings, read_run_settings, write_run_settings
+from optnav_cli.frames.run_settings import (
+    FileAttitude,
+    RunSettings,
+    read_run_settings,
+    write_run_settings,
+)
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,11 @@ class Folder:
         """The body that the pictures show."""
         return self.motion.body
 
+    @property
+    def attitude(self) -> FileAttitude:
+        """How the folder's files write attitudes."""
+        return FileAttitude(self.settings.attitude, self.body, self.motion)
+
     def picture_path(self, frame: Frame) -> Path:
         """Where a frame's picture lies, on any system."""
         return self.path / frame.file.replace("\\", "/")
@@ -47,11 +57,11 @@ def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
     if not path.is_dir():
         found = "is no folder" if path.exists() else "there is no such folder"
         raise DataError(f"{path}: {found}; wanted one with run.toml, frames.csv and cameras/")
-    settings = read_run_settings(path / "run.toml")
-    motion = motion_of(load_body(settings.body), kernels)
+    settings, body = read_run_settings(path / "run.toml")
+    attitude = FileAttitude(settings.attitude, body, motion_of(body, kernels))
     cameras = read_cameras(path / "cameras")
-    frames = read_frames(path / "frames.csv", motion, settings.attitude, cameras)
-    return Folder(path, settings, motion, cameras, frames)
+    frames = read_frames(path / "frames.csv", attitude, cameras)
+    return Folder(path, settings, attitude.ephemeris, cameras, frames)
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
@@ -89,5 +99,5 @@ def write_folder(
     for camera in cameras:
         text = camera_toml(camera)
         (path / "cameras" / f"{camera.name}.toml").write_text(text, encoding="utf-8")
-    motion = motion or AnalyticEphemeris(load_body(settings.body))
-    write_frames(path / "frames.csv", motion, settings.attitude, frames)
+    attitude = FileAttitude(settings.attitude, load_body(settings.body), motion)
+    write_frames(path / "frames.csv", attitude, frames)

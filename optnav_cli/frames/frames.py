@@ -14,13 +14,8 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
-from catalog.tables import Row
-from optnav_cli.frames.run_settings import (
-    Attitude,
-    body_sigma_rad,
-    camera_from_body,
-    rotation_for_file,
-)
+from catalog.tables import CsvRow
+from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import FRAMES, POSITION, QUATERNION, SUN
 
 # Unit vectors and quaternions are written with a few digits; further off, columns are mixed up.
@@ -57,9 +52,7 @@ class Frame:
     problem: str | None = None
 
 
-def read_frames(
-    path: Path, motion: Ephemeris, attitude: Attitude, cameras: Iterable[str]
-) -> list[Frame]:
+def read_frames(path: Path, attitude: FileAttitude, cameras: Iterable[str]) -> list[Frame]:
     """Frames of a frames.csv in its order.
 
     What is wrong with one row becomes that frame's problem, so that the others go on.
@@ -79,17 +72,15 @@ def read_frames(
                 "give each picture one row"
             )
     known = sorted(cameras)
-    return [_frame(row, motion, attitude, known) for row in rows]
+    return [_frame(row, attitude, known) for row in rows]
 
 
-def write_frames(
-    path: Path, motion: Ephemeris, attitude: Attitude, frames: Iterable[Frame]
-) -> None:
+def write_frames(path: Path, attitude: FileAttitude, frames: Iterable[Frame]) -> None:
     """Write a frames.csv that `read_frames` reads back. The frames need a usable time."""
-    FRAMES.write(path, (_cells(frame, motion, attitude) for frame in frames))
+    FRAMES.write(path, (_cells(frame, attitude) for frame in frames))
 
 
-def _frame(row: Row, motion: Ephemeris, attitude: Attitude, cameras: list[str]) -> Frame:
+def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
     file, utc, camera = row["file"], row["utc"], row["camera"]
     try:
         if row.problem:
@@ -100,20 +91,20 @@ def _frame(row: Row, motion: Ephemeris, attitude: Attitude, cameras: list[str]) 
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(cameras)}"
             raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
         tdb_s = utc_to_tdb_s(utc)
-        position, position_sigma = _position(row, motion.body)
+        position, position_sigma = _position(row, attitude.body)
         sigma = _sigma(row, "attitude_sigma_arcsec", ARCSEC)
-        body_sigma = body_sigma_rad(attitude, motion, tdb_s)
+        body_sigma = attitude.sigma_rad(tdb_s)
         return Frame(
             file=file,
             utc=utc,
             camera=camera,
             tdb_s=tdb_s,
-            camera_from_body=_attitude(row, motion, attitude, tdb_s),
+            camera_from_body=_attitude(row, attitude, tdb_s),
             attitude_sigma_rad=None if sigma is None else float(np.hypot(sigma, body_sigma)),
             body_sigma_rad=body_sigma,
             position_m=position,
             position_sigma_m=position_sigma,
-            sun_body=_sun(row, motion, tdb_s),
+            sun_body=_sun(row, attitude.ephemeris, tdb_s),
         )
     except DataError as error:
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
@@ -125,16 +116,15 @@ def _check_name(file: str) -> None:
         raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
 
 
-def _attitude(row: Row, motion: Ephemeris, attitude: Attitude, tdb_s: float) -> Rotation | None:
+def _attitude(row: CsvRow, attitude: FileAttitude, tdb_s: float) -> Rotation | None:
     quaternion = row.vector(QUATERNION)
     if quaternion is None:
         return None
     _check_unit(quaternion, "the quaternion qw, qx, qy, qz")
-    rotation = rotation_from_quaternion(*quaternion)
-    return camera_from_body(rotation, attitude, motion, tdb_s)
+    return attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
 
 
-def _sun(row: Row, motion: Ephemeris, tdb_s: float) -> FloatArray:
+def _sun(row: CsvRow, motion: Ephemeris, tdb_s: float) -> FloatArray:
     vector = row.vector(SUN)
     if vector is None:
         return motion.sun_body(tdb_s)
@@ -150,7 +140,7 @@ def _check_unit(vector: FloatArray, what: str) -> None:
         raise DataError(f"{what} has a length of {length:.6g}; wanted 1")
 
 
-def _sigma(row: Row, column: str, unit: float) -> float | None:
+def _sigma(row: CsvRow, column: str, unit: float) -> float | None:
     value = row.number(column)
     if value is None:
         return None
@@ -159,7 +149,7 @@ def _sigma(row: Row, column: str, unit: float) -> float | None:
     return value * unit
 
 
-def _position(row: Row, body: Body) -> tuple[FloatArray | None, float | None]:
+def _position(row: CsvRow, body: Body) -> tuple[FloatArray | None, float | None]:
     sigma = _sigma(row, "position_sigma_m", 1.0)
     position = row.vector(POSITION)
     if position is None:
@@ -175,7 +165,7 @@ def _position(row: Row, body: Body) -> tuple[FloatArray | None, float | None]:
     return position, sigma
 
 
-def _cells(frame: Frame, motion: Ephemeris, attitude: Attitude) -> dict[str, object]:
+def _cells(frame: Frame, attitude: FileAttitude) -> dict[str, object]:
     cells: dict[str, object] = {"file": frame.file, "utc": frame.utc, "camera": frame.camera}
     sigma = frame.attitude_sigma_rad
     if sigma is not None and frame.body_sigma_rad > 0.0:
@@ -183,7 +173,7 @@ def _cells(frame: Frame, motion: Ephemeris, attitude: Attitude) -> dict[str, obj
         sigma = float(np.sqrt(max(sigma**2 - frame.body_sigma_rad**2, 0.0)))
     cells["attitude_sigma_arcsec"] = None if sigma is None else sigma / ARCSEC
     if frame.camera_from_body is not None and frame.tdb_s is not None:
-        rotation = rotation_for_file(attitude, motion, frame.tdb_s, frame.camera_from_body)
+        rotation = attitude.written(frame.camera_from_body, frame.tdb_s)
         cells |= zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)
     cells["position_sigma_m"] = frame.position_sigma_m
     for columns, vector in ((POSITION, frame.position_m), (SUN, frame.sun_body)):

@@ -1,7 +1,7 @@
 """One picture file: PNG, TIFF, PGM, ISIS cube or what else rasterio reads, checked for use.
 
-GDAL reads all of them, because it says so when a file breaks off, where some other readers fill the
-rest with zeros. Of a PNG it does not say so, therefore the checksums of a PNG's chunks are checked.
+GDAL reads all of them, because it fails where a file breaks off, while some other readers fill the
+rest with zeros. With a PNG it does not fail, so the checksums of a PNG's chunks are checked here.
 """
 
 import struct
@@ -30,7 +30,7 @@ class Picture:
     """A picture's values and where they saturate.
 
     values      (height, width) float32, in the units of the file
-    saturation  the highest value the file can hold; None where its type says nothing
+    saturation  the highest value the file can hold; None where its type has no such limit
     """
 
     values: Float32Array
@@ -41,7 +41,7 @@ def load_picture(path: str | Path, camera: Camera) -> Picture:
     """Read a picture of a camera.
 
     Raises DataError, with the reason, for a file that is missing, broken, of another size than the
-    camera's pictures, in colour, or without content: all black, all white, all alike.
+    camera's pictures, in colour, or without content: all black, all white, all of one value.
     """
     path = Path(path)
     if not path.is_file():

@@ -4,7 +4,7 @@ Lengths are written to 0.1 mm; 12 decimals of a quaternion are 0.4 microarcsecon
 form writes what rounds to zero without a sign.
 """
 
-from catalog.tables import Column, Table
+from catalog.tables import CsvColumn, CsvTable
 
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -14,31 +14,36 @@ ERRORS = ("error_r_m", "error_n_m", "error_b_m")
 SIGMAS = ("sigma_r_m", "sigma_n_m", "sigma_b_m")
 
 
-def _text(name: str, meaning: str, empty: bool = False) -> Column:
-    return Column(name, meaning, "text", empty=empty)
+def _text(name: str, meaning: str, empty: bool = False) -> CsvColumn:
+    return CsvColumn(name, meaning, "text", empty=empty)
 
 
-def _count(name: str, meaning: str, empty: bool = True) -> Column:
-    return Column(name, meaning, "count", empty=empty)
+def _count(name: str, meaning: str, empty: bool = True) -> CsvColumn:
+    return CsvColumn(name, meaning, "count", empty=empty)
 
 
-def _number(name: str, meaning: str, unit: str, form: str, empty: bool = True) -> Column:
-    return Column(name, meaning, "number", unit, form, empty)
+def _number(name: str, meaning: str, unit: str, form: str, empty: bool = True) -> CsvColumn:
+    return CsvColumn(name, meaning, "number", unit, form, empty)
 
 
-def _position(what: str, form: str, empty: bool = True) -> list[Column]:
+def _position(what: str, form: str, empty: bool = True) -> list[CsvColumn]:
     return [_number(name, f"{what}, body frame, {name[0]}", "m", form, empty) for name in POSITION]
 
 
-def _quaternion(what: str, form: str, empty: bool = True) -> list[Column]:
+def _quaternion(what: str, form: str, empty: bool = True) -> list[CsvColumn]:
     return [
-        _number(name, f"{what}: quaternion of the rotation that run.toml names, {name[1]}", "",
-                form, empty)
+        _number(
+            name,
+            f"{what}: quaternion of the rotation that run.toml names, {name[1]}",
+            "",
+            form,
+            empty,
+        )
         for name in QUATERNION
-    ]  # fmt: skip
+    ]
 
 
-def _pixel(name: str, meaning: str, empty: bool = True) -> list[Column]:
+def _pixel(name: str, meaning: str, empty: bool = True) -> list[CsvColumn]:
     return [_number(f"{name}_{i}_px", f"{meaning}, {i}", "px", "z.4f", empty) for i in "xy"]
 
 
@@ -53,22 +58,26 @@ METHOD = _text("method", "how the frame was solved, or how far it got", empty=Tr
 REASON = _text("reason", "why a frame is unsolved, or a remark", empty=True)
 REASON_CODE = _text("reason_code", "the code of that reason, for programs", empty=True)
 
-FRAMES = Table(
+FRAMES = CsvTable(
     (
         *(FILE, UTC, CAMERA, *_quaternion("attitude", ".12f")),
         _number("attitude_sigma_arcsec", "1 sigma an axis; 0: exact, empty: free", "arcsec", ".6g"),
         *_position("prior position of the camera", ".4f"),
         _number("position_sigma_m", "1 sigma of the prior position, a component", "m", ".6g"),
         *(
-            _number(name, f"unit vector to the Sun, body frame, {name[-1]}; empty: by the time",
-                    "", ".12f")
+            _number(
+                name,
+                f"unit vector to the Sun, body frame, {name[-1]}; empty: by the time",
+                "",
+                ".12f",
+            )
             for name in SUN
         ),
     ),
     by_hand=True,
-)  # fmt: skip
+)
 
-TRUTH = Table(
+TRUTH = CsvTable(
     (
         *(FILE, UTC, *_position("true position of the camera", ".4f", empty=False)),
         *_quaternion("true attitude", ".12f", empty=False),
@@ -76,7 +85,7 @@ TRUTH = Table(
     by_hand=True,
 )
 
-SOLUTION = Table(
+SOLUTION = CsvTable(
     (
         *(FILE, UTC, STATUS, METHOD, *_position("position of the camera", "z.4f")),
         *(
@@ -90,15 +99,19 @@ SOLUTION = Table(
         _number("height_m", "height above the body's reference sphere", "m", "z.4f"),
         *(PREDICTED, MATCHED, USED),
         _number("residual_rms_px", "rms of the residuals, a coordinate", "px", "z.5f"),
-        _text("prior", "where the search for control points began: frames.csv, a method, a camera "
-              "of the same time, an orbit arc", empty=True),
+        _text(
+            "prior",
+            "where the search for control points began: frames.csv, a method, a camera "
+            "of the same time, an orbit arc",
+            empty=True,
+        ),
         _count("n_limb", "limb points that the solution rests on"),
         _number("arc_deg", "of the limb that they cover, about the nadir", "deg", "z.2f"),
         *(REASON, REASON_CODE),
     )
-)  # fmt: skip
+)
 
-MATCHES = Table(
+MATCHES = CsvTable(
     (
         FILE,
         _text("catalog", "file name of the control point's catalog", empty=True),
@@ -113,13 +126,13 @@ MATCHES = Table(
         _number("runner_up", "correlation of the best rival", "", "z.5f"),
         _number("sun_elevation_deg", "the Sun above the point's horizon", "deg", "z.4f"),
         *_pixel("residual", "measured less predicted, after the solution"),
-        Column("used", "whether the solution keeps it", "flag"),
+        CsvColumn("used", "whether the solution keeps it", "flag"),
         _text("reason", "why not", empty=True),
         REASON_CODE,
     )
 )
 
-EVALUATION = Table(
+EVALUATION = CsvTable(
     (
         *(FILE, UTC, STATUS, METHOD),
         _text("camera", "name of the camera, where it is known", empty=True),
@@ -131,11 +144,15 @@ EVALUATION = Table(
         _number("range_sigma_percent", "its stated sigma", "%", "z.6f"),
         _number("direction_error_arcsec", "error of the direction to the centre", "arcsec", "z.4f"),
         _number("direction_sigma_arcsec", "its stated rms", "arcsec", "z.4f"),
-        _number("normalised_error_squared", "error squared over the stated covariance; 3 expected",
-                "", "z.6f"),
+        _number(
+            "normalised_error_squared",
+            "error squared over the stated covariance; 3 expected",
+            "",
+            "z.6f",
+        ),
         _number("attitude_error_arcsec", "angle of the attitude's error", "arcsec", "z.4f"),
         *(PREDICTED, MATCHED, USED),
         _count("n_wrong", "of these, more than 3 px from the truth"),
         REASON,
     )
-)  # fmt: skip
+)

@@ -12,13 +12,26 @@ from optnav_cli.estimation.robust import MAD_TO_SIGMA
 
 DARK, BRIGHT = 0.5, 99.7  # percentiles that become black and white
 SAMPLES = 1 << 16  # pixels that the percentiles are taken from
-PNG_LEVEL = (
-    3  # a tenth smaller than OpenCV's default in a third more time; 9 takes 15 times as long
-)
+# A tenth smaller than OpenCV's default in a third more time; 9 takes 15 times as long.
+PNG_LEVEL = 3
 # What stands so far out of the scatter about the median, or by so much of the whole range, is lit.
 LIT_SIGMAS, LIT_SHARE = 12.0, 0.05
 LIT_BRIGHT = 97.0  # percentile of it that becomes white
 GAMMA = 0.8  # lifts the shadows a little; below 1 is brighter
+Bgr = tuple[int, int, int]
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+TEXT_SIZE = 0.45
+SUBPIXEL_BITS = 4  # OpenCV draws at sixteenths of a pixel
+GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's bytes, nobody sees it
+SHADE = 0.8  # the picture is dimmed a little under the marks
+# Blue, green, red. Distinct for people with colour-blindness, too, and in shape.
+PREDICTED = (255, 190, 60)
+FOUND = (90, 240, 110)
+REJECTED = (80, 90, 255)
+RESIDUAL = (60, 220, 255)
+OUTLINE = (210, 170, 80)
+DISC = (60, 220, 255)
+RESIDUALS_ENLARGED = 50.0
 
 
 def eight_bits(picture: NDArray[np.generic]) -> ByteArray:
@@ -37,7 +50,8 @@ def eight_bits(picture: NDArray[np.generic]) -> ByteArray:
     if high <= low:  # one value nearly everywhere: show it as what it is
         low, high = min(low, 0.0), max(high, low + 1.0, 255.0)
     scaled = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0)
-    return np.asarray(np.rint(255.0 * scaled**GAMMA), dtype=np.uint8)
+    levels: ByteArray = np.rint(255.0 * scaled**GAMMA).astype(np.uint8)
+    return levels
 
 
 def _light(values: Float32Array, sample: Float32Array) -> float:
@@ -76,22 +90,6 @@ def encoded(picture: ByteArray, suffix: str, quality: int = 85) -> bytes:
     return data.tobytes()
 
 
-Bgr = tuple[int, int, int]
-FONT = cv2.FONT_HERSHEY_SIMPLEX
-TEXT_SIZE = 0.45
-SUBPIXEL_BITS = 4  # OpenCV draws at sixteenths of a pixel
-GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's bytes, nobody sees it
-SHADE = 0.8  # the picture is dimmed a little under the marks
-# Blue, green, red. Told apart by people with colour-blindness too, and by shape.
-PREDICTED = (255, 190, 60)
-FOUND = (90, 240, 110)
-REJECTED = (80, 90, 255)
-RESIDUAL = (60, 220, 255)
-OUTLINE = (210, 170, 80)
-DISC = (60, 220, 255)
-RESIDUALS_ENLARGED = 50.0
-
-
 @dataclass(frozen=True)
 class Canvas:
     """A colour picture and the way from the frame's pixels to its own.
@@ -107,7 +105,8 @@ class Canvas:
     def place(self, pixels: FloatArray) -> Int32Array:
         """(..., 2) frame pixels as OpenCV's fixed-point canvas coordinates."""
         scaled = (np.asarray(pixels) - self.origin + 0.5) * self.factor - 0.5
-        return np.asarray(np.rint(scaled * 2**SUBPIXEL_BITS), dtype=np.int32)
+        places: Int32Array = np.rint(scaled * 2**SUBPIXEL_BITS).astype(np.int32)
+        return places
 
     def line(self, pixels: FloatArray, colour: Bgr, width: int, closed: bool = False) -> None:
         """A line through frame pixels (n, 2), so many canvas pixels wide."""

@@ -5,147 +5,111 @@ Names, fields and required fields are those of the published definitions
 corner of the first pixel, where optnav counts from its centre: half a pixel is added.
 """
 
+import re
 from typing import Any
 
 Schema = dict[str, Any]
 
-NUMBER: Schema = {"type": "number"}
-TEXT: Schema = {"type": "string"}
-COUNT: Schema = {"type": "integer", "minimum": 0}
 DEBUG, INFO, WARNING, ERROR = 1, 2, 3, 4  # of foxglove.LogLevel
 POINTS, LINE_STRIP = 1, 3  # of foxglove.PointsAnnotationType
-
-
-def _message(title: str, description: str, **fields: Schema) -> Schema:
-    return {
-        "title": title,
-        "description": description,
+_COUNT: Schema = {"type": "integer", "minimum": 0}
+_NANOSECONDS: Schema = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
+_KINDS: dict[str, Schema] = {
+    "number": {"type": "number"},
+    "text": {"type": "string"},
+    "base64": {"type": "string", "contentEncoding": "base64"},
+    "count": _COUNT,
+    "time": {
         "type": "object",
-        "properties": fields,
-        "required": list(fields),
-    }
-
-
-def _list(items: Schema, size: int | None = None) -> Schema:
-    limits = {} if size is None else {"minItems": size, "maxItems": size}
-    return {"type": "array", "items": items, **limits}
-
-
-def _choice(title: str, **values: int) -> Schema:
-    return {"title": title, "oneOf": [{"title": k, "const": v} for k, v in values.items()]}
-
-
-_TIME: Schema = {
-    "type": "object",
-    "title": "time",
-    "properties": {
-        "sec": COUNT,
-        "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
+        "title": "time",
+        "properties": {"sec": _COUNT, "nsec": _NANOSECONDS},
     },
 }
-_POINT2 = _message("foxglove.Point2", "A point in 2D", x=NUMBER, y=NUMBER)
-_VECTOR3 = _message("foxglove.Vector3", "A vector in 3D", x=NUMBER, y=NUMBER, z=NUMBER)
-_QUATERNION = _message(
-    "foxglove.Quaternion", "An orientation", x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER
-)
-_COLOR = _message(
-    "foxglove.Color", "Red, green, blue, alpha, each 0 to 1", r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER
-)
-_PAIR = _message("foxglove.KeyValuePair", "A key with its value", key=TEXT, value=TEXT)
 
+
+def _message(name: str, description: str, fields: str) -> Schema:
+    """A message, from then on a kind of field itself.
+
+    fields  "NAME:KIND ..."; KIND[] and KIND[N] are lists, of N items
+    """
+    properties: dict[str, Schema] = {}
+    for field in fields.split():
+        key, kind, many, size = re.findall(r"(\w+):(\w+)(\[(\d*)\])?", field)[0]
+        limits = {"minItems": int(size), "maxItems": int(size)} if size else {}
+        items = _KINDS[kind]
+        properties[key] = {"type": "array", "items": items, **limits} if many else items
+    _KINDS[name] = {
+        "title": f"foxglove.{name}",
+        "description": description,
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+    }
+    return _KINDS[name]
+
+
+def _choice(name: str, *values: str) -> None:
+    """A kind of field that is one of some numbers, counted from 0."""
+    options = [{"title": value, "const": number} for number, value in enumerate(values)]
+    _KINDS[name] = {"title": f"foxglove.{name}", "oneOf": options}
+
+
+_choice("LogLevel", "UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+_choice("PointsAnnotationType", "UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST")
+_message("Point2", "A point in 2D", "x:number y:number")
+_message("Vector3", "A vector in 3D", "x:number y:number z:number")
+_message("Quaternion", "An orientation", "x:number y:number z:number w:number")
+_message("Color", "Red, green, blue, alpha, each 0 to 1", "r:number g:number b:number a:number")
+_message("KeyValuePair", "A key with its value", "key:text value:text")
+_message("Pose", "A pose in 3D", "position:Vector3 orientation:Quaternion")
+_message(
+    "CircleAnnotation",
+    "A circle on a 2D image",
+    "timestamp:time position:Point2 diameter:number thickness:number "
+    "fill_color:Color outline_color:Color metadata:KeyValuePair[]",
+)
+_message(
+    "PointsAnnotation",
+    "An array of points on a 2D image",
+    "timestamp:time type:PointsAnnotationType points:Point2[] outline_color:Color "
+    "outline_colors:Color[] fill_color:Color thickness:number metadata:KeyValuePair[]",
+)
+_message(
+    "TextAnnotation",
+    "A text label on a 2D image",
+    "timestamp:time position:Point2 text:text font_size:number "
+    "text_color:Color background_color:Color metadata:KeyValuePair[]",
+)
 COMPRESSED_IMAGE = _message(
-    "foxglove.CompressedImage",
+    "CompressedImage",
     "A compressed image",
-    timestamp=_TIME,
-    frame_id=TEXT,
-    data={"type": "string", "contentEncoding": "base64"},
-    format=TEXT,
+    "timestamp:time frame_id:text data:base64 format:text",
 )
 CAMERA_CALIBRATION = _message(
-    "foxglove.CameraCalibration",
+    "CameraCalibration",
     "Camera calibration parameters",
-    timestamp=_TIME,
-    frame_id=TEXT,
-    width=COUNT,
-    height=COUNT,
-    distortion_model=TEXT,
-    D=_list(NUMBER),
-    K=_list(NUMBER, 9),
-    R=_list(NUMBER, 9),
-    P=_list(NUMBER, 12),
+    "timestamp:time frame_id:text width:count height:count distortion_model:text "
+    "D:number[] K:number[9] R:number[9] P:number[12]",
 )
+CAMERA_CALIBRATION["required"] = []  # as it is published
 IMAGE_ANNOTATIONS = _message(
-    "foxglove.ImageAnnotations",
+    "ImageAnnotations",
     "Array of annotations for a 2D image",
-    circles=_list(
-        _message(
-            "foxglove.CircleAnnotation",
-            "A circle on a 2D image",
-            timestamp=_TIME,
-            position=_POINT2,
-            diameter=NUMBER,
-            thickness=NUMBER,
-            fill_color=_COLOR,
-            outline_color=_COLOR,
-            metadata=_list(_PAIR),
-        )
-    ),
-    points=_list(
-        _message(
-            "foxglove.PointsAnnotation",
-            "An array of points on a 2D image",
-            timestamp=_TIME,
-            type=_choice(
-                "foxglove.PointsAnnotationType",
-                UNKNOWN=0, POINTS=POINTS, LINE_LOOP=2, LINE_STRIP=LINE_STRIP, LINE_LIST=4,
-            ),
-            points=_list(_POINT2),
-            outline_color=_COLOR,
-            outline_colors=_list(_COLOR),
-            fill_color=_COLOR,
-            thickness=NUMBER,
-            metadata=_list(_PAIR),
-        )
-    ),
-    texts=_list(
-        _message(
-            "foxglove.TextAnnotation",
-            "A text label on a 2D image",
-            timestamp=_TIME,
-            position=_POINT2,
-            text=TEXT,
-            font_size=NUMBER,
-            text_color=_COLOR,
-            background_color=_COLOR,
-            metadata=_list(_PAIR),
-        )
-    ),
-)  # fmt: skip
+    "circles:CircleAnnotation[] points:PointsAnnotation[] texts:TextAnnotation[]",
+)
 POSE_IN_FRAME = _message(
-    "foxglove.PoseInFrame",
+    "PoseInFrame",
     "A timestamped pose for an object or reference frame in 3D space",
-    timestamp=_TIME,
-    frame_id=TEXT,
-    pose=_message("foxglove.Pose", "A pose in 3D", position=_VECTOR3, orientation=_QUATERNION),
+    "timestamp:time frame_id:text pose:Pose",
 )
 FRAME_TRANSFORM = _message(
-    "foxglove.FrameTransform",
+    "FrameTransform",
     "The position and orientation of a child frame within a parent frame",
-    timestamp=_TIME,
-    parent_frame_id=TEXT,
-    child_frame_id=TEXT,
-    translation=_VECTOR3,
-    rotation=_QUATERNION,
+    "timestamp:time parent_frame_id:text child_frame_id:text "
+    "translation:Vector3 rotation:Quaternion",
 )
 LOG = _message(
-    "foxglove.Log",
+    "Log",
     "A log message",
-    timestamp=_TIME,
-    level=_choice("foxglove.LogLevel", UNKNOWN=0, DEBUG=1, INFO=2, WARNING=3, ERROR=4, FATAL=5),
-    message=TEXT,
-    name=TEXT,
-    file=TEXT,
-    line=COUNT,
+    "timestamp:time level:LogLevel message:text name:text file:text line:count",
 )
-# A published calibration requires none of its fields.
-CAMERA_CALIBRATION["required"] = []

@@ -35,6 +35,10 @@ AIM_PX = 26.0
 FRAME = (150, 150, 150)
 INSET_ROOM, MIN_INSET_PX = 1.5, 48.0  # side of what is enlarged over the outline's, and at least
 MAX_INSET, INSET_SHARE = 0.25, 0.4  # of the picture's side: enlarged below, and to
+Outlines = Mapping[tuple[str, int], Sequence[FloatArray]]
+MAX_PX = 1200
+FADING = 0.75  # of the patch outlines from level to level, so that the large ones stay behind
+EDGE_POINTS = 5  # a patch's side is drawn through so many points, for fisheyes
 
 
 def draw_outline(canvas: Canvas, marks: OutlineMarks) -> None:
@@ -75,12 +79,6 @@ def put_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
     top = 0 if y + side / 2.0 > gray.shape[0] / 2.0 else height - size
     canvas.image[top : top + size, left : left + size] = inset.image
     cv2.rectangle(canvas.image, (left, top), (left + size - 1, top + size - 1), FRAME, 1)
-
-
-Outlines = Mapping[tuple[str, int], Sequence[FloatArray]]
-MAX_PX = 1200
-FADING = 0.75  # of the patch outlines from level to level, so that the large ones stay behind
-EDGE_POINTS = 5  # a patch's side is drawn through so many points, for fisheyes
 
 
 def draw_overlay(

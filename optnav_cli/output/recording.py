@@ -30,6 +30,12 @@ Message = dict[str, Any]
 MAX_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it
 JPEG_QUALITY = 80
 _TIME = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d):(\d\d)(?::(\d\d)(?:\.(\d*))?)?", re.ASCII)
+Rgb = tuple[float, float, float]
+MARK_PX, TEXT_PX = 14.0, 12.0  # for a picture of MAX_PX
+DISC_PX, POINT_PX, LINE_PX = 60.0, 3.0, 2.0
+PREDICTED, FOUND, REJECTED = (0.20, 0.75, 1.0), (0.25, 0.95, 0.35), (1.0, 0.35, 0.30)  # RGB
+DISC = (1.0, 0.85, 0.2)
+_CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 
 
 class Recording:
@@ -213,15 +219,6 @@ def _camera_in_body(solution: Solution) -> tuple[Message, Message]:
         float(v) for v in quaternion_from_rotation(solution.camera_from_body.inv())
     )  # the camera's axes seen from the body
     return {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
-
-
-Rgb = tuple[float, float, float]
-
-MARK_PX, TEXT_PX = 14.0, 12.0  # for a picture of MAX_PX
-DISC_PX, POINT_PX, LINE_PX = 60.0, 3.0, 2.0
-PREDICTED, FOUND, REJECTED = (0.20, 0.75, 1.0), (0.25, 0.95, 0.35), (1.0, 0.35, 0.30)  # RGB
-DISC = (1.0, 0.85, 0.2)
-_CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 
 
 class Annotations:

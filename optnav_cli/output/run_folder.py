@@ -4,13 +4,14 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from catalog.bodies.body import is_body_file, load_body
+from catalog.bodies.body import is_body_file
 from catalog.errors import ConfigError, DataError
-from catalog.tables import Table
+from catalog.tables import CsvTable
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.frames.run_settings import (
+    RUN_TOML,
     FileAttitude,
     RunSettings,
     read_run_settings,
@@ -21,7 +22,7 @@ from optnav_cli.output.tables import read_matches, read_solutions
 
 SOLUTION, MATCHES = "solution.csv", "matches.csv"
 RECORDING, OVERLAYS = "run.mcap", "overlays"
-RUN_TOML, FRAMES, CAMERAS = "run.toml", "frames.csv", "cameras"  # copies of the picture folder's
+FRAMES, CAMERAS = "frames.csv", "cameras"  # copies of the picture folder's
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +37,11 @@ class RunFolder:
     cameras: dict[str, Camera]
 
 
-def copy_inputs(pictures: Path, run: Path) -> None:
-    """Copy run.toml, frames.csv and cameras/ into a run, so that it can be read without them."""
+def copy_inputs(pictures: Path, settings: RunSettings, run: Path) -> None:
+    """Copy run.toml, the body's own file, frames.csv and cameras/ into a run, to be read alone."""
     for name in (RUN_TOML, FRAMES):
         shutil.copyfile(pictures / name, run / name)
-    settings = read_run_settings(pictures / RUN_TOML)
-    if is_body_file(settings.body):  # its file comes along
+    if is_body_file(settings.body):
         write_run_settings(settings, run)
     shutil.copytree(pictures / CAMERAS, run / CAMERAS, copy_function=shutil.copyfile)
 
@@ -55,10 +55,10 @@ def read_run(path: Path) -> RunFolder:
         found = "a file" if path.is_file() else "no solution.csv in it"
         raise DataError(f"{path}: {found}; wanted the folder that `optnav navigate -o` wrote")
     try:
-        settings = read_run_settings(path / RUN_TOML)
+        settings, body = read_run_settings(path / RUN_TOML)
     except ConfigError as error:
         raise DataError(f"{error}; the run's copy is needed to read its attitudes") from error
-    attitude = FileAttitude(settings.attitude, load_body(settings.body))
+    attitude = FileAttitude(settings.attitude, body)
     matches = read_matches(path / MATCHES) if (path / MATCHES).exists() else []
     solutions = read_solutions(path / SOLUTION, attitude)
     return RunFolder(path, settings, attitude, solutions, matches, _cameras(path))
@@ -70,7 +70,7 @@ def _cameras(path: Path) -> dict[str, Camera]:
         return {}
     known: dict[str, Camera | None] = {}
     cameras = {}
-    for row in Table((FILE, CAMERA)).rows(path / FRAMES):
+    for row in CsvTable((FILE, CAMERA)).rows(path / FRAMES):
         name = row["camera"]
         if name not in known:
             try:

@@ -10,7 +10,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
-from catalog.tables import Row
+from catalog.tables import CsvRow
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import COVARIANCE, MATCHES, POSITION, QUATERNION, SOLUTION
@@ -82,7 +82,7 @@ def _place_cells(position_m: FloatArray) -> dict[str, float]:
     return {"lat_deg": float(np.degrees(lat)), "lon_deg": lon_deg, "radius_m": radius}
 
 
-def _solution(row: Row, attitude: FileAttitude) -> Solution:
+def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
     if row["status"] not in ("solved", "unsolved"):
         raise DataError(f"status is '{row['status']}'; wanted solved or unsolved")
     position, upper = row.vector(POSITION), row.vector(COVARIANCE)
@@ -116,18 +116,18 @@ def _solution(row: Row, attitude: FileAttitude) -> Solution:
     return Solution(row["file"], row["utc"], outcome, row["prior"])
 
 
-def _method(row: Row) -> Method | None:
+def _method(row: CsvRow) -> Method | None:
     try:
         return Method(row["method"]) if row["method"] else None
-    except ValueError as error:
-        raise DataError(f"method is '{row['method']}'; wanted {', '.join(Method)}") from error
+    except ValueError:
+        raise DataError(f"method is '{row['method']}'; wanted {', '.join(Method)}") from None
 
 
-def _reason_code(row: Row) -> ReasonCode:
+def _reason_code(row: CsvRow) -> ReasonCode:
     try:
         return ReasonCode(row["reason_code"])
-    except ValueError as error:
-        raise DataError(f"'{row['reason_code']}' is no reason code") from error
+    except ValueError:
+        raise DataError(f"'{row['reason_code']}' is no reason code") from None
 
 
 def _covariance(upper: FloatArray) -> FloatArray:
@@ -160,7 +160,7 @@ def _match_cells(match: MatchRow) -> dict[str, object]:
     return cells
 
 
-def _match(row: Row) -> MatchRow:
+def _match(row: CsvRow) -> MatchRow:
     cp_id, level = row.count("id"), row.count("level")
     place, predicted = (
         row.vector(("lat_deg", "lon_deg", "radius_m")),

@@ -1,8 +1,12 @@
-"""Numbers as people say them."""
+"""Numbers in words, and the account of a build as plain lines."""
+
+from catalog.jobs.usage import Account, Peak, StageAccount
+
+COLUMNS = ("stage", "done", "kept", "time", "CPU", "memory", "a worker", "read", "written")
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say them: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
+    """Seconds in words: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     whole = round(seconds)
@@ -14,7 +18,7 @@ def duration(seconds: float) -> str:
 
 
 def speed(rate: float, unit: str) -> str:
-    """A rate as people say it: 12.3 cells/s, or 4.0 s a cell when it is slow."""
+    """A rate in words: 12.3 cells/s, or 4.0 s a cell when it is slow."""
     if rate <= 0.0:
         return f"no {unit} done yet"
     return f"{rate:.1f} {plural(unit, 2)}/s" if rate >= 1.0 else f"{1.0 / rate:.1f} s a {unit}"
@@ -30,8 +34,72 @@ def plural(unit: str, count: int) -> str:
 
 
 def amount(count: float) -> str:
-    """Bytes as people say them: 870 B, 12.3 MB, 1.04 GB."""
+    """Bytes in words: 870 B, 12.3 MB, 1.04 GB."""
     for limit, unit, decimals in ((1e3, "B", 0), (1e6, "kB", 1), (1e9, "MB", 1)):
         if count < 0.9995 * limit:
             return f"{count / (limit / 1e3):.{decimals}f} {unit}"
     return f"{count / 1e9:.2f} GB"
+
+
+def account_lines(account: Account) -> list[str]:
+    """Cells, points and reasons as far as they are known, then a row a stage."""
+    lines = _outcome(account)
+    rows = [COLUMNS, *(_row(stage, str(stage.done), str(stage.kept)) for stage in account.stages)]
+    if len(account.stages) > 1:
+        rows.append(_row(account.total(), "", ""))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for name, *cells in rows:
+        right = "  ".join(c.rjust(w) for c, w in zip(cells, widths[1:], strict=True))
+        lines.append(f"{name.ljust(widths[0])}  {right}")
+    if any("≤" in cell for row in rows for cell in row):
+        lines.append("≤: reached before, in the process's life; the stage itself took no more")
+    return lines
+
+
+def _outcome(account: Account) -> list[str]:
+    cells = f"{account.cells} {plural('cell', account.cells)}"
+    if account.points is None or account.usable is None:
+        return [cells]
+    share = _share(account.usable, account.points)
+    lines = [f"{cells}, {account.points} control points, {account.usable} usable ({share})"]
+    without = account.cells - account.points
+    if without > 0:
+        lines.append(f"without a point, for lack of ground: {without}")
+    if account.reasons:
+        unusable = account.points - account.usable
+        lines.append(f"not usable: {unusable}, for these reasons (a point can have several):")
+    name = max(map(len, account.reasons), default=0)
+    number = max((len(str(count)) for count in account.reasons.values()), default=0)
+    for reason, count in account.reasons.items():
+        lines.append(
+            f"  {reason:{name}}  {count:{number}d}  {_share(count, account.points):>7} of all"
+        )
+    return lines
+
+
+def _row(stage: StageAccount, done: str, kept: str) -> tuple[str, ...]:
+    return (
+        stage.name,
+        done,
+        kept,
+        duration(stage.seconds),
+        duration(stage.cpu_s),
+        _peak(stage.peak),
+        _peak(stage.worker_peak),
+        _bytes(stage.read_bytes),
+        _bytes(stage.written_bytes),
+    )
+
+
+def _peak(peak: Peak | None) -> str:
+    if peak is None:
+        return "-"
+    return f"{'' if peak.own else '≤ '}{amount(peak.bytes)}"
+
+
+def _bytes(count: int | None) -> str:
+    return "" if count is None else amount(count)
+
+
+def _share(count: int, of: int) -> str:
+    return f"{100.0 * count / of:.1f} %" if of else "-"

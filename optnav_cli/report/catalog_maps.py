@@ -1,14 +1,16 @@
-"""Maps of a catalog's cells: which points are usable and why others are not, values, sources."""
+"""Maps and histograms of a catalog: usable points, reasons against the others, values, sources."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from markupsafe import Markup
 
 from catalog.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
-from catalog.control_point import Flag
+from catalog.control_point import SHADOW_AZIMUTHS, Flag
 from catalog.store.reader import Catalog
-from optnav_cli.report.page import data_uri, figure, grouped, legend
+from optnav_cli.report.page import data_uri, figure, grouped, legend, side_by_side
 from optnav_cli.report.relief import GRAY, relief
 from optnav_cli.report.shades import (
     OTHER,
@@ -19,8 +21,8 @@ from optnav_cli.report.shades import (
     bgr_of,
     blended,
 )
-from optnav_cli.report.svg import Plot
-from optnav_cli.report.views import View, rows_of_pixels, views
+from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis
+from optnav_cli.report.views import THIRD, MapView, rows_of_pixels, views
 
 MAX_DOTS = 1500  # more points are shown by their cells instead of one by one
 TINT, STRONG_TINT, SOLID = 105, 205, 255  # of 255, over the relief
@@ -34,18 +36,24 @@ REASONS = {
     Flag.CROWDED: "too near to a neighbour's point",
     Flag.OVERHANG: "ground hangs over its patch",
 }
-UNTOLD = "no reason given"
-# By the kinds that `first_reasons` tells.
+NO_REASON = "no reason given"
+# By the kinds of `first_reasons`.
 POINT_COLOURS = (USABLE, *REASON_COLOURS, OTHER)
-POINT_WORDS = ("usable", *REASONS.values(), UNTOLD)
+POINT_WORDS = ("usable", *REASONS.values(), NO_REASON)
 NO_SOURCE = "none: no ground at the point"
+BINS = 32
+BAND_DEG = 10.0
+MIN_TOP = 5.0  # of a histogram, so that its ticks are whole numbers
+HALF_HEIGHT = 330
+STRIP = 0.05  # height of the colour bar, share of the histogram's
+MAX_EXACT_TRIALS = 24  # rates of so many trials have a bar each
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class MapPanel:
     """A map together with the row of the point whose cell each of its pixels is in."""
 
-    view: View
+    view: MapView
     lat_deg: FloatArray
     lon_deg: FloatArray
     rows: Int32Array  # (h, w), -1 for no point
@@ -53,7 +61,7 @@ class Panel:
     def painted(self, colours: ByteArray) -> ByteArray:
         """Picture (h, w, 4) of the points' colours (n, 4); clear where there is no point."""
         clear = np.zeros((1, 4), np.uint8)
-        return np.asarray(np.concatenate([colours, clear])[self.rows], np.uint8)
+        return np.concatenate([colours, clear])[self.rows]
 
     def plot(self, *pictures: str) -> Plot:
         """A drawing of the map with pictures (data addresses) of its pixels on it."""
@@ -65,7 +73,7 @@ class Panel:
         return plot
 
 
-def panels(catalog: Catalog) -> list[Panel]:
+def panels(catalog: Catalog) -> list[MapPanel]:
     """The maps of a catalog with at least one point, the main one first."""
     found = []
     for view in views(
@@ -73,7 +81,7 @@ def panels(catalog: Catalog) -> list[Panel]:
     ):
         lat, lon = view.pixels()
         rows = rows_of_pixels(catalog.grid, catalog.ids, lat, lon)
-        found.append(Panel(view, lat, lon, rows))
+        found.append(MapPanel(view, lat, lon, rows))
     return found
 
 
@@ -90,7 +98,7 @@ def first_reasons(catalog: Catalog) -> IntArray:
     return kinds
 
 
-def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
+def usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
     """Usable points and why others are not, on shaded relief; with a drawing beside the caps."""
     kinds = first_reasons(catalog)
     colours, words = POINT_COLOURS, POINT_WORDS
@@ -130,13 +138,13 @@ def usable_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
 
 def value_map(
     catalog: Catalog,
-    maps: Sequence[Panel],
+    maps: Sequence[MapPanel],
     values: FloatArray,
     scale: Scale,
     name: str,
-    histogram: str,
+    histogram: Markup,
     caption: str,
-) -> str:
+) -> Markup:
     """Cells coloured by a value (n,) of their points, with the histogram that is their legend."""
     known = np.isfinite(values)
     colours = np.zeros((len(values), 4), np.uint8)
@@ -148,13 +156,13 @@ def value_map(
         panel.plot(data_uri(panel.painted(colours))).svg(f"Map of {name}: {panel.view.name}")
         for panel in (maps if whole else maps[1:])
     ]
-    unknown = (
-        legend([(OTHER, f"not known: {grouped(int((~known).sum()))}")]) if not known.all() else ""
-    )
+    unknown = Markup()
+    if not known.all():
+        unknown = legend([(OTHER, f"not known: {grouped(int((~known).sum()))}")])
     return figure(_arranged([*drawings, histogram], whole), caption, extra=unknown)
 
 
-def source_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
+def source_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
     """Which terrain model each point comes from; with HTML beside the small maps."""
     sources = catalog.records["source"].astype(np.int64)
     names = catalog.meta.point_sources
@@ -169,15 +177,15 @@ def source_map(catalog: Catalog, maps: Sequence[Panel], beside: str) -> str:
     return figure(_arranged([*drawings, beside], whole), "Terrain model of each point.", extra=keys)
 
 
-def _arranged(drawings: Sequence[str], whole: bool) -> str:
+def _arranged(drawings: Sequence[Markup], whole: bool) -> Markup:
     """A main map across the page with the rest in a row below it, or all in pairs."""
     if not whole:
-        return f'<div class="pair">{"".join(drawings)}</div>'
-    return f'{drawings[0]}<div class="triple">{"".join(drawings[1:])}</div>'
+        return side_by_side("pair", drawings)
+    return drawings[0] + side_by_side("triple", drawings[1:])
 
 
 def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
-    """What is told of each point under the pointer; kinds (n,) as `first_reasons` tells them."""
+    """What the pointer shows of each point; kinds (n,) as of `first_reasons`."""
     scores = catalog.records["localisation_px"]
     return [
         f"{point}: {POINT_WORDS[kind]}, predicted error {score:.2f} nodes"
@@ -185,7 +193,7 @@ def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
     ]
 
 
-def _dots(plot: Plot, view: View, catalog: Catalog, kinds: IntArray) -> None:
+def _dots(plot: Plot, view: MapView, catalog: Catalog, kinds: IntArray) -> None:
     x, y = view.places(catalog.lat_deg, catalog.lon_deg)
     colours = [POINT_COLOURS[kind] for kind in kinds.tolist()]
     radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
@@ -204,3 +212,118 @@ def _with_edge(gray: ByteArray, known: BoolArray) -> ByteArray:
         return gray
     alpha = np.where(known, SOLID, 0).astype(np.uint8)
     return np.dstack([np.where(known, gray, 0)] * 3 + [alpha]).astype(np.uint8)
+
+
+def histogram(
+    values: FloatArray,
+    usable: BoolArray,
+    scale: Scale,
+    edges: FloatArray,
+    name: str,
+    label: str,
+    wide: bool,
+) -> Markup:
+    """How many points have which value, in the colours of the map, over its colour bar.
+
+    Usable points are coloured, the others stand on them in gray. Values beyond the edges are
+    counted in the outermost bars.
+
+    values  (n,)  not finite where unknown
+    """
+    known = np.isfinite(values)
+    inside = np.clip(values, edges[0], edges[-1])
+    good, bad = (np.histogram(inside[known & choice], edges)[0] for choice in (usable, ~usable))
+    top = 1.08 * max(float((good + bad).max()), MIN_TOP)
+    width, height = (THIRD, THIRD) if wide else (HALF, HALF_HEIGHT)
+    along = scale.along(edges)
+    x = PlotAxis((float(along[0]), float(along[-1])), label, scale.log)
+    plot = Plot(x, PlotAxis((-STRIP * top, top), "points"), width=width, height=height)
+    colours = scale.css((along[:-1] + along[1:]) / 2.0)
+    spans = [f"{low:.3g} to {high:.3g}" for low, high in pairwise(edges.tolist())]
+    plot.bars(along, good, "full", 0.0, colours, _titles(spans, good, "usable"))
+    plot.bars(along, bad, "muted", good, None, _titles(spans, bad, "not usable"))
+    bar = np.linspace(along[0], along[-1], 65)
+    strip = np.full(64, STRIP * top)
+    plot.bars(bar, strip, "seamless", -STRIP * top, scale.css((bar[:-1] + bar[1:]) / 2.0))
+    if (known & usable).any():
+        middle = float(np.median(values[known & usable]))
+        if edges[0] <= middle <= edges[-1]:
+            place = float(scale.along(np.array(middle)))
+            plot.line((place, place), (0.0, top), "median")
+    return plot.svg(f"Histogram of {name}")
+
+
+def latitude_plot(catalog: Catalog) -> Markup:
+    """Share of usable points by latitude."""
+    edges = np.linspace(-90.0, 90.0, round(180.0 / BAND_DEG) + 1)
+    total, good = (
+        np.histogram(catalog.lat_deg[choice], edges)[0]
+        for choice in (np.ones(len(catalog), np.bool_), catalog.usable)
+    )
+    x, y = PlotAxis((-90.0, 90.0), "latitude, deg"), PlotAxis((0.0, 100.0), "usable points, %")
+    plot = Plot(x, y, width=THIRD, height=THIRD)
+    share = 100.0 * good / np.maximum(total, 1)
+    titles = [f"{g} of {n} usable" for g, n in zip(good.tolist(), total.tolist(), strict=True)]
+    plot.bars(edges, share, "s1", titles=titles)
+    return plot.svg("Share of usable points by latitude")
+
+
+def edges_of(scale: Scale) -> FloatArray:
+    """Bars over the range of a scale."""
+    space = np.geomspace if scale.log else np.linspace
+    return space(scale.low, scale.high, BINS + 1)
+
+
+def rate_edges(trials: IntArray) -> FloatArray:
+    """Bars for success rates: one for each possible rate where all points had as many trials."""
+    numbers = np.unique(trials[trials > 0])
+    steps = int(numbers[0]) if len(numbers) == 1 else 20
+    steps = min(steps, MAX_EXACT_TRIALS)
+    return (np.arange(steps + 2) - 0.5) / steps
+
+
+def spread_words(values: FloatArray, usable: BoolArray, form: str) -> str:
+    """Median and spread of the usable points' values in words, "" without any."""
+    known = values[usable & np.isfinite(values)]
+    if known.size == 0:
+        return ""
+    low, middle, high = (format(v, form) for v in np.percentile(known, [10.0, 50.0, 90.0]))
+    return f"Usable points: median {middle}, 80 % between {low} and {high}."
+
+
+def beyond_words(values: FloatArray, edges: FloatArray) -> str:
+    """How many values the outermost bars hold that lie beyond them, "" for none."""
+    words = []
+    for beyond, end in ((values < edges[0], "below"), (values > edges[-1], "above")):
+        if beyond.any():
+            far = values[beyond].min() if end == "below" else values[beyond].max()
+            words.append(f"{int(beyond.sum())} {end} the axis (to {far:.3g})")
+    return f"The outermost bars also hold {' and '.join(words)}." if words else ""
+
+
+def shadow_plot(catalog: Catalog) -> Markup:
+    """The Sun's elevation above which no foreign shadow reaches a patch, by azimuth."""
+    chosen = catalog.usable if catalog.usable.any() else np.ones(len(catalog), np.bool_)
+    limits = np.asarray(catalog.records["shadow_limit_deg"][chosen], np.float64)
+    azimuth = np.arange(SHADOW_AZIMUTHS + 1) * 360.0 / SHADOW_AZIMUTHS
+    limits = np.column_stack([limits, limits[:, :1]])
+    known = limits[np.isfinite(limits).all(axis=1)]
+    if len(known) == 0:
+        return Markup()
+    lowest, low, middle, high, highest = np.percentile(known, [1, 10, 50, 90, 99], axis=0)
+    y = (min(0.0, float(lowest.min())), 1.08 * float(highest.max()) + 0.1)
+    x_axis = PlotAxis((0.0, 360.0), "azimuth of the Sun, deg east of north")
+    plot = Plot(x_axis, PlotAxis(y, "Sun elevation, deg"), width=WIDE)
+    plot.band(azimuth, lowest, highest, "s1")
+    plot.band(azimuth, low, high, "s1")
+    plot.line(azimuth, middle, "s1")
+    whose = "usable points" if catalog.usable.any() else "points"
+    return figure(
+        plot.svg("Shadow limits by azimuth of the Sun"),
+        f"By azimuth: median of the {len(known)} {whose} with a known skyline, and the bands that "
+        "hold 80 % and 98 % of them.",
+    )
+
+
+def _titles(spans: list[str], counts: IntArray, what: str) -> list[str]:
+    return [f"{span}: {count} {what}" for span, count in zip(spans, counts.tolist(), strict=True)]

@@ -4,55 +4,63 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
-from catalog.arrays import Float32Array, FloatArray
-from catalog.control_point import Flag
+from catalog.arrays import ByteArray, Float32Array, FloatArray
+from catalog.control_point import Flag, Patch
 from catalog.errors import DataError
 from catalog.store.reader import Catalog
-from optnav_cli.report.body_figure import sides_figure
-from optnav_cli.report.body_sides import has_sides
+from optnav_cli.report.body_sides import has_sides, sides_figure
 from optnav_cli.report.catalog_maps import (
+    NO_REASON,
     NO_SOURCE,
     REASONS,
-    UNTOLD,
-    Panel,
+    MapPanel,
+    beyond_words,
+    edges_of,
     first_reasons,
+    histogram,
+    latitude_plot,
     panels,
+    rate_edges,
+    shadow_plot,
     source_map,
+    spread_words,
     usable_map,
     value_map,
 )
-from optnav_cli.report.catalog_plots import (
-    beyond_words,
-    edges_of,
-    histogram,
-    latitude_plot,
-    rate_edges,
-    shadow_plot,
-    spread_words,
-)
-from optnav_cli.report.gallery import gallery
 from optnav_cli.report.page import (
+    captioned,
     counted,
+    data_uri,
+    figure,
     folded,
     grouped,
+    image,
     listing,
-    note,
     page,
     paragraph,
     percent,
     section,
+    side_by_side,
+    subsection,
     table,
     tiles,
 )
+from optnav_cli.report.relief import shaded
 from optnav_cli.report.shades import Scale
+
+SHOWN = 3  # best points, and as many of the worst
+SIDE_PX = 176  # of a picture, about; nodes are enlarged by a whole number
+NO_DATA_BGR = (150, 140, 140)
 
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A value of every point (n,), NaN where unknown, and how it is told."""
+    """A value of every point (n,), NaN where unknown, and how it is presented."""
 
     heading: str
     label: str
@@ -129,11 +137,11 @@ def quantities(catalog: Catalog) -> list[Quantity]:
     ]  # fmt: skip
 
 
-def _quantity(catalog: Catalog, maps: Sequence[Panel], quantity: Quantity) -> str:
+def _quantity(catalog: Catalog, maps: Sequence[MapPanel], quantity: Quantity) -> Markup:
     values, usable = quantity.values, catalog.usable
     known = values[np.isfinite(values)]
     if known.size == 0:
-        missing = f"The catalog does not tell it ({quantity.label}) of any point."
+        missing = f"The catalog holds no {quantity.label} of any point."
         return section(quantity.heading, paragraph(missing))
     scale = Scale.of(known, quantity.more_is_better, quantity.log)
     edges = quantity.edges
@@ -160,7 +168,7 @@ def _quantity(catalog: Catalog, maps: Sequence[Panel], quantity: Quantity) -> st
     return section(quantity.heading, *parts)
 
 
-def _main_numbers(catalog: Catalog) -> str:
+def _main_numbers(catalog: Catalog) -> Markup:
     meta, usable = catalog.meta, catalog.usable
     count = _usable(catalog)
     values = [
@@ -182,7 +190,7 @@ def _main_numbers(catalog: Catalog) -> str:
     return tiles(values)
 
 
-def _warnings(catalog: Catalog) -> list[str]:
+def _warnings(catalog: Catalog) -> list[Markup]:
     found = []
     lost = catalog.meta.count - len(catalog)
     if lost:
@@ -194,10 +202,10 @@ def _warnings(catalog: Catalog) -> list[str]:
         found.append("The catalog holds no control point: there is nothing to draw.")
     elif not catalog.usable.any():
         found.append("The catalog has no usable point: navigation will find nothing with it.")
-    return [note(words) for words in found]
+    return [paragraph(words, "note") for words in found]
 
 
-def _reasons(catalog: Catalog) -> str:
+def _reasons(catalog: Catalog) -> Markup:
     """Why points are not usable: how many fail each check, and how many fail it alone."""
     flags = catalog.records["flags"][~catalog.usable].astype(np.int64)
     if flags.size == 0:
@@ -213,22 +221,22 @@ def _reasons(catalog: Catalog) -> str:
             share = percent(counts[0], len(catalog))
             rows.append((text, grouped(counts[0]), share, *map(grouped, counts[1:])))
     if firsts[-1]:
-        rows.append((UNTOLD, grouped(int(firsts[-1])), "", "", grouped(int(firsts[-1]))))
+        rows.append((NO_REASON, grouped(int(firsts[-1])), "", "", grouped(int(firsts[-1]))))
     header = ("why points are not usable", "points", "of all", "for this alone", "so on the map")
     return paragraph(
         f"{counted(flags.size, 'point')} not usable; one may have several reasons."
     ) + table(header, rows)
 
 
-def _sides(catalog: Catalog) -> str:
+def _sides(catalog: Catalog) -> Markup:
     try:
         drawing = sides_figure(catalog)
     except DataError as fault:  # damaged relief, or a machine without embree: the rest can be shown
-        drawing = note(str(fault))
+        drawing = paragraph(str(fault), "note")
     return section("On the body", drawing)
 
 
-def _sources(catalog: Catalog, maps: Sequence[Panel]) -> str:
+def _sources(catalog: Catalog, maps: Sequence[MapPanel]) -> Markup:
     """Points and usable points of each terrain model; with a map where there are several."""
     meta = catalog.meta
     source = catalog.records["source"].astype(np.int64)
@@ -243,7 +251,7 @@ def _sources(catalog: Catalog, maps: Sequence[Panel]) -> str:
     return section("Provenance", source_map(catalog, maps, counts) if several else counts)
 
 
-def _made_from(catalog: Catalog) -> str:
+def _made_from(catalog: Catalog) -> Markup:
     meta = catalog.meta
     facts = [
         ("body", f"{meta.body}, sphere of {meta.radius_m:.12g} m"),
@@ -251,8 +259,8 @@ def _made_from(catalog: Catalog) -> str:
         ("levels", ", ".join(f"{meta.posting_m * 2**k:.6g} m" for k in range(meta.levels))),
         ("nodes a side", str(meta.size)),
         ("height step", f"{meta.height_step_m:.9g} m"),
-        ("software", meta.software or "not told"),
-        ("made", meta.created_utc or "not told"),
+        ("software", meta.software or "not stated"),
+        ("made", meta.created_utc or "not stated"),
         ("format", str(meta.format_version)),
         ("file", f"{catalog.path.stat().st_size / 1e6:.1f} MB"),
         ("digest", catalog.digest),
@@ -278,4 +286,87 @@ def _finite(values: NDArray[np.floating[Any]]) -> FloatArray:
 
 def _extreme(values: Float32Array, pick: np.ufunc) -> FloatArray:
     """The least or highest known value of each row (n, m), NaN where none is known."""
-    return np.asarray(pick.reduce(_finite(values), axis=1), np.float64)
+    extremes: FloatArray = pick.reduce(_finite(values), axis=1)
+    return extremes
+
+
+def gallery(catalog: Catalog) -> Markup:
+    """Chosen points with all their levels; "" for a catalog without points."""
+    scores = np.asarray(catalog.records["localisation_px"], np.float64)
+    rows = np.flatnonzero(catalog.usable & np.isfinite(scores))
+    order = rows[np.argsort(scores[rows], kind="stable")]
+    best = order[:SHOWN]
+    worst = order[max(len(order) - SHOWN, len(best)) :]
+    parts = [
+        paragraph(
+            "Heights by colour, dark is low, shaded from the upper left; north up, finest level "
+            "left. The frame in a level is the ground of the level before. Gray: no data. Points "
+            "are ranked by their predicted match error."
+        )
+    ]
+    kinds = first_reasons(catalog)
+    failed = [
+        (reason, np.flatnonzero(kinds == number))
+        for number, reason in enumerate(REASONS.values(), start=1)
+    ]
+    groups = [("Best", best.tolist()), ("Worst usable", worst.tolist())]
+    groups += [
+        # the one in the middle stands for the others better than an extreme one
+        (f"Not usable: {reason}", [int(there[len(there) // 2])])
+        for reason, there in failed
+        if len(there)
+    ]
+    for heading, chosen in groups:
+        if chosen:
+            parts.append(subsection(heading, *(_point(catalog, row) for row in chosen)))
+    return section("Examples", *parts) if len(parts) > 1 else Markup()
+
+
+def _point(catalog: Catalog, row: int) -> Markup:
+    record, point = catalog.records[row], int(catalog.ids[row])
+    tried = int(record["trials"])
+    error = float(record["localisation_px"])
+    words = [
+        f"Point {point} at {catalog.lat_deg[row]:.3f}°, {catalog.lon_deg[row]:.3f}°",
+        f"predicted error {error:.2f} nodes" if np.isfinite(error) else "error not known",
+        f"recognised in {100.0 * record['recognition_rate']:.0f} % of {tried} trials"
+        if tried
+        else "not tried",
+    ]
+    try:
+        levels = catalog.patches(point)
+    except DataError as fault:
+        return paragraph(str(fault), "note")
+    if not levels:
+        return paragraph(f"{'; '.join(words)}. No heights are kept for it.")
+    pictures = [_level(levels[k], k, point) for k in range(len(levels))]
+    return figure(side_by_side("patches", pictures), "; ".join(words))
+
+
+def _level(patch: Patch, number: int, point: int) -> Markup:
+    width_km = patch.posting_m * patch.size / 1e3
+    known = patch.heights_m[np.isfinite(patch.heights_m)]
+    relief = f"{float(np.ptp(known)):.0f} m of relief" if known.size else "no data"
+    words = f"{_short(patch.posting_m)} m a node, {_short(width_km)} km wide, {relief}"
+    picture = image(data_uri(coloured(patch)), f"heights about point {point}, level {number}")
+    return captioned(picture, words, "box inner" if number else "box")
+
+
+def _short(value: float) -> str:
+    """Three digits at least, and never a power of ten."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+def coloured(patch: Patch) -> ByteArray:
+    """A patch's heights by colour (cividis) with relief shading, nodes enlarged."""
+    heights = patch.heights_m
+    known = np.isfinite(heights)
+    low, high = (float(f(heights[known])) for f in (np.min, np.max)) if known.any() else (0.0, 1.0)
+    share = (np.where(known, heights, low) - low) / max(high - low, 1e-6)
+    levels = np.rint(255.0 * share).astype(np.uint8)
+    tint = cv2.applyColorMap(levels, cv2.COLORMAP_CIVIDIS).astype(np.float32)
+    light = shaded(heights, patch.posting_m).astype(np.float32) / 150.0
+    picture = np.clip(tint * light[..., None], 0.0, 255.0).astype(np.uint8)
+    picture[~known] = NO_DATA_BGR
+    factor = max(1, round(SIDE_PX / patch.size))
+    return np.kron(picture, np.ones((factor, factor, 1), np.uint8))

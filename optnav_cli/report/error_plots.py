@@ -1,24 +1,24 @@
 """Errors of a run against time and distance, by method and camera, with 3 stated sigmas.
 
 Zhukov (2025), figures 4 and 5, shows the same: R, N, B over an orbit, and the errors of range and
-direction over a transfer, the methods told apart.
+direction over a transfer, each method in its own colour.
 """
 
 from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
-from optnav_cli.evaluation.error_rows import ErrorRow, read_error_rows, stated_rows
 from optnav_cli.evaluation.figures import method_rank, method_words
-from optnav_cli.evaluation.files import EVALUATION_CSV
+from optnav_cli.evaluation.files import EVALUATION_CSV, ErrorRow, read_error_rows, stated_rows
 from optnav_cli.output.run_folder import RunFolder
 from optnav_cli.report.page import figure
-from optnav_cli.report.sheet import Entry, Panel, sheet
-from optnav_cli.report.svg import Plot, key_mark, span
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.svg import Plot, PlotAxis, key_mark, span
 
 SIGNS = {
     "brightness_centre": ("s3", "diamond"),
@@ -29,6 +29,12 @@ SIGNS = {
 OTHER_SIGN = ("muted", "down")
 UNEVEN = 20.0  # gaps so many times the median one: frames are drawn by number, not by time
 TIME_UNITS = ((600.0, 1.0, "minutes"), (100.0 * 60.0, 60.0, "hours"), (np.inf, 1440.0, "days"))
+AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
+UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small ones
+BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
+FAR = 4.0  # farthest over nearest height from which errors are drawn over the distance, too
+IN_KM_M = 5e3  # errors typically larger are drawn in km
+MAX_REASONS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,21 +133,13 @@ def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, str]:
     return rows, minutes / unit, f"{name} after {rows[0].utc}"
 
 
-AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
-UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small ones
-BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
-FAR = 4.0  # farthest over nearest height from which errors are drawn over the distance, too
-IN_KM_M = 5e3  # errors typically larger are drawn in km
-MAX_REASONS = 4
-
-
-def error_plots(run: RunFolder) -> list[str]:
-    """Figures (HTML) of a run with a solved frame; without a truth, of what its solutions state."""
+def error_plots(run: RunFolder) -> list[Markup]:
+    """Figures of a run with a solved frame; without a truth, of what its solutions state."""
     frames = frames_of(run)
-    keys = "".join(key_mark(e.series, e.shape, e.words) for e in _legend(frames))
+    keys = Markup().join(key_mark(e.series, e.shape, e.words) for e in _legend(frames))
     figures = []
     for number, (panels, caption) in enumerate(_drawn(frames)):
-        drawings = "".join(panel.plot.svg(panel.description) for panel in panels)
+        drawings = Markup().join(panel.plot.svg(panel.description) for panel in panels)
         more = "" if number else _reasons(frames)
         figures.append(figure(drawings, caption + more, None, keys))
     return figures
@@ -196,10 +194,8 @@ def _linear_plot(
     frames: Frames, values: FloatArray, band: FloatArray, label: str, x_label: str
 ) -> Plot:
     low = np.zeros(1) if not frames.compared else -band
-    plot = Plot(
-        span(frames.x, 0.03), span(np.concatenate([values, band, low]), 0.08),
-        x_label=x_label, y_label=label, height=200,
-    )  # fmt: skip
+    y = span(np.concatenate([values, band, low]), 0.08)
+    plot = Plot(PlotAxis(span(frames.x, 0.03), x_label), PlotAxis(y, label), height=200)
     if frames.compared:
         for series, places in frames.stretches():
             x, half = frames.x[places], band[places]
@@ -218,9 +214,8 @@ def _log_plot(
 ) -> Plot:
     sizes = np.abs(values)
     y = _log_range(sizes, band)
-    plot = Plot(
-        span(frames.x, 0.03), y, x_label=x_label, y_label=label, height=230, log_y=True,
-    )  # fmt: skip
+    x_axis = PlotAxis(span(frames.x, 0.03), x_label)
+    plot = Plot(x_axis, PlotAxis(y, label, log=True), height=230)
     if frames.compared:
         for series, places in frames.stretches():
             x, top = frames.x[places], _log(band[places], y)
@@ -239,26 +234,19 @@ def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
     rows = frames.rows
     x = np.log10(frames.heights_km)
     panels = []
-    for label, words, error, sigma in (
-        (
-            "range, % of height", "range to the surface",
-            [row.range_percent for row in rows], [row.range_sigma for row in rows],
-        ),
-        (
-            "direction, arcmin", "direction to the centre",
-            [_arcmin(row.direction_arcsec) for row in rows],
-            [_arcmin(row.direction_sigma) for row in rows],
-        ),
-    ):  # fmt: skip
-        stated = np.array(sigma, dtype=np.float64)
+    ranges = [(row.range_percent, row.range_sigma) for row in rows]
+    directions = [(row.direction_arcsec, row.direction_sigma) for row in rows]
+    for label, words, pairs, unit in (
+        ("range, % of height", "range to the surface", ranges, 1.0),
+        ("direction, arcmin", "direction to the centre", directions, 60.0),
+    ):
+        error, stated = np.array(pairs, dtype=np.float64).T / unit
         bound = 3.0 * stated if frames.compared else stated
-        values = np.abs(np.array(error, dtype=np.float64)) if frames.compared else stated
+        values = np.abs(error) if frames.compared else stated
         y = _log_range(values, bound)
         last = label.startswith("direction")
-        plot = Plot(
-            span(x, 0.03), y, x_label="height above the surface, km" if last else "",
-            y_label=label, height=260, log_x=True, log_y=True,
-        )  # fmt: skip
+        x_axis = PlotAxis(span(x, 0.03), "height above the surface, km" if last else "", log=True)
+        plot = Plot(x_axis, PlotAxis(y, label, log=True), height=260)
         if frames.compared:
             for method, camera in frames.series:
                 series, _ = SIGNS.get(method, OTHER_SIGN)
@@ -294,19 +282,19 @@ def _unsolved(plot: Plot, frames: Frames, x: FloatArray) -> None:
     plot.marks(x[places], foot, "muted", "cross", 3.6, titles)
 
 
-def _legend(frames: Frames) -> list[Entry]:
+def _legend(frames: Frames) -> list[LegendEntry]:
     entries = []
     for method, camera in frames.series:
         series, shape = frames.sign(method, camera)
         of_camera = sum(row.camera == camera for row in frames.rows)
         name = method_words(method) + (f", {camera}" if camera else "")
         words = f"{name}: {len(frames.of(method, camera))} of {of_camera}"
-        entries.append(Entry(series, words, shape, line=False))
+        entries.append(LegendEntry(series, words, shape, line=False))
     if frames.compared:
-        entries.append(Entry("s4", "outside 3 stated sigmas", "circle", line=False))
+        entries.append(LegendEntry("s4", "outside 3 stated sigmas", "circle", line=False))
     unsolved = sum(not row.solved for row in frames.rows)
     if unsolved:
-        entries.append(Entry("muted", f"unsolved: {unsolved}", "cross", line=False))
+        entries.append(LegendEntry("muted", f"unsolved: {unsolved}", "cross", line=False))
     return entries
 
 
@@ -334,8 +322,4 @@ def _log_range(sizes: FloatArray, bound: FloatArray) -> tuple[float, float]:
 def _log(sizes: FloatArray, y: tuple[float, float]) -> FloatArray:
     """Logarithms; what is smaller than the range stands at its foot."""
     with np.errstate(divide="ignore"):
-        return np.asarray(np.maximum(np.log10(sizes), y[0]))
-
-
-def _arcmin(arcsec: float | None) -> float | None:
-    return None if arcsec is None else arcsec / 60.0
+        return np.maximum(np.log10(sizes), y[0])

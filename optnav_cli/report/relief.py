@@ -69,8 +69,8 @@ def shaded(heights_m: Float32Array, posting_m: float) -> ByteArray:
     facing = np.nan_to_num((eastward + southward) / np.sqrt(2.0))
     rough = np.abs(facing[facing != 0.0])
     steep = float(np.percentile(rough, 90.0)) if rough.size else 1.0
-    light = np.tanh(STEEP * facing / max(steep, 1e-9))
-    return np.asarray(np.clip(np.rint(GRAY + DEPTH * light), 0.0, 255.0), np.uint8)
+    light: FloatArray = np.tanh(STEEP * facing / max(steep, 1e-9))
+    return np.clip(np.rint(GRAY + DEPTH * light), 0.0, 255.0).astype(np.uint8)
 
 
 def _pixel_m(lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float) -> float:
@@ -91,10 +91,8 @@ def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> Float32Array:
     # the file's first column begins at longitude 0
     x = np.mod(np.where(known, lon_deg, 0.0), 360.0) / 360.0 * columns + 0.5
     y = (90.0 - np.where(known, lat_deg, 0.0)) / 180.0 * rows - 0.5
-    sampled = cv2.remap(
-        heights, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )  # fmt: skip
+    x, y = x.astype(np.float32), y.astype(np.float32)
+    sampled = cv2.remap(heights, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.where(known, sampled, np.nan).astype(np.float32)
 
 
@@ -187,5 +185,5 @@ def _sampled(patch: Patch, x: FloatArray, y: FloatArray, pixel_m: float) -> Floa
         heights = np.asarray(cv2.GaussianBlur(heights, (0, 0), sigma), np.float32)
     half = (patch.size - 1) / 2.0
     places = np.stack([half - y / patch.posting_m, x / patch.posting_m + half])
-    sampled = map_coordinates(heights, places, order=1, cval=np.nan)
-    return np.asarray(sampled, np.float32)
+    sampled: Float32Array = map_coordinates(heights, places, order=1, cval=np.nan)
+    return sampled

@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
@@ -23,7 +24,6 @@ from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import OVERLAYS, RunFolder, read_run
 from optnav_cli.output.tables import fixed
 from optnav_cli.report.error_plots import error_plots
-from optnav_cli.report.ground import GroundMap
 from optnav_cli.report.page import (
     data_uri,
     figure,
@@ -33,19 +33,25 @@ from optnav_cli.report.page import (
     page,
     paragraph,
     section,
+    side_by_side,
     subsection,
     table,
     tiles,
 )
-from optnav_cli.report.svg import HALF, Plot, span
+from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
+from optnav_cli.report.views import GroundMap
 
 MAX_FOOTPRINTS = 60
 MAX_DOTS = 4000
 BORDER_POINTS = 12  # of a footprint, along each side of the picture
 HISTOGRAM_BINS = 24
+IN_KM_M = 10e3  # lengths from here on are written in km
+MAX_THUMBNAILS = 24
+THUMBNAIL_PX = 560
+ROWS_OPEN = 40  # longer tables are folded
 
 
-def ground_plot(run: RunFolder) -> str:
+def ground_plot(run: RunFolder) -> Markup:
     """Footprints of the solved frames, the places below the camera and the control points."""
     body = run.attitude.body
     solved = [s for s in run.solutions if s.position_m is not None]
@@ -83,7 +89,7 @@ def ground_plot(run: RunFolder) -> str:
     return figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
 
 
-def residual_plots(run: RunFolder) -> list[str]:
+def residual_plots(run: RunFolder) -> list[Markup]:
     """Residuals of the kept matches as a cloud, and the scores of kept and refused ones."""
     used = [m for m in run.matches if m.used and m.residual_px is not None]
     drawings = []
@@ -91,14 +97,12 @@ def residual_plots(run: RunFolder) -> list[str]:
         residual = np.array([m.residual_px for m in used])
         rms = float(np.sqrt(np.mean(residual**2)))
         reach = max(3.2 * rms, float(np.percentile(np.abs(residual), 99.5)))
-        plot = Plot(
-            (-reach, reach), (-reach, reach), x_label="x, px", y_label="y, px",
-            width=HALF, height=420, equal=True,
-        )  # fmt: skip
+        x, y = (PlotAxis((-reach, reach), f"{name}, px") for name in "xy")
+        plot = Plot(x, y, width=HALF, height=420, equal=True)
         few = residual[:: -(-len(residual) // MAX_DOTS)]
         plot.dots(few[:, 0], few[:, 1], "s1", 1.8)
-        turn = np.linspace(0.0, 2.0 * np.pi, 73)
-        plot.line(rms * np.cos(turn), rms * np.sin(turn), "s2", closed=True)
+        angle = np.linspace(0.0, 2.0 * np.pi, 73)
+        plot.line(rms * np.cos(angle), rms * np.sin(angle), "s2", closed=True)
         drawings.append(
             figure(
                 plot.svg("Residuals of the control points used, px"),
@@ -113,16 +117,15 @@ def residual_plots(run: RunFolder) -> list[str]:
         edges = np.linspace(*span(values, 0.0), HISTOGRAM_BINS + 1)
         edges = edges if edges[-1] > edges[0] else edges[0] + np.linspace(-0.5, 0.5, 25)
         below, above = (np.histogram(values[c], edges)[0] for c in (~kept, kept))
-        plot = Plot(
-            (edges[0], edges[-1]), (0.0, 1.05 * float((below + above).max())),
-            x_label="score", y_label="matches", width=HALF, height=420,
-        )  # fmt: skip
+        x = PlotAxis((edges[0], edges[-1]), "score")
+        y = PlotAxis((0.0, 1.05 * float((below + above).max())), "matches")
+        plot = Plot(x, y, width=HALF, height=420)
         plot.bars(edges, below, "s4")
         plot.bars(edges, above, "s3", below)
         drawings.append(
             figure(plot.svg("Scores of matches"), "Scores.", {"k3": "used", "k4": "not used"})
         )
-    return [f'<div class="pair">{"".join(drawings)}</div>']
+    return [side_by_side("pair", drawings)]
 
 
 def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArray] | None:
@@ -141,9 +144,6 @@ def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArr
     return lat, lon
 
 
-IN_KM_M = 10e3  # lengths from here on are told in km
-
-
 def read_evaluation(folder: Path) -> dict[str, Any] | None:
     """The figures of a run folder; None for a run that was not evaluated.
 
@@ -154,14 +154,14 @@ def read_evaluation(folder: Path) -> dict[str, Any] | None:
         return None
     try:
         summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        for axis in "rnb":  # touched here, so that a damaged file is told at once
+        for axis in "rnb":  # read here, so that a damaged file is refused at once
             summary[axis]["bias_m"], summary["share_inside_3_sigma"][axis]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path}: is damaged ({error}); run `optnav evaluate` again") from error
     return summary
 
 
-def errors_table(evaluation: dict[str, Any]) -> str:
+def errors_table(evaluation: dict[str, Any]) -> Markup:
     """The section about errors by axis, and by method where there are several."""
     names = {"r": "R (height)", "n": "N (along the motion)", "b": "B (across)"}
     largest = max(evaluation[axis]["max_m"] for axis in names)
@@ -206,7 +206,7 @@ def errors_table(evaluation: dict[str, Any]) -> str:
     return section("Against the truth", *parts)
 
 
-def _methods_table(methods: Sequence[dict[str, Any]]) -> str:
+def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
     """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
     header = (
         *("method", "solved", "R", "N", "B"),
@@ -252,11 +252,6 @@ def length_words(metres: float) -> str:
     return f"{metres / 1e3:.1f} km" if metres >= IN_KM_M else f"{metres:.1f} m"
 
 
-MAX_THUMBNAILS = 24
-THUMBNAIL_PX = 560
-ROWS_OPEN = 40  # longer tables are folded
-
-
 def run_page(folder: Path) -> str:
     """The HTML page about a run folder. Raises DataError for a folder that is no run."""
     run = read_run(folder)
@@ -281,7 +276,7 @@ def run_page(folder: Path) -> str:
     )
 
 
-def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
+def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     solved = [s for s in run.solutions if s.solved]
     values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
     if evaluation is not None:
@@ -301,21 +296,23 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
     if residuals:
         rms = float(np.sqrt(np.mean(np.square(residuals))))
         values.append((f"{rms:.2f} px", "residual, rms a coordinate"))
-    note = "" if evaluation else paragraph("Not compared with a truth: see `optnav evaluate`.")
+    note = (
+        Markup() if evaluation else paragraph("Not compared with a truth: see `optnav evaluate`.")
+    )
     return tiles(values) + note
 
 
-def _refusals(run: RunFolder) -> str:
+def _refusals(run: RunFolder) -> Markup:
     reasons = Counter(
         match.reason_code.meaning or "not used" for match in run.matches if not match.used
     )
     if not reasons:
-        return ""
+        return Markup()
     rows = [(reason, str(count)) for reason, count in sorted(reasons.items(), key=_most_first)]
     return table(("control points tried but not used: why", "times"), rows[:12])
 
 
-def _thumbnails(run: RunFolder) -> str:
+def _thumbnails(run: RunFolder) -> Markup:
     """Overlays, unsolved frames first among equals, evenly through the run."""
     there = [
         solution
@@ -323,7 +320,7 @@ def _thumbnails(run: RunFolder) -> str:
         if overlay_path(run.path / OVERLAYS, solution.file).is_file()
     ]
     if not there:
-        return ""
+        return Markup()
     picked = there
     if len(there) > MAX_THUMBNAILS:
         places = np.linspace(0, len(there) - 1, MAX_THUMBNAILS).round().astype(int)
@@ -342,19 +339,17 @@ def _thumbnails(run: RunFolder) -> str:
         "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times."
     )
     shown = f" {len(picked)} of {len(there)} frames." if len(picked) < len(there) else ""
-    return section(
-        "Pictures", paragraph(words + shown), f'<div class="thumbs">{"".join(pictures)}</div>'
-    )
+    return section("Pictures", paragraph(words + shown), side_by_side("thumbs", pictures))
 
 
-def _unsolved(run: RunFolder) -> str:
+def _unsolved(run: RunFolder) -> Markup:
     rows = [(s.file, s.utc, s.reason) for s in run.solutions if not s.solved]
     if not rows:
-        return ""
+        return Markup()
     return section("Unsolved frames", table(("file", "UTC", "reason"), rows, text_columns=3))
 
 
-def _frames(solutions: Sequence[Solution]) -> str:
+def _frames(solutions: Sequence[Solution]) -> Markup:
     header: tuple[str, ...] = (
         *("file", "UTC", "method", "x, km", "y, km", "z, km", "sigma, m"),
         *("attitude sigma, ″", "predicted", "found", "used", "rms, px"),
@@ -381,11 +376,11 @@ def _frames(solutions: Sequence[Solution]) -> str:
     return content if len(rows) <= ROWS_OPEN else folded(f"All {len(rows)} frames", content)
 
 
-def _made_from(folder: Path) -> str:
+def _made_from(folder: Path) -> Markup:
     try:
         manifest = read_manifest(folder)
     except DataError:  # a run put together by hand is still worth a report
-        return ""
+        return Markup()
     return section("Made from", folded("manifest.json", listing(manifest)))
 
 

@@ -1,4 +1,4 @@
-"""Colours of maps and their legends; all can be told apart by colour-blind people.
+"""Colours of maps and their legends; all are distinct for colour-blind people.
 
 Values: viridis, bright for good. Reasons: the palette of Okabe and Ito.
 """
@@ -11,13 +11,11 @@ import numpy as np
 from catalog.arrays import ByteArray, FloatArray
 
 USABLE = "#0072b2"
-REASON_COLOURS = (
-    "#ffffff", "#d55e00", "#cc79a7", "#000000", "#f0e442", "#009e73", "#56b4e9",
-)  # fmt: skip
+REASON_COLOURS = ("#ffffff", "#d55e00", "#cc79a7", "#000000", "#f0e442", "#009e73", "#56b4e9")
 SOURCE_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#f0e442")
 OTHER = "#8a8f98"
 OUTER_PERCENT = 0.5  # of the values at either end that may share the last colour
-STEPS = 64  # colours of a map: as many as eyes tell apart, few enough for small pictures
+STEPS = 64  # colours of a map: as many as eyes distinguish, few enough for small pictures
 MIN_RELATIVE_SPAN = 1e-6
 WORTH_A_LOG = 8.0  # highest over lowest value, from which a logarithm shows more
 
@@ -69,7 +67,8 @@ class Scale:
         step = np.minimum((share * STEPS).astype(np.int64), STEPS - 1)
         places = np.rint((step + 0.5) / STEPS * 255.0).astype(np.uint8)
         coloured = cv2.applyColorMap(places.reshape(-1, 1), cv2.COLORMAP_VIRIDIS)
-        return np.asarray(coloured.reshape(-1, 3), np.uint8)
+        colours: ByteArray = coloured.reshape(-1, 3)
+        return colours
 
     def css(self, along: FloatArray) -> list[str]:
         """CSS colours of places (n,) on the axis."""

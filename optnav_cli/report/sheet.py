@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 
 from catalog.files import replacing_file, starts_with
-from optnav_cli.report.page import DRAWINGS, LIGHT
+from optnav_cli.report.page import styles
 from optnav_cli.report.svg import Plot, mark
 
 BEGINNING = "<!-- optnav picture -->\n"
@@ -14,15 +14,17 @@ EDGE, GAP = 14, 10  # around the whole and between plots, px
 TITLE_HEIGHT, LEGEND_HEIGHT, HEADING_HEIGHT = 26, 22, 18
 LETTER = 6.6  # width of a letter of the legend, px, on average
 STYLE = f"""
-svg {{ {LIGHT} }}
-{DRAWINGS}
+svg {{ {styles("light.css")} }}
+
+{styles("drawings.css")}
+
 svg text.title {{ font-size: 15px; font-weight: 600; }}
 svg text.heading {{ font-weight: 600; }}
 """
 
 
 @dataclass(frozen=True)
-class Entry:
+class LegendEntry:
     """What a series of all plots stands for.
 
     series  of the plots, with "dashed" where its line is
@@ -45,7 +47,7 @@ class Panel:
     description: str
 
 
-def sheet(title: str, legend: Sequence[Entry], rows: Sequence[Sequence[Panel]]) -> str:
+def sheet(title: str, legend: Sequence[LegendEntry], rows: Sequence[Sequence[Panel]]) -> str:
     """The picture; all plots of a row are of the same height."""
     width = max(sum(p.plot.width for p in row) + GAP * (len(row) - 1) for row in rows) + 2 * EDGE
     parts: list[str] = []
@@ -83,7 +85,7 @@ def write_sheet(picture: str, path: Path) -> None:
         place.write_text(picture, encoding="utf-8")
 
 
-def _legend(legend: Sequence[Entry], width: float, top: float) -> tuple[list[str], float]:
+def _legend(legend: Sequence[LegendEntry], width: float, top: float) -> tuple[list[str], float]:
     """The entries in as many lines as they need, and where the plots begin."""
     parts: list[str] = []
     left = float(EDGE)

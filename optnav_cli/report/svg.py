@@ -5,15 +5,28 @@ Series are named by the classes s1 (blue), s2 (orange), s3 (green), s4 (red), s5
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLAIN = (1e-3, 1e4)  # powers of ten outside are written as such
+SHAPES = ("circle", "triangle", "square", "diamond", "down", "cross", "dash")
+# Corners about the middle, in units of the radius; areas are about those of the disc.
+_CORNERS = {
+    "triangle": ((0.0, -1.25), (1.1, 0.8), (-1.1, 0.8)),
+    "down": ((0.0, 1.25), (1.1, -0.8), (-1.1, -0.8)),
+    "square": ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
+    "diamond": ((0.0, -1.25), (1.25, 0.0), (0.0, 1.25), (-1.25, 0.0)),
+}
+LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
+# Plots across the page and of a pair: at these widths their letters are as large as the text's.
+WIDE, HALF = 960, 470
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
@@ -49,16 +62,6 @@ def log_text(value: float) -> str:
     return "10" + str(power).translate(SUPERSCRIPTS)
 
 
-SHAPES = ("circle", "triangle", "square", "diamond", "down", "cross", "dash")
-# Corners about the middle, in units of the radius; areas are about those of the disc.
-_CORNERS = {
-    "triangle": ((0.0, -1.25), (1.1, 0.8), (-1.1, 0.8)),
-    "down": ((0.0, 1.25), (1.1, -0.8), (-1.1, -0.8)),
-    "square": ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
-    "diamond": ((0.0, -1.25), (1.25, 0.0), (0.0, 1.25), (-1.25, 0.0)),
-}
-
-
 def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title: str = "") -> str:
     """A mark as SVG at picture x, y; `series` may add "hollow", `title` is shown under the pointer.
 
@@ -84,18 +87,28 @@ def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title
     return f'<polygon class="mark {series}" points="{corners}">{name}</polygon>'
 
 
-def key_mark(series: str, shape: str, words: str) -> str:
+def key_mark(series: str, shape: str, words: str) -> Markup:
     """An entry of an HTML legend: the mark and what it stands for."""
     drawn = mark(7.0, 7.0, series, shape, 4.5)
-    return (
+    return Markup(
         f'<span class="entry"><svg class="sign" viewBox="0 0 14 14" aria-hidden="true">{drawn}'
         f"</svg>{escape(words)}</span>"
     )
 
 
-LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
-# Plots across the page and of a pair: at these widths their letters are as large as the text's.
-WIDE, HALF = 960, 470
+@dataclass(frozen=True)
+class PlotAxis:
+    """One axis of a plot: what it spans, and what is written along it.
+
+    ends     lowest and highest value; their common logarithms where `log`
+    log      numbers are written as what the logarithms stand for
+    numbers  what is written along it, instead of round numbers
+    """
+
+    ends: tuple[float, float]
+    label: str = ""
+    log: bool = False
+    numbers: Sequence[float] = ()
 
 
 class Plot:
@@ -103,38 +116,31 @@ class Plot:
 
     def __init__(
         self,
-        x: tuple[float, float],
-        y: tuple[float, float],
+        x: PlotAxis | tuple[float, float],
+        y: PlotAxis | tuple[float, float],
         *,
-        x_label: str = "",
-        y_label: str = "",
         width: int = WIDE,
         height: int = 260,
         equal: bool = False,
         axes: bool = True,
         margins: tuple[int, int, int, int] = (LEFT, RIGHT, TOP, BOTTOM),
-        log_x: bool = False,
-        log_y: bool = False,
-        x_numbers: Sequence[float] = (),
     ) -> None:
-        """Axes over the ranges x and y; `equal` widens one of them until both scales agree.
+        """Axes x and y, of which the ends suffice; see the arguments.
 
+        equal    widens one of them until both scales agree
         axes     False leaves out grid lines and their numbers, for maps that draw their own
         margins  room around the axes, px: left, right, top, bottom; 0 at the left leaves out the
                  frame as well, for maps that have an outline of their own
-        log_x    x are common logarithms; their numbers are written as what they stand for
-        log_y    so are y
-        x_numbers  what is written along x, instead of round numbers
         """
+        x, y = (axis if isinstance(axis, PlotAxis) else PlotAxis(axis) for axis in (x, y))
         self.width, self.height = width, height
         self._left, self._right, self._top, self._bottom = margins
-        self.x, self.y = _opened(x), _opened(y)
+        self.x, self.y = _opened(x.ends), _opened(y.ends)
         if equal:
             self._equalise()
         self._axes = axes
-        self._log_x, self._log_y = log_x, log_y
-        self._x_numbers = x_numbers
-        self._labels = (x_label, y_label)
+        self._x_axis, self._y_axis = x, y
+        self._labels = (x.label, y.label)
         self._ground: list[str] = []
         self._body: list[str] = []
 
@@ -155,15 +161,13 @@ class Plot:
         """Picture x of data x."""
         low, high = self.x
         scale = self.inner[0] / (high - low)
-        return np.asarray(self._left + (np.asarray(x, dtype=np.float64) - low) * scale)
+        return self._left + (np.asarray(x, dtype=np.float64) - low) * scale
 
     def py(self, y: ArrayLike) -> FloatArray:
         """Picture y of data y, which grows upwards."""
         low, high = self.y
         scale = self.inner[1] / (high - low)
-        return np.asarray(
-            self.height - self._bottom - (np.asarray(y, dtype=np.float64) - low) * scale
-        )
+        return self.height - self._bottom - (np.asarray(y, dtype=np.float64) - low) * scale
 
     def line(self, x: ArrayLike, y: ArrayLike, series: str, closed: bool = False) -> None:
         """A polyline, broken where a point is not finite (`closed` only when all are)."""
@@ -273,7 +277,7 @@ class Plot:
             f'y="{float(self.py(y)):.1f}">{escape(words)}</text>'
         )
 
-    def svg(self, description: str, at: tuple[float, float] | None = None) -> str:
+    def svg(self, description: str, at: tuple[float, float] | None = None) -> Markup:
         """The plot; `description` is read to people who cannot see it.
 
         at  left and top of its place in a larger drawing
@@ -303,24 +307,18 @@ class Plot:
             f'{top + inner[1] / 2:.0f}) rotate(-90)">{escape(self._labels[1])}</text>',
             "</svg>",
         ]
-        return "\n".join(parts)
+        return Markup("\n".join(parts))
 
     def _ticks(self) -> Iterable[str]:
         bottom, right = self.height - self._bottom, self.width - self._right
-        across = _numbers(self.x, self._log_x, max(3, self.inner[0] // 70))
-        if self._x_numbers:
-            places = np.log10(self._x_numbers) if self._log_x else self._x_numbers
-            across = [
-                (float(x), number_text(v)) for x, v in zip(places, self._x_numbers, strict=True)
-            ]
-        for place, words in across:
+        for place, words in _numbers(self._x_axis, self.x, max(3, self.inner[0] // 70)):
             x = float(self.px(place))
             yield f'<line class="grid" x1="{x:.1f}" y1="{self._top}" x2="{x:.1f}" y2="{bottom}"/>'
             yield (
                 f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 15}">'
                 f"{words}</text>"
             )
-        for place, words in _numbers(self.y, self._log_y, max(4, self.inner[1] // 45)):
+        for place, words in _numbers(self._y_axis, self.y, max(4, self.inner[1] // 45)):
             y = float(self.py(place))
             yield f'<line class="grid" x1="{self._left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
             yield (
@@ -329,9 +327,12 @@ class Plot:
             )
 
 
-def _numbers(ends: tuple[float, float], log: bool, count: int) -> list[tuple[float, str]]:
-    """Places of an axis' ticks and what is written beside them."""
-    if log:
+def _numbers(axis: PlotAxis, ends: tuple[float, float], count: int) -> list[tuple[float, str]]:
+    """Places of an axis' ticks between its ends, and what is written beside them."""
+    if len(axis.numbers):
+        places = np.log10(axis.numbers) if axis.log else axis.numbers
+        return [(float(x), number_text(v)) for x, v in zip(places, axis.numbers, strict=True)]
+    if axis.log:
         return [(place, log_text(number)) for place, number in log_ticks(*ends)]
     return [(value, number_text(value)) for value in ticks(*ends, count=count)]
 

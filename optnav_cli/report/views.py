@@ -1,4 +1,4 @@
-"""The maps of a catalog's page: which projections show its cells, and which cell each pixel is in.
+"""Maps of reports: projections of places, with graticules, and which cell each pixel is in.
 
 A catalog of a region gets one stereographic map about its middle. One of a whole body gets an
 equal-area map (Mollweide), where every cell takes its due share of the picture, and the two polar
@@ -14,12 +14,21 @@ from pyproj import Proj
 
 from catalog.arrays import FloatArray, Int32Array, IntArray
 from catalog.geometry.cells import CellGrid
-from catalog.geometry.latlon import wrap_longitude_deg
-from optnav_cli.report.ground import DEGREE, GroundMap
-from optnav_cli.report.svg import HALF, WIDE, Plot, number_text
+from catalog.geometry.latlon import (
+    angular_distance,
+    latlon_from_xyz,
+    wrap_longitude_deg,
+    xyz_from_latlon,
+)
+from catalog.geometry.projection import Stereographic
+from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, number_text, span
 
+MAX_RADIUS_DEG = 50.0  # beyond, a plain grid of longitude and latitude takes over
+STEPS_DEG = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
+LABEL_ROOM_PX = 45.0
+WHOLE_HEIGHT = 496  # makes a degree as high as it is wide, at a plot's full width
+DEGREE = "\N{DEGREE SIGN}"
 Places = Callable[[ArrayLike, ArrayLike], tuple[FloatArray, FloatArray]]
-
 SHARPNESS = 1.75  # pixels of a picture for each pixel of the page: screens have up to 2
 CAP_DEG = 60.0  # latitude of a polar map's rim
 THIRD = 310  # width of a drawing of which three stand in a row, px
@@ -30,7 +39,118 @@ HALF_WIDTH, HALF_HEIGHT = 2.0 * np.sqrt(2.0), np.sqrt(2.0)  # of the Mollweide e
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class GroundMap:
+    """A way from latitude and longitude (deg) to map coordinates.
+
+    Stereographic about the middle of the places, in km, so that poles and ±180° are nothing
+    special; for places all over a body longitude and latitude themselves.
+    """
+
+    centre_deg: tuple[float, float]
+    radius_m: float
+    regional: bool
+
+    @classmethod
+    def about(cls, lat_deg: ArrayLike, lon_deg: ArrayLike, radius_m: float) -> "GroundMap":
+        """A map that suits these places (n,), at least one."""
+        lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+        middle = xyz_from_latlon(lat, lon, 1.0).reshape(-1, 3).mean(axis=0)
+        lat0, lon0, _ = latlon_from_xyz(middle)
+        reach = np.degrees(np.max(angular_distance(lat0, lon0, lat, lon)))
+        regional = bool(reach <= MAX_RADIUS_DEG)
+        centre = (float(np.degrees(lat0)), float(np.degrees(lon0))) if regional else (0.0, 0.0)
+        return cls(centre, radius_m, regional)
+
+    def places(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Map coordinates x, y of places (...)."""
+        lat, lon = np.asarray(lat_deg, np.float64), np.asarray(lon_deg, np.float64)
+        if not self.regional:
+            return wrap_longitude_deg(lon), lat
+        lat0, lon0 = np.radians(self.centre_deg)
+        directions = xyz_from_latlon(np.radians(lat), np.radians(lon), 1.0)
+        x, y = Stereographic(lat0, lon0, self.radius_m).xy_from_xyz(directions)
+        return x / 1e3, y / 1e3
+
+    def latlon(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude (deg) of map coordinates x, y (...)."""
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        if not self.regional:
+            return y, x
+        lat0, lon0 = np.radians(self.centre_deg)
+        lat, lon = Stereographic(lat0, lon0, self.radius_m).latlon(1e3 * x, 1e3 * y)
+        return np.degrees(lat), np.degrees(lon)
+
+    def plot(self, x: ArrayLike, y: ArrayLike, width: int = WIDE, height: int = 600) -> Plot:
+        """An empty map that holds the map coordinates x, y (n,), with its graticule."""
+        if not self.regional:
+            lon = PlotAxis((-180.0, 180.0), "longitude, deg")
+            lat = PlotAxis((-90.0, 90.0), "latitude, deg")
+            return Plot(lon, lat, width=width, height=WHOLE_HEIGHT, equal=True)
+        lat0, lon0 = (number_text(round(v, 2)) + DEGREE for v in self.centre_deg)
+        x_ends, y_ends = span(x, 0.04), span(y, 0.04)
+        west, east = Plot(x_ends, y_ends, width=width, height=height, equal=True).x
+        words = f"stereographic about {lat0}, {lon0}; the map is {east - west:.0f} km wide"
+        x_axis = PlotAxis(x_ends, words)
+        plot = Plot(x_axis, y_ends, width=width, height=height, equal=True, axes=False)
+        self._graticule(plot)
+        return plot
+
+    def _graticule(self, plot: Plot) -> None:
+        km_per_deg = np.radians(self.radius_m) / 1e3
+        reach = max(plot.x[1] - plot.x[0], plot.y[1] - plot.y[0]) / 2.0 / km_per_deg
+        step = next((s for s in STEPS_DEG if s >= reach / 2.5), STEPS_DEG[-1])
+        lat0, lon0 = self.centre_deg
+        lats = np.arange(np.floor((lat0 - 2 * reach) / step), (lat0 + 2 * reach) / step + 1) * step
+        lats = lats[np.abs(lats) < 90.0]
+        narrowing = max(np.cos(np.radians(min(abs(lat0) + reach, 89.0))), 0.05)
+        lon_step = next((s for s in STEPS_DEG if s >= reach / 2.5 / narrowing), 30.0)
+        half = min(2 * reach / narrowing, 180.0)
+        lons = (
+            np.arange(np.floor((lon0 - half) / lon_step), (lon0 + half) / lon_step + 1) * lon_step
+        )
+        along = np.linspace(-1.0, 1.0, 61)
+        taken: list[FloatArray] = []
+        for lat in lats:
+            x, y = self.places(np.full(61, lat), lon0 + half * along)
+            plot.line(x, y, "faint thin")
+            self._name(plot, (x, y), float(lat), taken)
+        reachable = np.clip(lat0 + 2 * reach * along, -89.9, 89.9)
+        for lon in np.unique(wrap_longitude_deg(lons)):
+            x, y = self.places(reachable, np.full(61, lon))
+            plot.line(x, y, "faint thin")
+            self._name(plot, (x, y), float(lon), taken)
+
+    def _name(
+        self, plot: Plot, line: tuple[FloatArray, FloatArray], value: float, taken: list[FloatArray]
+    ) -> None:
+        """Write a graticule line's number where the line enters the map, unless another is near."""
+        place = _entry(plot, *line)
+        if place is None:
+            return
+        at = np.array([float(plot.px(place[0])), float(plot.py(place[1]))])
+        if all(np.linalg.norm(at - other) > LABEL_ROOM_PX for other in taken):
+            taken.append(at)
+            plot.text(*place, number_text(round(value, 3)) + DEGREE, "place")
+
+
+def _entry(plot: Plot, x: FloatArray, y: FloatArray) -> tuple[float, float] | None:
+    """Where a line crosses the map's left edge or, if nowhere, its lower one; a little inside."""
+    shift = 0.008 * (plot.x[1] - plot.x[0])
+    for along, other, edge, limits, left in (
+        (x, y, plot.x[0], plot.y, True),
+        (y, x, plot.y[0], plot.x, False),
+    ):
+        for k in np.flatnonzero((along[:-1] - edge) * (along[1:] - edge) < 0.0):
+            share = (edge - along[k]) / (along[k + 1] - along[k])
+            where = float(other[k] + share * (other[k + 1] - other[k]))
+            room = 0.04 * (limits[1] - limits[0])
+            if limits[0] + room < where < limits[1] - room:
+                return (edge + shift, where) if left else (where + shift, edge + shift)
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class MapView:
     """One map.
 
     name     what it shows, in words
@@ -59,7 +179,7 @@ class View:
 
 def views(
     grid: CellGrid, ids: IntArray, lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float
-) -> list[View]:
+) -> list[MapView]:
     """The maps that suit a catalog's points (n,), at least one: the main map first."""
     lat, lon = corners_deg(grid, ids)
     lat, lon = np.concatenate([lat.ravel(), lat_deg]), np.concatenate([lon.ravel(), lon_deg])
@@ -93,8 +213,8 @@ def corners_deg(grid: CellGrid, ids: IntArray) -> tuple[FloatArray, FloatArray]:
     return lat, wrap_longitude_deg(lon)
 
 
-def _region(ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height: int) -> View:
-    return View(
+def _region(ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height: int) -> MapView:
+    return MapView(
         "the region, north up" if abs(ground.centre_deg[0]) < 89.0 else "the pole",
         False,
         lambda: ground.plot(x, y, width, height),
@@ -104,7 +224,7 @@ def _region(ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height:
     )
 
 
-def _whole() -> View:
+def _whole() -> MapView:
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     outline = np.array([HALF_WIDTH * np.cos(angle), HALF_HEIGHT * np.sin(angle)])
 
@@ -119,9 +239,8 @@ def _whole() -> View:
     def plot() -> Plot:
         height = WIDE // 2 + WIDE_MARGINS[2] + WIDE_MARGINS[3]
         x, y = RIM_ROOM * HALF_WIDTH, RIM_ROOM * HALF_HEIGHT
-        drawing = Plot(
-            (-x, x), (-y, y), width=WIDE, height=height, axes=False, margins=WIDE_MARGINS,
-        )  # fmt: skip
+        ends = (-x, x), (-y, y)
+        drawing = Plot(*ends, width=WIDE, height=height, axes=False, margins=WIDE_MARGINS)
         parallel, meridian = np.linspace(-180.0, 180.0, 3), np.linspace(-90.0, 90.0, 61)
         for lat in range(-60, 90, 30):
             drawing.line(*places(np.full(3, float(lat)), parallel), "graticule")
@@ -136,10 +255,10 @@ def _whole() -> View:
         drawing.line(outline[0], outline[1], "rim")
         return drawing
 
-    return View("the whole body, equal-area (Mollweide)", True, plot, latlon, places, outline)
+    return MapView("the whole body, equal-area (Mollweide)", True, plot, latlon, places, outline)
 
 
-def _cap(pole_deg: float, radius_m: float) -> View:
+def _cap(pole_deg: float, radius_m: float) -> MapView:
     ground = GroundMap((pole_deg, 0.0), radius_m, True)
     angle = np.linspace(-180.0, 180.0, 181)
     side = 1.0 if pole_deg > 0.0 else -1.0
@@ -152,10 +271,8 @@ def _cap(pole_deg: float, radius_m: float) -> View:
         return np.where(outside, np.nan, lat), np.where(outside, np.nan, lon)
 
     def plot() -> Plot:
-        drawing = Plot(
-            (-rim, rim), (-rim, rim), width=THIRD, height=THIRD, axes=False, equal=True,
-            margins=CAP_MARGINS,
-        )  # fmt: skip
+        ends = (-rim, rim)
+        drawing = Plot(ends, ends, width=THIRD, height=THIRD, axes=False, margins=CAP_MARGINS)
         for lat in (70.0, 80.0):
             drawing.line(*ground.places(np.full(181, side * lat), angle), "graticule")
             x, y = ground.places(side * lat, 45.0)
@@ -170,7 +287,9 @@ def _cap(pole_deg: float, radius_m: float) -> View:
         return drawing
 
     name = "north" if side > 0.0 else "south"
-    return View(f"the {name} polar cap, stereographic", True, plot, latlon, ground.places, outline)
+    return MapView(
+        f"the {name} polar cap, stereographic", True, plot, latlon, ground.places, outline
+    )
 
 
 def _degrees(value: float) -> str:

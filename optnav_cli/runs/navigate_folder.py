@@ -26,7 +26,6 @@ from optnav_cli.fix import NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_picture
-from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
 from optnav_cli.navigation.settings import NavigateSettings
@@ -71,10 +70,9 @@ def navigate_folder(
         inputs = NavigationInputs(
             points, folder.motion, ground, settings, MATCHERS[matcher], inertial
         )
-        copy_inputs(pictures, place)
+        copy_inputs(pictures, folder.settings, place)
         solutions = _navigate_frames(folder, inputs, place, progress)
-        attitude = FileAttitude(folder.settings.attitude, folder.body, folder.motion)
-        write_solutions(place / SOLUTION, solutions, attitude)
+        write_solutions(place / SOLUTION, solutions, folder.attitude)
         matches = [match for row in solutions for match in row.evidence.matches]
         write_matches(place / MATCHES, matches)
         for (_, point_id), reason in points.damaged.items():

@@ -15,7 +15,7 @@ from catalog.terrain.dem.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.run_settings import Attitude, RunSettings
+from optnav_cli.frames.run_settings import Attitude, FileAttitude, RunSettings
 from optnav_cli.frames.truth import Truth, write_truth
 from optnav_cli.simulation.exposure import Exposure, TruthGround
 from optnav_cli.simulation.globe_ground import GlobeGround
@@ -68,13 +68,13 @@ def simulate(
             _write_png(folder / exposure.file, around.with_hot_pixels(counts))
             stage.advance()
     inertial = scenario.attitude.relative_to == "inertial"
-    attitude: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
-    settings = RunSettings(body=scenario.body, attitude=attitude)
+    name: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
+    settings = RunSettings(body=scenario.body, attitude=name)
     frames = [_frame(e, scenario, cameras[e.camera].name) for e in flight]
     calibrated = [_calibrated(camera, scenario) for camera in cameras]
     write_folder(folder, settings, calibrated, frames, motion)
     truths = [Truth(e.file, e.utc, e.tdb_s, e.position_m, e.camera_from_body) for e in flight]
-    write_truth(folder / "truth.csv", settings, truths, motion)
+    write_truth(folder / "truth.csv", FileAttitude(name, body, motion), truths)
     (folder / "scenario.json").write_bytes(scenario_copy(scenario))
 
 

@@ -14,8 +14,7 @@ from catalog.build import build
 from catalog.config import resource
 from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
-from optnav_cli.frames.apollo import apollo_frame, write_apollo_folder
-from optnav_cli.frames.isis_cube import read_cube_pose
+from optnav_cli.frames.isis_cube import apollo_frame, read_cube_pose, write_apollo_folder
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.runs.navigate_folder import navigate_folder

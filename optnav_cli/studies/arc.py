@@ -19,8 +19,8 @@ from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.estimation.models.limb import fit_limb, linear_position
-from optnav_cli.report.sheet import Entry, Panel, sheet
-from optnav_cli.report.svg import Plot
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.svg import Plot, PlotAxis
 from optnav_cli.studies.tables import Column, StudyReport, Table
 
 RADIUS_M = 1_737_400.0
@@ -156,11 +156,11 @@ def picture(rows: Sequence[ArcRow]) -> str:
     """The errors as curves (SVG)."""
     own = [row for row in rows if row.fit == next(iter(FITS))]
     legend = [
-        Entry(series, f"errors correlated over {interval:g}°", shape)
+        LegendEntry(series, f"errors correlated over {interval:g}°", shape)
         for series, shape, interval in zip(SERIES, SHAPES, INTERVALS_DEG, strict=True)
     ]
-    legend.append(Entry("muted dashed", "error of one point", ""))
-    legend.append(Entry("s1 dashed", f"linear fit, {COMPARED_DEG:g}°", ""))
+    legend.append(LegendEntry("muted dashed", "error of one point", ""))
+    legend.append(LegendEntry("s1 dashed", f"linear fit, {COMPARED_DEG:g}°", ""))
     panels = [
         _panel(own, "direction to the centre", "direction"),
         _panel(own, "angular radius", "radius"),
@@ -173,10 +173,10 @@ def picture(rows: Sequence[ArcRow]) -> str:
 
 
 def _panel(rows: Sequence[ArcRow], name: str, quantity: str) -> Panel:
-    plot = Plot(
-        (10.0, 370.0), (-2.5, 3.0), x_label="arc of limb, °", y_label="error, point sigmas",
-        width=480, height=340, log_y=True, x_numbers=(20, 60, 100, 150, 180, 240, 300, 360),
-    )  # fmt: skip
+    x_numbers = (20, 60, 100, 150, 180, 240, 300, 360)
+    x_axis = PlotAxis((10.0, 370.0), "arc of limb, °", numbers=x_numbers)
+    y_axis = PlotAxis((-2.5, 3.0), "error, point sigmas", log=True)
+    plot = Plot(x_axis, y_axis, width=480, height=340)
     plot.level(0.0, "muted dashed")
     for series, shape, interval in zip(SERIES, SHAPES, INTERVALS_DEG, strict=True):
         chosen = [row for row in rows if row.interval_deg == interval]

@@ -179,7 +179,7 @@ def _flown(
     truth_path = pictures / "truth.csv"
     errors = list(pool([evaluate_run(place, truth_path)]).frames)
     folder = read_folder(pictures)
-    truths = {t.file: t for t in read_truth(truth_path, folder.settings)}
+    truths = {t.file: t for t in read_truth(truth_path, folder.attitude)}
     arcs = []
     for frame in folder.frames:
         if frame.sun_body is None:

@@ -175,7 +175,7 @@ def measure(row: Row, folder: Folder, relief: GlobalRelief) -> RowResult:
 def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]:
     rng = np.random.default_rng(SEED)
     sigma = STAR_SENSOR_ARCSEC * ARCSEC
-    truths = {t.file: t for t in read_truth(folder.path / "truth.csv", folder.settings)}
+    truths = {t.file: t for t in read_truth(folder.path / "truth.csv", folder.attitude)}
     for frame in folder.frames:
         slip = Rotation.from_rotvec(rng.normal(0.0, sigma, 3))
         attitude, sun = frame.camera_from_body, frame.sun_body

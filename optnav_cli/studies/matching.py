@@ -23,8 +23,8 @@ import numpy as np
 from catalog.bodies.body import load_body
 from catalog.progress import Progress
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.report.sheet import Entry, Panel, sheet
-from optnav_cli.report.svg import Plot
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.svg import Plot, PlotAxis
 from optnav_cli.studies.matching_trials import (
     AXES,
     MATCHERS,
@@ -209,10 +209,10 @@ def picture(rows: Sequence[MatchingRow]) -> str:
     """Recognition above, error of the place below, one column an error (SVG)."""
     legend = []
     for name, (series, shape) in SIGNS.items():
-        legend.append(Entry(series, f"{name}, unaided", shape))
-        legend.append(Entry(f"{series} dashed hollow", f"{name}, aided as above each", shape))
-    legend.append(Entry("muted dashed", f"{100.0 * RECOGNISED:.0f} %", ""))
-    legend.append(Entry("s4 dashed", "tolerance that the source states", ""))
+        legend.append(LegendEntry(series, f"{name}, unaided", shape))
+        legend.append(LegendEntry(f"{series} dashed hollow", f"{name}, aided as above each", shape))
+    legend.append(LegendEntry("muted dashed", f"{100.0 * RECOGNISED:.0f} %", ""))
+    legend.append(LegendEntry("s4 dashed", "tolerance that the source states", ""))
     return sheet(
         "What matching bears: control points recognised, and the error of their places",
         legend,
@@ -247,10 +247,8 @@ def _plot(axis: Axis, y: tuple[float, float], label: str, log_y: bool) -> Plot:
     name = "SNR of a pixel" if log else f"error, {axis.unit}"
     if axis.name == "off nadir":
         name = "angle, °"
-    return Plot(
-        (float(ends[0] - margin), float(ends[1] + margin)), y, x_label=name, y_label=label,
-        width=WIDTH, height=HEIGHT, log_x=log, log_y=log_y, x_numbers=values,
-    )  # fmt: skip
+    x_axis = PlotAxis((float(ends[0] - margin), float(ends[1] + margin)), name, log, values)
+    return Plot(x_axis, PlotAxis(y, label, log_y), width=WIDTH, height=HEIGHT)
 
 
 def _stated(plot: Plot, axis: Axis) -> None:

@@ -22,8 +22,8 @@ from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.estimation.resection import resect
-from optnav_cli.report.sheet import Entry, Panel, sheet
-from optnav_cli.report.svg import Plot
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.svg import Plot, PlotAxis
 from optnav_cli.studies.tables import Column, StudyReport, Table
 
 HEIGHT_M = 200e3
@@ -132,10 +132,10 @@ def report(rows: Sequence[ResectionRow]) -> StudyReport:
 def picture(rows: list[ResectionRow]) -> str:
     """The errors as curves (SVG): against the angle, and against the number of points."""
     legend = [
-        Entry(series, f"{count} points", shape)
+        LegendEntry(series, f"{count} points", shape)
         for series, shape, count in zip(SERIES, SHAPES, COUNTS, strict=True)
     ]
-    legend.append(Entry("muted dashed", "error of one point", ""))
+    legend.append(LegendEntry("muted dashed", "error of one point", ""))
     panels = []
     for free in (False, True):
         chosen = [row for row in rows if row.free_attitude == free]
@@ -191,11 +191,9 @@ def _against_number(rows: list[ResectionRow], attitude: str, reach: tuple[float,
 def _plot(x: Sequence[float], reach: tuple[float, float], label: str) -> Plot:
     ends = np.log10([min(x), max(x)]) + [-0.08, 0.08]
     low, high = np.log10(reach)
-    plot = Plot(
-        (float(ends[0]), float(ends[1])), (float(low), float(high)), x_label=label,
-        y_label="error, point sigmas", width=330, height=260, log_x=True, log_y=True,
-        x_numbers=x,
-    )  # fmt: skip
+    x_axis = PlotAxis((float(ends[0]), float(ends[1])), label, True, x)
+    y_axis = PlotAxis((float(low), float(high)), "error, point sigmas", True)
+    plot = Plot(x_axis, y_axis, width=330, height=260)
     plot.level(0.0, "muted dashed")
     return plot
 

@@ -12,8 +12,8 @@ from catalog.config import resource
 from catalog.store.reader import Catalog
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import Solution
-from optnav_cli.frames.apollo import write_apollo_folder
 from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.isis_cube import write_apollo_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point

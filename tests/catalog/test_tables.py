@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from catalog.errors import DataError
-from catalog.tables import Column, Row, Table
+from catalog.tables import CsvColumn, CsvRow, CsvTable
 
-TABLE = Table(
+TABLE = CsvTable(
     (
-        Column("file", "name of the picture", "text"),
-        Column("x_m", "place along x", unit="m", form="z.2f", empty=True),
-        Column("n", "points", "count", empty=True),
-        Column("used", "whether it is used", "flag"),
+        CsvColumn("file", "name of the picture", "text"),
+        CsvColumn("x_m", "place along x", unit="m", form="z.2f", empty=True),
+        CsvColumn("n", "points", "count", empty=True),
+        CsvColumn("used", "whether it is used", "flag"),
     )
 )
 
 
-def _values(row: Row) -> tuple[object, ...]:
+def _values(row: CsvRow) -> tuple[object, ...]:
     return row["file"], row.number("x_m"), row.count("n"), row.flag("used")
 
 

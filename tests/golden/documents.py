@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from catalog.tables import Table
+from catalog.tables import CsvTable
 from optnav_cli.frames import tables
 from optnav_cli.main import COMMANDS, cli
 from optnav_cli.reasons import ReasonCode
@@ -104,7 +104,7 @@ def configs(folder: str) -> str:
 
 def columns(name: str) -> str:
     """The columns of a CSV file of a picture folder or of a run folder."""
-    table: Table = getattr(tables, name.upper())
+    table: CsvTable = getattr(tables, name.upper())
     return table.markdown().strip()
 
 

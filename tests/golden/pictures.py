@@ -21,7 +21,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.overlay import draw_overlay, patch_outlines
 from optnav_cli.output.run_folder import RunFolder, read_run
-from optnav_cli.report.body_figure import sides_picture
+from optnav_cli.report.body_sides import sides_picture
 from tests.golden import sketch
 
 # From good to bad, as in the reports (viridis), blue green red.
@@ -178,7 +178,7 @@ def opening(run: Path, pictures: Path, catalog_path: Path) -> ByteArray:
             sketch.line(right, shown(np.vstack([outline, outline[:1]])), OUTLINE)
     for match in used:
         sketch.dot(right, shown(match.measured_px), 2.5, FOUND)
-    truth = read_truth(pictures / "truth.csv", found.settings)[0]
+    truth = read_truth(pictures / "truth.csv", found.attitude)[0]
     error = float(np.linalg.norm(solution.position_m - truth.position_m))
     legend = sketch.strip(2 * HALF_PX, 34)
     prior = read_folder(pictures).frames[0].position_m

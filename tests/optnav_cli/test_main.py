@@ -22,8 +22,7 @@ from catalog.errors import (
     UsageError,
 )
 from optnav_cli import main
-from optnav_cli.lazy_group import Entry
-from optnav_cli.options import BoundingBoxType, NumberArguments, latitude, longitude
+from optnav_cli.options import BoundingBoxType, Entry, NumberArguments, latitude, longitude
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 OPTNAV = [sys.executable, "-m", "optnav_cli.main"]

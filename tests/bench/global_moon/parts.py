@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from catalog.jobs.workers import available_cores
-from optnav_cli.output.account_table import account_lines
+from optnav_cli.output.wording import account_lines
 from tests.bench.global_moon import builds, hillshade
 from tests.bench.global_moon.clock import Used
 from tests.bench.global_moon.place import MODEL_PPD, raster_path, size_of

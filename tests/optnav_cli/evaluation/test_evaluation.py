@@ -6,13 +6,39 @@ import json
 import numpy as np
 import pytest
 
+from catalog.config import resource
 from catalog.errors import DataError, DifferenceError, NothingToDoError
-from optnav_cli.evaluation.error_rows import read_error_rows, stated_rows
 from optnav_cli.evaluation.evaluation import pool
 from optnav_cli.evaluation.figures import check_limits
-from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
-from optnav_cli.output.run_folder import read_run
+from optnav_cli.evaluation.files import (
+    evaluate_run,
+    format_table,
+    read_error_rows,
+    stated_rows,
+    write_evaluation,
+)
+from optnav_cli.frames.run_settings import read_run_settings
+from optnav_cli.output.run_folder import copy_inputs, read_run
 from tests.optnav_cli.output.approach import RADIUS_M, write_approach
+
+
+def test_a_run_at_a_body_of_the_user_s_own_file_is_read_without_its_pictures(tmp_path, make_run):
+    make_run(tmp_path / "pictures", count=4)
+    text = resource("configs/bodies/moon.toml").read_text()
+    own = text.replace('name = "moon"', 'name = "ours"').replace("km = 1737.4 ", "km = 1730.0 ")
+    (tmp_path / "ours.toml").write_text(own)
+    run_toml = 'body = "../ours.toml"\nattitude = "camera_from_body"\n'
+    pictures, run = tmp_path / "pictures", tmp_path / "elsewhere" / "run"
+    (pictures / "run.toml").write_text(run_toml)
+    run.mkdir(parents=True)
+    copy_inputs(pictures, read_run_settings(pictures / "run.toml")[0], run)
+    for name in ("solution.csv", "matches.csv", "truth.csv"):
+        (pictures / name).rename(run / name)
+    (tmp_path / "ours.toml").unlink()
+    assert read_run(run).attitude.body.name == "ours"
+    evaluation = evaluate_run(run, run / "truth.csv")
+    heights = [frame.height_m for frame in evaluation.frames]
+    np.testing.assert_allclose(heights, 207.4e3, atol=1e-3)
 
 
 @pytest.mark.parametrize("attitude", ["camera_from_body", "camera_from_inertial"])

@@ -12,9 +12,9 @@ from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic, node_grid
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.frames.apollo import CAMERA, CAMERA_FROM_ISIS, apollo_frame, write_apollo_folder
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.isis_cube import CAMERA, CAMERA_FROM_ISIS, apollo_frame, write_apollo_folder
 from optnav_cli.frames.picture import load_picture
 
 RADIUS = 1737400.0

@@ -10,6 +10,7 @@ from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.bodies.rotation import body_from_inertial
+from catalog.config import resource
 from catalog.errors import ConfigError, DataError, OptnavError
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
@@ -36,6 +37,21 @@ def folder_with(tmp_path: Path, *rows: str, header: str = HEADER, end: str = "\n
 def only_frame(folder: Path) -> Frame:
     (frame,) = read_folder(folder).frames
     return frame
+
+
+def test_a_folder_carries_the_body_file_that_its_run_toml_names(tmp_path: Path) -> None:
+    text = (
+        resource("configs/bodies/moon.toml").read_text().replace('name = "moon"', 'name = "ours"')
+    )
+    (tmp_path / "ours.toml").write_text(text)
+    settings = RunSettings(str(tmp_path / "ours.toml"), "camera_from_body")
+    frame = Frame("a.png", UTC, "wide", tdb_s=utc_to_tdb_s(UTC))
+    write_folder(tmp_path / "a", settings, [CAMERA], [frame])
+    folder = read_folder(tmp_path / "a")
+    assert (folder.body.name, folder.settings.body) == ("ours", str(tmp_path / "a" / "ours.toml"))
+    (tmp_path / "a" / "run.toml").write_text('body = "none.toml"\nattitude = "camera_from_body"\n')
+    with pytest.raises(ConfigError, match=r"run.toml: .*none.toml"):
+        read_folder(tmp_path / "a")
 
 
 def test_a_row_is_read_into_radians_and_metres(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from catalog.store.relief import prepare_relief
 from catalog.store.writer import write_catalog
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.main import run
-from optnav_cli.report import body_figure
+from optnav_cli.report import body_sides
 from optnav_cli.report.body_sides import relief_corners, sides
 from optnav_cli.report.shades import REASON_COLOURS, USABLE, bgr_of
 from tests.optnav_cli.report.pages import a_catalog, report_of
@@ -107,7 +107,7 @@ def test_show_draws_the_body_with_its_points_and_reasons(phobos, tmp_path, capsy
     assert run(["catalog", "show", str(phobos), "-o", str(place)]) == 0
     assert capsys.readouterr().out == f"picture: {place}\n"
     picture = cv2.imread(str(place))
-    tiles = picture[body_figure.HEAD_PX : -60]
+    tiles = picture[body_sides.HEAD_PX : -60]
     for colour in (USABLE, REASON_COLOURS[-1]):  # the last reason is the overhang
         assert (tiles == bgr_of(colour)).all(axis=2).sum() > 30
 

@@ -99,7 +99,7 @@ def test_what_no_point_knows_is_told_as_missing(tmp_path):
 
     page = report_of(a_catalog(tmp_path / "c.gpkg", change=unknown), tmp_path)
     for missing in ("predicted match error", "recognised share", "uniqueness", "shadow limit"):
-        assert re.search(rf"does not tell it \([^)]*{missing}[^)]*\) of any point", page.text)
+        assert re.search(rf"holds no [^.]*{missing}[^.]* of any point", page.text)
 
 
 def test_places_that_were_never_checked_are_unknown_instead_of_free_of_shadows(tmp_path):

@@ -95,7 +95,7 @@ def test_an_older_report_is_replaced_and_another_page_is_not(run, tmp_path):
     report_of(run, tmp_path)
     report_of(run, tmp_path)
     (tmp_path / "index.html").write_text("<!doctype html><p>mine</p>")
-    with pytest.raises(OutputError, match="left alone"):
+    with pytest.raises(OutputError, match="was not made by optnav"):
         write_report(run, tmp_path / "index.html")
 
 
@@ -177,4 +177,4 @@ def test_matches_refused_for_one_reason_are_counted_together(tmp_path, make_run)
     for number in range(4):
         table = table.replace("score below the threshold", f"score 0.1{number} below 0.30", 1)
     (tmp_path / "run" / "matches.csv").write_text(table)
-    assert "score below 0.30 4" in report_of(tmp_path / "run", tmp_path).text
+    assert "the correlation is too low 4" in report_of(tmp_path / "run", tmp_path).text

@@ -6,20 +6,21 @@ import numpy as np
 import pytest
 
 from catalog.errors import OutputError
-from optnav_cli.report.sheet import Entry, Panel, sheet, write_sheet
-from optnav_cli.report.svg import SHAPES, Plot, mark
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet, write_sheet
+from optnav_cli.report.svg import SHAPES, Plot, PlotAxis, mark
 
 SVG = "{http://www.w3.org/2000/svg}"
 
 
 def a_plot(width=300):
-    plot = Plot((0.0, 2.0), (-6.0, 6.0), width=width, log_x=True, log_y=True, x_numbers=(1, 40))
+    x_axis = PlotAxis((0.0, 2.0), log=True, numbers=(1, 40))
+    plot = Plot(x_axis, PlotAxis((-6.0, 6.0), log=True), width=width)
     plot.marks([0.5, np.nan], [1.0, 2.0], "s1 hollow", "triangle", titles=["<a>", "b"])
     return plot
 
 
 def test_panels_stand_side_by_side_below_the_legend_and_inside_the_picture():
-    legend = [Entry("s1 dashed", f"series {n} of some length") for n in range(6)]
+    legend = [LegendEntry("s1 dashed", f"series {n} of some length") for n in range(6)]
     rows = [[Panel("left", a_plot(), "l"), Panel("right < left", a_plot(), "r")]]
     root = ET.fromstring(sheet("A & B", legend, rows))
     width, height = float(root.get("width")), float(root.get("height"))
@@ -62,5 +63,5 @@ def test_a_picture_replaces_its_forerunner_and_nothing_else(tmp_path):
     for _ in range(2):
         write_sheet(picture, tmp_path / "study.svg")
     (tmp_path / "mine.svg").write_text("<svg/>")
-    with pytest.raises(OutputError, match="left alone"):
+    with pytest.raises(OutputError, match="was not made by optnav"):
         write_sheet(picture, tmp_path / "mine.svg")

@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from optnav_cli.report.ground import GroundMap
-from optnav_cli.report.svg import Plot, log_ticks, number_text, span, ticks
+from optnav_cli.report.svg import Plot, PlotAxis, log_ticks, number_text, span, ticks
+from optnav_cli.report.views import GroundMap
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ def test_ticks_of_logarithms_say_what_they_stand_for():
     assert numbers == (0.1, 0.2, 0.5, 1.0, 2.0)
     assert places == pytest.approx(np.log10(numbers))
     assert [number for _, number in log_ticks(-2.5, 1.5)] == [0.01, 0.1, 1.0, 10.0]
-    drawing = Plot((-1.1, 0.4), (0.0, 1.0), log_x=True).svg("counts")
+    drawing = Plot(PlotAxis((-1.1, 0.4), log=True), (0.0, 1.0)).svg("counts")
     assert ">0.2</text>" in drawing
 
 
@@ -50,7 +50,7 @@ def test_a_line_breaks_where_a_value_is_missing():
 
 
 def test_up_is_up_and_titles_are_escaped():
-    plot = Plot((0.0, 1.0), (0.0, 1.0), x_label="a < b")
+    plot = Plot(PlotAxis((0.0, 1.0), "a < b"), (0.0, 1.0))
     plot.dots([0.5, 0.5], [0.2, 0.8], "s1", titles=["<low>", "high"])
     low, high = ET.fromstring(plot.svg('"quoted"')).iter("circle")
     assert float(low.get("cy")) > float(high.get("cy"))

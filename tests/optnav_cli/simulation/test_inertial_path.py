@@ -189,7 +189,7 @@ def test_inertial_attitudes_are_written_without_prior_and_sun(flight_file: Path,
         assert (frame.camera_from_body * shot.reported_camera_from_body.inv()).magnitude() < 1e-10
         np.testing.assert_allclose(frame.sun_body, shot.sun_body, atol=1e-12)
     assert ",,,,,,\n" in (out / "frames.csv").read_text()
-    for row, shot in zip(read_truth(out / "truth.csv", folder.settings), truth, strict=True):
+    for row, shot in zip(read_truth(out / "truth.csv", folder.attitude), truth, strict=True):
         np.testing.assert_allclose(row.position_m, shot.position_m, atol=1e-3)
         assert (row.camera_from_body * shot.camera_from_body.inv()).magnitude() < 1e-10
 

@@ -186,7 +186,7 @@ def test_a_run_writes_a_folder_that_reads_back_and_the_same_bytes_again(
     run.simulate(load_scenario(scenario_file), second, workers=1)
     folder = read_folder(first)
     assert [f.problem for f in folder.frames] == [None] * 4
-    truths = read_truth(first / "truth.csv", folder.settings)
+    truths = read_truth(first / "truth.csv", folder.attitude)
     for frame, truth in zip(folder.frames, truths, strict=True):
         picture = load_picture(folder.picture_path(frame), folder.cameras["small"]).values
         assert picture.std() > 3.0
