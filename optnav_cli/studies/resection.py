@@ -235,6 +235,6 @@ def _ring_and_inside(rng: np.random.Generator, count: int, angle_deg: float) -> 
     origin = np.array([0.0, 0.0, HEIGHT_M]) - centre
     along = directions @ origin
     distance = -along - np.sqrt(along**2 - (origin @ origin - RADIUS_M**2))
-    points = np.array([0.0, 0.0, HEIGHT_M]) + directions * distance[:, None]
+    points: FloatArray = np.array([0.0, 0.0, HEIGHT_M]) + directions * distance[:, None]
     points[:, 2] += rng.normal(0.0, 1000.0, count)
-    return np.asarray(points)
+    return points
