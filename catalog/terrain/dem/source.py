@@ -31,7 +31,7 @@ from catalog.terrain.dem.file import (
     path_of,
     place_of,
 )
-from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.georeference import Georeference, column_spans
 
 METRES = {"m": 1.0, "km": 1000.0, "dm": 0.1, "cm": 0.01}
 # GDAL keeps decoded blocks; its default is 5 % of the machine, which is no bound for a worker.
@@ -229,20 +229,9 @@ class DemSource:
         top, bottom = max(row0, 0), min(row0 + height, rows)
         if bottom <= top:
             return out
-        at = 0
-        while at < width:
-            col = col0 + at
-            if self.wraps:
-                col %= cols
-            elif col < 0:
-                at = -col0
-                continue
-            if col >= cols or at >= width:
-                break
-            count = min(width - at, cols - col)
+        for at, col, count in column_spans(col0, width, cols, self.wraps):
             raw = self.read_raw(top, col, bottom - top, count)
             out[top - row0 : bottom - row0, at : at + count] = self.convert(raw)
-            at += count
         return out
 
     def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:

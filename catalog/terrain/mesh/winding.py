@@ -42,8 +42,7 @@ def edges_of(faces: IntArray) -> Edges:
 
 
 @kernel
-def _flood(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray
-           ) -> int:  # fmt: skip
+def _flood(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray) -> int:
     """Number pieces and say which faces are to turn so that each agrees with its first face.
 
     Returns how many pieces, or minus one where a piece has only one side (as a Moebius strip has).

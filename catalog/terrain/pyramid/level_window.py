@@ -6,7 +6,7 @@ from catalog.arrays import Float32Array
 from catalog.cache import Cache
 from catalog.geometry.kernel import kernel
 from catalog.terrain.dem.conversion import HEIGHTS
-from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.georeference import Georeference, column_spans
 from catalog.terrain.pyramid.pyramid import POLE_TOLERANCE, HeightPyramid
 
 TILE = 256  # pixels a side; whole tiles of the overviews
@@ -106,18 +106,8 @@ class LevelWindows:
         """Copy from tiles into `out`, whose rows lie inside the raster; columns wrap."""
         rows, cols = self.shape
         height, width = out.shape
-        at = 0
-        while at < width:
-            col = col0 + at
-            if self.wraps:
-                col %= cols
-            elif col < 0:
-                at = -col0
-                continue
-            if col >= cols:
-                return
+        for at, col, count in column_spans(col0, width, cols, self.wraps, TILE):
             along, inner = divmod(col, TILE)
-            count = min(width - at, TILE - inner, cols - col)
             row = max(row0, 0)
             while row < min(row0 + height, rows):
                 down, inner_row = divmod(row, TILE)
@@ -127,7 +117,6 @@ class LevelWindows:
                     inner_row : inner_row + lines, inner : inner + count
                 ]
                 row += lines
-            at += count
 
     def _tile(self, down: int, along: int) -> Float32Array:
         """Tile (down, along); shorter at the raster's far edges."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.geometry.grid import bilinear
 from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from catalog.terrain.relief.relief import GlobalRelief
@@ -131,12 +132,7 @@ def _height(grid: Float32Array, x: float, y: float, z: float) -> float:
     per_rad = (grid.shape[0] - 2) / np.pi
     row = (0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad + 0.5
     col = (np.arctan2(y, x) + np.pi) * per_rad + 0.5
-    i, j = min(int(row), grid.shape[0] - 2), min(int(col), grid.shape[1] - 2)
-    down, along = row - i, col - j
-    upper = grid[i, j] + along * (grid[i, j + 1] - grid[i, j])
-    lower = grid[i + 1, j] + along * (grid[i + 1, j + 1] - grid[i + 1, j])
-    answer: float = upper + down * (lower - upper)
-    return answer
+    return bilinear(grid, row, col)
 
 
 @kernel
