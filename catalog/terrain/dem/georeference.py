@@ -272,7 +272,7 @@ def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]
 
 
 def _polar(values: dict[str, float]) -> tuple[float, float, float] | None:
-    """Pole sign, central longitude and scale at the pole, in any of the ways a CRS says them."""
+    """Pole sign, central longitude and scale at the pole, in any of the ways a CRS states them."""
     if "Latitude of standard parallel" in values:  # variants B and C
         lat = values["Latitude of standard parallel"]
         scale = (1.0 + float(np.sin(abs(lat)))) / 2.0

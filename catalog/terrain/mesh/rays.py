@@ -1,6 +1,6 @@
 """Rays against a closed mesh: embree finds the triangle, 64-bit arithmetic the place on it.
 
-Embree reckons in 32 bits. So the mesh is scaled to a ball of radius 1, rays that start far away are
+Embree computes in 32 bits. So the mesh is scaled to a ball of radius 1, rays from far away are
 first moved to that ball, and distances are those to the plane of the found triangle in 64 bits.
 What is left: beside an edge (1e-7 of the body's size) the neighbour may be taken, whose plane there
 is as near, or a ray slips through between two triangles. Either meets a face from within, which the

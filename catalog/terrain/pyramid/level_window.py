@@ -136,7 +136,7 @@ class LevelWindows:
                 at = (part - 2 * along) * (TILE // 2)
                 HEIGHTS.average_columns(finer._tile(down, part), 2, out[:, at : at + TILE // 2])
             return out
-        # straight from the level: what lies between is nowhere asked for
+        # straight from the level: what lies between is not used elsewhere
         many = 1 << self.halvings
         step = max(1, READ_COLUMNS >> self.halvings)
         last = self._base.shape[1]
@@ -148,7 +148,7 @@ class LevelWindows:
         return out
 
     def least_halvings(self, down: int) -> int:
-        """The fewest halvings that any footprint in a row of tiles asks for, but for rare ones.
+        """The fewest halvings that any footprint in a row of tiles needs, but for rare ones.
 
         Footprints are about as high as the level's rows, half as high at the finest level.
         """

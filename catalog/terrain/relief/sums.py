@@ -196,7 +196,7 @@ def finished(sums: CellSums, radius_m: float, source: str) -> GlobalRelief:
 def load_relief(path: str, body: Body) -> GlobalRelief:
     """The relief of a terrain model file, "bundled:NAME" for one that travels with optnav.
 
-    A process that asks again gets the same one. Raises DataError.
+    Read once a process. Raises DataError.
     """
     try:
         source = DemSource.open(DemSettings(path=path), Path(), body)
@@ -205,7 +205,7 @@ def load_relief(path: str, body: Body) -> GlobalRelief:
         finally:
             source.close()
     except DataError as error:
-        # a file by itself has no section that could say what it does not
+        # a file by itself has no section in which more could be stated
         reason = str(error).replace("check `path` in its [[dem]] section", "check the path")
         section = "[relief] dem of a build config, whose catalog carries the relief"
         raise DataError(reason.replace("its [[dem]] section", section)) from None

@@ -3,7 +3,7 @@
 In the plane of the observer's nadir and one azimuth the skyline is the ground point highest above
 the nadir. A crest at the angle d from the point where a sphere's limb would lie loses R d^2 / 2 of
 height, so lunar relief decides the limb within some +-280 km of it; the search goes on until no
-ground of the body could rise above what is found, near the body and at 100 000 km alike. Steps
+ground of the body could rise above what is found, near the body as well as at 100 000 km. Steps
 whose highest ground (a coarse grid of bounds) cannot reach the skyline found so far are jumped.
 """
 
