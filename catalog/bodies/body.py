@@ -191,7 +191,7 @@ def load_body(name_or_path: str, beside: Path | None = None) -> Body:
 
     Raises ConfigError for a name without a file, naming the nearest one, and for a wrong file.
     """
-    if name_or_path.endswith(".toml") or "/" in name_or_path or os.sep in name_or_path:
+    if is_body_file(name_or_path):
         return read_body((beside or Path()) / name_or_path)
     folder = resource("configs/bodies/moon.toml").parent
     known = sorted(path.stem for path in folder.glob("*.toml"))
@@ -200,6 +200,11 @@ def load_body(name_or_path: str, beside: Path | None = None) -> Body:
         hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
         raise ConfigError(f"no body '{name_or_path}'; {hint}, or give the path of a body's file")
     return read_body(folder / f"{name_or_path}.toml")
+
+
+def is_body_file(name_or_path: str) -> bool:
+    """Whether `load_body` takes this for the path of a file."""
+    return name_or_path.endswith(".toml") or "/" in name_or_path or os.sep in name_or_path
 
 
 def read_body(path: Path) -> Body:

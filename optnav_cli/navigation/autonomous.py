@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import squared_distance
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.arc import GATE
@@ -35,12 +36,12 @@ from optnav_cli.fix import (
 )
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation import outline
 from optnav_cli.navigation.control_points import method as control_points
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.history import History
 from optnav_cli.navigation.neighbour import other_body
 from optnav_cli.navigation.observation import FROM_FILE, Observation, observation_of
+from optnav_cli.navigation.outline import method as outline
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
@@ -170,7 +171,7 @@ class Navigator:
         sigma = observation.attitude_sigma_rad
         if sigma is None:
             sigma = float(np.radians(self._inputs.settings.solve.free_attitude_deg))
-        body = outline.navigate(
+        return outline.navigate(
             observation.picture,
             observation.camera,
             observation.camera_from_body,
@@ -179,21 +180,6 @@ class Navigator:
             self._inputs.motion.body,
             self._inputs.relief,
             other_body(self._inputs.motion, observation.tdb_s),
-        )
-        evidence = Evidence(
-            residual_rms_px=body.residual_rms_px,
-            n_limb=body.n_used,
-            arc_deg=body.arc_deg,
-            outline=body.marks,
-        )
-        return Fix(
-            Method(body.method),
-            body.position_m,
-            body.covariance_m2,
-            observation.camera_from_body,
-            sigma,
-            evidence,
-            body.remark,
         )
 
     def _by_points(self, observation: Observation, prior: PositionPrior) -> Solution:
@@ -322,8 +308,7 @@ class Navigator:
 def _disagreement_remark(points: Fix, outline: Fix) -> Reason:
     """A remark where an outline lies further from the control points' position than it states."""
     offset = points.position_m - outline.position_m
-    covariance = points.covariance_m2 + outline.covariance_m2
-    square = float(offset @ np.linalg.solve(covariance, offset))
+    square = squared_distance(offset, points.covariance_m2 + outline.covariance_m2)
     if square < GATE:
         return NO_REASON
     away = float(np.linalg.norm(offset)) / 1e3

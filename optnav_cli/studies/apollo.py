@@ -107,4 +107,4 @@ def report(result: ApolloResult) -> StudyReport:
     errors = np.concatenate([[result.residual_px, result.residual_m], *solved])
     title = "AS15-M-0297 over GLD100 at 474 m, attitude free"
     table = Table(title, COLUMNS, ((*counts, *map(float, errors)),))
-    return StudyReport((table,), (f"run: {result.run.name}",))
+    return StudyReport((table,))

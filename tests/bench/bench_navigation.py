@@ -10,7 +10,7 @@ import pytest
 from catalog.build import build
 from catalog.config import resource
 from catalog.store.reader import Catalog
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import Solution
 from optnav_cli.frames.apollo import write_apollo_folder
 from optnav_cli.frames.folder import Folder, read_folder
@@ -23,8 +23,7 @@ from optnav_cli.navigation.control_points.expectation import FrameContext, expec
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.observation import observation_of
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.runs.catalogs import open_field
-from optnav_cli.runs.frame_job import MATCHERS, solve_frame
+from optnav_cli.runs.navigate_folder import MATCHERS, open_field, solve_frame
 from optnav_cli.studies.apollo import CUBE, PICTURE
 from tests.bench.timing import best, one_core, within
 
@@ -54,7 +53,7 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     write_apollo_folder(resource(PICTURE), resource(CUBE), place / "pictures")
     folder = read_folder(place / "pictures")
     with Catalog.open(catalog) as opened:
-        yield Scene(folder, open_field([opened], folder))
+        yield Scene(folder, open_field([opened], folder.body))
 
 
 def solve_first(scene: Scene, matcher: str) -> Solution:

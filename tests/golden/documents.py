@@ -14,6 +14,7 @@ import click
 from catalog.tables import Table
 from optnav_cli.frames import tables
 from optnav_cli.main import COMMANDS, cli
+from optnav_cli.reasons import ReasonCode
 from optnav_cli.studies.tables import StudyReport
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -107,9 +108,14 @@ def columns(name: str) -> str:
     return table.markdown().strip()
 
 
+def reasons() -> str:
+    """The codes of reasons."""
+    return _listed({code.value: code.meaning for code in ReasonCode if code})
+
+
 PARTS: dict[str, Callable[..., str]] = {
     part.__name__: part
-    for part in (study, bench, accuracy, commands, subcommands, configs, columns)
+    for part in (study, bench, accuracy, commands, subcommands, configs, columns, reasons)
 }
 
 
@@ -138,7 +144,7 @@ def _stored(path: Path, command: str) -> str:
     words += [f"--{name} {value}" for name, value in report.arguments.items() if value is not None]
     origin = f"From the run of `{' '.join(words)}` at commit {report.commit}, {report.date}."
     shown = [f"*{table.title}*\n\n{table.to_markdown()}" for table in report.tables]
-    return "\n\n".join([*shown, origin])
+    return "\n\n".join([*shown, *report.notes, origin])
 
 
 def _listed(texts: Mapping[str, str]) -> str:

@@ -13,7 +13,8 @@ from scipy.special import gammaln
 from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
-from optnav_cli.estimation.robust import RobustResection
+from catalog.geometry.vectors import squared_distance
+from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import PositionPrior
 from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
@@ -45,7 +46,7 @@ PRIOR_FLOOR_M = 1000.0
 
 
 def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: float) -> float:
-    """How many powers of ten speak against chance for the scores of the used points.
+    """Powers of ten against chance that the scores of the used points give.
 
     scores          (k,) of the points that the solution uses
     tried           number of points searched, k or more: picking k of them helps chance
@@ -78,13 +79,13 @@ def decades_of_parts(
 
 def _choices(used: int, tried: int) -> float:
     """Powers of ten of the ways to pick the used points of those that were tried."""
-    most = max(tried, used)
-    choices = gammaln(most + 1.0) - gammaln(used + 1.0) - gammaln(most - used + 1.0)
+    offered = max(tried, used)
+    choices = gammaln(offered + 1.0) - gammaln(used + 1.0) - gammaln(offered - used + 1.0)
     return float(choices / np.log(10.0))
 
 
 def rejection_of_matches(
-    solution: RobustResection,
+    solution: Resection,
     decades: float,
     tried: int,
     min_decades: float = MIN_DECADES,
@@ -95,7 +96,7 @@ def rejection_of_matches(
     decades  against chance, of `log10_false_alarms` or `decades_of_parts`;  tried as there
     """
     used = int(solution.used.sum())
-    if solution.resection.degrees_of_freedom < 1:
+    if solution.degrees_of_freedom < 1:
         return Reason(
             ReasonCode.FEW_POINTS,
             f"{used} control points leave no check on a free attitude; at least 4 are needed",
@@ -118,7 +119,7 @@ def rejection_of_place(
     """Why a position (3,) with covariance (3, 3) contradicts its prior; empty when it does not."""
     offset = position_m - prior.position_m
     spread = covariance_m2 + prior.covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
-    if float(offset @ np.linalg.solve(spread, offset)) < chi2.isf(PRIOR_PROBABILITY, 3):
+    if squared_distance(offset, spread) < chi2.isf(PRIOR_PROBABILITY, 3):
         return NO_REASON
     sigma = float(np.sqrt(np.trace(prior.covariance_m2) / 3.0))
     return Reason(

@@ -20,7 +20,7 @@ from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
