@@ -28,7 +28,7 @@ from catalog.progress import Progress, Stage
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.studies.selection import DEM, SUNS, Z95, free_grounds
-from optnav_cli.studies.tables import Column, StudyReport, Table
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 ALL = 24  # candidates: the spacing between them leaves no room for more
 ALL_SPACED = 0.08  # of a cell between candidates
@@ -187,18 +187,11 @@ def _rate(
     return known[place]
 
 
-COLUMNS = (
-    Column("cell_deg", "cell", "°", "g"),
-    Column("cells", "cells"),
-    Column("trials", "new trials", "a place"),
-    Column("policy", "policy"),
-    Column("render_ms", "render", "ms", ".1f"),
-    Column("check_ms", "check", "ms", ".1f"),
-    Column("usable", "usable", "%", ".1f"),
-    Column("recognised", "recognised", "%", ".1f"),
-    Column("against", "against build", "points", "+.1f"),
-    Column("against_half", "± (95 %)", "points", ".1f"),
-    Column("same", "same place", "%", ".0f"),
+COLUMNS = columns(
+    "cell [°] g; cells; trials = new trials [a place]; policy; render [ms] .1f; "
+    "check [ms] .1f; usable [%] .1f; recognised [%] .1f; "
+    "against = against build [points] +.1f; against_half = ± (95 %) [points] .1f; "
+    "same = same place [%] .0f"
 )
 
 
@@ -211,4 +204,4 @@ def report(rows: Sequence[EconomyRow]) -> StudyReport:
         against = (None, None) if own else (100.0 * row.against[0], 100.0 * row.against[1])
         shares = (100.0 * row.usable, 100.0 * row.rate)
         lines.append((*start, *shares, *against, 100.0 * row.same))
-    return StudyReport((Table("", COLUMNS, tuple(lines)),))
+    return StudyReport((StudyTable("", COLUMNS, tuple(lines)),))

@@ -32,7 +32,7 @@ from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Outcome
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
-from optnav_cli.studies.tables import Cell, Column, StudyReport, Table
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
 
@@ -249,25 +249,14 @@ def difference(better: Strategy, other: Strategy) -> Interval:
     return a - b, a - b - low, a - b + high
 
 
-COLUMNS = (
-    Column("posting_m", "posting", "m", ".0f"),
-    Column("cells", "cells"),
-    Column("strategy", "strategy"),
-    Column("trials", "trials"),
-    Column("recognised", "recognised", "%", ".1f"),
-    Column("recognised_low", "from", "%", ".1f"),
-    Column("recognised_high", "to", "%", ".1f"),
-    Column("error_m", "error", "m", ".0f"),
-    Column("error_low_m", "from", "m", ".0f"),
-    Column("error_high_m", "to", "m", ".0f"),
-    Column("wrong", "wrong", "%", ".1f"),
+COLUMNS = columns(
+    "posting [m] .0f; cells; strategy; trials; recognised [%] .1f; "
+    "recognised_low = from [%] .1f; recognised_high = to [%] .1f; error [m] .0f; "
+    "error_low_m = from [m] .0f; error_high_m = to [m] .0f; wrong [%] .1f"
 )
-GAIN_COLUMNS = (
-    Column("posting_m", "posting", "m", ".0f"),
-    Column("over", "chosen over"),
-    Column("gain", "gain", "points", "+.1f"),
-    Column("gain_low", "from", "points", "+.1f"),
-    Column("gain_high", "to", "points", "+.1f"),
+GAIN_COLUMNS = columns(
+    "posting [m] .0f; over = chosen over; gain = gain [points] +.1f; "
+    "gain_low = from [points] +.1f; gain_high = to [points] +.1f"
 )
 
 
@@ -286,8 +275,8 @@ def report(rows: Sequence[SelectionRow]) -> StudyReport:
         ):
             gains.append((row.posting_m, over, *_percent(gain)))
     tables = (
-        Table("strategies, 95 % intervals", COLUMNS, tuple(lines)),
-        Table("gain of recognition, 95 % intervals", GAIN_COLUMNS, tuple(gains)),
+        StudyTable("strategies, 95 % intervals", COLUMNS, tuple(lines)),
+        StudyTable("gain of recognition, 95 % intervals", GAIN_COLUMNS, tuple(gains)),
     )
     return StudyReport(tables)
 
