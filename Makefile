@@ -13,7 +13,7 @@ ARGS ?=
 # a file share is made once and the longest files do not come last.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test check lint types tests bench bench-global golden lock clean
+.PHONY: help setup demo test check lint types tests bench bench-global golden docs lock clean
 
 help: ## print this list
 	@echo "optnav: control-point catalogs from terrain, camera positions from pictures"
@@ -62,8 +62,11 @@ bench-global: $(if $(DIR),$(READY)) ## a catalog of the whole Moon at full size 
 	  { echo "make: name a folder to work in, on a disk with 19 GB free: make bench-global DIR=/some/folder" >&2; exit 2; }
 	$(BIN)/python -m tests.bench.global_moon "$(DIR)" $(ARGS)
 
-golden: $(READY) ## make the golden values and the README's pictures anew; look at the difference
+golden: $(READY) ## make the golden values and the READMEs' pictures anew; look at the difference
 	$(BIN)/python -m tests.golden $(ARGS)
+
+docs: $(READY) ## write the tables of the READMEs anew, from the code and stored figures
+	$(BIN)/python -m tests.golden.documents
 
 lock: ## make requirements.lock anew from pyproject.toml
 	rm -rf build/lock-env

@@ -47,9 +47,13 @@ class NothingToDoError(OptnavError):
 
 
 class NoSolutionError(OptnavError):
-    """One frame or one fit has no solution; the message is the reason."""
+    """One frame or one fit has no solution; the message is the reason, `code` its machine code."""
 
     exit_code = 4
+
+    def __init__(self, reason: str, code: str = "no_solution") -> None:
+        super().__init__(reason)
+        self.code = code
 
 
 class DifferenceError(OptnavError):

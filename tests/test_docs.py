@@ -4,16 +4,25 @@ import os
 import re
 import shlex
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import click
 import pytest
 
+from catalog.build.config import load_build_config
+from optnav_cli.frames.folder import read_folder
 from optnav_cli.main import cli
+from tests.golden import documents
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+TEXTS = {
+    path.relative_to(CHECKOUT).as_posix(): path.read_text(encoding="utf-8")
+    for path in documents.DOCUMENTS
+}
+README = TEXTS["README.md"]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 TEXT = {".py", ".toml", ".md", ".lock", ".csv", ".json", ".geojson", ".txt", ".cfg", ".html", ""}
 
 
@@ -53,12 +62,12 @@ def test_every_option_says_what_it_is_for(words: str) -> None:
 
 
 @pytest.mark.parametrize("words", [w for w in COMMANDS if w not in ("catalog", "study", "config")])
-def test_every_command_has_a_line_in_the_readme(words: str) -> None:
-    assert re.search(rf"optnav {re.escape(words)}\b", README)
+def test_every_command_has_a_line_in_a_readme(words: str) -> None:
+    assert any(re.search(rf"optnav {re.escape(words)}\b", text) for text in TEXTS.values())
 
 
 def test_examples_use_only_options_that_exist() -> None:
-    texts = re.findall(r"^```\w*\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    texts = [code for text in TEXTS.values() for _, code in BLOCK.findall(text)]
     texts += [example_of(words, command) for words, command in COMMANDS.items()]
     lines = re.findall(r"^\s*(optnav [^:\n]*)$", "\n".join(texts), re.MULTILINE)
     assert len(lines) > 30
@@ -81,19 +90,71 @@ def test_examples_use_only_options_that_exist() -> None:
                 assert word in known | {"--help", "-h"}, f"{line}: there is no {word}"
 
 
-def test_makes_of_the_readme_exist() -> None:
+def test_makes_of_the_readmes_exist() -> None:
     targets = set(re.findall(r"^([a-z%-]+):", (CHECKOUT / "Makefile").read_text(), re.MULTILINE))
-    named = set(re.findall(r"\bmake ([a-z]+(?:-[a-z]+)*)", README))
+    named = {
+        name
+        for text in TEXTS.values()
+        for name in re.findall(r"(?:`|^)make ([a-z]+(?:-[a-z]+)*)", text, re.MULTILINE)
+    }
     studies = {name for name in named if name.startswith("study-")}
     assert named - studies <= targets
-    assert {"demo", "test"} <= named
+    assert {"demo", "test", "bench", "docs"} <= named
     for name in studies:
         assert f"study {name.removeprefix('study-')}" in COMMANDS
 
 
-def test_pictures_and_files_that_the_readme_names_are_there() -> None:
-    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", README):
-        assert (CHECKOUT / target).exists(), f"README.md names {target}"
+def anchors(text: str) -> set[str]:
+    """What a link may name within a document: its headings."""
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_pictures_and_files_that_a_readme_names_are_there(name: str) -> None:
+    for target, heading in re.findall(r"\]\((?!https?:)([^)#]*)#?([^)]*)\)", TEXTS[name]):
+        path = (CHECKOUT / name).parent / target if target else CHECKOUT / name
+        assert path.exists(), f"{name} names {target}"
+        if heading:
+            assert heading in anchors(path.read_text(encoding="utf-8")), f"{target}#{heading}"
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_files_of_the_code_that_a_readme_names_are_there(name: str) -> None:
+    """As `terrain/dem/source.py`, from the README's own folder or from the top."""
+    for target in re.findall(r"`((?:[\w.]+/)+\w+\.py)`", TEXTS[name]):
+        places = (CHECKOUT, (CHECKOUT / name).parent)
+        assert any((place / target).exists() for place in places), f"{name} names {target}"
+
+
+def test_the_made_parts_of_the_readmes_are_up_to_date() -> None:
+    assert documents.outdated() == [], "run `make docs`"
+
+
+def test_the_readme_is_short_and_its_files_can_be_used(tmp_path: Path) -> None:
+    """Terrain, camera and frames of one's own stand in the first 80 lines, as files that load."""
+    assert len(README.encode("utf-8")) <= 14_000
+    top = "\n".join(README.splitlines()[:80])
+    build, run, camera = (code for kind, code in BLOCK.findall(top) if kind == "toml")
+    (frames,) = (code for kind, code in BLOCK.findall(top) if kind == "csv")
+    (tmp_path / "cameras").mkdir()
+    names = ("moon.toml", "run.toml", "cameras/nav.toml", "frames.csv")
+    for file, text in zip(names, (build, run, camera, frames)):
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    assert load_build_config(tmp_path / "moon.toml").dem[0].path.startswith("bundled:")
+    first, second = read_folder(tmp_path).frames
+    assert (first.problem, second.problem) == (None, None)
+    assert first.position_m is not None
+    assert second.position_m is None
+
+
+def test_the_text_of_the_package_needs_no_other_file() -> None:
+    """A package index shows it alone: links in it would lead nowhere."""
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["readme"]["content-type"] == "text/markdown"
+    assert not re.search(r"\]\((?!https?:)", project["readme"]["text"])
+    for words in re.findall(r"^optnav (\w+)", project["readme"]["text"], re.MULTILINE):
+        assert words in COMMANDS
 
 
 def files() -> Iterator[Path]:

@@ -1,6 +1,7 @@
-"""The house's floors: a module imports only from lower floors, never from its neighbours."""
+"""Floors: a module imports only from lower floors, and no modules import in a circle."""
 
 import ast
+import graphlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,13 +20,17 @@ FLOORS = (
     {"catalog.selection", "catalog.store"},
     {"catalog.jobs", "catalog.inspect"},
     {"catalog.build"},
-    {"optnav_cli.solution", "optnav_cli.camera", "optnav_cli.estimation"},
+    {"catalog.api"},
+    {"optnav_cli.reasons"},
+    {"optnav_cli.fix"},
+    {"optnav_cli.camera", "optnav_cli.estimation"},
     {"optnav_cli.frames", "optnav_cli.dynamics"},
     {"optnav_cli.matching", "optnav_cli.measurements", "optnav_cli.stars", "optnav_cli.simulation"},
     {"optnav_cli.navigation", "optnav_cli.hazard", "optnav_cli.output"},
     {"optnav_cli.evaluation"},
     {"optnav_cli.report"},
     {"optnav_cli.runs"},
+    {"optnav_cli.api"},
     {"optnav_cli.studies", "optnav_cli.options", "optnav_cli.lazy_group", "optnav_cli.console"},
     {"optnav_cli.commands"},
     {"optnav_cli.main"},
@@ -45,7 +50,13 @@ def modules(root: Path = CHECKOUT) -> Iterator[tuple[str, Path]]:
             yield ".".join(parts).removesuffix(".__init__"), path
 
 
-def imports(module: str, path: Path) -> Iterator[str]:
+def is_module(name: str, root: Path) -> bool:
+    """Whether a full name is that of a file or a package."""
+    place = root.joinpath(*name.split("."))
+    return place.with_suffix(".py").is_file() or (place / "__init__.py").is_file()
+
+
+def imports(module: str, path: Path, root: Path = CHECKOUT) -> Iterator[str]:
     """Full names of the project's modules that a module imports, wherever in it."""
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
@@ -57,7 +68,8 @@ def imports(module: str, path: Path) -> Iterator[str]:
                 above = package.split(".")[: len(package.split(".")) - node.level + 1]
                 base = ".".join([*above, base]).rstrip(".")
             # `from catalog import config` names a module, `from catalog.config import x` has it
-            names = [f"{base}.{alias.name}" if base in PACKAGES else base for alias in node.names]
+            names = [f"{base}.{alias.name}" for alias in node.names]
+            names = [name if base in PACKAGES or is_module(name, root) else base for name in names]
         else:
             continue
         yield from (name for name in names if name.split(".")[0] in PACKAGES)
@@ -71,7 +83,7 @@ def faults(root: Path = CHECKOUT) -> list[str]:
         if module not in PACKAGES and unit not in FLOOR_OF:
             found.append(f"{unit} stands on no floor")
             continue
-        for name in imports(module, path):
+        for name in imports(module, path, root):
             other = unit_of(name)
             if other == unit or name in PACKAGES or name.endswith(".__version__"):
                 continue
@@ -82,8 +94,35 @@ def faults(root: Path = CHECKOUT) -> list[str]:
     return sorted(set(found))
 
 
+def circle(root: Path = CHECKOUT) -> list[str]:
+    """Modules each of which imports the next, the first one again last; empty where there are none.
+
+    Imports for types alone count: they make a reader go in a circle as well.
+    """
+    graph = {module: set(imports(module, path, root)) - {module} for module, path in modules(root)}
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        return list(error.args[1])
+    return []
+
+
 def test_modules_import_only_from_lower_floors() -> None:
     assert faults() == []
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert circle() == []
+
+
+def test_a_circle_is_found_where_types_alone_are_imported(tmp_path: Path) -> None:
+    folder = tmp_path / "catalog" / "terrain"
+    folder.mkdir(parents=True)
+    (folder / "a.py").write_text("from catalog.terrain import b\n")
+    (folder / "b.py").write_text("if TYPE_CHECKING:\n    from .c import d\n")
+    assert circle(tmp_path) == []
+    (folder / "c.py").write_text("def f():\n    import catalog.terrain.a\n")
+    assert set(circle(tmp_path)) == {f"catalog.terrain.{name}" for name in "abc"}
 
 
 @pytest.mark.parametrize(

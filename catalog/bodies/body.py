@@ -109,7 +109,7 @@ class LockedOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tide_error: float
 
 
-class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A body file as it is written."""
 
     name: str
@@ -188,7 +188,7 @@ def is_body_file(name_or_path: str) -> bool:
 
 def read_body(path: Path) -> Body:
     """The body a file describes. Raises ConfigError when the file is not a valid body."""
-    settings = load_toml(path, BodySettings)
+    settings = load_toml(path, BodyFile)
     lowest_km, highest_km = settings.plausible_heights_km
     sizes = (settings.radius_km, settings.gm_km3_s2, *settings.radii_km)
     if min(sizes) <= 0.0:

@@ -12,16 +12,15 @@ import msgspec
 import catalog
 from catalog.bodies.body import Body, load_body
 from catalog.build import check, render, select, write
-from catalog.build.check import CheckedPoint
 from catalog.build.config import BuildConfig, load_build_config
-from catalog.build.context import DemRecord
+from catalog.build.context import DemRecord, IngestRun
 from catalog.build.ingest import Bbox, MeshRecord
 from catalog.build.inputs import BuildInputs, prepare_inputs
 from catalog.build.relief import stored_relief
 from catalog.build.render import RenderedCell
 from catalog.build.select import SelectedCell
-from catalog.build.write import find_published, remember_published
-from catalog.control_point import ControlPoint, Flag
+from catalog.build.write import CatalogExtras, find_published, remember_published
+from catalog.control_point import ControlPoint
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.files import check_file
 from catalog.jobs import usage
@@ -132,36 +131,36 @@ class _Build:
         """All wanted stages in order; a stage whose forerunner is not done is refused."""
         report = BuildReport(self.workspace.folder, self.account)
         with self._stage("ingest") as stage:  # every run begins with it
-            world = prepare_inputs(
+            run = IngestRun(
                 self.workspace,
                 self.config,
                 self.config_path,
                 self.body,
-                bbox,
                 self.count,
                 self.progress,
                 stage,
             )
-            report.dems, self.account.cells = world.dems, world.cells
-        rendered = self._results(world, "render", RenderedCell)
-        checked = self._results(world, "check", CheckedPoint)
+            inputs = prepare_inputs(run, bbox)
+            report.dems, self.account.cells = inputs.dems, inputs.cells
+        rendered = self._results(inputs, "render", RenderedCell)
+        checked = self._results(inputs, "check", ControlPoint)
         points: list[ControlPoint] | None = None
         if "render" in wanted:
             with self._stage("render") as stage:
-                self._run_chunks(rendered, render.render_chunk, world, world.chunks, stage)
+                self._run_chunks(rendered, render.render_chunk, inputs, inputs.chunks, stage)
         if "select" in wanted:
             with self._stage("select") as stage:
-                self._select(world, rendered, stage)
+                self._select(inputs, rendered, stage)
         if "check" in wanted:
             with self._stage("check") as stage:
-                chosen = self._chosen(world)
-                self._run_chunks(checked, check.check_chunk, world, chosen, stage)
-                points = self._points(world, checked, len(chosen))
+                chosen = self._chosen(inputs)
+                self._run_chunks(checked, check.check_chunk, inputs, chosen, stage)
+                points = self._points(inputs, checked, len(chosen))
         if "write" in wanted and output is not None:
             with self._stage("write") as stage:
                 if points is None:
-                    points = self._points(world, checked, len(self._chosen(world)))
-                self._write(world, points, output, report, stage)
+                    points = self._points(inputs, checked, len(self._chosen(inputs)))
+                self._write(inputs, points, output, report, stage)
             if report.usable == 0:
                 raise self._nothing_usable(output)
         return report
@@ -176,61 +175,60 @@ class _Build:
         data = msgspec.json.format(msgspec.json.encode(self.account), indent=2)
         self.workspace.put(usage.FILE, data)
 
-    def _results(self, world: BuildInputs, stage: str, type_: type[Any]) -> ChunkResults:
-        return ChunkResults(self.workspace, stage, world.keys[stage], type_)
+    def _results(self, inputs: BuildInputs, stage: str, type_: type[Any]) -> ChunkResults:
+        return ChunkResults(self.workspace, stage, inputs.keys[stage], type_)
 
     def _run_chunks(
         self,
         results: ChunkResults,
-        function: Callable[[Any, Any], Sequence[msgspec.Struct]],
-        world: BuildInputs,
+        function: Callable[[Any, Any], Sequence[Any]],
+        inputs: BuildInputs,
         chunks: Sequence[Sequence[Any]],
         stage: StageAccount,
     ) -> None:
         with self.progress.stage(stage.name, sum(map(len, chunks)), "cell") as shown:
-            for _ in results.make(function, world.context, chunks, self.workers, stage, shown):
+            for _ in results.make(function, inputs.context, chunks, self.workers, stage, shown):
                 pass
         self.workspace.keep_only(stage.name, {results.key})
 
-    def _select(self, world: BuildInputs, rendered: ChunkResults, stage: StageAccount) -> None:
-        key = world.keys["select"]
+    def _select(self, inputs: BuildInputs, rendered: ChunkResults, stage: StageAccount) -> None:
+        key = inputs.keys["select"]
         if self.workspace.records(_select_name(key), SelectedCell) is not None:
             stage.kept = 1
             return
-        records = rendered.all_records(len(world.chunks))
+        records = rendered.all_records(len(inputs.chunks))
         if records is None:
             raise self._missing("render")
         with self.progress.stage("select", total=len(records), unit="cell") as shown:
-            chosen = select.select(world.context, records)
+            chosen = select.select(inputs.context, records)
             self.workspace.put(_select_name(key), encode_records(chosen))
             shown.advance(len(records))
         stage.done = 1
         self.workspace.keep_only("select", {key})
 
-    def _chosen(self, world: BuildInputs) -> list[list[SelectedCell]]:
+    def _chosen(self, inputs: BuildInputs) -> list[list[SelectedCell]]:
         """Selected records cut as their cells were cut for rendering; empty pieces left out."""
-        name = _select_name(world.keys["select"])
+        name = _select_name(inputs.keys["select"])
         records = self.workspace.records(name, SelectedCell)
         if records is None:
             raise self._missing("select")
         by_cell = {record.cell: record for record in records}
-        pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in world.chunks]
+        pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in inputs.chunks]
         return [piece for piece in pieces if piece]
 
-    def _points(self, world: BuildInputs, checked: ChunkResults, count: int) -> list[ControlPoint]:
+    def _points(self, inputs: BuildInputs, checked: ChunkResults, count: int) -> list[ControlPoint]:
         """The points of so many checked pieces, judged in the account."""
         records = checked.all_records(count)
         if records is None:
             raise self._missing("check")
-        points: list[ControlPoint] = [record.point(world.context) for record in records]
         # a cell at a model's edge may have ground, yet none where its place is: no point there
-        points = [point for point in points if math.isfinite(point.radius_m)]
-        self.account.judge((point.usable, Flag(point.flags)) for point in points)
+        points = [point for point in records if math.isfinite(point.radius_m)]
+        self.account.judge((point.usable, point.flags) for point in points)
         return points
 
     def _write(
         self,
-        world: BuildInputs,
+        inputs: BuildInputs,
         points: Sequence[ControlPoint],
         output: Path,
         report: BuildReport,
@@ -243,21 +241,23 @@ class _Build:
                 "lower [pyramid] size or posting_m, or give more ground"
             )
         config_text = self.config_path.read_text(encoding="utf-8-sig")
-        relief = world.relief
-        key = stage_key(world.keys["write"], world.sources(), config_text, relief and relief.key)
+        relief = inputs.relief
+        key = stage_key(inputs.keys["write"], inputs.sources(), config_text, relief and relief.key)
         written = find_published(self.workspace, key, output)
         if written is not None:
             stage.kept = math.ceil(len(points) / write.CHUNK_POINTS)
         else:
-            results = self._results(world, "write", PreparedPoint)
+            results = self._results(inputs, "write", PreparedPoint)
             self.workspace.keep_only("write", {results.key})  # first, for they are as large as it
             written = write.write(
-                world.context,
+                inputs.context,
                 points,
                 output,
-                sources=world.sources(),
-                config_text=config_text,
-                relief=stored_relief(self.workspace, relief) if relief is not None else None,
+                extras=CatalogExtras(
+                    inputs.sources(),
+                    config_text,
+                    stored_relief(self.workspace, relief) if relief is not None else None,
+                ),
                 results=results,
                 workers=self.workers,
                 progress=self.progress,

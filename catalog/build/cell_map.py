@@ -28,7 +28,7 @@ POLAR_DEG = 75.0
 POLAR_AZIMUTHS = 8
 
 
-class Ground(NamedTuple):
+class CellGround(NamedTuple):
     """The ground of a cell and the places in it.
 
     projection  about the cell's middle; heights (n, n) m at the finest posting
@@ -56,7 +56,7 @@ def places_step(window: int) -> int:
     return max(1, window // STEPS_PER_WINDOW)
 
 
-def cell_ground(context: StageContext, cell: int) -> Ground | None:
+def cell_ground(context: StageContext, cell: int) -> CellGround | None:
     """The ground of a cell; None where there is none at all."""
     settings = context.config.render
     projection = context.projection(*context.grid.centre_deg(cell))
@@ -74,13 +74,11 @@ def cell_ground(context: StageContext, cell: int) -> Ground | None:
     lat, lon = (np.degrees(angle) for angle in projection.latlon(x, y, middles))
     inside = _inside(context, cell, lat, lon, settings.inset_cell)
     missing = _fine_patches_missing(context, projection, x, y)
-    return Ground(
-        projection, heights, window, step, lat, lon, inside,
-        whole=missing <= MAX_MISSING, complete=not missing.any(),
-    )  # fmt: skip
+    whole, complete = missing <= MAX_MISSING, not missing.any()
+    return CellGround(projection, heights, window, step, lat, lon, inside, whole, complete)
 
 
-def strongest_of(context: StageContext, cell: int, ground: Ground) -> list[tuple[int, int]]:
+def strongest_of(context: StageContext, cell: int, ground: CellGround) -> list[tuple[int, int]]:
     """Places of a cell's ground with the strongest response under its worst Sun, best first."""
     latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
     suns = suns_of(context.config.render, latitude)
@@ -103,7 +101,7 @@ def strongest_of(context: StageContext, cell: int, ground: Ground) -> list[tuple
 
 def blurred(grid: Float32Array) -> Float32Array:
     """A grid as a camera's optics and pixels leave it: detail finer than that helps no match."""
-    return np.asarray(cv2.GaussianBlur(grid, (0, 0), BLUR_NODES), dtype=np.float32)
+    return cv2.GaussianBlur(grid, (0, 0), BLUR_NODES).astype(np.float32, copy=False)
 
 
 def suns_of(settings: RenderSettings, lat_deg: float) -> FloatArray:
@@ -128,7 +126,7 @@ def missing_share(context: StageContext, projection: MapProjection, posting_m: f
     return float(1.0 - context.mosaic.covers(lat, lon, posting_m).mean())
 
 
-def separation_places(context: StageContext, ground: Ground) -> float:
+def separation_places(context: StageContext, ground: CellGround) -> float:
     """Least distance between the candidates of a cell, in places of its ground."""
     cell_m = np.radians(context.grid.step_deg) * context.body.radius_m
     share = context.config.render.separation_cell
@@ -160,7 +158,7 @@ def _inside(
         half = (east - west) / 2.0
         offset = np.abs(wrap_longitude_deg(lon - (west + half)))
         inside &= offset <= half * (1.0 - 2.0 * inset)
-    return np.asarray(inside)
+    return inside
 
 
 def _fine_patches_cover(
@@ -198,11 +196,12 @@ def _fine_patches_missing(
     sums = np.pad(np.cumsum(np.cumsum(covered, axis=0), axis=1), ((1, 0), (1, 0)))
 
     def index(offset: FloatArray) -> IntArray:
-        at = np.rint(offset / spacing + (nodes - 1) / 2.0)
-        return np.asarray(np.clip(at, 0, nodes - 1), dtype=np.int64)
+        at: IntArray = np.rint(offset / spacing + (nodes - 1) / 2.0).astype(np.int64)
+        return at.clip(0, nodes - 1)
 
     top, bottom = index(-y - half), index(-y + half) + 1
     left, right = index(x - half), index(x + half) + 1
     total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
     area = (bottom - top) * (right - left)
-    return np.asarray(1.0 - total / area)
+    missing: FloatArray = 1.0 - total / area
+    return missing

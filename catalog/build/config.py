@@ -2,8 +2,7 @@
 
 The ground is one or more [[dem]], or one [[mesh]].
 
-Each stage's settings are defined in the file that reads them; here they are put together and
-their values checked.
+A section's settings are a struct of its own here; values that depend on each other are checked.
 """
 
 from collections.abc import Sequence
@@ -16,6 +15,18 @@ from catalog.config import load_toml
 from catalog.errors import ConfigError
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
+
+STEPS_PER_POSTING = 237.0
+COARSEST_STEP_M = 4.0
+MAX_CELL_DEG = 20.0
+MAX_LEVELS = 10
+SIZES = (32, 256)
+MAX_CELLS = 50_000_000  # cell numbers and chunk lists must stay small
+
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Elevation = Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)]
 
 
 class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -60,12 +71,6 @@ class ReliefSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("dem has a priority or feather_km; it lies below all others")
 
 
-STEPS_PER_POSTING = 237.0
-
-
-COARSEST_STEP_M = 4.0
-
-
 class WriteSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[write].
 
@@ -87,18 +92,6 @@ class WriteSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.height_step_m is not None:
             return (self.height_step_m,) * len(postings_m)
         return tuple(min(posting / STEPS_PER_POSTING, COARSEST_STEP_M) for posting in postings_m)
-
-
-Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-
-
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-
-
-NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
-
-
-Elevation = Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)]
 
 
 class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -151,7 +144,7 @@ class SelectSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     percentile: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 90.0
-    spacing_cell: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.6
+    spacing_cell: Share = 0.6
 
 
 class RenderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -180,17 +173,11 @@ class RenderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     levels: Annotated[int, msgspec.Meta(ge=1, le=10)] = 1
     sun_elevations: Annotated[int, msgspec.Meta(ge=1, le=32)] = 2
     sun_azimuths: Annotated[int, msgspec.Meta(ge=2, le=64, multiple_of=2)] = 2
-    sun_min_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 8.0
-    sun_max_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 45.0
+    sun_min_deg: Elevation = 8.0
+    sun_max_deg: Elevation = 45.0
     sun_declination_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 1.54
     law: Literal["hapke", "lommel_seeliger", "lunar_lambert", "lambert"] = "hapke"
-    snr: Annotated[float, msgspec.Meta(gt=0.0)] = 10.0
-
-
-MAX_CELL_DEG = 20.0
-MAX_LEVELS = 10
-SIZES = (32, 256)
-MAX_CELLS = 50_000_000  # cell numbers and chunk lists must stay small
+    snr: Positive = 10.0
 
 
 class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -217,6 +204,10 @@ def load_build_config(path: Path) -> BuildConfig:
 
 
 def _problems(config: BuildConfig) -> list[str]:
+    return [*_ground_problems(config), *_size_problems(config)]
+
+
+def _ground_problems(config: BuildConfig) -> list[str]:
     found = []
     if not config.dem and not config.mesh:
         found.append("has no [[dem]] and no [[mesh]] section; name the body's ground")
@@ -235,6 +226,11 @@ def _problems(config: BuildConfig) -> list[str]:
             found.append("[[dem]] scale is 0; wanted the height of one count")
     if config.relief.dem is not None and not config.relief.dem.path:
         found.append("[relief] dem path is empty; name a terrain model of the whole body")
+    return found
+
+
+def _size_problems(config: BuildConfig) -> list[str]:
+    found = []
     step = config.grid.cell_deg
     smallest = (41_253.0 / MAX_CELLS) ** 0.5  # square degrees of a sphere shared by the cells
     if not smallest <= step <= MAX_CELL_DEG:

@@ -1,16 +1,14 @@
-"""What every stage is given: the body, its terrain, the cells, and how patches are cut.
+"""What every stage of a build is given: the body, its terrain, the cells, how patches are cut.
 
-A stage is a module with `Settings` (its section of the build config), a record type and one
-function:
+    render.render_chunk(context, cells)   -> list[RenderedCell]
+    select.select(context, records)       -> list[SelectedCell]    all records, by cell number
+    check.check_chunk(context, records)   -> list[ControlPoint]
+    write.prepare_chunk(context, points)  -> list[PreparedPoint]   for `write.write`
 
-    render.render_chunk(context, cells)      -> list[RenderedCell]    cells: list[int]
-    select.select(context, records)          -> list[SelectedCell]    all records, by cell number
-    check.check_chunk(context, records)      -> list[CheckedPoint]     records of select
-    write.write(context, ...)                                          see write.py
-
-Chunk functions run in worker processes and must not depend on which cells share a chunk. Record
-types are msgspec.Structs, because they travel and rest as msgpack; numpy arrays in them are
-annotated `np.ndarray` and keep their type and shape.
+Chunk functions run in worker processes and must not depend on which cells share a chunk. Records
+are msgspec.Structs, because they travel and rest as msgpack; numpy arrays in them are annotated
+`np.ndarray` and keep their type and shape. A stage's settings are a section of
+`catalog.build.config`.
 """
 
 from dataclasses import dataclass
@@ -25,6 +23,9 @@ from catalog.control_point import Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.projection import Stereographic
 from catalog.geometry.tangent_plane import MapProjection
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workspace import Workspace
+from catalog.progress import Progress
 from catalog.terrain.terrain import Terrain
 
 
@@ -54,10 +55,33 @@ class DemRecord(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True)
-class StageContext:
-    """The world of a build; pickles small (paths and numbers), files open again in a worker.
+class IngestRun:
+    """What the inputs of a build are prepared with.
 
-    mosaic     the ground
+    workspace  where results rest
+    workers    threads that read terrain models
+    account    of the stage `ingest`
+    """
+
+    workspace: Workspace
+    config: BuildConfig
+    config_path: Path
+    body: Body
+    workers: int
+    progress: Progress
+    account: StageAccount
+
+    @property
+    def folder(self) -> Path:
+        """Which relative paths of the config start from."""
+        return self.config_path.parent
+
+
+@dataclass(frozen=True)
+class StageContext:
+    """What all stages work with; pickles small (paths and numbers), a worker opens files again.
+
+    mosaic     the terrain
     posting_m  of the finest patches, settled from the config or the DEM
     config     the whole build config; a stage reads its own section
     """

@@ -3,7 +3,7 @@
 Cells share sweeps over zones. A zone is some bands of cells with one graticule; all its nodes and
 tiles have places that are fixed for the whole body, so a cell's shortlist is the same, bit by bit,
 whichever cells are asked for with it. Cells about the poles, where a graticule crowds, and cells
-beside holes have a local map grid each (ground.py).
+beside holes have a local map grid each (cell_map.py).
 """
 
 from collections.abc import Iterator, Sequence
@@ -61,15 +61,17 @@ class Zone(NamedTuple):
 
     def row_tiles(self, lat: FloatArray) -> FloatArray:
         """Tiles from the south pole to latitudes (rad)."""
-        return np.asarray((lat + np.pi / 2.0) / (self.step * self.graticule.row_angle))
+        tiles: FloatArray = (lat + np.pi / 2.0) / (self.step * self.graticule.row_angle)
+        return tiles
 
     def col_tiles(self, lon: FloatArray) -> FloatArray:
         """Tiles from -180° to longitudes (rad) of any turn."""
-        return np.asarray((lon + np.pi) / (self.step * self.graticule.column_angle))
+        tiles: FloatArray = (lon + np.pi) / (self.step * self.graticule.column_angle)
+        return tiles
 
     def _lat(self, row: IntArray) -> FloatArray:
         angle = self.step * self.graticule.row_angle
-        return np.asarray((row + self.tall / 2.0) * angle - np.pi / 2.0)
+        return np.add(row, self.tall / 2.0, dtype=np.float64) * angle - np.pi / 2.0
 
     def places(self, row: IntArray, col: IntArray) -> tuple[FloatArray, FloatArray]:
         """Latitudes and longitudes (deg) of the middles of windows, by their first tiles."""
@@ -78,9 +80,8 @@ class Zone(NamedTuple):
 
     def aspect(self, row: IntArray) -> FloatArray:
         """Width over height of a tile in the middle of windows, by their first row of tiles."""
-        return np.asarray(
-            np.cos(self._lat(row)) * self.graticule.column_angle / self.graticule.row_angle
-        )
+        width: FloatArray = np.cos(self._lat(row)) * self.graticule.column_angle
+        return width / self.graticule.row_angle
 
     def wide(self, row: IntArray) -> IntArray:
         """Tiles that windows are wide, so that they are about square on the ground."""
@@ -106,10 +107,7 @@ class Spans(NamedTuple):
 
     def part(self, chosen: IntArray | BoolArray) -> "Spans":
         """Some of the cells."""
-        return Spans(
-            self.cells[chosen], self.top[chosen], self.bottom[chosen], self.west[chosen],
-            self.east[chosen], self.first[chosen], self.end[chosen],
-        )  # fmt: skip
+        return Spans._make(values[chosen] for values in self)
 
 
 def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortlist]:
@@ -226,8 +224,12 @@ def _swept(
     row, col = int(group.top.min()), int(group.first.min())
     height = int(group.bottom.max()) + zone.tall - 1 - row
     width = int(group.end.max()) - col
-    part = Part(row * step - MARGIN, col * step - MARGIN,
-                height * step + 2 * MARGIN, width * step + 2 * MARGIN)  # fmt: skip
+    part = Part(
+        row * step - MARGIN,
+        col * step - MARGIN,
+        height * step + 2 * MARGIN,
+        width * step + 2 * MARGIN,
+    )
     heights = graticule_heights(mosaic, zone.graticule, part, context.posting_m, zone.latitudes)
     across = np.cos(zone.graticule.lat(part.rows[MARGIN:-MARGIN]))
     stretch = zone.graticule.row_angle / (zone.graticule.column_angle * across)

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from catalog.arrays import Float32Array
+from catalog.build.context import StageContext
 from catalog.control_point import Patch
 from catalog.correlation.masked import blur_nodes
 from catalog.geometry.projection import Stereographic
@@ -22,13 +23,95 @@ from catalog.selection.trial import (
 )
 from catalog.selection.trial_picture import FINER
 from catalog.terrain.synthetic.relief import SyntheticRelief
-from catalog.terrain.terrain import Terrain
 
 TRIAL_LEVELS = 2  # the search starts one level above the finest
 # Relief below the posting is drawn once for so many grounds and shared by places: the relief of
 # one place says nothing of another's, and drawing it costs more than the trials.
 GROUNDS = 8
 SUN_AZIMUTHS = 4
+
+
+def outcomes_at(
+    context: StageContext,
+    patches: Sequence[Patch],
+    lat_deg: float,
+    lon_deg: float,
+    *,
+    seed: Sequence[int],
+    relief_seed: int,
+    trials: int,
+) -> Iterator[Outcome]:
+    """Independent recognition trials of a place under the circumstances that [check] sets, in turn.
+
+    There is one for each of evenly spaced Sun elevations.
+
+    patches      of the place, finest first
+    seed         of what is drawn for each trial; relief_seed of the ground beyond the DEM's
+    """
+    settings = context.config.check
+    search = Search(template_nodes=min(settings.template_nodes, context.size))
+    projection = context.projection(lat_deg, lon_deg)
+    levels = _levels(context, projection, patches, search, relief_seed)
+    # coarser patches beyond the trial's levels throw shadows in
+    outer = [*patches[TRIAL_LEVELS:], *context.beyond(projection)]
+    suns = sun_samples(
+        projection.lat,
+        trials,
+        SUN_AZIMUTHS,
+        max_declination=np.radians(context.config.render.sun_declination_deg),
+        lowest=np.radians(settings.sun_min_deg),
+        highest=np.radians(settings.sun_max_deg),
+    ).reshape(trials, SUN_AZIMUTHS, 3)
+    for number in range(trials):
+        circumstances = draw_circumstances(
+            np.random.default_rng([*seed, number]),
+            suns[number],
+            levels[0].posting_m,
+            max_scale=settings.scale_error,
+            max_roll_deg=settings.roll_deg,
+            max_off_nadir_deg=settings.off_nadir_deg,
+            snr=(settings.snr_min, settings.snr_max),
+        )
+        yield run_trial(
+            levels,
+            circumstances,
+            [*seed, number, 1],
+            projection.radius_m,
+            search,
+            Gate(settings.min_score, settings.rival_ratio),
+            outer=[(patch.heights_m, patch.posting_m) for patch in outer],
+        )
+
+
+def _levels(
+    context: StageContext,
+    projection: MapProjection,
+    patches: Sequence[Patch],
+    search: Search,
+    ground: int,
+) -> list[Level]:
+    """What is seen and what is known of a place, finest first.
+
+    patches  of the place, finest first; the relief that is added is below their posting, or below
+             the terrain's own where they are finer than that
+    ground   which relief
+    """
+    terrain, slope_deg = context.mosaic, context.config.check.relief_slope_deg
+    size = truth_size(search)
+    known = max(patches[0].posting_m, terrain.posting_m)
+    smallest = patches[0].posting_m / FINER
+    levels = []
+    for patch in patches[:TRIAL_LEVELS]:
+        posting = patch.posting_m / FINER
+        truth = terrain.local_grid(projection, posting, size)
+        truth = truth + _relief(
+            ground % GROUNDS, posting, known, smallest, size, terrain.body.radius_m, slope_deg
+        )
+        # as navigation does, which knows the posting of shape models only
+        planes = isinstance(projection, TangentPlane)
+        blur = blur_nodes(patch.posting_m, terrain.posting_m) if planes else 0.0
+        levels.append(Level(patch.heights_m, truth, patch.posting_m, blur))
+    return levels
 
 
 @lru_cache(maxsize=64)
@@ -48,88 +131,3 @@ def _relief(
     relief = detail.local(Stereographic(0.0, 0.0, radius_m), posting_m, size)
     relief.setflags(write=False)
     return relief
-
-
-def trial_levels(
-    mosaic: Terrain,
-    projection: MapProjection,
-    patches: Sequence[Patch],
-    search: Search,
-    slope_deg: float,
-    ground: int,
-) -> list[Level]:
-    """What is seen and what is known of a place, finest first.
-
-    patches    of the place, finest first; the relief that is added is below their posting, or
-               below the terrain's own where they are finer than that
-    slope_deg  rms slope of the random part of that relief
-    ground     which relief
-    """
-    size = truth_size(search)
-    known = max(patches[0].posting_m, mosaic.posting_m)
-    smallest = patches[0].posting_m / FINER
-    levels = []
-    for patch in patches[:TRIAL_LEVELS]:
-        posting = patch.posting_m / FINER
-        truth = mosaic.local_grid(projection, posting, size)
-        truth = truth + _relief(
-            ground % GROUNDS, posting, known, smallest, size, mosaic.body.radius_m, slope_deg
-        )
-        # as navigation does, which is told the posting of shape models only
-        planes = isinstance(projection, TangentPlane)
-        blur = blur_nodes(patch.posting_m, mosaic.posting_m) if planes else 0.0
-        levels.append(Level(patch.heights_m, truth, patch.posting_m, blur))
-    return levels
-
-
-def run_trials(
-    levels: Sequence[Level],
-    outer: Sequence[Patch],
-    radius_m: float,
-    lat: float,
-    seed: Sequence[int],
-    *,
-    trials: int,
-    search: Search,
-    gate: Gate,
-    sun_range: tuple[float, float],
-    max_declination: float,
-    snr: tuple[float, float],
-    max_scale: float,
-    max_roll_deg: float,
-    max_off_nadir_deg: float,
-) -> Iterator[Outcome]:
-    """Outcomes of independent trials, one for each of evenly spaced Sun elevations, in turn.
-
-    outer      coarser patches beyond the trial's levels, which throw shadows in
-    lat        rad; with max_declination (rad) it says which Suns can occur
-    sun_range  lowest and highest elevation, rad
-    """
-    suns = sun_samples(
-        lat,
-        trials,
-        SUN_AZIMUTHS,
-        max_declination=max_declination,
-        lowest=sun_range[0],
-        highest=sun_range[1],
-    ).reshape(trials, SUN_AZIMUTHS, 3)
-    for number in range(trials):
-        rng = np.random.default_rng([*seed, number])
-        circumstances = draw_circumstances(
-            rng,
-            suns[number],
-            levels[0].posting_m,
-            max_scale=max_scale,
-            max_roll_deg=max_roll_deg,
-            max_off_nadir_deg=max_off_nadir_deg,
-            snr=snr,
-        )
-        yield run_trial(
-            levels,
-            circumstances,
-            [*seed, number, 1],
-            radius_m,
-            search,
-            gate,
-            outer=[(patch.heights_m, patch.posting_m) for patch in outer],
-        )

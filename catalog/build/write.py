@@ -4,12 +4,16 @@ Cutting and compressing is nearly all of the work: its results rest in the work 
 catalog is in its place, so that a kill loses no more of them than of other stages. The file itself
 is put together anew: a database that is continued after a kill needs a journal, which would cost
 every build more than the copying costs the few that are killed.
+
+The work folder remembers what a catalog was made from and the seal of its file, a hash of all its
+bytes. A file that is as it was then stays; one that is damaged, or that a GIS wrote to, does not.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -31,6 +35,20 @@ from catalog.store.writer import Written, write_catalog
 from catalog.terrain.mesh.terrain import MeshTerrain
 
 FILE = "written.json"
+CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
+
+
+class CatalogExtras(NamedTuple):
+    """What a catalog holds beside its points.
+
+    sources      terrain models: name -> hash
+    config_text  the build config
+    relief       of the whole body, if it is known
+    """
+
+    sources: Mapping[str, str]
+    config_text: str
+    relief: PreparedRelief | None
 
 
 class _Memory(msgspec.Struct, frozen=True):
@@ -68,17 +86,12 @@ def _meta(path: Path) -> CatalogMeta | None:
         return None
 
 
-CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
-
-
 def write(
     context: StageContext,
     points: Sequence[ControlPoint],
     output: Path,
     *,
-    sources: Mapping[str, str],
-    config_text: str,
-    relief: PreparedRelief | None,
+    extras: CatalogExtras,
     results: ChunkResults,
     workers: Workers,
     progress: Progress,
@@ -86,12 +99,10 @@ def write(
 ) -> Written:
     """Write the catalog file of points in the order of their ids, with their patches.
 
-    points       the chosen point of each cell, usable or with its flags down
-    output       the catalog; an older one stays whole until the new one is complete
-    sources      terrain models: name -> hash, for the manifest
-    config_text  the build config, for the manifest
-    relief       of the whole body, if it is known
-    results      where prepared points rest until the file is whole
+    points   the chosen point of each cell, usable or not
+    output   the catalog; an older one stays whole until the new one is complete
+    extras   what it holds beside them
+    results  where prepared points rest until the file is whole
     Raises OutputError for a place that cannot be written.
     """
     terrain, planes = context.mosaic, None
@@ -107,8 +118,8 @@ def write(
         height_step_m=context.config.write.steps_m(context.postings_m)[0],
         planes=planes,
         format_version=PLAIN_VERSION if planes is None else PLANES_VERSION,
-        sources=dict(sources),
-        config=config_text,
+        sources=dict(extras.sources),
+        config=extras.config_text,
         software=f"optnav {catalog.__version__}",
         created_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
     )
@@ -116,7 +127,7 @@ def write(
     chunks = [ordered[i : i + CHUNK_POINTS] for i in range(0, len(ordered), CHUNK_POINTS)]
     with progress.stage("write", len(ordered), "point") as shown:
         ready = results.make(prepare_chunk, context, chunks, workers, account, shown)
-        return write_catalog(output, meta, _in_order(results, ready), relief=relief)
+        return write_catalog(output, meta, _in_order(results, ready), relief=extras.relief)
 
 
 def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list[PreparedPoint]:

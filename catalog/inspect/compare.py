@@ -25,6 +25,14 @@ from catalog.store.reader import Catalog
 CONTENT = ("body", "radius_m", "cell_deg", "levels", "size", "posting_m", "height_step_m")
 OF_THE_MOMENT = ("software", "created_utc")
 NOTHING = "none"
+CERTIFICATE = (
+    "localisation_px",
+    "hessian_eigenvalue",
+    "recognition_rate",
+    "trials",
+    "uniqueness",
+    "shadow_limit_deg",
+)
 
 
 class Change(NamedTuple):
@@ -33,6 +41,122 @@ class Change(NamedTuple):
     name: str
     first: str
     second: str
+
+
+@dataclass(frozen=True)
+class ComparedCatalog:
+    """One of the two catalogs."""
+
+    path: Path
+    meta: CatalogMeta
+    only: RecordArray  # points whose id the other one has not
+
+
+class ReliefChange(NamedTuple):
+    """How two reliefs of as many rows differ.
+
+    cells        whose mean or top is another
+    mean_max_m, mean_rms_m, top_max_m  differences of all cells' means and tops
+    """
+
+    cells: int
+    mean_max_m: float
+    mean_rms_m: float
+    top_max_m: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Differences of two catalogs; arrays in the order of ascending ids, one entry a shared point
+    that differs in anything.
+
+    settings      content of the manifest that differs
+    provenance    what else the manifests tell apart: no content
+    comparable    whether ids mean the same cells; else no point is compared
+    before, after (n,) the points in the first and in the second catalog
+    moved_m       (n,) distance on the reference sphere
+    patches       (n,) bool: stored heights differ
+    height_max_m, height_rms_m  (n,) largest and rms difference of heights over all levels; NaN
+                  where the point has moved, or its patches have another shape
+    holes         (n,) nodes with a height in one of the two only
+    relief        differences of the reliefs; None where they are the same, or where one has none or
+                  other cells (then `settings` says so)
+    """
+
+    first: ComparedCatalog
+    second: ComparedCatalog
+    settings: tuple[Change, ...]
+    provenance: tuple[Change, ...]
+    comparable: bool
+    before: RecordArray
+    after: RecordArray
+    moved_m: FloatArray
+    patches: BoolArray
+    height_max_m: FloatArray
+    height_rms_m: FloatArray
+    holes: IntArray
+    relief: ReliefChange | None
+
+    @property
+    def same(self) -> bool:
+        """Whether both have the same content."""
+        return self.first.meta.digest == self.second.meta.digest
+
+    @property
+    def ids(self) -> IntArray:
+        """(n,) ids of shared points that differ."""
+        return self.before["id"].astype(np.int64)
+
+    def field_changed(self, name: str) -> BoolArray:
+        """(n,) where a field of the records differs."""
+        if name == "source":
+            one, other = self.first.meta, self.second.meta
+            return np.not_equal(_names(one, self.before), _names(other, self.after))
+        return _differs(self.before[name], self.after[name])
+
+    def field_change(self, name: str) -> FloatArray:
+        """(n,) largest difference of a field's numbers, absolute; inf from or to unknown."""
+        a, b = (_columns(records[name]) for records in (self.before, self.after))
+        levels = min(a.shape[1], b.shape[1])
+        a, b = a[:, :levels], b[:, :levels]
+        change = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(a - b))
+        largest: FloatArray = np.where(np.isnan(change), np.inf, change).max(axis=1, initial=0.0)
+        return largest
+
+
+def compare(first: str | Path, second: str | Path, progress: Progress | None = None) -> Comparison:
+    """Compare the content of two catalog files.
+
+    Raises DataError for one that is missing, damaged or no catalog.
+    """
+    with (
+        Catalog.open(first, strict=True) as a,
+        Catalog.open(second, strict=True) as b,
+        (progress or SilentProgress()).stage("compare", len(a) + len(b), "point") as stage,
+    ):
+        found = _compare(a, b, stage)
+    differs = bool(
+        found.settings
+        or len(found.first.only)
+        or len(found.second.only)
+        or len(found.ids)
+        or found.relief
+    )
+    # equal digests of different contents, or different ones of equal: one of the two is not true
+    if found.same == differs:
+        raise DataError(
+            f"{first}, {second}: a digest that they state is not that of the content; "
+            "run `optnav catalog verify` on both"
+        )
+    return found
+
+
+def require_whole(path: str | Path) -> None:
+    """Raise DataError unless all that `compare` reads of a catalog is there and undamaged."""
+    with Catalog.open(path, strict=True) as catalog:
+        for number in catalog.ids.tolist():
+            catalog.stored_patches(number)
+        catalog.relief()
 
 
 def content_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ...]:
@@ -89,131 +213,6 @@ def _flat(name: str, value: object) -> Iterator[tuple[str, str]]:
         yield name, str(value)
 
 
-CERTIFICATE = (
-    "localisation_px",
-    "hessian_eigenvalue",
-    "recognition_rate",
-    "trials",
-    "uniqueness",
-    "shadow_limit_deg",
-)
-
-
-@dataclass(frozen=True)
-class Side:
-    """One of the two catalogs."""
-
-    path: Path
-    meta: CatalogMeta
-    only: RecordArray  # points whose id the other one has not
-
-
-class ReliefChange(NamedTuple):
-    """How two reliefs of as many rows differ.
-
-    cells        whose mean or top is another
-    mean_max_m, mean_rms_m, top_max_m  differences of all cells' means and tops
-    """
-
-    cells: int
-    mean_max_m: float
-    mean_rms_m: float
-    top_max_m: float
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Differences of two catalogs; arrays in the order of ascending ids, one entry a shared point
-    that differs in anything.
-
-    settings      content of the manifest that differs
-    provenance    what else the manifests tell apart: no content
-    comparable    whether ids mean the same cells; else no point is compared
-    before, after (n,) the points in the first and in the second catalog
-    moved_m       (n,) distance on the reference sphere
-    patches       (n,) bool: stored heights differ
-    height_max_m, height_rms_m  (n,) largest and rms difference of heights over all levels; NaN
-                  where the point has moved, or its patches have another shape
-    holes         (n,) nodes with a height in one of the two only
-    relief        differences of the reliefs; None where they are the same, or where one has none or
-                  other cells (then `settings` says so)
-    """
-
-    first: Side
-    second: Side
-    settings: tuple[Change, ...]
-    provenance: tuple[Change, ...]
-    comparable: bool
-    before: RecordArray
-    after: RecordArray
-    moved_m: FloatArray
-    patches: BoolArray
-    height_max_m: FloatArray
-    height_rms_m: FloatArray
-    holes: IntArray
-    relief: ReliefChange | None
-
-    @property
-    def same(self) -> bool:
-        """Whether both have the same content."""
-        return self.first.meta.digest == self.second.meta.digest
-
-    @property
-    def ids(self) -> IntArray:
-        """(n,) ids of shared points that differ."""
-        return np.asarray(self.before["id"], dtype=np.int64)
-
-    def field_changed(self, name: str) -> BoolArray:
-        """(n,) where a field of the records differs."""
-        if name == "source":
-            one, other = self.first.meta, self.second.meta
-            return np.not_equal(_names(one, self.before), _names(other, self.after))
-        return _differs(self.before[name], self.after[name])
-
-    def field_change(self, name: str) -> FloatArray:
-        """(n,) largest difference of a field's numbers, absolute; inf from or to unknown."""
-        a, b = (_columns(records[name]) for records in (self.before, self.after))
-        levels = min(a.shape[1], b.shape[1])
-        a, b = a[:, :levels], b[:, :levels]
-        change = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(a - b))
-        return np.asarray(np.where(np.isnan(change), np.inf, change).max(axis=1, initial=0.0))
-
-
-def compare(first: str | Path, second: str | Path, progress: Progress | None = None) -> Comparison:
-    """Compare the content of two catalog files.
-
-    Raises DataError for one that is missing, damaged or no catalog.
-    """
-    with (
-        Catalog.open(first, strict=True) as a,
-        Catalog.open(second, strict=True) as b,
-        (progress or SilentProgress()).stage("compare", len(a) + len(b), "point") as stage,
-    ):
-        found = _compare(a, b, stage)
-    differs = bool(
-        found.settings
-        or len(found.first.only)
-        or len(found.second.only)
-        or len(found.ids)
-        or found.relief
-    )
-    # equal digests of different contents, or different ones of equal: one of the two is not true
-    if found.same == differs:
-        raise DataError(
-            f"{first}, {second}: a digest that they state is not that of the content; "
-            "run `optnav catalog verify` on both"
-        )
-    return found
-
-
-def require_whole(path: str | Path) -> None:
-    """Raise DataError unless all that `compare` reads of a catalog is there and undamaged."""
-    with Catalog.open(path, strict=True) as catalog:
-        for number in catalog.ids.tolist():
-            catalog.stored_patches(number)
-        catalog.relief()
-
-
 def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
     settings = content_changes(a.meta, b.meta)
     comparable = not {"body", "radius_m", "cell_deg"} & {change.name for change in settings}
@@ -266,14 +265,14 @@ def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
     return ReliefChange(cells, float(np.abs(means).max()), rms, float(np.abs(max_heights).max()))
 
 
-def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> Side:
+def _side(catalog: Catalog, shared: IntArray, comparable: bool, stage: Stage) -> ComparedCatalog:
     """What stands in one catalog only; its patches are read to know that they are whole."""
     alone = ~np.isin(catalog.ids, shared)
     for number in catalog.ids[alone].tolist():
         catalog.stored_patches(number)
         stage.advance()
     only = catalog.records[alone] if comparable else catalog.records[:0]
-    return Side(catalog.path, catalog.meta, only)
+    return ComparedCatalog(catalog.path, catalog.meta, only)
 
 
 def _same_content(one: tuple[StoredPatch, ...], other: tuple[StoredPatch, ...]) -> bool:
@@ -312,7 +311,8 @@ def _height_differences(
 def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
     """(n,) angles between unit vectors (n, 3), rad; the chord keeps its digits at small ones."""
     chord = np.linalg.norm(one - other, axis=1)
-    return np.asarray(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
+    angles: FloatArray = 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
+    return angles
 
 
 def _names(meta: CatalogMeta, records: RecordArray) -> NDArray[np.str_]:
@@ -330,4 +330,5 @@ def _differs(one: NDArray[np.generic], other: NDArray[np.generic]) -> BoolArray:
     a, b = _columns(one), _columns(other)
     levels = min(a.shape[1], b.shape[1])  # of catalogs with more and fewer levels
     a, b = a[:, :levels], b[:, :levels]
-    return np.asarray(((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1))
+    different: BoolArray = ((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1)
+    return different

@@ -146,9 +146,9 @@ def _heights_in_colour(patch: Patch) -> ByteArray:
     # ground that rises away from the north-west faces the light
     facing = strength * (eastward + southward) / np.sqrt(2.0)
     shade = np.clip(0.75 + 0.35 * facing, 0.25, 1.2)
-    toned = np.clip(colours * shade[..., None], 0.0, 255.0).astype(np.uint8)
+    toned: ByteArray = np.clip(colours * shade[..., None], 0.0, 255.0).astype(np.uint8)
     toned[~known] = _NO_DATA
-    return np.asarray(toned)
+    return toned
 
 
 def _in_grey(brightness: Float32Array) -> ByteArray:
@@ -159,4 +159,4 @@ def _in_grey(brightness: Float32Array) -> ByteArray:
     grey = np.rint(255.0 * scaled**0.8).astype(np.uint8)
     tile = np.repeat(grey[..., None], 3, axis=2)
     tile[~known] = _NO_DATA
-    return np.asarray(tile)
+    return tile

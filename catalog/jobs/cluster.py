@@ -24,8 +24,38 @@ from catalog.jobs.workspace import code_key
 log = logging.getLogger(__name__)
 
 ANSWER_S = 5.0  # for a scheduler to answer
+ARRIVE_S = 10.0  # for a first worker to be there at the start
+RETURN_S = 60.0  # for a worker to come back when all have gone: a nanny starts new ones in seconds
+LOOK_S = 2.0  # between two looks at the cluster
+# A piece of work is given up by the scheduler after some workers died over it (4 by default). It is
+# tried once more, last, for they may have died of something else.
+LOSSES_WITHOUT_PROGRESS = 1
+KEPT = "what is done is kept: give the same command again"
 # What these would say on stderr is said in a message of our own.
 NOISY = ("distributed", "tornado", "asyncio")
+
+
+class _SchedulerLostError(Exception):
+    """The scheduler does not answer any more."""
+
+
+def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
+    """The workers of the scheduler at an address, all of which must be able to read some files.
+
+    address  tcp://HOST:PORT
+    files    absolute paths that the workers will read, as far as they are known and there already
+    Raises UsageError for an address that is none or without the package `distributed`, and
+    WorkersError for a scheduler that does not answer, has no workers, or has one that would not
+    do the work as this process does.
+    """
+    check_address(address)
+    pool = ClusterPool(address)
+    try:
+        pool.need(needs_of(path for path in files if path.is_file()))
+    except BaseException:
+        pool.close()
+        raise
+    return ExecutorWorkers(pool)
 
 
 def check_address(address: str) -> None:
@@ -118,40 +148,6 @@ class Silence:
         self._levels = {}
 
 
-log = logging.getLogger(__name__)
-
-ARRIVE_S = 10.0  # for a first worker to be there at the start
-RETURN_S = 60.0  # for a worker to come back when all have gone: a nanny starts new ones in seconds
-LOOK_S = 2.0  # between two looks at the cluster
-# A piece of work is given up by the scheduler after some workers died over it (4 by default). It is
-# tried once more, last, for they may have died of something else.
-LOSSES_WITHOUT_PROGRESS = 1
-KEPT = "what is done is kept: give the same command again"
-
-
-class _SchedulerLostError(Exception):
-    """The scheduler does not answer any more."""
-
-
-def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
-    """The workers of the scheduler at an address, all of which must be able to read some files.
-
-    address  tcp://HOST:PORT
-    files    absolute paths that the workers will read, as far as they are known and there already
-    Raises UsageError for an address that is none or without the package `distributed`, and
-    WorkersError for a scheduler that does not answer, has no workers, or has one that would not
-    do the work as this process does.
-    """
-    check_address(address)
-    pool = ClusterPool(address)
-    try:
-        pool.need(needs_of(path for path in files if path.is_file()))
-    except BaseException:
-        pool.close()
-        raise
-    return ExecutorWorkers(pool)
-
-
 class ClusterPool:
     """A Pool (see workers.py) of a cluster's worker processes, one chunk at a time each."""
 
@@ -190,13 +186,11 @@ class ClusterPool:
             self._ask_all()
 
     def pack(self, context: Any) -> bytes:
-        """See Pool."""
         # 6 kB for one terrain model: no trouble to send with each chunk of seconds of work
         self.need(needs_of(files_of(context)))
         return pickle.dumps((self._needs, pickle.dumps(context)))
 
     def executor(self) -> Executor:
-        """See Pool."""
         if self._client is None:
             self._connect()
         if self._executor is None:
@@ -205,7 +199,7 @@ class ClusterPool:
         return self._executor
 
     def look(self) -> None:
-        """See Pool. Keeps `count`, tells who left; raises WorkersError when all left for good."""
+        """Keep `count`, name who left; raise WorkersError when all left for good."""
         now = time.monotonic()
         if now - self._looked < LOOK_S:
             return
@@ -222,7 +216,6 @@ class ClusterPool:
             )
 
     def survive(self, loss: Exception, losses: int) -> None:
-        """See Pool."""
         if isinstance(loss, ImportError):
             raise WorkersError(
                 f"{self.address}: a worker cannot load what it needs ({loss}); install the same "
@@ -241,13 +234,12 @@ class ClusterPool:
             ) from None
 
     def abandon(self) -> None:
-        """See Pool. A scheduler forgets the work of a client that leaves."""
+        """Leave: a scheduler forgets the work of a client that is gone."""
         client, self._client, self._executor = self._client, None, None
         if client is not None:
             client.close(timeout=ANSWER_S)
 
     def close(self) -> None:
-        """See Pool."""
         self.abandon()
         self._silence.end()
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from catalog.cache import Cache
 from catalog.errors import WorkersError
 from catalog.jobs.workers import call_in_worker
 from catalog.jobs.workspace import code_key, surroundings
@@ -88,7 +89,7 @@ def _file_state(path: Path) -> tuple[int, str]:
 
 
 _turn = threading.Lock()
-_fit_for: bytes | None = None  # hash of the last needs that were met
+_met: Cache[bytes, None] = Cache(1)  # the last needs that were met, by their hash
 
 
 def call_on_node(packed: bytes, function: Callable[[Any, Any], Any], chunk: Any) -> Any:
@@ -97,24 +98,21 @@ def call_on_node(packed: bytes, function: Callable[[Any, Any], Any], chunk: Any)
     A context's open files and caches are not safe across threads, and its memory is bounded for
     one chunk at a time.
     """
-    global _fit_for
     with _turn:
         needs, blob = pickle.loads(packed)
-        seen = hashlib.sha256(repr(needs).encode()).digest()
-        if seen != _fit_for:
-            # a worker that came while the build went on was not asked at its start
-            reason = unfit(needs)
-            if reason is not None:
-                raise WorkersError(f"{_address()}: {reason}")
-            _fit_for = seen
+        # a worker that came while the build went on was not asked at its start
+        _met.get(hashlib.sha256(repr(needs).encode()).digest(), lambda: _require(needs))
         _one_thread()
         return call_in_worker(blob, function, chunk)
 
 
-def _address() -> str:
-    from distributed import get_worker
+def _require(needs: Needs) -> None:
+    """Raise WorkersError unless this worker meets the needs."""
+    reason = unfit(needs)
+    if reason is not None:
+        from distributed import get_worker
 
-    return f"worker {get_worker().address}"
+        raise WorkersError(f"worker {get_worker().address}: {reason}")
 
 
 def _one_thread() -> None:

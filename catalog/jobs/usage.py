@@ -87,7 +87,7 @@ class StageAccount(msgspec.Struct):
         self.peak = usage.peak
         self._add_all(usage)
 
-    def _add_all(self, usage: Usage) -> None:
+    def _add_all(self, usage: "Usage | StageAccount") -> None:
         self.cpu_s += usage.cpu_s
         self.read_bytes = _sum(self.read_bytes, usage.read_bytes)
         self.written_bytes = _sum(self.written_bytes, usage.written_bytes)
@@ -126,13 +126,11 @@ class Account(msgspec.Struct):
         whole = StageAccount("total")
         for stage in self.stages:
             whole.seconds += stage.seconds
-            whole.cpu_s += stage.cpu_s
             whole.workers_cpu_s += stage.workers_cpu_s
             whole.peak = _greater(whole.peak, stage.peak)
             if stage.worker_peak is not None:
                 whole.worker_peak = _greater(whole.worker_peak, stage.worker_peak)
-            whole.read_bytes = _sum(whole.read_bytes, stage.read_bytes)
-            whole.written_bytes = _sum(whole.written_bytes, stage.written_bytes)
+            whole._add_all(stage)
         return whole
 
 
@@ -196,27 +194,38 @@ def _process() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
-_lock = threading.Lock()
-_under_way = 0
-_told = _State(0.0, 0, None, None)  # what was reported already, while work is under way
+class _Meter:
+    """Shares out what this process uses among the threads that work at the same time.
+
+    Each reports what was used since the last report, so that their sum is right.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._under_way = 0
+        self._reported = _State(0.0, 0, None, None)
+
+    def begin(self) -> None:
+        with self._lock:
+            if self._under_way == 0:
+                self._reported = _state()
+            self._under_way += 1
+
+    def end(self) -> Usage:
+        with self._lock:
+            self._under_way -= 1
+            before, self._reported = self._reported, _state()
+            return _between(before, self._reported)
+
+
+_meter = _Meter()
 
 
 def metered(work: Callable[[], R]) -> tuple[R, Usage]:
-    """Do work and tell what it used.
-
-    A process counts as a whole. Where threads of it work at the same time, each reports what was
-    used since the last report, so that their sum is right.
-    """
-    global _under_way, _told
-    with _lock:
-        if _under_way == 0:
-            _told = _state()
-        _under_way += 1
+    """Do work and tell what it used; a process counts as a whole."""
+    _meter.begin()
     try:
         result = work()
     finally:
-        with _lock:
-            _under_way -= 1
-            before, _told = _told, _state()
-            usage = _between(before, _told)
+        usage = _meter.end()
     return result, usage

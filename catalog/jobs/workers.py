@@ -20,15 +20,27 @@ from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
+from catalog.cache import Cache
 from catalog.errors import WorkersError
 
+T = TypeVar("T")
+R = TypeVar("R")
+
 HELD = (signal.SIGINT, signal.SIGTERM)
+# An interrupt that comes just before a wait begins is seen only when the wait is over.
+NOTICE_S = 0.5
+AHEAD = 2  # chunks a worker waits on or works at; more would only be lost by a kill
+# A worker that dies takes unfinished chunks with it; they are tried again while work gets done.
+DEATHS_WITHOUT_PROGRESS = 2
+THREAD_LIMITS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Hold SIGINT and SIGTERM back until the block is left; for short blocks.
 
+    Python raises KeyboardInterrupt between any two steps, also just after a library took a lock and
+    before it could promise to release it. Whoever needs that lock then waits for ever.
     Does nothing outside the main thread, where no signal arrives, or for a signal whose handler
     is not a Python function.
     """
@@ -57,17 +69,6 @@ def _held(number: signal.Signals) -> Iterator[None]:
             handler(number, came[0])
 
 
-T = TypeVar("T")
-R = TypeVar("R")
-
-# An interrupt that comes just before a wait begins is seen only when the wait is over.
-NOTICE_S = 0.5
-AHEAD = 2  # chunks a worker waits on or works at; more would only be lost by a kill
-# A worker that dies takes unfinished chunks with it; they are tried again while work gets done.
-DEATHS_WITHOUT_PROGRESS = 2
-THREAD_LIMITS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
 class Workers(Protocol):
     """Runs a function on chunks in any order."""
 
@@ -92,12 +93,11 @@ class SerialWorkers:
     def run(
         self, function: Callable[[Any, T], R], context: Any, chunks: Sequence[T]
     ) -> Iterator[tuple[int, R]]:
-        """See Workers."""
         for position, chunk in enumerate(chunks):
             yield position, function(context, chunk)
 
     def close(self) -> None:
-        """See Workers."""
+        pass
 
 
 class Pool(Protocol):
@@ -146,13 +146,12 @@ class ExecutorWorkers:
 
     @property
     def count(self) -> int:
-        """See Workers."""
         return self._pool.count
 
     def run(
         self, function: Callable[[Any, T], R], context: Any, chunks: Sequence[T]
     ) -> Iterator[tuple[int, R]]:
-        """See Workers. Raises OptnavError when workers die again and again."""
+        """Raise OptnavError when workers die again and again."""
         todo = list(range(len(chunks)))
         lost: Counter[int] = Counter()  # how often each piece took a worker with it
         packed = self._pool.pack(context)
@@ -215,7 +214,6 @@ class ExecutorWorkers:
                     pool.abandon()
 
     def close(self) -> None:
-        """See Workers."""
         self._pool.close()
 
 
@@ -247,11 +245,9 @@ class LocalPool:
         self._others: set[int | None] = set()  # child processes that are not this one's workers
 
     def pack(self, context: Any) -> bytes:
-        """See Pool."""
         return pickle.dumps(context)
 
     def executor(self) -> Executor:
-        """See Pool."""
         if self._executor is None:
             self._others = {child.pid for child in multiprocessing.active_children()}
             # spawned, not forked: a fork copies locks and threads of the numeric libraries
@@ -262,10 +258,9 @@ class LocalPool:
         return self._executor
 
     def look(self) -> None:
-        """See Pool. A dead process is told by its futures."""
+        """Do nothing: futures tell of a dead process."""
 
     def survive(self, loss: Exception, losses: int) -> None:
-        """See Pool."""
         if losses > DEATHS_WITHOUT_PROGRESS:
             raise WorkersError(
                 f"worker processes died {losses} times without finishing a piece of work "
@@ -273,7 +268,6 @@ class LocalPool:
             ) from None
 
     def abandon(self) -> None:
-        """See Pool."""
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
             self._executor = None
@@ -282,7 +276,6 @@ class LocalPool:
                 child.terminate()
 
     def close(self) -> None:
-        """See Pool."""
         if self._executor is not None:
             self._executor.shutdown()
             self._executor = None
@@ -320,13 +313,10 @@ def start_worker() -> None:
         threading.Thread(target=follow, daemon=True).start()
 
 
-_context: tuple[bytes, Any] = (b"", None)
+_contexts: Cache[bytes, Any] = Cache(1)
 
 
 def call_in_worker(blob: bytes, function: Callable[[Any, T], R], chunk: T) -> R:
     """Run a chunk with a pickled context, which is kept, with its open files, for the next."""
-    global _context
-    digest = hashlib.sha256(blob).digest()
-    if _context[0] != digest:
-        _context = (digest, pickle.loads(blob))
-    return function(_context[1], chunk)
+    context = _contexts.get(hashlib.sha256(blob).digest(), lambda: pickle.loads(blob))
+    return function(context, chunk)

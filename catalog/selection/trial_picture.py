@@ -51,6 +51,28 @@ def picture_of(
 
 
 @kernel
+def _sum_of_valid(sampled: Float32Array) -> tuple[float, int]:
+    """Sum and number of the values that are not NaN."""
+    total, valid = 0.0, 0
+    for r in range(sampled.shape[0]):
+        for c in range(sampled.shape[1]):
+            if sampled[r, c] == sampled[r, c]:
+                total += sampled[r, c]
+                valid += 1
+    return total, valid
+
+
+@kernel
+def _insert(top: Float32Array, value: np.float32) -> None:
+    """Put a value into a rising array in the place of its first element."""
+    k = 1
+    while k < top.size and top[k] < value:
+        top[k - 1] = top[k]
+        k += 1
+    top[k - 1] = value
+
+
+@kernel
 def exposed(sampled: Float32Array, noise: Float32Array, relative_noise: float) -> Float32Array:
     """Whole counts (rows, cols) of brightness with noise, NaN where the brightness is.
 
@@ -58,12 +80,7 @@ def exposed(sampled: Float32Array, noise: Float32Array, relative_noise: float) -
     relative_noise  its share of the mean brightness
     """
     rows, cols = sampled.shape
-    total, valid = 0.0, 0
-    for r in range(rows):
-        for c in range(cols):
-            if sampled[r, c] == sampled[r, c]:
-                total += sampled[r, c]
-                valid += 1
+    total, valid = _sum_of_valid(sampled)
     out = np.empty_like(sampled)
     if valid == 0:
         out[:] = np.nan
@@ -78,11 +95,7 @@ def exposed(sampled: Float32Array, noise: Float32Array, relative_noise: float) -
             value = sampled[r, c] + noise[r, c] * sigma
             out[r, c] = value
             if value > top[0]:
-                k = 1
-                while k < top.size and top[k] < value:
-                    top[k - 1] = top[k]
-                    k += 1
-                top[k - 1] = value
+                _insert(top, value)
     white = float(top[0])
     if top.size > 1:
         white += (place - below) * (float(top[1]) - white)

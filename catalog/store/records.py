@@ -26,39 +26,24 @@ SHADOW_DECIMALS = 2  # degrees
 EIGENVALUE_DIGITS = 6  # significant: it spans many powers of ten
 
 # fields that a record has under the names, and with the numbers, of a control point
-SAME = (
-    "id",
-    "lat_deg",
-    "lon_deg",
-    "radius_m",
-    "localisation_px",
-    "hessian_eigenvalue",
-    "recognition_rate",
-    "trials",
-)
+SAME = {
+    "id": "<i8",
+    "lat_deg": "<f8",
+    "lon_deg": "<f8",
+    "radius_m": "<f8",
+    "localisation_px": "<f8",
+    "hessian_eigenvalue": "<f8",
+    "recognition_rate": "<f8",
+    "trials": "<i4",
+}
 _GEOMETRY = struct.Struct("<2sBBiBIdd")
 
 
 def record_type(levels: int) -> np.dtype[np.void]:
     """Layout of a record, little-endian and unpadded; `levels` uniqueness margins."""
-    return np.dtype(
-        [
-            ("id", "<i8"),
-            ("lat_deg", "<f8"),
-            ("lon_deg", "<f8"),
-            ("radius_m", "<f8"),
-            ("localisation_px", "<f8"),
-            ("hessian_eigenvalue", "<f8"),
-            ("recognition_rate", "<f8"),
-            ("trials", "<i4"),
-            ("flags", "<i4"),
-            ("usable", "<i4"),
-            ("levels", "<i4"),
-            ("source", "<i4"),
-            ("uniqueness", "<f4", (levels,)),
-            ("shadow_limit_deg", "<f4", (SHADOW_AZIMUTHS,)),
-        ]
-    )
+    own = dict.fromkeys(("flags", "usable", "levels", "source"), "<i4")
+    lists = [("uniqueness", "<f4", (levels,)), ("shadow_limit_deg", "<f4", (SHADOW_AZIMUTHS,))]
+    return np.dtype([*SAME.items(), *own.items(), *lists])
 
 
 def _rounded(value: float, decimals: int) -> float:

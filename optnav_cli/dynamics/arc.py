@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
+from optnav_cli.reasons import ReasonCode
 
 # A right fix is farther from the arc than this once in a million.
 GATE_PROBABILITY = 1e-6
@@ -178,7 +179,7 @@ class OrbitArc:
                     break
                 self._fitted = state, (covariance + covariance.T) / 2.0
                 return self._fitted
-        raise NoSolutionError("the fixes fit no orbit")
+        raise NoSolutionError("the fixes fit no orbit", ReasonCode.NO_SOLUTION)
 
     def _first_velocity(self, speed: float) -> FloatArray:
         """A guess from the last two fixes that lie far enough apart to tell, else none."""

@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.dynamics.forces import Forces
+from optnav_cli.reasons import ReasonCode
 
 # 0.1 mm and 0.1 um/s a step, far below any fix; the transition needs fewer digits.
 RELATIVE = 1e-10
@@ -81,5 +82,7 @@ class OrbitMotion:
             rates, (0.0, since[-1]), start, "DOP853", since, rtol=RELATIVE, atol=tolerance
         )
         if not found.success or not np.isfinite(found.y).all():
-            raise NoSolutionError(f"the orbit cannot be followed for {since[-1]:.0f} s")
+            raise NoSolutionError(
+                f"the orbit cannot be followed for {since[-1]:.0f} s", ReasonCode.NO_SOLUTION
+            )
         return np.asarray(found.y)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
+from optnav_cli.reasons import ReasonCode
 
 
 @kernel
@@ -232,7 +233,10 @@ def fit_limb(
         stretched, lengths, weights, radii, sizes, start, float(cut)
     )
     if not done:
-        raise NoSolutionError("the fit of the limb does not settle on a position outside the body")
+        raise NoSolutionError(
+            "the fit of the limb does not settle on a position outside the body",
+            ReasonCode.NOT_SETTLED,
+        )
     information = weights * shares
     covariance = correlated_covariance(
         rates, residuals, information, noise, azimuths_about_nadir(rays, position)
@@ -245,14 +249,18 @@ def _checked(directions: ArrayLike, radii_m: ArrayLike) -> tuple[FloatArray, Flo
     if rays.ndim != 2 or rays.shape[1] != 3:
         raise ValueError(f"expected directions (n, 3), got {rays.shape}")
     if len(rays) < MIN_LIMB_POINTS:
-        raise NoSolutionError(f"{len(rays)} limb points; {MIN_LIMB_POINTS} are needed")
+        raise NoSolutionError(
+            f"{len(rays)} limb points; {MIN_LIMB_POINTS} are needed", ReasonCode.NOISY_LIMB
+        )
     return rays, np.ascontiguousarray(radii_m, dtype=np.float64)
 
 
 def _begin(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> FloatArray:
     start = _linear(stretched, weights, radii)
     if not np.isfinite(start[0]):
-        raise NoSolutionError("the limb points do not lie on a cone about the body")
+        raise NoSolutionError(
+            "the limb points do not lie on a cone about the body", ReasonCode.LIMB_MISFIT
+        )
     return start
 
 

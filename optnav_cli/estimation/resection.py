@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
+from optnav_cli.reasons import ReasonCode
 
 MAX_ITERATIONS = 30
 # A step below this share of its own sigma changes nothing that matters.
@@ -133,7 +134,8 @@ def resect(
     count = 2 * len(sightings) + prior_count
     if count < unknowns or len(sightings) < 2:
         raise NoSolutionError(
-            f"{len(sightings)} control points are too few for {unknowns} unknowns"
+            f"{len(sightings)} control points are too few for {unknowns} unknowns",
+            ReasonCode.FEW_POINTS,
         )
     information: FloatArray = np.linalg.inv(sightings.covariances_px2).astype(np.float64)
     reference = start.camera_from_body if measured_attitude is None else measured_attitude
@@ -161,7 +163,9 @@ def resect(
             break
         damping *= 0.1
     else:
-        raise NoSolutionError(f"the position did not settle in {MAX_ITERATIONS} iterations")
+        raise NoSolutionError(
+            f"the position did not settle in {MAX_ITERATIONS} iterations", ReasonCode.NOT_SETTLED
+        )
     residuals, _, _ = _normal_equations(camera, sightings, information, pose, unknowns)
     stated = np.linalg.inv(sightings.covariances_px2)
     normalised = np.einsum("ni,nij,nj->n", residuals, stated, residuals)
@@ -178,7 +182,9 @@ def _normal_equations(
     pixels, jacobian = predict(camera, pose, sightings.points_body_m)
     residuals = sightings.pixels - pixels
     if not np.isfinite(residuals).all():
-        raise NoSolutionError("a control point left the camera's view during the iteration")
+        raise NoSolutionError(
+            "a control point left the camera's view during the iteration", ReasonCode.NOT_SETTLED
+        )
     jacobian = jacobian[:, :, :unknowns]
     weighted = np.einsum("nik,nij->nkj", jacobian, information)
     normal = np.einsum("nkj,njl->kl", weighted, jacobian)
@@ -194,8 +200,11 @@ def _inverse(normal: FloatArray) -> FloatArray:
     """Inverse of a normal matrix whose unknowns differ by orders of magnitude."""
     scale = np.sqrt(np.diag(normal))
     if not (np.isfinite(scale).all() and (scale > 0.0).all()):
-        raise NoSolutionError("the control points do not fix all unknowns")
+        raise NoSolutionError("the control points do not fix all unknowns", ReasonCode.DEGENERATE)
     balanced = normal / np.outer(scale, scale)
     if np.linalg.cond(balanced) > 1e13:
-        raise NoSolutionError("the control points do not fix all unknowns (degenerate geometry)")
+        raise NoSolutionError(
+            "the control points do not fix all unknowns (degenerate geometry)",
+            ReasonCode.DEGENERATE,
+        )
     return np.asarray(np.linalg.inv(balanced) / np.outer(scale, scale))

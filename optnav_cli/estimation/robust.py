@@ -21,6 +21,7 @@ from optnav_cli.estimation.resection import (
     predict,
     resect,
 )
+from optnav_cli.reasons import ReasonCode
 
 MAX_PROPOSALS = 120
 MAX_GATE_ROUNDS = 15
@@ -72,7 +73,7 @@ def resect_robustly(
     least = 2 if attitude_sigma_rad is not None else 3
     for _ in range(MAX_GATE_ROUNDS):
         if used.sum() < least:
-            raise NoSolutionError("the matches contradict each other")
+            raise NoSolutionError("the matches contradict each other", ReasonCode.POINTS_DISAGREE)
         solution = resect(
             camera,
             sightings.subset(used),
@@ -192,7 +193,9 @@ def _consensus(
     size = 2 if attitude_sigma_rad is not None else 3
     n = len(sightings)
     if n < size:
-        raise NoSolutionError(f"{n} matched control points; {size} are needed")
+        raise NoSolutionError(
+            f"{n} matched control points; {size} are needed", ReasonCode.FEW_POINTS
+        )
     samples = np.array(list(combinations(range(n), size))) if n <= 40 else None
     generator = np.random.default_rng(0)
     if samples is None:
@@ -222,7 +225,7 @@ def _consensus(
         if best_count == n:
             break
     if best_count < size:
-        raise NoSolutionError(f"no {size} matches agree on a position")
+        raise NoSolutionError(f"no {size} matches agree on a position", ReasonCode.POINTS_DISAGREE)
     return best
 
 

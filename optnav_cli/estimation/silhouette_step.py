@@ -9,6 +9,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.limb_fit import MIN_LIMB_POINTS, LimbFit, correlated_covariance
+from optnav_cli.reasons import ReasonCode
 
 TUKEY = 4.685  # 95 % efficient for normal errors
 MAD_TO_SIGMA = 1.4826
@@ -37,7 +38,9 @@ def silhouette_step(
     points or points that leave a direction open.
     """
     if len(offsets) < MIN_LIMB_POINTS:
-        raise NoSolutionError(f"{len(offsets)} limb points; {MIN_LIMB_POINTS} are needed")
+        raise NoSolutionError(
+            f"{len(offsets)} limb points; {MIN_LIMB_POINTS} are needed", ReasonCode.NOISY_LIMB
+        )
     stated = 1.0 / (sigmas * sigmas)
     # begun by the absolute values' minimum, which a third of outliers does not carry away
     shares = np.ones(len(offsets))
@@ -63,6 +66,8 @@ def _solution(rates: FloatArray, information: FloatArray) -> tuple[FloatArray, F
     weighted = rates * information[:, None]
     normal = weighted.T @ rates
     if not np.linalg.cond(normal) < MAX_CONDITION:
-        raise NoSolutionError("the limb points leave a direction of the position open")
+        raise NoSolutionError(
+            "the limb points leave a direction of the position open", ReasonCode.DEGENERATE
+        )
     noise = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return noise, -noise @ weighted.T

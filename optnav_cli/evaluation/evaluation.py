@@ -17,8 +17,8 @@ from optnav_cli.evaluation.figures import (
     figures_of,
 )
 from optnav_cli.evaluation.motion import Forward, directions_of_motion
+from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.frames.truth import Truth
-from optnav_cli.solution import MatchRow, Solution
 
 WRONG_PX = 3.0  # a match further than this from the truth is a wrong one
 SAME_TIME_S = 0.01

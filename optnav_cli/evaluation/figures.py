@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from catalog.arrays import FloatArray
 from catalog.errors import DifferenceError, NothingToDoError
 from optnav_cli.evaluation.motion import Forward
-from optnav_cli.solution import Solution
+from optnav_cli.fix import Solution
 
 METHODS = {
     "brightness_centre": "brightness centre",

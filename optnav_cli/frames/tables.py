@@ -51,6 +51,7 @@ USED = _count("n_used", "of these, kept by the solution")
 STATUS = _text("status", "solved or unsolved")
 METHOD = _text("method", "how the frame was solved, or how far it got", empty=True)
 REASON = _text("reason", "why a frame is unsolved, or a remark", empty=True)
+REASON_CODE = _text("reason_code", "the code of that reason, for programs", empty=True)
 
 FRAMES = Table(
     (
@@ -93,7 +94,7 @@ SOLUTION = Table(
               "of the same time, an orbit arc", empty=True),
         _count("n_limb", "limb points that the solution rests on"),
         _number("arc_deg", "of the limb that they cover, about the nadir", "deg", "z.2f"),
-        REASON,
+        *(REASON, REASON_CODE),
     )
 )  # fmt: skip
 
@@ -114,6 +115,7 @@ MATCHES = Table(
         *_pixel("residual", "measured less predicted, after the solution"),
         Column("used", "whether the solution keeps it", "flag"),
         _text("reason", "why not", empty=True),
+        REASON_CODE,
     )
 )
 

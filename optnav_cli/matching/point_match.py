@@ -13,6 +13,8 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
+from optnav_cli.matching.search_plan import NO_DISTORTION, SearchPlan
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 MIN_VALID_SHARE = 0.6
@@ -21,35 +23,27 @@ MIN_LIT_SHARE = 0.1
 MIN_CUT_SHARE = 0.25
 # A match behind a blur has so much room to every side, nodes of those that are kept.
 MIN_ROOM = 3
-# Nodes of a reference that is not blurred that tell as much against chance as one sample.
+# Nodes of a reference without blur that count as one sample against chance.
 CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
 MARGIN_NODES = 8
 
 
+OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
+
+
 @dataclass(frozen=True)
 class MatchGates:
-    """When a found peak is believed.
+    """When a correlation peak is accepted.
 
     min_score       correlation at the peak
     rival_ratio     the best rival's score over the peak's must stay below it
-    least_strength  correlation times the root of the samples compared, where the frame may cut
+    min_strength  correlation times the root of the samples compared, where the frame may cut
     """
 
     min_score: float = 0.5
     rival_ratio: float = 0.9
-    least_strength: float = 0.0
-
-
-@dataclass(frozen=True)
-class Distortion:
-    """Rolls (rad) and scales that the picture may have against the reference."""
-
-    rolls: tuple[float, ...] = (0.0,)
-    scales: tuple[float, ...] = (1.0,)
-
-
-NO_DISTORTION = Distortion()
+    min_strength: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,78 +61,72 @@ class SeenPart:
     samples: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointMatch:
     """Where a control point was found, or why not.
 
+    reason          why the match is not used; empty when it is
     pixel           (2,) measured, None when refused before a peak was located
     covariance_px2  (2, 2) of the pixel from the peak's curvature
     offset_m        (2,) east and north of the place where the pose expected it
-    reason          empty when the match is believed
     part            what was compared, of patches finer than what is known
     """
 
     level: int
-    pixel: FloatArray | None
-    covariance_px2: FloatArray | None
-    offset_m: FloatArray | None
-    score: float | None
-    runner_up: float | None
-    reason: str
+    reason: Reason
+    pixel: FloatArray | None = None
+    covariance_px2: FloatArray | None = None
+    offset_m: FloatArray | None = None
+    score: float | None = None
+    runner_up: float | None = None
     part: SeenPart | None = None
 
 
 def match_point(
     reference: Reference,
-    level: int,
-    template_nodes: int,
-    search_nodes: int,
+    plan: SearchPlan,
     picture: PicturePyramid,
     camera: Camera,
     pose: Pose,
     sun_body: FloatArray,
-    metres_per_pixel: float,
     matcher: Matcher,
     gates: MatchGates,
-    distortion: Distortion = NO_DISTORTION,
-    blur_nodes: float = 0.0,
 ) -> PointMatch:
-    """Search a control point within `search_nodes` of where the pose expects it.
+    """Search a control point about where the pose expects it.
 
-    template_nodes  side of the reference; search_nodes  room on every side, nodes of the level
-    distortion      rolls and scales to try, where the pose may be off by so much that it shows
-    blur_nodes      sigma of a blur on both sides, where patches are finer than what is known
+    sun_body (3,) unit vector, body frame
     """
+    level, search_nodes, blur_nodes = plan.level, plan.search_nodes, plan.blur_nodes
     if blur_nodes:
         margin = int(np.ceil(MARGIN_NODES * thinning(blur_nodes)))
         search_nodes = max(search_nodes, int(np.ceil(MIN_ROOM * thinning(blur_nodes))))
     else:
         margin = MARGIN_NODES
     posting = reference.patches[level].posting_m
-    template = reference.render(level, template_nodes + 2 * margin, sun_body, pose.position_m)
-    refusal = _unfit(cropped(template, margin) if blur_nodes else template)
+    template = reference.render(level, plan.template_nodes + 2 * margin, sun_body, pose.position_m)
+    refusal = _rejection_of_template(cropped(template, margin) if blur_nodes else template)
     if refusal:
-        return PointMatch(level, None, None, None, None, None, refusal)
+        return PointMatch(level, refusal)
     border = search_nodes + margin
-    size = template_nodes + 2 * border
+    size = plan.template_nodes + 2 * border
     surface = reference.surface(level, size)
-    turn = pose.camera_from_body.as_matrix()
-    pixels = camera.project_from_body(surface, pose.position_m, turn)
-    window = picture.sample(pixels, posting / metres_per_pixel)
+    camera_from_body = pose.camera_from_body.as_matrix()
+    pixels = camera.project_from_body(surface, pose.position_m, camera_from_body)
+    window = picture.sample(pixels, posting / plan.metres_per_pixel)
     shown = np.isfinite(cropped(window, border))
     if shown.mean() < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
-        return PointMatch(level, None, None, None, None, None, "outside the frame")
+        return PointMatch(level, OUTSIDE)
     step = thinning(blur_nodes)
     if blur_nodes:
-        even = template_nodes % 2 == 0
+        even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
-        # what the frame cuts is told from what is there only by correlation with holes
+        # correlation with holes leaves out what the frame cuts
         matcher = match_masked if matcher is match_ncc else matcher
-    if distortion == NO_DISTORTION:
+    if plan.distortion == NO_DISTORTION:
         match = matcher(template, window, MARGIN_NODES)
     else:
         match = match_similarity(
-            template, window, distortion.rolls, distortion.scales, matcher, MARGIN_NODES
+            template, window, plan.distortion.rolls, plan.distortion.scales, matcher, MARGIN_NODES
         ).match
     samples = 0.0
     if blur_nodes:
@@ -146,29 +134,30 @@ def match_point(
         match = match._replace(
             dx=match.dx * step, dy=match.dy * step, covariance=match.covariance * step**2
         )
-    shift, jacobian = _displacement(pixels, match, template_nodes)
-    expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, turn)
+    shift, jacobian = _displacement(pixels, match, plan.template_nodes)
+    expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, camera_from_body)
     place = expected + shift
     part = None
     if blur_nodes:
         middle = cropped(surface, border)[shown].mean(axis=0)
-        seen = camera.project_from_body(middle, pose.position_m, turn) + shift
+        seen = camera.project_from_body(middle, pose.position_m, camera_from_body) + shift
         corners = cropped(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
         part = SeenPart(middle, seen, corners, samples)
+    covariance = None
+    if np.isfinite(match.covariance).all():
+        # White noise under a Gaussian of sigma s is correlated over 2 pi s^2 nodes: fewer
+        # samples are left.
+        each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
+        covariance = jacobian @ (match.covariance * each) @ jacobian.T
+    reason = _rejection_of_match(match, gates, samples)
     offset = np.array([match.dx, -match.dy]) * posting
-    reason = _doubt(match, gates, samples)
-    if not np.isfinite(match.covariance).all():
-        return PointMatch(level, place, None, offset, match.score, match.runner_up, reason, part)
-    # White noise under a Gaussian of sigma s is alike over 2 pi s^2 nodes: fewer samples are left.
-    each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
-    covariance = jacobian @ (match.covariance * each) @ jacobian.T
-    return PointMatch(level, place, covariance, offset, match.score, match.runner_up, reason, part)
+    return PointMatch(level, reason, place, covariance, offset, match.score, match.runner_up, part)
 
 
 def nodes_a_sample(blur_nodes: float) -> float:
-    """Nodes that tell as much against chance as one sample.
+    """Nodes that count as one sample against chance.
 
-    White noise under a Gaussian of sigma s is alike over an area of 2 pi s^2 nodes.
+    White noise under a Gaussian of sigma s is correlated over an area of 2 pi s^2 nodes.
     """
     return CHANCE_NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2
 
@@ -182,27 +171,29 @@ def _common_nodes(template: Float32Array, window: Float32Array, match: Match) ->
     return int((np.isfinite(inner) & np.isfinite(seen)).sum())
 
 
-def _unfit(template: Float32Array) -> str:
+def _rejection_of_template(template: Float32Array) -> Reason:
     valid = np.isfinite(template)
     if valid.mean() < MIN_VALID_SHARE:
-        return "no terrain data"
+        return Reason(ReasonCode.NO_TERRAIN, "no terrain data")
     if (template[valid] > 0.0).mean() < MIN_LIT_SHARE:
-        return "in shadow"
-    return ""
+        return Reason(ReasonCode.IN_SHADOW, "in shadow")
+    return NO_REASON
 
 
-def _doubt(match: Match, gates: MatchGates, samples: float) -> str:
-    # samples are counted behind a blur only
+def _rejection_of_match(match: Match, gates: MatchGates, samples: float) -> Reason:
+    score = match.score
     if not np.isfinite(match.covariance).all():
-        return "peak at the border of the search"
-    if match.score < gates.min_score:
-        return f"score {match.score:.2f} below {gates.min_score:.2f}"
-    if samples and match.score * np.sqrt(samples) < gates.least_strength:
-        wanted = gates.least_strength / np.sqrt(samples)
-        return f"score {match.score:.2f} below {wanted:.2f} over {samples:.0f} samples"
-    if match.runner_up > gates.rival_ratio * match.score:
-        return f"rival {match.runner_up:.2f} near score {match.score:.2f}"
-    return ""
+        return Reason(ReasonCode.SEARCH_BORDER, "peak at the border of the search")
+    if score < gates.min_score:
+        return Reason(ReasonCode.LOW_SCORE, f"score {score:.2f} below {gates.min_score:.2f}")
+    # samples are counted behind a blur only
+    if samples and score * np.sqrt(samples) < gates.min_strength:
+        wanted = gates.min_strength / np.sqrt(samples)
+        text = f"score {score:.2f} below {wanted:.2f} over {samples:.0f} samples"
+        return Reason(ReasonCode.LOW_SCORE, text)
+    if match.runner_up > gates.rival_ratio * score:
+        return Reason(ReasonCode.RIVAL, f"rival {match.runner_up:.2f} near score {score:.2f}")
+    return NO_REASON
 
 
 def _displacement(
@@ -225,7 +216,8 @@ def _displacement(
 
     def mean(down: int, right: int) -> FloatArray:
         block = planes[:, down : down + template_nodes, right : right + template_nodes]
-        return np.asarray(average(block, axis=(1, 2)))
+        middle: FloatArray = average(block, axis=(1, 2))
+        return middle
 
     here = (1 - v) * ((1 - u) * mean(r, c) + u * mean(r, c + 1))
     here = here + v * ((1 - u) * mean(r + 1, c) + u * mean(r + 1, c + 1))

@@ -1,11 +1,10 @@
-"""How far and at which level to search a control point, from what is believed of the pose."""
+"""At which level and how far to search a control point, from the covariance of the pose."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from catalog.arrays import FloatArray
-from optnav_cli.matching.point_match import NO_DISTORTION, Distortion
 
 # Room beyond the stated uncertainty: half a node of rounding and the error of the terrain itself.
 MARGIN_NODES = 2.0
@@ -15,7 +14,7 @@ RIM_NODES = 1.0
 MAX_STEPS = 3
 # A template wider than this share of the frame finds no place whole in it.
 MAX_TEMPLATE = 0.45
-# Fewer nodes hold too little to be told from chance.
+# Fewer nodes match by chance too often.
 MIN_TEMPLATE_NODES = 32
 # Where patches have so few levels there is no coarse one to search far at: the finest is searched
 # so many times as far.
@@ -23,11 +22,33 @@ FEW_LEVELS, WIDER = 2, 2
 
 
 @dataclass(frozen=True)
+class Distortion:
+    """Rolls (rad) and scales that the picture may have against the reference."""
+
+    rolls: tuple[float, ...] = (0.0,)
+    scales: tuple[float, ...] = (1.0,)
+
+
+NO_DISTORTION = Distortion()
+
+
+@dataclass(frozen=True)
 class SearchPlan:
-    """The level to search a point at, and the room on every side, nodes of that level."""
+    """How a control point is searched.
+
+    level             of its patches
+    template_nodes    side of the reference;  search_nodes  room on every side, nodes of the level
+    metres_per_pixel  ground sample distance at the point
+    distortion        rolls and scales to try, where the pose may be off by so much that it shows
+    blur_nodes        sigma of a blur on both sides, where patches are finer than what is known
+    """
 
     level: int
+    template_nodes: int
     search_nodes: int
+    metres_per_pixel: float
+    distortion: Distortion = NO_DISTORTION
+    blur_nodes: float = 0.0
 
 
 def finest_level(
@@ -47,21 +68,24 @@ def template_nodes(posting_m: float, frame_width_m: float, most: int) -> int:
     return min(most, max(fit, MIN_TEMPLATE_NODES))
 
 
-def plan_search(
+def search_room(
     postings_m: FloatArray,
     finest: int,
     uncertainty_m: float,
     search_sigmas: float,
     max_search_nodes: int,
-) -> SearchPlan:
-    """The finest level at which the uncertainty (1 sigma, m on the ground) fits the search room."""
+) -> tuple[int, int]:
+    """The finest level at which the uncertainty (1 sigma, m on the ground) fits the search room.
+
+    And the room on every side, nodes of that level.
+    """
     if len(postings_m) <= FEW_LEVELS:
         max_search_nodes *= WIDER
     for level in range(finest, len(postings_m)):
         nodes = int(np.ceil(search_sigmas * uncertainty_m / postings_m[level] + MARGIN_NODES))
         if nodes <= max_search_nodes:
-            return SearchPlan(level, nodes)
-    return SearchPlan(len(postings_m) - 1, max_search_nodes)
+            return level, nodes
+    return len(postings_m) - 1, max_search_nodes
 
 
 def plan_distortion(
@@ -98,4 +122,5 @@ def ground_uncertainty_m(
     """
     shift = jacobian @ pose_covariance @ np.swapaxes(jacobian, 1, 2)
     largest = np.linalg.eigvalsh(shift)[:, -1]
-    return np.asarray(np.sqrt(np.maximum(largest, 0.0)) * metres_per_pixel)
+    sigma: FloatArray = np.sqrt(np.maximum(largest, 0.0)) * metres_per_pixel
+    return sigma

@@ -12,6 +12,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, Int32Array, IntArray
 from catalog.errors import NoSolutionError
+from optnav_cli.reasons import ReasonCode
 
 BLOCK_PX = 16
 SKY_QUANTILE = 0.05  # of the blocks' means: the darkest parts of the picture are sky or night
@@ -80,12 +81,14 @@ def measure_levels(picture: Float32Array) -> Levels:
         # pixels of noise alone average out in a block
         raise NoSolutionError(
             f"no limb in view: the picture is ground all over, about {float(mean.mean()):.0f} "
-            "counts, with no sky that stands out; the body fills the picture"
+            "counts, with no sky that stands out; the body fills the picture",
+            ReasonCode.NO_SKY,
         )
     if peak - sky < MIN_CONTRAST_SIGMAS * noise:
         raise NoSolutionError(
             f"no body in the picture: its brightest parts are {max(peak - sky, 0.0):.0f} counts "
-            f"above a background of {sky:.0f} with a scatter of {noise:.1f}"
+            f"above a background of {sky:.0f} with a scatter of {noise:.1f}",
+            ReasonCode.NO_BODY,
         )
     # the glint of opposition is several times brighter than the ground: the median is not
     rough = sample[sample > sky + max(ROUGH_SHARE * (peak - sky), THRESHOLD_SIGMAS * noise)]

@@ -1,4 +1,4 @@
-"""What earlier pictures say of where a camera is now: a fix at the same time, or the orbit arc.
+"""Where earlier pictures place the camera now: a fix at the same time, or the orbit arc.
 
 Fixes are kept in inertial axes, where orbits are simple; what goes in and out is body-fixed.
 """
@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
-from optnav_cli.dynamics.arc import GATE, Fix, OrbitArc, Prediction
+from catalog.geometry.vectors import squared_distance
+from optnav_cli.dynamics.arc import GATE, OrbitArc, Prediction
+from optnav_cli.dynamics.arc import Fix as ArcFix
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.fix import Fix, PositionPrior
 
 # Cameras that are triggered together; a low orbit goes 2 m in it.
 SAME_TIME_S = 1e-3
@@ -21,27 +23,15 @@ MAX_FAR_M_S = 3000.0
 GATE_SIGMAS = 5.0
 
 
-@dataclass(frozen=True, eq=False)
-class PositionPrior:
-    """A position (3,), m, with its covariance (3, 3), body frame, and where it comes from."""
-
-    position_m: FloatArray
-    covariance_m2: FloatArray
-    source: str
-
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    belief: PositionPrior
-    tdb_s: float
-
-
 @dataclass(frozen=True)
-class Odd:
-    """How a fix lies off the arc, in words; `ended`: the arc begins anew with it."""
+class ArcDisagreement:
+    """How far a fix lies from the arc's prediction, in words.
+
+    new_arc  whether the fix begins a new arc; otherwise it is left out until the next one agrees
+    """
 
     words: str
-    ended: bool
+    new_arc: bool
 
 
 class History:
@@ -50,86 +40,89 @@ class History:
     def __init__(self, motion: Ephemeris) -> None:
         self._motion = motion
         self._arc = OrbitArc(OrbitMotion(Forces(motion)))
-        self._last: _Solved | None = None
+        self._last: tuple[float, PositionPrior] | None = None
 
     def at_same_time(self, tdb_s: float) -> PositionPrior | None:
         """The fix of another camera at a time, if there is one."""
-        if self._last is None or abs(self._last.tdb_s - tdb_s) > SAME_TIME_S:
+        if self._last is None or abs(self._last[0] - tdb_s) > SAME_TIME_S:
             return None
-        return self._last.belief
+        return self._last[1]
 
     def predict(self, tdb_s: float) -> PositionPrior | None:
         """Where the orbit arc leads; None where it says nothing of use."""
-        found = self._arc.predict(tdb_s)
-        if found is None:
+        arc = self._arc.predict(tdb_s)
+        if arc is None:
             return None
-        turn = self._motion.body_from_inertial(tdb_s)
+        body_from_inertial = self._motion.body_from_inertial(tdb_s)
         return PositionPrior(
-            turn @ found.position_m, turn @ found.covariance_m2 @ turn.T, _words(found)
+            body_from_inertial @ arc.position_m,
+            body_from_inertial @ arc.covariance_m2 @ body_from_inertial.T,
+            _arc_label(arc),
         )
 
-    def take(
-        self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray, *, sure: bool
-    ) -> Odd | None:
-        """Take in a fix; says so when it does not lie where the arc leads.
+    def add_fix(self, tdb_s: float, fix: Fix, *, confirmed: bool) -> ArcDisagreement | None:
+        """Add a fix to the arc; how it disagrees where it does not lie where the arc leads.
 
-        sure  the fix rests on two methods that agree, so that it is the arc that no longer holds
+        confirmed  two methods agree on the fix, so that it is the arc that no longer holds
         """
-        turn = self._motion.body_from_inertial(tdb_s).T
-        fix = Fix(tdb_s, turn @ position_m, turn @ covariance_m2 @ turn.T)
-        found = self._arc.add(fix, sure=sure)
-        if found is None:
+        inertial_from_body = self._motion.body_from_inertial(tdb_s).T
+        inertial = ArcFix(
+            tdb_s,
+            inertial_from_body @ fix.position_m,
+            inertial_from_body @ fix.covariance_m2 @ inertial_from_body.T,
+        )
+        contradiction = self._arc.add(inertial, sure=confirmed)
+        if contradiction is None:
             return None
-        away = float(np.linalg.norm(fix.position_m - found.predicted.position_m))
-        sigmas = float(np.sqrt(found.predicted.distance_squared(fix)))
-        whose = _words(found.predicted)
-        words = f"{away / 1e3:.1f} km ({sigmas:.0f} sigmas) from where the {whose} leads"
-        return Odd(words, found.ended)
+        predicted = contradiction.predicted
+        away = float(np.linalg.norm(inertial.position_m - predicted.position_m))
+        sigmas = float(np.sqrt(predicted.distance_squared(inertial)))
+        words = (
+            f"{away / 1e3:.1f} km ({sigmas:.0f} sigmas) from where the {_arc_label(predicted)} "
+            "leads"
+        )
+        return ArcDisagreement(words, contradiction.ended)
 
-    def exceeds_max_speed(
-        self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray
-    ) -> str:
-        """Why no craft can have come there since the last fix, in words; empty when one can.
+    def exceeds_max_speed(self, tdb_s: float, fix: Fix) -> str:
+        """Why no craft can have come to a fix since the last one, in words; empty when one can.
 
         Too fast is twice the speed that escapes the body from the lower of both places, and more
         than any craft comes with from elsewhere.
         """
         if self._last is None:
             return ""
-        since = tdb_s - self._last.tdb_s
-        before = self._motion.body_from_inertial(self._last.tdb_s).T @ self._last.belief.position_m
-        now = self._motion.body_from_inertial(tdb_s).T @ position_m
+        last_s, last = self._last
+        since = tdb_s - last_s
+        before = self._motion.body_from_inertial(last_s).T @ last.position_m
+        now = self._motion.body_from_inertial(tdb_s).T @ fix.position_m
         away = float(np.linalg.norm(now - before))
-        spreads = covariance_m2, self._last.belief.covariance_m2
-        sigma = float(np.sqrt(sum(np.linalg.eigvalsh(spread)[-1] for spread in spreads)))
+        covariances = fix.covariance_m2, last.covariance_m2
+        sigma = float(np.sqrt(sum(np.linalg.eigvalsh(each)[-1] for each in covariances)))
         lower = min(float(np.linalg.norm(before)), float(np.linalg.norm(now)))
         escape = float(np.sqrt(2.0 * self._motion.body.gm_m3_s2 / lower))
-        fastest = max(MAX_ESCAPES * escape, MAX_FAR_M_S)
-        if away - GATE_SIGMAS * sigma <= fastest * max(since, 0.0):
+        max_speed = max(MAX_ESCAPES * escape, MAX_FAR_M_S)
+        if away - GATE_SIGMAS * sigma <= max_speed * max(since, 0.0):
             return ""
         return f"{away / 1e3:.0f} km from the fix {since:.0f} s before"
 
-    def fits(self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray) -> bool:
-        """Whether a position agrees with all that is known from before."""
+    def is_consistent(self, tdb_s: float, fix: Fix) -> bool:
+        """Whether a fix agrees with the arc, and with the last fix and a possible speed."""
         predicted = self.predict(tdb_s)
         if predicted is not None:
-            offset = position_m - predicted.position_m
-            spread = covariance_m2 + predicted.covariance_m2
-            if float(offset @ np.linalg.solve(spread, offset)) >= GATE:
+            offset = fix.position_m - predicted.position_m
+            covariance = fix.covariance_m2 + predicted.covariance_m2
+            if squared_distance(offset, covariance) >= GATE:
                 return False
-        return not self.exceeds_max_speed(tdb_s, position_m, covariance_m2)
+        return not self.exceeds_max_speed(tdb_s, fix)
 
-    def keep(
-        self, tdb_s: float, position_m: FloatArray, covariance_m2: FloatArray, source: str
-    ) -> None:
-        """Remember a solved frame for other cameras at the same time."""
-        if self._last is not None and abs(self._last.tdb_s - tdb_s) <= SAME_TIME_S:
-            known = float(np.trace(self._last.belief.covariance_m2))
-            if known <= float(np.trace(covariance_m2)):
-                return
-        self._last = _Solved(PositionPrior(position_m, covariance_m2, source), tdb_s)
+    def remember(self, tdb_s: float, fix: Fix, source: str) -> None:
+        """Keep a fix for other cameras at the same time; of two at one time the sharper."""
+        known = self.at_same_time(tdb_s)
+        if known is not None and np.trace(known.covariance_m2) <= np.trace(fix.covariance_m2):
+            return
+        self._last = tdb_s, PositionPrior(fix.position_m, fix.covariance_m2, source)
 
 
-def _words(prediction: Prediction) -> str:
+def _arc_label(prediction: Prediction) -> str:
     count = prediction.fixes
     return f"arc of {count} fixes" if count > 1 else "arc of one fix"

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import ByteArray, FloatArray
 from catalog.geometry.tangent_plane import MapProjection
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import MatchRow, OutlineMarks, Solution
 from optnav_cli.output.canvas import (
     DISC,
     FOUND,
@@ -29,7 +30,6 @@ from optnav_cli.output.canvas import (
     text_width,
 )
 from optnav_cli.output.recording import describe
-from optnav_cli.solution import MatchRow, OutlineMarks, Solution
 
 AIM_PX = 26.0
 FRAME = (150, 150, 150)

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from catalog.arrays import FloatArray
 from catalog.geometry.rotations import quaternion_from_rotation
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import MatchRow, OutlineMarks, Solution
 from optnav_cli.output import foxglove
 from optnav_cli.output.canvas import eight_bits, encoded, resized, shrink_factor
-from optnav_cli.solution import MatchRow, OutlineMarks, Solution
 
 Message = dict[str, Any]
 MAX_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it

@@ -9,6 +9,7 @@ from catalog.errors import ConfigError, DataError
 from catalog.tables import Table
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
+from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.frames.run_settings import (
     FileAttitude,
     RunSettings,
@@ -17,7 +18,6 @@ from optnav_cli.frames.run_settings import (
 )
 from optnav_cli.frames.tables import CAMERA, FILE
 from optnav_cli.output.tables import read_matches, read_solutions
-from optnav_cli.solution import MatchRow, Solution
 
 SOLUTION, MATCHES = "solution.csv", "matches.csv"
 RECORDING, OVERLAYS = "run.mcap", "overlays"

@@ -11,9 +11,10 @@ from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import Row
+from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import COVARIANCE, MATCHES, POSITION, QUATERNION, SOLUTION
-from optnav_cli.solution import MatchRow, Solution, Status
+from optnav_cli.reasons import Reason, ReasonCode
 
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # where COVARIANCE stands in the matrix
 
@@ -57,6 +58,7 @@ def _solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, obj
         "n_limb": solution.n_limb,
         "arc_deg": solution.arc_deg,
         "reason": solution.reason,
+        "reason_code": solution.reason_code,
     }
     if solution.position_m is not None:
         cells |= zip(POSITION, solution.position_m, strict=True)
@@ -86,26 +88,46 @@ def _solution(row: Row, attitude: FileAttitude) -> Solution:
     position, upper = row.vector(POSITION), row.vector(COVARIANCE)
     quaternion, sigma = row.vector(QUATERNION), row.number("attitude_sigma_arcsec")
     written = None if quaternion is None else rotation_from_quaternion(*quaternion)
-    if row["status"] == "solved" and (position is None or upper is None):
-        raise DataError("a solved frame without position or covariance; run navigate again")
-    return Solution(
-        file=row["file"],
-        utc=row["utc"],
-        status=cast(Status, row["status"]),
-        method=row["method"],
-        position_m=position,
-        covariance_m2=None if upper is None else _covariance(upper),
-        camera_from_body=None if written is None else attitude.read(written, row["utc"]),
-        attitude_sigma_rad=None if sigma is None else sigma * ARCSEC,
+    reason = Reason(_reason_code(row), row["reason"])
+    evidence = Evidence(
         n_predicted=row.count("n_predicted"),
         n_matched=row.count("n_matched"),
         n_used=row.count("n_used"),
         residual_rms_px=row.number("residual_rms_px"),
-        reason=row["reason"],
-        prior=row["prior"],
         n_limb=row.count("n_limb"),
         arc_deg=row.number("arc_deg"),
     )
+    method = _method(row)
+    outcome: Fix | NoFix = NoFix(reason, method, evidence)
+    if row["status"] == "solved":
+        if position is None or upper is None or method is None:
+            raise DataError(
+                "a solved frame without method, position or covariance; run navigate again"
+            )
+        outcome = Fix(
+            method,
+            position,
+            _covariance(upper),
+            None if written is None else attitude.read(written, row["utc"]),
+            None if sigma is None else sigma * ARCSEC,
+            evidence,
+            reason,
+        )
+    return Solution(row["file"], row["utc"], outcome, row["prior"])
+
+
+def _method(row: Row) -> Method | None:
+    try:
+        return Method(row["method"]) if row["method"] else None
+    except ValueError as error:
+        raise DataError(f"method is '{row['method']}'; wanted {', '.join(Method)}") from error
+
+
+def _reason_code(row: Row) -> ReasonCode:
+    try:
+        return ReasonCode(row["reason_code"])
+    except ValueError as error:
+        raise DataError(f"'{row['reason_code']}' is no reason code") from error
 
 
 def _covariance(upper: FloatArray) -> FloatArray:
@@ -128,6 +150,7 @@ def _match_cells(match: MatchRow) -> dict[str, object]:
         "sun_elevation_deg": match.sun_elevation_deg,
         "used": match.used,
         "reason": match.reason,
+        "reason_code": match.reason_code,
     }
     cells |= _place_cells(match.cp_position_m)
     for name in ("predicted", "measured", "residual"):
@@ -160,6 +183,7 @@ def _match(row: Row) -> MatchRow:
         sun_elevation_deg=row.number("sun_elevation_deg"),
         residual_px=row.vector(_pixel("residual")),
         catalog=row["catalog"],
+        reason_code=_reason_code(row),
     )
 
 

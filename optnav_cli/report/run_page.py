@@ -1,7 +1,6 @@
 """The page about a run: how good, where, which control points, and what went wrong."""
 
 import json
-import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.evaluation.figures import method_words
 from optnav_cli.evaluation.files import EVALUATION_JSON
+from optnav_cli.fix import Solution
 from optnav_cli.output.canvas import resized, shrink_factor
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -38,7 +38,6 @@ from optnav_cli.report.page import (
     tiles,
 )
 from optnav_cli.report.svg import HALF, Plot, span
-from optnav_cli.solution import Solution
 
 MAX_FOOTPRINTS = 60
 MAX_DOTS = 4000
@@ -307,16 +306,13 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> str:
 
 
 def _refusals(run: RunFolder) -> str:
-    reasons = Counter(_kind(match.reason) for match in run.matches if not match.used)
+    reasons = Counter(
+        match.reason_code.meaning or "not used" for match in run.matches if not match.used
+    )
     if not reasons:
         return ""
     rows = [(reason, str(count)) for reason, count in sorted(reasons.items(), key=_most_first)]
     return table(("control points tried but not used: why", "times"), rows[:12])
-
-
-def _kind(reason: str) -> str:
-    """A reason without the numbers of the one match."""
-    return re.sub(r"(score|rival) \d+\.\d+", r"\1", reason) or "not used"
 
 
 def _thumbnails(run: RunFolder) -> str:

@@ -90,10 +90,10 @@ def _result(place: Path, cube: Path, picture: str, matcher: str) -> ApolloResult
 
 COLUMNS = columns(
     "matcher; used = control points used; predicted; residual_px = residual a coordinate [px] .3f; "
-    "residual_m = residual on the ground [m] .0f; position less label, R [m] +.0f; "
-    "position less label, N [m] +.0f; position less label, B [m] +.0f; sigma, R [m] .0f; "
-    "sigma, N [m] .0f; sigma, B [m] .0f; attitude from label, x [°] +.3f; "
-    "attitude from label, y [°] +.3f; attitude from label, z [°] +.3f"
+    "residual_m = residual on the ground [m] .0f; "
+    + "".join(f"correction_{a.lower()}_m = position less label, {a} [m] +.0f; " for a in "RNB")
+    + "".join(f"sigma, {a} [m] .0f; " for a in "RNB")
+    + "; ".join(f"turn_{a}_deg = attitude from label, {a} [°] +.3f" for a in "xyz")
 )
 
 
@@ -103,5 +103,4 @@ def report(result: ApolloResult) -> StudyReport:
     solved = (result.correction_rnb_m, result.sigma_rnb_m, result.turn_deg)
     errors = np.concatenate([[result.residual_px, result.residual_m], *solved])
     title = "AS15-M-0297 over GLD100 at 474 m, attitude free"
-    table = StudyTable(title, COLUMNS, ((*counts, *map(float, errors)),))
-    return StudyReport((table,), (f"run: {result.run.name}",))
+    return StudyReport((StudyTable(title, COLUMNS, ((*counts, *map(float, errors)),)),))

@@ -132,9 +132,10 @@ def limb_errors(rng: np.random.Generator, interval_deg: float, count: int) -> li
 def report(rows: Sequence[ArcRow]) -> StudyReport:
     """A table a fit: rows by arc, columns by interval."""
     intervals = "; ".join(
-        f"direction [σ, {c:g}°] .3g; radius [σ, {c:g}°] .3g" for c in INTERVALS_DEG
+        "; ".join(f"{x}_{c:g}_deg = {x} [σ, {c:g}°] .3g" for x in ("direction", "radius"))
+        for c in INTERVALS_DEG
     )
-    heads = columns(f"arc [°] .0f; {intervals}; unsolved [%] .0f")
+    heads = columns(f"arc_deg = arc [°] .0f; {intervals}; unsolved [%] .0f")
     tables = []
     for fit in FITS:
         lines = []

@@ -26,9 +26,14 @@ from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import NO_DISTORTION, Distortion, MatchGates, match_point
+from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
-from optnav_cli.matching.search_plan import plan_distortion
+from optnav_cli.matching.search_plan import (
+    NO_DISTORTION,
+    Distortion,
+    SearchPlan,
+    plan_distortion,
+)
 from optnav_cli.navigation.settings import MatchSettings
 from optnav_cli.simulation.region_ground import WHOLE, TruthTerrain
 from optnav_cli.simulation.sections import SensorSettings
@@ -301,9 +306,15 @@ class Look:
         distance = float(np.linalg.norm(stated.position_m - place))
         sample = distance / self.camera.focal_length_px
         match = match_point(
-            point, level, TEMPLATE_NODES, SEARCH_NODES, picture, self.camera, stated,
-            self.scene.sun_body, sample, matcher, self.gates, distortion,
-        )  # fmt: skip
+            point,
+            SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion),
+            picture,
+            self.camera,
+            stated,
+            self.scene.sun_body,
+            matcher,
+            self.gates,
+        )
         if match.pixel is None:
             return None, False
         truth = self.camera.project_from_body(

@@ -151,7 +151,7 @@ def _direction(elevation_deg: float, azimuth_deg: float) -> FloatArray:
 
 
 COLUMNS = columns(
-    "emission [°] .0f; correlation [mean] .3f; correlation [least] .3f; "
+    "emission_deg = emission [°] .0f; correlation [mean] .3f; correlation [least] .3f; "
     "shift_mean = rms shift [mean, nodes] .2f; "
     "shift_greatest = rms shift [greatest, nodes] .2f"
 )

@@ -101,7 +101,10 @@ def one_geometry(
 
 def report(rows: Sequence[ResectionRow]) -> StudyReport:
     """Two tables: rows by the number of points, columns by intersection angle."""
-    angles = "; ".join(f"horizontal [σ, {a:g}°] .2f; height [σ, {a:g}°] .2f" for a in ANGLES_DEG)
+    angles = "; ".join(
+        "; ".join(f"{x}_{a:g}_deg = {x} [σ, {a:g}°] .2f" for x in ("horizontal", "height"))
+        for a in ANGLES_DEG
+    )
     heads = columns(f"points; {angles}")
     tables = []
     for free in (False, True):

@@ -20,10 +20,10 @@ import numpy as np
 
 from catalog.bodies.body import load_body
 from catalog.build import check, render, select
-from catalog.build.cell_map import Ground, cell_ground, separation_places, suns_of
-from catalog.build.check import outcomes_at
+from catalog.build.cell_map import CellGround, cell_ground, separation_places, suns_of
 from catalog.build.config import BodySettings, BuildConfig
 from catalog.build.context import StageContext
+from catalog.build.trials import outcomes_at
 from catalog.config import resource
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress
@@ -98,8 +98,8 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     """All strategies on all cells that lie on the terrain with their fine patches."""
     grounds = free_grounds(context)
     shortlists = render.render_chunk(context, list(grounds))
-    records = check.check_chunk(context, select.select(context, shortlists))
-    chosen = {record.cell: (record.lat_deg, record.lon_deg) for record in records}
+    points = check.check_chunk(context, select.select(context, shortlists))
+    chosen = {point.id: (point.lat_deg, point.lon_deg) for point in points}
     rounds = -(-trials // (SUNS * len(grounds)))
     outcomes: dict[str, list[Outcome]] = {
         name: [] for name in ("random", "one-Sun corner", "one-Sun Harris", "chosen")
@@ -130,7 +130,7 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     )
 
 
-def free_grounds(context: StageContext) -> dict[int, Ground]:
+def free_grounds(context: StageContext) -> dict[int, CellGround]:
     """Grounds by cell, of all cells that lie on the terrain with most of their places' patches."""
     grounds = {}
     for cell in range(context.grid.total):
@@ -142,12 +142,12 @@ def free_grounds(context: StageContext) -> dict[int, Ground]:
     return grounds
 
 
-def _mostly_free(ground: Ground) -> bool:
+def _mostly_free(ground: CellGround) -> bool:
     """Whether there is a choice: cells on the terrain's edge leave the same few places to all."""
     return bool((ground.inside & ground.whole).sum() >= MIN_FREE * ground.inside.sum())
 
 
-def _random(ground: Ground, seed: Sequence[int]) -> tuple[float, float]:
+def _random(ground: CellGround, seed: Sequence[int]) -> tuple[float, float]:
     places = np.argwhere(ground.inside & ground.whole)
     row, col = places[np.random.default_rng(seed).integers(len(places))]
     return float(ground.lat[row, col]), float(ground.lon[row, col])
@@ -155,7 +155,7 @@ def _random(ground: Ground, seed: Sequence[int]) -> tuple[float, float]:
 
 def _one_sun_harris(
     context: StageContext,
-    grounds: dict[int, Ground],
+    grounds: dict[int, CellGround],
     turn: int,
     window: int | None = None,
 ) -> dict[int, tuple[float, float]]:

@@ -22,7 +22,7 @@ Cell = str | int | float | None
 
 DIGITS = 6  # significant ones that a table keeps: more than it shows, fewer than machines differ in
 INNERMOST = re.compile(r"[\[{]\n[^\[\]{}]*[\]}]")  # lists and objects that hold no further ones
-COLUMN = re.compile(r"(?:(\w+) = )?(.+?)(?: \[(.+?)\])?(?: (g|\+?\.\d[fg]))?")
+COLUMN = re.compile(r"(?:([\w.]+) = )?(.+?)(?: \[(.+?)\])?(?: (g|\+?\.\d[fg]))?")
 MAX_ACROSS = 10  # a table of one row and more columns than these is shown as a list
 
 
@@ -108,6 +108,10 @@ class StudyTable:
 
     def to_markdown(self) -> str:
         """The table for a document, without its title."""
+        if len(self.rows) == 1 and len(self.columns) > MAX_ACROSS:
+            pairs = zip(self.columns, self.rows[0])
+            lines = [f"| {c.title} | {c.shown(cell)} {c.unit}".rstrip() + " |" for c, cell in pairs]
+            return "\n".join(["| | |", "|---|---|", *lines])
         heads = [f"{c.title}, {c.unit}" if c.unit else c.title for c in self.columns]
         rules = ["---" if left else "---:" for left in self._is_text()]
         body = [[c.shown(cell) for c, cell in zip(self.columns, r)] for r in self.rows]

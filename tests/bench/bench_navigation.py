@@ -11,17 +11,19 @@ from catalog.build import build
 from catalog.config import resource
 from catalog.store.reader import Catalog
 from optnav_cli.estimation.resection import Pose
+from optnav_cli.fix import Solution
 from optnav_cli.frames.apollo import write_apollo_folder
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
+from optnav_cli.matching.search_plan import SearchPlan
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.expectation import FrameContext, expected
 from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.observation import observation_of
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.runs.catalogs import open_field
-from optnav_cli.runs.frame_job import MATCHERS, FrameResult, solve_frame
+from optnav_cli.runs.navigate_folder import MATCHERS, open_field, solve_frame
 from optnav_cli.studies.apollo import CUBE, PICTURE
 from tests.bench.timing import best, one_core, within
 
@@ -51,24 +53,23 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     write_apollo_folder(resource(PICTURE), resource(CUBE), place / "pictures")
     folder = read_folder(place / "pictures")
     with Catalog.open(catalog) as opened:
-        yield Scene(folder, open_field([opened], folder))
+        yield Scene(folder, open_field([opened], folder.body))
 
 
-def solve_first(scene: Scene, matcher: str) -> FrameResult:
+def solve_first(scene: Scene, matcher: str) -> Solution:
     """The frame by a navigator that has seen no other."""
     folder = scene.folder
     world = NavigationInputs(
         scene.points, folder.motion, None, NavigateSettings(), MATCHERS[matcher]
     )
-    return solve_frame(folder, folder.frames[0], Navigator(world))
+    return solve_frame(folder, folder.frames[0], Navigator(world))[0]
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
 def test_a_frame_on_one_core(scene, matcher):
     with one_core():
-        result = solve_first(scene, matcher)
+        row = solve_first(scene, matcher)
         seconds = best(lambda: solve_first(scene, matcher), 10)
-    row = result.solution
     assert row.solved, row.reason
     print(
         f"\n  a frame, {row.n_predicted} control points, {matcher:<4} attitude free  "
@@ -84,10 +85,15 @@ def test_a_control_point_over_all_levels(scene, matcher):
     """Each level rendered, resampled and searched; the coarsest one is wider than the frame."""
     frame = scene.folder.frames[0]
     camera = scene.folder.cameras[frame.camera]
-    solved = solve_first(scene, "ncc").solution
-    picture = PicturePyramid(load_picture(scene.folder.picture_path(frame), camera).values)
+    solved = solve_first(scene, "ncc")
+    read = load_picture(scene.folder.picture_path(frame), camera)
+    picture = PicturePyramid(read.values)
     context = FrameContext(
-        picture, camera, frame.sun_body, scene.points, NavigateSettings(), MATCHERS[matcher]
+        observation_of(frame, camera, read),
+        picture,
+        scene.points,
+        NavigateSettings(),
+        MATCHERS[matcher],
     )
     pose = Pose(solved.position_m, solved.camera_from_body)
     view = expected(context, pose, whole=True)
@@ -96,17 +102,25 @@ def test_a_control_point_over_all_levels(scene, matcher):
     sample = float(view.metres_per_pixel[middle])
     levels = range(len(reference.patches))
 
+    def plan(level):
+        template = context.template_nodes(reference.patches[level].posting_m, sample, 0.0)
+        room = COARSEST_NODES if level >= levels[-2] else NEXT_NODES
+        return SearchPlan(level, template, room, sample)
+
     def call():
         return [
             match_point(
-                reference, level,
-                context.template_nodes(reference.patches[level].posting_m, sample, 0.0),
-                COARSEST_NODES if level >= levels[-2] else NEXT_NODES,
-                picture, camera, pose, frame.sun_body, sample, MATCHERS[matcher],
+                reference,
+                plan(level),
+                picture,
+                camera,
+                pose,
+                frame.sun_body,
+                MATCHERS[matcher],
                 MatchGates(0.0, 1.1),
             )
             for level in levels
-        ]  # fmt: skip
+        ]
 
     with one_core():
         found = call()

@@ -69,11 +69,19 @@ def test_an_interrupted_build_ends_at_once_with_its_workers(
     wait_for_the_end_of(process.pid)
 
 
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What a build says that nobody stops."""
+    return _digest(tmp_path_factory.mktemp("undisturbed"))
+
+
+@pytest.mark.parametrize(
+    "stages", [("overviews", "render: 4 cells"), ("check: 4 cells", "write: 4")]
+)
 def test_a_build_killed_again_and_again_goes_on_to_the_same_catalog(
-    started: Start, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+    stages: tuple[str, ...], undisturbed: str, started: Start, tmp_path: Path
 ) -> None:
-    undisturbed = _digest(tmp_path_factory.mktemp("undisturbed"))
-    for stage in ("overviews", "render: 4 cells", "check: 4 cells", "write: 4"):
+    for stage in stages:
         with started(stage) as process:
             process.kill()
         wait_for_the_end_of(process.pid)
@@ -86,10 +94,9 @@ def test_a_build_killed_again_and_again_goes_on_to_the_same_catalog(
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds workers in /proc")
 def test_builds_and_workers_killed_at_any_moment_end_with_the_same_catalog(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+    undisturbed: str, tmp_path: Path
 ) -> None:
     """The command as people give it, killed by the clock; a quicker test kills forked builds."""
-    undisturbed = _digest(tmp_path_factory.mktemp("undisturbed"))
     rng = random.Random(20)
     kills = rounds = 0
     while kills < 25:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from catalog.arrays import ByteArray
 from catalog.config import resource
 from optnav_cli.console import ConsoleProgress
 from optnav_cli.main import cli
@@ -51,7 +52,7 @@ def main(freeze: bool, draw: bool, plot: bool, work: Path) -> None:
         click.echo(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
 
 
-def _pictures(work: Path) -> dict[str, sketch.Picture]:
+def _pictures(work: Path) -> dict[str, ByteArray]:
     from optnav_cli.commands.demo import command as demo
 
     progress = ConsoleProgress()

@@ -6,7 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from tests.golden.__main__ import main
+from tests.golden.documents import DOCUMENTS
 from tests.golden.values import LAWS, NODES, SUNS, frozen, golden_values
 
 README = Path(__file__).with_name("readme")
@@ -85,3 +88,13 @@ def test_the_curves_of_the_readme_are_small_drawings():
             for element in root.iter("{http://www.w3.org/2000/svg}" + shape)
         ]
         assert len(drawn) > 30, f"{path.name} is nearly empty"
+
+
+def test_the_command_that_makes_them_anew_starts():
+    result = CliRunner().invoke(main, ["--no-values", "--no-pictures", "--no-curves"])
+    assert (result.exit_code, result.output) == (0, "")
+
+
+def test_every_picture_is_shown_in_a_readme():
+    texts = "".join(path.read_text(encoding="utf-8") for path in DOCUMENTS)
+    assert [p.name for p in README.iterdir() if f"readme/{p.name})" not in texts] == []

@@ -10,9 +10,10 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.rotations import quaternion_from_rotation, rnb_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.fix import MatchRow
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.output.tables import write_matches, write_solutions
-from optnav_cli.solution import MatchRow, solved, unsolved
+from tests.optnav_cli.rows import solved, unsolved
 
 CAMERA = Camera("unk", "pinhole", 512, 512, 1046.0, (255.5, 255.5))
 RADIUS_M = 1737400.0

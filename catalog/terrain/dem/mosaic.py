@@ -55,7 +55,7 @@ class Mosaic:
 
     def _reset(self) -> None:
         self._cache = tile_cache()
-        self._sheets: dict[tuple[int, int], LevelWindows] = {}
+        self._levels: dict[tuple[int, int], LevelWindows] = {}
         self._feathers: dict[int, Feather | None] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -215,7 +215,7 @@ class Mosaic:
                 pixels = pixels.part(wanted)
             level = pyramid.level_for(posting_m)
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-            found = sample_level(self.sheet(i, level), pixels, rows_wide)
+            found = sample_level(self.level_windows(i, level), pixels, rows_wide)
             known = ~np.isnan(found)
             weight = known.astype(np.float64)
             feather = self._feather(i)
@@ -240,11 +240,11 @@ class Mosaic:
             self._feathers[i] = None if hard or last else Feather(i, pyramid, self._cache)
         return self._feathers[i]
 
-    def sheet(self, i: int, level: int) -> LevelWindows:
+    def level_windows(self, i: int, level: int) -> LevelWindows:
         """One level of a source, by its number."""
-        if (i, level) not in self._sheets:
-            self._sheets[i, level] = LevelWindows(i, self.pyramids[i], level, self._cache)
-        return self._sheets[i, level]
+        if (i, level) not in self._levels:
+            self._levels[i, level] = LevelWindows(i, self.pyramids[i], level, self._cache)
+        return self._levels[i, level]
 
 
 def _composed(layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count: int) -> Sampled:

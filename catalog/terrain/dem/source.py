@@ -128,7 +128,12 @@ class DemSource:
             settings=settings,
             body=body,
             place=place,
-            convert=Conversion(scale * factor, offset * factor, nodata, lowest),
+            convert=Conversion(
+                scale * factor,
+                offset * factor,
+                np.nan if nodata is None else float(nodata),
+                lowest,
+            ),
             heights="height",
             units=units,
             dtype=dtype,
@@ -163,10 +168,7 @@ class DemSource:
         elif abs(offset_given - radius) < RADIUS_TOLERANCE * radius:
             self.heights = "radius"
         if self.heights == "radius":
-            old = self.convert
-            self.convert = Conversion(
-                old.scale_m, old.offset_m - radius, old.nodata, old.lowest_valid
-            )
+            self.convert = self.convert._replace(offset_m=self.convert.offset_m - radius)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -31,7 +31,10 @@ def mirrored_poles(place: Georeference) -> tuple[bool, bool]:
 
 
 class LevelWindows:
-    """One level of a pyramid as an endless sheet, its columns averaged 2^halvings at a time."""
+    """One level of a pyramid, going on across ±180° and the poles.
+
+    Its columns are averaged 2^halvings at a time.
+    """
 
     def __init__(
         self,
@@ -78,7 +81,7 @@ class LevelWindows:
         return self._halved[halvings]
 
     def window(self, row0: int, col0: int, height: int, width: int) -> Float32Array:
-        """Heights (height, width); NaN where the sheet has none.
+        """Heights (height, width); NaN where the level has none.
 
         Rows beyond a pole are those of the meridian on its other side.
         """

@@ -23,79 +23,8 @@ from catalog.arrays import BoolArray, Float32Array
 from catalog.errors import DataError, OutputError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
-from catalog.terrain.dem.conversion import HEIGHTS, is_height
+from catalog.terrain.dem.conversion import HEIGHTS, Conversion, is_height
 from catalog.terrain.dem.source import DemSettings, DemSource
-
-
-@kernel
-def extremes(
-    raw: NDArray[Any],
-    scale: float,
-    offset: float,
-    lowest_valid: float,
-    nodata: float,
-    nodata32: float,
-) -> tuple[float, float, int, int]:
-    """Lowest and highest height, number of valid and of all values."""
-    lowest, highest, valid = np.inf, -np.inf, 0
-    for i in range(raw.shape[0]):
-        for j in range(raw.shape[1]):
-            value = float(raw[i, j])
-            if is_height(value, lowest_valid, nodata, nodata32):
-                height = value * scale + offset
-                lowest, highest = min(lowest, height), max(highest, height)
-                valid += 1
-    return lowest, highest, valid, raw.size
-
-
-@kernel
-def mark_holes(
-    raw: NDArray[Any],
-    lowest_valid: float,
-    nodata: float,
-    nodata32: float,
-    block: int,
-    whole: BoolArray,
-) -> None:
-    """Clear the blocks that have a pixel without data."""
-    for i in range(raw.shape[0]):
-        for j in range(raw.shape[1]):
-            if not is_height(float(raw[i, j]), lowest_valid, nodata, nodata32):
-                whole[i // block, j // block] = False
-
-
-@kernel
-def halve_raw(
-    raw: NDArray[Any],
-    scale: float,
-    offset: float,
-    lowest_valid: float,
-    nodata: float,
-    nodata32: float,
-    step: float,
-) -> Float32Array:
-    """Means of 2 x 2 counts as heights rounded to `step`; at least half of what is there is valid.
-
-    An odd last row or column has fewer than four counts to average.
-    """
-    rows, cols = raw.shape
-    out = np.empty(((rows + 1) // 2, (cols + 1) // 2), np.float32)
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            total, valid, there = 0.0, 0, 0
-            for r in range(2 * i, min(2 * i + 2, rows)):
-                for c in range(2 * j, min(2 * j + 2, cols)):
-                    value = float(raw[r, c])
-                    there += 1
-                    if is_height(value, lowest_valid, nodata, nodata32):
-                        total += value
-                        valid += 1
-            if 2 * valid >= there and valid > 0:
-                out[i, j] = np.round((total / valid * scale + offset) / step) * step
-            else:
-                out[i, j] = np.nan
-    return out
-
 
 FORMAT = 2  # of the overview folder; another number means: make it again
 BLOCK = 256  # pixels a side of the overviews' tiles
@@ -132,6 +61,12 @@ class PyramidRecord(msgspec.Struct, frozen=True):
 
 @dataclass
 class _Statistics:
+    """What reading a source found.
+
+    whole  blocks of WHOLE_BLOCK pixels a side that have all their pixels
+    """
+
+    whole: BoolArray
     lowest: float = math.inf
     highest: float = -math.inf
     valid: int = 0
@@ -165,26 +100,25 @@ def level_count(shape: tuple[int, int]) -> int:
 def write_levels(
     source: DemSource, folder: Path, workers: int, progress: Progress
 ) -> PyramidRecord:
-    """Write all overviews of a source into a folder and tell what was found on the way.
+    """Write all overviews of a source into a folder; returns what reading it found.
 
     Raises DataError for a damaged file, one without data or with impossible heights, OutputError
     when the folder cannot be written.
     """
     levels = level_count(source.shape)
-    rows, cols = source.block_shape
-    copied = cols > MAX_STRIP and rows <= 16
+    copied = _is_copied(source)
     if copied:
         _copy_into_tiles(source, folder, progress)
-    statistics = _Statistics()
-    whole = np.ones(tuple(-(-side // WHOLE_BLOCK) for side in source.shape), dtype=bool)
+    blocks = tuple(-(-side // WHOLE_BLOCK) for side in source.shape)
+    statistics = _Statistics(np.ones(blocks, dtype=bool))
     for first in range(0, max(1, levels - 1), CASCADE):
         made = min(CASCADE, levels - 1 - first)
-        _cascade(source, folder, first, made, copied, statistics, whole, workers, progress)
+        _cascade(source, folder, first, made, statistics, workers, progress)
     if statistics.valid == 0:
         raise DataError(f"{source.path}: has no data at all; check `nodata` and the file")
     source.check_heights(statistics.lowest, statistics.highest)
     if statistics.valid < statistics.total:
-        np.save(whole_blocks_path(folder), whole)
+        np.save(whole_blocks_path(folder), statistics.whole)
     return PyramidRecord(
         format=FORMAT,
         settings=source.settings,
@@ -202,14 +136,18 @@ def write_levels(
     )
 
 
+def _is_copied(source: DemSource) -> bool:
+    """Whether a source made of strips is copied into tiles first."""
+    rows, cols = source.block_shape
+    return cols > MAX_STRIP and rows <= 16
+
+
 def _cascade(
     source: DemSource,
     folder: Path,
     first: int,
     made: int,
-    copied: bool,
     statistics: _Statistics,
-    whole: BoolArray,
     workers: int,
     progress: Progress,
 ) -> None:
@@ -217,7 +155,7 @@ def _cascade(
     shape = level_shape(source.shape, first)
     step = 2.0 ** math.floor(math.log2(source.posting_m * ROUNDING))
     convert = source.convert if first == 0 else HEIGHTS
-    path = level_path(folder, first) if first > 0 or copied else None
+    path = level_path(folder, first) if first > 0 or _is_copied(source) else None
     windows = [
         (row, col, min(WINDOW, shape[0] - row), min(WINDOW, shape[1] - col))
         for row in range(0, shape[0], WINDOW)
@@ -234,17 +172,16 @@ def _cascade(
             with rasterio.open(path) as dataset:
                 row, col, height, width = window
                 raw = dataset.read(1, window=Window(col, row, width, height))
-        limits = convert.limits
-        part = extremes(raw, convert.scale_m, convert.offset_m, *limits)
+        part = extremes(raw, convert)
         if first == 0 and part[2] < part[3]:
             # windows begin at whole blocks: each writes its own part
             at = window[0] // WHOLE_BLOCK, window[1] // WHOLE_BLOCK
-            mark_holes(raw, *limits, WHOLE_BLOCK, whole[at[0] :, at[1] :])
+            mark_holes(raw, convert, WHOLE_BLOCK, statistics.whole[at[0] :, at[1] :])
         grids = []
         if made > 0:
-            grids.append(halve_raw(raw, convert.scale_m, convert.offset_m, *limits, step))
+            grids.append(halve_raw(raw, convert, step))
         while len(grids) < made:
-            grids.append(halve_raw(grids[-1], 1.0, 0.0, -math.inf, math.nan, math.nan, step))
+            grids.append(halve_raw(grids[-1], HEIGHTS, step))
         return part, grids
 
     outputs = [_create(source, folder, first + 1 + k) for k in range(made)]
@@ -343,3 +280,52 @@ def _copy_into_tiles(source: DemSource, folder: Path, progress: Progress) -> Non
             raw = source.read_raw(row, 0, height, cols)
             copy.write(raw, 1, window=Window(0, row, cols, height))
             stage.advance()
+
+
+@kernel
+def extremes(raw: NDArray[Any], convert: Conversion) -> tuple[float, float, int, int]:
+    """Lowest and highest height, number of valid and of all values."""
+    lowest, highest, valid = np.inf, -np.inf, 0
+    for i in range(raw.shape[0]):
+        for j in range(raw.shape[1]):
+            value = float(raw[i, j])
+            if is_height(value, convert):
+                height = value * convert.scale_m + convert.offset_m
+                lowest, highest = min(lowest, height), max(highest, height)
+                valid += 1
+    return lowest, highest, valid, raw.size
+
+
+@kernel
+def mark_holes(raw: NDArray[Any], convert: Conversion, block: int, whole: BoolArray) -> None:
+    """Clear the blocks that have a pixel without data."""
+    for i in range(raw.shape[0]):
+        for j in range(raw.shape[1]):
+            if not is_height(float(raw[i, j]), convert):
+                whole[i // block, j // block] = False
+
+
+@kernel
+def halve_raw(raw: NDArray[Any], convert: Conversion, step: float) -> Float32Array:
+    """Means of 2 x 2 counts as heights rounded to `step`; at least half of what is there is valid.
+
+    An odd last row or column has fewer than four counts to average.
+    """
+    rows, cols = raw.shape
+    out = np.empty(((rows + 1) // 2, (cols + 1) // 2), np.float32)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            total, valid, there = 0.0, 0, 0
+            for r in range(2 * i, min(2 * i + 2, rows)):
+                for c in range(2 * j, min(2 * j + 2, cols)):
+                    value = float(raw[r, c])
+                    there += 1
+                    if is_height(value, convert):
+                        total += value
+                        valid += 1
+            if 2 * valid >= there and valid > 0:
+                mean = total / valid * convert.scale_m + convert.offset_m
+                out[i, j] = np.round(mean / step) * step
+            else:
+                out[i, j] = np.nan
+    return out

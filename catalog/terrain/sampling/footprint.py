@@ -1,10 +1,12 @@
 """Heights of points from one level of a raster, each the mean over the point's footprint.
 
 Points are sorted to the windows that are read for them; `footprint_means` takes the means. Toward
-the poles of a cylindrical map columns crowd. A point there reads the rows of its level with
+the poles of a cylindrical map columns lie closer. A point there reads the rows of its level with
 columns averaged two and two as often as its footprint is wide, so that two or three samples do
 wherever it lies.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,37 +17,58 @@ from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
 from catalog.terrain.sampling.map_nodes import Pixels
 
 # Columns averaged into one node. Beyond it (the last postings about a pole) samples are spread:
-# rasters are oversampled there, so neighbours in a row say the same.
+# rasters are oversampled there, so neighbours in a row have the same height.
 MAX_COLUMNS = 64
 MAX_ROWS = 16  # the same of rows: more only where a posting is far coarser than the last level
+
+
+class Corner(NamedTuple):
+    """Where a window of a level lies in the raster.
+
+    per_row, per_col  rows and columns of the level in one of the raster
+    row0, col0        first row and column of the window, of the level
+    """
+
+    per_row: float
+    per_col: float
+    row0: int
+    col0: int
+
+
+class Footprint(NamedTuple):
+    """The size of footprints, rows and columns of the level.
+
+    rows_wide      height
+    columns_wide   width where the column scale is 1
+    widest         columns of the whole turn
+    largest_scale  largest column scale of the points
+    """
+
+    rows_wide: float
+    columns_wide: float
+    widest: float
+    largest_scale: float
 
 
 @kernel
 def means_over_footprints(
     window: Float32Array,
-    rows: FloatArray,
-    cols: FloatArray,
-    column_scale: FloatArray,
+    pixels: Pixels,
     chosen: IntArray,
-    per_row: float,
-    per_col: float,
-    row0: int,
-    col0: int,
-    rows_wide: float,
-    crowding_wide: float,
-    widest: float,
-    most_crowding: float,
+    corner: Corner,
+    footprint: Footprint,
     out: Float32Array,
 ) -> None:
-    """Means of cubic samples over footprints of `rows_wide` rows and crowding-wide columns.
+    """Means of cubic samples over the footprints of the chosen points.
 
     A footprint below 1.5 pixels is one sample: the level was chosen to fit.
     """
+    rows, cols, column_scale = pixels
+    per_row, per_col, row0, col0 = corner
+    rows_wide, columns_wide, widest, largest_scale = footprint
     down = samples_across(rows_wide, MAX_ROWS)
-    single = (
-        down == 1 and samples_across(min(most_crowding * crowding_wide, widest), MAX_COLUMNS) == 1
-    )
-    if single:
+    along = samples_across(min(largest_scale * columns_wide, widest), MAX_COLUMNS)
+    if down == 1 and along == 1:
         for i in chosen:
             row = (rows[i] + 0.5) * per_row - 0.5 - row0
             col = (cols[i] + 0.5) * per_col - 0.5 - col0
@@ -57,7 +80,7 @@ def means_over_footprints(
     for i in chosen:
         row = (rows[i] + 0.5) * per_row - 0.5 - row0
         col = (cols[i] + 0.5) * per_col - 0.5 - col0
-        wide = min(column_scale[i] * crowding_wide, widest)
+        wide = min(column_scale[i] * columns_wide, widest)
         along = samples_across(wide, MAX_COLUMNS)
         if down == 1 and along == 1:
             out[i] = _single(window, row, col)
@@ -247,60 +270,52 @@ def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolAr
 
 
 def _in_pieces(
-    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
+    level: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
 ) -> None:
     """Sample through one window, or through one for each part of the raster that is touched."""
-    _, _, height, width = _bounds(sheet, rows_wide, _extent(*pixels, chosen))
+    _, _, height, width = _bounds(level, rows_wide, _extent(*pixels, chosen))
     if height * width <= MAX_WINDOW:
-        _through_window(sheet, pixels, chosen, rows_wide, out)
+        _through_window(level, pixels, chosen, rows_wide, out)
         return
-    row = pixels.row[chosen] / (PIECE * sheet.scale)
-    col = pixels.col[chosen] / (PIECE * sheet.scale * sheet.squeeze)
+    row = pixels.row[chosen] / (PIECE * level.scale)
+    col = pixels.col[chosen] / (PIECE * level.scale * level.squeeze)
     key = np.floor(row) * 1e6 + np.floor(col)
     order = np.argsort(key, kind="stable")
     for those in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        _through_window(sheet, pixels, chosen[those], rows_wide, out)
+        _through_window(level, pixels, chosen[those], rows_wide, out)
 
 
-def _bounds(sheet: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int, int, int, int]:
+def _bounds(level: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int, int, int, int]:
     """First row, first column, height and width of the window that all footprints need."""
     top, bottom, left, right, _, column_scale = extent
-    along = sheet.scale * sheet.squeeze
+    along = level.scale * level.squeeze
     half = rows_wide / 2.0 + 2.0  # two more pixels for the cubic's neighbours
-    wide = min(column_scale * rows_wide / sheet.squeeze, sheet.period or np.inf) / 2.0 + 2.0
-    row0 = int(np.floor((top + 0.5) / sheet.scale - 0.5 - half))
-    row1 = int(np.ceil((bottom + 0.5) / sheet.scale - 0.5 + half))
+    wide = min(column_scale * rows_wide / level.squeeze, level.period or np.inf) / 2.0 + 2.0
+    row0 = int(np.floor((top + 0.5) / level.scale - 0.5 - half))
+    row1 = int(np.ceil((bottom + 0.5) / level.scale - 0.5 + half))
     col0 = int(np.floor((left + 0.5) / along - 0.5 - wide))
     col1 = int(np.ceil((right + 0.5) / along - 0.5 + wide))
     return row0, col0, row1 - row0 + 1, col1 - col0 + 1
 
 
 def _through_window(
-    sheet: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
+    level: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
 ) -> None:
     extent = _extent(*pixels, chosen)
-    row0, col0, height, width = _bounds(sheet, rows_wide, extent)
+    row0, col0, height, width = _bounds(level, rows_wide, extent)
     means_over_footprints(
-        sheet.window(row0, col0, height, width),
-        pixels.row,
-        pixels.col,
-        pixels.column_scale,
+        level.window(row0, col0, height, width),
+        pixels,
         chosen,
-        1.0 / sheet.scale,
-        1.0 / (sheet.scale * sheet.squeeze),
-        row0,
-        col0,
-        rows_wide,
-        rows_wide / sheet.squeeze,
-        sheet.period or np.inf,
-        extent[5],
+        Corner(1.0 / level.scale, 1.0 / (level.scale * level.squeeze), row0, col0),
+        Footprint(rows_wide, rows_wide / level.squeeze, level.period or np.inf, extent[5]),
         out,
     )
 
 
 @kernel
 def _extent(row: FloatArray, col: FloatArray, column_scale: FloatArray, chosen: IntArray) -> Extent:
-    """Least and largest row, column and crowding of the chosen points."""
+    """Least and largest row, column and column scale of the chosen points."""
     i = chosen[0]
     top, bottom = row[i], row[i]
     left, right = col[i], col[i]

@@ -43,8 +43,8 @@ def graticule_heights(
         return _by_points(mosaic, graticule, part, posting_m)
     level = pyramid.level_for(posting_m)
     rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-    sheet = mosaic.sheet(meeting[0], level)
-    return _by_weights(sheet, pyramid, graticule, part, rows_wide)
+    windows = mosaic.level_windows(meeting[0], level)
+    return _by_weights(windows, pyramid, graticule, part, rows_wide)
 
 
 def _meets(pyramid: HeightPyramid, latitudes: tuple[float, float]) -> bool:
@@ -79,25 +79,25 @@ def _by_weights(
     col0, cols_per_rad, row0, rows_per_rad, period = place.parameters
     wide = period / (graticule.columns * base.scale)
     halvings = int(halvings_for(wide, base.most_halvings))
-    sheet = base.halved(halvings)
-    row = (row0 + rows_per_rad * graticule.lat(part.rows) + 0.5) / sheet.scale - 0.5
+    level = base.halved(halvings)
+    row = (row0 + rows_per_rad * graticule.lat(part.rows) + 0.5) / level.scale - 0.5
     col = col0 + cols_per_rad * place.longitude_sign * graticule.lon(part.cols)
     # of that turn which the raster shows
     col -= np.floor((col - (place.shape[1] - 1) / 2.0) / period + 0.5) * period
-    col = (col + 0.5) / (sheet.scale * sheet.squeeze) - 0.5
+    col = (col + 0.5) / (level.scale * level.squeeze) - 0.5
     first_row, row_weights = _weights(row, rows_wide, MAX_ROWS)
-    first_col, col_weights = _weights(col, wide / sheet.squeeze, MAX_COLUMNS)
+    first_col, col_weights = _weights(col, wide / level.squeeze, MAX_COLUMNS)
     out = np.empty((part.height, part.width), np.float32)
     # neighbours in the part may be a turn apart in the raster
-    most = 4.0 * wide / sheet.squeeze + 4.0
+    most = 4.0 * wide / level.squeeze + 4.0
     cuts = np.flatnonzero(np.abs(np.diff(first_col)) > most) + 1
     top, height = int(first_row.min()), int(np.ptp(first_row)) + row_weights.shape[1]
     for those in np.split(np.arange(part.width), cuts):
         firsts, weights = first_col[those], col_weights[those]
         left, width = int(firsts.min()), int(np.ptp(firsts)) + weights.shape[1]
-        window = sheet.window(top, left, height, width)
-        _combine(window, first_row - top, row_weights, firsts - left, weights,
-                 out[:, those[0] : those[-1] + 1])  # fmt: skip
+        window = level.window(top, left, height, width)
+        part_out = out[:, those[0] : those[-1] + 1]
+        _combine(window, first_row - top, row_weights, firsts - left, weights, part_out)
     return out
 
 

@@ -28,8 +28,8 @@ class Pixels(NamedTuple):
     """Places in a raster, flat.
 
     row, col  (n) fractional; whole numbers are pixel centres
-    crowding  (n) columns in the ground length of one row: 1 / cos(latitude) for square pixels of a
-              cylindrical map
+    column_scale  (n) columns in the ground length of one row: 1 / cos(latitude) for square pixels
+                  of a cylindrical map
     """
 
     row: FloatArray
@@ -39,6 +39,21 @@ class Pixels(NamedTuple):
     def part(self, chosen: IntArray) -> "Pixels":
         """Some of the places."""
         return Pixels(self.row[chosen], self.col[chosen], self.column_scale[chosen])
+
+
+class Cylinder(NamedTuple):
+    """A cylindrical raster about a map grid.
+
+    middle        column under the grid's middle
+    row0          row of the equator
+    ratio         columns a row of ground length at the equator
+    """
+
+    middle: float
+    cols_per_rad: float
+    row0: float
+    rows_per_rad: float
+    ratio: float
 
 
 def pixels_of_points(place: Georeference, lat: FloatArray, lon: FloatArray) -> Pixels:
@@ -68,15 +83,15 @@ def pixels_of_grid(
         # one before the first node, two beyond the last
         first, n = (-step, (size - 1) // step + 4) if step > 1 else (0, size)
         nodes = np.empty((3, n, n))
-        _cylindrical(m, size, spacing, first, step, middle, cols_per_rad, row0, rows_per_rad,
-                     ratio, nodes)  # fmt: skip
+        cylinder = Cylinder(middle, cols_per_rad, row0, rows_per_rad, ratio)
+        _cylindrical(m, size, spacing, first, step, cylinder, nodes)
         if step > 1:
             _between(nodes, size, _cubic_weights(step), row, col, column_scale)
         else:
             row, col, column_scale = nodes.reshape(3, -1)
     elif place.kind == POLAR:
-        _polar(m, size, spacing, projection.lon * place.longitude_sign, place.longitude_sign,
-               parameters, row, col)  # fmt: skip
+        sign = place.longitude_sign
+        _polar(m, size, spacing, projection.lon * sign, sign, parameters, row, col)
         column_scale[:] = ratio
     else:
         offsets = (np.arange(size) - (size - 1) / 2.0) * posting_m
@@ -127,14 +142,11 @@ def _cylindrical(
     spacing: float,
     first: int,
     stride: int,
-    middle: float,
-    cols_per_rad: float,
-    row0: float,
-    rows_per_rad: float,
-    ratio: float,
+    cylinder: Cylinder,
     out: FloatArray,
 ) -> None:
-    """Row, column and crowding (3, n, n) of the nodes first, first + stride, ... both ways."""
+    """Row, column and column scale (3, n, n) of the nodes first, first + stride, ... both ways."""
+    middle, cols_per_rad, row0, rows_per_rad, ratio = cylinder
     half = (size - 1) / 2.0
     n = out.shape[1]
     for a in range(n):

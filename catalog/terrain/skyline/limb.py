@@ -41,7 +41,7 @@ class LimbRelief:
     """A relief made ready for skylines.
 
     relief      the body's
-    top_share   the surface lies this share of the way from mean heights to tops; it may pass 1
+    top_share   the surface lies this share of the way from mean to greatest heights; may pass 1
     """
 
     def __init__(self, relief: GlobalRelief, top_share: float) -> None:
@@ -62,9 +62,15 @@ class LimbRelief:
         around = np.ascontiguousarray(azimuths, dtype=np.float64)
         found = np.empty((3, around.size))
         _skyline(
-            self.grid, self.bounds, self.radius_m, self.highest_m, float(np.linalg.norm(place)),
-            np.ascontiguousarray(axes, dtype=np.float64), around, found,
-        )  # fmt: skip
+            self.grid,
+            self.bounds,
+            self.radius_m,
+            self.highest_m,
+            float(np.linalg.norm(place)),
+            np.ascontiguousarray(axes, dtype=np.float64),
+            around,
+            found,
+        )
         return Skyline(found[0], found[1], found[2])
 
     def sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
@@ -150,27 +156,96 @@ def _cot(distance: float, radius: float, angle: float) -> float:
 
 
 @kernel
-def _ground_cot(
-    grid: Float32Array, sphere: float, distance: float, axes: FloatArray, cos_az: float,
-    sin_az: float, angle: float,
-) -> tuple[float, float]:  # fmt: skip
-    """`_cot` of the ground at an angle from the observer, and its radius."""
-    up, along = np.cos(angle), np.sin(angle)
-    a, b = along * cos_az, along * sin_az
-    radius = sphere + _height(
-        grid,
+def _direction(
+    axes: FloatArray, azimuth: tuple[float, float], up: float, along: float
+) -> tuple[float, float, float]:
+    """Unit vector, body frame, of the cosine and sine of an angle from the observer."""
+    a, b = along * azimuth[0], along * azimuth[1]
+    return (
         a * axes[0, 0] + b * axes[1, 0] + up * axes[2, 0],
         a * axes[0, 1] + b * axes[1, 1] + up * axes[2, 1],
         a * axes[0, 2] + b * axes[1, 2] + up * axes[2, 2],
     )
+
+
+@kernel
+def _ground_cot(
+    grid: Float32Array,
+    sphere: float,
+    distance: float,
+    axes: FloatArray,
+    azimuth: tuple[float, float],
+    angle: float,
+) -> tuple[float, float]:
+    """`_cot` of the ground at an angle from the observer, and its radius.
+
+    azimuth  its cosine and sine
+    """
+    up, along = np.cos(angle), np.sin(angle)
+    x, y, z = _direction(axes, azimuth, up, along)
+    radius = sphere + _height(grid, x, y, z)
     return (distance - radius * up) / (radius * along), radius
 
 
 @kernel
+def _highest_of_segment(
+    grid: Float32Array,
+    sphere: float,
+    distance: float,
+    axes: FloatArray,
+    azimuth: tuple[float, float],
+    segment: tuple[float, float, float, int],
+    best: tuple[float, float],
+) -> tuple[float, float]:
+    """The smallest `_cot` of a segment's samples and its angle, or `best` where none is smaller.
+
+    segment  least and greatest angle of samples, the segment's start, rad, and its samples
+    """
+    low, high, start, parts = segment
+    step = SEGMENT / parts
+    best_cot, best_angle = best
+    for k in range(parts):
+        angle = start + (k + 0.5) * step
+        if low < angle < high:
+            cot, _ = _ground_cot(grid, sphere, distance, axes, azimuth, angle)
+            if cot < best_cot:
+                best_cot, best_angle = cot, angle
+    return best_cot, best_angle
+
+
+@kernel
+def _refined(
+    grid: Float32Array,
+    sphere: float,
+    distance: float,
+    axes: FloatArray,
+    azimuth: tuple[float, float],
+    half: float,
+    best: tuple[float, float],
+) -> tuple[float, float]:
+    """`best` (cotangent, angle) after halvings of the step about it, from `half` (rad) on."""
+    best_cot, best_angle = best
+    for _ in range(REFINEMENTS):
+        centre = best_angle
+        for side in (-half, half):
+            cot, _ = _ground_cot(grid, sphere, distance, axes, azimuth, centre + side)
+            if cot < best_cot:
+                best_cot, best_angle = cot, centre + side
+        half *= 0.5
+    return best_cot, best_angle
+
+
+@kernel
 def _skyline(
-    grid: Float32Array, bounds: Float32Array, sphere: float, highest: float, distance: float,
-    axes: FloatArray, azimuths: FloatArray, found: FloatArray,
-) -> None:  # fmt: skip
+    grid: Float32Array,
+    bounds: Float32Array,
+    sphere: float,
+    highest: float,
+    distance: float,
+    axes: FloatArray,
+    azimuths: FloatArray,
+    found: FloatArray,
+) -> None:
     posting = np.pi / (grid.shape[0] - 2)
     parts = int(np.ceil(SEGMENT / min(0.5 * posting, MAX_STEP)))
     step = SEGMENT / parts
@@ -179,7 +254,7 @@ def _skyline(
     top = min(sphere + highest, inside)
     top_angle = np.arccos(top / distance)
     for n in range(azimuths.size):
-        cos_az, sin_az = np.cos(azimuths[n]), np.sin(azimuths[n])
+        azimuth = np.cos(azimuths[n]), np.sin(azimuths[n])
         best, best_angle = np.inf, middle
         ahead, back, number = True, True, 0
         while ahead or back:
@@ -193,46 +268,34 @@ def _skyline(
             near = max(low, top_angle) if beyond else min(high, top_angle)
             if low >= high or (number > 2 and _cot(distance, top, near) > best):
                 # from here on no ground of this body reaches the skyline found
-                if beyond:
-                    ahead = False
-                else:
-                    back = False
+                ahead, back = ahead and not beyond, back and beyond
                 continue
             centre = 0.5 * (low + high)
-            up, along = np.cos(centre), np.sin(centre)
-            a, b = along * cos_az, along * sin_az
-            radius = sphere + _bound(
-                bounds,
-                a * axes[0, 0] + b * axes[1, 0] + up * axes[2, 0],
-                a * axes[0, 1] + b * axes[1, 1] + up * axes[2, 1],
-                a * axes[0, 2] + b * axes[1, 2] + up * axes[2, 2],
-            )
-            radius = min(radius, inside)
+            x, y, z = _direction(axes, azimuth, np.cos(centre), np.sin(centre))
+            radius = min(sphere + _bound(bounds, x, y, z), inside)
             if _cot(distance, radius, min(max(np.arccos(radius / distance), low), high)) > best:
                 continue
-            for k in range(parts):
-                angle = start + (k + 0.5) * step
-                if low < angle < high:
-                    cot, _ = _ground_cot(grid, sphere, distance, axes, cos_az, sin_az, angle)
-                    if cot < best:
-                        best, best_angle = cot, angle
-        half = 0.5 * step
-        for _ in range(REFINEMENTS):
-            centre = best_angle
-            for side in (-half, half):
-                cot, _ = _ground_cot(grid, sphere, distance, axes, cos_az, sin_az, centre + side)
-                if cot < best:
-                    best, best_angle = cot, centre + side
-            half *= 0.5
-        _, radius = _ground_cot(grid, sphere, distance, axes, cos_az, sin_az, best_angle)
+            segment = low, high, start, parts
+            best, best_angle = _highest_of_segment(
+                grid, sphere, distance, axes, azimuth, segment, (best, best_angle)
+            )
+        best, best_angle = _refined(
+            grid, sphere, distance, axes, azimuth, 0.5 * step, (best, best_angle)
+        )
+        _, radius = _ground_cot(grid, sphere, distance, axes, azimuth, best_angle)
         found[0, n], found[1, n], found[2, n] = np.arctan2(1.0, best), best_angle, radius
 
 
 @kernel
 def _sunlit(
-    grid: Float32Array, sphere: float, highest: float, posting: float, places: FloatArray,
-    sun: FloatArray, lit: BoolArray,
-) -> None:  # fmt: skip
+    grid: Float32Array,
+    sphere: float,
+    highest: float,
+    posting: float,
+    places: FloatArray,
+    sun: FloatArray,
+    lit: BoolArray,
+) -> None:
     for n in range(len(places)):
         x, y, z = places[n, 0], places[n, 1], places[n, 2]
         lit[n] = True

@@ -13,6 +13,7 @@ limit is up to 0.5 deg low (measured on Tycho's wall).
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,14 @@ AZIMUTHS = 36
 PER_BIN = 2
 LINE_SPACING_NODES = 3.0  # between planes, nodes of the patch
 INNER_STEP_NODES = 2.0  # between points of the inside profile
+
+
+class Plane(NamedTuple):
+    """A vertical plane: points k step (east, north) + across (north, -east), m."""
+
+    across: float
+    east: float
+    north: float
 
 
 @kernel
@@ -123,12 +132,13 @@ def _steeper(
 
 @kernel
 def _crossing(
-    size: int, posting: float, step: float, across: float, east: float, north: float
+    size: int, posting: float, step: float, plane: Plane
 ) -> tuple[float, float, float, float, int, int]:
-    """Where a plane of points k step (east, north) + across (north, -east) crosses a grid.
+    """Where a plane, in steps (m), crosses a grid.
 
     Returns col and row at k = 0, their change a step, and the first and last k inside.
     """
+    across, east, north = plane
     middle = (size - 1) / 2.0
     col, row = middle + across * north / posting, middle + across * east / posting
     d_col, d_row = step * east / posting, -step * north / posting
@@ -166,9 +176,7 @@ def _steepest_outside(
     grids: Float32Array,
     max_heights: FloatArray,
     postings: FloatArray,
-    across: float,
-    east: float,
-    north: float,
+    plane: Plane,
     inside: tuple[FloatArray, FloatArray, int],
     outside: tuple[FloatArray, FloatArray],
     slope: float,
@@ -182,10 +190,10 @@ def _steepest_outside(
     far_s, far_z = outside
     foot = _lowest(near_s, near_z, near, slope)
     step = INNER_STEP_NODES * postings[0]
-    end = step * _crossing(size, postings[0], step, across, east, north)[5]
+    end = step * _crossing(size, postings[0], step, plane)[5]
     for level in range(1, grids.shape[0]):
         step = postings[level]
-        col, row, d_col, d_row, first, last = _crossing(size, step, step, across, east, north)
+        col, row, d_col, d_row, first, last = _crossing(size, step, step, plane)
         # from the first step beyond the finer grid
         # 1e-9: a point that both grids share must not, by rounding, be its own horizon
         first = max(first, int(np.floor(end / step + 1e-9)) + 1)
@@ -221,34 +229,17 @@ def _limits_along(
     lines = int(2.0 * corner / spacing) + 1
     for line in range(lines):
         across = (line - (lines - 1) / 2.0) * spacing
-        col, row, d_col, d_row, first, last = _crossing(size, posting, step, across, east, north)
+        plane = Plane(across, east, north)
+        col, row, d_col, d_row, first, last = _crossing(size, posting, step, plane)
         near = _known_profile(grids[0], (col, row, d_col, d_row), step, first, last, near_s, near_z)
         if near == 0:
             continue
-        towards = _steepest_outside(
-            grids,
-            max_heights,
-            postings,
-            across,
-            east,
-            north,
-            (near_s, near_z, near),
-            outside,
-            towards,
-        )
+        inside = near_s, near_z, near
+        towards = _steepest_outside(grids, max_heights, postings, plane, inside, outside, towards)
         # the same plane, seen the other way
         near_s[:near] *= -1.0
-        away = _steepest_outside(
-            grids,
-            max_heights,
-            postings,
-            -across,
-            -east,
-            -north,
-            (near_s, near_z, near),
-            outside,
-            away,
-        )
+        plane = Plane(-across, -east, -north)
+        away = _steepest_outside(grids, max_heights, postings, plane, inside, outside, away)
     return towards, away
 
 

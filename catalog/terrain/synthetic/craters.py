@@ -11,6 +11,8 @@ craters follow from the seed and the cell's number alone, so any region of the b
 any order, shows the same ground.
 """
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -30,6 +32,21 @@ _x = np.linspace(1.0, REACH, 20001)
 _RIM = float(np.trapezoid(_x**-2.0 * (1.0 - ((_x - 1.0) / (REACH - 1.0)) ** 2) ** 2, _x))
 _FRESH_RIM = 1.0 / (1.0 + 4.0 * _RIM)  # rim height over bowl depth that makes the volume vanish
 _WORN_FLOOR = 1.0 / (1.0 + np.exp(-2.0))  # of rim-to-floor depth 1 in the worn profile
+
+
+class Population(NamedTuple):
+    """Which craters there are.
+
+    octaves    diameters from largest_m down to largest_m / 2^octaves
+    density    share of geometric saturation
+    radius_m   of the body
+    """
+
+    seed: int
+    octaves: int
+    largest_m: float
+    density: float
+    radius_m: float
 
 
 @kernel
@@ -104,14 +121,12 @@ def _crater(
 
 
 @kernel
-def _gather(
-    seed: int, octaves: int, largest: float, f: float, radius: float, box: FloatArray,
-    table: FloatArray,
-) -> int:  # fmt: skip
+def _gather(population: Population, box: FloatArray, table: FloatArray) -> int:
     """Fill `table` with the craters that can reach a box of (south, west, north, width) rad.
 
     Returns their number; stops writing, not counting, when the table is full.
     """
+    seed, octaves, largest, f, radius = population
     found = 0
     for octave in range(octaves):
         top = largest / 2.0**octave
@@ -143,44 +158,38 @@ def _gather(
 
 
 def crater_table(
-    seed: int, octaves: int, largest_m: float, f: float, radius_m: float,
-    south: float, west: float, north: float, width: float,
-) -> FloatArray:  # fmt: skip
+    population: Population, south: float, west: float, north: float, width: float
+) -> FloatArray:
     """The craters that can touch a box of latitudes and longitudes.
 
-    octaves   diameters from largest_m down to largest_m / 2^octaves
-    f         share of geometric saturation
     south, west, north, width  rad; the box runs `width` eastward from `west`
     Returns (n, 5): latitude, longitude (rad), diameter, rim-to-floor depth (m), wear 0..1.
     """
     box = np.array([south, west, north, width], dtype=np.float64)
     empty = np.empty((0, 5))
-    table = np.empty((_gather(seed, octaves, largest_m, f, radius_m, box, empty), 5))
-    _gather(seed, octaves, largest_m, f, radius_m, box, table)
+    table = np.empty((_gather(population, box, empty), 5))
+    _gather(population, box, table)
     return table
 
 
 @kernel
-def crater_heights_at(
-    seed: int, octaves: int, largest: float, f: float, radius: float, lat: FloatArray,
-    lon: FloatArray,
-) -> FloatArray:  # fmt: skip
+def crater_heights_at(population: Population, lat: FloatArray, lon: FloatArray) -> FloatArray:
     """Summed crater heights at single points (n,), rad."""
     out = np.zeros(lat.size)
     table = np.empty((4096, 5))
     box = np.empty(4)
     for i in range(lat.size):
         box[0], box[1], box[2], box[3] = lat[i], lon[i], lat[i], 0.0
-        count = _gather(seed, octaves, largest, f, radius, box, table)
+        count = _gather(population, box, table)
         if count > table.shape[0]:
             table = np.empty((2 * count, 5))
-            _gather(seed, octaves, largest, f, radius, box, table)
+            _gather(population, box, table)
         for k in range(count):
             # haversine keeps its digits at these small distances, also at the poles
             a = np.sin(0.5 * (lat[i] - table[k, LAT]))
             b = np.sin(0.5 * (lon[i] - table[k, LON]))
             h = a * a + np.cos(lat[i]) * np.cos(table[k, LAT]) * b * b
-            x = 2.0 * radius * np.sqrt(h) / (0.5 * table[k, DIAMETER])
+            x = 2.0 * population.radius_m * np.sqrt(h) / (0.5 * table[k, DIAMETER])
             if x < REACH:
                 out[i] += table[k, DEPTH] * profile(x, table[k, WEAR])
     return out
@@ -188,9 +197,13 @@ def crater_heights_at(
 
 @parallel_kernel
 def stamp(
-    out: Float32Array, row: FloatArray, col: FloatArray, table: FloatArray,
-    step_y: FloatArray, step_x: FloatArray,
-) -> None:  # fmt: skip
+    out: Float32Array,
+    row: FloatArray,
+    col: FloatArray,
+    table: FloatArray,
+    step_y: FloatArray,
+    step_x: FloatArray,
+) -> None:
     """Add craters to a grid, each node taking the mean over its own cell.
 
     out       (rows, cols) m, changed in place

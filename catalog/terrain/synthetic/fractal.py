@@ -104,9 +104,14 @@ def noise_at(
 
 @parallel_kernel
 def add_noise_window(
-    out: Float32Array, seed: int, spacing: FloatArray, amplitude: FloatArray, radius: float,
-    lat: FloatArray, lon: FloatArray,
-) -> None:  # fmt: skip
+    out: Float32Array,
+    seed: int,
+    spacing: FloatArray,
+    amplitude: FloatArray,
+    radius: float,
+    lat: FloatArray,
+    lon: FloatArray,
+) -> None:
     """Add the octaves to a grid with latitudes (rows,) and longitudes (cols,), in place."""
     cos_lon, sin_lon = np.cos(lon), np.sin(lon)
     for i in numba.prange(out.shape[0]):
@@ -122,9 +127,15 @@ def add_noise_window(
 
 @parallel_kernel
 def add_noise_turned(
-    out: Float32Array, seed: int, spacing: FloatArray, amplitude: FloatArray, radius: float,
-    lat: FloatArray, lon: FloatArray, body_from_grid: FloatArray,
-) -> None:  # fmt: skip
+    out: Float32Array,
+    seed: int,
+    spacing: FloatArray,
+    amplitude: FloatArray,
+    radius: float,
+    lat: FloatArray,
+    lon: FloatArray,
+    body_from_grid: FloatArray,
+) -> None:
     """Add the octaves to a grid whose latitudes and longitudes are those of a turned frame."""
     cos_lon, sin_lon = np.cos(lon), np.sin(lon)
     m = body_from_grid

@@ -71,13 +71,11 @@ class SyntheticRelief:
         """Heights to add at points, microseconds each; lat, lon (...) rad; returns (...) m."""
         lat, lon = np.broadcast_arrays(np.asarray(lat, np.float64), wrap_longitude(lon))
         flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
-        total = craters.crater_heights_at(
-            self.seed, self._octaves, self.largest_m, self.saturation, self.radius_m, *flat
-        )
+        total = craters.crater_heights_at(self._population(self._octaves), *flat)
         total += fractal.noise_at(
             self.seed, *self._noise, self.radius_m, xyz_from_latlon(*flat, 1.0)
         )
-        return np.asarray(total.reshape(lat.shape))
+        return total.reshape(lat.shape)
 
     def window(
         self, north: float, west: float, step_lat: float, step_lon: float, rows: int, cols: int
@@ -103,9 +101,14 @@ class SyntheticRelief:
         return out
 
     def turned_window(
-        self, body_from_grid: FloatArray, north: float, west: float, step: float,
-        rows: int, cols: int,
-    ) -> Float32Array:  # fmt: skip
+        self,
+        body_from_grid: FloatArray,
+        north: float,
+        west: float,
+        step: float,
+        rows: int,
+        cols: int,
+    ) -> Float32Array:
         """Heights to add on a grid of equal steps in a turned frame, means over a node's cell.
 
         body_from_grid     (3, 3) rotation from the grid's frame to the body's
@@ -127,9 +130,8 @@ class SyntheticRelief:
         if octaves < 1:
             return out
         table = craters.crater_table(
-            self.seed, octaves, self.largest_m, self.saturation, self.radius_m,
-            *_body_box(body_from_grid, lat, lon),
-        )  # fmt: skip
+            self._population(octaves), *_body_box(body_from_grid, lat, lon)
+        )
         directions = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0)
         own = directions @ body_from_grid
         own_lat = np.arcsin(np.clip(own[:, 2], -1.0, 1.0))
@@ -177,10 +179,12 @@ class SyntheticRelief:
     ) -> FloatArray:
         if over_pole:
             south, north = (south, 0.5 * np.pi) if north > 0.0 else (-0.5 * np.pi, north)
-        return craters.crater_table(
-            self.seed, self._octaves, self.largest_m, self.saturation, self.radius_m,
-            south, west, north, width,
-        )  # fmt: skip
+        return craters.crater_table(self._population(self._octaves), south, west, north, width)
+
+    def _population(self, octaves: int) -> craters.Population:
+        return craters.Population(
+            self.seed, octaves, self.largest_m, self.saturation, self.radius_m
+        )
 
     def _resolved(self, posting_m: float) -> tuple[FloatArray, FloatArray]:
         """The octaves that a grid can show, lowered by the averaging over its cells.

@@ -18,6 +18,7 @@ from optnav_cli.measurements.limb.cone import Cone, stretched_rays
 from optnav_cli.measurements.limb.edge_fit import EdgeShape, Profiles, locate_edges
 from optnav_cli.measurements.limb.photometry import three_laws
 from optnav_cli.measurements.segmentation import Levels, measure_levels
+from optnav_cli.reasons import ReasonCode
 
 MAX_RADIUS_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
 FINE = 4  # sub-pixels a side
@@ -142,7 +143,7 @@ def fit_disc(
     size = np.full(2, 2 * reach + 1)
     height, width = picture.shape
     if (corner < 0).any() or (corner + size > (width, height)).any():
-        raise NoSolutionError("the frame cuts the disc or its surroundings")
+        raise NoSolutionError("the frame cuts the disc or its surroundings", ReasonCode.CUT_DISC)
     part = picture[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]]
     values = part.astype(np.float64)
     levels = measure_levels(picture)
@@ -186,7 +187,8 @@ def fit_disc(
             return DiscFit(state[:2], float(state[2]), spread, misfit)
     raise NoSolutionError(
         "the disc's light is not that of a sphere under the Sun of attitude and time: one of these "
-        "is wrong, or it is another body"
+        "is wrong, or it is another body",
+        ReasonCode.WRONG_LIGHT,
     )
 
 

@@ -15,6 +15,7 @@ from catalog.photometry import hapke
 from catalog.photometry.laws import lambert, lommel_seeliger
 from catalog.terrain.relief.relief import GlobalRelief, relief_height
 from optnav_cli.measurements.segmentation import ROUNDING_VARIANCE, lit_blobs, measure_levels
+from optnav_cli.reasons import ReasonCode
 
 # Of Hapke's parameters the roughness moves a disc's light, by 0.006 radii and 2 % of its width;
 # the others do by a tenth of that.
@@ -99,7 +100,8 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
     kept = np.flatnonzero(blobs.area >= MIN_PIXELS)
     if len(kept) == 0:
         raise NoSolutionError(
-            f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise"
+            f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise",
+            ReasonCode.NO_BODY,
         )
     kept = kept[:50]  # the largest: the brightest spot of a picture is among them
     light = np.array(
@@ -110,7 +112,8 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
     if rival > RIVAL_SHARE * light[first]:
         raise NoSolutionError(
             f"{len(light)} bright spots, the second with {100.0 * rival / light[first]:.0f} % of "
-            "the first one's light: stars, or two bodies; which is the body cannot be told"
+            "the first one's light: stars, or two bodies; which is the body cannot be told",
+            ReasonCode.SEVERAL_BODIES,
         )
     chosen = int(kept[first])
     left, top, wide, high = (int(value) for value in blobs.box[chosen])
@@ -118,13 +121,16 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
     if radius > MAX_RADIUS_PX:
         raise NoSolutionError(
             f"a disc of {2.0 * radius:.0f} px is too large for its brightness centre; "
-            "its limb is the measurement"
+            "its limb is the measurement",
+            ReasonCode.LARGE_DISC,
         )
     height, width = picture.shape
     cx, cy = left + 0.5 * (wide - 1), top + 0.5 * (high - 1)
     reach = radius + WINGS_PX
     if min(cx, cy, width - 1 - cx, height - 1 - cy) < reach:
-        raise NoSolutionError("the frame cuts the disc: its middle of light is not the body's")
+        raise NoSolutionError(
+            "the frame cuts the disc: its middle of light is not the body's", ReasonCode.CUT_DISC
+        )
     x0, x1 = int(cx - reach), int(cx + reach) + 2
     y0, y1 = int(cy - reach), int(cy + reach) + 2
     window = picture[y0:y1, x0:x1].astype(np.float64)
@@ -140,7 +146,8 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
         if share > MAX_SATURATED or float(full[core].mean()) > MAX_SATURATED_CORE:
             raise NoSolutionError(
                 f"saturated: {100.0 * share:.0f} % of the disc is at full scale, which moves its "
-                "middle of light; expose shorter"
+                "middle of light; expose shorter",
+                ReasonCode.SATURATED,
             )
     sky, noise, sky_sigma = _background(picture, blobs.labels, (cx, cy), reach)
     return _moments(window[use] - sky, x[use], y[use], noise, sky_sigma)
@@ -159,7 +166,8 @@ def _background(
     if sky.size < MIN_SKY_PIXELS:
         raise NoSolutionError(
             f"only {sky.size} pixels of sky about the disc, {MIN_SKY_PIXELS} are needed to tell "
-            "its light from the background's"
+            "its light from the background's",
+            ReasonCode.NO_SKY,
         )
     level = float(np.median(sky))
     calm = sky[np.abs(sky - level) <= 4.0 * max(float(np.std(sky)), 0.5)]
@@ -188,7 +196,9 @@ def _moments(
     """Moments of pixels (n,) above the sky, with the errors of noise and of the sky's level."""
     total = float(light.sum())
     if not total > 0.0:
-        raise NoSolutionError("no disc: the light of the brightest spot drowns in the noise")
+        raise NoSolutionError(
+            "no disc: the light of the brightest spot drowns in the noise", ReasonCode.NO_BODY
+        )
     places = np.stack([x, y], axis=1).astype(np.float64)
     centre = light @ places / total
     away = places - centre

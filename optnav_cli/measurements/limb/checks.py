@@ -13,6 +13,7 @@ from optnav_cli.measurements.limb.candidates import (
 )
 from optnav_cli.measurements.limb.cone import Cone, find_cone, stretched_rays
 from optnav_cli.measurements.segmentation import Blobs, Levels
+from optnav_cli.reasons import ReasonCode
 
 MIN_BODY_PIXELS = 100  # lit; less is a disc for the brightness centre
 MAX_SATURATED = 0.8  # of the lit pixels
@@ -37,18 +38,21 @@ def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation:
         many = f"{len(blobs)} lit spots" if len(blobs) > 1 else "one lit spot"
         raise NoSolutionError(
             f"no limb: {many}, the largest of {largest} pixels: stars or a disc too small; "
-            "a disc that small is for the brightness centre"
+            "a disc that small is for the brightness centre",
+            ReasonCode.SMALL_DISC,
         )
     lit = int(blobs.area[blobs.area >= MIN_BLOB_PIXELS].sum())
     if lit > FULL_SHARE * picture.size:
         raise NoSolutionError(
-            f"no limb in view: the body fills the picture ({100.0 * lit / picture.size:.0f} % lit)"
+            f"no limb in view: the body fills the picture ({100.0 * lit / picture.size:.0f} % lit)",
+            ReasonCode.NO_SKY,
         )
     share = float((picture >= saturation).sum()) / lit
     if share > MAX_SATURATED:
         raise NoSolutionError(
             f"saturated: {100.0 * share:.0f} % of the lit pixels are at full scale, "
-            "which hides where the edge is; expose shorter"
+            "which hides where the edge is; expose shorter",
+            ReasonCode.SATURATED,
         )
 
 
@@ -73,7 +77,8 @@ def check_arc(arc: float, n_points: int) -> None:
     if arc < MIN_ARC_DEG:
         raise NoSolutionError(
             f"only {arc:.0f} deg of lit limb in view ({n_points} points); "
-            f"at least {MIN_ARC_DEG:.0f} deg are needed to tell a limb from other edges"
+            f"at least {MIN_ARC_DEG:.0f} deg are needed to tell a limb from other edges",
+            ReasonCode.SHORT_ARC,
         )
 
 
@@ -87,7 +92,8 @@ def check_sharp(sharpness: FloatArray) -> None:
         raise NoSolutionError(
             f"no lit limb where the Sun claims it: the edge there gains {100.0 * middle:.0f} % of "
             "its brightness at once, as a terminator does; the Sun is not where attitude and time "
-            "put it, or only the terminator is in view"
+            "put it, or only the terminator is in view",
+            ReasonCode.WRONG_LIGHT,
         )
 
 
@@ -124,7 +130,8 @@ def check_hidden(
     if share < MIN_SEEN_SHARE:
         raise NoSolutionError(
             f"only {100.0 * share:.0f} % of the lit limb that should be in the picture is seen: "
-            "something covers the rest, or the Sun is not where attitude and time put it"
+            "something covers the rest, or the Sun is not where attitude and time put it",
+            ReasonCode.COVERED_LIMB,
         )
     return share
 
@@ -153,7 +160,8 @@ def check_others(
     if n_out > MAX_OUTSIDE_SHARE * n_in:
         raise NoSolutionError(
             f"no limb that bounds the lit ground: the best one leaves {n_out * GRID_PX**2} lit "
-            f"pixels outside and {n_in * GRID_PX**2} inside; structure in view, or only ground"
+            f"pixels outside and {n_in * GRID_PX**2} inside; structure in view, or only ground",
+            ReasonCode.NO_LIMB,
         )
 
 
@@ -174,7 +182,8 @@ def _check_second(camera: Camera, outside: Candidates, cone: Cone, relief: float
         x, y = camera.project(other.axis_camera())
         raise NoSolutionError(
             f"two bodies in the picture: a second limb about ({x:.0f}, {y:.0f}); "
-            "which is the one to navigate by cannot be told"
+            "which is the one to navigate by cannot be told",
+            ReasonCode.SEVERAL_BODIES,
         )
 
 

@@ -42,6 +42,7 @@ from optnav_cli.measurements.limb.cone import (
 )
 from optnav_cli.measurements.limb.edge_fit import common_shape, locate_edges, profiles_across
 from optnav_cli.measurements.segmentation import lit_blobs, measure_levels
+from optnav_cli.reasons import ReasonCode
 
 MAX_POINTS = 3000
 MIN_POINTS = 12
@@ -138,7 +139,8 @@ def find_limb(
     if good.sum() < MIN_POINTS:
         raise NoSolutionError(
             f"only {int(good.sum())} limb points have an edge that stands out of the noise; "
-            f"{MIN_POINTS} are needed"
+            f"{MIN_POINTS} are needed",
+            ReasonCode.NOISY_LIMB,
         )
     pixels, inward, sigma = pixels[good], inward[good], edges.sigma[good]
     where = pixel_rays(camera, pixels, space)
@@ -189,20 +191,23 @@ def _first_cone(
     if kept.sum() < MIN_POINTS <= len(candidates):
         raise NoSolutionError(
             f"no lit limb in view: {len(candidates) - int(kept.sum())} of {len(candidates)} edges "
-            "are terminator or face away from the Sun of this attitude and time"
+            "are terminator or face away from the Sun of this attitude and time",
+            ReasonCode.NO_LIMB,
         )
     kept &= bounded_by_sky(picture, camera, candidates.pixels, candidates.gradient, threshold)
     if kept.sum() < MIN_POINTS:
         raise NoSolutionError(
             f"no limb in view: of {len(candidates)} edges from dark to bright in the picture "
-            f"{int(kept.sum())} have sky on their dark side"
+            f"{int(kept.sum())} have sky on their dark side",
+            ReasonCode.NO_LIMB,
         )
     lit = candidates.subset(kept)
     where = PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
     found = find_cone(where, lit.gradient, space, relief)
     if found is None or found[1].sum() < MIN_POINTS:
         raise NoSolutionError(
-            f"no limb in view: no curve joins the {len(lit)} edges of the picture"
+            f"no limb in view: no curve joins the {len(lit)} edges of the picture",
+            ReasonCode.NO_LIMB,
         )
     return found[0], lit
 

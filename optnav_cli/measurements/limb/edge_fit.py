@@ -18,6 +18,7 @@ from optnav_cli.measurements.limb.candidates import BORDER_PX, Candidates, outwa
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, distances, stretched_rays
 from optnav_cli.measurements.limb.photometry import blurred_powers, laws_across_limb, power_table
 from optnav_cli.measurements.segmentation import Levels
+from optnav_cli.reasons import ReasonCode
 
 # Profiles reach this far to the dark and to the bright side of the crossing, px along the scan,
 # and so deep inside, px and in radii of the limb's bend: further in the ground's pattern rules.
@@ -261,7 +262,9 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
     at_best = residuals(best)
     least_placed = MIN_KEPT_SHARE * fitter.placed()
     if least_placed == 0.0:
-        raise NoSolutionError("no limb point has an edge that stands out of the noise")
+        raise NoSolutionError(
+            "no limb point has an edge that stands out of the noise", ReasonCode.NOISY_LIMB
+        )
     for _ in range(SHAPE_TURNS):
         columns = [residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
         jacobian = np.stack(columns, axis=1) / SHAPE_STEPS

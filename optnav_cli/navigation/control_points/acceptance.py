@@ -1,10 +1,10 @@
-"""When a solved pose is believed. A guess is never a solution.
+"""When a solved pose is accepted.
 
 Least squares gives a pose for any matches, and searching again around a wrong pose finds new
-matches that agree with it. Three things give a guess away: the places scatter more than their
-stated errors, the scores are such as chance finds too, or the pose is where it cannot be. The
-second is an a-contrario test (Desolneux, Moisan, Morel, "Meaningful alignments", IJCV 2000): how
-often would unrelated ground offer as many scores as good as these?
+matches that agree with it. A pose is refused when the places scatter more than their stated
+errors, when chance finds such scores too, or when it lies where it cannot be. The second is an
+a-contrario test (Desolneux, Moisan, Morel, "Meaningful alignments", IJCV 2000): how often would
+unrelated ground offer as many scores as good as these?
 """
 
 import numpy as np
@@ -13,9 +13,11 @@ from scipy.special import gammaln
 from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
-from optnav_cli.estimation.resection import Pose
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.robust import RobustResection
+from optnav_cli.fix import PositionPrior
 from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # Best scores on unrelated ground, from 14 000 searches of other, mirrored and random pictures
 # with templates of 80 and 32 nodes: score x nodes a side / sqrt(6) passes CHANCE_LEVEL + d
@@ -44,7 +46,7 @@ PRIOR_FLOOR_M = 1000.0
 
 
 def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: float) -> float:
-    """How many powers of ten speak against chance for the scores of the used points.
+    """Powers of ten against chance that the scores of the used points give.
 
     scores          (k,) of the points that the solution uses
     tried           number of points searched, k or more: picking k of them helps chance
@@ -77,8 +79,8 @@ def decades_of_parts(
 
 def _choices(used: int, tried: int) -> float:
     """Powers of ten of the ways to pick the used points of those that were tried."""
-    most = max(tried, used)
-    choices = gammaln(most + 1.0) - gammaln(used + 1.0) - gammaln(most - used + 1.0)
+    offered = max(tried, used)
+    choices = gammaln(offered + 1.0) - gammaln(used + 1.0) - gammaln(offered - used + 1.0)
     return float(choices / np.log(10.0))
 
 
@@ -86,43 +88,42 @@ def rejection_of_matches(
     solution: RobustResection,
     decades: float,
     tried: int,
-    least_decades: float = MIN_DECADES,
-    most_factor: float = MAX_VARIANCE_FACTOR,
-) -> str:
+    min_decades: float = MIN_DECADES,
+    max_factor: float = MAX_VARIANCE_FACTOR,
+) -> Reason:
     """Why the matches do not carry the solution; empty when they do.
 
     decades  against chance, of `log10_false_alarms` or `decades_of_parts`;  tried as there
     """
     used = int(solution.used.sum())
     if solution.resection.degrees_of_freedom < 1:
-        return f"{used} control points leave no check on a free attitude; at least 4 are needed"
-    if solution.variance_factor > most_factor:
-        return (
-            f"the matches scatter {np.sqrt(solution.variance_factor):.1f} times as wide as they "
-            "should: they do not belong to one position"
+        return Reason(
+            ReasonCode.FEW_POINTS,
+            f"{used} control points leave no check on a free attitude; at least 4 are needed",
         )
-    if decades < least_decades:
-        return f"{used} of {tried} control points agree, no more than by chance"
-    return ""
+    if solution.variance_factor > max_factor:
+        return Reason(
+            ReasonCode.POINTS_DISAGREE,
+            f"the matches scatter {np.sqrt(solution.variance_factor):.1f} times as wide as they "
+            "should: they do not belong to one position",
+        )
+    if decades < min_decades:
+        text = f"{used} of {tried} control points agree, no more than by chance"
+        return Reason(ReasonCode.BY_CHANCE, text)
+    return NO_REASON
 
 
 def rejection_of_place(
-    pose: Pose,
-    covariance_m2: FloatArray,
-    prior_position_m: FloatArray,
-    prior_covariance_m2: FloatArray,
-) -> str:
-    """Why the position cannot be true, given where the prior was; empty when it can.
-
-    covariance_m2        (3, 3) of the pose's position
-    prior_covariance_m2  (3, 3) of the prior's
-    """
-    offset = pose.position_m - prior_position_m
-    select_evenly = covariance_m2 + prior_covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
-    if float(offset @ np.linalg.solve(select_evenly, offset)) < chi2.isf(PRIOR_PROBABILITY, 3):
-        return ""
-    sigma = float(np.sqrt(np.trace(prior_covariance_m2) / 3.0))
-    return (
+    position_m: FloatArray, covariance_m2: FloatArray, prior: PositionPrior
+) -> Reason:
+    """Why a position (3,) with covariance (3, 3) contradicts its prior; empty when it does not."""
+    offset = position_m - prior.position_m
+    spread = covariance_m2 + prior.covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
+    if squared_distance(offset, spread) < chi2.isf(PRIOR_PROBABILITY, 3):
+        return NO_REASON
+    sigma = float(np.sqrt(np.trace(prior.covariance_m2) / 3.0))
+    return Reason(
+        ReasonCode.FAR_FROM_PRIOR,
         f"the matches put the camera {np.linalg.norm(offset) / 1e3:.1f} km from the prior, whose "
-        f"sigma is {sigma / 1e3:.1f} km: the prior, its sigma or the camera file is wrong"
+        f"sigma is {sigma / 1e3:.1f} km: the prior, its sigma or the camera file is wrong",
     )

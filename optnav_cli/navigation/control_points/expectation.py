@@ -1,33 +1,48 @@
-"""Which control points a frame should show at a pose, and why it may show none."""
+"""Which control points a frame should show at a pose, and why it may show none.
+
+A point is expected when it lies in front of the camera and whole inside the frame, is lit, is not
+seen edge-on and is not hidden behind the terrain about it.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from catalog.arrays import FloatArray
+from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.correlation.similarity import Matcher
+from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.search_plan import finest_level, template_nodes
-from optnav_cli.matching.visibility import View, ViewLimits, expected_in_view
 from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.navigation.observation import Observation
+from optnav_cli.navigation.settings import NavigateSettings, ViewSettings
+from optnav_cli.reasons import Reason, ReasonCode
 
 # A point may lie so far beyond the frame, share of its template's side, if a part is enough.
 BEYOND_SHARE = 0.3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameContext:
-    """What stays the same while a frame is navigated; sun_body (3,) unit vector, body frame."""
+    """What stays the same while a frame is navigated; `picture` is the observation's."""
 
+    observation: Observation
     picture: PicturePyramid
-    camera: Camera
-    sun_body: FloatArray
     points: ControlPointField
     settings: NavigateSettings
     matcher: Matcher
+
+    @property
+    def camera(self) -> Camera:
+        """The frame's camera."""
+        return self.observation.camera
+
+    @property
+    def sun_body(self) -> FloatArray:
+        """(3,) unit vector to the Sun, body frame."""
+        return self.observation.sun_body
 
     def finest_level(self, postings_m: FloatArray, metres_per_pixel: float) -> int:
         """The finest of some levels worth matching at a ground sample distance."""
@@ -46,13 +61,53 @@ class FrameContext:
         return template_nodes(posting_m, width_m, self.settings.match.template_nodes)
 
 
-def expected(frame: FrameContext, pose: Pose, whole: bool) -> View:
+@dataclass(frozen=True, eq=False)
+class CandidatePoints:
+    """Control points that a frame may show, one entry each.
+
+    points_m      (n, 3)  body-fixed
+    half_width_m  (n,)    half the side of the square that must lie inside the frame
+    skyline_deg   (n, azimuths) terrain skyline by azimuth from north; a camera below it sees
+                  nothing of the point
+    verticals     (n, 3) unit normals at the points; None: radial, as on a sphere
+    beyond_px     (n,) how far out of the frame a point may lie of which a part is enough
+    """
+
+    points_m: FloatArray
+    half_width_m: FloatArray
+    skyline_deg: FloatArray | None = None
+    verticals: FloatArray | None = None
+    beyond_px: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedPoints:
+    """The control points expected in a frame, one entry each.
+
+    index              places in the arrays that were asked about
+    pixels             (n, 2) where the points should be
+    metres_per_pixel   (n,) geometric mean ground sample distance at the point
+    sun_elevation_deg  (n,)
+    emission_deg       (n,)
+    """
+
+    index: IndexArray
+    pixels: FloatArray
+    metres_per_pixel: FloatArray
+    sun_elevation_deg: FloatArray
+    emission_deg: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def expected(frame: FrameContext, pose: Pose, whole: bool) -> ExpectedPoints:
     """Points expected in the frame, whole with their finest template or with their centre only.
 
     Of templates that the frame may cut a part is enough; it may be without the centre.
     """
-    points, camera, view = frame.points, frame.camera, frame.settings.view
-    near = points.near(pose.position_m, view.emission_max_deg)
+    points, camera, limits = frame.points, frame.camera, frame.settings.view
+    near = points.near(pose.position_m, limits.emission_max_deg)
     distances = np.linalg.norm(points.xyz_m[near] - pose.position_m, axis=1)
     samples = np.maximum(distances / camera.focal_length_px, 1e-3)
     half, beyond = np.zeros(len(near)), np.zeros(len(near))
@@ -69,69 +124,141 @@ def expected(frame: FrameContext, pose: Pose, whole: bool) -> View:
                 beyond[these] = BEYOND_SHARE * side / samples[these]
             elif whole:
                 half[these] = side / 2.0
-    seen = expected_in_view(
-        points.xyz_m[near],
-        half,
-        camera,
-        (camera.width_px, camera.height_px),
-        pose,
-        frame.sun_body,
-        ViewLimits(view.sun_min_deg, view.sun_max_deg, view.emission_max_deg),
-        points.skyline_deg[near],
-        points.verticals[near],
-        beyond,
+    candidates = CandidatePoints(
+        points.xyz_m[near], half, points.skyline_deg[near], points.verticals[near], beyond
     )
+    seen = expected_in_view(candidates, camera, pose, frame.sun_body, limits)
     return replace(seen, index=near[seen.index])
 
 
-def why_nothing_in_view(frame: FrameContext, pose: Pose) -> str:
-    """Say which condition emptied the view."""
-    points, camera, sun_body = frame.points, frame.camera, frame.sun_body
-    settings = frame.settings
-    sun = np.degrees(np.arcsin(np.clip(points.verticals @ sun_body, -1.0, 1.0)))
-    height = float(np.linalg.norm(pose.position_m)) - points.radius_m
-    if height <= 0.0:
-        return "the prior position is inside the body"
-    seen = expected_in_view(
-        points.xyz_m,
-        np.zeros(len(points)),
-        camera,
-        (camera.width_px, camera.height_px),
-        pose,
-        pose.position_m / np.linalg.norm(pose.position_m),
-        ViewLimits(-90.0, 90.0, settings.view.emission_max_deg),
-        verticals=points.verticals,
+def expected_in_view(
+    candidates: CandidatePoints,
+    camera: Camera,
+    pose: Pose,
+    sun_body: FloatArray,
+    limits: ViewSettings,
+) -> ExpectedPoints:
+    """The candidates that a frame should show whole; sun_body (3,) unit vector, body frame."""
+    points_m, verticals = candidates.points_m, candidates.verticals
+    if verticals is None:
+        verticals = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
+    to_camera = pose.position_m - points_m
+    distance = np.linalg.norm(to_camera, axis=1)
+    cos_emission = np.einsum("ni,ni->n", verticals, to_camera) / distance
+    sin_sun = verticals @ sun_body
+    limits_ok = (
+        (cos_emission > np.cos(np.radians(limits.emission_max_deg)))
+        & (sin_sun > np.sin(np.radians(limits.sun_min_deg)))
+        # 90 degrees is no limit, and a sine of the zenith may be a rounding above 1
+        & (sin_sun <= np.sin(np.radians(limits.sun_max_deg)) + 1e-12)
     )
-    if len(seen) == 0:
-        return "no control point of the catalog in the frame at the prior pose"
-    lit = sun[seen.index]
-    if ((lit >= settings.view.sun_min_deg) & (lit <= settings.view.sun_max_deg)).any():
-        return (
-            f"the {len(seen)} control points in the frame stand in the shadow of the terrain "
-            "about them, or the frame cuts the ground that is compared"
-        )
-    return (
-        f"none of the {len(seen)} control points in the frame is lit well: Sun elevation "
-        f"{lit.min():.1f} to {lit.max():.1f} deg, wanted {settings.view.sun_min_deg:.0f} to "
-        f"{settings.view.sun_max_deg:.0f}"
+    index = np.flatnonzero(limits_ok)
+    skyline_deg = candidates.skyline_deg
+    if skyline_deg is not None and len(index):
+        index = index[_above_skyline(verticals[index], to_camera[index], skyline_deg[index])]
+    if len(index) == 0:
+        none = np.empty(0)
+        return ExpectedPoints(np.empty(0, dtype=np.intp), np.empty((0, 2)), none, none, none)
+    camera_from_body = pose.camera_from_body.as_matrix()
+    centres = (points_m[index] - pose.position_m) @ camera_from_body.T
+    pixels, by_point = camera.project_with_jacobian(centres)
+    east, north = _horizontals(verticals[index])
+    ground = np.stack([east @ camera_from_body.T, north @ camera_from_body.T], axis=-1)
+    jacobian = by_point @ ground
+    with np.errstate(invalid="ignore"):
+        metres_per_pixel = 1.0 / np.sqrt(np.abs(np.linalg.det(jacobian)))
+    beyond = candidates.beyond_px
+    room = np.zeros(len(index)) if beyond is None else beyond[index]
+    inside = _inside(pixels, camera, room) & np.isfinite(metres_per_pixel)
+    for sx in (-1.0, 1.0):
+        for sy in (-1.0, 1.0):
+            offset = candidates.half_width_m[index, None] * (sx * east + sy * north)
+            corner, _ = camera.project_with_jacobian(centres + offset @ camera_from_body.T)
+            inside &= _inside(corner, camera, room)
+    chosen = index[inside]
+    return ExpectedPoints(
+        chosen,
+        pixels[inside],
+        metres_per_pixel[inside],
+        np.degrees(np.arcsin(np.clip(sin_sun[chosen], -1.0, 1.0))),
+        np.degrees(np.arccos(np.clip(cos_emission[chosen], -1.0, 1.0))),
     )
 
 
-def select_evenly(view: View, most: int) -> View:
-    """At most `most` points, evenly over the frame: each next is the farthest from all so far."""
-    if len(view) <= most:
+def select_evenly(view: ExpectedPoints, count: int) -> ExpectedPoints:
+    """At most `count` points, evenly over the frame: each next is the farthest from all so far."""
+    if len(view) <= count:
         return view
     chosen = [int(np.argmin(np.linalg.norm(view.pixels - view.pixels.mean(axis=0), axis=1)))]
     gap = np.linalg.norm(view.pixels - view.pixels[chosen[0]], axis=1)
-    while len(chosen) < most:
+    while len(chosen) < count:
         nearest = int(np.argmax(gap))
         chosen.append(nearest)
         gap = np.minimum(gap, np.linalg.norm(view.pixels - view.pixels[nearest], axis=1))
     keep = np.sort(np.array(chosen))
-    return View(
+    return ExpectedPoints(
         view.index[keep],
         view.pixels[keep],
         view.metres_per_pixel[keep],
         view.sun_elevation_deg[keep],
         view.emission_deg[keep],
     )
+
+
+def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
+    """Which condition leaves no point in view."""
+    points, limits = frame.points, frame.settings.view
+    distance = float(np.linalg.norm(pose.position_m))
+    if distance <= points.radius_m:
+        return Reason(ReasonCode.INSIDE_BODY, "the prior position is inside the body")
+    any_light = ViewSettings(-90.0, 90.0, limits.emission_max_deg)
+    candidates = CandidatePoints(points.xyz_m, np.zeros(len(points)), verticals=points.verticals)
+    seen = expected_in_view(candidates, frame.camera, pose, pose.position_m / distance, any_light)
+    if len(seen) == 0:
+        return Reason(
+            ReasonCode.NO_POINTS_IN_VIEW,
+            "no control point of the catalog in the frame at the prior pose",
+        )
+    sun_sines = points.verticals[seen.index] @ frame.sun_body
+    lit = np.degrees(np.arcsin(np.clip(sun_sines, -1.0, 1.0)))
+    if ((lit >= limits.sun_min_deg) & (lit <= limits.sun_max_deg)).any():
+        return Reason(
+            ReasonCode.POINTS_HIDDEN,
+            f"the {len(seen)} control points in the frame stand in the shadow of the terrain "
+            "about them, or the frame cuts the ground that is compared",
+        )
+    return Reason(
+        ReasonCode.POINTS_UNLIT,
+        f"none of the {len(seen)} control points in the frame is lit well: Sun elevation "
+        f"{lit.min():.1f} to {lit.max():.1f} deg, wanted {limits.sun_min_deg:.0f} to "
+        f"{limits.sun_max_deg:.0f}",
+    )
+
+
+def _inside(pixels: FloatArray, camera: Camera, room_px: FloatArray) -> BoolArray:
+    room, size = room_px[:, None], np.array([camera.width_px, camera.height_px])
+    with np.errstate(invalid="ignore"):
+        inside: BoolArray = (pixels > -0.5 - room) & (pixels < size - 0.5 + room)
+    return inside[:, 0] & inside[:, 1]
+
+
+def _horizontals(verticals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """East and north unit vectors (n, 3) of verticals (n, 3)."""
+    lat, lon, _ = latlon_from_xyz(verticals)
+    zero = np.zeros_like(lat)
+    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
+    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
+    return east, north
+
+
+def _above_skyline(up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArray) -> BoolArray:
+    east, north = _horizontals(up)
+    distance = np.linalg.norm(to_camera, axis=1)
+    elevation = np.degrees(np.arcsin(np.einsum("ni,ni->n", up, to_camera) / distance))
+    azimuth = np.degrees(
+        np.arctan2(np.einsum("ni,ni->n", east, to_camera), np.einsum("ni,ni->n", north, to_camera))
+    )
+    bins = skyline_deg.shape[1]
+    nearest = np.rint(azimuth / (360.0 / bins)).astype(int) % bins
+    above: BoolArray = elevation > skyline_deg[np.arange(len(up)), nearest]
+    return above

@@ -10,15 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.control_point import ControlPoint
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
-from optnav_cli.camera.camera import Camera
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.estimation.robust import RobustResection
+from optnav_cli.fix import Evidence, Fix, MatchRow, Method, PositionPrior, UnsolvedFrameError
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
-from optnav_cli.matching.visibility import View
 from optnav_cli.navigation.control_points.acceptance import (
     MAX_PART_FACTOR,
     MAX_VARIANCE_FACTOR,
@@ -32,126 +31,141 @@ from optnav_cli.navigation.control_points.acceptance import (
 )
 from optnav_cli.navigation.control_points.error_model import footprints, own_shares
 from optnav_cli.navigation.control_points.expectation import (
+    ExpectedPoints,
     FrameContext,
     expected,
     select_evenly,
     why_nothing_in_view,
 )
 from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.control_points.solve import Prior, match_all, search_postings, solve
+from optnav_cli.navigation.control_points.solve import accepted, match_all, solve
+from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # The pose stands still when a pass moves it by less than this share of its sigma.
 SETTLED_SIGMAS = 0.1
+NO_POINTS = Evidence(n_predicted=0, n_matched=0, n_used=0)
+OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")
 
 
-class UnsolvedFrameError(NoSolutionError):
-    """A picture gave no position; `tried` are the control points of the last pass."""
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """All points of a frame searched once from one pose, and the pose that they gave.
 
-    def __init__(self, reason: str, tried: "list[TriedPoint]") -> None:
-        super().__init__(reason)
-        self.tried = tried
+    moved              how far that is from the pose before, sigmas
+    searched_postings  how far the points were searched, postings of the terrain model
+    """
 
-
-@dataclass(frozen=True)
-class TriedPoint:
-    """One expected control point after the last pass; `index` is its place in the field."""
-
-    index: int
-    catalog: str
-    point: ControlPoint
-    predicted_px: FloatArray
-    sun_elevation_deg: float
-    match: PointMatch
-    used: bool
-    residual_px: FloatArray | None
-    reason: str
-
-
-@dataclass(frozen=True)
-class ControlPointFix:
-    """A solved frame; `remark` says what a reader of the row should know."""
-
+    view: ExpectedPoints
+    matches: list[PointMatch]
     solution: RobustResection
-    tried: list[TriedPoint]
-    remark: str = ""
+    evidence: Evidence
+    moved: float
+    at_finest: bool
+    searched_postings: float
+
+    @property
+    def used(self) -> list[int]:
+        """Which of the points the solution keeps."""
+        return [
+            k for k, used in zip(accepted(self.matches), self.solution.used, strict=True) if used
+        ]
 
 
 def navigate(
-    picture: PicturePyramid,
-    camera: Camera,
-    prior: Prior,
-    sun_body: FloatArray,
+    observation: Observation,
+    prior: PositionPrior,
     points: ControlPointField,
     settings: NavigateSettings,
     matcher: Matcher,
-) -> ControlPointFix:
-    """Find the camera's pose from the control points in a picture.
+) -> Fix:
+    """The camera's pose from the control points in a picture.
 
-    sun_body (3,) unit vector to the Sun, body frame. The prior limits the search and starts the
-    iteration; its position is no part of the estimate.
+    The prior limits the search and starts the iteration; its position is no part of the estimate.
 
     Raises UnsolvedFrameError with the reason when the picture gives no position.
     """
-    frame = FrameContext(picture, camera, sun_body, points, settings, matcher)
-    pose = prior.pose
-    covariance = _prior_covariance(prior, settings)
-    solution: RobustResection | None = None
-    tried: list[TriedPoint] = []
-    previous_finest = False
-    searched_postings = np.inf
-    for number in range(settings.solve.max_passes):
-        first = number == 0
-        view = expected(frame, pose, whole=not first)
-        most = settings.solve.max_first_pass_points if first else settings.solve.max_points
-        view = select_evenly(view, most)
-        if len(view) == 0:
-            reason = why_nothing_in_view(frame, pose)
-            raise UnsolvedFrameError(reason, tried)
-        if first:
-            searched_postings = search_postings(frame, view, pose, covariance)
-        matches, at_finest = match_all(frame, view, pose, covariance)
-        believed = [k for k, match in enumerate(matches) if not match.reason]
-        tried = _tried(points, view, matches, None, believed)
-        try:
-            solution = solve(frame, view, matches, believed, pose, prior)
-        except NoSolutionError as error:
-            reason = f"{error} ({len(believed)} of {len(view)} matched)"
-            raise UnsolvedFrameError(reason, tried) from error
-        tried = _tried(points, view, matches, solution, believed)
-        step = solution.resection.pose.position_m - pose.position_m
-        pose = solution.resection.pose
-        position_covariance = solution.resection.position_covariance_m2
-        doubt = rejection_of_place(
-            pose, position_covariance, prior.pose.position_m, prior.position_covariance_m2
+    picture = PicturePyramid(observation.picture.values)
+    frame = FrameContext(observation, picture, points, settings, matcher)
+    passes: list[_Pass] = []
+    while len(passes) < settings.solve.max_passes and not _is_settled(passes):
+        passes.append(_search(frame, prior, passes[-1] if passes else None))
+    last = passes[-1]
+    reason = _rejection(frame, last, passes[0].searched_postings)
+    if reason:
+        refused = [
+            replace(row, used=False, reason=reason.text, reason_code=reason.code)
+            for row in last.evidence.matches
+        ]
+        raise UnsolvedFrameError(
+            reason, replace(last.evidence, n_used=0, residual_rms_px=None, matches=tuple(refused))
         )
-        if doubt:
-            raise UnsolvedFrameError(doubt, _tried(points, view, matches, None, believed))
-        covariance = _full_covariance(solution)
-        moved = float(np.sqrt(step @ np.linalg.solve(position_covariance, step)))
-        if at_finest and ((previous_finest and moved < 1.0) or moved < SETTLED_SIGMAS):
-            break
-        previous_finest = at_finest
-    if solution is None:
-        raise UnsolvedFrameError("no pass was made", tried)
-    searched = sum(t.match.score is not None for t in tried)
-    used = [t for t in tried if t.used]
-    decades = _decades(frame, pose, used, searched, searched_postings)
-    parts = all(t.match.part is not None for t in used)
-    near = parts and searched_postings <= NEAR_POSTINGS
-    least = MIN_NEAR_DECADES if near else MIN_DECADES
-    scatter = MAX_PART_FACTOR if parts else MAX_VARIANCE_FACTOR
-    doubt = rejection_of_matches(solution, decades, searched, least, scatter)
-    if doubt:
-        raise UnsolvedFrameError(doubt, [replace(t, used=False, reason=doubt) for t in tried])
-    return ControlPointFix(solution, tried)
+    resection = last.solution.resection
+    return Fix(
+        Method.CONTROL_POINTS,
+        resection.pose.position_m,
+        resection.position_covariance_m2,
+        resection.pose.camera_from_body,
+        resection.attitude_sigma_rad,
+        last.evidence,
+    )
 
 
-def _prior_covariance(prior: Prior, settings: NavigateSettings) -> FloatArray:
-    sigma = prior.attitude_sigma_rad
-    turn = np.radians(settings.solve.free_attitude_deg) if sigma is None else sigma
-    full = np.diag([0.0] * 3 + [turn**2] * 3)
-    full[:3, :3] = prior.position_covariance_m2
+def _is_settled(passes: list[_Pass]) -> bool:
+    """Whether the finest levels were searched and the pose moves no more."""
+    if not passes or not passes[-1].at_finest:
+        return False
+    again = len(passes) > 1 and passes[-2].at_finest
+    return passes[-1].moved < (1.0 if again else SETTLED_SIGMAS)
+
+
+def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> _Pass:
+    """One pass, from the prior or from the pose of the pass before. Raises UnsolvedFrameError."""
+    limits = frame.settings.solve
+    if before is None:
+        pose = Pose(prior.position_m, frame.observation.camera_from_body)
+        covariance, most = _prior_covariance(frame, prior), limits.max_first_pass_points
+    else:
+        pose = before.solution.resection.pose
+        covariance, most = _full_covariance(before.solution), limits.max_points
+    view = select_evenly(expected(frame, pose, whole=before is not None), most)
+    if len(view) == 0:
+        tried = NO_POINTS if before is None else before.evidence
+        raise UnsolvedFrameError(
+            why_nothing_in_view(frame, pose), replace(tried, n_used=0, residual_rms_px=None)
+        )
+    matches, at_finest, searched = match_all(frame, view, pose, covariance)
+    try:
+        solution = solve(frame, view, matches, pose)
+    except NoSolutionError as error:
+        reason = Reason.of(error)
+        text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
+        evidence = _evidence(frame, view, matches, None)
+        raise UnsolvedFrameError(reason.worded(text), evidence) from error
+    resection = solution.resection
+    position, covariance_m2 = resection.pose.position_m, resection.position_covariance_m2
+    reason = rejection_of_place(position, covariance_m2, prior)
+    if reason:
+        raise UnsolvedFrameError(reason, _evidence(frame, view, matches, None))
+    step = position - pose.position_m
+    return _Pass(
+        view,
+        matches,
+        solution,
+        _evidence(frame, view, matches, solution),
+        float(np.sqrt(squared_distance(step, covariance_m2))),
+        at_finest,
+        searched,
+    )
+
+
+def _prior_covariance(frame: FrameContext, prior: PositionPrior) -> FloatArray:
+    sigma = frame.observation.attitude_sigma_rad
+    if sigma is None:
+        sigma = float(np.radians(frame.settings.solve.free_attitude_deg))
+    full = np.diag([0.0] * 3 + [sigma**2] * 3)
+    full[:3, :3] = prior.covariance_m2
     return full
 
 
@@ -162,26 +176,36 @@ def _full_covariance(solution: RobustResection) -> FloatArray:
     return full
 
 
-def _sample_m(frame: FrameContext, pose: Pose, tried: TriedPoint) -> float:
-    """Ground sample distance at a point, m, along the picture plane."""
-    distance = float(np.linalg.norm(tried.point.xyz_m - pose.position_m))
-    return distance / frame.camera.focal_length_px
+def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Reason:
+    """Why the last pass's solution is refused; empty when it is accepted.
+
+    searched_postings  of the first pass
+    """
+    searched = sum(match.score is not None for match in last.matches)
+    decades = _decades(frame, last, searched, searched_postings)
+    parts = all(last.matches[k].part is not None for k in last.used)
+    near = parts and searched_postings <= NEAR_POSTINGS
+    return rejection_of_matches(
+        last.solution,
+        decades,
+        searched,
+        MIN_NEAR_DECADES if near else MIN_DECADES,
+        MAX_PART_FACTOR if parts else MAX_VARIANCE_FACTOR,
+    )
 
 
-def _decades(
-    frame: FrameContext,
-    pose: Pose,
-    used: list[TriedPoint],
-    searched: int,
-    searched_postings: float,
-) -> float:
-    """What speaks against chance for the used points, powers of ten."""
-    whole = [t for t in used if t.match.part is None]
-    cut = [(t.match.score or 0.0, t.match.part) for t in used if t.match.part is not None]
+def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings: float) -> float:
+    """Powers of ten against chance for the points that a pass uses."""
+    whole = [k for k in last.used if last.matches[k].part is None]
+    cut = [
+        (match.score or 0.0, match.part)
+        for match in (last.matches[k] for k in last.used)
+        if match.part is not None
+    ]
     decades = 0.0
     if whole:
-        template = min(_template_side(frame, pose, t) for t in whole)
-        scores = [t.match.score or 0.0 for t in whole]
+        template = min(_template_side(frame, last, k) for k in whole)
+        scores = [last.matches[k].score or 0.0 for k in whole]
         decades += log10_false_alarms(scores, searched - len(cut), template)
     if cut:
         strengths = [score * np.sqrt(part.samples) for score, part in cut]
@@ -191,43 +215,59 @@ def _decades(
     return decades
 
 
-def _template_side(frame: FrameContext, pose: Pose, tried: TriedPoint) -> int:
-    """Side of the template that a point was matched with, nodes."""
-    posting = float(frame.points.postings_m(tried.index)[tried.match.level])
-    known = float(frame.points.finest_postings_m(np.array([tried.index]))[0])
-    return frame.template_nodes(posting, _sample_m(frame, pose, tried), known)
+def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
+    """Side of the template that a point was matched with, nodes, at the solved pose."""
+    index = int(last.view.index[k])
+    offset = frame.points.point(index).xyz_m - last.solution.resection.pose.position_m
+    sample = float(np.linalg.norm(offset)) / frame.camera.focal_length_px
+    posting = float(frame.points.postings_m(index)[last.matches[k].level])
+    known = float(frame.points.finest_postings_m(np.array([index]))[0])
+    return frame.template_nodes(posting, sample, known)
 
 
-def _tried(
-    points: ControlPointField,
-    view: View,
+def _evidence(
+    frame: FrameContext,
+    view: ExpectedPoints,
     matches: list[PointMatch],
     solution: RobustResection | None,
-    believed: list[int],
-) -> list[TriedPoint]:
-    place = {k: i for i, k in enumerate(believed)}
+) -> Evidence:
+    """The points tried, with what the solution made of them; None: there is no solution."""
+    place = {k: i for i, k in enumerate(accepted(matches))}
     rows = []
     for k, match in enumerate(matches):
         used, residual, reason = False, None, match.reason
         if solution is not None and k in place:
             used = bool(solution.used[place[k]])
             residual = solution.residuals_px[place[k]]
-            reason = "" if used else "disagrees with the others"
+            reason = NO_REASON if used else OUTLIER
         predicted = view.pixels[k]
         if match.pixel is not None and residual is not None:
             predicted = match.pixel - residual
         index = int(view.index[k])
+        catalog, point_id = frame.points.name(index)
         rows.append(
-            TriedPoint(
-                index,
-                points.name(index)[0],
-                points.point(index),
-                predicted,
-                float(view.sun_elevation_deg[k]),
-                match,
-                used,
-                residual,
-                reason,
+            MatchRow(
+                file=frame.observation.file,
+                cp_id=point_id,
+                level=match.level,
+                cp_position_m=frame.points.point(index).xyz_m,
+                predicted_px=predicted,
+                measured_px=match.pixel,
+                score=match.score,
+                runner_up=match.runner_up,
+                used=used,
+                reason=reason.text,
+                sun_elevation_deg=float(view.sun_elevation_deg[k]),
+                residual_px=residual,
+                catalog=catalog,
+                reason_code=reason.code,
             )
         )
-    return rows
+    residuals = [row.residual_px for row in rows if row.used and row.residual_px is not None]
+    return Evidence(
+        n_predicted=len(matches),
+        n_matched=len(place),
+        n_used=len(residuals),
+        residual_rms_px=float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None,
+        matches=tuple(rows),
+    )

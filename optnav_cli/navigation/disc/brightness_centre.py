@@ -20,6 +20,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
 from optnav_cli.measurements.disc.size import radius_posterior
+from optnav_cli.reasons import ReasonCode
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
 # What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
@@ -79,7 +80,8 @@ def navigate(
     if np.degrees(phase) > MAX_PHASE_DEG:
         raise NoSolutionError(
             f"the phase is {np.degrees(phase):.0f} deg: a crescent that thin says little about "
-            f"the disc's centre; the limit is {MAX_PHASE_DEG:.0f} deg"
+            f"the disc's centre; the limit is {MAX_PHASE_DEG:.0f} deg",
+            ReasonCode.THIN_CRESCENT,
         )
     body_from_camera = camera_from_body.inv().as_matrix()
     pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
@@ -97,7 +99,8 @@ def navigate(
         raise NoSolutionError(
             f"the light of the brightest spot is not spread as that of a disc under this Sun "
             f"({size.misfit_sigmas:.0f} sigmas): a blend of stars, hot pixels, a trail "
-            "or another body"
+            "or another body",
+            ReasonCode.WRONG_LIGHT,
         )
     # every radius and law puts the centre elsewhere, and the body at another range
     offsets = np.array([m.offset for m in moments]) @ (pixel_from_angle / scale).T

@@ -16,6 +16,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc.fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.measurements.limb.detection import LimbPoints
+from optnav_cli.reasons import ReasonCode
 
 MAX_RADIUS_PX = 25.0  # beyond it the limb's profiles are right to a few hundredths of a pixel
 # What the figure moves the fitted centre and radius by, of the radius, at full phase: the Moon's is
@@ -74,7 +75,8 @@ def navigate(
     if fit.misfit > MAX_MISFIT:
         raise NoSolutionError(
             f"the disc's light is {fit.misfit:.1f} times as far from that of a sphere under the "
-            "Sun of attitude and time as noise explains: one of these is wrong, or another body"
+            "Sun of attitude and time as noise explains: one of these is wrong, or another body",
+            ReasonCode.WRONG_LIGHT,
         )
 
     def place(state: FloatArray) -> FloatArray:

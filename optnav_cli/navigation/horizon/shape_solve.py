@@ -17,6 +17,7 @@ from optnav_cli.estimation.silhouette_step import MAD_TO_SIGMA, silhouette_step
 from optnav_cli.navigation.horizon.shape_limb import shape_ground, shape_limb
 from optnav_cli.navigation.horizon.sight import LimbRays, arc_deg, require_arc
 from optnav_cli.navigation.horizon.uncertainty import edge_errors, with_shared_errors
+from optnav_cli.reasons import ReasonCode
 
 MAX_PASSES = 15
 STILL_SIGMAS = 0.05  # a pass that moves the position by less of its sigma is the last
@@ -74,12 +75,15 @@ def over_shape(
         before, moved = moved, float(np.linalg.norm(step))
         position = fit.position_m
         if float(np.linalg.norm(position)) <= ground.limb.radius_m:
-            raise NoSolutionError("the limb leads to a position inside the body")
+            raise NoSolutionError(
+                "the limb leads to a position inside the body", ReasonCode.INSIDE_BODY
+            )
         if float(step @ np.linalg.solve(fit.covariance_m2, step)) < STILL_SIGMAS**2:
             break
         if passes == MAX_PASSES or (passes > SETTLING_PASSES and moved > SLOWEST * before):
             raise NoSolutionError(
-                f"the position still moves by {moved:.0f} m after {passes} passes over the shape"
+                f"the position still moves by {moved:.0f} m after {passes} passes over the shape",
+                ReasonCode.NOT_SETTLED,
             )
     _check_misfit(fit, sigmas)
     arc = require_arc(arc_deg(azimuths[fit.weights > 0.0]))
@@ -97,10 +101,12 @@ def _check_misfit(fit: LimbFit, sigmas: FloatArray) -> None:
     if share < MIN_KEPT_SHARE:
         raise NoSolutionError(
             f"only {100.0 * share:.0f} % of the lit limb lie on the silhouette of the shape; check "
-            "attitude, time, camera and body, or the shape has parts that hide behind each other"
+            "attitude, time, camera and body, or the shape has parts that hide behind each other",
+            ReasonCode.LIMB_MISFIT,
         )
     if misfit > MISFIT:
         raise NoSolutionError(
             f"the limb is not the silhouette of the shape: it scatters by {misfit:.1f} times what "
-            "is expected; check attitude, time, camera and body"
+            "is expected; check attitude, time, camera and body",
+            ReasonCode.LIMB_MISFIT,
         )

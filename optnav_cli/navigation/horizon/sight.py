@@ -10,6 +10,7 @@ from catalog.errors import NoSolutionError
 from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.detection import LimbPoints
+from optnav_cli.reasons import ReasonCode
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +96,9 @@ def limb_rays_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation)
     nearby = camera.unproject(points.pixels + points.inward)
     seen = np.isfinite(rays).all(axis=1) & np.isfinite(nearby).all(axis=1)
     if not seen.any():
-        raise NoSolutionError("the lens has no ray for any of the limb points")
+        raise NoSolutionError(
+            "the lens has no ray for any of the limb points", ReasonCode.BAD_PICTURE
+        )
     angle = np.linalg.norm(np.cross(rays[seen], nearby[seen]), axis=1)
     return LimbRays(
         camera_from_body.apply(rays[seen], inverse=True),
@@ -124,6 +127,7 @@ def require_arc(arc: float) -> float:
     if arc < MIN_ARC_DEG:
         raise NoSolutionError(
             f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "
-            f"{MIN_ARC_DEG:.0f} deg or more"
+            f"{MIN_ARC_DEG:.0f} deg or more",
+            ReasonCode.SHORT_ARC,
         )
     return arc

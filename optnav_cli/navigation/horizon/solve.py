@@ -41,6 +41,7 @@ from optnav_cli.navigation.horizon.uncertainty import (
     relief_covariance,
     with_shared_errors,
 )
+from optnav_cli.reasons import Reason, ReasonCode
 
 SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
 MAX_PASSES = 8
@@ -100,9 +101,8 @@ def navigate(
     ground = limb_ground(relief)
     solved = _over_relief(sight, fit.position_m, sun, ground)
     if solved.misfit > MISFIT:
-        raise NoSolutionError(
-            _misfit_reason(points, camera, camera_from_body, sun, body, ground, solved)
-        )
+        reason = _misfit_reason(points, camera, camera_from_body, sun, body, ground, solved)
+        raise reason.error()
     return _terrain_fix(points, solved, attitude_sigma_rad, ground)
 
 
@@ -154,7 +154,8 @@ def _over_relief(
     if misfit > MISFIT:
         return _Solved(fit, kept, limb.sun_sine[lit], passes, misfit)
     raise NoSolutionError(
-        f"the position still moves by {moved:.0f} m after {MAX_PASSES} passes over the relief"
+        f"the position still moves by {moved:.0f} m after {MAX_PASSES} passes over the relief",
+        ReasonCode.NOT_SETTLED,
     )
 
 
@@ -179,11 +180,12 @@ def _robust_fit(
 def _misfit_reason(
     points: LimbPoints, camera: Camera, camera_from_body: Rotation, sun: FloatArray | None,
     body: Body, ground: LimbGround, solved: _Solved,
-) -> str:  # fmt: skip
+) -> Reason:  # fmt: skip
     """Why a limb that is no skyline of the relief may be so."""
-    reason = (
+    reason = Reason(
+        ReasonCode.LIMB_MISFIT,
         f"the limb is not the skyline of {body.name}'s relief: it scatters by {solved.misfit:.1f} "
-        "times what is expected; check attitude, time, camera and body"
+        "times what is expected; check attitude, time, camera and body",
     )
     sight = limb_rays_of(points, camera, camera_from_body.inv())
     try:
@@ -194,7 +196,10 @@ def _misfit_reason(
         return reason
     if other.misfit > min(MISFIT, 0.6 * solved.misfit):
         return reason
-    return reason + "; it fits the inverse rotation: is the quaternion body_from_camera?"
+    return Reason(
+        ReasonCode.WRONG_ATTITUDE,
+        f"{reason}; it fits the inverse rotation: is the quaternion body_from_camera?",
+    )
 
 
 def _limb_distance(position: FloatArray, ground: LimbGround) -> float:

@@ -11,6 +11,7 @@ from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import OutlineMarks
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.fit import rad_per_px
 from optnav_cli.measurements.disc.moments import is_round
@@ -20,7 +21,7 @@ from optnav_cli.navigation import horizon
 from optnav_cli.navigation.disc import brightness_centre, whole_disc
 from optnav_cli.navigation.horizon.shape_limb import relief_fraction
 from optnav_cli.navigation.neighbour import View
-from optnav_cli.solution import OutlineMarks
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # A disc of a larger radius, rad, is that of a body close by: it is not asked which.
 NEAR_ANGLE = 0.25
@@ -48,7 +49,7 @@ class BodyFix:
     n_used: int | None
     arc_deg: float | None
     marks: OutlineMarks
-    remark: str
+    remark: Reason
 
 
 def detect_limb(
@@ -82,15 +83,15 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
     except NoSolutionError as no_limb:
         doubt = _rejection_of_sun(picture, view, body)
         if doubt:
-            raise NoSolutionError(f"{doubt}; {no_limb}") from None
-        return _by_centre(picture, view, body, relief, str(no_limb))
+            raise NoSolutionError(f"{doubt}; {no_limb}", ReasonCode.WRONG_LIGHT) from None
+        return _by_centre(picture, view, body, relief, Reason.of(no_limb))
     small = _by_disc(picture, view, body, relief, limb)
     if small is not None:
         return small
     # close to the body the limb's own relief tells a wrong Sun
     doubt = _rejection_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
-        raise NoSolutionError(f"{doubt}: attitude or time is wrong")
+        raise NoSolutionError(f"{doubt}: attitude or time is wrong", ReasonCode.WRONG_LIGHT)
     return BodyFix(
         "horizon" if fix.terrain else "horizon_sphere",
         fix.position_m,
@@ -99,7 +100,7 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
         fix.n_used,
         fix.arc_deg,
         OutlineMarks(limb.pixels, limb.inward, fix.residuals_px),
-        fix.remark,
+        Reason(ReasonCode.SHORT_ARC, fix.remark) if fix.remark else NO_REASON,
     )
 
 
@@ -131,13 +132,13 @@ def _by_disc(
             len(limb),
             limb.arc_deg,
             OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb))),
-            f"disc of {2.0 * fix.radius_px:.1f} px fitted whole",
+            Reason(ReasonCode.SMALL_DISC, f"disc of {2.0 * fix.radius_px:.1f} px fitted whole"),
         )
     radius_px = limb.cone_angle / rad_per_px(view.camera, limb.cone_axis_camera)
     if relief is None or is_round(body) or radius_px > KNOWN_SHAPE_PX:
         return None
     with suppress(NoSolutionError):
-        return _by_centre(picture, view, body, relief, "")
+        return _by_centre(picture, view, body, relief, NO_REASON)
     return None
 
 
@@ -153,7 +154,7 @@ def _rejection_of_sun(picture: Picture, view: View, body: Body) -> str:
 
 
 def _by_centre(
-    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, why_no_limb: str
+    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, no_limb: Reason
 ) -> BodyFix:
     """A position from the middle of light of a small disc."""
     try:
@@ -168,15 +169,19 @@ def _by_centre(
             relief=relief,
         )
     except NoSolutionError as no_disc:
-        both = dict.fromkeys((why_no_limb, str(no_disc)))
-        raise NoSolutionError("; ".join(both)) from None
+        if str(no_disc) == no_limb.text:
+            raise
+        # of a disc too small for a limb the centre says why
+        code = no_disc.code if no_limb.code == ReasonCode.SMALL_DISC else no_limb.code
+        raise NoSolutionError(f"{no_limb}; {no_disc}", code) from None
     if disc.width_sigmas < MIN_WIDTH_SIGMAS:
         remedy = "a nearer picture or a longer lens tells"
         if view.camera.known_blur_px is None:
             remedy = "a blur calibrated in the camera file (psf_sigma_px) would tell more"
         raise NoSolutionError(
-            f"{why_no_limb}; one bright spot, no wider than a point's picture "
-            f"({disc.width_sigmas:.1f} sigmas): a star or a planet looks the same; {remedy}"
+            f"{no_limb}; one bright spot, no wider than a point's picture "
+            f"({disc.width_sigmas:.1f} sigmas): a star or a planet looks the same; {remedy}",
+            ReasonCode.POINT_SOURCE,
         )
     return BodyFix(
         "brightness_centre",
@@ -186,5 +191,5 @@ def _by_centre(
         None,
         None,
         OutlineMarks.of_disc(disc.centre_px),
-        disc.remark,
+        Reason(ReasonCode.SMALL_DISC, disc.remark),
     )

@@ -31,6 +31,7 @@ from optnav_cli.navigation.neighbour import (
     spots_of,
 )
 from optnav_cli.navigation.outline.solve import NEAR_ANGLE, BodyFix, solve
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 MIN_SPOT_PIXELS = 9
 MAX_SPOTS = 30  # the largest; the rest are stars
@@ -86,15 +87,15 @@ def _choose(
     relief: GlobalRelief | None,
     other: OtherBody | None,
 ) -> _Choice:
-    alone, reason = None, ""
+    alone, reason = None, NO_REASON
     try:
         alone = solve(picture, view, body, relief)
     except NoSolutionError as error:
-        reason = str(error)
+        reason = Reason.of(error)
     if other is not None and (alone is None or _disc(view, body, alone).angle < NEAR_ANGLE):
         return _one_of_two(picture, view, body, relief, other, alone, reason)
     if alone is None:
-        raise NoSolutionError(reason)
+        raise reason.error()
     return _Choice(alone, picture)
 
 
@@ -105,7 +106,7 @@ def _one_of_two(
     relief: GlobalRelief | None,
     other: OtherBody,
     alone: BodyFix | None,
-    reason: str,
+    reason: Reason,
 ) -> _Choice:
     """The outline that another body in the picture speaks for, or does not speak against.
 
@@ -115,7 +116,7 @@ def _one_of_two(
     try:
         levels = measure_levels(picture.values)
     except NoSolutionError:
-        raise NoSolutionError(reason) from None
+        raise reason.error() from None
     blobs = lit_blobs(picture.values, levels.threshold)
     spots = spots_of(view.camera, blobs, np.flatnonzero(blobs.area >= MIN_SPOT_PIXELS)[:MAX_SPOTS])
     if alone is not None:
@@ -125,28 +126,35 @@ def _one_of_two(
     if len(spots) > 1:
         agreed = _agreed(picture, view, body, relief, other, blobs, spots, levels.sky)
         if len(agreed) == 1:
-            remark = f"{names[0]} is in the picture too, where this position puts it"
             found = agreed[0].outline
-            remark = "; ".join(filter(None, (found.remark, remark)))
-            return replace(agreed[0], outline=replace(found, remark=remark))
+            remark = Reason(
+                ReasonCode.NEIGHBOUR_IN_VIEW,
+                f"{names[0]} is in the picture too, where this position puts it",
+            )
+            return replace(
+                agreed[0], outline=replace(found, remark=found.remark.followed_by(remark))
+            )
         if agreed:
             raise NoSolutionError(
                 f"two bodies in the picture: either may be {names[1]}, for each puts {names[0]} "
-                "where the other one is"
+                "where the other one is",
+                ReasonCode.SEVERAL_BODIES,
             )
     if alone is None:
-        raise NoSolutionError(reason)
+        raise reason.error()
     expected = _other_disc(view, other, alone)
     if must_be_seen(view, expected, _disc(view, body, alone)) and not is_lit(expected, spots):
         x, y = view.camera.project(expected.towards)
         raise NoSolutionError(
             f"if the disc were {names[1]}, {names[0]} should be seen about ({x:.0f}, {y:.0f}) and "
-            "is not: another body, or attitude, time or focal length are wrong"
+            "is not: another body, or attitude, time or focal length are wrong",
+            ReasonCode.OTHER_BODY,
         )
     if is_more_likely_neighbour(view, other, alone.position_m, _sigma(alone), body.radius_m):
         raise NoSolutionError(
             f"the disc is where {names[0]} stands as seen from near {names[1]}, and of its size: "
-            f"it is {names[0]}, or cannot be told from it"
+            f"it is {names[0]}, or cannot be told from it",
+            ReasonCode.OTHER_BODY,
         )
     return _Choice(alone, picture)
 

@@ -175,10 +175,11 @@ class Killer:
         return words
 
 
-def test_builds_killed_at_random_moments_lose_nothing_and_repeat_nothing(builds, tmp_path):
-    rng = random.Random(5)
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_builds_killed_at_random_moments_lose_nothing_and_repeat_nothing(builds, seed, tmp_path):
+    rng = random.Random(seed)
     killed = Counter()
-    while killed.total() < 25:
+    while killed.total() < 9:
         folder = tmp_path / f"after-{killed.total()}"
         folder.mkdir()
         killer = Killer(builds, folder, rng)
@@ -186,4 +187,4 @@ def test_builds_killed_at_random_moments_lose_nothing_and_repeat_nothing(builds,
         assert sorted(path.name for path in folder.iterdir()) == ["c.gpkg", "c.gpkg.work"]
         assert not list(folder.glob("**/*.partial"))
         killed.update(killer.killed)
-    assert killed["worker"] >= 5
+    assert killed["worker"] >= 2

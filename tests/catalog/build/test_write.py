@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from catalog.build.config import WriteSettings
-from catalog.build.write import CHUNK_POINTS, write
+from catalog.build.write import CHUNK_POINTS, CatalogExtras, write
 from catalog.config import parse_toml
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import ConfigError
@@ -27,7 +27,7 @@ from catalog.store.records import rounded_point
 CELLS = range(100, 100 + 5 * CHUNK_POINTS + 3)
 
 
-class BuildInputs:
+class PlaneWaveContext:
     """A body whose heights are a plane wave; remembers where patches were asked for."""
 
     def __init__(self) -> None:
@@ -70,15 +70,13 @@ def results_beside(path: Path) -> ChunkResults:
 
 
 def written_with(
-    workers: Any, path: Path, given: Sequence[ControlPoint], world: BuildInputs
+    workers: Any, path: Path, given: Sequence[ControlPoint], context: PlaneWaveContext
 ) -> Any:
     return write(
-        world,  # type: ignore[arg-type]
+        context,  # type: ignore[arg-type]
         given,
         path,
-        sources={"dem.tif": "sha256 0"},
-        config_text="[body]",
-        relief=None,
+        extras=CatalogExtras({"dem.tif": "sha256 0"}, "[body]", relief=None),
         results=results_beside(path),
         workers=workers,
         progress=SilentProgress(),
@@ -87,10 +85,10 @@ def written_with(
 
 
 def test_the_order_of_points_and_chunks_does_not_matter(tmp_path: Path) -> None:
-    world = BuildInputs()
-    given = points(world.grid)
-    first = written_with(SerialWorkers(), tmp_path / "a.gpkg", given, world)
-    second = written_with(BackwardWorkers(), tmp_path / "b.gpkg", given[::-1], world)
+    context = PlaneWaveContext()
+    given = points(context.grid)
+    first = written_with(SerialWorkers(), tmp_path / "a.gpkg", given, context)
+    second = written_with(BackwardWorkers(), tmp_path / "b.gpkg", given[::-1], context)
     assert first.digest == second.digest
     with Catalog.open(tmp_path / "b.gpkg") as catalog:
         assert catalog.ids.tolist() == list(CELLS)
@@ -99,12 +97,12 @@ def test_the_order_of_points_and_chunks_does_not_matter(tmp_path: Path) -> None:
 
 
 def test_patches_are_cut_about_the_place_that_the_catalog_states(tmp_path: Path) -> None:
-    world = BuildInputs()
-    given = points(world.grid)
-    written_with(SerialWorkers(), tmp_path / "a.gpkg", given, world)
+    context = PlaneWaveContext()
+    given = points(context.grid)
+    written_with(SerialWorkers(), tmp_path / "a.gpkg", given, context)
     stated = [(rounded_point(p).lat_deg, rounded_point(p).lon_deg) for p in given]
-    assert world.asked == stated
-    assert world.asked[0][0] != given[0].lat_deg
+    assert context.asked == stated
+    assert context.asked[0][0] != given[0].lat_deg
 
 
 def test_heights_are_rounded_by_the_posting_of_their_level_unless_a_step_is_set() -> None:

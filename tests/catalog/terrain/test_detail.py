@@ -89,7 +89,8 @@ def test_crater_counts_follow_the_equilibrium_law_at_every_latitude():
     for south_deg, width_deg in ((-43.0, 1.0), (0.0, 1.0), (88.0, 90.0)):
         south, width = np.radians(south_deg), np.radians(width_deg)
         north = south + np.radians(0.5)
-        table = craters.crater_table(5, 3, 236.9, 0.05, RADIUS_M, south, 3.0, north, width)
+        population = craters.Population(5, 3, 236.9, 0.05, RADIUS_M)
+        table = craters.crater_table(population, south, 3.0, north, width)
         east = np.mod(table[:, craters.LON] - 3.0, 2.0 * np.pi)
         lat = table[:, craters.LAT]
         inside = (lat >= south) & (lat < north) & (east < width)

@@ -176,7 +176,7 @@ def test_footprints_of_very_many_pixels_are_spread_over(tmp_path, dems, moon, fa
     values = np.empty((361, 721), np.float32)
     values[:] = 10.0 * (90.0 - (np.arange(361) + 0.5) * 180.0 / 361)[:, None]
     mosaic = mosaic_of(moon, tmp_path, dems.write(tmp_path / "odd.tif", values))
-    assert mosaic.sheet(0, 0).most_halvings == 0
+    assert mosaic.level_windows(0, 0).most_halvings == 0
     lat_deg = np.linspace(-90.0, 90.0, 400) if factor == 1.0 else np.linspace(-30.0, 30.0, 400)
     heights = mosaic.heights(
         np.radians(lat_deg), np.linspace(-3.0, 3.0, 400), mosaic.posting_m * factor

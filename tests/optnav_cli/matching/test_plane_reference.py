@@ -26,6 +26,7 @@ from optnav_cli.estimation.resection import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
+from optnav_cli.matching.search_plan import SearchPlan
 
 POSTING_M = 48.0
 PLACES_DEG = [(5.0, -8.0), (-20.0, 12.0), (15.0, 18.0), (-5.0, 22.0), (12.0, -14.0)]
@@ -103,7 +104,14 @@ def test_a_point_is_found_where_a_wrong_pose_does_not_expect_it(scene) -> None:
         range_m = float(np.linalg.norm(reference.point.xyz_m - pose.position_m))
         gsd = range_m / camera.focal_length_px
         match = match_point(
-            reference, 0, 64, 5, picture, camera, wrong, sun, gsd, match_ncc, MatchGates()
+            reference,
+            SearchPlan(0, 64, 5, gsd),
+            picture,
+            camera,
+            wrong,
+            sun,
+            match_ncc,
+            MatchGates(),
         )
         assert not match.reason
         truth = camera.project_from_body(reference.point.xyz_m, pose.position_m, turn)
@@ -136,9 +144,15 @@ def test_behind_a_blur_points_are_found_in_relief_that_the_model_hides(
         truth = camera.project_from_body(reference.point.xyz_m, pose.position_m, turn)
         for sigma, found in scores.items():
             match = match_point(
-                reference, 0, 80, 20, picture, camera, pose, sun, gsd, match_ncc, MatchGates(),
-                blur_nodes=sigma,
-            )  # fmt: skip
+                reference,
+                SearchPlan(0, 80, 20, gsd, blur_nodes=sigma),
+                picture,
+                camera,
+                pose,
+                sun,
+                match_ncc,
+                MatchGates(),
+            )
             found.append(match.score)
         # the last one, behind the blur
         assert np.linalg.norm(match.pixel - truth) * gsd < 0.5 * shape.posting_m

@@ -13,8 +13,10 @@ from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose, predict
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import Distortion, MatchGates, match_point
+from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
+from optnav_cli.matching.search_plan import Distortion, SearchPlan
+from optnav_cli.reasons import ReasonCode
 from tests.optnav_cli.conftest import pixel_grid
 
 CAMERA = Camera("small", "pinhole", 300, 300, 830.0, (149.5, 149.5))
@@ -60,22 +62,13 @@ def picture_of(reference, pose, sun, level=0, size=200):
 
 
 def search(reference, picture, pose, sun, **changes):
-    options = {
-        "level": 0,
-        "template_nodes": 64,
-        "search_nodes": 12,
-        "matcher": match_ncc,
-        "gates": MatchGates(0.5, 0.9),
-    } | changes
-    return match_point(
-        reference,
-        picture=PicturePyramid(picture),
-        camera=CAMERA,
-        pose=pose,
-        sun_body=sun,
+    options = {"matcher": match_ncc, "gates": MatchGates(0.5, 0.9)}
+    options |= {name: changes.pop(name) for name in options if name in changes}
+    plan = SearchPlan(
+        **{"level": 0, "template_nodes": 64, "search_nodes": 12} | changes,
         metres_per_pixel=METRES_PER_PIXEL,
-        **options,
     )
+    return match_point(reference, plan, PicturePyramid(picture), CAMERA, pose, sun, **options)
 
 
 @pytest.mark.parametrize("matcher", [match_ncc, match_surf])
@@ -86,12 +79,12 @@ def test_a_shifted_pose_gives_its_shift_back_to_a_tenth_of_a_node(
     truth = above(rough_world, reference)
     picture = picture_of(reference, truth, sun)
     axes = reference.projection.body_from_local
-    believed = Pose(truth.position_m + axes[:, :2] @ np.array(shift), truth.camera_from_body)
-    found = search(reference, picture, believed, sun, matcher=matcher)
-    assert found.reason == ""
+    stated = Pose(truth.position_m + axes[:, :2] @ np.array(shift), truth.camera_from_body)
+    found = search(reference, picture, stated, sun, matcher=matcher)
+    assert not found.reason
     true_pixel, _ = predict(CAMERA, truth, reference.point.xyz_m[None])
     assert np.abs(found.pixel - true_pixel[0]).max() < 0.1
-    # a camera believed too far east expects the point too far west in the picture: it is found east
+    # a camera stated too far east expects the point too far west in the picture: it is found east
     assert np.abs(found.offset_m - np.array(shift)).max() < 0.1 * 120.0 + 0.01 * np.hypot(*shift)
     assert found.score > 0.9
     assert np.linalg.eigvalsh(found.covariance_px2).min() > 0.0
@@ -100,7 +93,7 @@ def test_a_shifted_pose_gives_its_shift_back_to_a_tenth_of_a_node(
 def test_the_night_side_is_refused_before_any_search(rough_world, reference, sun):
     pose = above(rough_world, reference)
     found = search(reference, np.zeros((300, 300), np.float32), pose, -sun)
-    assert found.reason == "in shadow"
+    assert found.reason.text == "in shadow"
     assert found.pixel is None
 
 
@@ -108,7 +101,7 @@ def test_a_point_outside_the_frame_is_refused(rough_world, reference, sun):
     pose = above(rough_world, reference)
     away = Pose(pose.position_m, Rotation.from_rotvec([0.0, 0.25, 0.0]) * pose.camera_from_body)
     found = search(reference, np.ones((300, 300), np.float32), away, sun)
-    assert found.reason == "outside the frame"
+    assert found.reason.text == "outside the frame"
     assert found.score is None
 
 
@@ -123,7 +116,7 @@ def test_pure_noise_is_no_match(rough_world, reference, sun):
     for seed in range(20):
         noise = np.random.default_rng(seed).normal(100.0, 30.0, (300, 300)).astype(np.float32)
         found = search(reference, noise, pose, sun, gates=MatchGates(0.3, 0.9))
-        assert found.reason.startswith(("score", "peak at the border"))
+        assert found.reason.code in (ReasonCode.LOW_SCORE, ReasonCode.SEARCH_BORDER)
         assert found.score < 0.2
 
 
@@ -132,16 +125,16 @@ def test_the_same_ground_twice_in_the_picture_is_a_rival(rough_world, reference,
     picture = picture_of(reference, pose, sun)
     tile = picture[125:175, 125:175]
     found = search(reference, np.tile(tile, (6, 6)), pose, sun, template_nodes=32, search_nodes=32)
-    assert found.reason.startswith("rival")
+    assert found.reason.code == ReasonCode.RIVAL
 
 
-def test_a_place_at_the_border_of_the_search_is_not_believed(rough_world, reference, sun):
+def test_a_place_at_the_border_of_the_search_is_refused(rough_world, reference, sun):
     truth = above(rough_world, reference)
     picture = picture_of(reference, truth, sun)
     axes = reference.projection.body_from_local
-    believed = Pose(truth.position_m + axes[:, 0] * 120.0 * 4.0, truth.camera_from_body)
-    found = search(reference, picture, believed, sun, search_nodes=4)
-    assert found.reason == "peak at the border of the search"
+    stated = Pose(truth.position_m + axes[:, 0] * 120.0 * 4.0, truth.camera_from_body)
+    found = search(reference, picture, stated, sun, search_nodes=4)
+    assert found.reason.text == "peak at the border of the search"
     assert found.covariance_px2 is None
 
 
@@ -149,18 +142,19 @@ def test_holes_without_terrain_are_no_reference(rough_world, reference, sun):
     empty = tuple(Patch(p.posting_m, np.full_like(p.heights_m, np.nan)) for p in reference.patches)
     bare = replace(reference, patches=empty)
     picture = np.ones((300, 300), np.float32)
-    assert search(bare, picture, above(rough_world, reference), sun).reason == "no terrain data"
+    found = search(bare, picture, above(rough_world, reference), sun)
+    assert found.reason.text == "no terrain data"
 
 
 @pytest.mark.parametrize("roll_deg", [-3.0, 3.0])
 def test_a_roll_of_three_degrees_is_found_by_trying_rolls(rough_world, reference, sun, roll_deg):
     truth = above(rough_world, reference, roll=np.radians(roll_deg))
     picture = picture_of(reference, truth, sun)
-    believed = above(rough_world, reference)
-    straight = search(reference, picture, believed, sun)
+    stated = above(rough_world, reference)
+    straight = search(reference, picture, stated, sun)
     rolls = tuple(np.radians([-4.0, -2.0, 0.0, 2.0, 4.0]))
-    turned = search(reference, picture, believed, sun, distortion=Distortion(rolls, (1.0,)))
-    assert turned.reason == ""
+    turned = search(reference, picture, stated, sun, distortion=Distortion(rolls, (1.0,)))
+    assert not turned.reason
     assert turned.score > straight.score + 0.1
     true_pixel, _ = predict(CAMERA, truth, reference.point.xyz_m[None])
     assert np.abs(turned.pixel - true_pixel[0]).max() < 0.5

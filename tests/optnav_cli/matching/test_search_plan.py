@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from optnav_cli.matching.point_match import NO_DISTORTION
 from optnav_cli.matching.search_plan import (
+    NO_DISTORTION,
     finest_level,
     ground_uncertainty_m,
     plan_distortion,
-    plan_search,
+    search_room,
 )
 
 POSTINGS = 118.0 * 2.0 ** np.arange(5)
@@ -17,32 +17,32 @@ POSTINGS = 118.0 * 2.0 ** np.arange(5)
 @pytest.mark.parametrize("uncertainty_m", [0.0, 10.0, 200.0, 1000.0, 3000.0, 8000.0])
 @pytest.mark.parametrize("finest", [0, 1, 3])
 def test_the_room_covers_the_uncertainty_whenever_a_level_can(uncertainty_m, finest):
-    plan = plan_search(POSTINGS, finest, uncertainty_m, 3.5, 24)
-    assert finest <= plan.level < 5
-    assert plan.search_nodes <= 24
-    room_m = plan.search_nodes * POSTINGS[plan.level]
+    level, nodes = search_room(POSTINGS, finest, uncertainty_m, 3.5, 24)
+    assert finest <= level < 5
+    assert nodes <= 24
+    room_m = nodes * POSTINGS[level]
     assert room_m >= min(3.5 * uncertainty_m, 24 * POSTINGS[-1])
 
 
 def test_a_better_pose_is_never_searched_coarser_and_never_wider():
-    plans = [plan_search(POSTINGS, 0, u, 3.5, 24) for u in np.geomspace(1.0, 5000.0, 60)]
-    levels = [plan.level for plan in plans]
-    room = [plan.search_nodes * POSTINGS[plan.level] for plan in plans]
+    plans = [search_room(POSTINGS, 0, u, 3.5, 24) for u in np.geomspace(1.0, 5000.0, 60)]
+    levels = [level for level, _ in plans]
+    room = [nodes * POSTINGS[level] for level, nodes in plans]
     assert levels == sorted(levels)
     # a coarser level's nodes of margin are larger ones: the room may only grow
     assert room == sorted(room)
 
 
 def test_an_uncertainty_beyond_all_levels_takes_the_coarsest_at_full_width():
-    plan = plan_search(POSTINGS, 0, 1e6, 3.5, 24)
-    assert (plan.level, plan.search_nodes) == (4, 24)
+    level, nodes = search_room(POSTINGS, 0, 1e6, 3.5, 24)
+    assert (level, nodes) == (4, 24)
 
 
 @pytest.mark.parametrize("levels", [1, 2])
 def test_without_coarse_levels_the_last_is_searched_twice_as_far(levels):
-    plan = plan_search(POSTINGS[:levels], 0, 1e6, 3.5, 24)
-    assert (plan.level, plan.search_nodes) == (levels - 1, 48)
-    assert plan_search(POSTINGS[:1], 0, 118.0 * 10.0, 3.5, 24).search_nodes == 37
+    level, nodes = search_room(POSTINGS[:levels], 0, 1e6, 3.5, 24)
+    assert (level, nodes) == (levels - 1, 48)
+    assert search_room(POSTINGS[:1], 0, 118.0 * 10.0, 3.5, 24)[1] == 37
 
 
 def test_the_finest_level_is_the_first_that_the_pixels_resolve():

@@ -1,4 +1,4 @@
-"""Which method a frame is solved by, what is believed where two disagree, and why in words.
+"""Which method a frame is solved by, which one stands where two disagree, and the reasons.
 
 Outlines and control points are stood in for by answers with stated errors: what they do with
 pictures is tested with them.
@@ -16,14 +16,21 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.fix import (
+    Evidence,
+    Fix,
+    MatchRow,
+    Method,
+    OutlineMarks,
+    UnsolvedFrameError,
+)
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation import autonomous
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
-from optnav_cli.navigation.control_points.method import UnsolvedFrameError
 from optnav_cli.navigation.outline import BodyFix
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.solution import OutlineMarks
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 MOON = load_body("moon")
 MOTION = AnalyticEphemeris(MOON)
@@ -48,25 +55,6 @@ class Field:
     layers: list
 
 
-@dataclass
-class Resection:
-    pose: object
-    position_covariance_m2: np.ndarray
-    attitude_sigma_rad: float = 0.0
-
-
-@dataclass
-class Solved:
-    resection: Resection
-
-
-@dataclass
-class PointFix:
-    solution: Solved
-    tried: list
-    remark: str = ""
-
-
 class Sky:
     """Stands in for both methods: by frame, what the picture would give them."""
 
@@ -88,21 +76,26 @@ class Sky:
         known = self.outlines.get(self.frame, "only stars")
         if isinstance(known, str) or (camera_from_body * self.right.inv()).magnitude() > 0.1:
             raise NoSolutionError(
-                known if isinstance(known, str) else "the Sun is on the dark side"
+                known if isinstance(known, str) else "the Sun is on the dark side",
+                ReasonCode.NO_LIMB,
             )
         place = self.truth[self.frame] + known
-        return BodyFix("horizon", place, np.eye(3) * 200.0**2, 0.1, 900, 200.0, MARKS, "")
+        return BodyFix("horizon", place, np.eye(3) * 200.0**2, 0.1, 900, 200.0, MARKS, NO_REASON)
 
-    def points(self, picture, camera, prior, *_):
+    def points(self, observation, prior, *_):
         self.priors.append(prior)
-        wrong = (prior.pose.camera_from_body * self.right.inv()).magnitude() > 0.1
+        wrong = (observation.camera_from_body * self.right.inv()).magnitude() > 0.1
         if self.frame in self.no_points or wrong:
             count = 24 if wrong else self.no_points[self.frame]
-            raise UnsolvedFrameError(
-                "no 2 matches agree on a position", tried(count, self.point_sun_deg)
-            )
-        pose = replace(prior.pose, position_m=self.truth[self.frame] + [10.0, -5.0, 8.0])
-        return PointFix(Solved(Resection(pose, np.eye(3) * 15.0**2)), [])
+            reason = Reason(ReasonCode.POINTS_DISAGREE, "no 2 matches agree on a position")
+            raise UnsolvedFrameError(reason, tried(count, self.point_sun_deg))
+        return Fix(
+            Method.CONTROL_POINTS,
+            self.truth[self.frame] + [10.0, -5.0, 8.0],
+            np.eye(3) * 15.0**2,
+            observation.camera_from_body,
+            0.0,
+        )
 
     def see(self, number, camera=WIDE, **changes):
         self.frame = number
@@ -115,22 +108,13 @@ class Sky:
             attitude_sigma_rad=5e-5,
             sun_body=SUN,
         )
-        return self.navigator.solve(replace(frame, **changes), camera, PICTURE).solution
-
-
-@dataclass
-class Matched:
-    reason: str = "score 0.20 below 0.30"
-
-
-@dataclass
-class Tried:
-    match: Matched
-    sun_elevation_deg: float
+        return self.navigator.solve(replace(frame, **changes), camera, PICTURE)
 
 
 def tried(count, sun_deg):
-    return [Tried(Matched(), sun_deg) for _ in range(count)]
+    """Evidence of so many control points without a match."""
+    row = MatchRow("a.png", 1, 0, np.zeros(3), np.zeros(2), sun_elevation_deg=sun_deg)
+    return Evidence(n_predicted=count, n_matched=0, n_used=0, matches=(row,) * count)
 
 
 def flight(count=16):
@@ -154,7 +138,7 @@ def test_control_points_are_found_from_the_horizon(sky):
     assert (row.method, row.prior, row.n_limb, row.arc_deg) == (
         "control_points", "horizon", 900, 200.0,
     )  # fmt: skip
-    assert np.sqrt(np.diag(sky.priors[0].position_covariance_m2)) == pytest.approx(200.0)
+    assert np.sqrt(np.diag(sky.priors[0].covariance_m2)) == pytest.approx(200.0)
     assert row.reason == ""
 
 
@@ -176,16 +160,17 @@ def test_from_afar_no_points_are_searched(sky):
     assert sky.priors == []
 
 
-def test_many_points_that_are_not_there_betray_the_horizon(sky):
+def test_many_missed_points_refuse_the_horizon(sky):
     sky.outlines[0] = np.array([20e3, 0.0, 0.0])
     sky.no_points[0] = 24
     row = sky.see(0)
     assert not row.solved
     assert "24 well-lit control points into view, but they are not there" in row.reason
     assert "focal length" in row.reason
+    assert row.reason_code == ReasonCode.POINTS_MISSING
 
 
-def test_points_under_a_high_sun_betray_nothing(sky):
+def test_missed_points_under_a_high_sun_do_not_refuse_the_horizon(sky):
     sky.outlines[0] = np.zeros(3)
     sky.no_points[0] = 24
     sky.point_sun_deg = 58.0
@@ -221,7 +206,7 @@ def test_the_arc_serves_where_no_limb_is_in_view(sky):
         assert sky.see(number).prior == "horizon"
     row = sky.see(4)
     assert (row.method, row.prior) == ("control_points", "arc of 4 fixes")
-    assert np.linalg.norm(sky.priors[-1].pose.position_m - sky.truth[4]) < 500.0
+    assert np.linalg.norm(sky.priors[-1].position_m - sky.truth[4]) < 500.0
 
 
 def test_a_prediction_alone_is_no_solution(sky):
@@ -245,7 +230,7 @@ def test_a_broken_frame_does_not_lose_the_track(sky):
     assert row.prior == "arc of 4 fixes"
 
 
-def test_a_lone_horizon_off_the_arc_is_not_believed_until_the_next_says_the_same(sky):
+def test_a_lone_horizon_off_the_arc_is_refused_until_the_next_agrees(sky):
     for number in range(4):
         sky.outlines[number] = np.zeros(3)
         sky.see(number)
@@ -254,6 +239,7 @@ def test_a_lone_horizon_off_the_arc_is_not_believed_until_the_next_says_the_same
     row = sky.see(4)
     assert not row.solved
     assert "from where the arc of 4 fixes leads: one of both is wrong" in row.reason
+    assert row.reason_code == ReasonCode.CONTRADICTS_ARC
     sky.outlines[5] = np.zeros(3)
     assert sky.see(5).reason == "control points: no 2 matches agree on a position"
     for number in (6, 7):
@@ -275,6 +261,7 @@ def test_a_bright_spot_no_craft_can_have_flown_to_is_refused(sky):
     row = sky.see(5, tdb_s=START_S + 3000.0)
     assert not row.solved
     assert "s before: no craft flies so fast" in row.reason
+    assert row.reason_code == ReasonCode.TOO_FAST
     assert sky.see(5, tdb_s=START_S + 3e6).solved
 
 
@@ -316,15 +303,17 @@ def test_the_inverse_rotation_is_named(sky, prior, inertial):
     turn = np.eye(3)
     if inertial:
         turn = MOTION.body_from_inertial(START_S)
-    told = (TURN * Rotation.from_matrix(turn)).inv() * Rotation.from_matrix(turn).inv()
+    stated = (TURN * Rotation.from_matrix(turn)).inv() * Rotation.from_matrix(turn).inv()
     known = {"position_m": sky.truth[0], "position_sigma_m": 3e3} if prior else {}
-    row = sky.see(0, camera_from_body=told, **known)
+    row = sky.see(0, camera_from_body=stated, **known)
     assert not row.solved
     wanted = "camera_from_inertial" if inertial else "camera_from_body"
     assert f"the picture fits the inverse rotation: wanted the quaternion of {wanted}" in row.reason
+    assert row.reason_code == ReasonCode.WRONG_ATTITUDE
 
 
 def test_without_anything_the_reason_says_what_is_missing(sky):
     row = sky.see(0)
     assert row.reason == "no prior: only stars; and no frame before leads here"
+    assert row.reason_code == ReasonCode.NO_PRIOR
     assert "quaternion is empty" in sky.see(0, camera_from_body=None).reason

@@ -67,7 +67,7 @@ def beyond(distance_m, off_deg):
 def test_the_moon_is_told_from_the_earth_by_where_each_must_stand(place):
     """Also where the Earth is the larger disc, and where both have one size."""
     fix = solve(drawn(*place, "moon", "earth"), *place)
-    assert "the earth is in the picture too" in fix.remark
+    assert "the earth is in the picture too" in fix.remark.text
     error = fix.position_m - place[0]
     assert error @ np.linalg.solve(fix.covariance_m2, error) < 16.0
     assert np.linalg.norm(error) < 0.1 * np.linalg.norm(place[0])
@@ -105,7 +105,7 @@ def test_the_earth_seen_from_a_low_orbit_is_not_the_moon():
 def test_a_lone_moon_elsewhere_is_solved_without_a_word():
     place = view(30e6 * SIDE, -SIDE)
     fix = solve(drawn(*place, "moon"), *place)
-    assert "earth" not in fix.remark
+    assert "earth" not in fix.remark.text
     error = fix.position_m - place[0]
     assert error @ np.linalg.solve(fix.covariance_m2, error) < 16.0
 

@@ -11,7 +11,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.output.tables import write_solutions
-from optnav_cli.solution import Solution
+from tests.optnav_cli.rows import solved, unsolved
 
 RADIUS_M = 1737400.0
 CAMERAS = (
@@ -66,15 +66,15 @@ def write_approach(folder, count=24, seed=0, scale=1.0):
             rows.append(f"{file},{utc},{camera.name}")
             if camera.name == "shnk" and index % 6 == 5:
                 reason = "only the terminator is in view" if index < 12 else "the body is cut"
-                solutions.append(Solution(file, utc, "unsolved", reason=reason))
+                solutions.append(unsolved(file, utc, reason))
                 planted[file] = (height, None, None)
                 continue
             method, along, across = method_of(height, camera.name)
             sigma = np.array([along, across, across])
             error = rng.normal(size=3) * sigma * scale
             solutions.append(
-                Solution(
-                    file, utc, "solved", method, position + axes.T @ error,
+                solved(
+                    file, utc, method, position + axes.T @ error,
                     axes.T @ np.diag(sigma**2) @ axes, attitude, 0.0,
                 )
             )  # fmt: skip

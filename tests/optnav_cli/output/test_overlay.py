@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import MatchRow, OutlineMarks
 from optnav_cli.output.canvas import DISC, FOUND, PREDICTED, REJECTED, RESIDUAL, eight_bits
 from optnav_cli.output.overlay import (
     MAX_PX,
@@ -16,7 +17,7 @@ from optnav_cli.output.overlay import (
     patch_outlines,
     write_overlay,
 )
-from optnav_cli.solution import MatchRow, OutlineMarks, solved, unsolved
+from tests.optnav_cli.rows import solved, unsolved
 
 RADIUS_M = 1737400.0
 

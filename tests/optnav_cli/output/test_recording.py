@@ -10,8 +10,9 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import MatchRow, OutlineMarks
 from optnav_cli.output.recording import Recording, nanoseconds
-from optnav_cli.solution import MatchRow, OutlineMarks, solved, unsolved
+from tests.optnav_cli.rows import solved, unsolved
 
 UTC = "2023-08-17T05:23:10.250Z"
 NS = 1692249790_250000000  # date -u -d 2023-08-17T05:23:10 +%s

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.errors import DataError
+from optnav_cli.fix import MatchRow
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.output.tables import (
     fixed,
@@ -16,12 +17,13 @@ from optnav_cli.output.tables import (
     write_matches,
     write_solutions,
 )
-from optnav_cli.solution import MatchRow, solved, unsolved
+from optnav_cli.reasons import ReasonCode
+from tests.optnav_cli.rows import solved, unsolved
 
 HEADER = (
     "file,utc,status,method,x_m,y_m,z_m,cov_xx_m2,cov_xy_m2,cov_xz_m2,cov_yy_m2,cov_yz_m2,"
     "cov_zz_m2,qw,qx,qy,qz,attitude_sigma_arcsec,lat_deg,lon_deg,height_m,n_predicted,n_matched,"
-    "n_used,residual_rms_px,prior,n_limb,arc_deg,reason"
+    "n_used,residual_rms_px,prior,n_limb,arc_deg,reason,reason_code"
 )
 UTC = "2023-08-17T05:23:10.250Z"
 
@@ -57,7 +59,15 @@ def test_solutions_come_back_as_they_were_written(tmp_path, moon, name):
     rng = np.random.default_rng(3)
     attitude = FileAttitude(name, moon)
     rows = [a_solution(rng.normal(size=3) * 1.2e6, seed) for seed in range(5)]
-    rows.append(unsolved('b,"c".png', UTC, "no prior: x_m, y_m, z_m are empty", n_predicted=3))
+    rows.append(
+        unsolved(
+            'b,"c".png',
+            UTC,
+            "no prior: x_m, y_m, z_m are empty",
+            ReasonCode.NO_PRIOR,
+            n_predicted=3,
+        )
+    )
     write_solutions(tmp_path / "solution.csv", rows, attitude)
     back = read_solutions(tmp_path / "solution.csv", attitude)
     for row, other in zip(rows[:-1], back[:-1], strict=True):
@@ -69,10 +79,11 @@ def test_solutions_come_back_as_they_were_written(tmp_path, moon, name):
         assert other.residual_rms_px == 0.21
         assert (other.prior, other.n_limb, other.arc_deg) == ("arc of 3 fixes", 812, 143.25)
     last = back[-1]
-    assert (last.file, last.status, last.reason) == (
+    assert (last.file, last.status, last.reason, last.reason_code) == (
         'b,"c".png',
         "unsolved",
         "no prior: x_m, y_m, z_m are empty",
+        ReasonCode.NO_PRIOR,
     )
     assert (last.position_m, last.camera_from_body, last.n_predicted, last.n_used) == (
         None,
@@ -85,10 +96,12 @@ def test_solutions_come_back_as_they_were_written(tmp_path, moon, name):
 def test_the_header_is_the_contracted_one_and_unknown_is_empty(tmp_path, moon):
     path = tmp_path / "solution.csv"
     write_solutions(
-        path, [unsolved("a.png", UTC, "no prior")], FileAttitude("camera_from_body", moon)
+        path,
+        [unsolved("a.png", UTC, "no prior", ReasonCode.NO_PRIOR)],
+        FileAttitude("camera_from_body", moon),
     )
     lines = path.read_bytes().decode().split("\n")
-    assert lines == [HEADER, f"a.png,{UTC},unsolved" + "," * 26 + "no prior", ""]
+    assert lines == [HEADER, f"a.png,{UTC},unsolved" + "," * 26 + "no prior,no_prior", ""]
 
 
 def test_the_inertial_attitude_is_the_body_attitude_times_the_bodys_rotation(tmp_path, moon):
@@ -151,6 +164,7 @@ def test_matches_come_back_as_they_were_written(tmp_path):
         np.array([1.2e6, 0.9e6, 0.8e6]),
         np.array([-3.0, 4.0]),
         reason="below threshold",
+        reason_code=ReasonCode.LOW_SCORE,
     )
     write_matches(tmp_path / "matches.csv", [found, lost])
     one, other = read_matches(tmp_path / "matches.csv")
@@ -159,7 +173,7 @@ def test_matches_come_back_as_they_were_written(tmp_path):
     assert (one.cp_id, one.level, one.score, one.runner_up, one.used) == (7, 0, 0.91, 0.32, True)
     assert one.sun_elevation_deg == 23.5
     assert (other.measured_px, other.score, other.used) == (None, None, False)
-    assert other.reason == "below threshold"
+    assert (other.reason, other.reason_code) == ("below threshold", ReasonCode.LOW_SCORE)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +184,9 @@ def test_matches_come_back_as_they_were_written(tmp_path):
         ("1900000.0000", "", "x_m is empty, but"),
         ("cov_xy_m2", "cov", "no column 'cov_xy_m2'; is 'cov' meant"),
         (",19,", ",-19,", "n_used is '-19'"),
-        ("2.0000", "2.0000,5", "the row has 30 values; wanted 29"),
+        (",control_points,", ",guess,", "method is 'guess'; wanted control_points, horizon"),
+        ("143.25,,", "143.25,,why", "'why' is no reason code"),
+        ("2.0000", "2.0000,5", "the row has 31 values; wanted 30"),
     ],
 )
 def test_a_damaged_row_is_named(tmp_path, moon, old, new, word):
@@ -188,7 +204,7 @@ def test_a_covariance_that_is_none_is_refused(tmp_path, moon):
     bad = solved(
         "a.png",
         UTC,
-        "m",
+        "horizon",
         np.array([2e6, 0.0, 0.0]),
         np.diag([1.0, -1.0, 1.0]),
         Rotation.identity(),

@@ -22,8 +22,7 @@ from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
-from optnav_cli.runs.catalogs import open_field
-from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.runs.navigate_folder import navigate_folder, open_field
 from tests.catalog.store.written import write_points
 
 SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))
@@ -241,7 +240,7 @@ def test_a_catalog_of_another_body_is_refused(mixed, rough_world, tmp_path):
     path = tmp_path / "phobos.gpkg"
     write_rough(rough_world, path, "phobos")
     with Catalog.open(path) as catalog, pytest.raises(DataError, match="is a catalog of phobos"):
-        open_field([catalog], read_folder(mixed))
+        open_field([catalog], read_folder(mixed).body)
     with pytest.raises(DataError):
         navigate_folder(mixed, [path], SETTINGS, "ncc", tmp_path / "run", SilentProgress())
     assert not (tmp_path / "run").exists()
@@ -255,7 +254,7 @@ def test_a_catalog_without_usable_points_is_refused(mixed, rough_world, tmp_path
     ]
     write_rough(world, path, "moon")
     with Catalog.open(path) as catalog, pytest.raises(DataError, match=r"none of its .* usable"):
-        open_field([catalog], read_folder(mixed))
+        open_field([catalog], read_folder(mixed).body)
 
 
 def star_folder(place, world, taken, kernels):

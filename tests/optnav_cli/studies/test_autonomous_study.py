@@ -11,7 +11,6 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.frames.truth import Truth
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.solution import solved, unsolved
 from optnav_cli.studies.autonomous import (
     ROWS,
     SHARES,
@@ -23,6 +22,7 @@ from optnav_cli.studies.autonomous import (
     write_figures,
 )
 from optnav_cli.studies.tables import StudyReport
+from tests.optnav_cli.rows import solved, unsolved
 
 RADIUS_M, HEIGHT_M, UTC = 1737400.0, 2e5, "2026-01-01T00:00:00Z"
 SIGMA_M = 10.0

@@ -14,8 +14,8 @@ from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.portraits import Portraits
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.solution import solved, unsolved
 from optnav_cli.studies.phobos import ROWS, PhobosCase, PhobosResult, PhobosResults, report, run
+from tests.optnav_cli.rows import solved, unsolved
 
 UTC = "2026-01-01T00:00:00Z"
 ACCOUNT = Account(

@@ -14,9 +14,10 @@ from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
-from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.navigation.control_points.method import UnsolvedFrameError, navigate
-from optnav_cli.navigation.control_points.solve import Prior
+from optnav_cli.fix import PositionPrior, UnsolvedFrameError
+from optnav_cli.frames.picture import Picture
+from optnav_cli.navigation.control_points.method import navigate
+from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, SolveSettings
 
 SETTINGS = NavigateSettings(
@@ -38,18 +39,25 @@ def scene(rough_world):
 def solve(world, field, picture, pose, sun, *, seed=1, sigma=0.0, attitude=None, **changes):
     """Navigate from a prior that is off by its sigma."""
     rng = np.random.default_rng(seed)
-    believed = Pose(
-        pose.position_m + rng.normal(0.0, PRIOR_SIGMA_M, 3), attitude or pose.camera_from_body
-    )
-    prior = Prior.isotropic(believed, PRIOR_SIGMA_M, sigma)
+    position = pose.position_m + rng.normal(0.0, PRIOR_SIGMA_M, 3)
+    prior = PositionPrior.isotropic(position, PRIOR_SIGMA_M, "test")
     options = {"camera": world.camera, "settings": SETTINGS, "matcher": match_ncc} | changes
-    return navigate(PicturePyramid(picture), prior=prior, sun_body=sun, points=field, **options)
+    observation = Observation(
+        "a.png",
+        "",
+        0.0,
+        options["camera"],
+        Picture(picture, 255.0),
+        attitude or pose.camera_from_body,
+        sigma,
+        sun,
+    )
+    return navigate(observation, prior, field, options["settings"], options["matcher"])
 
 
 def mahalanobis(fix, truth):
-    resection = fix.solution.resection
-    error = resection.pose.position_m - truth.position_m
-    return float(np.sqrt(error @ np.linalg.solve(resection.position_covariance_m2, error)))
+    error = fix.position_m - truth.position_m
+    return float(np.sqrt(error @ np.linalg.solve(fix.covariance_m2, error)))
 
 
 @pytest.mark.parametrize("matcher", [match_ncc, match_surf])
@@ -59,9 +67,9 @@ def test_with_an_exact_attitude_the_truth_lies_inside_four_sigma(
     picture, pose, sun = scene
     fix = solve(rough_world, field_of(rough_world), picture, pose, sun, matcher=matcher)
     assert mahalanobis(fix, pose) < 4.0
-    assert np.linalg.norm(fix.solution.resection.pose.position_m - pose.position_m) < 30.0
-    used = [point for point in fix.tried if point.used]
-    assert len(used) >= 0.9 * len(fix.tried) >= 12
+    assert np.linalg.norm(fix.position_m - pose.position_m) < 30.0
+    used = [point for point in fix.evidence.matches if point.used]
+    assert len(used) >= 0.9 * len(fix.evidence.matches) >= 12
     assert np.sqrt(np.mean([point.residual_px**2 for point in used])) < 0.15
 
 
@@ -77,7 +85,7 @@ def test_with_ten_arc_seconds_of_attitude_noise_the_truth_lies_inside_four_sigma
             rough_world, field, picture, pose, sun, seed=seed, sigma=10 * ARCSEC, attitude=attitude
         )
         assert mahalanobis(fix, pose) < 4.0
-        stated = np.sqrt(np.trace(fix.solution.resection.position_covariance_m2))
+        stated = np.sqrt(np.trace(fix.covariance_m2))
         # 10" at 100 km are 4.8 m across on each of two axes
         assert 6.0 < stated < 60.0
 
@@ -96,7 +104,7 @@ def test_a_poorly_known_roll_does_not_break_the_consensus(rough_world, field_of,
         attitude=turn * pose.camera_from_body,
     )
     assert mahalanobis(fix, pose) < 4.0
-    assert sum(point.used for point in fix.tried) >= 0.9 * len(fix.tried)
+    assert sum(point.used for point in fix.evidence.matches) >= 0.9 * len(fix.evidence.matches)
 
 
 def test_with_a_free_attitude_position_and_attitude_are_found(rough_world, field_of, scene):
@@ -112,30 +120,29 @@ def test_with_a_free_attitude_position_and_attitude_are_found(rough_world, field
         attitude=turn * pose.camera_from_body,
     )
     assert mahalanobis(fix, pose) < 4.0
-    resection = fix.solution.resection
-    off = (resection.pose.camera_from_body * pose.camera_from_body.inv()).magnitude()
-    assert off < 4.0 * np.sqrt(3.0) * resection.attitude_sigma_rad
+    off = (fix.camera_from_body * pose.camera_from_body.inv()).magnitude()
+    assert off < 4.0 * np.sqrt(3.0) * fix.attitude_sigma_rad
     assert off < np.radians(0.1)
 
 
 def test_two_points_are_enough_when_the_attitude_is_known(rough_world, field_of, scene):
     picture, pose, sun = scene
     every = solve(rough_world, field_of(rough_world), picture, pose, sun)
-    ids = [point.point.id for point in every.tried if point.used]
+    ids = [point.cp_id for point in every.evidence.matches if point.used]
     pair = {ids[0], ids[-1]}
     field = field_of(rough_world)
     places = [k for k in range(len(field)) if field.name(k)[1] in pair]
     few = field_of(rough_world, slice(places[0], places[1] + 1, places[1] - places[0]))
     assert len(few) == 2
     fix = solve(rough_world, few, picture, pose, sun)
-    assert sum(point.used for point in fix.tried) == 2
+    assert sum(point.used for point in fix.evidence.matches) == 2
     assert mahalanobis(fix, pose) < 4.0
 
 
 def reason(*arguments, **options):
     with pytest.raises(UnsolvedFrameError) as caught:
         solve(*arguments, **options)
-    assert not any(point.used for point in caught.value.tried)
+    assert not any(point.used for point in caught.value.evidence.matches)
     return str(caught.value)
 
 
@@ -190,7 +197,7 @@ def test_a_damaged_point_is_left_out_and_remembered(rough_world, field_of, scene
     store.patches = patches
     fix = solve(rough_world, field, picture, pose, sun)
     assert field.damaged == {("world.gpkg", bad): "a checksum is wrong"}
-    (row,) = [point for point in fix.tried if point.point.id == bad]
+    (row,) = [point for point in fix.evidence.matches if point.cp_id == bad]
     assert not row.used
     assert "damaged" in row.reason
     assert mahalanobis(fix, pose) < 4.0
@@ -212,7 +219,7 @@ def test_pure_noise_is_never_solved(rough_world, field_of, scene, sigma):
 def test_a_picture_of_other_ground_is_never_solved(
     rough_world, other_world, field_of, scene, sigma, nodes
 ):
-    """Ground of the same kind, the same light: small templates find likenesses by the dozen."""
+    """Ground of the same kind, the same light: small templates find dozens of false matches."""
     _, pose, sun = scene
     other = other_world.picture(pose, sun)
     field = field_of(rough_world)
@@ -250,7 +257,7 @@ def test_a_sun_from_the_wrong_side_is_never_solved(rough_world, field_of, scene,
     reason(rough_world, field_of(rough_world), picture, pose, sun)
 
 
-def test_a_focal_length_that_is_wrong_by_a_tenth_is_given_away_by_the_prior(
+def test_a_focal_length_that_is_wrong_by_a_tenth_is_refused_by_the_prior(
     rough_world, field_of, scene
 ):
     """The picture fits a camera 10 km higher as well: only the prior knows better."""

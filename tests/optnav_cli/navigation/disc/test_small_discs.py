@@ -91,7 +91,7 @@ def test_a_disc_of_twenty_pixels_is_right_to_some_hundredths_of_one(phase_deg):
     picture, centre, sun = drawn(camera, 10.0, phase_deg, rng, 1.0)
     fix = outline.navigate(picture, camera, STILL, 0.0, sun, BODY, None)
     missed = camera.project(-fix.position_m) - camera.project(centre)
-    assert "fitted whole" in fix.remark
+    assert "fitted whole" in fix.remark.text
     assert np.linalg.norm(missed) < 0.06
     ratio = np.linalg.norm(fix.position_m) / np.linalg.norm(centre)
     assert abs(ratio - 1.0) * 10.0 < 0.08

@@ -7,13 +7,14 @@ from scipy.spatial.transform import Rotation
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.resection import Pose
-from optnav_cli.matching.visibility import ViewLimits, expected_in_view
+from optnav_cli.navigation.control_points.expectation import CandidatePoints, expected_in_view
+from optnav_cli.navigation.settings import ViewSettings
 
 RADIUS_M = 1737400.0
 SIZE = (1000, 1000)
 CAMERA = Camera("c", "pinhole", *SIZE, 1000.0, (499.5, 499.5))
 FISHEYE = Camera("f", "equidistant", 2048, 2048, 652.0, (1023.5, 1023.5))
-ANY_LIGHT = ViewLimits(-90.0, 90.0, 70.0)
+ANY_LIGHT = ViewSettings(-90.0, 90.0, 70.0)
 
 
 def nadir(lat, lon, height_m=200e3):
@@ -23,9 +24,8 @@ def nadir(lat, lon, height_m=200e3):
 
 def seen(points, pose, limits=ANY_LIGHT, half=0.0, sun=None, skyline=None, camera=CAMERA):
     sun = pose.position_m / np.linalg.norm(pose.position_m) if sun is None else sun
-    size = (camera.width_px, camera.height_px)
-    half = np.full(len(points), half)
-    return expected_in_view(points, half, camera, size, pose, sun, limits, skyline)
+    candidates = CandidatePoints(points, np.full(len(points), half), skyline)
+    return expected_in_view(candidates, camera, pose, sun, limits)
 
 
 @pytest.mark.parametrize("lat_deg", [90.0, -90.0, 0.0, -43.0])
@@ -57,7 +57,8 @@ def test_light_and_view_are_reckoned_from_the_points_own_normals():
     point = np.array([[RADIUS_M, 0.0, 0.0]])
     normal = np.array([[np.cos(lean), np.sin(lean), 0.0]])
     sun = np.array([np.cos(1.0), np.sin(1.0), 0.0])
-    view = expected_in_view(point, np.zeros(1), CAMERA, SIZE, pose, sun, ANY_LIGHT, None, normal)
+    candidates = CandidatePoints(point, np.zeros(1), verticals=normal)
+    view = expected_in_view(candidates, CAMERA, pose, sun, ANY_LIGHT)
     assert view.emission_deg[0] == pytest.approx(8.0, abs=1e-6)
     assert view.sun_elevation_deg[0] == pytest.approx(98.0 - np.degrees(1.0), abs=1e-6)
 
@@ -67,7 +68,7 @@ def test_beyond_the_limb_nothing_is_seen_even_by_a_fisheye():
     angle = np.radians(np.linspace(0.0, 180.0, 721))
     points = xyz_from_latlon(np.zeros_like(angle), angle, RADIUS_M)
     limb = np.arccos(RADIUS_M / (RADIUS_M + 200e3))
-    view = seen(points, pose, ViewLimits(-90.0, 90.0, 89.99), camera=FISHEYE)
+    view = seen(points, pose, ViewSettings(-90.0, 90.0, 89.99), camera=FISHEYE)
     assert angle[view.index].max() == pytest.approx(limb, abs=np.radians(0.3))
     steep = seen(points, pose, ANY_LIGHT, camera=FISHEYE)
     assert steep.emission_deg.max() < 70.0
@@ -79,7 +80,7 @@ def test_points_by_night_in_the_dusk_and_under_a_high_sun_are_left_out():
     points = xyz_from_latlon([0.0, 0.0, 0.0], np.radians([-4.0, 0.0, 4.0]), RADIUS_M)
     for elevation, wanted in [(-3.0, []), (3.0, [2]), (30.0, [0, 1, 2]), (62.0, [0]), (70.0, [])]:
         sun = xyz_from_latlon(0.0, np.radians(90.0 - elevation), 1.0)
-        view = seen(points, pose, ViewLimits(5.0, 60.0, 70.0), sun=sun)
+        view = seen(points, pose, ViewSettings(5.0, 60.0, 70.0), sun=sun)
         assert view.index.tolist() == wanted
         got = elevation + np.array([-4.0, 0.0, 4.0])[view.index]
         assert np.allclose(view.sun_elevation_deg, got, atol=1e-9)

@@ -1,0 +1,161 @@
+"""Optical navigation for Python users: everything that they need, from one module.
+
+An example that a test runs stands in optnav_cli/README.md. The calls do what the commands of the
+same names do. All errors that a user can mend are an `OptnavError`.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from catalog.api import Catalog, ControlPoint, OptnavError, Patch, build_catalog, open_catalog
+from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticEphemeris
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.correlation.ncc import match_ncc
+from catalog.errors import UsageError
+from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
+from catalog.progress import Progress, SilentProgress
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import load_camera as load_camera_file
+from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.evaluation.evaluation import Evaluation
+from optnav_cli.evaluation.files import evaluate_run
+from optnav_cli.fix import Fix, Method, NoFix, Solution
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
+from optnav_cli.navigation.settings import NavigateSettings, load_settings
+from optnav_cli.reasons import Reason, ReasonCode
+from optnav_cli.report import write_report
+from optnav_cli.runs import navigate_folder as folder_run
+from optnav_cli.runs.navigate_folder import open_catalogs, open_field, whole_relief
+from optnav_cli.runs.simulate_folder import simulate_folder
+
+__all__ = [
+    "Camera",
+    "Catalog",
+    "ControlPoint",
+    "Evaluation",
+    "Fix",
+    "Method",
+    "NavigateSettings",
+    "NoFix",
+    "OptnavError",
+    "Patch",
+    "Reason",
+    "ReasonCode",
+    "Solution",
+    "build_catalog",
+    "evaluate",
+    "load_camera",
+    "load_settings",
+    "navigate_folder",
+    "navigate_picture",
+    "open_catalog",
+    "report",
+    "simulate",
+]
+
+
+def load_camera(name: str | Path) -> Camera:
+    """A camera file, or a camera that ships with optnav by its name. Raises ConfigError."""
+    path = Path(name)
+    return load_camera_file(path) if path.suffix == ".toml" else preset_camera(str(name))
+
+
+def navigate_picture(
+    picture: str | Path,
+    camera: Camera,
+    catalogs: Sequence[str | Path],
+    *,
+    utc: str,
+    camera_from_body: Sequence[float],
+    attitude_sigma_arcsec: float | None = 0.0,
+    position_m: Sequence[float] | None = None,
+    position_sigma_m: float | None = None,
+) -> Solution:
+    """Find where a camera was when it took a picture of the body that the catalogs are of.
+
+    picture                a gray picture of the camera's size
+    catalogs               catalog files of one body that ships with optnav; the first has priority
+    utc                    time of the picture, as 2026-01-01T00:00:00Z; gives the Sun, by theory
+    camera_from_body       quaternion, scalar first, of the rotation that takes body-fixed vectors
+                           to the camera's axes: x right, y down, z into the picture
+    attitude_sigma_arcsec  its error, 1 sigma an axis; 0: exact; None: a first guess only
+    position_m             (3,) prior position of the camera, body-fixed, m; None: found by the limb
+    position_sigma_m       its error, 1 sigma a component
+
+    Returns the fix or, in its place, the reason why there is none.
+    Raises DataError for a file that cannot be used, UsageError for a prior without its error.
+    """
+    if (position_m is None) != (position_sigma_m is None):
+        raise UsageError("position_m and position_sigma_m belong together: give both or none")
+    picture, tdb_s = Path(picture), utc_to_tdb_s(utc)
+    with open_catalogs([Path(path) for path in catalogs]) as found:
+        body = load_body(found[0].meta.body)
+        motion = AnalyticEphemeris(body)
+        inputs = NavigationInputs(
+            open_field(found, body), motion, whole_relief(found, None, body), NavigateSettings(),
+            match_ncc,
+        )  # fmt: skip
+        frame = Frame(
+            file=picture.name,
+            utc=utc,
+            camera=camera.name,
+            tdb_s=tdb_s,
+            camera_from_body=rotation_from_quaternion(*camera_from_body),
+            attitude_sigma_rad=(
+                None if attitude_sigma_arcsec is None else attitude_sigma_arcsec * ARCSEC
+            ),
+            position_m=None if position_m is None else np.array(position_m, dtype=np.float64),
+            position_sigma_m=position_sigma_m,
+            sun_body=motion.sun_body(tdb_s),
+        )
+        return Navigator(inputs).solve(frame, camera, load_picture(picture, camera))
+
+
+def navigate_folder(
+    pictures: str | Path,
+    catalogs: Sequence[str | Path],
+    run: str | Path,
+    *,
+    settings: NavigateSettings | None = None,
+    relief: str | Path | None = None,
+    progress: Progress | None = None,
+) -> list[Solution]:
+    """Navigate all pictures of a folder and write a run folder, as `optnav navigate` does.
+
+    settings  of the search and the solution, as `load_settings` reads them; the defaults if None
+    relief    a terrain model of the whole body for the horizon; else what a catalog carries
+    Raises NothingToDoError, after the run is written, where no picture was solved; another
+    OptnavError where folder or catalogs cannot be used at all.
+    """
+    return folder_run.navigate_folder(
+        Path(pictures), [Path(path) for path in catalogs], settings or NavigateSettings(), "ncc",
+        Path(run), progress or SilentProgress(), None if relief is None else Path(relief),
+    )  # fmt: skip
+
+
+def simulate(
+    scenario: str | Path, pictures: str | Path, *, progress: Progress | None = None
+) -> None:
+    """Make the pictures of a scenario file, with truth.csv beside them. Raises an OptnavError."""
+    simulate_folder(Path(scenario), Path(pictures), progress or SilentProgress())
+
+
+def evaluate(run: str | Path, truth: str | Path) -> Evaluation:
+    """Compare a run folder with a truth.csv; `figures()` of the result adds all frames up.
+
+    Raises DataError for a folder that is no run and for a truth of other frames.
+    """
+    return evaluate_run(Path(run), Path(truth))
+
+
+def report(source: str | Path, output: str | Path) -> None:
+    """Write the page about a run folder or a catalog (HTML), or a run's errors alone (SVG).
+
+    Raises DataError for another source, OutputError for a place that cannot be used.
+    """
+    write_report(Path(source), Path(output))

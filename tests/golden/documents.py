@@ -1,0 +1,169 @@
+"""The made parts of the Markdown files: tables of figures, of columns, of commands, of configs.
+
+`python -m tests.golden.documents` (or `make docs`) writes them between the lines
+`<!-- made: PART -->` and `<!-- end -->`. A test fails when one is out of date.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from itertools import takewhile
+from pathlib import Path
+
+import click
+
+from catalog.tables import Table
+from optnav_cli.frames import tables
+from optnav_cli.main import COMMANDS, cli
+from optnav_cli.reasons import ReasonCode
+from optnav_cli.studies.tables import StudyReport
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+CONFIGS = CHECKOUT / "configs"
+FIGURES = CHECKOUT / "optnav_cli" / "studies" / "figures"
+BENCHES = CHECKOUT / "tests" / "bench" / "figures"
+# A sentence, and the study, table, row and columns that its figures stand in.
+ACCURACY = (
+    (
+        "A real Apollo 15 picture: {} of {} control points used, residual {} px ({} m).",
+        "apollo", 0, 0, ("used", "predicted", "residual_px", "residual_m"),
+    ),
+    (
+        "Control points, narrow camera at 200 km, prior off by 3 km: {} m horizontal, {} m height.",
+        "navigation", 0, 0, ("horizontal", "height"),
+    ),
+    (
+        "No prior at all, fisheye at 200 km: {} m horizontal, {} m height.",
+        "autonomous", 0, 1, ("horizontal", "height"),
+    ),
+    (
+        "The limb alone, fisheye at 100 km: {} m horizontal, {} m height.",
+        "horizon", 0, 1, ("with_relief_below_worst", "height_2"),
+    ),
+    (
+        "The limb alone from 100 000 km: range {}, direction {}.",
+        "horizon", 1, 3, ("range_with_relief", "direction"),
+    ),
+    (
+        "The limb of Phobos, 100 km from its centre: {} m across the line of sight, {} % of range.",
+        "phobos", 0, 1, ("across_the_line_of_sight", "range"),
+    ),
+)  # fmt: skip
+DOCUMENTS = sorted(
+    path
+    for pattern in ("*.md", "*/*.md", "*/*/*.md")
+    for path in CHECKOUT.glob(pattern)
+    if path.relative_to(CHECKOUT).parts[0] not in ("build", "dist") and ".venv" not in path.parts
+)
+PART = re.compile(r"(<!-- made: (\w+)((?: [\w.-]+)*) -->\n).*?(?=<!-- end -->)", re.DOTALL)
+
+
+def study(name: str) -> str:
+    """The stored tables of a study, and from which run they are."""
+    return _stored(FIGURES / f"{name}.json", "optnav study {}")
+
+
+def bench(name: str) -> str:
+    """The stored figures of a bench, and from which run they are."""
+    return _stored(BENCHES / f"{name}.json", "make {}")
+
+
+def accuracy() -> str:
+    """A few figures of the studies, for the first page."""
+    lines = []
+    for text, name, number, row, columns in ACCURACY:
+        table = _report(FIGURES / f"{name}.json").tables[number]
+        cells = dict(zip([c.name for c in table.columns], zip(table.columns, table.rows[row])))
+        # what was asked for stands behind a figure in brackets
+        shown = (cells[name][0].shown(cells[name][1]).partition(" (")[0] for name in columns)
+        lines.append(f"- {text.format(*shown)}")
+    return "\n".join(lines)
+
+
+def commands() -> str:
+    """Every command with its short help."""
+    return _listed({f"optnav {name}": entry.text for name, entry in COMMANDS.items()})
+
+
+def subcommands(group: str) -> str:
+    """Every command of a group with its short help."""
+    context = click.Context(cli)
+    found = cli.get_command(context, group)
+    assert isinstance(found, click.Group)
+    subs = {name: found.get_command(context, name) for name in found.list_commands(context)}
+    return _listed(
+        {f"optnav {group} {name}": sub.get_short_help_str(200) for name, sub in subs.items() if sub}
+    )
+
+
+def configs(folder: str) -> str:
+    """The shipped configs of a folder, each with the first sentence of its comment."""
+    return _listed(
+        {path.name: _first_sentence(path) for path in sorted((CONFIGS / folder).glob("*.toml"))}
+    )
+
+
+def columns(name: str) -> str:
+    """The columns of a CSV file of a picture folder or of a run folder."""
+    table: Table = getattr(tables, name.upper())
+    return table.markdown().strip()
+
+
+def reasons() -> str:
+    """The codes of reasons."""
+    return _listed({code.value: code.meaning for code in ReasonCode if code})
+
+
+PARTS: dict[str, Callable[..., str]] = {
+    part.__name__: part
+    for part in (study, bench, accuracy, commands, subcommands, configs, columns, reasons)
+}
+
+
+def current(text: str) -> str:
+    """A document with its made parts as they should be."""
+
+    def made(part: re.Match[str]) -> str:
+        return f"{part[1]}\n{PARTS[part[2]](*part[3].split())}\n\n"
+
+    return PART.sub(made, text)
+
+
+def outdated() -> list[Path]:
+    """The documents whose made parts are not what they should be."""
+    texts = {path: path.read_text(encoding="utf-8") for path in DOCUMENTS}
+    return [path for path, text in texts.items() if current(text) != text]
+
+
+def _report(path: Path) -> StudyReport:
+    return StudyReport.from_json(path.read_text(encoding="utf-8"))
+
+
+def _stored(path: Path, command: str) -> str:
+    report = _report(path)
+    words = [command.format(report.study)]
+    words += [f"--{name} {value}" for name, value in report.arguments.items() if value is not None]
+    origin = f"From the run of `{' '.join(words)}` at commit {report.commit}, {report.date}."
+    shown = [f"*{table.title}*\n\n{table.to_markdown()}" for table in report.tables]
+    return "\n\n".join([*shown, *report.notes, origin])
+
+
+def _listed(texts: Mapping[str, str]) -> str:
+    rows = (f"| `{name}` | {text} |" for name, text in texts.items())
+    return "\n".join(["| | |", "|---|---|", *rows])
+
+
+def _first_sentence(path: Path) -> str:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comment = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines)]
+    return re.split(r"(?<=\w)\. |: |; ", " ".join(comment))[0].rstrip(".") + "."
+
+
+def main() -> None:
+    """Write the made parts anew, and name the files that changed."""
+    for path in outdated():
+        path.write_text(current(path.read_text(encoding="utf-8")), encoding="utf-8")
+        print(path.relative_to(CHECKOUT))
+
+
+if __name__ == "__main__":
+    main()
