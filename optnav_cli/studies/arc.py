@@ -173,9 +173,15 @@ def picture(rows: Sequence[ArcRow]) -> str:
 
 def _panel(rows: Sequence[ArcRow], name: str, quantity: str) -> Panel:
     plot = Plot(
-        (10.0, 370.0), (-2.5, 3.0), x_label="arc of limb, °", y_label="error, point sigmas",
-        width=480, height=340, log_y=True, x_numbers=(20, 60, 100, 150, 180, 240, 300, 360),
-    )  # fmt: skip
+        (10.0, 370.0),
+        (-2.5, 3.0),
+        x_label="arc of limb, °",
+        y_label="error, point sigmas",
+        width=480,
+        height=340,
+        log_y=True,
+        x_numbers=(20, 60, 100, 150, 180, 240, 300, 360),
+    )
     plot.level(0.0, "muted dashed")
     for series, shape, interval in zip(SERIES, SHAPES, INTERVALS_DEG, strict=True):
         chosen = [row for row in rows if row.interval_deg == interval]

@@ -144,9 +144,14 @@ class DiscScene:
         sensor = SensorSettings(psf_sigma_px=0.0, snr=float(rng.uniform(*SNR)), bits=bits)
         counts = expose(light, sensor, rng).astype(np.float32)
         return DrawnDisc(
-            Picture(counts, FULL[bits]), camera, position, camera_from_body, sun,
-            diameter_px, float(np.degrees(phase)),
-        )  # fmt: skip
+            Picture(counts, FULL[bits]),
+            camera,
+            position,
+            camera_from_body,
+            sun,
+            diameter_px,
+            float(np.degrees(phase)),
+        )
 
 
 def _relief(model: MeshSettings, body: Body) -> GlobalRelief:
@@ -168,9 +173,12 @@ def _part(camera: Camera, side: int, rng: np.random.Generator) -> Camera:
 def _finer(camera: Camera) -> Camera:
     x, y = (FINE * (value + 0.5) - 0.5 for value in camera.principal_point_px)
     return replace(
-        camera, width_px=FINE * camera.width_px, height_px=FINE * camera.height_px,
-        focal_length_px=FINE * camera.focal_length_px, principal_point_px=(x, y),
-    )  # fmt: skip
+        camera,
+        width_px=FINE * camera.width_px,
+        height_px=FINE * camera.height_px,
+        focal_length_px=FINE * camera.focal_length_px,
+        principal_point_px=(x, y),
+    )
 
 
 def _rad_per_px(camera: Camera, towards: FloatArray) -> float:

@@ -198,9 +198,14 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
                 begin = time.process_time()
                 try:
                     fix = horizon.navigate(
-                        limb, camera, turned, sigma if star_sensor else 0.0, sun, folder.body,
+                        limb,
+                        camera,
+                        turned,
+                        sigma if star_sensor else 0.0,
+                        sun,
+                        folder.body,
                         relief if terrain else None,
-                    )  # fmt: skip
+                    )
                 except NoSolutionError as error:
                     yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
                     continue
@@ -210,9 +215,14 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
 
 
 def _compared(
-    file: str, terrain: bool, star_sensor: bool, fix: horizon.HorizonFix, truth: FloatArray,
-    body: Body, seconds: float,
-) -> LimbFix:  # fmt: skip
+    file: str,
+    terrain: bool,
+    star_sensor: bool,
+    fix: horizon.HorizonFix,
+    truth: FloatArray,
+    body: Body,
+    seconds: float,
+) -> LimbFix:
     """A fix against the true position (3,)."""
     error = fix.position_m - truth
     distance = float(np.linalg.norm(truth))
@@ -221,7 +231,9 @@ def _compared(
     below = fix.position_m / np.linalg.norm(fix.position_m)
     over = float(np.arctan2(np.linalg.norm(np.cross(below, up)), below @ up))
     return LimbFix(
-        file, terrain, star_sensor,
+        file,
+        terrain,
+        star_sensor,
         ssp_m=over * body.radius_m,
         height_m=height,
         range_share=height / distance,
@@ -229,7 +241,7 @@ def _compared(
         nees=float(error @ np.linalg.solve(fix.covariance_m2, error)) / 3.0,
         arc_deg=fix.arc_deg,
         seconds=seconds,
-    )  # fmt: skip
+    )
 
 
 def figures_of(frames: Sequence[LimbFix]) -> CaseFigures:

@@ -144,10 +144,18 @@ def report(rows: Sequence[MatchingRow]) -> StudyReport:
         for name, aided, chosen in curves(rows, axis):
             aid = axis.aid if aided else "unaided"
             lines += [
-                (name, aid, r.value, r.trials, 100.0 * r.recognised, r.error_nodes,
-                 100.0 * r.accepted, 100.0 * r.wrong)
+                (
+                    name,
+                    aid,
+                    r.value,
+                    r.trials,
+                    100.0 * r.recognised,
+                    r.error_nodes,
+                    100.0 * r.accepted,
+                    100.0 * r.wrong,
+                )
                 for r in chosen
-            ]  # fmt: skip
+            ]
             stated = quantity(axis, axis.stated)
             tolerances.append((axis.name, name, aid, borne(axis, chosen), stated))
         heads = tuple(replace(c, unit=axis.unit) if c.name == "value" else c for c in COLUMNS)
@@ -238,9 +246,16 @@ def _plot(axis: Axis, y: tuple[float, float], label: str, log_y: bool) -> Plot:
     if axis.name == "off nadir":
         name = "angle, °"
     return Plot(
-        (float(ends[0] - margin), float(ends[1] + margin)), y, x_label=name, y_label=label,
-        width=WIDTH, height=HEIGHT, log_x=log, log_y=log_y, x_numbers=values,
-    )  # fmt: skip
+        (float(ends[0] - margin), float(ends[1] + margin)),
+        y,
+        x_label=name,
+        y_label=label,
+        width=WIDTH,
+        height=HEIGHT,
+        log_x=log,
+        log_y=log_y,
+        x_numbers=values,
+    )
 
 
 def _stated(plot: Plot, axis: Axis) -> None:

@@ -192,10 +192,16 @@ def _plot(x: Sequence[float], reach: tuple[float, float], label: str) -> Plot:
     ends = np.log10([min(x), max(x)]) + [-0.08, 0.08]
     low, high = np.log10(reach)
     plot = Plot(
-        (float(ends[0]), float(ends[1])), (float(low), float(high)), x_label=label,
-        y_label="error, point sigmas", width=330, height=260, log_x=True, log_y=True,
+        (float(ends[0]), float(ends[1])),
+        (float(low), float(high)),
+        x_label=label,
+        y_label="error, point sigmas",
+        width=330,
+        height=260,
+        log_x=True,
+        log_y=True,
         x_numbers=x,
-    )  # fmt: skip
+    )
     plot.level(0.0, "muted dashed")
     return plot
 

@@ -215,7 +215,8 @@ def turns(spice: SpiceEphemeris, body: Body, times: FloatArray) -> FloatArray:
     truth = np.array([spice.body_from_inertial(float(t)) for t in times])
     pieces = np.array_split(times, max(1, len(times) // 4000))
     ours = np.concatenate([body_from_inertial(body, piece) for piece in pieces])
-    return np.asarray(Rotation.from_matrix(truth @ ours.swapaxes(1, 2)).as_rotvec())
+    turned: FloatArray = Rotation.from_matrix(truth @ ours.swapaxes(1, 2)).as_rotvec()
+    return turned
 
 
 def _correction(fit: LineFit, years: tuple[float, float]) -> RotationCorrection:
