@@ -22,7 +22,7 @@ class ReasonCode(StrEnum):
         code.meaning = meaning
         return code
 
-    NONE = "", "nothing to say"
+    NONE = ""
     # the input of a frame
     BAD_FRAME = "bad_frame", "a field of the frame's row in frames.csv is wrong"
     UNKNOWN_CAMERA = "unknown_camera", "the frame names a camera that has no file"

@@ -12,16 +12,15 @@ import msgspec
 import catalog
 from catalog.bodies.body import Body, load_body
 from catalog.build import check, render, select, write
-from catalog.build.check import CheckedPoint
 from catalog.build.config import BuildConfig, load_build_config
-from catalog.build.context import DemRecord
+from catalog.build.context import DemRecord, IngestRun
 from catalog.build.ingest import Bbox, MeshRecord
 from catalog.build.inputs import BuildInputs, prepare_inputs
 from catalog.build.relief import stored_relief
 from catalog.build.render import RenderedCell
 from catalog.build.select import SelectedCell
 from catalog.build.write import CatalogExtras, find_published, remember_published
-from catalog.control_point import ControlPoint, Flag
+from catalog.control_point import ControlPoint
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.files import check_file
 from catalog.jobs import usage
@@ -132,19 +131,19 @@ class _Build:
         """All wanted stages in order; a stage whose forerunner is not done is refused."""
         report = BuildReport(self.workspace.folder, self.account)
         with self._stage("ingest") as stage:  # every run begins with it
-            inputs = prepare_inputs(
+            run = IngestRun(
                 self.workspace,
                 self.config,
                 self.config_path,
                 self.body,
-                bbox,
                 self.count,
                 self.progress,
                 stage,
             )
+            inputs = prepare_inputs(run, bbox)
             report.dems, self.account.cells = inputs.dems, inputs.cells
         rendered = self._results(inputs, "render", RenderedCell)
-        checked = self._results(inputs, "check", CheckedPoint)
+        checked = self._results(inputs, "check", ControlPoint)
         points: list[ControlPoint] | None = None
         if "render" in wanted:
             with self._stage("render") as stage:
@@ -182,7 +181,7 @@ class _Build:
     def _run_chunks(
         self,
         results: ChunkResults,
-        function: Callable[[Any, Any], Sequence[msgspec.Struct]],
+        function: Callable[[Any, Any], Sequence[Any]],
         inputs: BuildInputs,
         chunks: Sequence[Sequence[Any]],
         stage: StageAccount,
@@ -222,10 +221,9 @@ class _Build:
         records = checked.all_records(count)
         if records is None:
             raise self._missing("check")
-        points: list[ControlPoint] = [record.point(inputs.context) for record in records]
         # a cell at a model's edge may have ground, yet none where its place is: no point there
-        points = [point for point in points if math.isfinite(point.radius_m)]
-        self.account.judge((point.usable, Flag(point.flags)) for point in points)
+        points = [point for point in records if math.isfinite(point.radius_m)]
+        self.account.judge((point.usable, point.flags) for point in points)
         return points
 
     def _write(

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,21 +17,6 @@ from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.uniqueness import uniqueness_margin
 from catalog.terrain.skyline.local import skyline_limits_deg
-
-
-def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
-    """Share of the Suns whose elevation is below the skyline limit of their azimuth.
-
-    limits_deg  (k,)    limit by azimuth, bins centred on 0, 360/k, ... degrees east of north
-    suns_local  (n, 3)  unit vectors east, north, up
-    """
-    limits = np.asarray(limits_deg, dtype=np.float64)
-    suns = np.asarray(suns_local, dtype=np.float64).reshape(-1, 3)
-    azimuth = np.degrees(np.arctan2(suns[:, 0], suns[:, 1]))
-    bins = np.rint(azimuth / (360.0 / limits.size)).astype(np.int64) % limits.size
-    elevation = np.degrees(np.arcsin(np.clip(suns[:, 2], -1.0, 1.0)))
-    return float((elevation < limits[bins]).mean())
-
 
 # Room on every side of the square that uniqueness describes, nodes of its level.
 UNIQUENESS_ROOM = 8
@@ -161,6 +145,48 @@ class Certificate:
             self.successes += outcome.accepted and outcome.distance <= settings.max_error_nodes
 
 
+def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
+    """The point of each cell with its certificate."""
+    return [check_cell(context, record) for record in records]
+
+
+def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:
+    """The first place that passes well; else the one recognised most often, usable or not.
+
+    Earlier places win ties: they have the smaller predicted error. A place meets no more trials
+    than it takes to see that it is out, or no better than one before it; the one that is kept
+    meets them all.
+    """
+    settings = context.config.check
+    best: Certificate | None = None
+    for number, place in enumerate(record.places[: settings.places]):
+        found = Certificate(context, record, place, number)
+        found.try_for(best.successes + 1 if best is not None and best.usable else 0)
+        if found.usable and found.recognition_rate >= settings.good_recognition:
+            return _point(context, found)
+        if best is None or found.merit > best.merit:
+            best = found
+    if best is None:
+        raise ValueError(f"cell {record.cell}: no place to check")
+    if not best.usable:
+        best.finish()
+    return _point(context, best)
+
+
+def shadowed_share(limits_deg: ArrayLike, suns_local: FloatArray) -> float:
+    """Share of the Suns whose elevation is below the skyline limit of their azimuth.
+
+    limits_deg  (k,)    limit by azimuth, bins centred on 0, 360/k, ... degrees east of north
+    suns_local  (n, 3)  unit vectors east, north, up
+    """
+    limits = np.asarray(limits_deg, dtype=np.float64)
+    suns = np.asarray(suns_local, dtype=np.float64).reshape(-1, 3)
+    azimuth = np.degrees(np.arctan2(suns[:, 0], suns[:, 1]))
+    bins = np.rint(azimuth / (360.0 / limits.size)).astype(np.int64) % limits.size
+    elevation = np.degrees(np.arcsin(np.clip(suns[:, 2], -1.0, 1.0)))
+    return float((elevation < limits[bins]).mean())
+
+
 def _uniqueness(
     context: StageContext, projection: MapProjection, patches: Sequence[Patch]
 ) -> tuple[float, ...]:
@@ -198,87 +224,23 @@ def _uniqueness(
     return tuple(margins)
 
 
-class CheckedPoint(msgspec.Struct, frozen=True):
-    """A control point as far as it is known before it is written."""
-
-    cell: int
-    lat_deg: float
-    lon_deg: float
-    height_m: float
-    localisation_px: float
-    hessian_eigenvalue: float
-    recognition_rate: float
-    trials: int
-    uniqueness: tuple[float, ...]
-    shadow_limit_deg: tuple[float, ...]
-    usable: bool
-    flags: int
-    source: str
-
-    def point(self, context: StageContext) -> ControlPoint:
-        """The control point of the record."""
-        return ControlPoint(
-            id=self.cell,
-            lat_deg=self.lat_deg,
-            lon_deg=self.lon_deg,
-            radius_m=context.body.radius_m + self.height_m,
-            localisation_px=self.localisation_px,
-            hessian_eigenvalue=self.hessian_eigenvalue,
-            recognition_rate=self.recognition_rate,
-            trials=self.trials,
-            uniqueness=self.uniqueness,
-            shadow_limit_deg=self.shadow_limit_deg,
-            usable=self.usable,
-            flags=Flag(self.flags),
-            source=self.source,
-        )
-
-
-def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[CheckedPoint]:
-    """The point of each cell with its certificate."""
-    return [check_cell(context, record) for record in records]
-
-
-def check_cell(context: StageContext, record: SelectedCell) -> CheckedPoint:
-    """The first place that passes well; else the one recognised most often, usable or not.
-
-    Earlier places win ties: they have the smaller predicted error. A place meets no more trials
-    than it takes to see that it is out, or no better than one before it; the one that is kept
-    meets them all.
-    """
-    settings = context.config.check
-    best: Certificate | None = None
-    for number, place in enumerate(record.places[: settings.places]):
-        found = Certificate(context, record, place, number)
-        found.try_for(best.successes + 1 if best is not None and best.usable else 0)
-        if found.usable and found.recognition_rate >= settings.good_recognition:
-            return _record(context, found)
-        if best is None or found.merit > best.merit:
-            best = found
-    if best is None:
-        raise ValueError(f"cell {record.cell}: no place to check")
-    if not best.usable:
-        best.finish()
-    return _record(context, best)
-
-
-def _record(context: StageContext, found: Certificate) -> CheckedPoint:
-    place = found.place
+def _point(context: StageContext, found: Certificate) -> ControlPoint:
+    place, terrain = found.place, context.mosaic
     lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
-    return CheckedPoint(
-        cell=found.cell,
+    height_m = float(np.nan_to_num(terrain.heights(lat, lon, context.posting_m)))
+    projection = context.projection(place.lat_deg, place.lon_deg)
+    return ControlPoint(
+        id=found.cell,
         lat_deg=place.lat_deg,
         lon_deg=place.lon_deg,
-        height_m=float(np.nan_to_num(context.mosaic.heights(lat, lon, context.posting_m))),
+        radius_m=context.body.radius_m + height_m,
         localisation_px=place.localisation_px,
         hessian_eigenvalue=place.hessian_eigenvalue,
         recognition_rate=found.recognition_rate,
         trials=found.trials,
         uniqueness=found.uniqueness,
-        shadow_limit_deg=tuple(float(limit) for limit in found.shadow_limits_deg),
+        shadow_limit_deg=tuple(found.shadow_limits_deg.tolist()),
         usable=found.usable,
-        flags=int(found.flags),
-        source=context.mosaic.provenance(
-            context.projection(place.lat_deg, place.lon_deg), context.posting_m, context.size
-        ),
+        flags=found.flags,
+        source=terrain.provenance(projection, context.posting_m, context.size),
     )

@@ -2,7 +2,7 @@
 
     render.render_chunk(context, cells)   -> list[RenderedCell]
     select.select(context, records)       -> list[SelectedCell]    all records, by cell number
-    check.check_chunk(context, records)   -> list[CheckedPoint]
+    check.check_chunk(context, records)   -> list[ControlPoint]
     write.prepare_chunk(context, points)  -> list[PreparedPoint]   for `write.write`
 
 Chunk functions run in worker processes and must not depend on which cells share a chunk. Records
@@ -23,6 +23,9 @@ from catalog.control_point import Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.projection import Stereographic
 from catalog.geometry.tangent_plane import MapProjection
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workspace import Workspace
+from catalog.progress import Progress
 from catalog.terrain.terrain import Terrain
 
 
@@ -49,6 +52,29 @@ class DemRecord(msgspec.Struct, frozen=True):
     highest_m: float
     valid_share: float
     bounds_deg: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class IngestRun:
+    """What the inputs of a build are prepared with.
+
+    workspace  where results rest
+    workers    threads that read terrain models
+    account    of the stage `ingest`
+    """
+
+    workspace: Workspace
+    config: BuildConfig
+    config_path: Path
+    body: Body
+    workers: int
+    progress: Progress
+    account: StageAccount
+
+    @property
+    def folder(self) -> Path:
+        """Which relative paths of the config start from."""
+        return self.config_path.parent
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Ingest: read every terrain model whole, average it, and find the cells that have ground.
 
-A kill costs the reading of the terrain model in work, minutes for gigabytes; those before it stay.
+A mesh is checked once and then ready for rays in the work folder. A kill costs the reading of the
+terrain model in work, minutes for gigabytes; those before it stay.
 """
 
 import io
@@ -13,19 +14,16 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.bodies.body import Body
 from catalog.build.config import PyramidSettings
-from catalog.build.context import DemRecord
+from catalog.build.context import DemRecord, IngestRun
 from catalog.build.relief import ReliefRecord, make_or_keep
 from catalog.errors import ConfigError, DataError, UsageError
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.usage import StageAccount
-from catalog.jobs.workspace import Workspace, code_key, content_hash, stage_key
-from catalog.progress import Progress
+from catalog.jobs.workspace import code_key, content_hash, stage_key
 from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.mosaic import Mosaic
-from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.dem.source import DemSource
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.refine import FINEST_FACES
 from catalog.terrain.mesh.shape import METRES, Shape, load_shape
@@ -35,49 +33,67 @@ from catalog.terrain.pyramid.overviews import FORMAT
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.terrain import Terrain
 
-Bbox = tuple[float, float, float, float]
+log = logging.getLogger(__name__)
 
 LATTICE = 5  # points a side at which a cell is asked for ground
 BLOCK_CELLS = 8  # cells a side of a block whose terrain is read together
 MAX_CHUNK = 64  # cells in work at once: what a kill can lose
 CHUNKS = 32  # a small build is cut at least so finely, to keep several workers busy
+UNIMPORTANT = ("path", "priority", "feather_km")  # to the overviews of a terrain model
+CORNERS, RECORD = "corners.npy", "mesh.json"
+CELLS_ACROSS = 2.0  # that the finest patch spans: a point may lie anywhere in its cell
+MAX_ARC_DEG = 30.0  # of the body that a patch may span: beyond, much of it is seen edge-on
+FACE_NODES = 2.0  # of the finest patches that a face of the smooth surface may span
+
+Bbox = tuple[float, float, float, float]  # west, south, east, north, deg
 
 
-def ingest(
-    workspace: Workspace,
-    settings: Sequence[DemSettings],
-    base_dir: Path,
-    body: Body,
-    workers: int,
-    progress: Progress,
-    account: StageAccount,
-) -> tuple[Mosaic, list[DemRecord]]:
+class MeshRecord(msgspec.Struct, frozen=True):
+    """A mesh as it was found, for the manifest.
+
+    sha256     of its file
+    folder     of its corners, in the workspace
+    posting_m  distance of neighbouring vertices
+    halvings   of its edges, so that its surface is smooth in patches finer than it is
+    mended     small faults that were mended, in words
+    """
+
+    name: str
+    sha256: str
+    folder: str
+    vertices: int
+    faces: int
+    posting_m: float
+    volume_km3: float
+    halvings: int
+    mended: tuple[str, ...]
+
+
+def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord]]:
     """The mosaic of a config's [[dem]] sections; what the workspace holds already is kept.
 
     Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
     """
+    body, workspace = run.body, run.workspace
     pyramids: list[HeightPyramid] = []
     records: list[DemRecord] = []
-    for one in sorted(settings, key=lambda s: s.priority):
-        source = DemSource.open(one, base_dir, body)
-        digest = content_hash(source.files, workspace, progress)
+    for one in sorted(run.config.dem, key=lambda s: s.priority):
+        source = DemSource.open(one, run.folder, body)
+        digest = content_hash(source.files, workspace, run.progress)
         # where the file lies, how it ranks and how it ends do not change its overviews
-        plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in _UNIMPORTANT}
+        plain = {k: v for k, v in msgspec.structs.asdict(one).items() if k not in UNIMPORTANT}
         folder = f"dem-{stage_key(FORMAT, body.name, body.radius_m, plain, digest)}"
         place = workspace.path(folder)
         pyramid = HeightPyramid.load(source, place)
         if pyramid is None:
-            pyramid = HeightPyramid.build(source, place, workers, progress)
-            account.done += 1
+            pyramid = HeightPyramid.build(source, place, run.workers, run.progress)
+            run.account.done += 1
         else:
-            account.kept += 1
+            run.account.kept += 1
         pyramids.append(pyramid)
         records.append(_record(pyramid, digest, folder))
     workspace.keep_only("dem", {record.folder.removeprefix("dem-") for record in records})
     return Mosaic(pyramids), records
-
-
-_UNIMPORTANT = ("path", "priority", "feather_km")
 
 
 def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
@@ -164,61 +180,26 @@ def chunks_of(grid: CellGrid, cells: IntArray) -> list[list[int]]:
     return [ordered[i : i + size] for i in range(0, len(ordered), size)]
 
 
-log = logging.getLogger(__name__)
-
-CORNERS, RECORD = "corners.npy", "mesh.json"
-CELLS_ACROSS = 2.0  # that the finest patch spans: a point may lie anywhere in its cell
-MAX_ARC_DEG = 30.0  # of the body that a patch may span: beyond, much of it is seen edge-on
-FACE_NODES = 2.0  # of the finest patches that a face of the smooth surface may span
-
-
-class MeshRecord(msgspec.Struct, frozen=True):
-    """A mesh as it was found, for the manifest.
-
-    sha256     of its file
-    folder     of its corners, in the workspace
-    posting_m  distance of neighbouring vertices
-    halvings   of its edges, so that its surface is smooth in patches finer than it is
-    mended     small faults that were mended, in words
-    """
-
-    name: str
-    sha256: str
-    folder: str
-    vertices: int
-    faces: int
-    posting_m: float
-    volume_km3: float
-    halvings: int
-    mended: tuple[str, ...]
-
-
-def ingest_mesh(
-    workspace: Workspace,
-    settings: MeshSettings,
-    base_dir: Path,
-    body: Body,
-    finest_m: float,
-    progress: Progress,
-    account: StageAccount,
-) -> tuple[MeshTerrain, MeshRecord]:
+def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecord]:
     """The terrain of a config's [[mesh]]; a mesh that the workspace holds already is kept.
 
     finest_m  posting of the finest patches: in a coarser mesh faces are smoothed over
     Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
     """
-    path = path_of(settings.path, base_dir)
+    (settings,) = run.config.mesh
+    body, workspace = run.body, run.workspace
+    path = path_of(settings.path, run.folder)
     # the loader's own words for a file that is missing come before those of the checksum
-    digest = content_hash([path], workspace, progress) if path.is_file() else ""
+    digest = content_hash([path], workspace, run.progress) if path.is_file() else ""
     plain = msgspec.structs.replace(settings, path=path.suffix)
     key = stage_key(code_key(), body.name, body.radii_m, plain, digest, finest_m)
     folder = f"mesh-{key}"
     found = workspace.get(f"{folder}/{RECORD}")
     if found is not None and workspace.path(folder, CORNERS).is_file():
         record = msgspec.json.decode(found, type=MeshRecord)
-        account.kept += 1
+        run.account.kept += 1
     else:
-        shape = load_shape(settings, base_dir, body, progress)
+        shape = load_shape(settings, run.folder, body, run.progress)
         halvings = _halvings(shape, finest_m)
         record = MeshRecord(
             name=path.name,
@@ -235,7 +216,7 @@ def ingest_mesh(
         np.save(corners, _corners(shape, settings, path, halvings))
         workspace.put(f"{folder}/{CORNERS}", corners.getvalue())
         workspace.put(f"{folder}/{RECORD}", msgspec.json.encode(record))
-        account.done += 1
+        run.account.done += 1
     workspace.keep_only("mesh", {key})
     if finest_m < record.posting_m:
         log.info(
@@ -263,33 +244,29 @@ def _corners(shape: Shape, settings: MeshSettings, path: Path, halvings: int) ->
     return smooth_corners(path, settings.longitude, metres, shape.vertices, shape.faces, halvings)
 
 
-def settle_pyramid(
-    settings: PyramidSettings, config_path: Path, cell_deg: float, body: Body
-) -> tuple[PyramidSettings, float]:
+def settle_pyramid(run: IngestRun) -> tuple[PyramidSettings, float]:
     """Posting and number of levels: the finest spans two cells, the coarsest at most 30 deg.
 
     Returns them as settings, and the finest posting, m.
     Raises ConfigError when even the finest patch spans more.
     """
-    radius = body.radius_m
+    settings, radius = run.config.pyramid, run.body.radius_m
     posting = settings.posting_m
     if posting is None:
-        posting = CELLS_ACROSS * math.radians(cell_deg) * radius / settings.size
+        posting = CELLS_ACROSS * math.radians(run.config.grid.cell_deg) * radius / settings.size
     spans_deg = math.degrees(posting * settings.size / radius)
     if spans_deg > MAX_ARC_DEG + 1e-9:
         raise ConfigError(
-            f"{config_path}: the finest patch would span {spans_deg:.3g} deg of "
-            f"{body.name}; wanted at most {MAX_ARC_DEG:g}: set a smaller [grid] "
+            f"{run.config_path}: the finest patch would span {spans_deg:.3g} deg of "
+            f"{run.body.name}; wanted at most {MAX_ARC_DEG:g}: set a smaller [grid] "
             "cell_deg, or [pyramid] posting_m or size"
         )
     levels = min(settings.levels, 1 + int(math.log2(MAX_ARC_DEG / spans_deg) + 1e-9))
     return msgspec.structs.replace(settings, levels=levels, posting_m=posting), posting
 
 
-def settle_mesh_relief(
-    workspace: Workspace, terrain: MeshTerrain, mesh: MeshRecord, account: StageAccount
-) -> ReliefRecord:
+def settle_mesh_relief(run: IngestRun, terrain: MeshTerrain, mesh: MeshRecord) -> ReliefRecord:
     """Make the relief of the whole body, or keep that of an earlier run."""
     key = stage_key(code_key(), mesh.folder)
-    make_or_keep(workspace, key, lambda: prepare_relief(relief_of_mesh(terrain)), account)
+    make_or_keep(run, key, lambda: prepare_relief(relief_of_mesh(terrain)))
     return ReliefRecord(key, {})

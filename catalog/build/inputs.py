@@ -3,15 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
 import catalog
-from catalog.bodies.body import Body
 from catalog.build.config import BuildConfig
-from catalog.build.context import DemRecord, StageContext
+from catalog.build.context import DemRecord, IngestRun, StageContext
 from catalog.build.ingest import (
     Bbox,
     MeshRecord,
@@ -25,9 +23,8 @@ from catalog.build.ingest import (
 from catalog.build.relief import ReliefRecord, settle_relief
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.usage import StageAccount
-from catalog.jobs.workspace import Workspace, code_key, stage_key
-from catalog.progress import Progress
+from catalog.jobs.workspace import code_key, stage_key
+from catalog.terrain.terrain import Terrain
 
 MANIFEST = "manifest.json"
 MAX_OVERSAMPLING = 4.0  # a posting finer than the terrain model by more shows nothing new
@@ -65,53 +62,37 @@ class BuildInputs:
         return sources | (self.relief.sources if self.relief is not None else {})
 
 
-def prepare_inputs(
-    workspace: Workspace,
-    config: BuildConfig,
-    config_path: Path,
-    body: Body,
-    bbox: Bbox | None,
-    workers: int,
-    progress: Progress,
-    account: StageAccount,
-) -> BuildInputs:
+def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
     """Read the terrain models and settle what all stages need; cheap where overviews are there.
 
     Raises DataError, ConfigError or UsageError for what cannot be built from.
     """
+    body, config = run.body, run.config
     grid = CellGrid(config.grid.cell_deg)
-    relief: ReliefRecord | None
+    terrain: Terrain
     if config.mesh:
-        (settings,) = config.mesh
-        pyramid, posting = settle_pyramid(config.pyramid, config_path, config.grid.cell_deg, body)
+        pyramid, posting = settle_pyramid(run)
         config = msgspec.structs.replace(config, pyramid=pyramid)
-        terrain, mesh = ingest_mesh(
-            workspace, settings, config_path.parent, body, posting, progress, account
-        )
-        _check_cells(config, config_path, body, posting)
+        terrain, mesh = ingest_mesh(run, posting)
+        _check_cells(run, posting)
         cells = covered_cells(terrain, grid, bbox)
-        relief = settle_mesh_relief(workspace, terrain, mesh, account)
-        context = StageContext(body, terrain, grid, posting, config)
+        relief: ReliefRecord | None = settle_mesh_relief(run, terrain, mesh)
         records: list[DemRecord | MeshRecord] = [mesh]
         read: list[tuple[object, ...]] = [(mesh.sha256, mesh.folder)]
     else:
-        mosaic, dems = ingest(
-            workspace, config.dem, config_path.parent, body, workers, progress, account
-        )
-        posting = config.pyramid.posting_m or mosaic.posting_m
-        _check_posting(config, config_path, body, posting, mosaic.posting_m)
-        _check_cells(config, config_path, body, posting)
-        cells = covered_cells(mosaic, grid, bbox)
-        relief = settle_relief(
-            workspace, config.relief, config_path, mosaic, dems, progress, account
-        )
-        context = StageContext(body, mosaic, grid, posting, config)
+        terrain, dems = ingest(run)
+        posting = config.pyramid.posting_m or terrain.posting_m
+        _check_posting(run, posting, terrain.posting_m)
+        _check_cells(run, posting)
+        cells = covered_cells(terrain, grid, bbox)
+        relief = settle_relief(run, terrain, dems)
         records = [*dems]
         # paths and ranks do not matter by themselves: what was read, and in which order, does
         read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
     keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
+    context = StageContext(body, terrain, grid, posting, config)
     inputs = BuildInputs(context, records, chunks_of(grid, cells), keys, relief)
-    workspace.put(MANIFEST, msgspec.json.format(_manifest(inputs), indent=2))
+    run.workspace.put(MANIFEST, msgspec.json.format(_manifest(inputs), indent=2))
     return inputs
 
 
@@ -131,31 +112,29 @@ def _keys(first: str, config: BuildConfig, posting_m: float) -> dict[str, str]:
     return keys
 
 
-def _check_posting(
-    config: BuildConfig, config_path: Path, body: Body, posting_m: float, finest_m: float
-) -> None:
+def _check_posting(run: IngestRun, posting_m: float, finest_m: float) -> None:
     """Refuse patches wider than the body and a posting that shows nothing more."""
     if posting_m < finest_m / MAX_OVERSAMPLING:
         raise ConfigError(
-            f"{config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
+            f"{run.config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
             f"model has {finest_m:.6g} m; wanted at least {finest_m / MAX_OVERSAMPLING:.6g}, "
             "or leave it out"
         )
-    reach = posting_m * config.pyramid.size * 2 ** (config.pyramid.levels - 1)
-    if reach > body.radius_m:
+    reach = posting_m * run.config.pyramid.size * 2 ** (run.config.pyramid.levels - 1)
+    if reach > run.body.radius_m:
         raise ConfigError(
-            f"{config_path}: [pyramid] the coarsest patch would be {reach / 1e3:.0f} km "
-            f"wide on a body of {body.radius_m / 1e3:.0f} km radius; "
+            f"{run.config_path}: [pyramid] the coarsest patch would be {reach / 1e3:.0f} km "
+            f"wide on a body of {run.body.radius_m / 1e3:.0f} km radius; "
             "wanted fewer levels, a smaller size or a finer posting_m"
         )
 
 
-def _check_cells(config: BuildConfig, config_path: Path, body: Body, posting_m: float) -> None:
+def _check_cells(run: IngestRun, posting_m: float) -> None:
     """Refuse huge cells."""
-    across = math.radians(config.grid.cell_deg) * body.radius_m / posting_m
+    across = math.radians(run.config.grid.cell_deg) * run.body.radius_m / posting_m
     if across > MAX_NODES_ACROSS:
         raise ConfigError(
-            f"{config_path}: a cell of {config.grid.cell_deg:g} deg is {across:.0f} "
+            f"{run.config_path}: a cell of {run.config.grid.cell_deg:g} deg is {across:.0f} "
             f"nodes of {posting_m:g} m wide; wanted at most {MAX_NODES_ACROSS}: set a smaller "
             "[grid] cell_deg or a coarser [pyramid] posting_m"
         )

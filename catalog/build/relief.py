@@ -12,12 +12,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from catalog.build.config import ReliefSettings
-from catalog.build.context import DemRecord
+from catalog.build.context import DemRecord, IngestRun
 from catalog.errors import DataError
-from catalog.jobs.usage import StageAccount
 from catalog.jobs.workspace import Workspace, code_key, content_hash, encode_records, stage_key
-from catalog.progress import Progress
 from catalog.store.relief import PreparedRelief, prepare_relief
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSource
@@ -50,54 +47,43 @@ class ReliefRecord(NamedTuple):
     sources: dict[str, str]
 
 
-def settle_relief(
-    workspace: Workspace,
-    settings: ReliefSettings,
-    config_path: Path,
-    mosaic: Mosaic,
-    dems: list[DemRecord],
-    progress: Progress,
-    account: StageAccount,
-) -> ReliefRecord | None:
+def settle_relief(run: IngestRun, mosaic: Mosaic, dems: list[DemRecord]) -> ReliefRecord | None:
     """Make the relief, or keep that of an earlier run; None for a build without one.
 
     Raises DataError when the named terrain model cannot be used or the whole is not the body's.
     """
+    workspace, wanted = run.workspace, run.config.relief.dem
     own = [share_within_bounds(p.source) * p.record.valid_share for p in mosaic.pyramids]
-    if settings.dem is None and sum(own) < MIN_COVERAGE:
+    if wanted is None and sum(own) < MIN_COVERAGE:
         workspace.keep_only("relief", set())
         return None
     named, sources = None, {}
     parts: list[object] = [(dem.sha256, dem.folder) for dem in dems]
-    if settings.dem is not None:
+    if wanted is not None:
         try:
-            named = DemSource.open(settings.dem, config_path.parent, mosaic.body)
+            named = DemSource.open(wanted, run.folder, mosaic.body)
             check_share(sum(own) + share_within_bounds(named), named.path, mosaic.body)
         except DataError as error:
-            raise _refused(config_path, error) from None
-        digest = content_hash(named.files, workspace, progress)
+            raise _refused(run.config_path, error) from None
+        digest = content_hash(named.files, workspace, run.progress)
         sources = {f"{named.path.name} (relief)": digest}
-        parts += [digest, msgspec.structs.replace(settings.dem, path="")]
+        parts += [digest, msgspec.structs.replace(wanted, path="")]
     key = stage_key(code_key(), mosaic.body.name, parts)
-    make_or_keep(workspace, key, lambda: _made(mosaic, own, named, config_path, progress), account)
+    make_or_keep(run, key, lambda: _made(run, mosaic, own, named))
     if named is not None:
         named.close()
     return ReliefRecord(key, sources)
 
 
-def make_or_keep(
-    workspace: Workspace,
-    key: str,
-    make: Callable[[], PreparedRelief | None],
-    account: StageAccount,
-) -> None:
+def make_or_keep(run: IngestRun, key: str, make: Callable[[], PreparedRelief | None]) -> None:
     """Leave the relief of a key in the work folder, made now unless it is there, and no other."""
+    workspace = run.workspace
     if workspace.whole(_name(key)):
-        account.kept += 1
+        run.account.kept += 1
     else:
         made = make()
         workspace.put(_name(key), encode_records([made] if made is not None else []))
-        account.done += 1
+        run.account.done += 1
     workspace.keep_only("relief", {key})
 
 
@@ -116,11 +102,7 @@ def stored_relief(workspace: Workspace, record: ReliefRecord) -> PreparedRelief 
 
 
 def _made(
-    mosaic: Mosaic,
-    own: list[float],
-    named: DemSource | None,
-    config_path: Path,
-    progress: Progress,
+    run: IngestRun, mosaic: Mosaic, own: list[float], named: DemSource | None
 ) -> PreparedRelief | None:
     body = mosaic.body
     rows = _rows(mosaic, own, named)
@@ -128,16 +110,16 @@ def _made(
     sums = CellSums(rows)
     names, covered = [], 0.0
     for pyramid, name in zip(mosaic.pyramids, mosaic.names):
-        sums.fill_from(_layer(pyramid, cell_m / SAMPLES_ACROSS), progress)
+        sums.fill_from(_layer(pyramid, cell_m / SAMPLES_ACROSS), run.progress)
         if sums.coverage > covered:
             names.append(name)
         covered = sums.coverage
     if named is not None:
         try:
-            lay_whole(sums, named, progress)
+            lay_whole(sums, named, run.progress)
             check_share(sums.coverage, f"with {named.path}", body)
         except DataError as error:
-            raise _refused(config_path, error) from None
+            raise _refused(run.config_path, error) from None
         if sums.coverage > covered:
             names.append(named.path.name)
     elif sums.coverage < MIN_COVERAGE:

@@ -3,7 +3,7 @@
 Cells share sweeps over zones. A zone is some bands of cells with one graticule; all its nodes and
 tiles have places that are fixed for the whole body, so a cell's shortlist is the same, bit by bit,
 whichever cells are asked for with it. Cells about the poles, where a graticule crowds, and cells
-beside holes have a local map grid each (ground.py).
+beside holes have a local map grid each (cell_map.py).
 """
 
 from collections.abc import Iterator, Sequence

@@ -4,6 +4,9 @@ Cutting and compressing is nearly all of the work: its results rest in the work 
 catalog is in its place, so that a kill loses no more of them than of other stages. The file itself
 is put together anew: a database that is continued after a kill needs a journal, which would cost
 every build more than the copying costs the few that are killed.
+
+The work folder remembers what a catalog was made from and the seal of its file, a hash of all its
+bytes. A file that is as it was then stays; one that is damaged, or that a GIS wrote to, does not.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

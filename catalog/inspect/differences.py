@@ -1,6 +1,6 @@
 """Differences of two catalogs in words, for people and the logs of pipelines."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -91,29 +91,31 @@ def _places(found: Comparison) -> Iterator[str]:
 
 def _use(found: Comparison) -> Iterator[str]:
     before, after = found.before["usable"] != 0, found.after["usable"] != 0
-    reasons = found.field_changed("flags") & (before == after)
     for name, chosen in (
         ("no longer usable", before & ~after),
         ("newly usable", after & ~before),
-        ("other reasons", reasons),
+        ("other reasons", found.field_changed("flags") & (before == after)),
     ):
-        rows = np.flatnonzero(chosen)
-        if rows.size:
-            yield f"{name}: {_points(rows.size)}"
-            told = (
-                f"{found.ids[row]}: {_state(found.before[row])} -> {_state(found.after[row])}"
-                for row in rows[: SHOWN + 1]
-            )
-            yield from _shortened(list(told), rows.size)
-    source = np.flatnonzero(found.field_changed("source"))
-    if source.size:
-        yield f"other terrain model: {_points(source.size)}"
-        told = (
-            f"{found.ids[row]}: {_source(found.first, found.before[row])} -> "
-            f"{_source(found.second, found.after[row])}"
-            for row in source[: SHOWN + 1]
-        )
-        yield from _shortened(list(told), source.size)
+        yield from _pairs(name, found, chosen, lambda _, record: _state(record))
+    yield from _pairs("other terrain model", found, found.field_changed("source"), _source)
+
+
+def _pairs(
+    name: str,
+    found: Comparison,
+    chosen: BoolArray,
+    text: Callable[[ComparedCatalog, Record], str],
+) -> Iterator[str]:
+    """A line with the number of chosen points, and what each is in both catalogs."""
+    rows = np.flatnonzero(chosen)
+    if rows.size:
+        yield f"{name}: {_points(rows.size)}"
+        pairs = [
+            f"{found.ids[row]}: {text(found.first, found.before[row])} -> "
+            f"{text(found.second, found.after[row])}"
+            for row in rows[: SHOWN + 1]
+        ]
+        yield from _shortened(pairs, rows.size)
 
 
 def _heights(found: Comparison) -> Iterator[str]:
@@ -133,12 +135,12 @@ def _heights(found: Comparison) -> Iterator[str]:
     yield text
     rows = np.flatnonzero(changed)
     rows = rows[np.argsort(-np.nan_to_num(found.height_max_m[rows], nan=np.inf), kind="stable")]
-    told = (
+    texts = [
         f"{found.ids[row]}: max {found.height_max_m[row]:.3f} m, "
         f"rms {found.height_rms_m[row]:.3f} m"
         for row in rows[: SHOWN + 1]
-    )
-    yield from _shortened(list(told), rows.size)
+    ]
+    yield from _shortened(texts, rows.size)
 
 
 def _certificates(found: Comparison) -> Iterator[str]:
@@ -163,16 +165,16 @@ def _greatest(found: Comparison, sizes: FloatArray, chosen: BoolArray, form: str
     rows = np.flatnonzero(chosen)
     known = np.nan_to_num(np.abs(sizes[rows]), nan=np.inf)
     rows = rows[np.argsort(-known, kind="stable")]
-    told = [f"{found.ids[row]}: " + form.format(sizes[row]) for row in rows[: SHOWN + 1]]
-    yield from _shortened(told, rows.size)
+    texts = [f"{found.ids[row]}: " + form.format(sizes[row]) for row in rows[: SHOWN + 1]]
+    yield from _shortened(texts, rows.size)
 
 
 def _points(number: int | np.integer[Any]) -> str:
     return f"{number} point" if number == 1 else f"{number} points"
 
 
-def _shortened(told: list[str], total: int) -> Iterator[str]:
-    yield from (f"  {line}" for line in told[:SHOWN])
+def _shortened(texts: list[str], total: int) -> Iterator[str]:
+    yield from (f"  {line}" for line in texts[:SHOWN])
     if total > SHOWN:
         yield f"  and {total - SHOWN} more"
 
@@ -187,7 +189,7 @@ def _source(side: ComparedCatalog, record: Record) -> str:
     return side.meta.point_sources[int(record["source"])] or "none"
 
 
-LISTS = ("uniqueness", "shadow_limit_deg")  # told by their largest difference
+LISTS = ("uniqueness", "shadow_limit_deg")  # shown by their largest difference
 
 
 def _pair(name: str, meaning: str, kind: Literal["text", "number"], form: str) -> list[Column]:

@@ -1,8 +1,13 @@
-"""The points of a catalog as a map layer for other programs: GeoJSON, CSV or a plain GeoPackage.
+"""A catalog for other programs: its points as a map layer, its relief, a patch as a solid.
 
-All three carry the body's coordinate system in the way that GDAL and QGIS read it back: GeoJSON in
-its (pre-RFC 7946) crs member, CSV in a .prj file beside it (and column types in a .csvt file), the
-GeoPackage in its own table.
+A layer is GeoJSON, CSV or a plain GeoPackage. All three carry the body's coordinate system in the
+way that GDAL and QGIS read it back: GeoJSON in its (pre-RFC 7946) crs member, CSV in a .prj file
+beside it (and column types in a .csvt file), the GeoPackage in its own table. The relief is a
+GeoTIFF.
+
+The top of a patch's solid is the ground, its sides go down the map's verticals, its bottom lies a
+fifth of its width below the lowest ground. Lengths are metres from the control point: OBJ has east,
+north, up as x, y, z, GLB as x, -z, y, as its standard wants.
 """
 
 import json
@@ -33,6 +38,14 @@ from catalog.tables import Column, Table
 
 # what begins a file that we wrote, and may therefore write again
 GEOJSON_START = '{"type":"FeatureCollection","name":"control_points","optnav":"catalog layer"'
+RELIEF_NAME = "optnav relief"  # begins a file of ours
+RELIEF_ENDINGS = (".tif", ".tiff")
+BANDS = ("mean height, m", "highest place, m")
+PATCH_NAME = "optnav patch"  # what stands near the beginning of a file that we wrote
+PATCH_ENDINGS = (".obj", ".glb")
+HEAD_BYTES = 4096
+BASE_SHARE = 0.2
+Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 Properties = dict[str, object]
 
@@ -169,13 +182,6 @@ def _write_geopackage(catalog: Catalog, path: Path) -> None:
         db.execute("COMMIT")
 
 
-PATCH_NAME = "optnav patch"  # what stands near the beginning of a file that we wrote
-PATCH_ENDINGS = (".obj", ".glb")
-HEAD_BYTES = 4096
-BASE_SHARE = 0.2
-Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-
-
 def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int:
     """Write a point's patch as a solid to a .obj or .glb file; returns its number of triangles.
 
@@ -250,11 +256,6 @@ def _faces(size: int) -> IntArray:
 def _is_our_patch(path: Path) -> bool:
     with path.open("rb") as file:
         return PATCH_NAME.encode() in file.read(HEAD_BYTES)
-
-
-RELIEF_NAME = "optnav relief"  # what begins a file that we wrote, and may therefore write again
-RELIEF_ENDINGS = (".tif", ".tiff")
-BANDS = ("mean height, m", "highest place, m")
 
 
 def export_relief(catalog: Catalog, path: Path) -> int:

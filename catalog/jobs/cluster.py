@@ -24,8 +24,38 @@ from catalog.jobs.workspace import code_key
 log = logging.getLogger(__name__)
 
 ANSWER_S = 5.0  # for a scheduler to answer
+ARRIVE_S = 10.0  # for a first worker to be there at the start
+RETURN_S = 60.0  # for a worker to come back when all have gone: a nanny starts new ones in seconds
+LOOK_S = 2.0  # between two looks at the cluster
+# A piece of work is given up by the scheduler after some workers died over it (4 by default). It is
+# tried once more, last, for they may have died of something else.
+LOSSES_WITHOUT_PROGRESS = 1
+KEPT = "what is done is kept: give the same command again"
 # What these would say on stderr is said in a message of our own.
 NOISY = ("distributed", "tornado", "asyncio")
+
+
+class _SchedulerLostError(Exception):
+    """The scheduler does not answer any more."""
+
+
+def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
+    """The workers of the scheduler at an address, all of which must be able to read some files.
+
+    address  tcp://HOST:PORT
+    files    absolute paths that the workers will read, as far as they are known and there already
+    Raises UsageError for an address that is none or without the package `distributed`, and
+    WorkersError for a scheduler that does not answer, has no workers, or has one that would not
+    do the work as this process does.
+    """
+    check_address(address)
+    pool = ClusterPool(address)
+    try:
+        pool.need(needs_of(path for path in files if path.is_file()))
+    except BaseException:
+        pool.close()
+        raise
+    return ExecutorWorkers(pool)
 
 
 def check_address(address: str) -> None:
@@ -116,40 +146,6 @@ class Silence:
         for name, level in self._levels.items():
             logging.getLogger(name).setLevel(level)
         self._levels = {}
-
-
-log = logging.getLogger(__name__)
-
-ARRIVE_S = 10.0  # for a first worker to be there at the start
-RETURN_S = 60.0  # for a worker to come back when all have gone: a nanny starts new ones in seconds
-LOOK_S = 2.0  # between two looks at the cluster
-# A piece of work is given up by the scheduler after some workers died over it (4 by default). It is
-# tried once more, last, for they may have died of something else.
-LOSSES_WITHOUT_PROGRESS = 1
-KEPT = "what is done is kept: give the same command again"
-
-
-class _SchedulerLostError(Exception):
-    """The scheduler does not answer any more."""
-
-
-def cluster_workers(address: str, files: Sequence[Path] = ()) -> Workers:
-    """The workers of the scheduler at an address, all of which must be able to read some files.
-
-    address  tcp://HOST:PORT
-    files    absolute paths that the workers will read, as far as they are known and there already
-    Raises UsageError for an address that is none or without the package `distributed`, and
-    WorkersError for a scheduler that does not answer, has no workers, or has one that would not
-    do the work as this process does.
-    """
-    check_address(address)
-    pool = ClusterPool(address)
-    try:
-        pool.need(needs_of(path for path in files if path.is_file()))
-    except BaseException:
-        pool.close()
-        raise
-    return ExecutorWorkers(pool)
 
 
 class ClusterPool:

@@ -87,7 +87,7 @@ class StageAccount(msgspec.Struct):
         self.peak = usage.peak
         self._add_all(usage)
 
-    def _add_all(self, usage: Usage) -> None:
+    def _add_all(self, usage: "Usage | StageAccount") -> None:
         self.cpu_s += usage.cpu_s
         self.read_bytes = _sum(self.read_bytes, usage.read_bytes)
         self.written_bytes = _sum(self.written_bytes, usage.written_bytes)
@@ -126,13 +126,11 @@ class Account(msgspec.Struct):
         whole = StageAccount("total")
         for stage in self.stages:
             whole.seconds += stage.seconds
-            whole.cpu_s += stage.cpu_s
             whole.workers_cpu_s += stage.workers_cpu_s
             whole.peak = _greater(whole.peak, stage.peak)
             if stage.worker_peak is not None:
                 whole.worker_peak = _greater(whole.worker_peak, stage.worker_peak)
-            whole.read_bytes = _sum(whole.read_bytes, stage.read_bytes)
-            whole.written_bytes = _sum(whole.written_bytes, stage.written_bytes)
+            whole._add_all(stage)
         return whole
 
 

@@ -23,13 +23,24 @@ from typing import Any, Protocol, TypeVar
 from catalog.cache import Cache
 from catalog.errors import WorkersError
 
+T = TypeVar("T")
+R = TypeVar("R")
+
 HELD = (signal.SIGINT, signal.SIGTERM)
+# An interrupt that comes just before a wait begins is seen only when the wait is over.
+NOTICE_S = 0.5
+AHEAD = 2  # chunks a worker waits on or works at; more would only be lost by a kill
+# A worker that dies takes unfinished chunks with it; they are tried again while work gets done.
+DEATHS_WITHOUT_PROGRESS = 2
+THREAD_LIMITS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Hold SIGINT and SIGTERM back until the block is left; for short blocks.
 
+    Python raises KeyboardInterrupt between any two steps, also just after a library took a lock and
+    before it could promise to release it. Whoever needs that lock then waits for ever.
     Does nothing outside the main thread, where no signal arrives, or for a signal whose handler
     is not a Python function.
     """
@@ -56,17 +67,6 @@ def _held(number: signal.Signals) -> Iterator[None]:
         signal.signal(number, handler)
         if came:  # also when the block failed: who handles its error may go on with the work
             handler(number, came[0])
-
-
-T = TypeVar("T")
-R = TypeVar("R")
-
-# An interrupt that comes just before a wait begins is seen only when the wait is over.
-NOTICE_S = 0.5
-AHEAD = 2  # chunks a worker waits on or works at; more would only be lost by a kill
-# A worker that dies takes unfinished chunks with it; they are tried again while work gets done.
-DEATHS_WITHOUT_PROGRESS = 2
-THREAD_LIMITS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Workers(Protocol):

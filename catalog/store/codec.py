@@ -37,6 +37,19 @@ class Encoded:
     offset: float
     data: bytes
 
+    @classmethod
+    def of_row(cls, size: object, step: object, offset: object, data: object) -> "Encoded | None":
+        """The grid of a row's columns; None where they are not of their types: damaged."""
+        if (
+            isinstance(size, int)
+            and 0 < size < 2**31
+            and isinstance(step, float)
+            and isinstance(offset, float)
+            and isinstance(data, bytes)
+        ):
+            return cls(size, step, offset, data)
+        return None
+
 
 def quantise(heights: Float32Array, step: float) -> tuple[Int16Array, float, float]:
     """Counts of a grid together with the step and the offset that they are in.

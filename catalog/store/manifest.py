@@ -118,14 +118,9 @@ class CatalogMeta:
 
 def content_text(meta: CatalogMeta) -> str:
     """The part of the manifest that the content digest covers, as canonical JSON."""
-    content = {
+    content: dict[str, object] = {
         "body": meta.body,
-        "radius_m": round(float(meta.radius_m), 3),
-        "cell_deg": round(float(meta.cell_deg), 9),
-        "levels": meta.levels,
-        "size": meta.size,
-        "posting_m": round(float(meta.posting_m), 6),
-        "height_step_m": round(float(meta.height_step_m), 9),
+        **_numbers(meta),
         "projection": PROJECTION if meta.planes is None else PLANES,
         "point_sources": list(meta.point_sources),
         "count": meta.count,
@@ -143,12 +138,7 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         "format": FORMAT,
         "format_version": str(meta.format_version),
         "body": meta.body,
-        "radius_m": repr(round(float(meta.radius_m), 3)),
-        "cell_deg": repr(round(float(meta.cell_deg), 9)),
-        "levels": str(meta.levels),
-        "size": str(meta.size),
-        "posting_m": repr(round(float(meta.posting_m), 6)),
-        "height_step_m": repr(round(float(meta.height_step_m), 9)),
+        **{name: repr(number) for name, number in _numbers(meta).items()},
         "projection": PROJECTION if meta.planes is None else PLANES,
         "sources": json.dumps(dict(meta.sources), sort_keys=True, ensure_ascii=False),
         "point_sources": json.dumps(list(meta.point_sources), ensure_ascii=False),
@@ -166,6 +156,13 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         rows["planes"] = json.dumps(meta.planes.rounded(), sort_keys=True)
     rows = dict(sorted(rows.items()))
     return {**rows, CHECKSUM: _checksum(rows), SEAL: OPEN_SEAL}
+
+
+def _numbers(meta: CatalogMeta) -> dict[str, float | int]:
+    """Numbers of the manifest as they are written."""
+    decimals = {"radius_m": 3, "cell_deg": 9, "posting_m": 6, "height_step_m": 9}
+    rounded = {name: round(float(getattr(meta, name)), at) for name, at in decimals.items()}
+    return {**rounded, "levels": int(meta.levels), "size": int(meta.size)}
 
 
 def _checksum(texts: Mapping[str, str]) -> str:

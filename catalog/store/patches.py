@@ -64,9 +64,7 @@ def prepare_point(
     for level, (patch, step) in enumerate(zip(patches, steps_m, strict=True)):
         encoded, counts = encode(patch.heights_m, step)
         posting = round(float(patch.posting_m), POSTING_DECIMALS)
-        header = patch_header(
-            rounded.id, HEIGHT_LAYER, level, encoded.size, posting, encoded.step, encoded.offset
-        )
+        header = patch_header(rounded.id, level, posting, encoded)
         key = patch_key(rounded.id, HEIGHT_LAYER, level)
         rows.append(
             (
@@ -88,24 +86,15 @@ def prepare_point(
 
 def stored_patch_from_row(row: Sequence[object], point_id: int, level: int) -> StoredPatch:
     """A row (columns as PATCH_COLUMNS) as it is. Raises DataError unless its checksum fits."""
-    key, owner, layer, number, posting, size, step, offset, stored, data = row
-    if (
-        key != patch_key(point_id, HEIGHT_LAYER, level)
-        or owner != point_id
-        or layer != HEIGHT_LAYER
-        or number != level
-        or not isinstance(size, int)
-        or not 0 < size < 2**31
-        or not isinstance(posting, float)
-        or not isinstance(step, float)
-        or not isinstance(offset, float)
-        or not isinstance(data, bytes)
-    ):
+    *place, posting, size, step, offset, stored, data = row
+    wanted = [patch_key(point_id, HEIGHT_LAYER, level), point_id, HEIGHT_LAYER, level]
+    encoded = Encoded.of_row(size, step, offset, data)
+    if place != wanted or encoded is None or not isinstance(posting, float):
         raise DataError("row of optnav_patches is damaged")
-    header = patch_header(point_id, HEIGHT_LAYER, level, size, posting, step, offset)
-    if stored != checksum(header, data):
+    header = patch_header(point_id, level, posting, encoded)
+    if stored != checksum(header, encoded.data):
         raise DataError("row of optnav_patches does not fit its checksum")
-    return StoredPatch(posting, Encoded(size, step, offset, data), header)
+    return StoredPatch(posting, encoded, header)
 
 
 def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
@@ -120,15 +109,14 @@ def content_from_row(row: Sequence[object], point_id: int, level: int) -> tuple[
     return patch.header, decode_counts(patch.encoded.data, patch.encoded.size)
 
 
-def patch_header(
-    point_id: int, layer: int, level: int, size: int, posting_m: float, step: float, offset: float
-) -> bytes:
+def patch_header(point_id: int, level: int, posting_m: float, encoded: Encoded) -> bytes:
     """What checksum and digest cover of a patch beside its data."""
-    return _HEADER.pack(point_id, layer, level, size, posting_m, step, offset)
+    numbers = encoded.size, posting_m, encoded.step, encoded.offset
+    return _HEADER.pack(point_id, HEIGHT_LAYER, level, *numbers)
 
 
 def patches_digest(patches: Iterable[tuple[bytes, Int16Array]]) -> bytes:
-    """Digest (32 bytes) of the headers and counts of one point's patches."""
+    """Digest (32 bytes) of the headers and counts of some grids, such as one point's patches."""
     digest = hashlib.sha256()
     for header, counts in patches:
         digest.update(header)

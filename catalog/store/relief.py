@@ -5,7 +5,6 @@ ones repeat their edge where the grid ends within them. Layer 0 holds the cells'
 layer 1 how far their highest places stand above the stored means.
 """
 
-import hashlib
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Sequence
@@ -18,8 +17,9 @@ from catalog.arrays import Float32Array, Int16Array
 from catalog.errors import DataError
 from catalog.store.codec import Encoded, decode, decode_counts, encode
 from catalog.store.manifest import CatalogMeta, ReliefMeta
+from catalog.store.patches import patches_digest
 from catalog.store.records import checksum
-from catalog.store.schema import RELIEF
+from catalog.store.schema import RELIEF, RELIEF_COLUMNS
 from catalog.terrain.relief.relief import GlobalRelief
 
 ReliefRow = tuple[int, int, int, int, int, float, float, int, bytes]  # as RELIEF_COLUMNS
@@ -31,17 +31,6 @@ MEAN_STEP_M = 1.0
 TOP_STEP_M = 4.0
 TILE = 720  # cells a side: a row of some 500 kB wastes little of its last page
 
-RELIEF_COLUMNS = (
-    "id",
-    "layer",
-    "tile_row",
-    "tile_col",
-    "size",
-    "step",
-    "value_offset",
-    "checksum",
-    "data",
-)
 SELECT_TILE = f"SELECT {', '.join(RELIEF_COLUMNS)} FROM {RELIEF} WHERE id = ?"
 _HEADER = struct.Struct("<4q2d")
 
@@ -85,17 +74,16 @@ def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
     """
     number = relief.heights.shape[0]
     means = [_encoded(relief.heights, place, MEAN_STEP_M) for place in _places(number, MEANS)]
-    max_heights = []
     stored = _assembled([encoded for encoded, _ in means], number)
     above = np.maximum(relief.max_heights - stored - np.float32(MEAN_STEP_M / 2.0), 0.0)
     above = np.ceil(above / np.float32(TOP_STEP_M)) * np.float32(TOP_STEP_M)
     max_heights = [_encoded(above, place, TOP_STEP_M) for place in _places(number, TOPS)]
     rows: list[ReliefRow] = []
-    digest = hashlib.sha256()
+    contents: list[tuple[bytes, Int16Array]] = []
     places = [*_places(number, MEANS), *_places(number, TOPS)]
     for place, (encoded, counts) in zip(places, means + max_heights, strict=True):
         header = _header(place, encoded)
-        add_tile(digest, header, counts)
+        contents.append((header, counts))
         rows.append(
             (
                 place.key,
@@ -107,7 +95,9 @@ def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
                 encoded.data,
             )
         )
-    return PreparedRelief(ReliefMeta(number, relief.source, digest.hexdigest()), tuple(rows))
+    return PreparedRelief(
+        ReliefMeta(number, relief.source, patches_digest(contents).hex()), tuple(rows)
+    )
 
 
 def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | None:
@@ -146,36 +136,25 @@ def relief_digest(
     db: sqlite3.Connection, meta: ReliefMeta, report: Callable[[str, object], None]
 ) -> str:
     """Digest of the tiles as they are; damage is reported, tile by tile."""
-    digest = hashlib.sha256()
-    for place in tile_places(meta):
-        try:
-            tile = read_tile(db, place)
-            add_tile(digest, tile.header, decode_counts(tile.encoded.data, tile.encoded.size))
-        except DataError as error:
-            report(str(place), str(error).removeprefix(f"{place}: "))
-    return digest.hexdigest()
 
+    def contents() -> Iterator[tuple[bytes, Int16Array]]:
+        for place in tile_places(meta):
+            try:
+                tile = read_tile(db, place)
+                yield tile.header, decode_counts(tile.encoded.data, tile.encoded.size)
+            except DataError as error:
+                report(str(place), str(error).removeprefix(f"{place}: "))
 
-def add_tile(digest: "hashlib._Hash", header: bytes, counts: Int16Array) -> None:
-    """Count a tile in a relief's digest."""
-    digest.update(header)
-    digest.update(np.ascontiguousarray(counts, dtype="<i2").data)
+    return patches_digest(contents()).hex()
 
 
 def _tile_from_row(row: Sequence[object], place: TilePlace) -> Tile:
-    key, layer, tile_row, tile_col, size, step, offset, stored, data = row
-    if (
-        (key, layer, tile_row, tile_col) != (place.key, *place)
-        or not isinstance(size, int)
-        or not 0 < size < 2**31
-        or not isinstance(step, float)
-        or not isinstance(offset, float)
-        or not isinstance(data, bytes)
-    ):
+    *where, size, step, offset, stored, data = row
+    encoded = Encoded.of_row(size, step, offset, data)
+    if where != [place.key, *place] or encoded is None:
         raise DataError(f"{place}: its row of {RELIEF} is damaged")
-    encoded = Encoded(size, step, offset, data)
     header = _header(place, encoded)
-    if stored != checksum(header, data):
+    if stored != checksum(header, encoded.data):
         raise DataError(f"{place}: does not fit its checksum")
     return Tile(encoded, header)
 

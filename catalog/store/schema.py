@@ -33,39 +33,6 @@ MOON_SRS_ID = 30100  # IAU_2015:30100, Moon, sphere, planetocentric latitude
 MOON_RADIUS_M = 1737400.0
 CUSTOM_SRS_ID = 100001  # a number that no registry uses
 
-POINT_COLUMNS = (
-    "id",
-    GEOMETRY,
-    "lat_deg",
-    "lon_deg",
-    "radius_m",
-    "usable",
-    "flags",
-    "reasons",
-    "localisation_px",
-    "hessian_eigenvalue",
-    "recognition_rate",
-    "trials",
-    "uniqueness_min",
-    "uniqueness",
-    "shadow_limit_max_deg",
-    "shadow_limit_deg",
-    "source",
-    "levels",
-    "checksum",
-)
-PATCH_COLUMNS = (
-    "id",
-    "point_id",
-    "layer",
-    "level",
-    "posting_m",
-    "size",
-    "step",
-    "value_offset",
-    "checksum",
-    "data",
-)
 
 _SERVICE_TABLES = """
 CREATE TABLE gpkg_spatial_ref_sys (
@@ -89,6 +56,14 @@ CREATE TABLE gpkg_extensions (
   scope TEXT NOT NULL, CONSTRAINT ge_tce UNIQUE (table_name, column_name, extension_name));
 """
 
+# columns of these tables are read from the statements: no part of them holds a comma
+_PATCH_TABLE = f"""
+CREATE TABLE {PATCHES} (
+  id INTEGER PRIMARY KEY NOT NULL, point_id INTEGER NOT NULL, layer INTEGER NOT NULL,
+  level INTEGER NOT NULL, posting_m DOUBLE NOT NULL, size INTEGER NOT NULL, step DOUBLE NOT NULL,
+  value_offset DOUBLE NOT NULL, checksum INTEGER NOT NULL, data BLOB NOT NULL);
+"""
+
 _POINT_TABLE = f"""
 CREATE TABLE {POINTS} (
   id INTEGER PRIMARY KEY NOT NULL, {GEOMETRY} POINT NOT NULL,
@@ -105,10 +80,6 @@ CREATE TABLE {META} (id INTEGER PRIMARY KEY NOT NULL, key TEXT NOT NULL, value T
 CREATE TABLE {RECORDS} (
   id INTEGER PRIMARY KEY NOT NULL, count INTEGER NOT NULL, checksum INTEGER NOT NULL,
   data BLOB NOT NULL);
-CREATE TABLE {PATCHES} (
-  id INTEGER PRIMARY KEY NOT NULL, point_id INTEGER NOT NULL, layer INTEGER NOT NULL,
-  level INTEGER NOT NULL, posting_m DOUBLE NOT NULL, size INTEGER NOT NULL, step DOUBLE NOT NULL,
-  value_offset DOUBLE NOT NULL, checksum INTEGER NOT NULL, data BLOB NOT NULL);
 """
 
 _RELIEF_TABLE = f"""
@@ -117,6 +88,15 @@ CREATE TABLE {RELIEF} (
   tile_col INTEGER NOT NULL, size INTEGER NOT NULL, step DOUBLE NOT NULL,
   value_offset DOUBLE NOT NULL, checksum INTEGER NOT NULL, data BLOB NOT NULL);
 """
+
+
+def _columns(statement: str) -> tuple[str, ...]:
+    """Names of the columns of a CREATE TABLE statement."""
+    return tuple(part.split()[0] for part in statement.partition("(")[2].split(","))
+
+
+POINT_COLUMNS, PATCH_COLUMNS = _columns(_POINT_TABLE), _columns(_PATCH_TABLE)
+RELIEF_COLUMNS = _columns(_RELIEF_TABLE)
 
 # The triggers that the extension gpkg_rtree_index wants, so that programs which edit a copy of
 # the layer keep its index; they call functions that only GIS programs have.
@@ -201,7 +181,9 @@ def create_tables(db: sqlite3.Connection, with_patches: bool = True) -> None:
     db.execute(f"PRAGMA page_size = {PAGE_SIZE if with_patches else 4096}")
     db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     db.execute(f"PRAGMA user_version = {USER_VERSION}")
-    tables = _SERVICE_TABLES + (_CATALOG_TABLES if with_patches else "") + _POINT_TABLE
+    tables = (
+        _SERVICE_TABLES + (_CATALOG_TABLES + _PATCH_TABLE if with_patches else "") + _POINT_TABLE
+    )
     for statement in tables.split(";\n"):
         if statement.strip():
             db.execute(statement)

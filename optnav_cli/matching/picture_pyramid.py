@@ -36,7 +36,7 @@ class PicturePyramid:
         # the centre of the first block of `factor` pixels lies at (factor - 1) / 2
         shift = (factor - 1) / 2.0
         # Not cv2.remap: its cubic kernel (a = -3/4) does not give a ramp back. It moves a pattern
-        # by up to 0.05 px, alike for all nodes of a grid that happens to step with the pixels.
+        # by up to 0.05 px, the same at all nodes of a grid that happens to step with the pixels.
         row = np.where(inside, (y - shift) / factor, np.nan)
         col = np.where(inside, (x - shift) / factor, np.nan)
         rows, cols = level.shape

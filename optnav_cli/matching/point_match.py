@@ -23,7 +23,7 @@ MIN_LIT_SHARE = 0.1
 MIN_CUT_SHARE = 0.25
 # A match behind a blur has so much room to every side, nodes of those that are kept.
 MIN_ROOM = 3
-# Nodes of a reference that is not blurred that tell as much against chance as one sample.
+# Nodes of a reference without blur that count as one sample against chance.
 CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
 MARGIN_NODES = 8
@@ -61,24 +61,24 @@ class SeenPart:
     samples: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointMatch:
     """Where a control point was found, or why not.
 
+    reason          why the match is not used; empty when it is
     pixel           (2,) measured, None when refused before a peak was located
     covariance_px2  (2, 2) of the pixel from the peak's curvature
     offset_m        (2,) east and north of the place where the pose expected it
-    reason          why it is not used; empty when it is
     part            what was compared, of patches finer than what is known
     """
 
     level: int
-    pixel: FloatArray | None
-    covariance_px2: FloatArray | None
-    offset_m: FloatArray | None
-    score: float | None
-    runner_up: float | None
     reason: Reason
+    pixel: FloatArray | None = None
+    covariance_px2: FloatArray | None = None
+    offset_m: FloatArray | None = None
+    score: float | None = None
+    runner_up: float | None = None
     part: SeenPart | None = None
 
 
@@ -106,21 +106,21 @@ def match_point(
     template = reference.render(level, plan.template_nodes + 2 * margin, sun_body, pose.position_m)
     refusal = _rejection_of_template(cropped(template, margin) if blur_nodes else template)
     if refusal:
-        return PointMatch(level, None, None, None, None, None, refusal)
+        return PointMatch(level, refusal)
     border = search_nodes + margin
     size = plan.template_nodes + 2 * border
     surface = reference.surface(level, size)
-    turn = pose.camera_from_body.as_matrix()
-    pixels = camera.project_from_body(surface, pose.position_m, turn)
+    camera_from_body = pose.camera_from_body.as_matrix()
+    pixels = camera.project_from_body(surface, pose.position_m, camera_from_body)
     window = picture.sample(pixels, posting / plan.metres_per_pixel)
     shown = np.isfinite(cropped(window, border))
     if shown.mean() < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
-        return PointMatch(level, None, None, None, None, None, OUTSIDE)
+        return PointMatch(level, OUTSIDE)
     step = thinning(blur_nodes)
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
-        # what the frame cuts is told from what is there only by correlation with holes
+        # correlation with holes leaves out what the frame cuts
         matcher = match_masked if matcher is match_ncc else matcher
     if plan.distortion == NO_DISTORTION:
         match = matcher(template, window, MARGIN_NODES)
@@ -135,28 +135,29 @@ def match_point(
             dx=match.dx * step, dy=match.dy * step, covariance=match.covariance * step**2
         )
     shift, jacobian = _displacement(pixels, match, plan.template_nodes)
-    expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, turn)
+    expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, camera_from_body)
     place = expected + shift
     part = None
     if blur_nodes:
         middle = cropped(surface, border)[shown].mean(axis=0)
-        seen = camera.project_from_body(middle, pose.position_m, turn) + shift
+        seen = camera.project_from_body(middle, pose.position_m, camera_from_body) + shift
         corners = cropped(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
         part = SeenPart(middle, seen, corners, samples)
-    offset = np.array([match.dx, -match.dy]) * posting
+    covariance = None
+    if np.isfinite(match.covariance).all():
+        # White noise under a Gaussian of sigma s is correlated over 2 pi s^2 nodes: fewer
+        # samples are left.
+        each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
+        covariance = jacobian @ (match.covariance * each) @ jacobian.T
     reason = _rejection_of_match(match, gates, samples)
-    if not np.isfinite(match.covariance).all():
-        return PointMatch(level, place, None, offset, match.score, match.runner_up, reason, part)
-    # White noise under a Gaussian of sigma s is alike over 2 pi s^2 nodes: fewer samples are left.
-    each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
-    covariance = jacobian @ (match.covariance * each) @ jacobian.T
-    return PointMatch(level, place, covariance, offset, match.score, match.runner_up, reason, part)
+    offset = np.array([match.dx, -match.dy]) * posting
+    return PointMatch(level, reason, place, covariance, offset, match.score, match.runner_up, part)
 
 
 def nodes_a_sample(blur_nodes: float) -> float:
-    """Nodes that tell as much against chance as one sample.
+    """Nodes that count as one sample against chance.
 
-    White noise under a Gaussian of sigma s is alike over an area of 2 pi s^2 nodes.
+    White noise under a Gaussian of sigma s is correlated over an area of 2 pi s^2 nodes.
     """
     return CHANCE_NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2
 

@@ -15,45 +15,6 @@ from catalog.geometry.tangent_plane import MapProjection, TangentPlane
 from catalog.rendering.map_view import render_map
 
 
-@kernel
-def _fill_from(
-    window: Float32Array, posting: float, patch: Float32Array, patch_posting: float
-) -> None:
-    """Put a patch's heights into the NaN nodes of a centred window; bicubic between the nodes."""
-    size = window.shape[0]
-    ratio = posting / patch_posting
-    centre = (patch.shape[0] - 1) / 2.0
-    half = (size - 1) / 2.0
-    for row in range(size):
-        r = centre + (row - half) * ratio
-        if r < 0.0 or r > patch.shape[0] - 1.0:
-            continue
-        for col in range(size):
-            c = centre + (col - half) * ratio
-            if c < 0.0 or c > patch.shape[1] - 1.0:
-                continue
-            if window[row, col] != window[row, col]:
-                window[row, col] = bicubic_at(patch, r, c)
-
-
-def _carried_on(
-    heights: Float32Array,
-    plane: TangentPlane,
-    x: FloatArray,
-    y: FloatArray,
-    radii_m: tuple[float, ...],
-) -> Float32Array:
-    """Heights (n, n) with those of the known square's border, over the ellipsoid, beyond it."""
-    known = np.flatnonzero(np.isfinite(heights).any(axis=1))
-    if known.size in (0, heights.shape[0]):
-        return heights
-    inner = slice(known[0], known[-1] + 1)
-    base = height_above(plane.points(x, y, 0.0), plane.body_from_local[:, 2], radii_m)
-    room = known[0], heights.shape[0] - 1 - known[-1]
-    over = np.pad(heights[inner, inner] - base[inner, inner], (room, room), mode="edge")
-    return np.where(np.isnan(heights), base + over, heights).astype(np.float32)
-
-
 @dataclass(frozen=True)
 class Reference:
     """A control point ready to be rendered and projected.
@@ -121,15 +82,54 @@ class Reference:
         sun_body           (3,) unit vector to the Sun, body frame
         camera_position_m  (3,) body frame
         """
-        turn = self.projection.body_from_local
+        body_from_local = self.projection.body_from_local
         foot = np.array(self.projection.foot_m)
         outer = tuple((p.heights_m, p.posting_m) for p in self.patches[level + 1 :])
         return render_map(
             self.heights(level, size),
             self.patches[level].posting_m,
-            sun_body @ turn,
-            camera_local=(camera_position_m - foot) @ turn,
+            sun_body @ body_from_local,
+            camera_local=(camera_position_m - foot) @ body_from_local,
             law="lunar_lambert",
             radius_m=self.projection.radius_m,
             outer=outer,
         )
+
+
+@kernel
+def _fill_from(
+    window: Float32Array, posting: float, patch: Float32Array, patch_posting: float
+) -> None:
+    """Put a patch's heights into the NaN nodes of a centred window; bicubic between the nodes."""
+    size = window.shape[0]
+    ratio = posting / patch_posting
+    centre = (patch.shape[0] - 1) / 2.0
+    half = (size - 1) / 2.0
+    for row in range(size):
+        r = centre + (row - half) * ratio
+        if r < 0.0 or r > patch.shape[0] - 1.0:
+            continue
+        for col in range(size):
+            c = centre + (col - half) * ratio
+            if c < 0.0 or c > patch.shape[1] - 1.0:
+                continue
+            if window[row, col] != window[row, col]:
+                window[row, col] = bicubic_at(patch, r, c)
+
+
+def _carried_on(
+    heights: Float32Array,
+    plane: TangentPlane,
+    x: FloatArray,
+    y: FloatArray,
+    radii_m: tuple[float, ...],
+) -> Float32Array:
+    """Heights (n, n) with those of the known square's border, over the ellipsoid, beyond it."""
+    known = np.flatnonzero(np.isfinite(heights).any(axis=1))
+    if known.size in (0, heights.shape[0]):
+        return heights
+    inner = slice(known[0], known[-1] + 1)
+    base = height_above(plane.points(x, y, 0.0), plane.body_from_local[:, 2], radii_m)
+    room = known[0], heights.shape[0] - 1 - known[-1]
+    over = np.pad(heights[inner, inner] - base[inner, inner], (room, room), mode="edge")
+    return np.where(np.isnan(heights), base + over, heights).astype(np.float32)

@@ -14,7 +14,7 @@ RIM_NODES = 1.0
 MAX_STEPS = 3
 # A template wider than this share of the frame finds no place whole in it.
 MAX_TEMPLATE = 0.45
-# Fewer nodes hold too little to be told from chance.
+# Fewer nodes match by chance too often.
 MIN_TEMPLATE_NODES = 32
 # Where patches have so few levels there is no coarse one to search far at: the finest is searched
 # so many times as far.

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import squared_distance
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.arc import GATE
@@ -322,8 +323,7 @@ class Navigator:
 def _disagreement_remark(points: Fix, outline: Fix) -> Reason:
     """A remark where an outline lies further from the control points' position than it states."""
     offset = points.position_m - outline.position_m
-    covariance = points.covariance_m2 + outline.covariance_m2
-    square = float(offset @ np.linalg.solve(covariance, offset))
+    square = squared_distance(offset, points.covariance_m2 + outline.covariance_m2)
     if square < GATE:
         return NO_REASON
     away = float(np.linalg.norm(offset)) / 1e3

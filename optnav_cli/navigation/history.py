@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.bodies.ephemeris import Ephemeris
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.dynamics.arc import GATE, OrbitArc, Prediction
 from optnav_cli.dynamics.arc import Fix as ArcFix
 from optnav_cli.dynamics.forces import Forces
@@ -110,7 +111,7 @@ class History:
         if predicted is not None:
             offset = fix.position_m - predicted.position_m
             covariance = fix.covariance_m2 + predicted.covariance_m2
-            if float(offset @ np.linalg.solve(covariance, offset)) >= GATE:
+            if squared_distance(offset, covariance) >= GATE:
                 return False
         return not self.exceeds_max_speed(tdb_s, fix)
 

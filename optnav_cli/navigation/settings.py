@@ -23,7 +23,7 @@ class ViewSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class MatchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How control points are searched and when a match is believed."""
+    """How control points are searched and when a match is accepted."""
 
     template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 80
     # finest level used: its posting over the pixel on the ground

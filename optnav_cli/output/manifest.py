@@ -10,19 +10,10 @@ from typing import Any
 
 from catalog.errors import DataError
 from catalog.files import MADE_BY, MANIFEST, hash_file
+from catalog.jobs.workspace import LIBRARIES as OF_THE_CATALOG
 
 FORMAT = 1
-LIBRARIES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "opencv-python-headless",
-    "rasterio",
-    "msgspec",
-    "mcap",
-    "pyerfa",
-    "zstandard",
-)
+LIBRARIES = (*OF_THE_CATALOG, "msgspec", "mcap", "pyerfa")
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str | None]:

@@ -1,35 +1,45 @@
 """Navigate a picture folder: every row of frames.csv becomes a row of solution.csv."""
 
 import logging
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from catalog.arrays import FloatArray
-from catalog.errors import NothingToDoError
+from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
+from catalog.correlation.ncc import match_ncc
+from catalog.correlation.similarity import Matcher
+from catalog.correlation.surf64 import match_surf
+from catalog.errors import ConfigError, DataError, NothingToDoError
 from catalog.files import replacing_folder
 from catalog.progress import Progress
+from catalog.store.reader import Catalog
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.relief.sums import load_relief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.fix import Solution
+from optnav_cli.fix import NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
-from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.manifest import hash_files, write_manifest
 from optnav_cli.output.overlay import patch_outlines, write_overlay
 from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.run_folder import MATCHES, OVERLAYS, RECORDING, SOLUTION, copy_inputs
 from optnav_cli.output.tables import write_matches, write_solutions
-from optnav_cli.runs.catalogs import open_field, opened, whole_relief
-from optnav_cli.runs.frame_job import MATCHERS, in_order, solve_frame
+from optnav_cli.reasons import Reason, ReasonCode
 
 log = logging.getLogger(__name__)
 
-
+MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 # A patch that takes up more of the picture's width than this is not outlined.
 MAX_OUTLINE = 0.2
 
@@ -54,7 +64,7 @@ def navigate_folder(
     started = datetime.now(UTC)
     folder = read_folder(pictures, [Path(name) for name in settings.spice.kernels])
     log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
-    with opened(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
+    with open_catalogs(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
         points = open_field(catalogs, folder.body)
         ground = whole_relief(catalogs, relief, folder.body)
         inertial = folder.settings.attitude == "camera_from_inertial"
@@ -94,6 +104,84 @@ def navigate_folder(
             f"the first: {solutions[0].reason}"
         )
     return solutions
+
+
+@contextmanager
+def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
+    """Open catalogs, and close them at the end.
+
+    Raises ConfigError for two of one file name, which matches.csv could not tell apart, and
+    DataError for a file that is no whole catalog.
+    """
+    name, count = Counter(path.name for path in paths).most_common(1)[0]
+    if count > 1:
+        raise ConfigError(
+            f"--catalog names {count} files called '{name}'; give each catalog a name of its own"
+        )
+    with ExitStack() as stack:
+        yield [stack.enter_context(Catalog.open(path)) for path in paths]
+
+
+def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField:
+    """The usable control points of catalogs, the first given before the others.
+
+    Raises DataError for a catalog of another body or without usable points.
+    """
+    return ControlPointField([_layer(catalog, body) for catalog in catalogs])
+
+
+def whole_relief(
+    catalogs: Sequence[Catalog], named: Path | None, body: Body
+) -> GlobalRelief | None:
+    """The body's relief for the horizon: of the named terrain model, else the finest carried one.
+
+    None where there is none. Raises DataError for a damaged one or a model of a part of the body.
+    """
+    if named is not None:
+        return load_relief(str(named), body)
+    carried = [relief for c in catalogs if (relief := c.relief()) is not None]
+    return min(carried, key=lambda relief: relief.posting_m, default=None)
+
+
+def in_order(folder: Folder) -> Iterator[int]:
+    """Places of the frames in the order to navigate them: by time, the widest camera first.
+
+    A frame whose time is not known stays behind the one before it.
+    """
+    keys: list[tuple[float, float]] = []
+    for frame in folder.frames:
+        camera = folder.cameras.get(frame.camera)
+        width = 0.0 if camera is None else camera.width_px / camera.focal_length_px
+        last = keys[-1][0] if keys else -np.inf
+        keys.append((last if frame.tdb_s is None else frame.tdb_s, -width))
+    yield from sorted(range(len(keys)), key=lambda place: keys[place])
+
+
+def solve_frame(
+    folder: Folder, frame: Frame, navigator: Navigator
+) -> tuple[Solution, Float32Array | None]:
+    """Navigate one frame: its row, and its picture where that could be read.
+
+    Whatever is wrong with the frame becomes the reason of an unsolved row.
+    """
+
+    def unsolved(code: ReasonCode, text: str) -> Solution:
+        return Solution(frame.file, frame.utc, NoFix(Reason(code, text)))
+
+    if frame.problem:
+        return unsolved(ReasonCode.BAD_FRAME, frame.problem), None
+    camera = folder.cameras.get(frame.camera)
+    if camera is None:
+        text = f"camera '{frame.camera}' is not known"
+        return unsolved(ReasonCode.UNKNOWN_CAMERA, text), None
+    try:
+        picture = load_picture(folder.picture_path(frame), camera)
+    except DataError as error:
+        return unsolved(ReasonCode.BAD_PICTURE, str(error)), None
+    try:
+        return navigator.solve(frame, camera, picture), picture.values
+    except DataError as error:
+        return unsolved(ReasonCode.BAD_DATA, str(error)), picture.values
 
 
 def _navigate_frames(
@@ -154,3 +242,28 @@ def _patch_outlines(
             fix.camera_from_body,
         )
     return outlines
+
+
+def _layer(catalog: Catalog, body: Body) -> PointLayer:
+    meta, usable = catalog.meta, catalog.usable
+    if meta.body != body.name:
+        raise DataError(
+            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {body.name}: "
+            "name another catalog, or mend `body` in run.toml"
+        )
+    if not usable.any():
+        raise DataError(
+            f"{catalog.path}: none of its {len(catalog)} control points is usable; "
+            "see `optnav catalog info`"
+        )
+    return PointLayer(
+        catalog.path.name,
+        catalog,
+        catalog.grid,
+        catalog.ids[usable],
+        catalog.xyz_m[usable],
+        catalog.records["shadow_limit_deg"][usable],
+        np.array([meta.posting_m * 2.0**level for level in range(meta.levels)]),
+        meta.radius_m,
+        meta.planes,
+    )

@@ -19,11 +19,11 @@ import numpy as np
 
 from catalog.bodies.body import load_body
 from catalog.build import check, render, select
-from catalog.build.check import CheckedPoint
 from catalog.build.config import BodySettings, BuildConfig, CheckSettings, RenderSettings
 from catalog.build.context import StageContext
 from catalog.build.trials import outcomes_at
 from catalog.config import resource
+from catalog.control_point import ControlPoint
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, Stage
 from catalog.terrain.dem.mosaic import Mosaic
@@ -142,7 +142,7 @@ def one_size(context: StageContext, progress: Progress, trials: int, seed: int) 
 
 def _built(
     context: StageContext, policy: Policy, cells: Sequence[int]
-) -> tuple[list[CheckedPoint], tuple[float, float]]:
+) -> tuple[list[ControlPoint], tuple[float, float]]:
     """The points that a policy chooses, and the seconds that render and check took."""
     config = msgspec.structs.replace(context.config, render=policy.render, check=policy.check)
     own = replace(context, config=config)

@@ -98,8 +98,8 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     """All strategies on all cells that lie on the terrain with their fine patches."""
     grounds = free_grounds(context)
     shortlists = render.render_chunk(context, list(grounds))
-    records = check.check_chunk(context, select.select(context, shortlists))
-    chosen = {record.cell: (record.lat_deg, record.lon_deg) for record in records}
+    points = check.check_chunk(context, select.select(context, shortlists))
+    chosen = {point.id: (point.lat_deg, point.lon_deg) for point in points}
     rounds = -(-trials // (SUNS * len(grounds)))
     outcomes: dict[str, list[Outcome]] = {
         name: [] for name in ("random", "one-Sun corner", "one-Sun Harris", "chosen")

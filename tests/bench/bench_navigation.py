@@ -23,8 +23,7 @@ from optnav_cli.navigation.control_points.expectation import FrameContext, expec
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.observation import observation_of
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.runs.catalogs import open_field
-from optnav_cli.runs.frame_job import MATCHERS, solve_frame
+from optnav_cli.runs.navigate_folder import MATCHERS, open_field, solve_frame
 from optnav_cli.studies.apollo import CUBE, PICTURE
 from tests.bench.timing import best, one_core, within
 

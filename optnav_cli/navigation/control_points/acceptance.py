@@ -13,6 +13,7 @@ from scipy.special import gammaln
 from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.robust import RobustResection
 from optnav_cli.fix import PositionPrior
 from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
@@ -45,7 +46,7 @@ PRIOR_FLOOR_M = 1000.0
 
 
 def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: float) -> float:
-    """How many powers of ten speak against chance for the scores of the used points.
+    """Powers of ten against chance that the scores of the used points give.
 
     scores          (k,) of the points that the solution uses
     tried           number of points searched, k or more: picking k of them helps chance
@@ -78,8 +79,8 @@ def decades_of_parts(
 
 def _choices(used: int, tried: int) -> float:
     """Powers of ten of the ways to pick the used points of those that were tried."""
-    most = max(tried, used)
-    choices = gammaln(most + 1.0) - gammaln(used + 1.0) - gammaln(most - used + 1.0)
+    offered = max(tried, used)
+    choices = gammaln(offered + 1.0) - gammaln(used + 1.0) - gammaln(offered - used + 1.0)
     return float(choices / np.log(10.0))
 
 
@@ -118,7 +119,7 @@ def rejection_of_place(
     """Why a position (3,) with covariance (3, 3) contradicts its prior; empty when it does not."""
     offset = position_m - prior.position_m
     spread = covariance_m2 + prior.covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
-    if float(offset @ np.linalg.solve(spread, offset)) < chi2.isf(PRIOR_PROBABILITY, 3):
+    if squared_distance(offset, spread) < chi2.isf(PRIOR_PROBABILITY, 3):
         return NO_REASON
     sigma = float(np.sqrt(np.trace(prior.covariance_m2) / 3.0))
     return Reason(

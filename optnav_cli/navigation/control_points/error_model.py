@@ -1,6 +1,6 @@
 """How far a matched control point may be from its true place, beyond what its peak shows.
 
-The curvature of the correlation peak tells of noise and of relief that the reference lacks. What
+The curvature of the correlation peak shows noise and relief that the reference lacks. What
 stays is small and does not average out as noise does. A part of it is each point's own: the
 terrain model's interpolation, the averaging of coarse levels. A part is common to a frame, because
 all points stand under one Sun: relief that the catalog lacks lengthens shadows, which moves every
@@ -13,62 +13,18 @@ study autonomous).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, FloatArray
+from catalog.geometry.vectors import unit
 from optnav_cli.matching.point_match import SeenPart
 
 # Side of the grid on which parts of the frame are counted: a template spans dozens of its cells.
 CELLS = 128
-
-
-def footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> BoolArray:
-    """What each part covers of the frame, (n, CELLS, CELLS).
-
-    frame_size_px  (width, height)
-    """
-    scale = CELLS / np.array(frame_size_px, dtype=np.float64)
-    masks = np.zeros((len(parts), CELLS, CELLS), dtype=np.uint8)
-    for mask, part in zip(masks, parts, strict=True):
-        corners = np.rint((part.corners_px + 0.5) * scale - 0.5)
-        if np.isfinite(corners).all():
-            # far corners of an oblique template are cut where integers end
-            cv2.fillConvexPoly(mask, np.clip(corners, -1e6, 1e6).astype(np.int32), 1)
-    return masks.astype(bool)
-
-
-def own_shares(masks: BoolArray) -> FloatArray:
-    """(n,) share of each part's evidence that is its own: ground seen k times counts once."""
-    times = masks.sum(axis=0)
-    each = masks / np.maximum(times, 1)
-    return np.asarray(each.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1))
-
-
-def overlap_correlation(masks: BoolArray) -> FloatArray:
-    """(n, n) correlation of errors that ground brings: common ground over the mean of both."""
-    flat = masks.reshape(len(masks), -1).astype(np.float64)
-    size = np.sqrt(np.maximum(flat.sum(axis=1), 1.0))
-    error_correlation = (flat @ flat.T) / np.outer(size, size)
-    np.fill_diagonal(error_correlation, 1.0)
-    return np.asarray(error_correlation)
-
-
-def ground_alikeness(places_m: FloatArray, widths_m: FloatArray) -> FloatArray:
-    """(n, n) correlation of errors that ground brings, of templates at places (n, 3), body frame.
-
-    widths_m  (n,) sides of the templates on the ground. Discs of their areas stand for them.
-    """
-    apart = np.linalg.norm(places_m[:, None] - places_m[None], axis=2)
-    wider = np.maximum(widths_m[:, None], widths_m[None])
-    narrower = np.minimum(widths_m[:, None], widths_m[None])
-    t = np.minimum(apart / np.maximum((wider + narrower) / np.sqrt(np.pi), 1e-9), 1.0)
-    common = 2.0 / np.pi * (np.arccos(t) - t * np.sqrt(1.0 - t * t))
-    return np.asarray(common * narrower / wider)
-
-
 # A point's own, 1 sigma an axis: in nodes of the level that was matched, and, m for a terrain model
 # of REFERENCE_M, at any Sun and for a cotangent of 1 of the Sun's elevation: grows with its square.
 OWN_LEVEL_NODES = 0.005
@@ -127,6 +83,74 @@ KEYSTONE_PX = 0.004
 MIN_SUN = np.radians(8.0)
 
 
+def footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> BoolArray:
+    """What each part covers of the frame, (n, CELLS, CELLS).
+
+    frame_size_px  (width, height)
+    """
+    scale = CELLS / np.array(frame_size_px, dtype=np.float64)
+    masks = np.zeros((len(parts), CELLS, CELLS), dtype=np.uint8)
+    for mask, part in zip(masks, parts, strict=True):
+        corners = np.rint((part.corners_px + 0.5) * scale - 0.5)
+        if np.isfinite(corners).all():
+            # far corners of an oblique template are cut where integers end
+            cv2.fillConvexPoly(mask, np.clip(corners, -1e6, 1e6).astype(np.int32), 1)
+    return masks.astype(bool)
+
+
+def own_shares(masks: BoolArray) -> FloatArray:
+    """(n,) share of each part's evidence that is its own: ground seen k times counts once."""
+    times = masks.sum(axis=0)
+    each = masks / np.maximum(times, 1)
+    shares: FloatArray = each.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1)
+    return shares
+
+
+def overlap_correlation(masks: BoolArray) -> FloatArray:
+    """(n, n) correlation of errors that the ground causes: common ground over the mean of both."""
+    flat = masks.reshape(len(masks), -1).astype(np.float64)
+    size = np.sqrt(np.maximum(flat.sum(axis=1), 1.0))
+    correlation = (flat @ flat.T) / np.outer(size, size)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
+
+
+def ground_correlation(places_m: FloatArray, widths_m: FloatArray) -> FloatArray:
+    """(n, n) the same for templates at places (n, 3), body frame, that the frame does not cut.
+
+    widths_m  (n,) sides of the templates on the ground. Discs of their areas stand for them.
+    """
+    apart = np.linalg.norm(places_m[:, None] - places_m[None], axis=2)
+    wider = np.maximum(widths_m[:, None], widths_m[None])
+    narrower = np.minimum(widths_m[:, None], widths_m[None])
+    t = np.minimum(apart / np.maximum((wider + narrower) / np.sqrt(np.pi), 1e-9), 1.0)
+    common = 2.0 / np.pi * (np.arccos(t) - t * np.sqrt(1.0 - t * t))
+    correlation: FloatArray = common * narrower / wider
+    return correlation
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedPoints:
+    """Matched points, as far as their errors go.
+
+    points_m              (n, 3)     their places, body frame
+    pixel_per_metre       (n, 2, 3)  change of their pixels with these, px/m
+    scores                (n,)       of the correlation peaks
+    sun_elevation_deg     (n,)       at the points
+    postings_m            (n,)       of the levels that were matched
+    finest_postings_m     (n,)       of the terrain models that the points' catalogs were made from
+    unresolved_posting_m  (n,)       posting of the terrain model where the patch is finer, else 0
+    """
+
+    points_m: FloatArray
+    pixel_per_metre: FloatArray
+    scores: FloatArray
+    sun_elevation_deg: FloatArray
+    postings_m: FloatArray
+    finest_postings_m: FloatArray
+    unresolved_posting_m: FloatArray
+
+
 def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: float) -> float:
     """One-sigma ground error per axis, m, of a point's own that its peak does not show.
 
@@ -138,62 +162,41 @@ def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: fl
     return float(np.hypot(OWN_LEVEL_NODES * posting_m, own))
 
 
-def own_covariances_px2(
-    points_m: FloatArray,
-    pixel_per_metre: FloatArray,
-    postings_m: FloatArray,
-    finest_postings_m: FloatArray,
-    sun_elevation_deg: FloatArray,
-    unresolved_posting_m: FloatArray,
-) -> FloatArray:
-    """What points err by that their peaks do not show, each for itself, (n, 2, 2), px^2.
-
-    points_m, by_ground  as `common_errors_px`
-    postings_m           (n,) of the levels that were matched; finest_postings_m (n,) of the
-                         terrain models;  sun_elevation_deg (n,) at the points
-    hidden_m             (n,) posting of the terrain model where the patch is finer, else 0
-    """
-    up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
-    sigma = OWN_HEIGHT_NODES * postings_m / _cos_emission(_sight(pixel_per_metre, up), up)
+def own_covariances_px2(points: MatchedPoints) -> FloatArray:
+    """The errors of the points' own that their peaks do not show, (n, 2, 2), px^2."""
+    places, pixel_per_metre = points.points_m, points.pixel_per_metre
+    up = unit(places)
+    sigma = OWN_HEIGHT_NODES * points.postings_m
+    sigma = sigma / _cos_emission(_lines_of_sight(pixel_per_metre, up), up)
     rise = np.einsum("nij,nj->ni", pixel_per_metre, up) * sigma[:, None]
-    # along the ground in every direction alike, by its mean scale in the picture
+    # along the ground in every direction, by its mean scale in the picture
     level = np.eye(3) - up[:, :, None] * up[:, None, :]
     flat = pixel_per_metre @ level
     area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
-    pairs = zip(postings_m, finest_postings_m, sun_elevation_deg, strict=True)
-    sigmas = np.array([own_sigma_m(*(float(v) for v in three)) for three in pairs])
-    select_evenly = (sigmas**2 + (HIDDEN_OWN * unresolved_posting_m) ** 2) * np.sqrt(
-        np.maximum(area, 0.0)
+    triples = zip(
+        points.postings_m, points.finest_postings_m, points.sun_elevation_deg, strict=True
     )
-    return np.asarray(
-        rise[:, :, None] * rise[:, None, :] + select_evenly[:, None, None] * np.eye(2)
-    )
+    sigmas = np.array([own_sigma_m(*(float(v) for v in three)) for three in triples])
+    variance = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
+    variance = variance * np.sqrt(np.maximum(area, 0.0))
+    covariances: FloatArray = rise[:, :, None] * rise[:, None, :]
+    covariances = covariances + variance[:, None, None] * np.eye(2)
+    return covariances
 
 
-def common_errors_px(
-    points_m: FloatArray,
-    pixel_per_metre: FloatArray,
-    scores: FloatArray,
-    sun_body: FloatArray,
-    finest_postings_m: FloatArray,
-    postings_m: FloatArray,
-    unresolved_posting_m: FloatArray,
-) -> FloatArray:
+def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
     """What one sigma of each error common to a frame moves every point by, (n, 2, 17), px.
 
-    points_m  (n, 3)     the points, body frame
-    by_ground (n, 2, 3)  pixels by a point's place, body frame, px/m
-    scores    (n,)       of the correlation peaks
-    sun_body  (3,)       unit vector to the Sun
-    finest_postings_m (n,) of the terrain models that the points' catalogs were made from
-    postings_m        (n,) of the levels that were matched
-    hidden_m          (n,) posting of the terrain model where the patch is finer, else 0
+    sun_body (3,) unit vector to the Sun, body frame
     The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
     ground and of the picture, two changing stretches, the three of a view round the body, shifts
-    along the picture's axes, a rise of the ground, alike on all sides and different toward the Sun
+    along the picture's axes, a rise of the ground, equal on all sides and different toward the Sun
     and across it, shifts of the whole pattern.
     """
-    middle = points_m.mean(axis=0)
+    places, pixel_per_metre = points.points_m, points.pixel_per_metre
+    postings, finest_postings = points.postings_m, points.finest_postings_m
+    unresolved = points.unresolved_posting_m
+    middle = places.mean(axis=0)
     up = middle / np.linalg.norm(middle)
     level = sun_body - (sun_body @ up) * up
     length = float(np.linalg.norm(level))
@@ -201,13 +204,13 @@ def common_errors_px(
     along = level / length if length > 1e-6 else np.linalg.svd(up[None])[2][1]
     across = np.cross(up, along)
     elevation = max(float(np.arcsin(np.clip(sun_body @ up, -1.0, 1.0))), MIN_SUN)
-    unexplained = float(1.0 - np.clip(scores, 0.0, 1.0).mean())
+    unexplained = float(1.0 - np.clip(points.scores, 0.0, 1.0).mean())
     shift = SHIFT_M + UNEXPLAINED_M * unexplained
-    outward = points_m - middle
+    outward = places - middle
     outward = outward - (outward @ up)[:, None] * up
     reach = float(np.sqrt((outward**2).sum(axis=1).mean()))
-    region = _scale(finest_postings_m)[:, None] / float(np.hypot(1.0, reach / REGION_M))
-    one = np.ones((len(points_m), 1))
+    region = _scale(finest_postings)[:, None] / float(np.hypot(1.0, reach / REGION_M))
+    one = np.ones((len(places), 1))
     fields = [
         one * along * (region * SHADOW_M / np.tan(elevation)),
         one * along * (region * shift),
@@ -222,47 +225,46 @@ def common_errors_px(
     moved = [*shifts, stretch * (region * STRETCH_M / max(reach, 1.0))]
     moved.append(_of_size(stretch, STRETCH_PX))
     moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
-    averaged, distance = postings_m - finest_postings_m, float(np.linalg.norm(middle))
-    finest = (unresolved_posting_m == 0.0) & (averaged == 0.0)
-    round_m = np.where(finest, finest_postings_m, 0.0) * (reach / distance)
-    error_correlation = CURVED_STRETCH_NODES * averaged + HIDDEN_STRETCH * unresolved_posting_m
-    error_correlation += ROUND_STRETCH_NODES * round_m
-    changing = CURVED_KEYSTONE_NODES * averaged + HIDDEN_KEYSTONE * unresolved_posting_m
+    averaged, distance = postings - finest_postings, float(np.linalg.norm(middle))
+    finest = (unresolved == 0.0) & (averaged == 0.0)
+    round_m = np.where(finest, finest_postings, 0.0) * (reach / distance)
+    even = CURVED_STRETCH_NODES * averaged + HIDDEN_STRETCH * unresolved
+    even += ROUND_STRETCH_NODES * round_m
+    changing = CURVED_KEYSTONE_NODES * averaged + HIDDEN_KEYSTONE * unresolved
     changing += ROUND_KEYSTONE_NODES * round_m
-    moved.append(stretch * (error_correlation / distance)[:, None])
+    moved.append(stretch * (even / distance)[:, None])
     moved += [field * (changing / distance)[:, None] for field in (one_way, other_way)]
     moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
-    own_up = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
-    observation = _sight(pixel_per_metre, own_up)
-    rises = COMMON_HEIGHT_NODES * postings_m + HIDDEN_RISE * unresolved_posting_m
-    sigma = rises / _cos_emission(observation, own_up)
-    rise = np.einsum("nij,nj->ni", pixel_per_metre, own_up) * sigma[:, None]
-    moved += [rise, rise * (observation @ along)[:, None], rise * (observation @ across)[:, None]]
+    verticals = unit(places)
+    sight = _lines_of_sight(pixel_per_metre, verticals)
+    sigma = COMMON_HEIGHT_NODES * postings + HIDDEN_RISE * unresolved
+    sigma = sigma / _cos_emission(sight, verticals)
+    rise = np.einsum("nij,nj->ni", pixel_per_metre, verticals) * sigma[:, None]
+    moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
     for axis, nodes in ((along, SUNWARD_SHIFT_NODES), (across, COMMON_SHIFT_NODES)):
-        own_shifts = nodes * postings_m + HIDDEN_SHIFT * unresolved_posting_m
+        own_shifts = nodes * postings + HIDDEN_SHIFT * unresolved
         moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * own_shifts[:, None])
     return np.stack(moved, axis=2)
 
 
-def _sight(pixel_per_metre: FloatArray, up: FloatArray) -> FloatArray:
+def _lines_of_sight(pixel_per_metre: FloatArray, up: FloatArray) -> FloatArray:
     """Unit vectors (n, 3) from the points to the camera: a step along them moves no pixel."""
-    observation = np.cross(pixel_per_metre[:, 0], pixel_per_metre[:, 1])
-    observation = observation / np.maximum(
-        np.linalg.norm(observation, axis=1, keepdims=True), 1e-30
-    )
-    return np.asarray(
-        observation * np.where(np.einsum("ni,ni->n", observation, up) < 0.0, -1.0, 1.0)[:, None]
-    )
+    sight: FloatArray = np.cross(pixel_per_metre[:, 0], pixel_per_metre[:, 1])
+    sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-30)
+    sight = sight * np.where(np.einsum("ni,ni->n", sight, up) < 0.0, -1.0, 1.0)[:, None]
+    return sight
 
 
-def _cos_emission(observation: FloatArray, up: FloatArray) -> FloatArray:
-    return np.asarray(np.maximum(np.einsum("ni,ni->n", observation, up), MIN_COS_EMISSION))
+def _cos_emission(sight: FloatArray, up: FloatArray) -> FloatArray:
+    cosines: FloatArray = np.maximum(np.einsum("ni,ni->n", sight, up), MIN_COS_EMISSION)
+    return cosines
 
 
 def _of_size(field_px: FloatArray, rms_px: float) -> FloatArray:
     """A field scaled to an rms length."""
     size = float(np.sqrt((field_px**2).sum(axis=1).mean()))
-    return np.asarray(field_px * (rms_px / max(size, 1e-9)))
+    scaled: FloatArray = field_px * (rms_px / max(size, 1e-9))
+    return scaled
 
 
 def _scale(finest_posting_m: ArrayLike) -> FloatArray:

@@ -62,7 +62,7 @@ class FrameContext:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class CandidatePoints:
     """Control points that a frame may show, one entry each.
 
     points_m      (n, 3)  body-fixed
@@ -124,7 +124,7 @@ def expected(frame: FrameContext, pose: Pose, whole: bool) -> ExpectedPoints:
                 beyond[these] = BEYOND_SHARE * side / samples[these]
             elif whole:
                 half[these] = side / 2.0
-    candidates = Candidates(
+    candidates = CandidatePoints(
         points.xyz_m[near], half, points.skyline_deg[near], points.verticals[near], beyond
     )
     seen = expected_in_view(candidates, camera, pose, frame.sun_body, limits)
@@ -132,7 +132,11 @@ def expected(frame: FrameContext, pose: Pose, whole: bool) -> ExpectedPoints:
 
 
 def expected_in_view(
-    candidates: Candidates, camera: Camera, pose: Pose, sun_body: FloatArray, limits: ViewSettings
+    candidates: CandidatePoints,
+    camera: Camera,
+    pose: Pose,
+    sun_body: FloatArray,
+    limits: ViewSettings,
 ) -> ExpectedPoints:
     """The candidates that a frame should show whole; sun_body (3,) unit vector, body frame."""
     points_m, verticals = candidates.points_m, candidates.verticals
@@ -208,7 +212,7 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
     if distance <= points.radius_m:
         return Reason(ReasonCode.INSIDE_BODY, "the prior position is inside the body")
     any_light = ViewSettings(-90.0, 90.0, limits.emission_max_deg)
-    candidates = Candidates(points.xyz_m, np.zeros(len(points)), verticals=points.verticals)
+    candidates = CandidatePoints(points.xyz_m, np.zeros(len(points)), verticals=points.verticals)
     seen = expected_in_view(candidates, frame.camera, pose, pose.position_m / distance, any_light)
     if len(seen) == 0:
         return Reason(

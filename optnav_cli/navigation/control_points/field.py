@@ -15,6 +15,7 @@ from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.vectors import unit
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import PlanesMeta
 from optnav_cli.matching.reference import Reference
@@ -63,23 +64,19 @@ class PointLayer:
     def verticals(self) -> FloatArray:
         """(n, 3) outward normals at the points: of the ellipsoid where patches lie in planes."""
         if self.planes is None:
-            radial = self.xyz_m / np.linalg.norm(self.xyz_m, axis=1, keepdims=True)
-            return np.asarray(radial)
+            return unit(self.xyz_m)
         return normal_at(foot_of(self.xyz_m, self.planes.radii_m), self.planes.radii_m)
 
     @property
     def known_m(self) -> float:
-        """Finest posting that tells something: patches know no more than the model they are of."""
+        """Finest posting that holds relief: a patch knows no more than its terrain model."""
         posting = float(self.postings_m[0])
         return posting if self.planes is None else max(posting, self.planes.model_posting_m)
 
     def subset(self, keep: BoolArray) -> "PointLayer":
         """The layer with some of its points."""
         return replace(
-            self,
-            ids=self.ids[keep],
-            xyz_m=self.xyz_m[keep],
-            skyline_deg=self.skyline_deg[keep],
+            self, ids=self.ids[keep], xyz_m=self.xyz_m[keep], skyline_deg=self.skyline_deg[keep]
         )
 
 
@@ -112,8 +109,7 @@ class ControlPointField:
         self._lowest_m = [
             float(np.linalg.norm(layer.xyz_m, axis=1).min(initial=np.inf)) for layer in kept
         ]
-        outward = self.xyz_m / np.linalg.norm(self.xyz_m, axis=1, keepdims=True)
-        across = np.linalg.norm(outward - self.verticals, axis=1)
+        across = np.linalg.norm(unit(self.xyz_m) - self.verticals, axis=1)
         # how far normals lean from the radius, a superset's margin for what is seen
         self._lean_deg = float(np.degrees(2.0 * np.arcsin(across.max(initial=0.0) / 2.0)))
 
@@ -126,8 +122,7 @@ class ControlPointField:
 
     def finest_postings_m(self, index: IndexArray) -> FloatArray:
         """(n,) finest posting of each of some points: that of its catalog's terrain."""
-        finest = np.array([layer.known_m for layer in self.layers])
-        return np.asarray(finest[self.layer_of[index]])
+        return np.array([layer.known_m for layer in self.layers])[self.layer_of[index]]
 
     def name(self, index: int) -> tuple[str, int]:
         """The catalog that a point is of, and its id there."""

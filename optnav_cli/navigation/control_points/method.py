@@ -12,16 +12,10 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.resection import Pose
 from optnav_cli.estimation.robust import RobustResection
-from optnav_cli.fix import (
-    Evidence,
-    Fix,
-    MatchRow,
-    Method,
-    PositionPrior,
-    UnsolvedFrameError,
-)
+from optnav_cli.fix import Evidence, Fix, MatchRow, Method, PositionPrior, UnsolvedFrameError
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.navigation.control_points.acceptance import (
@@ -150,8 +144,8 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         evidence = _evidence(frame, view, matches, None)
         raise UnsolvedFrameError(reason.worded(text), evidence) from error
     resection = solution.resection
-    position, sigmas = resection.pose.position_m, resection.position_covariance_m2
-    reason = rejection_of_place(position, sigmas, prior)
+    position, covariance_m2 = resection.pose.position_m, resection.position_covariance_m2
+    reason = rejection_of_place(position, covariance_m2, prior)
     if reason:
         raise UnsolvedFrameError(reason, _evidence(frame, view, matches, None))
     step = position - pose.position_m
@@ -160,7 +154,7 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         matches,
         solution,
         _evidence(frame, view, matches, solution),
-        float(np.sqrt(step @ np.linalg.solve(sigmas, step))),
+        float(np.sqrt(squared_distance(step, covariance_m2))),
         at_finest,
         searched,
     )

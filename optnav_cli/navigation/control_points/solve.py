@@ -16,9 +16,10 @@ from optnav_cli.matching.search_plan import (
     search_room,
 )
 from optnav_cli.navigation.control_points.error_model import (
+    MatchedPoints,
     common_errors_px,
     footprints,
-    ground_alikeness,
+    ground_correlation,
     overlap_correlation,
     own_covariances_px2,
 )
@@ -27,11 +28,8 @@ from optnav_cli.reasons import Reason, ReasonCode
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
 DISTORTION_SIGMAS = 2.0
-# Behind a blur a score is worth what the samples are that were compared: least of their root's
-# multiples.
+# Behind a blur: score times the root of the samples that were compared.
 MIN_STRENGTH = 3.0
-
-
 DAMAGED = Reason(ReasonCode.DAMAGED_PATCH, "patch damaged in the catalog")
 
 
@@ -64,7 +62,7 @@ def match_all(
     for k, index in enumerate(view.index):
         reference = points.reference(int(index))
         if reference is None:
-            matches.append(PointMatch(0, None, None, None, None, None, DAMAGED))
+            matches.append(PointMatch(0, DAMAGED))
             continue
         sample = float(view.metres_per_pixel[k])
         postings = points.postings_m(int(index))
@@ -85,24 +83,14 @@ def match_all(
         plan = SearchPlan(level, template, room, sample, distortion, blur)
         matches.append(
             match_point(
-                reference,
-                plan,
-                frame.picture,
-                camera,
-                pose,
-                frame.sun_body,
-                frame.matcher,
-                gates,
+                reference, plan, frame.picture, camera, pose, frame.sun_body, frame.matcher, gates
             )
         )
     return matches, at_finest, searched_postings
 
 
 def solve(
-    frame: FrameContext,
-    view: ExpectedPoints,
-    matches: list[PointMatch],
-    pose: Pose,
+    frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], pose: Pose
 ) -> RobustResection:
     """Resect from the accepted matches, from a pose. Raises NoSolutionError."""
     points, observation = frame.points, frame.observation
@@ -115,9 +103,7 @@ def solve(
         # what the frame shows of a cut template is not centred on the point
         places[i], pixels[i] = part.place_m, part.pixel
     sightings = Sightings(
-        places,
-        pixels,
-        np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2),
+        places, pixels, np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2)
     )
     common = error_correlation = None
     if kept:
@@ -126,25 +112,25 @@ def solve(
         samples = view.metres_per_pixel[kept]
         triples = zip(levels.tolist(), samples.tolist(), finest.tolist(), strict=True)
         nodes = [frame.template_nodes(*three) for three in triples]
-        error_correlation = ground_alikeness(places, levels * nodes)
+        error_correlation = ground_correlation(places, levels * nodes)
         if parts:
             size_px = frame.camera.width_px, frame.camera.height_px
             error_correlation[np.ix_(list(parts), list(parts))] = overlap_correlation(
                 footprints(list(parts.values()), size_px)
             )
         _, jacobian = predict(frame.camera, pose, places)
-        pixel_per_metre = -jacobian[
-            :, :, :3
-        ]  # a point that moves one way looks as if the camera moved
-        hidden = np.where(levels < finest, finest, 0.0)
-        postings = np.maximum(levels, finest)  # of what is known, not of the nodes
-        suns = view.sun_elevation_deg[kept]
-        own = own_covariances_px2(places, pixel_per_metre, postings, finest, suns, hidden)
-        sightings = replace(sightings, covariances_px2=sightings.covariances_px2 + own)
-        scores = np.array([matches[k].score or 0.0 for k in kept])
-        common = common_errors_px(
-            places, pixel_per_metre, scores, frame.sun_body, finest, postings, hidden
+        errors = MatchedPoints(
+            places,
+            -jacobian[:, :, :3],  # a point that moves one way looks as if the camera moved
+            np.array([matches[k].score or 0.0 for k in kept]),
+            view.sun_elevation_deg[kept],
+            np.maximum(levels, finest),  # of what is known, not of the nodes
+            finest,
+            np.where(levels < finest, finest, 0.0),
         )
+        covariances = sightings.covariances_px2 + own_covariances_px2(errors)
+        sightings = replace(sightings, covariances_px2=covariances)
+        common = common_errors_px(errors, frame.sun_body)
     free = observation.attitude_sigma_rad is None
     attitude = pose.camera_from_body if free else observation.camera_from_body
     return resect_robustly(

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from rasterio.transform import Affine
 
+from catalog.build.config import BodySettings, BuildConfig
+from catalog.build.context import IngestRun
 from catalog.build.ingest import BLOCK_CELLS, chunks_of, covered_cells, ingest
 from catalog.errors import DataError, UsageError
 from catalog.geometry.cells import CellGrid
@@ -92,7 +94,9 @@ def test_few_cells_make_many_small_chunks():
 
 def ingested(workspace, path, moon, **settings):
     one = DemSettings(path=path.name, **settings)
-    return ingest(workspace, [one], path.parent, moon, 1, SilentProgress(), StageAccount("ingest"))
+    config = BuildConfig(BodySettings("moon"), dem=(one,))
+    place, account = path.parent / "build.toml", StageAccount("ingest")
+    return ingest(IngestRun(workspace, config, place, moon, 1, SilentProgress(), account))
 
 
 def test_the_record_of_a_model_says_what_was_read(tmp_path, dems, moon):

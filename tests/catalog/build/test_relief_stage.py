@@ -1,11 +1,14 @@
 """The relief of a build: of its own models, of the named one below them, or none; made once."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rasterio.transform import Affine
 
 from catalog.build.build import run
-from catalog.build.config import ReliefSettings, load_build_config
+from catalog.build.config import BodySettings, BuildConfig, ReliefSettings, load_build_config
+from catalog.build.context import IngestRun
 from catalog.build.ingest import ingest
 from catalog.build.relief import settle_relief, stored_relief
 from catalog.errors import ConfigError, DataError
@@ -42,13 +45,13 @@ def settled(tmp_path, moon):
 
     def run_it(paths, **named):
         workspace = Workspace(tmp_path / "work")
-        account = StageAccount("ingest")
-        silent = SilentProgress()
         models = [DemSettings(path.name, priority=i + 1) for i, path in enumerate(paths)]
-        mosaic, dems = ingest(workspace, models, tmp_path, moon, 1, silent, StageAccount("ingest"))
         settings = ReliefSettings(DemSettings(**named) if named else None)
-        where = tmp_path / "build.toml"
-        record = settle_relief(workspace, settings, where, mosaic, dems, silent, account)
+        config = BuildConfig(BodySettings("moon"), dem=tuple(models), relief=settings)
+        place, account = tmp_path / "build.toml", StageAccount("ingest")
+        of_all = IngestRun(workspace, config, place, moon, 1, SilentProgress(), account)
+        mosaic, dems = ingest(replace(of_all, account=StageAccount("ingest")))
+        record = settle_relief(of_all, mosaic, dems)
         prepared = stored_relief(workspace, record) if record is not None else None
         return record, prepared, account
 

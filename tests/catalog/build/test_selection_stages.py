@@ -9,7 +9,6 @@ import pytest
 
 from catalog.bodies.body import load_body
 from catalog.build import cell_map, check, render, select
-from catalog.build.check import CheckedPoint
 from catalog.build.config import (
     BodySettings,
     BuildConfig,
@@ -22,7 +21,7 @@ from catalog.build.context import StageContext
 from catalog.build.render import RenderedCell
 from catalog.build.select import SelectedCell
 from catalog.config import resource
-from catalog.control_point import Flag
+from catalog.control_point import ControlPoint, Flag
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
 from catalog.jobs.workspace import decode_records, encode_records
@@ -151,7 +150,7 @@ def test_chunks_do_not_matter_and_records_travel(context, cells, rendered, selec
     assert encode_records(again) == encode_records(selected)
     whole = decode_records(encode_records(rendered), RenderedCell)
     assert encode_records(select.select(context, whole)) == encode_records(selected)
-    back = decode_records(encode_records(checked), CheckedPoint)
+    back = decode_records(encode_records(checked), ControlPoint)
     assert back == checked
     assert check.check_chunk(context, again[3:4]) == checked[3:4]
 
@@ -192,12 +191,11 @@ def test_places_of_other_cells_keep_their_distance(context, selected):
 
 
 def test_every_usable_point_carries_its_certificate(context, checked, cells):
-    assert [record.cell for record in checked] == cells
-    usable = [record for record in checked if record.usable]
+    assert [point.id for point in checked] == cells
+    usable = [point for point in checked if point.usable]
     # highland ground at twice the DEM's posting: nearly all cells have a good point
     assert len(usable) >= 0.8 * len(checked)
-    for record in usable:
-        point = record.point(context)
+    for point in usable:
         assert point.trials >= 5
         assert point.recognition_rate >= context.config.check.min_recognition
         assert point.hessian_eigenvalue > 0.0

@@ -245,11 +245,12 @@ def test_the_same_heights_packed_in_another_way_are_the_same(
     db = sqlite3.connect(catalog_copy)
     key, data = db.execute("SELECT id, data FROM optnav_patches LIMIT 1 OFFSET 4").fetchone()
     row = db.execute(
-        "SELECT point_id, layer, level, size, posting_m, step, value_offset FROM optnav_patches "
+        "SELECT point_id, level, posting_m, size, step, value_offset FROM optnav_patches "
         "WHERE id = ?",
         (key,),
     ).fetchone()
     db.close()
+    from catalog.store.codec import Encoded
     from catalog.store.patches import patch_header
     from catalog.store.records import checksum
 
@@ -259,7 +260,7 @@ def test_the_same_heights_packed_in_another_way_are_the_same(
     edit(
         catalog_copy,
         "UPDATE optnav_patches SET data = ?, checksum = ? WHERE id = ?",
-        (again, checksum(patch_header(*row), again), key),
+        (again, checksum(patch_header(*row[:3], Encoded(*row[3:], again)), again), key),
     )
     assert compare(written.path, catalog_copy).same
 
@@ -288,6 +289,7 @@ def test_a_digest_that_is_not_that_of_the_content_is_told(
     written: Written, catalog_copy: Path
 ) -> None:
     """Patches of two points exchanged, with their checksums made anew."""
+    from catalog.store.codec import Encoded
     from catalog.store.patches import patch_header
     from catalog.store.records import checksum
 
@@ -297,7 +299,8 @@ def test_a_digest_that_is_not_that_of_the_content_is_told(
         "WHERE level = 0 LIMIT 1"
     ).fetchone()
     db.close()
-    sum_ = checksum(patch_header(number, 0, 0, size, posting, step, offset + 1.0), data)
+    moved = Encoded(size, step, offset + 1.0, data)
+    sum_ = checksum(patch_header(number, 0, posting, moved), data)
     edit(
         catalog_copy,
         "UPDATE optnav_patches SET value_offset = ?, checksum = ? WHERE id = ?",

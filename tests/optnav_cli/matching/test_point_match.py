@@ -79,12 +79,12 @@ def test_a_shifted_pose_gives_its_shift_back_to_a_tenth_of_a_node(
     truth = above(rough_world, reference)
     picture = picture_of(reference, truth, sun)
     axes = reference.projection.body_from_local
-    believed = Pose(truth.position_m + axes[:, :2] @ np.array(shift), truth.camera_from_body)
-    found = search(reference, picture, believed, sun, matcher=matcher)
+    stated = Pose(truth.position_m + axes[:, :2] @ np.array(shift), truth.camera_from_body)
+    found = search(reference, picture, stated, sun, matcher=matcher)
     assert not found.reason
     true_pixel, _ = predict(CAMERA, truth, reference.point.xyz_m[None])
     assert np.abs(found.pixel - true_pixel[0]).max() < 0.1
-    # a camera believed too far east expects the point too far west in the picture: it is found east
+    # a camera stated too far east expects the point too far west in the picture: it is found east
     assert np.abs(found.offset_m - np.array(shift)).max() < 0.1 * 120.0 + 0.01 * np.hypot(*shift)
     assert found.score > 0.9
     assert np.linalg.eigvalsh(found.covariance_px2).min() > 0.0
@@ -132,8 +132,8 @@ def test_a_place_at_the_border_of_the_search_is_refused(rough_world, reference, 
     truth = above(rough_world, reference)
     picture = picture_of(reference, truth, sun)
     axes = reference.projection.body_from_local
-    believed = Pose(truth.position_m + axes[:, 0] * 120.0 * 4.0, truth.camera_from_body)
-    found = search(reference, picture, believed, sun, search_nodes=4)
+    stated = Pose(truth.position_m + axes[:, 0] * 120.0 * 4.0, truth.camera_from_body)
+    found = search(reference, picture, stated, sun, search_nodes=4)
     assert found.reason.text == "peak at the border of the search"
     assert found.covariance_px2 is None
 
@@ -150,10 +150,10 @@ def test_holes_without_terrain_are_no_reference(rough_world, reference, sun):
 def test_a_roll_of_three_degrees_is_found_by_trying_rolls(rough_world, reference, sun, roll_deg):
     truth = above(rough_world, reference, roll=np.radians(roll_deg))
     picture = picture_of(reference, truth, sun)
-    believed = above(rough_world, reference)
-    straight = search(reference, picture, believed, sun)
+    stated = above(rough_world, reference)
+    straight = search(reference, picture, stated, sun)
     rolls = tuple(np.radians([-4.0, -2.0, 0.0, 2.0, 4.0]))
-    turned = search(reference, picture, believed, sun, distortion=Distortion(rolls, (1.0,)))
+    turned = search(reference, picture, stated, sun, distortion=Distortion(rolls, (1.0,)))
     assert not turned.reason
     assert turned.score > straight.score + 0.1
     true_pixel, _ = predict(CAMERA, truth, reference.point.xyz_m[None])

@@ -22,8 +22,7 @@ from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
-from optnav_cli.runs.catalogs import open_field
-from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.runs.navigate_folder import navigate_folder, open_field
 from tests.catalog.store.written import write_points
 
 SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))

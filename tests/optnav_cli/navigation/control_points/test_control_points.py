@@ -219,7 +219,7 @@ def test_pure_noise_is_never_solved(rough_world, field_of, scene, sigma):
 def test_a_picture_of_other_ground_is_never_solved(
     rough_world, other_world, field_of, scene, sigma, nodes
 ):
-    """Ground of the same kind, the same light: small templates find likenesses by the dozen."""
+    """Ground of the same kind, the same light: small templates find dozens of false matches."""
     _, pose, sun = scene
     other = other_world.picture(pose, sun)
     field = field_of(rough_world)
@@ -257,7 +257,7 @@ def test_a_sun_from_the_wrong_side_is_never_solved(rough_world, field_of, scene,
     reason(rough_world, field_of(rough_world), picture, pose, sun)
 
 
-def test_a_focal_length_that_is_wrong_by_a_tenth_is_given_away_by_the_prior(
+def test_a_focal_length_that_is_wrong_by_a_tenth_is_refused_by_the_prior(
     rough_world, field_of, scene
 ):
     """The picture fits a camera 10 km higher as well: only the prior knows better."""

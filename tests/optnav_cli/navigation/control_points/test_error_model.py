@@ -5,6 +5,7 @@ import pytest
 
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.navigation.control_points.error_model import (
+    MatchedPoints,
     common_errors_px,
     own_covariances_px2,
     own_sigma_m,
@@ -26,14 +27,24 @@ def sun(elevation_deg, azimuth_deg=90.0):
     return ENU @ np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
 
 
-def errors(offsets, elevation_deg=30.0, score=1.0, unresolved_posting_m=0.0):
-    place = points(offsets)
-    n = len(place)
-    ground, postings = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
-    hidden = np.full(n, unresolved_posting_m)
-    return common_errors_px(
-        place, ground, np.full(n, score), sun(elevation_deg), postings, postings, hidden
+def matched(offsets, score=1.0, unresolved_posting_m=0.0, levels=1.0):
+    places = points(offsets)
+    n = len(places)
+    ground, finest = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
+    unresolved = np.full(n, unresolved_posting_m)
+    return MatchedPoints(
+        places,
+        ground,
+        np.full(n, score),
+        np.full(n, 30.0),
+        POSTING_M * levels * np.ones(n),
+        finest,
+        unresolved,
     )
+
+
+def errors(offsets, elevation_deg=30.0, **changes):
+    return common_errors_px(matched(offsets, **changes), sun(elevation_deg))
 
 
 SQUARE = [(-2e4, -2e4), (2e4, -2e4), (2e4, 2e4), (-2e4, 2e4)]
@@ -89,28 +100,15 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
     known, hidden = errors(SQUARE), errors(SQUARE, unresolved_posting_m=300.0)
     growth = np.linalg.norm(hidden, axis=1) - np.linalg.norm(known, axis=1)
     grown = np.flatnonzero((growth > 1e-9).all(axis=0))
-    # the rise that is alike on all sides, and both shifts
+    # the rise that is the same on all sides, and both shifts
     assert {12, 15, 16} <= set(grown.tolist())
     assert (growth > -1e-12).all()
-    place = points(SQUARE)
-    n = len(place)
-    flat = [
-        own_covariances_px2(
-            place, np.broadcast_to(BY_GROUND, (n, 2, 3)), *[np.full(n, POSTING_M)] * 2,
-            np.full(n, 30.0), np.full(n, metres),
-        )
-        for metres in (0.0, 300.0)
-    ]  # fmt: skip
+    flat = [own_covariances_px2(matched(SQUARE, unresolved_posting_m=m)) for m in (0.0, 300.0)]
     assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()
 
 
 def test_a_view_round_the_body_stretches_what_a_coarse_level_averages():
-    place = points(SQUARE)
-    ground, finest = np.tile(BY_GROUND, (4, 1, 1)), np.full(4, POSTING_M)
-    levels = POSTING_M * np.array([1.0, 2.0, 3.0, 1.0])
-    curved = common_errors_px(
-        place, ground, np.ones(4), sun(30.0), finest, levels, np.zeros(4)
-    )[:, :, 7:10]  # fmt: skip
+    curved = errors(SQUARE, levels=np.array([1.0, 2.0, 3.0, 1.0]))[:, :, 7:10]
     size = np.linalg.norm(curved, axis=1)
     assert np.allclose(size[2], 2.0 * size[1])
     # the finest level's part goes with the square of the view, and this view is small

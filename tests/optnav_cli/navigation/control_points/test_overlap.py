@@ -1,4 +1,4 @@
-"""Shares and likeness of templates that show the same ground of a frame."""
+"""Shares and correlation of templates that show the same ground of a frame."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from optnav_cli.matching.point_match import SeenPart
 from optnav_cli.navigation.control_points.error_model import (
     footprints,
-    ground_alikeness,
+    ground_correlation,
     overlap_correlation,
     own_shares,
 )
@@ -31,7 +31,7 @@ def test_the_same_ground_counts_once():
     assert overlap_correlation(masks) == pytest.approx(np.ones((3, 3)))
 
 
-def test_half_the_ground_is_half_as_much_alike():
+def test_half_the_ground_is_half_the_correlation():
     masks = footprints([part(100, 100), part(300, 100)], SIZE)
     assert overlap_correlation(masks)[0, 1] == pytest.approx(0.5, abs=0.03)
     assert own_shares(masks) == pytest.approx([0.75, 0.75], abs=0.02)
@@ -45,7 +45,7 @@ def test_ground_outside_the_frame_is_not_shared():
     assert 0.5 < error_correlation[0, 2] < 1.0
 
 
-def test_likeness_is_a_covariance_whatever_the_places():
+def test_the_correlation_is_a_covariance_whatever_the_places():
     rng = np.random.default_rng(4)
     masks = footprints([part(*rng.uniform(-300, 900, 2)) for _ in range(20)], SIZE)
     assert np.linalg.eigvalsh(overlap_correlation(masks)).min() > -1e-9
@@ -62,7 +62,7 @@ def test_templates_on_common_ground_err_together():
     """Against the common area of squares drawn cell by cell; discs stand for them to an eighth."""
     places = np.array([[0.0, 0.0], [30e3, 0.0], [0.0, 55e3], [40e3, 40e3], [500e3, 0.0]])
     widths = np.array([76e3, 76e3, 76e3, 38e3, 76e3])
-    found = ground_alikeness(np.column_stack([places, np.full(5, 1737e3)]), widths)
+    found = ground_correlation(np.column_stack([places, np.full(5, 1737e3)]), widths)
     assert np.allclose(np.diag(found), 1.0)
     assert np.allclose(found, found.T)
     assert (np.linalg.eigvalsh(found) > 0.0).all()

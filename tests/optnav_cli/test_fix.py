@@ -1,0 +1,61 @@
+"""Fixes, rows and reasons: what holds of them wherever they come from."""
+
+import re
+
+import numpy as np
+import pytest
+
+from catalog.errors import NoSolutionError
+from optnav_cli.fix import Fix, Method, NoFix, PositionPrior, Solution
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
+
+DARK = Reason(ReasonCode.NO_LIMB, "no limb in view")
+ARC = Reason(ReasonCode.CONTRADICTS_ARC, "3 km from the arc")
+
+
+def test_every_code_is_words_with_underscores_and_has_a_meaning():
+    for code in ReasonCode:
+        assert re.fullmatch(r"([a-z]+(_[a-z]+)*)?", code)
+        assert bool(code.meaning) is (code is not ReasonCode.NONE)
+        assert ReasonCode(str(code)) is code
+
+
+def test_an_error_gives_its_reason_and_back():
+    assert Reason.of(NoSolutionError("why")) == Reason(ReasonCode.NO_SOLUTION, "why")
+    assert Reason.of(DARK.error()) == DARK
+
+
+def test_reasons_one_after_the_other_keep_the_code_of_the_first():
+    both = DARK.followed_by(ARC)
+    assert (both.code, both.text) == (DARK.code, "no limb in view; 3 km from the arc")
+    assert DARK.followed_by(NO_REASON) == DARK
+    assert NO_REASON.followed_by(ARC) == ARC
+    assert not NO_REASON
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_fix_that_is_not_finite_is_refused(bad):
+    with pytest.raises(ValueError, match="finite"):
+        Fix(Method.HORIZON, np.array([2e6, bad, 0.0]), np.eye(3))
+    with pytest.raises(ValueError, match="finite"):
+        Fix(Method.HORIZON, np.array([2e6, 0.0, 0.0]), np.full((3, 3), bad))
+
+
+def test_a_row_reads_from_its_fix_or_from_why_there_is_none():
+    fix = Fix(Method.HORIZON_SPHERE, np.array([2e6, 0.0, 0.0]), np.eye(3), reason=DARK)
+    row = Solution("a.png", "", fix, "frames.csv").with_remark(ARC)
+    assert (row.status, row.method, row.prior) == ("solved", "horizon_sphere", "frames.csv")
+    assert (row.reason_code, row.reason) == (DARK.code, "no limb in view; 3 km from the arc")
+    assert row.position_m is fix.position_m
+    failed = Solution("a.png", "", NoFix(DARK))
+    assert (failed.status, failed.method, failed.reason_code) == ("unsolved", "", DARK.code)
+    assert (failed.fix, failed.position_m, failed.covariance_m2) == (None, None, None)
+
+
+def test_a_method_has_a_label_for_sentences():
+    assert Method.CONTROL_POINTS.label == "control points"
+
+
+def test_an_isotropic_prior_has_its_sigma_in_every_direction():
+    prior = PositionPrior.isotropic(np.zeros(3), 3.0, "frames.csv")
+    assert np.array_equal(prior.covariance_m2, 9.0 * np.eye(3))
