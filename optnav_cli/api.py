@@ -96,9 +96,12 @@ def navigate_picture(
         body = load_body(found[0].meta.body)
         motion = AnalyticEphemeris(body)
         inputs = NavigationInputs(
-            folder_run.open_field(found, body), motion,
-            folder_run.whole_relief(found, None, body), NavigateSettings(), match_ncc,
-        )  # fmt: skip
+            folder_run.open_field(found, body),
+            motion,
+            folder_run.whole_relief(found, None, body),
+            NavigateSettings(),
+            match_ncc,
+        )
         frame = Frame(
             file=picture.name,
             utc=utc,
@@ -132,9 +135,14 @@ def navigate_folder(
     OptnavError where folder or catalogs cannot be used at all.
     """
     return folder_run.navigate_folder(
-        Path(pictures), [Path(path) for path in catalogs], settings or NavigateSettings(), "ncc",
-        Path(run), progress or SilentProgress(), None if relief is None else Path(relief),
-    )  # fmt: skip
+        Path(pictures),
+        [Path(path) for path in catalogs],
+        settings or NavigateSettings(),
+        "ncc",
+        Path(run),
+        progress or SilentProgress(),
+        None if relief is None else Path(relief),
+    )
 
 
 def simulate(
