@@ -7,8 +7,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.projection import Stereographic
-from catalog.geometry.tangent_plane import TangentPlane
+from catalog.geometry.projection import Stereographic, TangentPlane
 
 SHADOW_AZIMUTHS = 36  # skyline bins, centred on 0, 10, ... degrees east of north
 

@@ -10,7 +10,9 @@ import msgspec
 from catalog.config import load_toml, nearest_name, resource
 from catalog.errors import ConfigError
 
-SunTheory = Literal["moon", "earth", "mars"]
+SunTheory = Literal[
+    "moon", "earth", "mercury", "venus", "mars", "jupiter", "saturn", "uranus", "neptune"
+]
 Heights = tuple[float, float]
 Polynomial = tuple[float, float, float]
 Axes = tuple[float, float, float]
@@ -109,6 +111,22 @@ class LockedOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tide_error: float
 
 
+class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How SPICE kernels name a body.
+
+    naif           its numbers; the first whose orbit the kernels have is taken
+    sun_seen_from  the same for the Sun's direction, where other bodies serve as well
+    frame          the body-fixed frame; None for the one that the kernels tie to the body
+    frame_error_m  error of that frame as a shift of the surface, 1 sigma a body axis; None for the
+                   error of the rotation series
+    """
+
+    naif: tuple[int, ...]
+    sun_seen_from: tuple[int, ...] = ()
+    frame: str | None = None
+    frame_error_m: float | None = None
+
+
 class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A body file as it is written."""
 
@@ -122,6 +140,7 @@ class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotation_correction: RotationCorrection | None = None
     gravity: GravityField | None = None
     orbit: LockedOrbit | None = None
+    spice: SpiceNames | None = None
 
 
 @dataclass(frozen=True)
@@ -138,6 +157,7 @@ class Body:
     rotation_correction  what a fit to better data adds to the rotation, where there is one
     gravity              its field beside the point mass; None where the file says nothing
     orbit                about its planet, for a moon whose planet no theory here gives otherwise
+    spice                its names in SPICE kernels; None where the file states none
     """
 
     name: str
@@ -150,6 +170,7 @@ class Body:
     rotation_correction: RotationCorrection | None = None
     gravity: GravityField | None = None
     orbit: LockedOrbit | None = None
+    spice: SpiceNames | None = None
 
     def rotation_error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis; 0: not stated.
@@ -170,7 +191,7 @@ def load_body(name_or_path: str, beside: Path | None = None) -> Body:
 
     Raises ConfigError for a name without a file, naming the nearest one, and for a wrong file.
     """
-    if name_or_path.endswith(".toml") or "/" in name_or_path or os.sep in name_or_path:
+    if is_body_file(name_or_path):
         return read_body((beside or Path()) / name_or_path)
     folder = resource("configs/bodies/moon.toml").parent
     known = sorted(path.stem for path in folder.glob("*.toml"))
@@ -179,6 +200,11 @@ def load_body(name_or_path: str, beside: Path | None = None) -> Body:
         hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
         raise ConfigError(f"no body '{name_or_path}'; {hint}, or give the path of a body's file")
     return read_body(folder / f"{name_or_path}.toml")
+
+
+def is_body_file(name_or_path: str) -> bool:
+    """Whether `load_body` takes this for the path of a file."""
+    return name_or_path.endswith(".toml") or "/" in name_or_path or os.sep in name_or_path
 
 
 def read_body(path: Path) -> Body:
@@ -205,4 +231,5 @@ def read_body(path: Path) -> Body:
         rotation_correction=settings.rotation_correction,
         gravity=settings.gravity,
         orbit=settings.orbit,
+        spice=settings.spice,
     )

@@ -1,18 +1,19 @@
-"""How a body turns and what stands about it, by analytic theory or by SPICE kernels.
+"""The rotation of a body and the places of its neighbours, by analytic theory or by SPICE kernels.
 
-Both sources answer the same questions; a run says in its log which of them it used.
+A run's log names the source that it used.
 
 Analytic, without files: rotation by the series of configs/bodies with its fitted correction, the
-Sun and the Earth by SOFA. SPICE: the rotation of the frame that the kernels tie to the body, for
-the Moon always MOON_ME; positions of the SPK kernels. Where no SPK kernel is named (orientation
-kernels reach further than most orbits), Sun and places stay analytic.
+Sun and the Earth by SOFA. SPICE: the rotation of the frame that configs/bodies states, else of the
+one that the kernels tie to the body; positions of the SPK kernels. Where no SPK kernel is named
+(orientation kernels reach further than most orbits), Sun and places stay analytic.
 
 Directions to the Sun are apparent ones (light time and stellar aberration), as pictures show it.
 Positions are geometric ones at the very time, as forces and orbits need them.
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -20,7 +21,7 @@ import erfa
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.body import Body, LockedOrbit
+from catalog.bodies.body import Body, LockedOrbit, SunTheory, load_body
 from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
 from catalog.bodies.kernels import KernelSet
 from catalog.bodies.rotation import body_from_inertial
@@ -42,12 +43,21 @@ def planet_body(body: Body, orbit: LockedOrbit, tdb_s: float) -> FloatArray:
     # r/a of the ellipse, to the square of e as well
     share = 1.0 - e * np.cos(mean) + 0.5 * e**2 * (1.0 - np.cos(2.0 * mean))
     distance = 1e3 * orbit.semi_major_axis_km * share
-    return np.asarray(distance * np.array([np.cos(longitude), np.sin(longitude), 0.0]))
+    position: FloatArray = distance * np.array([np.cos(longitude), np.sin(longitude), 0.0])
+    return position
 
 
 LIGHT_AU_PER_DAY = 173.1446326846693  # c * 86400 s / 149597870700 m
 AU_M = 149597870700.0
-MARS_NUMBER = 4  # of SOFA's plan94
+PLANETS = {  # numbers of SOFA's plan94
+    "mercury": 1,
+    "venus": 2,
+    "mars": 4,
+    "jupiter": 5,
+    "saturn": 6,
+    "uranus": 7,
+    "neptune": 8,
+}
 
 
 def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
@@ -66,7 +76,7 @@ def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
     day = tdb_s / DAY_S
     if body.orbit is not None and of == body.orbit.around:
         turn = body_from_inertial(body, tdb_s)
-        return np.asarray(turn.T @ planet_body(body, body.orbit, tdb_s))
+        return turn.T @ planet_body(body, body.orbit, tdb_s)
     if of == body.name or of == body.sun:
         raise DataError(
             f"there is no theory here of {of} as seen from {body.name}; "
@@ -78,7 +88,7 @@ def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
         return sign * _moon(day)[0] * AU_M
     seen_from = _heliocentric(body.sun, day)[0]
     there = np.zeros(3) if of == "sun" else _heliocentric(of, day)[0]
-    return np.asarray((there - seen_from) * AU_M)
+    return (there - seen_from) * AU_M
 
 
 def _heliocentric(of: str, day: float) -> tuple[FloatArray, FloatArray]:
@@ -86,8 +96,8 @@ def _heliocentric(of: str, day: float) -> tuple[FloatArray, FloatArray]:
     with warnings.catch_warnings():
         # Outside 1900-2100 the theories warn; they stay far better than needed.
         warnings.simplefilter("ignore", erfa.ErfaWarning)
-        if of == "mars":
-            return _vectors(erfa.plan94(J2000_JD, day, MARS_NUMBER))
+        if of in PLANETS:
+            return _vectors(erfa.plan94(J2000_JD, day, PLANETS[of]))
         # The Sun's own barycentric velocity, 15 m/s, changes the aberration by 0.01".
         heliocentric, _ = erfa.epv00(J2000_JD, day)
     position, velocity = _vectors(heliocentric)
@@ -107,18 +117,11 @@ def _vectors(pv: object) -> tuple[FloatArray, FloatArray]:
     return np.array(record["p"], dtype=np.float64), np.array(record["v"], dtype=np.float64)
 
 
-Neighbour = Literal["sun", "earth", "moon", "mars"]
+Neighbour = Literal["sun"] | SunTheory
 
 SUN_GM_M3_S2 = 1.3271244004127942e20  # NAIF gm_de440.tpc, BODY10_GM
 
-# NAIF numbers; a planet's barycentre serves where its own number is not in the kernels: Mars and
-# its moons share theirs to 0.2 m.
-_NUMBERS = {"sun": (10,), "earth": (399,), "moon": (301,), "mars": (499, 4), "phobos": (401,)}
-# Where Phobos' own orbit is not in the kernels the Sun is seen from Mars, 8" off at most.
-_SEEN_FROM = _NUMBERS | {"phobos": (401, 499, 4)}
-LUNAR_FRAME = "MOON_ME"
-# The ME frames of DE403, DE421 and DE440 lie within about this of each other at the surface.
-LUNAR_FRAME_ERROR_M = 1.0
+SUN_NAIF = (10,)
 # Kernels and series must agree to this, or the kernels are of something else. The widest honest
 # difference is that of the Earth's series, which leaves nutation and UT1 out.
 _AGREEMENT = np.radians(0.5)
@@ -172,7 +175,7 @@ class AnalyticEphemeris:
 
     def sun_body(self, tdb_s: float) -> FloatArray:
         """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
-        return np.asarray(self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s))
+        return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
 
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
         """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
@@ -196,14 +199,18 @@ class SpiceEphemeris:
         self._orbits = self._kernels.has_orbits
         rest = "" if self._orbits else "; the Sun by analytic theory (SOFA)"
         self.name = f"SPICE kernels ({self._kernels.names}){rest}"
-        lunar = body.name == "moon"
-        self._frame = LUNAR_FRAME if lunar else self._kernels.body_frame(body.name)
+        if body.spice is None:
+            raise DataError(
+                f"{body.name}: its body file has no [spice] naif; add it, or leave [spice] out"
+            )
+        self._names = body.spice
+        self._frame = self._names.frame or self._kernels.body_frame(body.name)
         self._check()
 
     def error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
-        lunar = self._frame == LUNAR_FRAME
-        return LUNAR_FRAME_ERROR_M if lunar else self.body.rotation_error_m(tdb_s)
+        stated = self._names.frame_error_m
+        return self.body.rotation_error_m(tdb_s) if stated is None else stated
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
         """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame.
@@ -219,12 +226,12 @@ class SpiceEphemeris:
         """
         if not self._orbits:
             return self._analytic.sun_inertial(tdb_s)
-        of, centre = self._number("sun", _NUMBERS), self._number(self.body.name, _SEEN_FROM)
+        of, centre = self._sun_and_viewer()
         return unit(self._kernels.position_m(of, centre, tdb_s, apparent=True))
 
     def sun_body(self, tdb_s: float) -> FloatArray:
         """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
-        return np.asarray(self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s))
+        return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
 
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
         """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
@@ -235,17 +242,23 @@ class SpiceEphemeris:
         own = orbit is not None and of == orbit.around and not self._has_own_orbit()
         if own or not self._orbits:
             return self._analytic.position_m(of, tdb_s)
-        centre, there = self._number(self.body.name, _NUMBERS), self._number(of, _NUMBERS)
+        centre = self._number(self.body.name, self._names.naif)
+        there = self._number(of, naif_numbers(of))
         return self._kernels.position_m(there, centre, tdb_s, apparent=False)
 
     def _has_own_orbit(self) -> bool:
-        return any(self._kernels.has_orbit(number) for number in _NUMBERS[self.body.name])
+        return any(self._kernels.has_orbit(number) for number in self._names.naif)
 
-    def _number(self, name: str, numbers: Mapping[str, Sequence[int]]) -> int:
-        for number in numbers[name]:
+    def _sun_and_viewer(self) -> tuple[int, int]:
+        """NAIF numbers of the Sun and of the body that it is seen from."""
+        viewer = self._names.sun_seen_from or self._names.naif
+        return self._number("sun", SUN_NAIF), self._number(self.body.name, viewer)
+
+    def _number(self, name: str, numbers: Sequence[int]) -> int:
+        for number in numbers:
             if self._kernels.has_orbit(number):
                 return number
-        wanted = " or ".join(str(number) for number in numbers[name])
+        wanted = " or ".join(str(number) for number in numbers)
         raise DataError(
             f"{self.name}: none has the orbit of {name} (NAIF number {wanted}); "
             "add the SPK kernel (.bsp) that has it"
@@ -260,7 +273,7 @@ class SpiceEphemeris:
             )
         middle = 0.0  # J2000, for constants that hold at all times
         if self._orbits:
-            sun, centre = self._number("sun", _NUMBERS), self._number(self.body.name, _SEEN_FROM)
+            sun, centre = self._sun_and_viewer()
             middle = _middle(self._kernels.orbit_span((sun, centre)), middle)
             ours, theirs = (m.sun_inertial(middle) for m in (self._analytic, self))
             self._compare(float(np.linalg.norm(ours - theirs)), "the Sun", middle)
@@ -277,6 +290,15 @@ class SpiceEphemeris:
                 f"from the analytic theory of {self.body.name} at {utc_from_tdb_s(tdb_s, 0)}; "
                 "wanted the kernels of this body, with ICRF axes"
             )
+
+
+@lru_cache
+def naif_numbers(name: str) -> tuple[int, ...]:
+    """NAIF numbers of the Sun or of a body of configs/bodies."""
+    if name == "sun":
+        return SUN_NAIF
+    spice = load_body(name).spice
+    return () if spice is None else spice.naif
 
 
 def motion_of(body: Body, kernels: Sequence[Path]) -> Ephemeris:

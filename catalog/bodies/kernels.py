@@ -76,7 +76,8 @@ class KernelSet:
         """Rotation (3, 3) taking inertial vectors to a frame. Raises DataError without data."""
         with self._loaded() as spice:
             try:
-                return np.asarray(spice.pxform(INERTIAL, frame, tdb_s))
+                matrix: FloatArray = spice.pxform(INERTIAL, frame, tdb_s)
+                return matrix
             except spice.exceptions.SpiceyError as error:
                 span = _common(self._turns.values())
                 raise self._no_data(f"the frame {frame}", tdb_s, span, error) from None

@@ -12,10 +12,10 @@ from catalog.build.context import StageContext
 from catalog.build.select import SelectedCell
 from catalog.build.trials import outcomes_at
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
-from catalog.selection.uniqueness import uniqueness_margin
+from catalog.selection.match_error import uniqueness_margin
 from catalog.terrain.skyline.local import skyline_limits_deg
 
 # Room on every side of the square that uniqueness describes, nodes of its level.

@@ -21,8 +21,7 @@ from catalog.bodies.body import Body
 from catalog.build.config import BuildConfig
 from catalog.control_point import Patch
 from catalog.geometry.cells import CellGrid
-from catalog.geometry.projection import Stereographic
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workspace import Workspace
 from catalog.progress import Progress
@@ -116,11 +115,8 @@ class StageContext:
         return self.mosaic.projection(np.radians(lat_deg), np.radians(lon_deg))
 
     def sun_latitude_deg(self, lat_deg: float, lon_deg: float) -> float:
-        """The latitude that says which Suns occur at a place: its vertical's over the equator."""
-        projection = self.projection(lat_deg, lon_deg)
-        if isinstance(projection, Stereographic):
-            return lat_deg
-        return float(np.degrees(projection.lat))
+        """Latitude of a place's vertical over the equator, on which the Suns that occur depend."""
+        return self.projection(lat_deg, lon_deg).sun_latitude_deg(lat_deg)
 
     def beyond(self, projection: MapProjection) -> tuple[Patch, ...]:
         """Ground beyond the coarsest patch that throws shadows in, finer first."""

@@ -15,7 +15,7 @@ from catalog.build.cell_map import FINE_LEVELS, blurred, missing_share, suns_of
 from catalog.build.context import StageContext
 from catalog.build.shortlist import shortlists
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection
 from catalog.rendering.map_view import render_map_quickly
 from catalog.selection.localisation import hessian_eigenvalue
 from catalog.selection.match_error import predict_match

@@ -20,12 +20,11 @@ from catalog.build.cell_map import (
     suns_of,
 )
 from catalog.build.context import StageContext
-from catalog.geometry.graticule import Graticule, Part
+from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.latlon import wrap_longitude_deg
 from catalog.selection.localisation import sun_products
 from catalog.selection.sweep import MARGIN, strongest_windows, tile_sums, window_eigenvalues
-from catalog.terrain.dem.mosaic import Mosaic
-from catalog.terrain.sampling.graticule_heights import graticule_heights
+from catalog.terrain.terrain import Terrain
 
 ZONE_BANDS = 8  # as high as a block of cells that are in work together
 ZONE_DEG = 16.0  # fewer bands of large cells
@@ -116,11 +115,11 @@ def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortli
     zone_of = _zone_of(context, context.grid.bands_of(asked))
     found: dict[int, Shortlist] = {}
     mosaic = context.mosaic
-    # a mesh has no graticule to sweep: its cells have a map grid each
-    zones = np.unique(zone_of).tolist() if isinstance(mosaic, Mosaic) else []
+    # without graticules each cell has a map grid of its own
+    zones = np.unique(zone_of).tolist() if mosaic.has_graticules else []
     for number in zones:
         zone = _zone(context, number)
-        if zone is not None and isinstance(mosaic, Mosaic):
+        if zone is not None:
             spans = _spans(context, zone, asked[zone_of == number])
             for group in _groups(zone, spans):
                 found.update(_swept(context, mosaic, zone, group))
@@ -216,7 +215,7 @@ def _groups(zone: Zone, spans: Spans) -> Iterator[Spans]:
 
 
 def _swept(
-    context: StageContext, mosaic: Mosaic, zone: Zone, group: Spans
+    context: StageContext, mosaic: Terrain, zone: Zone, group: Spans
 ) -> Iterator[tuple[int, Shortlist]]:
     """Shortlists of cells from one sweep; without cells that have holes, or no relief at all."""
     settings = context.config.render
@@ -230,7 +229,7 @@ def _swept(
         height * step + 2 * MARGIN,
         width * step + 2 * MARGIN,
     )
-    heights = graticule_heights(mosaic, zone.graticule, part, context.posting_m, zone.latitudes)
+    heights = mosaic.graticule_heights(zone.graticule, part, context.posting_m, zone.latitudes)
     across = np.cos(zone.graticule.lat(part.rows[MARGIN:-MARGIN]))
     stretch = zone.graticule.row_angle / (zone.graticule.column_angle * across)
     tiles = tile_sums(heights, context.posting_m, stretch, step)

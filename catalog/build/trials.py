@@ -8,9 +8,8 @@ import numpy as np
 from catalog.arrays import Float32Array
 from catalog.build.context import StageContext
 from catalog.control_point import Patch
-from catalog.correlation.masked import blur_nodes
-from catalog.geometry.projection import Stereographic
-from catalog.geometry.tangent_plane import MapProjection, TangentPlane
+from catalog.correlation.ncc import blur_nodes
+from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.trial import (
     Gate,
@@ -108,8 +107,7 @@ def _levels(
             ground % GROUNDS, posting, known, smallest, size, terrain.body.radius_m, slope_deg
         )
         # as navigation does, which knows the posting of shape models only
-        planes = isinstance(projection, TangentPlane)
-        blur = blur_nodes(patch.posting_m, terrain.posting_m) if planes else 0.0
+        blur = blur_nodes(patch.posting_m, terrain.posting_m) if terrain.in_planes else 0.0
         levels.append(Level(patch.heights_m, truth, patch.posting_m, blur))
     return levels
 

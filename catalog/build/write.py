@@ -32,7 +32,6 @@ from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
 from catalog.store.writer import Written, write_catalog
-from catalog.terrain.mesh.terrain import MeshTerrain
 
 FILE = "written.json"
 CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
@@ -106,7 +105,7 @@ def write(
     Raises OutputError for a place that cannot be written.
     """
     terrain, planes = context.mosaic, None
-    if isinstance(terrain, MeshTerrain) and terrain.in_planes:
+    if terrain.in_planes:
         planes = PlanesMeta(context.body.radii_m, terrain.posting_m)
     meta = CatalogMeta(
         body=context.body.name,

@@ -1,7 +1,11 @@
 """Normalised cross-correlation of a reference against a larger grid, both high-passed.
 
 The high-pass takes out albedo, slope trends and the slow change of illumination, which a
-rendered reference does not know (Zhukov 2025, ch. 3, uses plain correlation).
+rendered reference does not have (Zhukov 2025, ch. 3, uses plain correlation).
+
+`match_masked` takes grids with holes: at every place it correlates the nodes that both have.
+Source: D. Padfield, "Masked object registration in the Fourier domain", IEEE Trans. Image Process.
+21 (2012). A frame that shows a part of a template's ground is compared in that part.
 """
 
 from typing import NamedTuple, TypeVar
@@ -10,8 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from catalog.arrays import Float32Array
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.correlation.peak import Match, locate_peak
+from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import kernel
 
 Number = TypeVar("Number", np.float32, np.float64)
@@ -20,6 +25,13 @@ Number = TypeVar("Number", np.float32, np.float64)
 HIGH_PASS_NODES = 5.0
 # Contrast below this share of the brightness is rounding, not relief.
 MIN_CONTRAST = 1e-5
+# Sigma of the blur, share of the model's posting. At Phobos, with relief of 20 m rms below its
+# 319 m, 97 % of lit points are found behind this blur and 53 % without. Twice as much finds 99 %,
+# but leaves a fourth of the evidence against chance.
+BLUR_SHARE = 0.3
+# A place where both have less than this share of the nodes that they have at the best is none:
+# a few nodes correlate by chance.
+MIN_COMMON_SHARE = 0.7
 
 
 def high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float32Array:
@@ -29,11 +41,21 @@ def high_pass(grid: Float32Array, sigma_nodes: float = HIGH_PASS_NODES) -> Float
     """
     valid = np.isfinite(grid)
     if valid.all():
-        return np.asarray(grid - cv2.GaussianBlur(grid, (0, 0), sigma_nodes), dtype=np.float32)
+        return grid - _blurred(grid, sigma_nodes)
     filled = np.where(valid, grid, np.float32(0.0)).astype(np.float32)
-    weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), sigma_nodes)
-    mean = cv2.GaussianBlur(filled, (0, 0), sigma_nodes) / np.maximum(weight, np.float32(1e-3))
+    mean = _local_mean(filled, valid, sigma_nodes)
     return np.where(valid, filled - mean, np.float32(0.0)).astype(np.float32)
+
+
+def _local_mean(filled: Float32Array, valid: BoolArray, sigma_nodes: float) -> Float32Array:
+    """Gaussian-weighted mean of the valid nodes about each node; the others must hold zero."""
+    weight = _blurred(valid.astype(np.float32), sigma_nodes)
+    mean = _blurred(filled, sigma_nodes) / np.maximum(weight, np.float32(1e-3))
+    return mean.astype(np.float32, copy=False)
+
+
+def _blurred(grid: Float32Array, sigma_nodes: float) -> Float32Array:
+    return np.asarray(cv2.GaussianBlur(grid, (0, 0), sigma_nodes), dtype=np.float32)
 
 
 class Filtered(NamedTuple):
@@ -126,3 +148,89 @@ def match_in(reference: Float32Array, image: Filtered, margin_nodes: int = 0) ->
     nodes = int(np.isfinite(cropped(reference, margin_nodes)).sum())
     template = filtered(reference, margin_nodes=margin_nodes)
     return locate_peak(correlated(template, image), nodes)
+
+
+def blur_nodes(posting_m: float, known_m: float) -> float:
+    """Sigma (nodes) of the blur for patches of a posting cut from a model of posting known_m."""
+    return BLUR_SHARE * known_m / posting_m if posting_m < known_m else 0.0
+
+
+def low_pass(grid: Float32Array, sigma_nodes: float) -> Float32Array:
+    """Gaussian-weighted local mean of a grid (rows, cols); NaN nodes take no part and stay."""
+    valid = np.isfinite(grid)
+    filled = np.where(valid, grid, np.float32(0.0)).astype(np.float32)
+    mean = _local_mean(filled, valid, sigma_nodes)
+    return np.where(valid, mean, np.float32(np.nan)).astype(np.float32)
+
+
+def thinning(sigma_nodes: float) -> float:
+    """Nodes from one to the next that is kept behind a blur: a sigma, or all of them."""
+    return max(1.0, sigma_nodes)
+
+
+def thinned(grid: Float32Array, sigma_nodes: float, even: bool) -> Float32Array:
+    """A square grid (n, n) behind its blur, with nodes `thinning` apart about the same centre.
+
+    even  whether the sides are even, so that a template and what it is sought in fit
+    As many nodes as fit; NaN takes no part in the blur, and where it is the nearest node stays NaN.
+    """
+    soft = low_pass(grid, sigma_nodes)
+    step = thinning(sigma_nodes)
+    if step == 1.0:
+        return soft
+    size = grid.shape[0]
+    side = int((size - 1) / step) + 1
+    side -= (side % 2 == 0) != even
+    places = (size - 1) / 2.0 + (np.arange(side) - (side - 1) / 2.0) * step
+    rows, cols = np.meshgrid(places, places, indexing="ij")
+    return sample_bicubic(soft, rows, cols)
+
+
+def match_masked(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:
+    """Find a reference (n, n) in a search grid (m, m), m - n even; NaN of either takes no part.
+
+    Both are float32 and carry `margin_nodes` that only the high-pass sees. The reference is cut as
+    the search grid is about its middle before the high-pass, so that both bend at the same edges.
+    """
+    room = (search.shape[0] - reference.shape[0]) // 2
+    reference = np.where(np.isfinite(cropped(search, room)), reference, np.float32(np.nan))
+    sides = [cropped(high_pass(grid), margin_nodes) for grid in (reference, search)]
+    masks = [
+        np.isfinite(cropped(grid, margin_nodes)).astype(np.float32) for grid in (reference, search)
+    ]
+    # a side without contrast has no correlation: rounding noise would decide
+    floors = [
+        MIN_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0)) for grid in (reference, search)
+    ]
+    surface, common = _surface(sides[0], masks[0], sides[1], masks[1], floors)
+    row, col = np.unravel_index(int(np.argmax(surface)), surface.shape)
+    return locate_peak(surface, int(common[row, col]))
+
+
+def _surface(
+    template: Float32Array,
+    has: Float32Array,
+    image: Float32Array,
+    shows: Float32Array,
+    floors: list[float],
+) -> tuple[Float32Array, FloatArray]:
+    """Scores at every place where the template fits, -1 with too few nodes; and common nodes."""
+    common = _sums(shows, has)
+    n = np.maximum(common, 1.0)
+    of_template, of_image = _sums(shows, template), _sums(image, has)
+    product = _sums(image, template) - of_template * of_image / n
+    squares = (
+        _sums(shows, template * template) - of_template**2 / n,
+        _sums(image * image, has) - of_image**2 / n,
+    )
+    enough = common >= max(MIN_COMMON_SHARE * common.max(), 1.0)
+    for square, floor in zip(squares, floors, strict=True):
+        enough &= square > n * floor**2
+    square = np.where(enough, squares[0] * squares[1], 1.0)
+    surface = np.where(enough, product / np.sqrt(square), -1.0)
+    return np.clip(surface, -1.0, 1.0).astype(np.float32), common
+
+
+def _sums(image: Float32Array, template: Float32Array) -> FloatArray:
+    """Sums of products at every place where the template fits."""
+    return cv2.matchTemplate(image, template, cv2.TM_CCORR).astype(np.float64)

@@ -47,17 +47,15 @@ def turned(
     size = reference.shape[0]
     centre = (size - 1) / 2.0
     matrix = cv2.getRotationMatrix2D((centre, centre), float(np.degrees(roll)), scale)
-    return np.asarray(
-        cv2.warpAffine(
-            reference,
-            matrix,
-            (size, size),
-            flags=cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=beyond,
-        ),
-        dtype=np.float32,
+    image = cv2.warpAffine(
+        reference,
+        matrix,
+        (size, size),
+        flags=cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=beyond,
     )
+    return np.asarray(image, dtype=np.float32)
 
 
 def match_similarity(
@@ -143,7 +141,7 @@ def _window_contrast(image: Filtered, size: int) -> Float32Array:
     )
     variance = square - mean * mean
     variance[variance <= image.floor**2] = np.inf
-    return np.asarray(size * np.sqrt(variance), dtype=np.float32)
+    return (size * np.sqrt(variance)).astype(np.float32)
 
 
 def _parabola_peak(places: Sequence[float], values: FloatArray, index: int) -> float:

@@ -1,12 +1,16 @@
-"""The grid of cells that a catalog hangs on: latitude bands, and equal cells in each band.
+"""Grids over the whole sphere: the cells that a catalog's points lie in, and nodes on parallels.
 
-Band k (from the south) has max(1, round(360 cos(mid-latitude) / step)) cells, so that cells keep
-about the same area. A step of 1 degree gives 41 252 cells, the number of control points of
-Zhukov (2025), chapter 3. A cell's number follows from latitude and longitude by arithmetic.
+Band k of the cells (from the south) has max(1, round(360 cos(mid-latitude) / step)) cells, so that
+cells keep about the same area. A step of 1 degree gives 41 252 cells, the number of control points
+of Zhukov (2025), chapter 3. A cell's number follows from latitude and longitude by arithmetic.
+
+The nodes of a graticule lie in places that are fixed for the whole sphere, so that any part of it
+has the same nodes.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,7 +44,8 @@ class CellGrid:
         north = np.minimum(south + self.step_deg, 90.0)
         middle = np.radians((south + north) / 2.0)
         counts = np.rint(360.0 * np.cos(middle) / self.step_deg)
-        return np.asarray(np.maximum(1, counts), dtype=np.int64)
+        cells: IntArray = np.maximum(1, counts).astype(np.int64)
+        return cells
 
     @cached_property
     def first_cell(self) -> IntArray:
@@ -67,7 +72,8 @@ class CellGrid:
 
     def bands_of(self, cells: IntArray) -> IntArray:
         """(n,) latitude bands of cell numbers."""
-        return np.asarray(np.searchsorted(self.first_cell, cells, side="right") - 1)
+        bands: IntArray = np.searchsorted(self.first_cell, cells, side="right") - 1
+        return bands
 
     def bounds_deg(self, cell: int) -> tuple[float, float, float, float]:
         """West, south, east, north of a cell (deg, west in [-180, 180))."""
@@ -140,3 +146,46 @@ class CellGrid:
         if not cells:
             return np.empty(0, dtype=np.int64)
         return np.concatenate(cells).astype(np.int64)
+
+
+class Graticule(NamedTuple):
+    """Rows from the south pole on, columns eastward from -180°, nodes half a spacing within.
+
+    row_angle  rad between rows
+    columns    in a full turn
+    """
+
+    row_angle: float
+    columns: int
+
+    @property
+    def column_angle(self) -> float:
+        """Longitude between columns, rad."""
+        return 2.0 * np.pi / self.columns
+
+    def lat(self, row: IntArray) -> FloatArray:
+        """Latitude (rad) of rows."""
+        return np.asarray((row + 0.5) * self.row_angle - np.pi / 2.0, dtype=np.float64)
+
+    def lon(self, col: IntArray) -> FloatArray:
+        """East longitude (rad, -180° to 180°) of columns of any turn: the same in every turn."""
+        return (np.mod(col, self.columns) + 0.5) * self.column_angle - np.pi
+
+
+class Part(NamedTuple):
+    """A rectangle of a graticule's nodes: first row (southmost) and column, how many of each."""
+
+    row: int
+    col: int
+    height: int
+    width: int
+
+    @property
+    def rows(self) -> IntArray:
+        """(height,) numbers of the rows."""
+        return np.arange(self.row, self.row + self.height)
+
+    @property
+    def cols(self) -> IntArray:
+        """(width,) numbers of the columns."""
+        return np.arange(self.col, self.col + self.width)

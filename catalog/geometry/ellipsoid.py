@@ -17,14 +17,16 @@ CLOSE = 1e-15  # relative step of the root: nothing is left to gain
 def normal_at(surface: ArrayLike, radii: ArrayLike) -> FloatArray:
     """Outward unit normals (..., 3) at points (..., 3) of an ellipsoid of semi-axes (3,)."""
     gradient = np.asarray(surface, dtype=np.float64) / np.square(np.asarray(radii, np.float64))
-    return np.asarray(gradient / np.linalg.norm(gradient, axis=-1, keepdims=True))
+    normals: FloatArray = gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
+    return normals
 
 
 def surface_at(directions: ArrayLike, radii: ArrayLike) -> FloatArray:
     """Points (..., 3) where directions (..., 3) from the centre pierce an ellipsoid."""
     directions = np.asarray(directions, dtype=np.float64)
     scaled = np.linalg.norm(directions / np.asarray(radii, dtype=np.float64), axis=-1)
-    return np.asarray(directions / scaled[..., None])
+    surface: FloatArray = directions / scaled[..., None]
+    return surface
 
 
 def height_above(points: ArrayLike, up: ArrayLike, radii: ArrayLike) -> FloatArray:
@@ -60,7 +62,8 @@ def foot_of(points: ArrayLike, radii: ArrayLike) -> FloatArray:
         t = t + step
         if np.all(np.abs(step) <= CLOSE * squares.max()):
             break
-    return np.asarray(points * squares / (t[..., None] + squares))
+    foot: FloatArray = points * squares / (t[..., None] + squares)
+    return foot
 
 
 def distance_to_sphere(origin: ArrayLike, directions: ArrayLike, radius: float) -> FloatArray:

@@ -1,17 +1,74 @@
-"""The map projection of a patch: oblique stereographic on a sphere, centred on the point.
+"""The map projections of patches.
 
-Source: Snyder, Map Projections - A Working Manual (USGS PP 1395), ch. 21, sphere, k0 = 1.
-Conformal, so directions are not distorted; the scale grows as 1 + (rho / 2R)^2.
+A patch of a large body is an oblique stereographic map of a sphere, centred on the point. Source:
+Snyder, Map Projections - A Working Manual (USGS PP 1395), ch. 21, sphere, k0 = 1. Conformal, so
+directions are not distorted; the scale grows as 1 + (rho / 2R)^2.
+
+A patch of a small body is the plane that touches its reference ellipsoid. Heights are along the
+plane's one normal, so that nothing is curved: on a body of a few kilometres a sphere that fits
+nowhere would tilt the ground by tens of degrees.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
+from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
+from catalog.geometry.vectors import unit
+
+
+class MapProjection(Protocol):
+    """The map of a patch: x east and y north, m, about its centre, and heights over a reference."""
+
+    @property
+    def lat(self) -> float:
+        """Latitude (rad) of the vertical at the centre."""
+
+    @property
+    def lon(self) -> float:
+        """East longitude (rad) of the vertical at the centre."""
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the sphere that heights are measured from; very large for a plane."""
+
+    @property
+    def foot_m(self) -> tuple[float, float, float]:
+        """The centre on the reference surface, body frame, m."""
+
+    @property
+    def body_from_local(self) -> FloatArray:
+        """(3, 3): columns east, north, up at the centre, in the body frame."""
+
+    def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
+        """Body-fixed points (..., 3), m, of map points x, y and heights."""
+
+    def latlon(
+        self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Planetocentric latitude and east longitude (rad) of map points at heights (m)."""
+
+    def xy_from_xyz(self, xyz: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Map coordinates (m) of body-fixed points (..., 3) m."""
+
+    def height_of(self, xyz: ArrayLike) -> FloatArray:
+        """Heights (...) m of body-fixed points (..., 3) m."""
+
+    def downward(self, points_m: FloatArray) -> FloatArray:
+        """Unit vectors (n, 3), body frame, along which heights fall at points (n, 3) m."""
+
+    def sun_latitude_deg(self, lat_deg: float) -> float:
+        """Latitude (deg) over the equator of the vertical at a centre of planetocentric lat_deg."""
+
+
+# The radius of a plane, for what computes with a sphere under the map: over 100 km of it the
+# sphere falls off by 5e-6 m.
+FLAT_RADIUS_M = 1e15
 
 
 @dataclass(frozen=True)
@@ -42,9 +99,8 @@ class Stereographic:
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights above the sphere."""
         directions = self.local_directions(x, y) @ self.body_from_local.T
-        return np.asarray(
-            directions * (self.radius_m + np.asarray(height, dtype=np.float64))[..., None]
-        )
+        radius = self.radius_m + np.asarray(height, dtype=np.float64)
+        return directions * radius[..., None]
 
     def latlon(
         self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0
@@ -76,9 +132,84 @@ class Stereographic:
         length = np.linalg.norm(np.asarray(xyz, dtype=np.float64), axis=-1)
         return np.asarray(length - self.radius_m)
 
+    def downward(self, points_m: FloatArray) -> FloatArray:
+        """Unit vectors (n, 3) towards the sphere's centre at points (n, 3) m."""
+        return -unit(points_m)
+
+    def sun_latitude_deg(self, lat_deg: float) -> float:
+        """The planetocentric latitude itself: the vertical goes through the body's centre."""
+        return lat_deg
+
     def xy_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Map coordinates (m) of latitudes and longitudes (rad)."""
         return self.xy_from_xyz(xyz_from_latlon(lat, lon, 1.0))
+
+
+@dataclass(frozen=True)
+class TangentPlane:
+    """The plane that touches a reference ellipsoid below a point.
+
+    lat, lon  rad  direction of the normal: geodetic, not planetocentric
+    foot_m    (3,)  where it touches, body frame
+    """
+
+    lat: float
+    lon: float
+    foot_m: tuple[float, float, float]
+
+    @classmethod
+    def below(cls, point_m: ArrayLike, radii_m: ArrayLike) -> "TangentPlane":
+        """The plane whose normal goes through a point (3,) m; radii_m (3,) of the ellipsoid."""
+        foot = foot_of(point_m, radii_m)
+        lat, lon, _ = latlon_from_xyz(normal_at(foot, radii_m))
+        x, y, z = foot.tolist()
+        return cls(float(lat), float(lon), (x, y, z))
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the sphere that heights are measured from: a plane's."""
+        return FLAT_RADIUS_M
+
+    @cached_property
+    def body_from_local(self) -> FloatArray:
+        """(3, 3): columns east, north, up, in the body frame."""
+        return body_from_local(self.lat, self.lon)
+
+    def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
+        """Body-fixed points (..., 3), m, of map points x, y and heights above the plane."""
+        x, y, height = np.broadcast_arrays(x, y, height)
+        local = np.stack([x, y, height], axis=-1).astype(np.float64)
+        points: FloatArray = local @ self.body_from_local.T + np.array(self.foot_m)
+        return points
+
+    def latlon(
+        self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Planetocentric latitude and east longitude (rad) of map points at heights (m)."""
+        lat, lon, _ = latlon_from_xyz(self.points(x, y, height))
+        return lat, lon
+
+    def xy_from_xyz(self, xyz: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Map coordinates (m) of body-fixed points (..., 3) m."""
+        local = self._local(xyz)
+        return local[..., 0], local[..., 1]
+
+    def height_of(self, xyz: ArrayLike) -> FloatArray:
+        """Heights (...) m of body-fixed points (..., 3) m above the plane."""
+        return self._local(xyz)[..., 2]
+
+    def downward(self, points_m: FloatArray) -> FloatArray:
+        """The plane's one downward normal, for each of points (n, 3) m."""
+        return np.broadcast_to(-self.body_from_local[:, 2], points_m.shape)
+
+    def sun_latitude_deg(self, lat_deg: float) -> float:
+        """Latitude (deg) of the plane's normal."""
+        return float(np.degrees(self.lat))
+
+    def _local(self, xyz: ArrayLike) -> FloatArray:
+        offset = np.asarray(xyz, dtype=np.float64) - np.array(self.foot_m)
+        local: FloatArray = offset @ self.body_from_local
+        return local
 
 
 def node_offsets(size: int, posting_m: float) -> FloatArray:

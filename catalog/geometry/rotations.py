@@ -24,8 +24,8 @@ def rotation_from_quaternion(qw: float, qx: float, qy: float, qz: float) -> Rota
 
 def quaternion_from_rotation(rotation: Rotation) -> FloatArray:
     """Scalar-first unit quaternion (4,), scalar not negative: equal attitudes print alike."""
-    quaternion = rotation.as_quat(canonical=True, scalar_first=True)
-    return np.asarray(quaternion, dtype=np.float64)
+    quaternion: FloatArray = rotation.as_quat(canonical=True, scalar_first=True)
+    return quaternion
 
 
 def cross_matrix(vectors: ArrayLike) -> FloatArray:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
-from catalog.geometry.tangent_plane import FLAT_RADIUS_M
+from catalog.geometry.projection import FLAT_RADIUS_M
 
 NOTHING = -1e30  # height of no ground
 NODE_TOLERANCE_M = 1e-3  # float32 heights of 1e4 m are good to this
@@ -193,7 +193,7 @@ def lit_mask(
     _swept(heights, posting_m, radius_m, sweep, field, NO_FIELD, lit)
     if sweep.swap:
         lit = cv2.transpose(lit.view(np.uint8)).view(np.bool_)
-    return np.asarray(lit & valid)
+    return lit & valid
 
 
 def shadow_field(
@@ -266,8 +266,8 @@ def _refuse_shape(grid: Float32Array, what: str) -> None:
 
 
 def _rows_along(grid: Float32Array, swap: bool) -> Float32Array:
-    grid = np.ascontiguousarray(grid, dtype=np.float32)
-    return np.asarray(cv2.transpose(grid), dtype=np.float32) if swap else grid
+    rows: Float32Array = np.ascontiguousarray(grid, dtype=np.float32)
+    return np.asarray(cv2.transpose(rows), dtype=np.float32) if swap else rows
 
 
 def halo(relief_m: float, elevation: float) -> float:

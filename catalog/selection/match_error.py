@@ -1,13 +1,15 @@
-"""The error of a match predicted from rendered brightness.
+"""The error of a match and its uniqueness, predicted from rendered brightness.
 
 With white image noise of variance s² a least-squares match has covariance s² M⁻¹, M the structure
 tensor: the sum over the template of the products of the brightness gradient. The noise here is the
 mean brightness over a signal-to-noise ratio, so that no radiometric unit enters.
 
-A place can have sharp edges and yet too little contrast to be told from noise: correlation then
-refuses it. The predicted correlation says how high the peak will stand, and a bound over it is the
-score that orders candidates (the division is ours: on real ground it chose points that were
-recognised 1 % more often than the bound alone did, and 2 % more than the closed form).
+A place can have sharp edges and yet too little contrast to stand out of the noise: correlation then
+refuses it. The predicted correlation is the height of the peak, and a bound over it is the score
+that orders candidates (the division is ours: on real ground it chose points that were recognised
+1 % more often than the bound alone did, and 2 % more than the closed form).
+
+Uniqueness is how unlike the true place its best rival in the search region is, by SURF.
 """
 
 import math
@@ -18,7 +20,11 @@ import numpy as np
 
 from catalog.arrays import Float32Array
 from catalog.correlation.ncc import high_pass
+from catalog.correlation.surf64 import own_similarity_surface
 from catalog.geometry.kernel import kernel
+
+# Nearer than this a peak of the similarity is the place itself.
+LOBE_NODES = 3
 
 
 @kernel
@@ -61,7 +67,7 @@ class MatchPrediction:
 
 
 def predict_match(brightness: Float32Array, snr: float) -> MatchPrediction:
-    """What a template promises.
+    """The expected error and correlation of a template's match.
 
     brightness  (n, n)  any unit, NaN for no data (which adds nothing)
     snr                 mean brightness over the standard deviation of a node's noise
@@ -87,3 +93,39 @@ def _correlation(brightness: Float32Array, mean: float, snr: float) -> float:
     deviation = cv2.meanStdDev(high_pass(brightness))[1]
     contrast = float(deviation[0, 0]) / mean
     return contrast / math.hypot(contrast, 1.0 / snr)
+
+
+@kernel
+def best_rival(surface: Float32Array, search_nodes: float) -> float:
+    """Highest local maximum of a similarity surface away from its middle, -1 when there is none.
+
+    surface       (2k + 1, 2k + 1)  similarity, the true place in the middle
+    search_nodes                    rivals beyond this distance (on either axis) do not count
+    The slope of the true peak is no rival, so only local maxima count; on the outermost nodes a
+    maximum is one among the neighbours that exist.
+    """
+    rows, cols = surface.shape
+    middle = rows // 2
+    best = -1.0
+    for r in range(rows):
+        for c in range(cols):
+            distance = max(abs(r - middle), abs(c - middle))
+            here = surface[r, c]
+            if not (LOBE_NODES < distance <= search_nodes and here > best):
+                continue
+            neighbours = surface[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
+            if here >= neighbours.max():
+                best = float(here)
+    return best
+
+
+def uniqueness_margin(brightness: Float32Array, template_nodes: int, search_nodes: float) -> float:
+    """One minus the similarity of the best rival: 1 with none similar, 0 for a perfect double.
+
+    brightness      (n, n)  a render of the ground about the place, NaN for no data
+    template_nodes          side of the square that is described, n - template_nodes even
+    search_nodes            how far the search goes, nodes; capped by the room that n leaves
+    Raises ValueError when the template cannot be centred in the brightness.
+    """
+    rival = best_rival(own_similarity_surface(brightness, template_nodes), search_nodes)
+    return float(min(1.0 - rival, 1.0))

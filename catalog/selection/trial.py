@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.masked import thinned, thinning
-from catalog.correlation.ncc import match_ncc
+from catalog.correlation.ncc import match_ncc, thinned, thinning
 from catalog.correlation.similarity import match_similarity
 from catalog.rendering.map_view import render_map, render_map_quickly
 from catalog.rendering.shadow import shadow_field
@@ -145,7 +144,7 @@ def distortion(circumstances: Circumstances) -> FloatArray:
     turn = _similarity(circumstances.roll, circumstances.scale)
     along = np.array([np.sin(circumstances.stretch_azimuth), np.cos(circumstances.stretch_azimuth)])
     squeeze = np.eye(2) - (1.0 - circumstances.stretch) * np.outer(along, along)
-    return np.asarray(turn @ squeeze)
+    return turn @ squeeze
 
 
 def run_trial(

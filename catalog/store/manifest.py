@@ -12,7 +12,7 @@ from typing import Any
 
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
-from catalog.geometry.tangent_plane import FLAT_RADIUS_M, MapProjection
+from catalog.geometry.projection import FLAT_RADIUS_M, MapProjection
 
 FORMAT = "optnav catalog"
 FORMAT_VERSION = 3  # that this program reads up to

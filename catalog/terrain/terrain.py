@@ -1,4 +1,4 @@
-"""What a build asks of the ground, whether it is a mosaic of terrain models or a mesh."""
+"""The ground as a build reads it, whether it is a mosaic of terrain models or a mesh."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.cells import Graticule, Part
+from catalog.geometry.projection import MapProjection
 
 
 class Terrain(Protocol):
@@ -16,10 +17,15 @@ class Terrain(Protocol):
 
     body: Body
     whole: bool  # whether every place of the body has a height
+    has_graticules: bool  # whether heights on a graticule cost much less than those of points
 
     @property
     def posting_m(self) -> float:
-        """The finest posting: what is finer in a patch is between known heights."""
+        """The finest posting; a finer patch is interpolated."""
+
+    @property
+    def in_planes(self) -> bool:
+        """Whether patches lie in tangent planes: on a small body."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -27,7 +33,7 @@ class Terrain(Protocol):
 
     @property
     def extent(self) -> str:
-        """Which ground it covers, in words."""
+        """The ground that it covers, for messages."""
 
     def files(self) -> list[Path]:
         """All files that are read while patches are cut."""
@@ -50,6 +56,16 @@ class Terrain(Protocol):
     def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
         """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
 
+    def graticule_heights(
+        self, graticule: Graticule, part: Part, posting_m: float, latitudes: tuple[float, float]
+    ) -> Float32Array:
+        """Heights (height, width) m of a part of a graticule; row 0 south, column 0 west.
+
+        posting_m  the spacing of the nodes: what is finer is averaged
+        latitudes  south and north (rad) of the zone that this graticule serves: how nodes are read
+                   depends on it, never on the part
+        """
+
     def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
         """Whether a vertical line through a node of a map grid meets the ground several times."""
 
@@ -66,4 +82,4 @@ class Terrain(Protocol):
         """Which files a centred map grid is read from, joined by " + "."""
 
     def close(self) -> None:
-        """Let go of files; they open again when read."""
+        """Close files; they open again when read."""

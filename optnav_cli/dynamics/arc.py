@@ -7,6 +7,7 @@ that of a circular orbit in size, which a prediction some seconds ahead can bear
 """
 
 from dataclasses import dataclass
+from operator import add
 from typing import Protocol
 
 import numpy as np
@@ -14,15 +15,18 @@ from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
-from optnav_cli.reasons import ReasonCode
+from catalog.geometry.vectors import squared_distance
+from optnav_cli.estimation.least_squares import Iteration, VectorPrior, solve
+from optnav_cli.estimation.models.fixes import FixesModel, OrbitModel
+from optnav_cli.fix import PositionPrior
+from optnav_cli.reasons import Reason, ReasonCode
 
 # A right fix is farther from the arc than this once in a million.
 GATE_PROBABILITY = 1e-6
 GATE = float(chi2.isf(GATE_PROBABILITY, 3))
 MAX_FIXES = 12
-ITERATIONS = 12
-# The state has settled when a step is below this share of its sigma.
-SETTLED_SIGMAS = 1e-3
+_NO_ORBIT = Reason(ReasonCode.NO_SOLUTION, "the fixes fit no orbit")
+ITERATION = Iteration(12, 1e-3, undetermined=_NO_ORBIT, unsettled=_NO_ORBIT)
 # Further ahead than the orbit takes for one radian an arc of a few minutes says little, and the
 # frames may belong to another flight.
 MAX_GAP_RAD = 1.0
@@ -32,18 +36,8 @@ EXCESS_M_S = 1000.0
 MAX_SHARE = 0.005
 
 
-class OrbitModel(Protocol):
-    """What the arc needs of the motion without thrust, see `optnav_cli.dynamics.integrator`."""
-
-    def propagate(
-        self, state: FloatArray, from_s: float, to_s: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """States (n, 6) and transitions (n, 6, 6) at other times."""
-        ...
-
-    def noise(self, state: FloatArray, seconds: float) -> FloatArray:
-        """Covariance (6, 6) that unmodelled forces add in a time."""
-        ...
+class ArcModel(OrbitModel, Protocol):
+    """What the arc needs of the motion without thrust."""
 
     def circular_speed(self, position_m: FloatArray) -> float:
         """Of a circular orbit through a place, m/s."""
@@ -55,7 +49,7 @@ class OrbitModel(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Fix:
+class TimedPosition:
     """A position (3,), m, inertial, with its covariance (3, 3), at a time, TDB s."""
 
     tdb_s: float
@@ -63,26 +57,15 @@ class Fix:
     covariance_m2: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """Where the arc leads: position (3,) and covariance (3, 3), inertial; from how many fixes."""
+@dataclass(frozen=True)
+class ArcDisagreement:
+    """How far a fix lies from the arc's prediction, in words.
 
-    position_m: FloatArray
-    covariance_m2: FloatArray
-    fixes: int
+    new_arc  whether the fix begins a new arc; otherwise it is left out until the next one agrees
+    """
 
-    def distance_squared(self, fix: Fix) -> float:
-        """Squared distance of a fix in units of both covariances; expectation 3."""
-        offset = fix.position_m - self.position_m
-        return float(offset @ np.linalg.solve(self.covariance_m2 + fix.covariance_m2, offset))
-
-
-@dataclass(frozen=True, eq=False)
-class Contradiction:
-    """A fix that does not lie where the arc led; `ended`: a new arc begins with it."""
-
-    predicted: Prediction
-    ended: bool
+    words: str
+    new_arc: bool
 
 
 class OrbitArc:
@@ -93,16 +76,16 @@ class OrbitArc:
     wrong, and a new one begins with the two.
     """
 
-    def __init__(self, model: OrbitModel) -> None:
+    def __init__(self, model: ArcModel) -> None:
         self._model = model
-        self._fixes: list[Fix] = []
-        self._doubted: Fix | None = None
+        self._fixes: list[TimedPosition] = []
+        self._doubted: TimedPosition | None = None
         self._fitted: tuple[FloatArray, FloatArray] | None = None
 
-    def predict(self, tdb_s: float) -> Prediction | None:
-        """The position at a time not before the last fix; None where the arc says nothing of use.
+    def predict(self, tdb_s: float) -> PositionPrior | None:
+        """The inertial position at a time not before the last fix; None where that is of no use.
 
-        It says nothing without fixes, when the fixes fit no orbit, long after them, and when they
+        There is none without fixes, when the fixes fit no orbit, long after them, and when they
         leave more than a small share of the distance open.
         """
         if not self._fixes or self._is_over(tdb_s):
@@ -119,27 +102,37 @@ class OrbitArc:
         widest = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
         if not widest < MAX_SHARE * float(np.linalg.norm(position)):
             return None
-        return Prediction(position, spread, len(self._fixes))
+        count = len(self._fixes)
+        source = f"arc of {count} fixes" if count > 1 else "arc of one fix"
+        return PositionPrior(position, spread, source)
 
-    def add(self, fix: Fix, *, sure: bool = False) -> Contradiction | None:
-        """Take in a fix not before the last; says so when it does not lie where the arc leads.
+    def add(self, fix: TimedPosition, *, confirmed: bool = False) -> ArcDisagreement | None:
+        """Add a fix not before the last; how it disagrees where it does not lie on the arc.
 
-        sure  the fix rests on two methods that agree: where it contradicts the arc, the arc ends
+        confirmed  two methods agree on the fix: where it contradicts the arc, the arc ends
         """
         predicted = self.predict(fix.tdb_s)
-        if predicted is None or predicted.distance_squared(fix) < GATE:
+        if predicted is None:
             # an arc that says nothing of use is not worth keeping, but for its first fix
             young = len(self._fixes) < 2 and not self._is_over(fix.tdb_s)
-            kept = self._fixes if predicted is not None or young else []
-            self._restart(_with(kept, fix))
+            self._restart(_with(self._fixes if young else [], fix))
             return None
-        ended = sure or self._doubted is not None
-        if ended:
-            doubted = [] if sure or self._doubted is None else [self._doubted]
+        offset = fix.position_m - predicted.position_m
+        square = squared_distance(offset, predicted.covariance_m2 + fix.covariance_m2)
+        if square < GATE:
+            self._restart(_with(self._fixes, fix))
+            return None
+        new_arc = confirmed or self._doubted is not None
+        if new_arc:
+            doubted = [] if confirmed or self._doubted is None else [self._doubted]
             self._restart(_with(doubted, fix))
         else:
             self._doubted = fix
-        return Contradiction(predicted, ended)
+        words = (
+            f"{np.linalg.norm(offset) / 1e3:.1f} km ({np.sqrt(square):.0f} sigmas) from where the "
+            f"{predicted.source} leads"
+        )
+        return ArcDisagreement(words, new_arc)
 
     def _is_over(self, tdb_s: float) -> bool:
         if not self._fixes:
@@ -147,7 +140,7 @@ class OrbitArc:
         last = self._fixes[-1]
         return tdb_s - last.tdb_s > MAX_GAP_RAD * self._model.radian_s(last.position_m)
 
-    def _restart(self, fixes: list[Fix]) -> None:
+    def _restart(self, fixes: list[TimedPosition]) -> None:
         self._fixes, self._doubted, self._fitted = fixes[-MAX_FIXES:], None, None
 
     def _fit(self) -> tuple[FloatArray, FloatArray]:
@@ -157,29 +150,19 @@ class OrbitArc:
         last = self._fixes[-1]
         speed = float(np.hypot(self._model.circular_speed(last.position_m), EXCESS_M_S))
         state = np.concatenate([last.position_m, self._first_velocity(speed)])
-        times = np.array([fix.tdb_s for fix in self._fixes])
-        for _ in range(ITERATIONS):
-            states, transitions = self._model.propagate(state, last.tdb_s, times)
-            normal = np.diag([0.0] * 3 + [1.0 / speed**2] * 3)
-            gradient = -normal @ state
-            misfit = float(state @ normal @ state)
-            for fix, reached, transition in zip(self._fixes, states, transitions, strict=True):
-                noise = self._model.noise(state, fix.tdb_s - last.tdb_s)[:3, :3]
-                weight = np.linalg.inv(fix.covariance_m2 + noise)
-                by_state, offset = transition[:3], fix.position_m - reached[:3]
-                normal += by_state.T @ weight @ by_state
-                gradient += by_state.T @ weight @ offset
-                misfit += float(offset @ weight @ offset)
-            covariance = np.linalg.inv(normal)
-            step = covariance @ gradient
-            state = state + step
-            if float(step @ normal @ step) < SETTLED_SIGMAS**2:
-                # three measurements a fix and three of the velocity's size, six unknowns
-                if misfit > chi2.isf(GATE_PROBABILITY, 3 * len(times)):
-                    break
-                self._fitted = state, (covariance + covariance.T) / 2.0
-                return self._fitted
-        raise NoSolutionError("the fixes fit no orbit", ReasonCode.NO_SOLUTION)
+        fixes = FixesModel(
+            self._model,
+            np.array([fix.tdb_s for fix in self._fixes]),
+            [fix.position_m for fix in self._fixes],
+            [fix.covariance_m2 for fix in self._fixes],
+        )
+        velocity = VectorPrior(3, np.zeros(3), np.full(3, speed), 6)
+        found = solve([fixes, velocity], state, add, ITERATION)
+        # three measurements a fix and three of the velocity's size, six unknowns
+        if found.cost > chi2.isf(GATE_PROBABILITY, found.degrees_of_freedom):
+            raise _NO_ORBIT.error()
+        self._fitted = found.state, found.covariance
+        return self._fitted
 
     def _first_velocity(self, speed: float) -> FloatArray:
         """A guess from the last two fixes that lie far enough apart to tell, else none."""
@@ -192,11 +175,11 @@ class OrbitArc:
                 # the chord's velocity is that of its middle; the pull since then turns it
                 away = last.position_m
                 pull = -(self._model.circular_speed(away) ** 2) * away / float(away @ away)
-                return np.asarray(chord + pull * gap / 2.0)
+                return chord + pull * gap / 2.0
         return np.zeros(3)
 
 
-def _with(fixes: list[Fix], fix: Fix) -> list[Fix]:
+def _with(fixes: list[TimedPosition], fix: TimedPosition) -> list[TimedPosition]:
     """Fixes and a new one; of two at one time the more certain stays."""
     if fixes and fix.tdb_s <= fixes[-1].tdb_s:
         both = sorted((fixes[-1], fix), key=lambda f: float(np.trace(f.covariance_m2)))

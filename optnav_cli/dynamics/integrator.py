@@ -85,4 +85,5 @@ class OrbitMotion:
             raise NoSolutionError(
                 f"the orbit cannot be followed for {since[-1]:.0f} s", ReasonCode.NO_SOLUTION
             )
-        return np.asarray(found.y)
+        states: FloatArray = found.y
+        return states

@@ -10,7 +10,7 @@ from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
 from optnav_cli.frames.frames import Frame, read_frames, write_frames
-from optnav_cli.frames.run_settings import RunSettings, read_run_settings, run_settings_toml
+from optnav_cli.frames.run_settings import RunSettings, read_run_settings, write_run_settings
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def write_folder(
     """
     path = Path(path)
     (path / "cameras").mkdir(parents=True, exist_ok=True)
-    (path / "run.toml").write_text(run_settings_toml(settings), encoding="utf-8")
+    write_run_settings(settings, path)
     for camera in cameras:
         text = camera_toml(camera)
         (path / "cameras" / f"{camera.name}.toml").write_text(text, encoding="utf-8")

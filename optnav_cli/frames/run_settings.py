@@ -1,5 +1,6 @@
 """run.toml of a picture folder: which body, and which rotation its quaternions mean."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -7,7 +8,7 @@ from typing import Literal
 import msgspec
 from scipy.spatial.transform import Rotation
 
-from catalog.bodies.body import Body, load_body
+from catalog.bodies.body import Body, is_body_file, load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml
@@ -23,25 +24,37 @@ class SpiceSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """run.toml as it is written."""
+    """run.toml. body: a name of configs/bodies, or the path of a body file, from its folder."""
 
     body: str
     attitude: Attitude
 
 
 def read_run_settings(path: str | Path) -> RunSettings:
-    """Settings of a run.toml. Raises ConfigError for a wrong file or an unknown body."""
-    settings = load_toml(Path(path), RunSettings)
+    """Settings of a run.toml; the path of a body file comes out whole.
+
+    Raises ConfigError for a wrong file or an unknown body.
+    """
+    path = Path(path)
+    settings = load_toml(path, RunSettings)
     try:
-        load_body(settings.body)
+        load_body(settings.body, path.parent)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+    if is_body_file(settings.body):
+        settings = msgspec.structs.replace(settings, body=str(path.parent / settings.body))
     return settings
 
 
-def run_settings_toml(settings: RunSettings) -> str:
-    """The text of a run.toml."""
-    return f'body = "{settings.body}"\nattitude = "{settings.attitude}"\n'
+def write_run_settings(settings: RunSettings, folder: Path) -> None:
+    """Write run.toml into a folder, and beside it a copy of the body file that it names."""
+    body = settings.body
+    if is_body_file(body):
+        body = Path(body).name
+        if not (folder / body).exists():
+            shutil.copyfile(settings.body, folder / body)
+    text = f'body = "{body}"\nattitude = "{settings.attitude}"\n'
+    (folder / "run.toml").write_text(text, encoding="utf-8")
 
 
 def camera_from_body(

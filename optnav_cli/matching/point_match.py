@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.masked import match_masked, thinned, thinning
-from catalog.correlation.ncc import cropped, match_ncc
+from catalog.correlation.ncc import cropped, match_masked, match_ncc, thinned, thinning
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
 from catalog.correlation.similarity import Matcher, match_similarity
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import NO_DISTORTION, SearchPlan

@@ -10,8 +10,7 @@ from catalog.control_point import ControlPoint, Patch
 from catalog.geometry.ellipsoid import height_above
 from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import kernel
-from catalog.geometry.projection import node_grid
-from catalog.geometry.tangent_plane import MapProjection, TangentPlane
+from catalog.geometry.projection import MapProjection, TangentPlane, node_grid
 from catalog.rendering.map_view import render_map
 
 

@@ -36,12 +36,12 @@ from optnav_cli.fix import (
 )
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation import outline
 from optnav_cli.navigation.control_points import method as control_points
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.history import History
 from optnav_cli.navigation.neighbour import other_body
 from optnav_cli.navigation.observation import FROM_FILE, Observation, observation_of
+from optnav_cli.navigation.outline import method as outline
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
@@ -171,7 +171,7 @@ class Navigator:
         sigma = observation.attitude_sigma_rad
         if sigma is None:
             sigma = float(np.radians(self._inputs.settings.solve.free_attitude_deg))
-        body = outline.navigate(
+        return outline.navigate(
             observation.picture,
             observation.camera,
             observation.camera_from_body,
@@ -180,21 +180,6 @@ class Navigator:
             self._inputs.motion.body,
             self._inputs.relief,
             other_body(self._inputs.motion, observation.tdb_s),
-        )
-        evidence = Evidence(
-            residual_rms_px=body.residual_rms_px,
-            n_limb=body.n_used,
-            arc_deg=body.arc_deg,
-            outline=body.marks,
-        )
-        return Fix(
-            Method(body.method),
-            body.position_m,
-            body.covariance_m2,
-            observation.camera_from_body,
-            sigma,
-            evidence,
-            body.remark,
         )
 
     def _by_points(self, observation: Observation, prior: PositionPrior) -> Solution:

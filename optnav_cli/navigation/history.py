@@ -3,14 +3,11 @@
 Fixes are kept in inertial axes, where orbits are simple; what goes in and out is body-fixed.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.vectors import squared_distance
-from optnav_cli.dynamics.arc import GATE, OrbitArc, Prediction
-from optnav_cli.dynamics.arc import Fix as ArcFix
+from optnav_cli.dynamics.arc import GATE, ArcDisagreement, OrbitArc, TimedPosition
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
 from optnav_cli.fix import Fix, PositionPrior
@@ -21,17 +18,6 @@ MAX_ESCAPES = 2.0
 # Far from the body a craft comes with a speed of its own, m/s.
 MAX_FAR_M_S = 3000.0
 GATE_SIGMAS = 5.0
-
-
-@dataclass(frozen=True)
-class ArcDisagreement:
-    """How far a fix lies from the arc's prediction, in words.
-
-    new_arc  whether the fix begins a new arc; otherwise it is left out until the next one agrees
-    """
-
-    words: str
-    new_arc: bool
 
 
 class History:
@@ -50,14 +36,14 @@ class History:
 
     def predict(self, tdb_s: float) -> PositionPrior | None:
         """Where the orbit arc leads; None where it says nothing of use."""
-        arc = self._arc.predict(tdb_s)
-        if arc is None:
+        found = self._arc.predict(tdb_s)
+        if found is None:
             return None
         body_from_inertial = self._motion.body_from_inertial(tdb_s)
         return PositionPrior(
-            body_from_inertial @ arc.position_m,
-            body_from_inertial @ arc.covariance_m2 @ body_from_inertial.T,
-            _arc_label(arc),
+            body_from_inertial @ found.position_m,
+            body_from_inertial @ found.covariance_m2 @ body_from_inertial.T,
+            found.source,
         )
 
     def add_fix(self, tdb_s: float, fix: Fix, *, confirmed: bool) -> ArcDisagreement | None:
@@ -66,22 +52,12 @@ class History:
         confirmed  two methods agree on the fix, so that it is the arc that no longer holds
         """
         inertial_from_body = self._motion.body_from_inertial(tdb_s).T
-        inertial = ArcFix(
+        inertial = TimedPosition(
             tdb_s,
             inertial_from_body @ fix.position_m,
             inertial_from_body @ fix.covariance_m2 @ inertial_from_body.T,
         )
-        contradiction = self._arc.add(inertial, sure=confirmed)
-        if contradiction is None:
-            return None
-        predicted = contradiction.predicted
-        away = float(np.linalg.norm(inertial.position_m - predicted.position_m))
-        sigmas = float(np.sqrt(predicted.distance_squared(inertial)))
-        words = (
-            f"{away / 1e3:.1f} km ({sigmas:.0f} sigmas) from where the {_arc_label(predicted)} "
-            "leads"
-        )
-        return ArcDisagreement(words, contradiction.ended)
+        return self._arc.add(inertial, confirmed=confirmed)
 
     def exceeds_max_speed(self, tdb_s: float, fix: Fix) -> str:
         """Why no craft can have come to a fix since the last one, in words; empty when one can.
@@ -121,8 +97,3 @@ class History:
         if known is not None and np.trace(known.covariance_m2) <= np.trace(fix.covariance_m2):
             return
         self._last = tdb_s, PositionPrior(fix.position_m, fix.covariance_m2, source)
-
-
-def _arc_label(prediction: Prediction) -> str:
-    count = prediction.fixes
-    return f"arc of {count} fixes" if count > 1 else "arc of one fix"

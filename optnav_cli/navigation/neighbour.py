@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import Ephemeris, Neighbour
+from catalog.geometry.vectors import angle_between
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.segmentation import Blobs
 
@@ -103,7 +104,7 @@ def must_be_seen(view: View, disc: Disc, before: Disc) -> bool:
     """Whether a disc lies whole in the picture, large, lit and clear of another one before it."""
     if disc.phase > MAX_PHASE:
         return False
-    apart = _angle(disc.towards, before.towards)
+    apart = angle_between(disc.towards, before.towards)
     if apart < before.angle + disc.angle + SIGMAS * disc.sigma:
         return False
     per_px = _rad_per_px(view.camera, disc.towards)
@@ -135,7 +136,7 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
 def is_seen(disc: Disc, spot: Spot) -> bool:
     """Whether a lit spot is the disc: in its place and of its size."""
     blur = BLUR_PX * spot.rad_per_px
-    if _angle(disc.towards, spot.towards) > disc.angle + SIGMAS * disc.sigma + blur:
+    if angle_between(disc.towards, spot.towards) > disc.angle + SIGMAS * disc.sigma + blur:
         return False
     return EXTENTS[0] * disc.angle - blur < spot.extent < EXTENTS[1] * disc.angle + blur
 
@@ -143,12 +144,12 @@ def is_seen(disc: Disc, spot: Spot) -> bool:
 def is_lit(disc: Disc, spots: list[Spot]) -> bool:
     """Whether any light comes from where a disc is predicted."""
     reach = disc.angle + SIGMAS * disc.sigma
-    return any(_angle(disc.towards, spot.towards) < reach + spot.extent for spot in spots)
+    return any(angle_between(disc.towards, spot.towards) < reach + spot.extent for spot in spots)
 
 
 def is_within(spot: Spot, disc: Disc) -> bool:
     """Whether a lit spot's middle lies on a disc."""
-    return _angle(disc.towards, spot.towards) < disc.angle
+    return bool(angle_between(disc.towards, spot.towards) < disc.angle)
 
 
 def is_more_likely_neighbour(
@@ -180,10 +181,6 @@ def _inside(camera: Camera, towards: FloatArray, margin_px: float) -> bool:
     circle = camera.image_circle_radius_px
     off = float(np.linalg.norm(pixel[0] - np.array(camera.principal_point_px)))
     return circle is None or off < circle - margin_px
-
-
-def _angle(one: FloatArray, other: FloatArray) -> float:
-    return float(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other))
 
 
 def _rad_per_px(camera: Camera, towards: FloatArray) -> float:

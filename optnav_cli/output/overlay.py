@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import ByteArray, FloatArray
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks, Solution
 from optnav_cli.output.canvas import (

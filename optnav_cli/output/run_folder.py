@@ -4,13 +4,18 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from catalog.bodies.body import load_body
+from catalog.bodies.body import is_body_file, load_body
 from catalog.errors import ConfigError, DataError
 from catalog.tables import Table
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.fix import MatchRow, Solution
-from optnav_cli.frames.run_settings import FileAttitude, RunSettings, read_run_settings
+from optnav_cli.frames.run_settings import (
+    FileAttitude,
+    RunSettings,
+    read_run_settings,
+    write_run_settings,
+)
 from optnav_cli.frames.tables import CAMERA, FILE
 from optnav_cli.output.tables import read_matches, read_solutions
 
@@ -35,6 +40,9 @@ def copy_inputs(pictures: Path, run: Path) -> None:
     """Copy run.toml, frames.csv and cameras/ into a run, so that it can be read without them."""
     for name in (RUN_TOML, FRAMES):
         shutil.copyfile(pictures / name, run / name)
+    settings = read_run_settings(pictures / RUN_TOML)
+    if is_body_file(settings.body):  # its file comes along
+        write_run_settings(settings, run)
     shutil.copytree(pictures / CAMERAS, run / CAMERAS, copy_function=shutil.copyfile)
 
 

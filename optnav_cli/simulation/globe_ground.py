@@ -63,6 +63,17 @@ class View:
     posting_m: float
 
 
+@dataclass(frozen=True)
+class Lattice:
+    """Nodes of a grid of latitudes and longitudes in a turned frame: first row and column, rad."""
+
+    north: float
+    west: float
+    step: float
+    rows: int
+    cols: int
+
+
 class GlobeTerrain:
     """Windows of one ground.
 
@@ -89,26 +100,25 @@ class GlobeTerrain:
         """
         key: tuple[object, ...] = (view, None if view.box else sun_body.tobytes())
         centre = np.array(view.centre)
-        turned = level_frame(centre) if view.box else facing_frame(centre, sun_body)
-        return self._kept.get(
-            key, lambda: (turned, self._window(view, turned), self._coarse(turned))
-        )
+        frame = level_frame(centre) if view.box else facing_frame(centre, sun_body)
+        return self._kept.get(key, lambda: (frame, self._window(view, frame), self._coarse(frame)))
 
-    def _window(self, view: View, turned: FloatArray) -> Ground:
+    def _window(self, view: View, grid_from_body: FloatArray) -> Ground:
         step = view.posting_m / self._heights.radius_m
         if view.box is None:
             # all round with two columns more, up to half a step from the pole
             step = np.pi / round(np.pi / step)
-            north, west = 0.5 * np.pi - 0.5 * step, -np.pi
             rows, cols = round((0.5 * np.pi + np.radians(12.0)) / step), round(2.0 * np.pi / step)
-            cols += 2
+            grid = Lattice(0.5 * np.pi - 0.5 * step, -np.pi, step, rows, cols + 2)
         else:
             west, south, east, north = view.box
             rows, cols = int((north - south) / step) + 1, int((east - west) / step) + 1
-        heights = self._ground(turned, north, west, step, rows, cols, view.posting_m)
+            grid = Lattice(north, west, step, rows, cols)
+        heights = self._ground(grid_from_body, grid, view.posting_m)
         if view.box is None:
-            heights += self._raise(view.posting_m, north - step * np.arange(rows))[:, None]
-        return make_ground(heights, north, west, step, step, self._heights.radius_m)
+            lat = grid.north - step * np.arange(rows)
+            heights += self._raise(view.posting_m, lat)[:, None]
+        return make_ground(heights, grid.north, grid.west, step, step, self._heights.radius_m)
 
     def _raise(self, posting_m: float, lat: FloatArray) -> Float32Array:
         """What to add at latitudes (n,), m, for what the limb of coarse means has lost."""
@@ -117,7 +127,8 @@ class GlobeTerrain:
             self._lost[posting_m] = float(np.mean(finest - wanted))
         share = np.clip((RAISED_FROM - lat) / (RAISED_FROM - RAISED_TO), 0.0, 1.0)
         smooth = share * share * (3.0 - 2.0 * share)
-        return np.asarray(self._lost[posting_m] * smooth, dtype=np.float32)
+        raised: Float32Array = (self._lost[posting_m] * smooth).astype(np.float32)
+        return raised
 
     def _mean_skyline(self, posting_m: float) -> FloatArray:
         """Mean height (SAMPLES,), m, of skylines of the ground at a posting, seen from far away."""
@@ -125,42 +136,39 @@ class GlobeTerrain:
         found = []
         step = posting_m / self._heights.radius_m
         rows, cols = int(2.0 * SAMPLE_REACH / step) + 1, int(SAMPLE_WIDTH / step) + 1
+        grid = Lattice(SAMPLE_REACH, 0.0, step, rows, cols)
         lat = SAMPLE_REACH - step * np.arange(rows)
         for _ in range(SAMPLES):
-            turned = facing_frame(*(v / np.linalg.norm(v) for v in rng.normal(size=(2, 3))))
-            heights = self._ground(turned, SAMPLE_REACH, 0.0, step, rows, cols, posting_m)
+            frame = facing_frame(*(v / np.linalg.norm(v) for v in rng.normal(size=(2, 3))))
+            heights = self._ground(frame, grid, posting_m)
             across = (self._heights.radius_m + heights) * np.cos(lat)[:, None]
             found.append(float(across.max(axis=0).mean()) - self._heights.radius_m)
         return np.array(found)
 
-    def _coarse(self, turned: FloatArray) -> Ground:
+    def _coarse(self, grid_from_body: FloatArray) -> Ground:
         step = np.pi / COARSE_ROWS
-        north = 0.5 * np.pi - 0.5 * step
-        size = COARSE_ROWS, 2 * COARSE_ROWS
-        posting = step * self._heights.radius_m
-        heights = self._sample(turned, north, 0.5 * step, step, *size, posting)
+        north, west = 0.5 * np.pi - 0.5 * step, 0.5 * step
+        grid = Lattice(north, west, step, COARSE_ROWS, 2 * COARSE_ROWS)
+        heights = self._sample(grid_from_body, grid, step * self._heights.radius_m)
         return whole_sphere(heights, self._heights.radius_m, np.pi)
 
-    def _ground(
-        self, turned: FloatArray, north: float, west: float, step: float, rows: int, cols: int,
-        posting_m: float,
-    ) -> Float32Array:  # fmt: skip
-        heights = self._sample(turned, north, west, step, rows, cols, posting_m)
+    def _ground(self, grid_from_body: FloatArray, grid: Lattice, posting_m: float) -> Float32Array:
+        heights = self._sample(grid_from_body, grid, posting_m)
         if self._detail is not None:
-            heights += self._detail.turned_window(turned.T, north, west, step, rows, cols)
+            heights += self._detail.turned_window(
+                grid_from_body.T, grid.north, grid.west, grid.step, grid.rows, grid.cols
+            )
         return heights
 
-    def _sample(
-        self, turned: FloatArray, north: float, west: float, step: float, rows: int, cols: int,
-        posting_m: float,
-    ) -> Float32Array:  # fmt: skip
+    def _sample(self, grid_from_body: FloatArray, grid: Lattice, posting_m: float) -> Float32Array:
         level = self._heights.level_for(posting_m)
-        lon = west + step * np.arange(cols, dtype=np.float64)
-        out = np.empty((rows, cols), np.float32)
-        for top in range(0, rows, CHUNK):
-            lat = north - step * np.arange(top, min(top + CHUNK, rows), dtype=np.float64)
-            places = np.empty((2, lat.size, cols))
-            _body_latlon(turned, lat, lon, places[0], places[1])
+        lon = grid.west + grid.step * np.arange(grid.cols, dtype=np.float64)
+        out = np.empty((grid.rows, grid.cols), np.float32)
+        for top in range(0, grid.rows, CHUNK):
+            rows = np.arange(top, min(top + CHUNK, grid.rows), dtype=np.float64)
+            lat = grid.north - grid.step * rows
+            places = np.empty((2, lat.size, grid.cols))
+            _body_latlon(grid_from_body, lat, lon, places[0], places[1])
             out[top : top + CHUNK] = self._heights.sample(level, places[0], places[1])
         return out
 
@@ -275,7 +283,11 @@ def facing_frame(centre: FloatArray, sun_body: FloatArray) -> FloatArray:
 
 @parallel_kernel
 def _body_latlon(
-    turned: FloatArray, lat: FloatArray, lon: FloatArray, out_lat: FloatArray, out_lon: FloatArray
+    grid_from_body: FloatArray,
+    lat: FloatArray,
+    lon: FloatArray,
+    out_lat: FloatArray,
+    out_lon: FloatArray,
 ) -> None:
     """Latitudes and longitudes on the body of a grid in a turned frame, (rows, cols) each."""
     cos_lon, sin_lon = np.cos(lon), np.sin(lon)
@@ -283,9 +295,9 @@ def _body_latlon(
         c, z = np.cos(lat[i]), np.sin(lat[i])
         for j in range(lon.size):
             x, y = c * cos_lon[j], c * sin_lon[j]
-            p = turned[0, 0] * x + turned[1, 0] * y + turned[2, 0] * z
-            q = turned[0, 1] * x + turned[1, 1] * y + turned[2, 1] * z
-            r = turned[0, 2] * x + turned[1, 2] * y + turned[2, 2] * z
+            p = grid_from_body[0, 0] * x + grid_from_body[1, 0] * y + grid_from_body[2, 0] * z
+            q = grid_from_body[0, 1] * x + grid_from_body[1, 1] * y + grid_from_body[2, 1] * z
+            r = grid_from_body[0, 2] * x + grid_from_body[1, 2] * y + grid_from_body[2, 2] * z
             out_lat[i, j] = np.arctan2(r, np.sqrt(p * p + q * q))
             out_lon[i, j] = np.arctan2(q, p)
 
@@ -322,7 +334,8 @@ def _seen(
     end[ends] = -along[ends] - np.sqrt(below[ends])
     points = [position + s[:, None] * rays for s in (start, 0.5 * (start + end), end)]
     found = np.concatenate(points)
-    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+    directions: FloatArray = found / np.linalg.norm(found, axis=1)[:, None]
+    return directions
 
 
 def _box(seen: FloatArray) -> tuple[float, float, float, float] | None:

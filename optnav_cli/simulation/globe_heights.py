@@ -16,6 +16,7 @@ from scipy.ndimage import spline_filter
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
+from catalog.cache import Cache
 from catalog.errors import ConfigError
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
@@ -31,7 +32,8 @@ ALL_ROUND = 2.0 * np.pi
 
 def spline_coefficients(heights: Float32Array) -> FloatArray:
     """Spline coefficients (rows, cols) of a grid without holes."""
-    return np.asarray(spline_filter(heights.astype(np.float64), order=3, mode="mirror"))
+    spline: FloatArray = spline_filter(heights.astype(np.float64), order=3, mode="mirror")
+    return spline
 
 
 @kernel
@@ -88,7 +90,7 @@ def read_globe(settings: DemSettings, body: Body) -> Float32Array:
     col, _ = source.pixel_from_latlon(np.array([0.0]), np.array([0.0]))
     heights = np.roll(heights, -round(float(col[0]) + 0.5), axis=1)
     filled = np.where(np.isfinite(heights), heights, np.nanmean(heights))
-    return np.asarray(filled, dtype=np.float32)
+    return filled.astype(np.float32)
 
 
 class GlobeHeights:
@@ -199,7 +201,7 @@ class WideGround:
             self._seen = seen_from(cameras_m, lowest, highest)
         self._bare: Ground | None = None
         self._fine: Ground | None = None
-        self._kept: tuple[int | None, Ground] | None = None
+        self._rough: Cache[int | None, Ground] = Cache(1)
 
     def of(self, seed: int | None) -> Ground:
         """The ground of a seed; the last one is kept."""
@@ -207,12 +209,9 @@ class WideGround:
             if self._bare is None:
                 self._bare = whole_sphere(self._heights, self._radius_m, self._seam)
             return self._bare
-        if self._kept is None or self._kept[0] != seed:
-            self._kept = None  # let go of the old one before the new one is made
-            self._kept = seed, self._rough(self._details[seed])
-        return self._kept[1]
+        return self._rough.get(seed, lambda: self._roughened(self._details[seed]))
 
-    def _rough(self, detail: SyntheticRelief) -> Ground:
+    def _roughened(self, detail: SyntheticRelief) -> Ground:
         fine = self._finer()
         heights, step = fine.heights.copy(), fine.step_lat
         # the rows beyond the poles, a pole's own neighbours twice, stay smooth

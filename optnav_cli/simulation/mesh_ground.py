@@ -7,6 +7,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
+from catalog.cache import Cache
 from catalog.errors import ConfigError
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.mesh.file import MeshSettings
@@ -43,19 +44,18 @@ class MeshGround:
         self._model_posting_m = model.posting_m
         self._shape = refined(model, halvings)
         self.posting_m = self._shape.posting_m
-        self._kept: tuple[int | None, MeshRays] | None = None
+        self._meshes: Cache[int | None, MeshRays] = Cache(1)
         self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
 
     def mesh(self, seed: int | None) -> MeshRays:
-        """The mesh of a seed, with its relief; without any for None."""
-        if self._kept is None or self._kept[0] != seed:
-            self._kept = None  # let go of the old one before the new one is made
-            shape = self._shape
-            if seed is not None:
-                posting = self._model_posting_m
-                shape = roughened(shape, relief_below(self._detail, seed, posting, self._radius_m))
-            self._kept = seed, MeshRays(shape.vertices[shape.faces])
-        return self._kept[1]
+        """The mesh of a seed, with its relief; without any for None. The last one is kept."""
+        return self._meshes.get(seed, lambda: self._made(seed))
+
+    def _made(self, seed: int | None) -> MeshRays:
+        shape, posting = self._shape, self._model_posting_m
+        if seed is not None:
+            shape = roughened(shape, relief_below(self._detail, seed, posting, self._radius_m))
+        return MeshRays(shape.vertices[shape.faces])
 
     def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width) of a picture, sky 0."""

@@ -118,4 +118,5 @@ def _square_to(up: FloatArray, wanted: FloatArray) -> FloatArray:
     level = wanted - (wanted @ up) * up
     if np.linalg.norm(level) < 1e-6:
         level = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    return np.asarray(level / np.linalg.norm(level))
+    level /= np.linalg.norm(level)
+    return level

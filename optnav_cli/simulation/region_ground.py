@@ -256,21 +256,20 @@ class RegionGround:
         self._plans: dict[int, tuple[int, Box]] = {}
         for number, camera in enumerate(cameras):
             self._plan(camera, [exposure for exposure in flight if exposure.camera == number])
-        self._scenes: dict[int, tuple[tuple[object, ...], Scene]] = {}
+        self._scenes: Cache[object, Scene] = Cache(len(cameras))
 
     def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width), sky 0, of one of the flight."""
-        seed, number = exposure.ground_seed, exposure.camera
-        factor, box = self._plans[exposure.index]
-        key = (seed, factor, box, exposure.sun_body.tobytes())
-        if number not in self._scenes or self._scenes[number][0] != key:
-            self._scenes.pop(number, None)  # let go of the old one before the new one is made
+        seed, (factor, box) = exposure.ground_seed, self._plans[exposure.index]
+
+        def scene() -> Scene:
             fine = self._terrain.window(seed, factor, box)
             between = None if box == WHOLE else self._terrain.window(seed, 1, WHOLE)
-            scene = Scene(fine, self._terrain.wide(seed), exposure.sun_body, between)
-            self._scenes[number] = key, scene
+            return Scene(fine, self._terrain.wide(seed), exposure.sun_body, between)
+
+        key = (exposure.camera, seed, factor, box, exposure.sun_body.tobytes())
         rays = self._corners(camera) @ exposure.camera_from_body.as_matrix()
-        return self._scenes[number][1].picture(exposure.position_m, rays)
+        return self._scenes.get(key, scene).picture(exposure.position_m, rays)
 
     def _plan(self, camera: Camera, flight: Sequence[Exposure]) -> None:
         """Fineness and box of the ground for each picture of a camera, by its index."""
@@ -318,10 +317,8 @@ class RegionGround:
         relief = max(abs(body.plausible_heights_m[0]), body.plausible_heights_m[1])
         margin = (relief * slant + 500.0) / radius
         wider = margin / np.cos(min(np.abs(lat).max() + margin, 1.5))
-        return (
-            float(lon.min() - wider), float(lat.min() - margin),
-            float(lon.max() + wider), float(lat.max() + margin),
-        ), gsd  # fmt: skip
+        west, east = float(lon.min() - wider), float(lon.max() + wider)
+        return (west, float(lat.min() - margin), east, float(lat.max() + margin)), gsd
 
 
 def _around(a: Box, b: Box) -> Box:

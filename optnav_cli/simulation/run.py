@@ -69,7 +69,7 @@ def simulate(
             stage.advance()
     inertial = scenario.attitude.relative_to == "inertial"
     attitude: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
-    settings = RunSettings(body=body.name, attitude=attitude)
+    settings = RunSettings(body=scenario.body, attitude=attitude)
     frames = [_frame(e, scenario, cameras[e.camera].name) for e in flight]
     calibrated = [_calibrated(camera, scenario) for camera in cameras]
     write_folder(folder, settings, calibrated, frames, motion)

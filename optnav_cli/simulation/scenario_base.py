@@ -49,6 +49,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """What every scenario file says, as it is written.
 
     beside  further cameras of the same ship; all take their pictures at the same times
+    body    a name of configs/bodies, or the path of a body file, from the scenario's folder
     """
 
     camera: CameraSettings

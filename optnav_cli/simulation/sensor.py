@@ -35,9 +35,11 @@ class Besides:
 
 
 def expose(
-    radiance: Float32Array, settings: SensorSettings, rng: np.random.Generator,
+    radiance: Float32Array,
+    settings: SensorSettings,
+    rng: np.random.Generator,
     besides: Besides | None = None,
-) -> Counts:  # fmt: skip
+) -> Counts:
     """A picture in counts from mean radiance over the pixels (rows, cols), any unit.
 
     The exposure brings the bright parts of the body to the set share of full scale. The number of

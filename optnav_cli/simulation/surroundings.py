@@ -66,7 +66,8 @@ def glare_veil(
     angle = np.degrees(np.arccos(np.clip(rays_camera @ sun, -1.0, 1.0)))
     nearest = float(np.nanmin(angle))
     veil = settings.strength * np.exp(-(angle - nearest) / settings.falloff_deg)
-    return np.asarray(np.nan_to_num(veil), dtype=np.float32)
+    light: Float32Array = np.nan_to_num(veil).astype(np.float32)
+    return light
 
 
 STAR_SIGMAS = 5.0  # the peak of a star of the stated magnitude, over the dark noise
@@ -181,7 +182,8 @@ def add_earth(
 def _behind(position_m: FloatArray, directions: FloatArray, radius_m: float) -> BoolArray:
     """Whether unit rays (..., 3), body frame, from a place (3,) meet the body's sphere."""
     along = directions @ position_m
-    return np.asarray((along < 0.0) & (position_m @ position_m - along**2 < radius_m**2))
+    hidden: BoolArray = (along < 0.0) & (position_m @ position_m - along**2 < radius_m**2)
+    return hidden
 
 
 def _rim(axis: FloatArray, half_angle: float) -> FloatArray:

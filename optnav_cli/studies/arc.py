@@ -18,7 +18,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
-from optnav_cli.estimation.limb_fit import fit_limb, linear_position
+from optnav_cli.estimation.models.limb import fit_limb, linear_position
 from optnav_cli.report.sheet import Entry, Panel, sheet
 from optnav_cli.report.svg import Plot
 from optnav_cli.studies.tables import Column, StudyReport, Table
@@ -88,7 +88,7 @@ def one_arc(
                 if name == "linear":
                     found[name].append(linear_position(rays, radii))
                 else:
-                    found[name].append(fit_limb(rays, DELTA_RAD, radii).position_m)
+                    found[name].append(fit_limb(rays, DELTA_RAD, radii).state)
             except NoSolutionError:
                 continue
     return [

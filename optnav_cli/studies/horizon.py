@@ -23,12 +23,14 @@ from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.relief.sums import load_relief
+from optnav_cli.fix import Fix
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.navigation import horizon
+from optnav_cli.navigation.horizon import method as horizon
 from optnav_cli.navigation.neighbour import View, other_body
-from optnav_cli.navigation.outline import detect_limb, mask_neighbour
+from optnav_cli.navigation.outline.method import mask_neighbour
+from optnav_cli.navigation.outline.one_body import detect_limb
 from optnav_cli.studies.flights import (
     FIGURES,
     GLOBE,
@@ -210,7 +212,7 @@ def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]
 
 
 def _compared(
-    file: str, terrain: bool, star_sensor: bool, fix: horizon.HorizonFix, truth: FloatArray,
+    file: str, terrain: bool, star_sensor: bool, fix: Fix, truth: FloatArray,
     body: Body, seconds: float,
 ) -> LimbFix:  # fmt: skip
     """A fix against the true position (3,)."""
@@ -227,7 +229,7 @@ def _compared(
         range_share=height / distance,
         direction_arcsec=over / ARCSEC,
         nees=float(error @ np.linalg.solve(fix.covariance_m2, error)) / 3.0,
-        arc_deg=fix.arc_deg,
+        arc_deg=fix.evidence.arc_deg or 0.0,
         seconds=seconds,
     )  # fmt: skip
 

@@ -20,7 +20,8 @@ from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.progress import Progress
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose, Sightings, predict, resect
+from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.estimation.resection import resect
 from optnav_cli.report.sheet import Entry, Panel, sheet
 from optnav_cli.report.svg import Plot
 from optnav_cli.studies.tables import Column, StudyReport, Table
@@ -84,9 +85,9 @@ def one_geometry(
             solution = resect(camera, seen, truth, None if free_attitude else 0.0)
         except NoSolutionError:
             continue
-        error = solution.pose.position_m - truth.position_m
+        error = solution.state.position_m - truth.position_m
         errors.append(error)
-        normalised.append(error @ np.linalg.solve(solution.position_covariance_m2, error) / 3.0)
+        normalised.append(error @ np.linalg.solve(solution.covariance[:3, :3], error) / 3.0)
     found = np.array(errors) / POINT_SIGMA_M
     return ResectionRow(
         count,
@@ -235,6 +236,6 @@ def _ring_and_inside(rng: np.random.Generator, count: int, angle_deg: float) -> 
     origin = np.array([0.0, 0.0, HEIGHT_M]) - centre
     along = directions @ origin
     distance = -along - np.sqrt(along**2 - (origin @ origin - RADIUS_M**2))
-    points = np.array([0.0, 0.0, HEIGHT_M]) + directions * distance[:, None]
+    points: FloatArray = np.array([0.0, 0.0, HEIGHT_M]) + directions * distance[:, None]
     points[:, 2] += rng.normal(0.0, 1000.0, count)
-    return np.asarray(points)
+    return points

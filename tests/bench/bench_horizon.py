@@ -5,9 +5,9 @@ import pytest
 
 from catalog.terrain.relief.sums import load_relief
 from catalog.terrain.skyline.limb import nadir_axes
-from optnav_cli.estimation.limb_fit import fit_limb
+from optnav_cli.estimation.models.limb import fit_limb
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation.outline import navigate
+from optnav_cli.navigation.outline.method import navigate
 from tests.bench.timing import best, one_core, sized, within
 from tests.optnav_cli.conftest import pixel_grid
 from tests.optnav_cli.navigation.horizon.limbs import CAMERA, MOON, attitude, place
@@ -70,11 +70,11 @@ def test_a_whole_frame_over_relief():
 
 def _drawn(relief, position, turned):
     """Counts (2048, 2048) of a body bright up to its skyline, blurred by a pixel's share."""
-    from optnav_cli.navigation.horizon.terrain_limb import limb_ground
+    from optnav_cli.navigation.horizon.relief_skyline import relief_skyline
 
     axes = nadir_axes(position)
     table = np.linspace(-np.pi, np.pi, 4001)
-    line = limb_ground(relief).limb.skyline(position, axes, table)
+    line = relief_skyline(relief, "moon").limb.skyline(position, axes, table)
     rays = turned.inv().apply(CAMERA.unproject(pixel_grid(CAMERA)).reshape(-1, 3)) @ axes.T
     off_nadir = np.arccos(np.clip(-rays[:, 2], -1.0, 1.0))
     edge = np.interp(np.arctan2(rays[:, 1], rays[:, 0]), table, line.off_nadir)

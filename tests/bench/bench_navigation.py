@@ -10,7 +10,7 @@ import pytest
 from catalog.build import build
 from catalog.config import resource
 from catalog.store.reader import Catalog
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import Solution
 from optnav_cli.frames.apollo import write_apollo_folder
 from optnav_cli.frames.folder import Folder, read_folder

@@ -123,7 +123,8 @@ class Feather:
             at = np.mod(at, width)
         inside = there[:, None] & (at >= 0) & (at < width)
         found = self.whole[np.clip(over, 0, height - 1)[:, None], np.clip(at, 0, width - 1)]
-        return np.asarray(found & inside)
+        whole: BoolArray = found & inside
+        return whole
 
 
 @kernel

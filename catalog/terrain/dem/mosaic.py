@@ -1,4 +1,4 @@
-"""Several terrain models as one surface: the first by priority that knows a place gives its height.
+"""Several terrain models as one surface: the first by priority that has a place gives its height.
 
 A source may fade into those below it toward its edge and its holes (catalog.terrain.dem.feather).
 
@@ -16,15 +16,16 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
 from catalog.bodies.body import Body
+from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.projection import Stereographic
-from catalog.geometry.tangent_plane import MapProjection
+from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.terrain.dem.feather import Feather
-from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.georeference import CYLINDRICAL, Georeference
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.pyramid.level_window import LevelWindows, tile_cache
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.sampling.footprint import sample_level
+from catalog.terrain.sampling.graticule_heights import heights_by_blocks, heights_by_weights
 from catalog.terrain.sampling.map_nodes import Pixels, pixels_of_grid, pixels_of_points
 
 
@@ -43,6 +44,9 @@ class Sampled(NamedTuple):
 
 class Mosaic:
     """Pyramids in order of priority, sampled as one. Not safe across threads; pickles by path."""
+
+    has_graticules = True
+    in_planes = False
 
     def __init__(self, pyramids: Sequence[HeightPyramid]) -> None:
         if not pyramids:
@@ -94,7 +98,7 @@ class Mosaic:
     def names(self) -> tuple[str, ...]:
         """File names in order of priority, as `source_index` counts them.
 
-        Of two with one name the second tells its priority.
+        Of two with one name the second has its priority added.
         """
         names: list[str] = []
         for source in (pyramid.source for pyramid in self.pyramids):
@@ -104,7 +108,7 @@ class Mosaic:
 
     @property
     def extent(self) -> str:
-        """Which ground it covers: west, south, east, north of each source."""
+        """The ground that it covers: west, south, east, north of each source."""
         sources = [pyramid.source for pyramid in self.pyramids]
         return "; ".join(
             f"{s.path.name} covers {','.join(f'{v:.6g}' for v in np.degrees(s.latlon_bounds()))}"
@@ -141,7 +145,7 @@ class Mosaic:
         """Heights (float32, m above the reference sphere, NaN for none) of points (rad).
 
         lat, lon   (...)  planetocentric latitude, east longitude of any turn
-        posting_m  the spacing these points stand for: what is finer is averaged
+        posting_m  the spacing of the points: what is finer is averaged
         """
         sampled, shape = self._at(lat, lon, posting_m)
         return sampled.heights.reshape(shape)
@@ -161,6 +165,25 @@ class Mosaic:
     def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
         """Heights (size, size) of a centred map grid; row 0 north, column 0 west."""
         return self._sample_grid(projection, posting_m, size).heights.reshape(size, size)
+
+    def graticule_heights(
+        self, graticule: Graticule, part: Part, posting_m: float, latitudes: tuple[float, float]
+    ) -> Float32Array:
+        """Heights (height, width) m of a part of a graticule, see `Terrain.graticule_heights`.
+
+        Where one cylindrical source serves the zone, a node whose footprint touches a hole has no
+        height.
+        """
+        meeting = [i for i, p in enumerate(self.pyramids) if _meets(p, latitudes)]
+        if not meeting:
+            return np.full((part.height, part.width), np.nan, dtype=np.float32)
+        pyramid = self.pyramids[meeting[0]]
+        if len(meeting) > 1 or pyramid.source.place.kind != CYLINDRICAL:
+            return heights_by_blocks(self.heights, graticule, part, posting_m)
+        level = pyramid.level_for(posting_m)
+        rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
+        windows = self.level_windows(meeting[0], level)
+        return heights_by_weights(windows, pyramid, graticule, part, rows_wide)
 
     def provenance(self, projection: MapProjection, posting_m: float, size: int) -> str:
         """Names of the sources that a centred map grid is read from, joined by " + ".
@@ -195,7 +218,7 @@ class Mosaic:
         return self._sample(lambda p: pixels_of_points(p, *flat), lat.size, posting_m), lat.shape
 
     def close(self) -> None:
-        """Let go of files and cached tiles."""
+        """Close files and drop cached tiles."""
         for pyramid in self.pyramids:
             pyramid.close()
         self._reset()
@@ -245,6 +268,11 @@ class Mosaic:
         if (i, level) not in self._levels:
             self._levels[i, level] = LevelWindows(i, self.pyramids[i], level, self._cache)
         return self._levels[i, level]
+
+
+def _meets(pyramid: HeightPyramid, latitudes: tuple[float, float]) -> bool:
+    _, south, _, north = pyramid.source.latlon_bounds()
+    return bool(south <= latitudes[1] and north >= latitudes[0])
 
 
 def _composed(layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count: int) -> Sampled:

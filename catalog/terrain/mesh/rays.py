@@ -161,7 +161,8 @@ class MeshRays:
     def _run(self, origins: FloatArray, rays: FloatArray, query: str) -> Int32Array:
         scaled = np.ascontiguousarray(origins / self.reach_m, dtype=np.float32)
         directions = np.ascontiguousarray(rays, dtype=np.float32)
-        return np.asarray(self._scene().run(scaled, directions, query=query), dtype=np.int32)
+        faces: Int32Array = self._scene().run(scaled, directions, query=query)
+        return faces
 
     def _scene(self) -> Any:
         if self._index is None:

@@ -166,7 +166,8 @@ def _with_area(vertices: FloatArray, faces: IntArray, mended: list[str]) -> IntA
     _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
     if first.size < len(kept):
         mended.append(f"{len(kept) - first.size} triangles were there twice")
-    return np.asarray(kept[np.sort(first)])
+    unique: IntArray = kept[np.sort(first)]
+    return unique
 
 
 def _check_edges(path: Path, vertices: FloatArray, faces: IntArray, edges: Edges) -> None:

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray, Int32Array
 from catalog.bodies.body import Body
+from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
-from catalog.geometry.projection import Stereographic, node_grid
-from catalog.geometry.tangent_plane import MapProjection, TangentPlane
-from catalog.geometry.vectors import unit
+from catalog.geometry.projection import MapProjection, Stereographic, TangentPlane, node_grid
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 
@@ -38,6 +37,7 @@ class MeshTerrain:
     """
 
     whole = True
+    has_graticules = False  # a ray a node costs as much anywhere
 
     def __init__(self, body: Body, corners_file: Path, name: str, posting_m: float) -> None:
         self.body, self.corners_file, self.name = body, corners_file, name
@@ -109,6 +109,13 @@ class MeshTerrain:
         """Heights (size, size) of a centred map grid; NaN beside the body and under overhangs."""
         return self._grid(projection, posting_m, size, self._single)
 
+    def graticule_heights(
+        self, graticule: Graticule, part: Part, posting_m: float, latitudes: tuple[float, float]
+    ) -> Float32Array:
+        """Heights (height, width) m of a part of a graticule; row 0 south, column 0 west."""
+        lat = np.clip(graticule.lat(part.rows), -np.pi / 2.0, np.pi / 2.0)
+        return self.heights(lat[:, None], graticule.lon(part.cols), posting_m)
+
     def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
         """Whether a vertical line through a node meets the ground again within the grid's width."""
         first = self._first(projection, *node_grid(size, posting_m), size * posting_m)
@@ -134,14 +141,16 @@ class MeshTerrain:
         """The mesh's file."""
         return self.name
 
-    def _grid(self, projection: MapProjection, posting_m: float, size: int, heights: Any
-              ) -> Float32Array:  # fmt: skip
+    def _grid(
+        self, projection: MapProjection, posting_m: float, size: int, heights: Any
+    ) -> Float32Array:
         """Means of heights over the cells of a grid's nodes."""
         aside = int(np.clip(np.ceil(posting_m / self._posting_m - 0.05), 1, MAX_RAYS_ASIDE))
         x, y = node_grid(size * aside, posting_m / aside)
         found = heights(projection, x, y, size * posting_m)
         cells = found.reshape(size, aside, size, aside)
-        return np.asarray(cells.mean(axis=(1, 3)), dtype=np.float32)
+        means: Float32Array = cells.mean(axis=(1, 3)).astype(np.float32)
+        return means
 
     def _lines(
         self, projection: MapProjection, x: FloatArray, y: FloatArray
@@ -149,26 +158,27 @@ class MeshTerrain:
         """Starts above all ground and downward rays (n, 3) of nodes, and the starts' height, m."""
         top = 2.0 * self.rays.reach_m
         starts = projection.points(x.ravel(), y.ravel(), top)
-        if isinstance(projection, TangentPlane):
-            return starts, np.broadcast_to(-projection.body_from_local[:, 2], starts.shape), top
-        return starts, -unit(starts), top
+        return starts, projection.downward(starts), top
+
+    def _outermost(
+        self, starts: FloatArray, rays: FloatArray, top_m: float
+    ) -> tuple[Int32Array, FloatArray, FloatArray]:
+        """Faces, distances and heights (n), m, of the first ground on lines of `_lines`."""
+        face, distance = self.rays.first_hits(starts, rays)
+        return face, distance, np.where(np.isfinite(distance), top_m - distance, np.nan)
 
     def _first(
         self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float
     ) -> FloatArray:
         """Heights of the outermost ground at map points."""
-        starts, rays, top = self._lines(projection, x, y)
-        _, distance = self.rays.first_hits(starts, rays)
-        height = np.where(np.isfinite(distance), top - distance, np.nan)
-        return np.asarray(height.reshape(x.shape))
+        return self._outermost(*self._lines(projection, x, y))[2].reshape(x.shape)
 
     def _single(
         self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float
     ) -> FloatArray:
         """The same; NaN where ground begins again less than depth_m below."""
         starts, rays, top = self._lines(projection, x, y)
-        face, distance = self.rays.first_hits(starts, rays)
-        height = np.where(np.isfinite(distance), top - distance, np.nan)
+        face, distance, height = self._outermost(starts, rays, top)
         met = np.flatnonzero(face >= 0)
         past = PAST * self.rays.reach_m
         # out of the body again, then into it once more
@@ -180,7 +190,7 @@ class MeshTerrain:
             met = met[below]
             distance[met] = at[below]
         height[met] = np.nan
-        return np.asarray(height.reshape(x.shape))
+        return height.reshape(x.shape)
 
 
 RAYS_ASIDE = 4  # a side of a cell, whose mean stands for it

@@ -266,7 +266,7 @@ def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolAr
     if not base.wraps:
         half = pixels.column_scale * (rows_wide * base.scale / 2.0)
         inside &= (pixels.col >= -0.5 - half) & (pixels.col <= cols - 0.5 + half)
-    return np.asarray(inside)
+    return inside
 
 
 def _in_pieces(

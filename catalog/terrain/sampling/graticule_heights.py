@@ -6,13 +6,13 @@ read one by one. A node's height is the same, bit by bit, in whatever part it is
 worked out before the part's own corner is taken off them.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
-from catalog.geometry.graticule import Graticule, Part
+from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.kernel import kernel
-from catalog.terrain.dem.georeference import CYLINDRICAL
-from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.sampling.footprint import MAX_COLUMNS, MAX_ROWS, add_weights, samples_across
@@ -20,39 +20,16 @@ from catalog.terrain.sampling.footprint import MAX_COLUMNS, MAX_ROWS, add_weight
 BLOCK = 128  # nodes a side: points are read by whole blocks, whichever part is asked for
 
 
-def graticule_heights(
-    mosaic: Mosaic,
+def heights_by_blocks(
+    heights: Callable[[FloatArray, FloatArray, float], Float32Array],
     graticule: Graticule,
     part: Part,
     posting_m: float,
-    latitudes: tuple[float, float],
 ) -> Float32Array:
-    """Heights (height, width) m of a part; row 0 south, column 0 west; NaN for none.
+    """Heights (height, width) m of a part from those of points; row 0 south, column 0 west.
 
-    posting_m  the spacing that nodes stand for
-    latitudes  south and north (rad) of the zone that this graticule serves: how nodes are read
-               depends on it, never on the part
-
-    Where weights are used, a node whose footprint touches a hole has no height.
+    heights  heights of points (latitudes and longitudes, rad) at a posting, m
     """
-    meeting = [i for i, p in enumerate(mosaic.pyramids) if _meets(p, latitudes)]
-    if not meeting:
-        return np.full((part.height, part.width), np.nan, dtype=np.float32)
-    pyramid = mosaic.pyramids[meeting[0]]
-    if len(meeting) > 1 or pyramid.source.place.kind != CYLINDRICAL:
-        return _by_points(mosaic, graticule, part, posting_m)
-    level = pyramid.level_for(posting_m)
-    rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-    windows = mosaic.level_windows(meeting[0], level)
-    return _by_weights(windows, pyramid, graticule, part, rows_wide)
-
-
-def _meets(pyramid: HeightPyramid, latitudes: tuple[float, float]) -> bool:
-    _, south, _, north = pyramid.source.latlon_bounds()
-    return bool(south <= latitudes[1] and north >= latitudes[0])
-
-
-def _by_points(mosaic: Mosaic, graticule: Graticule, part: Part, posting_m: float) -> Float32Array:
     out = np.empty((part.height, part.width), np.float32)
     down, along = part.rows // BLOCK, np.mod(part.cols, graticule.columns) // BLOCK
     for band in np.unique(down):
@@ -60,7 +37,7 @@ def _by_points(mosaic: Mosaic, graticule: Graticule, part: Part, posting_m: floa
         lat = np.clip(graticule.lat(rows), -np.pi / 2.0, np.pi / 2.0)
         for turn in np.unique(along):
             cols = np.arange(turn * BLOCK, min((turn + 1) * BLOCK, graticule.columns))
-            block = mosaic.heights(lat[:, None], graticule.lon(cols), posting_m)
+            block = heights(lat[:, None], graticule.lon(cols), posting_m)
             i, j = np.flatnonzero(down == band), np.flatnonzero(along == turn)
             own_rows = part.rows[i] - rows[0]
             own_cols = np.mod(part.cols[j], graticule.columns) - cols[0]
@@ -68,13 +45,18 @@ def _by_points(mosaic: Mosaic, graticule: Graticule, part: Part, posting_m: floa
     return out
 
 
-def _by_weights(
+def heights_by_weights(
     base: LevelWindows,
     pyramid: HeightPyramid,
     graticule: Graticule,
     part: Part,
     rows_wide: float,
 ) -> Float32Array:
+    """Heights (height, width) m of a part from a level of a cylindrical raster, NaN for none.
+
+    rows_wide  rows of the level that a footprint is high
+    A node whose footprint touches a hole has no height.
+    """
     place = pyramid.source.place
     col0, cols_per_rad, row0, rows_per_rad, period = place.parameters
     wide = period / (graticule.columns * base.scale)

@@ -11,19 +11,35 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from catalog.arrays import Float32Array, FloatArray, IntArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.least_squares import Iteration, Linearisation, VectorPrior, solve
 from optnav_cli.measurements.limb.cone import Cone, stretched_rays
 from optnav_cli.measurements.limb.edge_fit import EdgeShape, Profiles, locate_edges
 from optnav_cli.measurements.limb.photometry import three_laws
 from optnav_cli.measurements.segmentation import Levels, measure_levels
-from optnav_cli.reasons import ReasonCode
+from optnav_cli.reasons import Reason, ReasonCode
 
 MAX_RADIUS_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
 FINE = 4  # sub-pixels a side
 MARGIN_PX = 12
 PIXEL_VARIANCE = 1.0 / 12.0  # of a pixel's own width, which `blur_px` includes
+ABOUT_PX = 6  # of sky about the disc that is fitted
+MIN_BLUR_PX = 0.36  # the smallest that `draw_disc` can draw
+# Of a pixel of ground over its brightness: patterns and slopes that the law does not know.
+TEXTURE, SHOT = 0.08, 1.0 / 50.0**2
+BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.3  # where it is not calibrated
+MIXTURE_SIGMA = 0.1  # of the shares of the second and the third law
+STEPS = np.array([0.03, 0.03, 0.03, 0.03, 0.05, 0.05])  # x, y, radius, blur: px; the two shares
+MAX_MOVE = np.array([1.0, 1.0, 1.0, 0.3, 0.2, 0.2])
+_OTHER_LIGHT = Reason(
+    ReasonCode.WRONG_LIGHT,
+    "the disc's light is not that of a sphere under the Sun of attitude and time: one of these "
+    "is wrong, or it is another body",
+)
+ITERATION = Iteration(15, 0.1, _OTHER_LIGHT, _OTHER_LIGHT, each_unknown=True)
 
 
 def edge_bias_px(
@@ -79,10 +95,8 @@ def draw_disc(
     outward = rays - (rays @ cone.axis)[:, None] * cone.axis
     side = outward - (outward * rays).sum(axis=1, keepdims=True) * rays
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-15)
-    normal = (sine[:, None] * side - cosine[:, None] * rays) @ cone.stretch
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    seen = np.linalg.solve(cone.stretch, rays.T).T
-    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    normal = unit((sine[:, None] * side - cosine[:, None] * rays) @ cone.stretch)
+    seen = unit(np.linalg.solve(cone.stretch, rays.T).T)
     mu0, mu, cos_phase = normal @ sun_camera, -(normal * seen).sum(axis=1), -(seen @ sun_camera)
     second, third = shape.mixture
     laws = three_laws(mu0, mu, cos_phase, -float(cone.axis_camera() @ sun_camera))
@@ -94,18 +108,6 @@ def draw_disc(
     blurred = cv2.GaussianBlur(fine, (0, 0), blur)
     whole = cv2.resize(blurred, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA)
     return np.asarray(whole, dtype=np.float64)
-
-
-ABOUT_PX = 6  # of sky about the disc that is fitted
-MIN_BLUR_PX = 0.36  # the smallest that `draw_disc` can draw
-TURNS, SETTLED = 15, 0.1  # the last in sigmas of each unknown
-# Of a pixel of ground over its brightness: patterns and slopes that the law does not know.
-TEXTURE, SHOT = 0.08, 1.0 / 50.0**2
-# Blur where it is not calibrated, and the shares of the second and the third law.
-BLUR = 0.85, 0.3
-MIXTURE_SIGMA = 0.1
-STEPS = np.array([0.03, 0.03, 0.03, 0.03, 0.05, 0.05])  # x, y, radius, blur: px; the two shares
-LARGEST = np.array([1.0, 1.0, 1.0, 0.3, 0.2, 0.2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +124,59 @@ class DiscFit:
     radius_px: float
     covariance: FloatArray
     misfit: float
+
+
+class DiscModel:
+    """Pixels of a disc as measurements of its x, y, radius and blur, px, and of two laws' shares.
+
+    Brightness and the sky's level are unknowns too, at their best for every state.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        sun_camera: FloatArray,
+        rad_per_px: float,
+        corner: IntArray,
+        counts: FloatArray,
+        use: BoolArray,
+        noise: float,
+    ) -> None:
+        """Counts above the sky (h, w) from a corner (x, y) on, which to use, scatter of the sky."""
+        self._camera, self._sun, self._rad_per_px = camera, sun_camera, rad_per_px
+        self._corner, self._size = corner, np.array(use.shape[::-1])
+        self._use, self._seen, self._noise = use, counts[use], noise
+
+    def _drawn(self, state: FloatArray) -> FloatArray:
+        ray = self._camera.unproject(state[:2])
+        cone = Cone(np.eye(3), ray, float(state[2]) * self._rad_per_px)
+        blur, *mixture = (float(value) for value in state[3:])
+        shape = EdgeShape(max(blur, MIN_BLUR_PX), (mixture[0], mixture[1]), 1.0, 1.0)
+        return draw_disc(self._camera, cone, self._sun, shape, self._corner, self._size)[self._use]
+
+    def linearise(self, state: FloatArray) -> Linearisation:
+        """The pixels at a state (6,). Raises NoSolutionError where there is no disc to draw."""
+        if not (np.isfinite(state).all() and state[2] > 1.0):
+            raise _OTHER_LIGHT.error()
+        model = self._drawn(state)
+        brightness = float(model @ self._seen) / max(float(model @ model), 1e-30)
+        light = np.maximum(brightness * model, 0.0)
+        bright = float(np.median(light[light > 0.3 * light.max()])) if light.max() > 0.0 else 1.0
+        sigma = np.sqrt(self._noise**2 + SHOT * bright * light + (TEXTURE * light) ** 2)
+        jacobian = (
+            np.stack(
+                [brightness * (self._drawn(state + s) - model) / s.sum() for s in np.diag(STEPS)], 1
+            )
+            / sigma[:, None]
+        )
+        residuals = (self._seen - brightness * model) / sigma
+        # what brightness and level explain is taken out of residuals and Jacobian: the normal
+        # equations of all eight unknowns, solved for these two
+        known = np.linalg.qr(np.stack([model, np.ones(len(model))], axis=1) / sigma[:, None])[0]
+        free = jacobian - known @ (known.T @ jacobian)
+        normal, gradient = free.T @ free, free.T @ residuals
+        cost = float(residuals @ residuals)
+        return Linearisation(normal, gradient, cost, residuals, free, np.ones(len(residuals)))
 
 
 def fit_disc(
@@ -148,48 +203,19 @@ def fit_disc(
     values = part.astype(np.float64)
     levels = measure_levels(picture)
     use = np.ones(values.shape, bool) if saturation is None else values < saturation
-    believed = camera.known_blur_px or BLUR
-    prior = np.array([believed[0], 0.0, 0.0])
-    prior_sigma = np.array([believed[1], MIXTURE_SIGMA, MIXTURE_SIGMA])
-
-    def drawn(state: FloatArray) -> FloatArray:
-        ray = camera.unproject(state[:2])
-        cone = Cone(np.eye(3), ray, float(state[2]) * per_px)
-        shape = EdgeShape(max(float(state[3]), MIN_BLUR_PX), (float(state[4]), float(state[5])),
-                          1.0, 1.0)  # fmt: skip
-        return draw_disc(camera, cone, sun_camera, shape, corner, size)[use]
-
-    state = np.concatenate([start, prior])
-    seen = values[use] - levels.sky
-    for _ in range(TURNS):
-        model = drawn(state)
-        brightness = float(model @ seen) / max(float(model @ model), 1e-30)
-        light = np.maximum(brightness * model, 0.0)
-        bright = float(np.median(light[light > 0.3 * light.max()])) if light.max() > 0.0 else 1.0
-        sigma = np.sqrt(levels.noise**2 + SHOT * bright * light + (TEXTURE * light) ** 2)
-        columns = [
-            brightness * (drawn(state + step) - model) / step.sum() for step in np.diag(STEPS)
-        ]
-        jacobian = np.stack([*columns, model, np.ones(len(model))], axis=1) / sigma[:, None]
-        residual = (seen - brightness * model) / sigma
-        normal = jacobian.T @ jacobian
-        right = jacobian.T @ residual
-        normal[[3, 4, 5], [3, 4, 5]] += prior_sigma**-2
-        right[3:6] += (prior - state[3:]) / prior_sigma**2
-        covariance = np.linalg.inv(normal)
-        move = (covariance @ right)[:6]
-        state = state + np.clip(move, -LARGEST, LARGEST)
-        if not (np.isfinite(state).all() and state[2] > 1.0):
-            break
-        if (np.abs(move) < SETTLED * np.sqrt(np.diag(covariance)[:6])).all():
-            misfit = float(np.sqrt(np.mean(residual**2)))
-            spread = np.asarray(max(misfit, 1.0) ** 2 * covariance[:3, :3], dtype=np.float64)
-            return DiscFit(state[:2], float(state[2]), spread, misfit)
-    raise NoSolutionError(
-        "the disc's light is not that of a sphere under the Sun of attitude and time: one of these "
-        "is wrong, or it is another body",
-        ReasonCode.WRONG_LIGHT,
+    model = DiscModel(camera, sun_camera, per_px, corner, values - levels.sky, use, levels.noise)
+    blur, blur_sigma = camera.known_blur_px or (BLUR_PX, BLUR_SIGMA_PX)
+    expected = np.array([blur, 0.0, 0.0])
+    prior = VectorPrior(3, expected, np.array([blur_sigma, MIXTURE_SIGMA, MIXTURE_SIGMA]), 6)
+    fit = solve(
+        [model, prior],
+        np.concatenate([start, expected]),
+        lambda state, step: state + np.clip(step, -MAX_MOVE, MAX_MOVE),
+        ITERATION,
     )
+    misfit = float(np.sqrt(np.mean(fit.measured.residuals**2)))
+    spread = max(misfit, 1.0) ** 2 * fit.covariance[:3, :3]
+    return DiscFit(fit.state[:2], float(fit.state[2]), spread, misfit)
 
 
 def rad_per_px(camera: Camera, axis: FloatArray) -> float:

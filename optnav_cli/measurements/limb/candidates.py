@@ -165,9 +165,9 @@ def outward_normals(where: PixelRays, gradient: FloatArray, stretch: FloatArray)
     v = (xx * gradient[:, 1] - xy * gradient[:, 0]) / determinant
     rising = where.by_x * u[:, None] + where.by_y * v[:, None]
     # a normal is a covector: back from the stretched space by the transpose
-    normal = -rising @ stretch
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.asarray(normal / np.maximum(length, 1e-30))
+    normal: FloatArray = -rising @ stretch
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    return normal
 
 
 def is_sunlit(
@@ -177,7 +177,7 @@ def is_sunlit(
     cosine = outward_normals(where, gradient, stretch) @ sun_camera
     towards = np.linalg.solve(stretch, where.rays.T).T @ sun_camera
     sine = np.sqrt(np.maximum(1.0 - (towards * np.linalg.norm(stretch, 2)) ** 2, 0.0))
-    return np.asarray(cosine > MIN_SUN_COSINE + CUSP_SHARE * sine)
+    return cosine > MIN_SUN_COSINE + CUSP_SHARE * sine
 
 
 def sharpness(picture: Float32Array, candidates: Candidates) -> FloatArray:
@@ -188,7 +188,7 @@ def sharpness(picture: Float32Array, candidates: Candidates) -> FloatArray:
     near = _at(picture, candidates.pixels + 3.0 * candidates.scan)
     far = _at(picture, candidates.pixels + 10.0 * candidates.scan)
     before = _at(picture, candidates.pixels - 3.0 * candidates.scan)
-    return np.asarray((near - before) / np.maximum(far - before, 1e-3))
+    return (near - before) / np.maximum(far - before, 1e-3)
 
 
 def on_limb(
@@ -235,7 +235,7 @@ def bounded_by_sky(
     for step in SKY_STEPS_PX:
         places = pixels - step * inward
         dark += (_at(picture, places) < threshold) | ~camera.contains(places)
-    return np.asarray(dark >= len(SKY_STEPS_PX) - 1)
+    return dark >= len(SKY_STEPS_PX) - 1
 
 
 def _at(picture: Float32Array, pixels: FloatArray) -> FloatArray:

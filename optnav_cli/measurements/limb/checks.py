@@ -4,6 +4,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.candidates import (
     BORDER_PX,
@@ -58,8 +59,8 @@ def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation:
 
 def azimuths(cone: Cone, rays: FloatArray) -> FloatArray:
     """Azimuth (n,) of unit rays about a cone's axis, rad."""
-    u, v = _basis(cone.axis)
-    return np.asarray(np.arctan2(rays @ v, rays @ u))
+    u, v = perpendicular_basis(cone.axis)
+    return np.arctan2(rays @ v, rays @ u)
 
 
 def arc_deg(cone: Cone, rays: FloatArray, step_px: float, rad_per_px: float) -> float:
@@ -108,12 +109,11 @@ def check_hidden(
     if sun_camera is None:
         return 1.0
     angle = np.arange(AZIMUTHS) * (2.0 * np.pi / AZIMUTHS)
-    u, v = _basis(cone.axis)
+    u, v = perpendicular_basis(cone.axis)
     outward = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
     curve = np.cos(cone.angle) * cone.axis + np.sin(cone.angle) * outward
     normal = (np.cos(cone.angle) * outward - np.sin(cone.angle) * cone.axis) @ cone.stretch
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    expected = normal @ sun_camera > CLEARLY_LIT_COSINE
+    expected = unit(normal) @ sun_camera > CLEARLY_LIT_COSINE
     pixels = camera.project(np.linalg.solve(cone.stretch, curve.T).T)
     with np.errstate(invalid="ignore"):
         expected &= camera.contains(pixels, 4.0 * BORDER_PX)
@@ -185,11 +185,3 @@ def _check_second(camera: Camera, outside: Candidates, cone: Cone, relief: float
             "which is the one to navigate by cannot be told",
             ReasonCode.SEVERAL_BODIES,
         )
-
-
-def _basis(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors (3,) square to an axis and to each other."""
-    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    u = np.cross(axis, other)
-    u /= np.linalg.norm(u)
-    return u, np.cross(axis, u)

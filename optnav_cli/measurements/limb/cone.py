@@ -13,6 +13,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 
 PROPOSALS = 600
@@ -21,7 +22,7 @@ BASE_TOLERANCE_PX = 1.5
 # A camera lower than this many times the relief sees no limb of a body but of the nearest hill; in
 # the flat cones of such heights the tolerance for relief would take in all edges.
 MIN_HEIGHT_RELIEFS = 2.0
-MIN_COSINE = np.cos(np.radians(40.0))  # between a candidate's gradient and the cone's normal
+MIN_COSINE = float(np.cos(np.radians(40.0)))  # between a candidate's gradient and the cone's normal
 _REFITS = 6
 
 
@@ -40,15 +41,15 @@ class Cone:
 
     def axis_camera(self) -> FloatArray:
         """Unit vector (3,) to the body's centre, camera frame."""
-        axis = np.linalg.solve(self.stretch, self.axis)
-        return np.asarray(axis / np.linalg.norm(axis))
+        return unit(np.linalg.solve(self.stretch, self.axis))
 
     def depth(self, rays: FloatArray) -> FloatArray:
         """How far inside the cone unit rays (..., 3), stretched, lie, rad; negative in the sky."""
         # of unit vectors: the chord keeps small angles exact, and is quicker than the cross product
         x, y, z = np.moveaxis(rays - self.axis, -1, 0)
         chord = np.sqrt(x * x + y * y + z * z)
-        return np.asarray(self.angle - 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+        depth: FloatArray = self.angle - 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
+        return depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +70,7 @@ def stretched_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> F
     rays = camera.unproject(pixels)
     if (stretch == np.eye(3)).all():
         return rays
-    rays = rays @ stretch.T
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+    return unit(rays @ stretch.T)
 
 
 def pixel_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> PixelRays:
@@ -100,9 +100,7 @@ def _score(
     by_x: FloatArray,
     by_y: FloatArray,
     gradient: FloatArray,
-    base_px: float,
     relief: float,
-    least_cosine: float,
 ) -> float:
     """Agreement of candidates with the cone e.s = 1, each between 0 and 1."""
     length2 = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
@@ -114,11 +112,11 @@ def _score(
         gy = by_y[i, 0] * s[0] + by_y[i, 1] * s[1] + by_y[i, 2] * s[2]
         size = np.sqrt(gx * gx + gy * gy)
         # |s| sin(angle) = tan(angle): turns the value into rad, and rad into px by the slope
-        tolerance = base_px + relief * tangent * tangent / max(size, 1e-12)
+        tolerance = BASE_TOLERANCE_PX + relief * tangent * tangent / max(size, 1e-12)
         away = value / (size * tolerance)
         if away * away >= 1.0:
             continue
-        if gx * gradient[i, 0] + gy * gradient[i, 1] < least_cosine * size:
+        if gx * gradient[i, 0] + gy * gradient[i, 1] < MIN_COSINE * size:
             continue
         total += 1.0 - away * away
     return total
@@ -131,12 +129,10 @@ def _consensus(
     by_x: FloatArray,
     by_y: FloatArray,
     gradient: FloatArray,
-    base_px: float,
     relief: float,
-    least_cosine: float,
-    most_s2: float,
+    max_s2: float,
 ) -> tuple[float, FloatArray]:
-    """The best-scored cone, |s|^2 up to `most_s2`, among those through triples of candidates."""
+    """The best-scored cone, |s|^2 up to `max_s2`, among those through triples of candidates."""
     best, best_s = 0.0, np.zeros(3)
     for k in range(samples.shape[0]):
         a, b, c = rays[samples[k, 0]], rays[samples[k, 1]], rays[samples[k, 2]]
@@ -146,9 +142,9 @@ def _consensus(
         if abs(volume) < 1e-14:
             continue
         s = normal / volume
-        if not 1.0 < np.dot(s, s) < most_s2:
+        if not 1.0 < np.dot(s, s) < max_s2:
             continue
-        score = _score(s, rays, by_x, by_y, gradient, base_px, relief, least_cosine)
+        score = _score(s, rays, by_x, by_y, gradient, relief)
         if score > best:
             best, best_s = score, s
     return best, best_s
@@ -174,9 +170,7 @@ def find_cone(
         where.by_x[some],
         where.by_y[some],
         unit[some],
-        BASE_TOLERANCE_PX,
         relief,
-        float(MIN_COSINE),
         _flattest(relief),
     )
     if score <= 0.0:
@@ -210,7 +204,8 @@ def agreeing(cone: Cone, where: PixelRays, gradient: FloatArray, relief: float) 
     rad_per_px = slope / max(np.sin(cone.angle), 1e-12)
     limit = BASE_TOLERANCE_PX + relief * np.tan(cone.angle) / np.maximum(rad_per_px, 1e-12)
     cosine = (inward * gradient).sum(axis=1) / np.maximum(np.linalg.norm(gradient, axis=1), 1e-12)
-    return np.asarray((np.abs(distance) < limit) & (cosine > MIN_COSINE))
+    agrees: BoolArray = (np.abs(distance) < limit) & (cosine > MIN_COSINE)
+    return agrees
 
 
 def fit_cone(where: PixelRays, used: BoolArray, start: Cone) -> Cone | None:

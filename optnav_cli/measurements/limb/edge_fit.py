@@ -13,6 +13,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.kernel import kernel
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.candidates import BORDER_PX, Candidates, outward_normals
 from optnav_cli.measurements.limb.cone import Cone, PixelRays, distances, stretched_rays
@@ -103,23 +104,21 @@ def _fit(
     depth: FloatArray,
     start: FloatArray,
     law: FloatArray,
-    blur: float,
     table: FloatArray,
-    sky: float,
-    variance: float,
-    gain: float,
-    saturation: float,
+    common: FloatArray,
     state: FloatArray,
-    result: FloatArray,
-    residual: FloatArray,
-) -> None:
+) -> tuple[FloatArray, FloatArray]:
     """Level, brightness and depth of each edge by Gauss-Newton.
 
+    common  blur, sky, variance, gain and saturation of the picture
     state (n, 3): level, brightness, depth; where to start, and the answer
-    result (n, 3): variance of the depth, chi-square, freedom; NaN where it fails
-    residual (n, m): normalised; 0 where a pixel is not used
+
+    Returns (n, 3): variance of the depth, chi-square, freedom, NaN where it fails; and the
+    normalised residuals (n, m), 0 where a pixel is not used.
     """
+    blur, sky, variance, gain, saturation = common
     n, m = values.shape
+    result, residual = np.empty((n, 3)), np.zeros((n, m))
     out = np.empty((2, law.shape[1]))
     prior = 1.0 / (SKY_PRIOR_SIGMAS * SKY_PRIOR_SIGMAS * variance)
     for i in range(n):
@@ -180,6 +179,7 @@ def _fit(
             continue
         state[i, 0], state[i, 1], state[i, 2] = level, bright, place
         result[i, 0], result[i, 1], result[i, 2] = spread_place, total, used - 3
+    return result, residual
 
 
 class _Fitter:
@@ -191,29 +191,22 @@ class _Fitter:
         bright = np.nanmax(np.where(np.isnan(profiles.depth), np.nan, profiles.values), axis=1)
         self.state = np.stack([np.full(n, sky), np.maximum(bright - sky, 1.0), profiles.start], 1)
         self.result = np.empty((n, 3))
-        self.residual = np.zeros(profiles.values.shape)
 
     def run(self, shape: EdgeShape) -> FloatArray:
         """Normalised residuals (n, m) after fitting every profile with a common shape."""
         second, third = shape.mixture
         laws = self.profiles.laws
         law = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
-        _fit(
+        self.result, residual = _fit(
             self.profiles.values,
             self.profiles.depth,
             self.profiles.start,
             law,
-            shape.blur_px,
             power_table(),
-            self.sky,
-            shape.variance,
-            shape.gain,
-            self.saturation,
+            np.array([shape.blur_px, self.sky, shape.variance, shape.gain, self.saturation]),
             self.state,
-            self.result,
-            self.residual,
         )
-        return self.residual
+        return residual
 
     def placed(self) -> int:
         """How many profiles have an edge under the last shape."""
@@ -345,7 +338,7 @@ def profiles_across(
     slope = np.hypot(where.by_x @ cone.axis, where.by_y @ cone.axis)
     # of the ray, not of the cone: a small body's limb may lie a tenth of its radius off the curve
     sine = np.sqrt(np.maximum(1.0 - (where.rays @ cone.axis) ** 2, 1e-30))
-    rad_per_px = np.asarray(slope / sine, dtype=np.float64)
+    rad_per_px: FloatArray = slope / sine
     rays = stretched_rays(camera, places.astype(np.float64), cone.stretch)
     depth = cone.depth(rays) / rad_per_px[:, None]
     # two pixels along the curve's tangent the curve has bent away by 2^2 / 2 radius
@@ -359,8 +352,7 @@ def profiles_across(
     depth = np.where(usable, depth, np.nan)
 
     normal = outward_normals(where, inward, cone.stretch)
-    back = np.linalg.solve(cone.stretch, where.rays.T).T
-    ray = np.asarray(back / np.linalg.norm(back, axis=1, keepdims=True), dtype=np.float64)
+    ray = unit(np.linalg.solve(cone.stretch, where.rays.T).T)
     middle_phase = 1.0 if sun_camera is None else -float(cone.axis_camera() @ sun_camera)
     laws = laws_across_limb(normal, ray, sun_camera, cone.angle, rad_per_px, middle_phase)
-    return Profiles(values, depth, distance, laws), places, np.asarray(bend)
+    return Profiles(values, depth, distance, laws), places, bend

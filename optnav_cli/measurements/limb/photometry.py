@@ -69,7 +69,7 @@ def blurred_powers(table: FloatArray, t: float, sigma: float, out: FloatArray) -
 def series(brightness: FloatArray) -> FloatArray:
     """Coefficients (n, POWERS) of the powers of sqrt(x) through brightness (n, NODES_PX)."""
     powers = NODES_PX[:, None] ** (0.5 * np.arange(POWERS))
-    return np.asarray(brightness @ np.linalg.pinv(powers).T)
+    return brightness @ np.linalg.pinv(powers).T
 
 
 def laws_across_limb(

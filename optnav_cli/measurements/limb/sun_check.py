@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.arrays import FloatArray
+from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.detection import LimbPoints
 
@@ -53,8 +54,7 @@ def sun_side_angle(limb: LimbPoints, rays: FloatArray, sun_camera: FloatArray) -
     """
     axis = limb.cone_axis_camera
     outward = rays - (rays @ axis)[:, None] * axis
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    seen = outward.mean(axis=0)
+    seen = unit(outward).mean(axis=0)
     claimed = sun_camera - (sun_camera @ axis) * axis
     sine = float(np.linalg.norm(claimed))
     sided = MIN_ARC_DEG <= limb.arc_deg <= FULL_ARC_DEG and np.linalg.norm(seen) > 0.0
@@ -74,10 +74,9 @@ def lit_share(limb: LimbPoints, camera: Camera) -> float | None:
     if limb.cone_angle > MAX_DISC:
         return None
     axis = limb.cone_axis_camera
-    u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    u /= np.linalg.norm(u)
+    u, v = perpendicular_basis(axis)
     turn = np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False)[:, None]
-    outward = np.cos(turn) * u + np.sin(turn) * np.cross(axis, u)
+    outward = np.cos(turn) * u + np.sin(turn) * v
     rim = camera.project(np.cos(limb.cone_angle) * axis + np.sin(limb.cone_angle) * outward)
     if limb.cut_by_frame or not camera.contains(rim).all():
         return None

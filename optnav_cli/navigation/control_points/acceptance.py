@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from catalog.arrays import FloatArray
 from catalog.geometry.vectors import squared_distance
-from optnav_cli.estimation.robust import RobustResection
+from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import PositionPrior
 from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
@@ -85,7 +85,7 @@ def _choices(used: int, tried: int) -> float:
 
 
 def rejection_of_matches(
-    solution: RobustResection,
+    solution: Resection,
     decades: float,
     tried: int,
     min_decades: float = MIN_DECADES,
@@ -96,7 +96,7 @@ def rejection_of_matches(
     decades  against chance, of `log10_false_alarms` or `decades_of_parts`;  tried as there
     """
     used = int(solution.used.sum())
-    if solution.resection.degrees_of_freedom < 1:
+    if solution.degrees_of_freedom < 1:
         return Reason(
             ReasonCode.FEW_POINTS,
             f"{used} control points leave no check on a free attitude; at least 4 are needed",

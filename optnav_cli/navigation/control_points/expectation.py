@@ -12,7 +12,7 @@ from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.correlation.similarity import Matcher
 from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.search_plan import finest_level, template_nodes
 from optnav_cli.navigation.control_points.field import ControlPointField

@@ -13,8 +13,8 @@ from catalog.arrays import FloatArray
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
-from optnav_cli.estimation.resection import Pose
-from optnav_cli.estimation.robust import RobustResection
+from optnav_cli.estimation.models.points import Pose
+from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, PositionPrior, UnsolvedFrameError
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
@@ -59,7 +59,7 @@ class _Pass:
 
     view: ExpectedPoints
     matches: list[PointMatch]
-    solution: RobustResection
+    solution: Resection
     evidence: Evidence
     moved: float
     at_finest: bool
@@ -101,7 +101,7 @@ def navigate(
         raise UnsolvedFrameError(
             reason, replace(last.evidence, n_used=0, residual_rms_px=None, matches=tuple(refused))
         )
-    resection = last.solution.resection
+    resection = last.solution
     return Fix(
         Method.CONTROL_POINTS,
         resection.pose.position_m,
@@ -127,7 +127,7 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         pose = Pose(prior.position_m, frame.observation.camera_from_body)
         covariance, most = _prior_covariance(frame, prior), limits.max_first_pass_points
     else:
-        pose = before.solution.resection.pose
+        pose = before.solution.pose
         covariance, most = _full_covariance(before.solution), limits.max_points
     view = select_evenly(expected(frame, pose, whole=before is not None), most)
     if len(view) == 0:
@@ -143,7 +143,7 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
         evidence = _evidence(frame, view, matches, None)
         raise UnsolvedFrameError(reason.worded(text), evidence) from error
-    resection = solution.resection
+    resection = solution
     position, covariance_m2 = resection.pose.position_m, resection.position_covariance_m2
     reason = rejection_of_place(position, covariance_m2, prior)
     if reason:
@@ -169,8 +169,8 @@ def _prior_covariance(frame: FrameContext, prior: PositionPrior) -> FloatArray:
     return full
 
 
-def _full_covariance(solution: RobustResection) -> FloatArray:
-    solved = solution.resection.covariance
+def _full_covariance(solution: Resection) -> FloatArray:
+    solved = solution.covariance
     full = np.zeros((6, 6))
     full[: len(solved), : len(solved)] = solved
     return full
@@ -218,7 +218,7 @@ def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings:
 def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
     """Side of the template that a point was matched with, nodes, at the solved pose."""
     index = int(last.view.index[k])
-    offset = frame.points.point(index).xyz_m - last.solution.resection.pose.position_m
+    offset = frame.points.point(index).xyz_m - last.solution.pose.position_m
     sample = float(np.linalg.norm(offset)) / frame.camera.focal_length_px
     posting = float(frame.points.postings_m(index)[last.matches[k].level])
     known = float(frame.points.finest_postings_m(np.array([index]))[0])
@@ -229,7 +229,7 @@ def _evidence(
     frame: FrameContext,
     view: ExpectedPoints,
     matches: list[PointMatch],
-    solution: RobustResection | None,
+    solution: Resection | None,
 ) -> Evidence:
     """The points tried, with what the solution made of them; None: there is no solution."""
     place = {k: i for i, k in enumerate(accepted(matches))}

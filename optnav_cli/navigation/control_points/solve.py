@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.correlation.masked import blur_nodes
-from optnav_cli.estimation.resection import Pose, Sightings, predict
-from optnav_cli.estimation.robust import RobustResection, resect_robustly
+from catalog.correlation.ncc import blur_nodes
+from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.estimation.resection import Resection, resect_robustly
 from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
 from optnav_cli.matching.search_plan import (
     SearchPlan,
@@ -91,7 +91,7 @@ def match_all(
 
 def solve(
     frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], pose: Pose
-) -> RobustResection:
+) -> Resection:
     """Resect from the accepted matches, from a pose. Raises NoSolutionError."""
     points, observation = frame.points, frame.observation
     kept = accepted(matches)

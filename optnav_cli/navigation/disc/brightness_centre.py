@@ -8,8 +8,6 @@ known, so all that fit are weighed against each other; what they leave is the co
 line of sight most of all.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -18,9 +16,10 @@ from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
 from optnav_cli.measurements.disc.size import radius_posterior
-from optnav_cli.reasons import ReasonCode
+from optnav_cli.reasons import Reason, ReasonCode
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
 # What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
@@ -34,26 +33,6 @@ MAX_MISFIT = 5.0  # sigmas of the three second moments together
 SMALL_ANGLE = 1e-5
 
 
-@dataclass(frozen=True, eq=False)
-class CentreFix:
-    """A position from a small disc.
-
-    position_m  (3,)  body frame;  covariance_m2 (3, 3)
-    centre_px   (2,)  the body's centre in the picture;  radius_px of its disc
-    range_share 1-sigma error of the range over the range
-    width_sigmas  by which the disc is wider than a point's picture
-    remark      what a reader of the row should know
-    """
-
-    position_m: FloatArray
-    covariance_m2: FloatArray
-    centre_px: FloatArray
-    radius_px: float
-    range_share: float
-    width_sigmas: float
-    remark: str
-
-
 def navigate(
     picture: Float32Array,
     camera: Camera,
@@ -64,13 +43,14 @@ def navigate(
     *,
     saturation: float | None = None,
     relief: GlobalRelief | None = None,
-) -> CentreFix:
+) -> tuple[Fix, float]:
     """The camera's position from the one small disc in a picture.
 
     picture  (h, w) counts;  sun_body (3,) unit vector to the Sun, body frame
     attitude_sigma_rad  1 sigma an axis;  saturation  counts of a full pixel, None if not known
     relief  of a body that is no sphere, where it is known
 
+    Returns the fix, and by how many sigmas the disc is wider than a point's picture.
     Raises NoSolutionError with what the picture shows instead.
     """
     disc = measure_disc(np.ascontiguousarray(picture, dtype=np.float32), saturation)
@@ -118,15 +98,18 @@ def navigate(
     square = np.eye(3) - np.outer(position, position) / distance**2
     covariance += across @ noise @ across.T + square * (distance * attitude_sigma_rad) ** 2
     share = float(np.sqrt(position @ covariance @ position)) / distance**2
-    return CentreFix(
+    fix = Fix(
+        Method.BRIGHTNESS_CENTRE,
         body_from_camera @ position,
         body_from_camera @ covariance @ body_from_camera.T,
-        np.einsum("kn,kni->i", weights, pixels),
-        radius,
-        share,
-        size.width_sigmas,
-        f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %",
+        camera_from_body,
+        attitude_sigma_rad,
+        Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels))),
+        Reason(
+            ReasonCode.SMALL_DISC, f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %"
+        ),
     )
+    return fix, size.width_sigmas
 
 
 def _tangent(
@@ -144,10 +127,10 @@ def _tangent(
     steps = axes * SMALL_ANGLE
     moved = camera.project(towards + steps) - camera.project(towards - steps)
     matrix = moved.T / (2.0 * SMALL_ANGLE)
-    return np.asarray(matrix), float(np.sqrt(abs(np.linalg.det(matrix)))), axes
+    return matrix, float(np.sqrt(abs(np.linalg.det(matrix)))), axes
 
 
 def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
     """Change (3, 2) of the unit ray by the pixel."""
     steps = 0.5 * np.eye(2)
-    return np.asarray((camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T)
+    return (camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T

@@ -5,8 +5,6 @@ fitted at once (`disc_fit`), which is several times as good as the limb alone, a
 honest.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -14,9 +12,10 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.measurements.disc.fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.measurements.limb.detection import LimbPoints
-from optnav_cli.reasons import ReasonCode
+from optnav_cli.reasons import Reason, ReasonCode
 
 MAX_RADIUS_PX = 25.0  # beyond it the limb's profiles are right to a few hundredths of a pixel
 # What the figure moves the fitted centre and radius by, of the radius, at full phase: the Moon's is
@@ -28,19 +27,6 @@ MODEL_SIGMA_PX = 0.01  # what drawing leaves
 # kinds may cost as much, so that only the larger one refuses.
 TRUSTED_MISFIT, MAX_MISFIT = 1.2, 3.0
 STEP_PX = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class DiscFix:
-    """A position (3,) and its covariance (3, 3), body frame, m; radius of the disc, px.
-
-    trusted  whether nothing in the picture speaks against a sphere under this Sun
-    """
-
-    position_m: FloatArray
-    covariance_m2: FloatArray
-    radius_px: float
-    trusted: bool
 
 
 def is_for(limb: LimbPoints, camera: Camera) -> bool:
@@ -61,11 +47,13 @@ def navigate(
     limb: LimbPoints,
     *,
     saturation: float | None = None,
-) -> DiscFix:
+) -> Fix | None:
     """The camera's position from a small disc whose limb was found.
 
     picture  (h, w) counts;  sun_body (3,) unit vector to the Sun, body frame
     attitude_sigma_rad  1 sigma an axis;  saturation  counts of a full pixel, None if not known
+
+    Returns None where the light leaves a doubt about a sphere under this Sun: the limb is better.
 
     Raises NoSolutionError for a disc whose light is not that of a sphere under this Sun.
     """
@@ -78,10 +66,13 @@ def navigate(
             "Sun of attitude and time as noise explains: one of these is wrong, or another body",
             ReasonCode.WRONG_LIGHT,
         )
+    if fit.misfit > TRUSTED_MISFIT:
+        return None
 
     def place(state: FloatArray) -> FloatArray:
         ray = camera.unproject(state[:2])
-        return np.asarray(-ray * body.radius_m / np.sin(state[2] * per_px))
+        position: FloatArray = -ray * body.radius_m / np.sin(state[2] * per_px)
+        return position
 
     state = np.append(fit.centre_px, fit.radius_px)
     steps = STEP_PX * np.eye(3)
@@ -95,9 +86,16 @@ def navigate(
     square = np.eye(3) - np.outer(position, position) / distance**2
     covariance += square * (distance * attitude_sigma_rad) ** 2
     body_from_camera = camera_from_body.inv().as_matrix()
-    return DiscFix(
+    return Fix(
+        Method.HORIZON_SPHERE,
         body_from_camera @ position,
         body_from_camera @ covariance @ body_from_camera.T,
-        fit.radius_px,
-        fit.misfit <= TRUSTED_MISFIT,
+        camera_from_body,
+        attitude_sigma_rad,
+        Evidence(
+            n_limb=len(limb),
+            arc_deg=limb.arc_deg,
+            outline=OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb))),
+        ),
+        Reason(ReasonCode.SMALL_DISC, f"disc of {2.0 * fit.radius_px:.1f} px fitted whole"),
     )

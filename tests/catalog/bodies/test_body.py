@@ -71,7 +71,7 @@ def edited(tmp_path: Path, old: str, new: str) -> Path:
         ("[-27.0, 16.0]", "[16.0, -27.0]", "plausible_heights_km"),
         ("[-27.0, 16.0]", "[-7000.0, 16.0]", "plausible_heights_km"),
         ("radius_km =", "radius =", "radius_km"),
-        ('sun = "earth"', 'sun = "jupiter"', "sun"),
+        ('sun = "earth"', 'sun = "pluto"', "sun"),
     ],
 )
 def test_a_wrong_body_file_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:

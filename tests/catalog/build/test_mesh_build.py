@@ -13,7 +13,7 @@ from catalog.bodies.body import Body, load_body
 from catalog.build.build import run
 from catalog.control_point import Flag
 from catalog.errors import ConfigError, DataError, NothingToDoError
-from catalog.geometry.tangent_plane import FLAT_RADIUS_M, TangentPlane
+from catalog.geometry.projection import FLAT_RADIUS_M, TangentPlane
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
 from catalog.terrain.mesh.rays import first_of_all

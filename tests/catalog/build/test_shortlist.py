@@ -91,13 +91,13 @@ def test_memory_bounds_the_sweep_and_not_the_result(globe, monkeypatch):
     cells = globe.grid.in_bbox(-180.0, -20.0, 180.0, 20.0)
     whole = shortlist.shortlists(globe, cells)
     sizes = []
-    of_graticule = shortlist.graticule_heights
+    of_graticule = Mosaic.graticule_heights
 
     def counted(mosaic, graticule, part, *rest):
         sizes.append(part.height * part.width)
         return of_graticule(mosaic, graticule, part, *rest)
 
-    monkeypatch.setattr(shortlist, "graticule_heights", counted)
+    monkeypatch.setattr(Mosaic, "graticule_heights", counted)
     monkeypatch.setattr(shortlist, "MAX_PART", 12_000)
     found = shortlist.shortlists(globe, cells)
     assert all(same(whole[cell], one) for cell, one in found.items())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from catalog.correlation.masked import blur_nodes, low_pass, thinned, thinning
+from catalog.correlation.ncc import blur_nodes, low_pass, thinned, thinning
 
 
 def test_only_grids_finer_than_the_model_are_blurred_and_the_finer_the_more() -> None:

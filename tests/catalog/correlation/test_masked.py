@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from catalog.correlation.masked import match_masked
-from catalog.correlation.ncc import match_ncc
+from catalog.correlation.ncc import match_masked, match_ncc
 
 MARGIN, SIDE, ROOM = 8, 40, 6
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from catalog.geometry.ellipsoid import foot_of, height_above, normal_at, surface_at
-from catalog.geometry.tangent_plane import TangentPlane
+from catalog.geometry.projection import TangentPlane
 
 PHOBOS = np.array([13.0e3, 11.4e3, 9.1e3])
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from rasterio.transform import Affine
 
-from catalog.geometry.graticule import Graticule, Part
+from catalog.geometry.cells import Graticule, Part
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
-from catalog.terrain.sampling.graticule_heights import graticule_heights
 
 
 def mosaic_of(moon, folder, *paths) -> Mosaic:
@@ -41,7 +40,7 @@ def test_heights_are_those_of_points(moon, globe, lat_deg, share):
     posting = share * globe.posting_m
     graticule, row = zone(moon, posting, lat_deg)
     part = Part(row, -5, 1, graticule.columns + 10)
-    found = graticule_heights(globe, graticule, part, posting, latitudes_of(graticule, part))
+    found = globe.graticule_heights(graticule, part, posting, latitudes_of(graticule, part))
     lat, lon = graticule.lat(part.rows), graticule.lon(part.cols)
     wanted = globe.heights(lat[:, None], lon, posting)
     assert np.abs(found - wanted).max() < 0.5
@@ -53,7 +52,7 @@ def test_other_latitudes_of_a_zone_keep_the_surface(moon, dems, globe):
     graticule, row = zone(moon, globe.posting_m, 60.0)
     part = Part(row - 8, 100, 17, 60)
     limits = latitudes_of(graticule, part)
-    found = graticule_heights(globe, graticule, part, globe.posting_m, limits)
+    found = globe.graticule_heights(graticule, part, globe.posting_m, limits)
     lat, lon = graticule.lat(part.rows), graticule.lon(part.cols)
     assert np.abs(found - dems.smooth_heights(lat[:, None], lon)).max() < 3.0
 
@@ -78,12 +77,12 @@ def test_a_node_s_height_does_not_depend_on_the_part(moon, dems, tmp_path, sourc
     n = graticule.columns
     band = Part(row - 20, 0, 40, n)
     limits = latitudes_of(graticule, band)
-    all_round = graticule_heights(mosaic, graticule, band, posting, limits)
+    all_round = mosaic.graticule_heights(graticule, band, posting, limits)
     assert np.isfinite(all_round).all()
     for first, width, top, height in ((-30, 60, 3, 20), (n - 7, 9, 0, 40), (5, 1, 39, 1),
                                       (n // 2 - 9, 40, 7, 9), (-n, 33, 1, 30)):  # fmt: skip
         part = Part(band.row + top, first, height, width)
-        found = graticule_heights(mosaic, graticule, part, posting, limits)
+        found = mosaic.graticule_heights(graticule, part, posting, limits)
         wanted = all_round[top : top + height, np.mod(part.cols, n)]
         assert found.tobytes() == np.ascontiguousarray(wanted).tobytes()
 
@@ -97,8 +96,8 @@ def test_beside_a_raster_and_in_its_holes_there_are_no_heights(moon, dems, tmp_p
     graticule, row = zone(moon, mosaic.posting_m, 10.0)
     middle = round((np.radians(20.0) + np.pi) / graticule.column_angle)
     part = Part(row - 110, middle - 110, 220, 220)
-    found = graticule_heights(
-        mosaic, graticule, part, mosaic.posting_m, latitudes_of(graticule, part)
+    found = mosaic.graticule_heights(
+        graticule, part, mosaic.posting_m, latitudes_of(graticule, part)
     )
     known = np.isfinite(found)
     assert not known[:8].any()
@@ -106,8 +105,7 @@ def test_beside_a_raster_and_in_its_holes_there_are_no_heights(moon, dems, tmp_p
     assert known[15:90, 15:200].all()
     assert not known[106:112, 106:112].all()
     far = Part(row + 2000, middle, 5, 5)
-    assert np.isnan(
-        graticule_heights(
-            mosaic, graticule, far, mosaic.posting_m, latitudes_of(graticule, far)
-        )
-    ).all()  # fmt: skip
+    beyond = mosaic.graticule_heights(
+        graticule, far, mosaic.posting_m, latitudes_of(graticule, far)
+    )
+    assert np.isnan(beyond).all()

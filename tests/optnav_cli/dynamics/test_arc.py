@@ -5,7 +5,7 @@ import pytest
 
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
-from optnav_cli.dynamics.arc import Fix, OrbitArc
+from optnav_cli.dynamics.arc import OrbitArc, TimedPosition
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
 
@@ -32,7 +32,7 @@ def flight(orbit, times, sigma_m, seed=0, state=None):
     rng = np.random.default_rng(seed)
     covariance = np.eye(3) * sigma_m**2
     fixes = [
-        Fix(START_S + t, reached[:3] + rng.normal(0.0, sigma_m, 3), covariance)
+        TimedPosition(START_S + t, reached[:3] + rng.normal(0.0, sigma_m, 3), covariance)
         for t, reached in zip(times, states, strict=True)
     ]
     return states[:, :3], fixes
@@ -47,7 +47,7 @@ def test_predictions_lie_within_their_covariance(orbit):
         for fix in fixes[:-1]:
             assert arc.add(fix) is None
         found = arc.predict(fixes[-1].tdb_s)
-        assert found.fixes == 5
+        assert found.source == "arc of 5 fixes"
         offset = found.position_m - truth[-1]
         errors.append(offset @ np.linalg.solve(found.covariance_m2, offset))
     assert 1.5 < np.mean(errors) < 5.0
@@ -76,12 +76,14 @@ def test_the_uncertainty_grows_with_time_from_the_last_fix(orbit):
 
 def test_one_wrong_fix_is_named_and_left_out(orbit):
     truth, fixes = flight(orbit, [0, 20, 40, 60, 80, 100], 30.0)
-    fixes[4] = Fix(fixes[4].tdb_s, fixes[4].position_m + [0.0, 3e3, 0.0], fixes[4].covariance_m2)
+    fixes[4] = TimedPosition(
+        fixes[4].tdb_s, fixes[4].position_m + [0.0, 3e3, 0.0], fixes[4].covariance_m2
+    )
     arc = OrbitArc(orbit)
     contradicted = [arc.add(fix) is not None for fix in fixes]
     assert contradicted == [False] * 4 + [True, False]
     found = arc.predict(START_S + 100.0)
-    assert found.fixes == 5
+    assert found.source == "arc of 5 fixes"
     assert np.linalg.norm(found.position_m - truth[-1]) < 200.0
 
 
@@ -96,11 +98,11 @@ def test_after_a_manoeuvre_the_arc_begins_anew(orbit, sure):
     arc = OrbitArc(orbit)
     for fix in before:
         assert arc.add(fix) is None
-    said = [arc.add(fix, sure=sure) for fix in after]
-    ended = [None if odd is None else odd.ended for odd in said]
+    said = [arc.add(fix, confirmed=sure) for fix in after]
+    ended = [None if odd is None else odd.new_arc for odd in said]
     assert ended == ([True, None, None, None] if sure else [False, True, None, None])
     found = arc.predict(START_S + 260.0)
-    assert found.fixes == 4
+    assert found.source == "arc of 4 fixes"
     assert np.linalg.norm(found.position_m - truth[-1]) < 200.0
 
 
@@ -109,10 +111,10 @@ def test_of_two_fixes_at_one_time_the_better_stays(orbit):
     arc = OrbitArc(orbit)
     rng = np.random.default_rng(9)
     for place, fix in zip(truth, fixes, strict=True):
-        arc.add(Fix(fix.tdb_s, place + rng.normal(0.0, 2e3, 3), np.eye(3) * 4e6))
+        arc.add(TimedPosition(fix.tdb_s, place + rng.normal(0.0, 2e3, 3), np.eye(3) * 4e6))
         arc.add(fix)
     found = arc.predict(START_S + 60.0)
-    assert found.fixes == 4
+    assert found.source == "arc of 4 fixes"
     assert np.sqrt(np.trace(found.covariance_m2)) < 60.0
 
 
@@ -122,6 +124,6 @@ def test_a_long_gap_ends_the_arc(orbit):
     for fix in fixes[:3]:
         arc.add(fix)
     assert arc.predict(fixes[3].tdb_s) is None
-    far = Fix(fixes[3].tdb_s, -fixes[3].position_m, fixes[3].covariance_m2)
+    far = TimedPosition(fixes[3].tdb_s, -fixes[3].position_m, fixes[3].covariance_m2)
     assert arc.add(far) is None
-    assert arc.predict(far.tdb_s).fixes == 1
+    assert arc.predict(far.tdb_s).source == "arc of one fix"

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
-from optnav_cli.dynamics.arc import Fix, OrbitArc
+from optnav_cli.dynamics.arc import OrbitArc, TimedPosition
 from optnav_cli.dynamics.forces import Forces, even_field
 from optnav_cli.dynamics.integrator import OrbitMotion
 from optnav_cli.simulation.approach import Approach, approach_states
@@ -91,7 +91,7 @@ def test_predicted_priors_are_as_good_as_they_say(known, seeds):
                 offset = found.position_m - state[:3]
                 squares.append(offset @ np.linalg.solve(found.covariance_m2, offset))
                 sigmas.append(np.sqrt(found.covariance_m2.trace()) / np.linalg.norm(state[:3]))
-            fix = Fix(t, state[:3] + rng.normal(0.0, sigma, 3), np.eye(3) * sigma**2)
+            fix = TimedPosition(t, state[:3] + rng.normal(0.0, sigma, 3), np.eye(3) * sigma**2)
             assert arc.add(fix) is None
     # the first two fixes alone say nothing
     assert len(squares) == seeds * (len(times) - 2)
@@ -114,5 +114,5 @@ def test_fixes_a_day_apart_are_no_arc():
     place, spread = np.array([0.0, 1.0e6, 0.0]), np.eye(3) * 1e4
     for day in range(4):
         assert arc.predict(NOON + 86400.0 * day) is None
-        assert arc.add(Fix(NOON + 86400.0 * day, place, spread)) is None
+        assert arc.add(TimedPosition(NOON + 86400.0 * day, place, spread)) is None
     assert arc.predict(NOON + 86400.0 * 3 + 1.0) is not None

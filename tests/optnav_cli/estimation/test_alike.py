@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose, Sightings, predict
-from optnav_cli.estimation.robust import resect_robustly
+from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.estimation.resection import resect_robustly
 
 CAMERA = Camera("cam", "pinhole", 1000, 1000, 2400.0, (499.5, 499.5))
 POSE = Pose(np.array([0.0, 0.0, -20e3]), Rotation.identity())
@@ -29,8 +29,8 @@ def test_the_covariance_of_errors_that_neighbours_share_is_that_of_the_solutions
             found = resect_robustly(
                 CAMERA, seen, POSE, 0.0, error_correlation=error_correlation if known else None
             )
-            error = found.resection.pose.position_m - POSE.position_m
-            covariance = found.resection.position_covariance_m2
+            error = found.pose.position_m - POSE.position_m
+            covariance = found.position_covariance_m2
             values.append(float(error @ np.linalg.solve(covariance, error)) / 3.0)
     # residuals of neighbours that move together are small: the scatter that scales is too
     assert 0.6 < np.mean(nees[True]) < 2.0

@@ -6,7 +6,7 @@ from scipy.optimize import brentq, least_squares
 
 from catalog.errors import NoSolutionError
 from catalog.terrain.skyline.limb import nadir_axes
-from optnav_cli.estimation.limb_fit import fit_limb, linear_position
+from optnav_cli.estimation.models.limb import fit_limb, linear_position
 
 SHAPES = {
     "sphere": (1737400.0, 1737400.0, 1737400.0),
@@ -56,8 +56,8 @@ def test_an_exact_cone_gives_its_position(shape, degrees, height):
     limit = 1e-11 * height**3 * size
     assert np.linalg.norm(linear_position(rays, radii) - position) < limit
     fit = fit_limb(rays, 1e-8, radii)
-    assert np.linalg.norm(fit.position_m - position) < limit
-    assert np.abs(fit.residuals).max() < 1e-8
+    assert np.linalg.norm(fit.state - position) < limit
+    assert np.abs(fit.measured.residuals).max() < 1e-8
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -84,8 +84,8 @@ def test_scipy_finds_the_same_minimum(shape):
 
     found = least_squares(residuals, np.ones(3), xtol=1e-14, ftol=1e-14, gtol=1e-14)
     fit = fit_limb(rays, 1e-4, radii)
-    sigma = np.sqrt(np.diag(fit.noise_m2))
-    assert (np.abs(fit.position_m - found.x * position) < 1e-2 * sigma).all()
+    sigma = np.sqrt(np.diag(fit.noise))
+    assert (np.abs(fit.state - found.x * position) < 1e-2 * sigma).all()
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -104,9 +104,10 @@ def test_the_gain_is_what_a_turned_ray_does(shape):
         for side in (1e-6, -1e-6):
             turned = rays.copy()
             turned[k] = d + side * normal
-            moved.append(fit_limb(turned, 1e-4, radii).position_m)
+            moved.append(fit_limb(turned, 1e-4, radii).state)
         numeric = (moved[0] - moved[1]) / 2e-6
-        assert numeric == pytest.approx(fit.gain_m[:, k], rel=1e-4, abs=1e-4 * abs(numeric).max())
+        gain = fit.measured.gain(fit.noise)[:, k]
+        assert numeric == pytest.approx(gain, rel=1e-4, abs=1e-4 * abs(numeric).max())
 
 
 def test_each_ray_may_touch_a_body_of_its_own_size():
@@ -116,7 +117,7 @@ def test_each_ray_may_touch_a_body_of_its_own_size():
     for azimuth, size in zip(arc(360.0), sizes, strict=True):
         rays.append(tangent_rays(position, size * np.array(SHAPES["sphere"]), [azimuth])[0])
     fit = fit_limb(rays, 1e-4, SHAPES["sphere"], scales=sizes)
-    assert np.linalg.norm(fit.position_m - position) < 0.01
+    assert np.linalg.norm(fit.state - position) < 0.01
 
 
 def test_far_away_wrong_points_lose_their_weight():
@@ -127,8 +128,8 @@ def test_far_away_wrong_points_lose_their_weight():
     axes = nadir_axes(position)
     rays[12:18] -= 0.01 * axes[2]
     fit = fit_limb(rays, 1e-5, radii, start_m=position * 1.0001, cut=1e-3)
-    assert (fit.weights[12:18] == 0.0).all()
-    assert np.linalg.norm(fit.position_m - position) < 30.0
+    assert (fit.measured.weights[12:18] == 0.0).all()
+    assert np.linalg.norm(fit.state - position) < 30.0
 
 
 def test_independent_errors_have_the_stated_covariance():
@@ -139,9 +140,9 @@ def test_independent_errors_have_the_stated_covariance():
     squares, noise = [], []
     for _ in range(300):
         fit = fit_limb(rays + rng.normal(0.0, 1e-4, rays.shape), 1e-4, radii)
-        error = fit.position_m - position
-        squares.append(error @ np.linalg.solve(fit.covariance_m2, error) / 3.0)
-        noise.append(error @ np.linalg.solve(fit.noise_m2, error) / 3.0)
+        error = fit.state - position
+        squares.append(error @ np.linalg.solve(fit.covariance, error) / 3.0)
+        noise.append(error @ np.linalg.solve(fit.noise, error) / 3.0)
     # 900 squared normal numbers: 1 +- 0.05; the sandwich is wide where its few windows scatter
     assert np.mean(noise) == pytest.approx(1.0, abs=0.15)
     assert 0.6 < np.mean(squares) < 1.1
@@ -165,9 +166,9 @@ def test_errors_common_to_neighbours_are_in_the_covariance():
         )
         wave *= 1e-4 / wave.std()
         fit = fit_limb(rays + wave[:, None] * axes[2], 1e-4, radii)
-        error = fit.position_m - position
-        honest.append(error @ np.linalg.solve(fit.covariance_m2, error) / 3.0)
-        naive.append(error @ np.linalg.solve(fit.noise_m2, error) / 3.0)
+        error = fit.state - position
+        honest.append(error @ np.linalg.solve(fit.covariance, error) / 3.0)
+        naive.append(error @ np.linalg.solve(fit.noise, error) / 3.0)
     assert np.mean(naive) > 5.0
     assert 0.7 < np.mean(honest) < 1.8
 

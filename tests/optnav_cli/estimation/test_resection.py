@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
-from optnav_cli.estimation.resection import Pose, Sightings, moved, predict, resect
-from optnav_cli.estimation.robust import resect_robustly
+from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.estimation.resection import resect, resect_robustly
 
 RADIUS_M = 1_737_400.0
 
@@ -57,8 +57,8 @@ def test_exact_sightings_give_the_true_pose_back_from_kilometres_off(attitude_si
         start_turn = Rotation.from_rotvec([0.02, -0.03, 0.05]) * start_turn
     start = Pose(truth.position_m + rng.normal(0, 3000.0, 3), start_turn)
     solution = resect(Pinhole(), sightings_of(truth, points, rng), start, attitude_sigma)
-    assert np.linalg.norm(solution.pose.position_m - truth.position_m) < 1e-3
-    off = (solution.pose.camera_from_body * truth.camera_from_body.inv()).magnitude()
+    assert np.linalg.norm(solution.state.position_m - truth.position_m) < 1e-3
+    off = (solution.state.camera_from_body * truth.camera_from_body.inv()).magnitude()
     assert off < 1e-9
 
 
@@ -69,8 +69,8 @@ def test_the_jacobian_agrees_with_finite_differences():
     for k, step in enumerate([1.0, 1.0, 1.0, 1e-6, 1e-6, 1e-6]):
         delta = np.zeros(6)
         delta[k] = step
-        plus, _ = predict(Pinhole(), moved(pose, delta), points)
-        minus, _ = predict(Pinhole(), moved(pose, -delta), points)
+        plus, _ = predict(Pinhole(), pose.moved(delta), points)
+        minus, _ = predict(Pinhole(), pose.moved(-delta), points)
         numeric = (plus - minus) / (2.0 * step)
         assert np.allclose(numeric, jacobian[:, :, k], rtol=1e-5, atol=1e-7)
 
@@ -86,8 +86,8 @@ def test_the_covariance_matches_the_scatter_of_many_trials(attitude_sigma):
         if attitude_sigma:
             turn = Rotation.from_rotvec(rng.normal(0, attitude_sigma, 3)) * turn
         solution = resect(Pinhole(), seen, Pose(truth.position_m, turn), attitude_sigma)
-        error = solution.pose.position_m - truth.position_m
-        scores.append(error @ np.linalg.solve(solution.position_covariance_m2, error) / 3.0)
+        error = solution.state.position_m - truth.position_m
+        scores.append(error @ np.linalg.solve(solution.covariance[:3, :3], error) / 3.0)
     # the mean of 300 chi-square(3)/3 has a sigma of sqrt(2/3/300) = 0.047
     assert 0.85 < np.mean(scores) < 1.15
 
@@ -106,7 +106,7 @@ def test_wrong_matches_are_thrown_out_and_right_ones_kept():
         )
         assert not found.used[wrong].any()
         assert found.used.sum() >= 8
-        assert np.linalg.norm(found.resection.pose.position_m - truth.position_m) < 300.0
+        assert np.linalg.norm(found.pose.position_m - truth.position_m) < 300.0
 
 
 def test_contradicting_matches_are_no_solution():

@@ -9,20 +9,18 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.control_point import ControlPoint, Patch
-from catalog.correlation.masked import blur_nodes
-from catalog.correlation.ncc import match_ncc
+from catalog.correlation.ncc import blur_nodes, match_ncc
 from catalog.geometry.ellipsoid import foot_of
 from catalog.rendering.mesh_scene import MeshScene
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.rays import MeshRays
-from catalog.terrain.mesh.refine import refined, roughened
+from catalog.terrain.mesh.refine import refined, roughened, smooth_corners
 from catalog.terrain.mesh.shape import Shape, load_shape
-from catalog.terrain.mesh.smooth import smooth_corners
 from catalog.terrain.mesh.terrain import MeshTerrain
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera_file import preset_camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference

@@ -11,7 +11,7 @@ from catalog.control_point import Patch
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.surf64 import match_surf
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose, predict
+from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference

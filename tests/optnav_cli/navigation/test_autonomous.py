@@ -28,9 +28,8 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation import autonomous
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
-from optnav_cli.navigation.outline import BodyFix
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
+from optnav_cli.reasons import Reason, ReasonCode
 
 MOON = load_body("moon")
 MOTION = AnalyticEphemeris(MOON)
@@ -80,7 +79,8 @@ class Sky:
                 ReasonCode.NO_LIMB,
             )
         place = self.truth[self.frame] + known
-        return BodyFix("horizon", place, np.eye(3) * 200.0**2, 0.1, 900, 200.0, MARKS, NO_REASON)
+        evidence = Evidence(residual_rms_px=0.1, n_limb=900, arc_deg=200.0, outline=MARKS)
+        return Fix(Method.HORIZON, place, np.eye(3) * 200.0**2, camera_from_body, 0.0, evidence)
 
     def points(self, observation, prior, *_):
         self.priors.append(prior)

@@ -10,8 +10,8 @@ from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation import outline
 from optnav_cli.navigation.neighbour import other_body
+from optnav_cli.navigation.outline import method as outline
 from tests.optnav_cli.measurements.disc.drawn_discs import RADIUS_M, blurred_disc, expose
 
 MOON = load_body("moon")
@@ -67,7 +67,7 @@ def beyond(distance_m, off_deg):
 def test_the_moon_is_told_from_the_earth_by_where_each_must_stand(place):
     """Also where the Earth is the larger disc, and where both have one size."""
     fix = solve(drawn(*place, "moon", "earth"), *place)
-    assert "the earth is in the picture too" in fix.remark.text
+    assert "the earth is in the picture too" in fix.reason.text
     error = fix.position_m - place[0]
     assert error @ np.linalg.solve(fix.covariance_m2, error) < 16.0
     assert np.linalg.norm(error) < 0.1 * np.linalg.norm(place[0])
@@ -105,7 +105,7 @@ def test_the_earth_seen_from_a_low_orbit_is_not_the_moon():
 def test_a_lone_moon_elsewhere_is_solved_without_a_word():
     place = view(30e6 * SIDE, -SIDE)
     fix = solve(drawn(*place, "moon"), *place)
-    assert "earth" not in fix.remark.text
+    assert "earth" not in fix.reason.text
     error = fix.position_m - place[0]
     assert error @ np.linalg.solve(fix.covariance_m2, error) < 16.0
 

@@ -8,8 +8,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from catalog.terrain.dem.file import path_of
+from catalog.terrain.mesh.refine import butterfly, finer_grid, smooth_corners
 from catalog.terrain.mesh.shape import Shape
-from catalog.terrain.mesh.smooth import butterfly, finer_grid, smooth_corners
 from catalog.terrain.mesh.table import RadiiGrid
 from catalog.terrain.mesh.winding import edges_of, volume_of
 

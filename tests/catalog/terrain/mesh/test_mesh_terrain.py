@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.projection import Stereographic, node_grid
-from catalog.geometry.tangent_plane import TangentPlane
+from catalog.geometry.projection import Stereographic, TangentPlane, node_grid
 from catalog.rendering.shadow import lit_mask
 from catalog.terrain.mesh.rays import first_of_all
 from catalog.terrain.mesh.terrain import MeshTerrain

@@ -13,7 +13,7 @@ from catalog.correlation.ncc import match_ncc
 from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.control_points.method import navigate

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.resection import Pose
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.navigation.control_points.expectation import CandidatePoints, expected_in_view
 from optnav_cli.navigation.settings import ViewSettings
 

@@ -29,6 +29,10 @@ def drawn(rng, radius_px, phase_deg, blur_px, snr=50.0):
     return expose(light, snr, rng), centre, sun
 
 
+def centre_px(fix):
+    return fix.evidence.outline.points_px[0]
+
+
 def test_positions_of_300_discs_are_as_good_as_they_say():
     """The drawn spheres' centres lie off the centre of mass as the Moon's figure does."""
     rng = np.random.default_rng(11)
@@ -37,12 +41,14 @@ def test_positions_of_300_discs_are_as_good_as_they_say():
         radius = rng.uniform(0.5, 6.0)
         picture, centre, sun = drawn(rng, radius, rng.uniform(0.0, 120.0), rng.uniform(0.5, 1.1))
         turn = Rotation.random(random_state=rng)
-        fix = navigate(picture, CAMERA, turn, 0.0, turn.inv().apply(sun), BODY, saturation=255.0)
+        fix, _ = navigate(picture, CAMERA, turn, 0.0, turn.inv().apply(sun), BODY, saturation=255.0)
         mass = centre + rng.normal(0.0, SHAPE_SIGMA * BODY.radius_m, 3)
         error = fix.position_m + turn.inv().apply(mass)
         normalised.append(error @ np.linalg.solve(fix.covariance_m2, error) / 3.0)
-        missed.append(np.linalg.norm(fix.centre_px - CAMERA.project(centre)))
-        shares.append((radius, fix.range_share))
+        missed.append(np.linalg.norm(centre_px(fix) - CAMERA.project(centre)))
+        position = fix.position_m
+        share = np.sqrt(position @ fix.covariance_m2 @ position) / (position @ position)
+        shares.append((radius, share))
     assert 0.7 < np.mean(normalised) < 1.4
     assert np.median(missed) < 0.06
     radii, sigmas = np.array(shares).T
@@ -67,8 +73,8 @@ def test_the_correction_depends_on_the_phase_and_hardly_on_the_law():
 def test_an_attitude_error_widens_the_position_across_the_line_of_sight():
     picture, centre, sun = drawn(np.random.default_rng(4), 4.0, 40.0, 0.8)
     still = Rotation.identity()
-    exact = navigate(picture, CAMERA, still, 0.0, sun, BODY)
-    loose = navigate(picture, CAMERA, still, 1e-3, sun, BODY)
+    exact, _ = navigate(picture, CAMERA, still, 0.0, sun, BODY)
+    loose, _ = navigate(picture, CAMERA, still, 1e-3, sun, BODY)
     distance = np.linalg.norm(exact.position_m)
     grown = loose.covariance_m2 - exact.covariance_m2
     across = np.cross(centre / np.linalg.norm(centre), [1.0, 0.0, 0.0])
@@ -101,7 +107,7 @@ def test_stars_and_hot_pixels_beside_the_disc_do_not_move_it():
     star[4, 5] = 500.0
     spoilt = picture + cv2.GaussianBlur(star, (0, 0), 0.9)
     spoilt[30, 30] = 250.0
-    clean = navigate(picture, CAMERA, Rotation.identity(), 0.0, sun, BODY)
-    fix = navigate(spoilt, CAMERA, Rotation.identity(), 0.0, sun, BODY)
-    assert np.linalg.norm(fix.centre_px - clean.centre_px) < 0.02
-    assert np.linalg.norm(fix.centre_px - CAMERA.project(centre)) < 0.15
+    clean, _ = navigate(picture, CAMERA, Rotation.identity(), 0.0, sun, BODY)
+    fix, _ = navigate(spoilt, CAMERA, Rotation.identity(), 0.0, sun, BODY)
+    assert np.linalg.norm(centre_px(fix) - centre_px(clean)) < 0.02
+    assert np.linalg.norm(centre_px(fix) - CAMERA.project(centre)) < 0.15

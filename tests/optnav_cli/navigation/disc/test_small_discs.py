@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation import outline
+from optnav_cli.navigation.outline import method as outline
 from tests.optnav_cli.measurements.disc.drawn_discs import (
     FINE,
     blurred_disc,
@@ -91,7 +91,7 @@ def test_a_disc_of_twenty_pixels_is_right_to_some_hundredths_of_one(phase_deg):
     picture, centre, sun = drawn(camera, 10.0, phase_deg, rng, 1.0)
     fix = outline.navigate(picture, camera, STILL, 0.0, sun, BODY, None)
     missed = camera.project(-fix.position_m) - camera.project(centre)
-    assert "fitted whole" in fix.remark.text
+    assert "fitted whole" in fix.reason.text
     assert np.linalg.norm(missed) < 0.06
     ratio = np.linalg.norm(fix.position_m) / np.linalg.norm(centre)
     assert abs(ratio - 1.0) * 10.0 < 0.08

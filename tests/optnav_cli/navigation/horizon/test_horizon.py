@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
-from optnav_cli.navigation.horizon import navigate
+from optnav_cli.navigation.horizon.method import navigate
 from tests.optnav_cli.navigation.horizon.limbs import (
     CAMERA,
     MOON,
@@ -41,9 +41,9 @@ def test_relief_takes_a_bare_sphere_s_error_away(height):
         points = limb_points(position, turned, seed=seed)
         bare = navigate(points, CAMERA, turned, 0.0, None, MOON)
         fix = navigate(points, CAMERA, turned, 0.0, None, MOON, grounds()[1])
-        assert (bare.terrain, fix.terrain) == (False, True)
-        assert fix.arc_deg == 360.0
-        assert fix.residual_rms_px < 0.3 * bare.residual_rms_px
+        assert (bare.method, fix.method) == ("horizon_sphere", "horizon")
+        assert fix.evidence.arc_deg == 360.0
+        assert fix.evidence.residual_rms_px < 0.3 * bare.evidence.residual_rms_px
         bare_over.append(split(bare.position_m - position, position)[1])
         both = split(fix.position_m - position, position)
         up.append(both[0])
@@ -92,7 +92,7 @@ def test_half_a_limb_is_enough_and_less_than_100_deg_is_refused():
     half = limb_points(position, turned, arc_deg=180.0)
     fix = navigate(half, CAMERA, turned, 0.0, None, MOON, grounds()[1])
     height, over = split(fix.position_m - position, position)
-    assert fix.arc_deg == pytest.approx(180.0, abs=4.0)
+    assert fix.evidence.arc_deg == pytest.approx(180.0, abs=4.0)
     assert height < 300.0
     assert over < 300.0
     short = limb_points(position, turned, arc_deg=90.0)
@@ -109,8 +109,8 @@ def test_limb_points_in_low_sun_and_shadow_do_not_count():
     side = np.cross(up, [0.0, 0.0, 1.0])
     sun = up * np.sin(np.radians(5.0)) + side / np.linalg.norm(side) * np.cos(np.radians(5.0))
     fix = navigate(points, CAMERA, turned, 0.0, sun, MOON, grounds()[1])
-    assert 120.0 < fix.arc_deg < 230.0
-    assert fix.n_used < 0.6 * fix.n_points
+    assert 120.0 < fix.evidence.arc_deg < 230.0
+    assert fix.evidence.n_limb < 0.6 * len(points)
 
 
 def test_the_inverse_rotation_is_named():

@@ -17,14 +17,13 @@ from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
-from optnav_cli.navigation.horizon import navigate
-from optnav_cli.navigation.horizon.shape_limb import (
-    ShapeGround,
+from optnav_cli.navigation.horizon.limb_rays import LimbRays
+from optnav_cli.navigation.horizon.method import navigate
+from optnav_cli.navigation.horizon.shape_skyline import (
+    ShapeSkyline,
     is_shape,
     relief_fraction,
-    shape_limb,
 )
-from optnav_cli.navigation.horizon.sight import LimbRays
 from tests.optnav_cli.navigation.horizon.limbs import grounds, limb_points, place
 
 PHOBOS = load_body("phobos")
@@ -172,8 +171,7 @@ def test_silhouettes_are_where_rays_begin_to_miss_the_mesh():
         low, high = np.where(met, middle, low), np.where(met, high, middle)
     rays = np.sin(low)[:, None] * across - np.cos(low)[:, None] * axes[2]
     sight = LimbRays(rays, np.full(90, PIXEL), np.full(90, 0.1), 1e-9, 0.0, np.arange(90))
-    limb = shape_limb(ShapeGround(LimbRelief(relief, 0.0), 0.0, 0.0, 0.0, 0.0), position, sight,
-                      None)  # fmt: skip
+    limb = ShapeSkyline(LimbRelief(relief, 0.0), 0.0).silhouette(position, sight, None)
     beside_m = limb.offsets * limb.ranges
     assert np.abs(np.median(beside_m)) < 4.0
     assert np.quantile(np.abs(beside_m), 0.9) < 15.0
@@ -188,11 +186,11 @@ def test_offsets_change_as_their_rates_say():
     sight = LimbRays(
         rays, np.full(len(rays), PIXEL), points.sigma_px, 1e-6, 0.0, np.arange(len(rays))
     )
-    ground = ShapeGround(LimbRelief(relief, 0.0), 0.0, 0.0, 0.0, 0.0)
-    limb = shape_limb(ground, position, sight, None)
+    skyline = ShapeSkyline(LimbRelief(relief, 0.0), 0.0)
+    limb = skyline.silhouette(position, sight, None)
     for step in 30.0 * nadir_axes(position)[:2]:
-        after = shape_limb(ground, position + step, sight, None).offsets
-        before = shape_limb(ground, position - step, sight, None).offsets
+        after = skyline.silhouette(position + step, sight, None).offsets
+        before = skyline.silhouette(position - step, sight, None).offsets
         expected = 2.0 * limb.rates @ step
         wrong = (after - before - expected)[limb.usable]
         assert np.sqrt(np.mean(wrong**2)) < 0.1 * np.sqrt(np.mean(expected**2))
@@ -206,7 +204,7 @@ def test_rough_shapes_are_fixed_to_metres_and_say_so():
         points = lit_points(truth, position, sun, camera_from_body)
         fix = navigate(points, CAMERA, camera_from_body, 0.0, sun, PHOBOS, relief)
         bare = navigate(points, CAMERA, camera_from_body, 0.0, sun, PHOBOS)
-        assert (fix.terrain, bare.terrain) == (True, False)
+        assert (fix.method, bare.method) == ("horizon", "horizon_sphere")
         both = split(fix.position_m - position, position)
         along.append(both[0])
         across.append(both[1])
@@ -265,5 +263,5 @@ def test_the_moon_keeps_its_own_way():
     turned = Rotation.from_matrix(np.stack([axes[0], -axes[1], -axes[2]]))
     fix = navigate(limb_points(position, turned), preset_camera("shnk"), turned, 0.0, None,
                    load_body("moon"), grounds()[1])  # fmt: skip
-    assert fix.terrain
+    assert fix.method == "horizon"
     assert np.linalg.norm(fix.position_m - position) < 500.0

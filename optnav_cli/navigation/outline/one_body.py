@@ -1,7 +1,6 @@
 """A position from the outline of the one body in a picture: its limb, or its small disc."""
 
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,15 +10,15 @@ from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.fix import OutlineMarks
+from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.fit import rad_per_px
 from optnav_cli.measurements.disc.moments import is_round
 from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
 from optnav_cli.measurements.limb.sun_check import rejection_of_sun
-from optnav_cli.navigation import horizon
 from optnav_cli.navigation.disc import brightness_centre, whole_disc
-from optnav_cli.navigation.horizon.shape_limb import relief_fraction
+from optnav_cli.navigation.horizon import method as horizon
+from optnav_cli.navigation.horizon.shape_skyline import relief_fraction
 from optnav_cli.navigation.neighbour import View
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
@@ -29,27 +28,6 @@ MIN_WIDTH_SIGMAS = 3.0  # of a disc over a point
 # Radius up to which the light of a body of known shape, whose ground is of one kind, says more than
 # its limb: to 0.005 radii up to a phase of 80 deg, to 0.02 at 120.
 KNOWN_SHAPE_PX = 20.0
-
-
-@dataclass(frozen=True, eq=False)
-class BodyFix:
-    """A position from the outline.
-
-    method           "horizon", "horizon_sphere" or "brightness_centre"
-    position_m       (3,)    body frame;  covariance_m2 (3, 3)
-    residual_rms_px  across the limb, of the points used; None for a disc
-    n_used           limb points used; None for a disc
-    marks            of the outline in the picture, for drawing
-    """
-
-    method: str
-    position_m: FloatArray
-    covariance_m2: FloatArray
-    residual_rms_px: float | None
-    n_used: int | None
-    arc_deg: float | None
-    marks: OutlineMarks
-    remark: Reason
 
 
 def detect_limb(
@@ -67,7 +45,7 @@ def detect_limb(
     )
 
 
-def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None) -> BodyFix:
+def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None) -> Fix:
     """A position from the one body of a picture: by its limb, else by its middle of light."""
     try:
         limb = detect_limb(picture, view.camera, view.camera_from_body, view.sun_body, body)
@@ -92,27 +70,18 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
     doubt = _rejection_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
         raise NoSolutionError(f"{doubt}: attitude or time is wrong", ReasonCode.WRONG_LIGHT)
-    return BodyFix(
-        "horizon" if fix.terrain else "horizon_sphere",
-        fix.position_m,
-        fix.covariance_m2,
-        fix.residual_rms_px,
-        fix.n_used,
-        fix.arc_deg,
-        OutlineMarks(limb.pixels, limb.inward, fix.residuals_px),
-        Reason(ReasonCode.SHORT_ARC, fix.remark) if fix.remark else NO_REASON,
-    )
+    return fix
 
 
 def _by_disc(
     picture: Picture, view: View, body: Body, relief: GlobalRelief | None, limb: LimbPoints
-) -> BodyFix | None:
+) -> Fix | None:
     """A position from all of a small disc; None for one whose limb is the better measurement.
 
     Raises NoSolutionError for a sphere's disc that cannot be lit by this Sun.
     """
     if is_round(body) and whole_disc.is_for(limb, view.camera):
-        fix = whole_disc.navigate(
+        return whole_disc.navigate(
             picture.values,
             view.camera,
             view.camera_from_body,
@@ -121,18 +90,6 @@ def _by_disc(
             body,
             limb,
             saturation=picture.saturation,
-        )
-        if not fix.trusted:
-            return None
-        return BodyFix(
-            "horizon_sphere",
-            fix.position_m,
-            fix.covariance_m2,
-            None,
-            len(limb),
-            limb.arc_deg,
-            OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb))),
-            Reason(ReasonCode.SMALL_DISC, f"disc of {2.0 * fix.radius_px:.1f} px fitted whole"),
         )
     radius_px = limb.cone_angle / rad_per_px(view.camera, limb.cone_axis_camera)
     if relief is None or is_round(body) or radius_px > KNOWN_SHAPE_PX:
@@ -155,10 +112,10 @@ def _rejection_of_sun(picture: Picture, view: View, body: Body) -> str:
 
 def _by_centre(
     picture: Picture, view: View, body: Body, relief: GlobalRelief | None, no_limb: Reason
-) -> BodyFix:
+) -> Fix:
     """A position from the middle of light of a small disc."""
     try:
-        disc = brightness_centre.navigate(
+        fix, width_sigmas = brightness_centre.navigate(
             picture.values,
             view.camera,
             view.camera_from_body,
@@ -174,22 +131,13 @@ def _by_centre(
         # of a disc too small for a limb the centre says why
         code = no_disc.code if no_limb.code == ReasonCode.SMALL_DISC else no_limb.code
         raise NoSolutionError(f"{no_limb}; {no_disc}", code) from None
-    if disc.width_sigmas < MIN_WIDTH_SIGMAS:
+    if width_sigmas < MIN_WIDTH_SIGMAS:
         remedy = "a nearer picture or a longer lens tells"
         if view.camera.known_blur_px is None:
             remedy = "a blur calibrated in the camera file (psf_sigma_px) would tell more"
         raise NoSolutionError(
             f"{no_limb}; one bright spot, no wider than a point's picture "
-            f"({disc.width_sigmas:.1f} sigmas): a star or a planet looks the same; {remedy}",
+            f"({width_sigmas:.1f} sigmas): a star or a planet looks the same; {remedy}",
             ReasonCode.POINT_SOURCE,
         )
-    return BodyFix(
-        "brightness_centre",
-        disc.position_m,
-        disc.covariance_m2,
-        None,
-        None,
-        None,
-        OutlineMarks.of_disc(disc.centre_px),
-        Reason(ReasonCode.SMALL_DISC, disc.remark),
-    )
+    return fix

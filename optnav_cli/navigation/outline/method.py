@@ -14,6 +14,7 @@ from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.segmentation import Blobs, lit_blobs, measure_levels, without_blobs
 from optnav_cli.navigation.neighbour import (
@@ -30,7 +31,7 @@ from optnav_cli.navigation.neighbour import (
     predicted,
     spots_of,
 )
-from optnav_cli.navigation.outline.solve import NEAR_ANGLE, BodyFix, solve
+from optnav_cli.navigation.outline.one_body import NEAR_ANGLE, solve
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 MIN_SPOT_PIXELS = 9
@@ -51,7 +52,7 @@ def navigate(
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody | None = None,
-) -> BodyFix:
+) -> Fix:
     """The camera's position from the outline; relief of the body where it is known.
 
     A disc too small for a limb is solved by its brightness centre.
@@ -76,7 +77,7 @@ def mask_neighbour(
 class _Choice:
     """An outline and the picture, of one body, that it was found in."""
 
-    outline: BodyFix
+    outline: Fix
     picture: Picture
 
 
@@ -105,7 +106,7 @@ def _one_of_two(
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody,
-    alone: BodyFix | None,
+    alone: Fix | None,
     reason: Reason,
 ) -> _Choice:
     """The outline that another body in the picture speaks for, or does not speak against.
@@ -132,7 +133,7 @@ def _one_of_two(
                 f"{names[0]} is in the picture too, where this position puts it",
             )
             return replace(
-                agreed[0], outline=replace(found, remark=found.remark.followed_by(remark))
+                agreed[0], outline=replace(found, reason=found.reason.followed_by(remark))
             )
         if agreed:
             raise NoSolutionError(
@@ -205,13 +206,13 @@ def _may_be(view: View, body: Body, other: OtherBody, spot: Spot, rest: list[Spo
     )
 
 
-def _sigma(found: BodyFix) -> float:
+def _sigma(found: Fix) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(found.covariance_m2)[-1]))
 
 
-def _disc(view: View, body: Body, found: BodyFix) -> Disc:
+def _disc(view: View, body: Body, found: Fix) -> Disc:
     return predicted(view, np.zeros(3), body.radius_m, found.position_m, 0.0)
 
 
-def _other_disc(view: View, other: OtherBody, found: BodyFix) -> Disc:
+def _other_disc(view: View, other: OtherBody, found: Fix) -> Disc:
     return predicted(view, other.centre_m, other.radius_m, found.position_m, _sigma(found))

@@ -1,0 +1,1 @@
+"""Measurement models: each says what one kind of measurement tells of a state."""

@@ -1,0 +1,226 @@
+"""A camera's position from directions to the limb of a sphere, a spheroid or a triaxial ellipsoid.
+
+Source: Zhukov 2025, ch. 2. Dividing body-fixed vectors by the semi-axes turns the ellipsoid into
+the unit sphere, whose limb lies on a circular cone about the centre's direction e_0 with the half
+angle chi: e_i . e_0 = cos chi. With s = e_0 / cos chi that is linear, e_i . s = 1. The linear
+answer is biased on short arcs, so it only starts a least-squares fit of true angles: those between
+the measured rays and the body's tangent cone, by their first-order distance F / |grad F|, exact
+for the sphere up to the cube of the angle.
+"""
+
+from operator import add
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from catalog.arrays import FloatArray
+from catalog.errors import NoSolutionError
+from catalog.geometry.kernel import kernel
+from optnav_cli.estimation.consider import azimuth_correlated, azimuths_about_nadir
+from optnav_cli.estimation.least_squares import (
+    Estimate,
+    Iteration,
+    Linearisation,
+    inverse_of,
+    mirrored,
+    solve,
+)
+from optnav_cli.estimation.robust import tukey
+from optnav_cli.reasons import Reason, ReasonCode
+
+MIN_LIMB_POINTS = 4  # three unknowns, one equation a point, and one left to see an error by
+MIN_DETERMINANT = 1e-14  # of the linear fit's normal matrix, over its diagonal's product
+_UNSETTLED = Reason(
+    ReasonCode.NOT_SETTLED, "the fit of the limb does not settle on a position outside the body"
+)
+ITERATION = Iteration(20, 1e-3, undetermined=_UNSETTLED, unsettled=_UNSETTLED)
+
+
+class LimbModel:
+    """Angles between rays and the tangent cone of an ellipsoid, as measurements of a position.
+
+    Arguments as `fit_limb`. Residuals are measured ray less cone, positive away from the body.
+    """
+
+    def __init__(
+        self,
+        rays: FloatArray,
+        sigmas: FloatArray,
+        radii_m: FloatArray,
+        scales: FloatArray | None,
+        cut: float,
+    ) -> None:
+        self._stretched, self._lengths = _stretch(rays, radii_m)
+        self._stated = np.full(len(rays), 1.0) / (sigmas * sigmas)
+        self._sizes = np.ones(len(rays)) if scales is None else scales
+        self._radii, self._cut = radii_m, cut
+
+    def linear_position(self) -> FloatArray:
+        """Position (3,) by e . s = 1. Raises NoSolutionError for what is no cone about a body."""
+        start = _linear(self._stretched, self._stated, self._radii)
+        if not np.isfinite(start[0]):
+            raise NoSolutionError(
+                "the limb points do not lie on a cone about the body", ReasonCode.LIMB_MISFIT
+            )
+        return start
+
+    def linearise(self, state: FloatArray) -> Linearisation:
+        """The angles from a position (3,). Raises NoSolutionError for one inside the body."""
+        found = _equations(
+            self._stretched,
+            self._lengths,
+            self._stated,
+            self._radii,
+            self._sizes,
+            state,
+            self._cut,
+        )
+        if not found[2] < np.inf:
+            raise _UNSETTLED.error()
+        return Linearisation(*found)
+
+
+def linear_position(directions: ArrayLike, radii_m: ArrayLike) -> FloatArray:
+    """Position (3,), m, by the linear least squares e . s = 1 alone.
+
+    directions (n, 3) to the limb, body frame, any length;  radii_m (3,) semi-axes.
+    Raises NoSolutionError when they are no cone about a body.
+    """
+    rays, radii = _checked(directions, radii_m)
+    return LimbModel(rays, np.ones(len(rays)), radii, None, np.inf).linear_position()
+
+
+def fit_limb(
+    directions: ArrayLike,
+    sigmas: ArrayLike,
+    radii_m: ArrayLike,
+    *,
+    scales: ArrayLike | None = None,
+    start_m: ArrayLike | None = None,
+    cut: float = np.inf,
+) -> Estimate[FloatArray]:
+    """Position (3,), m, body frame, from limb directions, by angles to the tangent cone.
+
+    directions (n, 3)  to the limb, body frame, any length
+    sigmas     (n,)    rad, stated error of each, independent of the others
+    radii_m    (3,)    semi-axes along body x, y, z
+    scales     (n,)    size of the body at each ray in units of the ellipsoid: terrain on the limb
+    start_m    (3,)    where to begin; the linear answer when None
+    cut        rad     Tukey's biweight is nought beyond it; infinite: plain least squares
+
+    The covariance is that of errors which neighbours share. Raises NoSolutionError for too few
+    points, a camera inside the body, or no convergence.
+    """
+    rays, radii = _checked(directions, radii_m)
+    sizes = None if scales is None else np.ascontiguousarray(scales, np.float64)
+    model = LimbModel(rays, np.asarray(sigmas, np.float64), radii, sizes, float(cut))
+    start = model.linear_position() if start_m is None else np.array(start_m, np.float64)
+    fit = solve([model], start, add, ITERATION)
+    azimuths = azimuths_about_nadir(rays, fit.state)
+    covariance = azimuth_correlated(fit.measured, fit.noise, azimuths)
+    return Estimate(fit.state, covariance, fit.noise, fit.terms)
+
+
+def _checked(directions: ArrayLike, radii_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    rays = np.ascontiguousarray(directions, dtype=np.float64)
+    if rays.ndim != 2 or rays.shape[1] != 3:
+        raise ValueError(f"expected directions (n, 3), got {rays.shape}")
+    if len(rays) < MIN_LIMB_POINTS:
+        raise NoSolutionError(
+            f"{len(rays)} limb points; {MIN_LIMB_POINTS} are needed", ReasonCode.NOISY_LIMB
+        )
+    return rays, np.ascontiguousarray(radii_m, dtype=np.float64)
+
+
+@kernel
+def _stretch(rays: FloatArray, radii: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit rays (n, 3) in the frame where the body is the unit sphere, and by what they grew.
+
+    A ray of unit length in the body frame has the length (n,) there before it is made unit again.
+    """
+    out, lengths = np.empty(rays.shape), np.empty(rays.shape[0])
+    p, q, r = 1.0 / radii[0], 1.0 / radii[1], 1.0 / radii[2]
+    for i in range(rays.shape[0]):
+        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
+        a, b, c = x * p, y * q, z * r
+        square = a * a + b * b + c * c
+        unit = 1.0 / np.sqrt(square)
+        out[i, 0], out[i, 1], out[i, 2] = a * unit, b * unit, c * unit
+        lengths[i] = np.sqrt(square / (x * x + y * y + z * z))
+    return out, lengths
+
+
+@kernel
+def _linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> FloatArray:
+    """The least-squares s of e . s = 1 in the stretched frame, as a position; NaN if it is none."""
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    for i in range(stretched.shape[0]):
+        for k in range(3):
+            scaled = weights[i] * stretched[i, k]
+            right[k] += scaled
+            for m in range(k, 3):
+                normal[k, m] += scaled * stretched[i, m]
+    mirrored(normal)
+    if not np.linalg.det(normal) > MIN_DETERMINANT * normal[0, 0] * normal[1, 1] * normal[2, 2]:
+        return np.full(3, np.nan)
+    s = inverse_of(normal) @ right
+    square = s[0] ** 2 + s[1] ** 2 + s[2] ** 2
+    # R = -R_0 e_0 / sin chi, and with |s| = 1 / cos chi: e_0 / sin chi = s / sqrt(|s|^2 - 1)
+    if not square > 1.0:
+        return np.full(3, np.nan)
+    position: FloatArray = -s * radii / np.sqrt(square - 1.0)
+    return position
+
+
+@kernel
+def _equations(
+    stretched: FloatArray,
+    lengths: FloatArray,
+    stated: FloatArray,
+    radii: FloatArray,
+    sizes: FloatArray,
+    position: FloatArray,
+    cut: float,
+) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray, FloatArray]:
+    """The fields of `Linearisation` at a position; the cost is infinite inside the body."""
+    n = len(stated)
+    rows, residuals, weights = np.empty((n, 3)), np.empty(n), np.empty(n)
+    normal, gradient, cost = np.zeros((3, 3)), np.zeros(3), 0.0
+    p = position / radii
+    distance = np.sqrt((p * p).sum())
+    if not distance > sizes.max():
+        return normal, gradient, np.inf, residuals, rows, weights
+    ux, uy, uz = p / distance
+    sx, sy, sz = 1.0 / radii
+    nearness, sharpness = 1.0 / distance, 1.0 / cut
+    n00, n01, n02, n11, n12, n22, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    # few divisions, for these and the roots take the time
+    for i in range(n):
+        a, b, c = stretched[i, 0], stretched[i, 1], stretched[i, 2]
+        cos_a = -(a * ux + b * uy + c * uz)
+        # across the line to the centre: of length sin a
+        x, y, z = a + cos_a * ux, b + cos_a * uy, c + cos_a * uz
+        sin_a = np.sqrt(x * x + y * y + z * z)
+        sin_x = sizes[i] * nearness
+        cos_x = np.sqrt(max(1.0 - sin_x * sin_x, 1e-30))
+        # the angle in the stretched frame changes with the true one, as the ray turns, as fast as
+        # this gradient is long, over `lengths` and sin a
+        gx, gy, gz = (ux + cos_a * a) * sx, (uy + cos_a * b) * sy, (uz + cos_a * c) * sz
+        slowness = lengths[i] / (np.sqrt(gx * gx + gy * gy + gz * gz) + 1e-30)
+        f = -slowness * nearness
+        g = f * sin_a * sin_x / cos_x
+        j0, j1, j2 = (x * f + ux * g) * sx, (y * f + uy * g) * sy, (z * f + uz * g) * sz
+        r = (sin_a * cos_x - cos_a * sin_x) * sin_a * slowness
+        w = stated[i] * tukey(r * sharpness)
+        rows[i, 0], rows[i, 1], rows[i, 2] = j0, j1, j2
+        residuals[i], weights[i] = r, w
+        cost += w * r * r
+        w0, w1, w2 = w * j0, w * j1, w * j2
+        n00, n01, n02 = n00 + w0 * j0, n01 + w0 * j1, n02 + w0 * j2
+        n11, n12, n22 = n11 + w1 * j1, n12 + w1 * j2, n22 + w2 * j2
+        g0, g1, g2 = g0 + w0 * r, g1 + w1 * r, g2 + w2 * r
+    normal[0, 0], normal[0, 1], normal[0, 2] = n00, n01, n02
+    normal[1, 0], normal[1, 1], normal[1, 2] = n01, n11, n12
+    normal[2, 0], normal[2, 1], normal[2, 2] = n02, n12, n22
+    gradient[0], gradient[1], gradient[2] = g0, g1, g2
+    return normal, gradient, cost, residuals, rows, weights

@@ -1,0 +1,172 @@
+"""Limb points as rays in the body frame, and what they have wrong that their residuals hide."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import BoolArray, FloatArray, IntArray
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from catalog.terrain.skyline.limb import nadir_axes
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.least_squares import Estimate
+from optnav_cli.measurements.limb.detection import LimbPoints
+from optnav_cli.reasons import ReasonCode
+
+ARC_BIN_DEG = 2.0
+MIN_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
+# What a single edge keeps of light and slope that no model has.
+EDGE_NOISE_PX = 0.05
+# The limb of the Moon (GLD100, 16 cells a degree, 150 places at each of 50, 200, 800, 20 000 km):
+# its height over the mean sphere averages 0.9 km, being made of crests, and its covariance between
+# two limb points depends on the angle between them at the centre alone, not on the altitude.
+MOON_ANGLE_DEG = np.array([0, 1, 2.5, 5, 10, 20, 30, 45, 60, 80, 100, 120, 140, 160, 180.0])
+MOON_COVARIANCE_KM2 = np.array(
+    [6.2, 5.9, 5.6, 5.3, 4.6, 3.7, 2.9, 1.9, 0.9, 0.1, -0.5, -0.8, -1.1, -1.3, -1.3]
+)
+MOON_MEAN_KM = 0.9
+MOON_HEIGHTS_KM = 24.0  # plausible heights of the Moon, lowest to highest
+RELIEF_BINS = 120  # of azimuth, when relief is propagated
+# The light of the ground about a crest moves edges together over some tens of degrees, differently
+# from place to place: limbs of a known skyline, from 50 to 200 km, show 0.05 px at 5 deg of Sun,
+# 0.02 from 10 to 40 and 0.01 above.
+SECTOR_DEG = 30.0
+SECTOR_PX, SECTOR_LOW_PX, SECTOR_FALL_DEG = 0.013, 0.09, 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class LimbRays:
+    """Rays to the limb.
+
+    rays         (n, 3) unit, body frame
+    pixel_angle  (n,)   rad a pixel across the limb
+    sigma_px     (n,)   stated error of each point, its own
+    blur         rad    sigma of what one point averages along the limb
+    common_px    sigma of an edge error that all points share
+    numbers      (n,)   of the limb points among those that were found
+    """
+
+    rays: FloatArray
+    pixel_angle: FloatArray
+    sigma_px: FloatArray
+    blur: float
+    common_px: float
+    numbers: IntArray
+
+    def __len__(self) -> int:
+        return len(self.rays)
+
+    def own_sigmas(self) -> FloatArray:
+        """(n,) rad, error of each point that is its own."""
+        return np.hypot(self.sigma_px, EDGE_NOISE_PX) * self.pixel_angle
+
+    def azimuths(self, position: FloatArray) -> FloatArray:
+        """(n,) rad about the nadir of a position (3,), as `nadir_axes` counts them."""
+        x, y, _ = nadir_axes(position) @ self.rays.T
+        azimuths: FloatArray = np.arctan2(y, x)
+        return azimuths
+
+    def subset(self, kept: BoolArray) -> "LimbRays":
+        """The rays of a mask."""
+        return replace(
+            self,
+            rays=self.rays[kept],
+            pixel_angle=self.pixel_angle[kept],
+            sigma_px=self.sigma_px[kept],
+            numbers=self.numbers[kept],
+        )
+
+
+def limb_rays_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation) -> LimbRays:
+    """Rays of limb points. Raises NoSolutionError when the lens has none for them."""
+    rays = camera.unproject(points.pixels)
+    nearby = camera.unproject(points.pixels + points.inward)
+    seen = np.isfinite(rays).all(axis=1) & np.isfinite(nearby).all(axis=1)
+    if not seen.any():
+        raise NoSolutionError(
+            "the lens has no ray for any of the limb points", ReasonCode.BAD_PICTURE
+        )
+    angle = np.linalg.norm(np.cross(rays[seen], nearby[seen]), axis=1)
+    return LimbRays(
+        camera_from_body.apply(rays[seen], inverse=True),
+        angle,
+        points.sigma_px[seen],
+        points.blur_px * float(np.median(angle)),
+        points.common_sigma_px,
+        np.flatnonzero(seen),
+    )
+
+
+def arc_deg(azimuths: FloatArray) -> float:
+    """Azimuth, in degrees, that points (rad) cover, in steps of about ARC_BIN_DEG.
+
+    The few points of a small disc lie further apart: their steps are wide enough to hold one each.
+    """
+    gaps = np.diff(np.sort(np.degrees(azimuths)))
+    wide = max(ARC_BIN_DEG, 1.5 * float(np.median(gaps))) if gaps.size else ARC_BIN_DEG
+    count = max(round(360.0 / wide), 1)
+    bins = np.floor(azimuths * (count / (2.0 * np.pi))).astype(np.int64)
+    return float(np.unique(np.mod(bins, count)).size * (360.0 / count))
+
+
+def require_arc(arc: float) -> float:
+    """The same arc, in degrees. Raises NoSolutionError for less than a position wants."""
+    if arc < MIN_ARC_DEG:
+        raise NoSolutionError(
+            f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "
+            f"{MIN_ARC_DEG:.0f} deg or more",
+            ReasonCode.SHORT_ARC,
+        )
+    return arc
+
+
+def attitude_covariance(position: FloatArray, sigma_rad: float) -> FloatArray:
+    """(3, 3) m^2: turning all rays moves the position about the body's centre, heights stay."""
+    square = float(position @ position)
+    return sigma_rad**2 * (square * np.eye(3) - np.outer(position, position))
+
+
+def edge_errors(rays: LimbRays, azimuths: FloatArray, sun_sine: FloatArray) -> FloatArray:
+    """What the edges have wrong together by their light: (n, m) rad, one sigma of each error.
+
+    azimuths (n,) about the nadir;  sun_sine (n,) sine of the Sun's elevation at each limb point
+    """
+    elevation = np.degrees(np.arcsin(np.clip(sun_sine, 0.0, 1.0)))
+    size_px = SECTOR_PX + SECTOR_LOW_PX * np.exp(-elevation / SECTOR_FALL_DEG)
+    sectors = in_sectors(azimuths) * size_px[:, None]
+    common = np.full((len(rays), 1), rays.common_px)
+    return np.concatenate([common, sectors], axis=1) * rays.pixel_angle[:, None]
+
+
+def in_sectors(azimuths: FloatArray) -> BoolArray:
+    """(n, m) which azimuths (n,) about the nadir, rad, lie in each sector of SECTOR_DEG."""
+    count = round(360.0 / SECTOR_DEG)
+    within: BoolArray = _bins(azimuths, count)[:, None] == np.arange(count)
+    return within
+
+
+def relief_covariance(
+    fit: Estimate[FloatArray], body: Body, azimuths: FloatArray, distance_m: float, circle: float
+) -> FloatArray:
+    """(3, 3) m^2: what a body's relief does to the fit of its bare ellipsoid.
+
+    azimuths (n,) of the rays;  distance_m  to the limb;  circle  rad, angle at the body's centre
+    from the nadir to the limb. Bodies other than the Moon take its statistics in units of their
+    plausible heights.
+    """
+    low, high = body.plausible_heights_m
+    unit = (high - low) / MOON_HEIGHTS_KM
+    bins = _bins(azimuths, RELIEF_BINS)
+    rows = fit.measured.gain(fit.noise) / distance_m
+    gain = np.stack([np.bincount(bins, row, RELIEF_BINS) for row in rows])
+    at = 2.0 * np.pi * np.arange(RELIEF_BINS) / RELIEF_BINS
+    cosine = np.cos(circle) ** 2 + np.sin(circle) ** 2 * np.cos(at[:, None] - at[None, :])
+    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    covariance = np.interp(angle, MOON_ANGLE_DEG, MOON_COVARIANCE_KM2) + MOON_MEAN_KM**2
+    moved: FloatArray = gain @ (covariance * unit**2) @ gain.T
+    return moved
+
+
+def _bins(azimuths: FloatArray, count: int) -> IntArray:
+    return np.floor((azimuths / (2.0 * np.pi) + 0.5) * count).astype(np.int64) % count

@@ -1,0 +1,190 @@
+"""The skyline of a relief on a sphere: every ray touches a sphere of its own skyline's size.
+
+Outliers (crests in shadow, ground that the relief does not know) lose their weight by Tukey's
+biweight, whose width follows the scatter: wide while the position is kilometres off, narrow in the
+end.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from catalog.arrays import BoolArray, FloatArray, IntArray
+from catalog.errors import NoSolutionError
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
+from optnav_cli.estimation.least_squares import Estimate
+from optnav_cli.estimation.models.limb import fit_limb
+from optnav_cli.estimation.robust import TUKEY, scatter
+from optnav_cli.navigation.horizon.limb_rays import LimbRays
+from optnav_cli.navigation.horizon.skyline import Followed, SkylineFit, usable_rays
+from optnav_cli.reasons import ReasonCode
+
+# Skylines of cells' means lie low, of their tops high. What meets the ground of 32 cells a degree
+# with seeded relief below, from 50 to 20 000 km: 0.8 of the way from means to tops at 16 cells a
+# degree, 0.70 at 4, 0.68 at 2, to 10 m times the cells' size in MOON_POSTING_M; a single crest then
+# errs by 27, 67, 125, 204 m at 16, 8, 4, 2 cells a degree (3600 crests each).
+TOP_SHARE, TOP_SHARE_MORE, MOON_POSTING_M = 0.68, 0.12, 1895.0
+CREST_NOISE_M, CREST_SIGMA_M = 27.0, 10.0
+# A relief of a model no finer than itself has no tops: its skyline is low by this share of a cell's
+# size (240 m at 4 cells a degree; 207 from 50 km, 274 from 20 000 km), known to LIFT_SIGMA of it.
+LIFT, LIFT_SIGMA = 0.032, 0.4
+NO_TOPS = 0.003  # tops over means, in a cell's size; the Moon's are ten times as high
+SHADOW_CLEARANCE_M = 30.0  # ground by which a crest may miss the Sun and still be taken as lit
+MAX_PASSES = 8
+STILL_M = 5.0  # a pass that moves the position by less, or by less than STILL_SIGMAS, is the last
+STILL_SIGMAS = 0.1
+MIN_CUT_PX = 0.2
+# A limb that scatters by so many times what is expected does not belong to this relief, attitude
+# and time: right limbs from 50 to 20 000 km, Sun from 9 deg on, stay below 1.45 over a relief of 16
+# cells a degree and below 1.55 over one of 4. From 100 km a clock off by an hour or a focal length
+# by 1 % reaches 4, an inverse rotation 20.
+MAX_MISFIT = 1.8
+
+
+@dataclass(frozen=True, eq=False)
+class SkylineSizes:
+    """The skyline at each ray.
+
+    sizes     (n,) radius of the sphere that a ray on the skyline would touch, in reference radii
+    lit       (n,) whether the Sun reaches the crest
+    sun_sine  (n,) sine of the Sun's elevation over the sphere at the crest; 1 where not known
+    """
+
+    sizes: FloatArray
+    lit: BoolArray
+    sun_sine: FloatArray
+
+
+class ReliefSkyline:
+    """A relief made ready for skylines, and how well these are known; see `Skyline`.
+
+    crest_noise_m  of a single crest
+    """
+
+    max_passes = MAX_PASSES
+    must_converge = False
+    sector_sigma_m = 0.0
+
+    def __init__(
+        self, limb: LimbRelief, body_name: str, crest_noise_m: float, crest_sigma_m: float
+    ) -> None:
+        self.limb, self._body_name = limb, body_name
+        self.crest_noise_m, self.crest_sigma_m = crest_noise_m, crest_sigma_m
+
+    def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
+        """As `Skyline.fit`: a fit to the skyline without its outliers."""
+        line = self.sizes_at(position, rays, sun)
+        usable, kept = usable_rays(rays, position, line.lit, line.sun_sine)
+        sizes, radii = line.sizes[usable], np.full(3, self.limb.radius_m)
+        sigmas = np.hypot(kept.own_sigmas(), self.crest_noise_m / self._distance(position))
+        least = MIN_CUT_PX * float(np.median(kept.pixel_angle))
+        fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
+        for _ in range(2):
+            cut = max(TUKEY * scatter(fit.measured.residuals), least)
+            fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=fit.state, cut=cut)
+        return SkylineFit(
+            fit,
+            kept,
+            kept.azimuths(fit.state),
+            line.sun_sine[usable],
+            self._distance(fit.state),
+            scatter(fit.measured.residuals / sigmas),
+        )
+
+    def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
+        """Whether a step (3,), m, is too small for another pass."""
+        sigma = float(np.sqrt(np.trace(estimate.covariance)))
+        return float(np.linalg.norm(step)) < max(STILL_M, STILL_SIGMAS * sigma)
+
+    def check(self, last: Followed) -> None:
+        """As `Skyline.check`."""
+        if last.fit.misfit > MAX_MISFIT:
+            raise NoSolutionError(
+                f"the limb is not the skyline of {self._body_name}'s relief: it scatters by "
+                f"{last.fit.misfit:.1f} times what is expected; check attitude, time, camera and "
+                "body",
+                ReasonCode.LIMB_MISFIT,
+            )
+        if not last.settled:
+            raise NoSolutionError(
+                f"the position still moves by {last.moved_m:.0f} m after {last.passes} passes over "
+                "the relief",
+                ReasonCode.NOT_SETTLED,
+            )
+
+    def _distance(self, position: FloatArray) -> float:
+        """From a position (3,) to where the sphere's limb lies, m."""
+        return float(np.sqrt(max(float(position @ position) - self.limb.radius_m**2, 1.0)))
+
+    def sizes_at(
+        self, position: FloatArray, rays: LimbRays, sun_body: FloatArray | None
+    ) -> SkylineSizes:
+        """The skyline from a position (3,), m, at the azimuths of the rays.
+
+        sun_body (3,) towards the Sun, any length; None: all is taken as lit
+        """
+        ground = self.limb
+        distance = float(np.linalg.norm(position))
+        axes = nadir_axes(position)
+        rays_at = rays.azimuths(position)
+        # a turn of azimuth moves the crest by R sin(range) and the line of sight by sin(off nadir)
+        sine = min(ground.radius_m / distance, 1.0)
+        circle = ground.radius_m * np.sqrt(1.0 - sine * sine)
+        blur = rays.blur / sine
+        spacing = max(0.5 * ground.posting_m, min(0.5 * blur * circle, ground.posting_m))
+        count = max(360, int(np.ceil(2.0 * np.pi * circle / spacing)))
+        step = 2.0 * np.pi / count
+        place = np.mod(rays_at, 2.0 * np.pi) / step
+        wanted = _near(np.floor(place).astype(np.int64), count, int(np.ceil(4.0 * blur / step)) + 1)
+        azimuths = np.flatnonzero(wanted) * step
+        line = ground.skyline(position, axes, azimuths)
+        table = np.full(count, float(line.off_nadir.mean()))
+        table[wanted] = line.off_nadir
+        table = gaussian_filter1d(table, blur / step, mode="wrap")
+        left = np.floor(place).astype(np.int64) % count
+        share = place - np.floor(place)
+        off_nadir = (1.0 - share) * table[left] + share * table[(left + 1) % count]
+        lit, sun_sine = np.ones(count, np.bool_), np.ones(count)
+        if sun_body is not None:
+            across = np.cos(azimuths)[:, None] * axes[0] + np.sin(azimuths)[:, None] * axes[1]
+            out = np.cos(line.range)[:, None] * axes[2] + np.sin(line.range)[:, None] * across
+            crests = (line.radius_m + SHADOW_CLEARANCE_M)[:, None] * out
+            sun_sine[wanted] = out @ (sun_body / np.linalg.norm(sun_body))
+            lit[wanted] = ground.sunlit(crests, sun_body)
+        return SkylineSizes(
+            distance * np.sin(off_nadir) / ground.radius_m,
+            lit[left] & lit[(left + 1) % count],
+            sun_sine[left],
+        )
+
+
+@lru_cache(maxsize=2)
+def relief_skyline(relief: GlobalRelief, body_name: str) -> ReliefSkyline:
+    """The relief made ready for skylines, once for all frames."""
+    cells = relief.posting_m / MOON_POSTING_M
+    noise, sigma = CREST_NOISE_M * cells, CREST_SIGMA_M * cells
+    rise = float(np.mean(relief.max_heights - relief.heights))
+    if rise < NO_TOPS * relief.posting_m:
+        lift = LIFT * relief.posting_m
+        lifted = relief.heights + np.float32(lift)
+        flat = GlobalRelief(lifted, lifted, relief.radius_m, relief.source)
+        return ReliefSkyline(LimbRelief(flat, 0.0), body_name, noise, max(sigma, LIFT_SIGMA * lift))
+    share = TOP_SHARE + TOP_SHARE_MORE / max(cells, 1.0)
+    return ReliefSkyline(LimbRelief(relief, share), body_name, noise, sigma)
+
+
+def _near(places: IntArray, count: int, reach: int) -> BoolArray:
+    """Which of `count` places round a circle lie within `reach` of some of these."""
+    hit = np.zeros(count, np.int64)
+    hit[places % count] = 1
+    if 2 * reach + 2 >= count:
+        return np.ones(count, np.bool_)
+    # one beyond on the far side: rays lie between a place and the next
+    around = np.concatenate([hit[-reach - 1 :], hit, hit[: reach + 1]])
+    sums = np.concatenate([[0], np.cumsum(around)])
+    width = 2 * reach + 3
+    near: BoolArray = sums[width:] > sums[:-width]
+    return near[:count]
