@@ -13,6 +13,7 @@ from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.fix import MatchRow
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.output.tables import write_matches, write_solutions
+from optnav_cli.reasons import ReasonCode
 from tests.optnav_cli.rows import solved, unsolved
 
 CAMERA = Camera("unk", "pinhole", 512, 512, 1046.0, (255.5, 255.5))
@@ -93,6 +94,7 @@ def _matches(rng, file, position, camera_from_body):
                 None if number == 9 else pixel + residual, 0.9 - 0.05 * number, 0.3, number < 8,
                 "" if number < 8 else "score below the threshold", 20.0 + number,
                 None if number == 9 else residual,
+                reason_code=ReasonCode.NONE if number < 8 else ReasonCode.LOW_SCORE,
             )
         )  # fmt: skip
     return rows
