@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,7 +27,6 @@ _MAX_OBJECTS = 10_000
 _MAX_INTERVALS = 10_000
 _RECORD_BYTES = 1024
 _LOCK = threading.RLock()  # the toolkit is not safe to call from two threads
-_in_use: tuple[str, ...] = ()
 
 
 class KernelSet:
@@ -35,6 +35,8 @@ class KernelSet:
     Raises DataError for a kernel that is missing, cut short or no kernel, and where spiceypy is
     not installed.
     """
+
+    _in_use: ClassVar[tuple[str, ...]] = ()  # files that the toolkit holds
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = tuple(str(Path(path).resolve()) for path in paths)
@@ -125,13 +127,12 @@ class KernelSet:
     @contextmanager
     def _loaded(self) -> Iterator[ModuleType]:
         """The toolkit with this set in place, for one thread at a time."""
-        global _in_use
         spice = _toolkit()
         with _LOCK:
-            if _in_use != self.paths:
-                for path in _in_use:
+            if KernelSet._in_use != self.paths:
+                for path in KernelSet._in_use:
                     spice.unload(path)
-                _in_use = ()
+                KernelSet._in_use = ()
                 for number, path in enumerate(self.paths):
                     try:
                         spice.furnsh(path)
@@ -142,7 +143,7 @@ class KernelSet:
                         raise DataError(
                             f"{path}: SPICE cannot load this kernel: {text}; fetch it again"
                         ) from None
-                _in_use = self.paths
+                KernelSet._in_use = self.paths
             yield spice
 
 
