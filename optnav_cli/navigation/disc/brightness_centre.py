@@ -9,16 +9,17 @@ line of sight most of all.
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
+from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
 from optnav_cli.measurements.disc.size import radius_posterior
+from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
@@ -34,26 +35,17 @@ SMALL_ANGLE = 1e-5
 
 
 def navigate(
-    picture: Float32Array,
-    camera: Camera,
-    camera_from_body: Rotation,
-    attitude_sigma_rad: float,
-    sun_body: FloatArray,
-    body: Body,
-    *,
-    saturation: float | None = None,
-    relief: GlobalRelief | None = None,
+    picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None = None
 ) -> tuple[Fix, float]:
     """The camera's position from the one small disc in a picture.
 
-    picture  (h, w) counts;  sun_body (3,) unit vector to the Sun, body frame
-    attitude_sigma_rad  1 sigma an axis;  saturation  counts of a full pixel, None if not known
     relief  of a body that is no sphere, where it is known
 
     Returns the fix, and by how many sigmas the disc is wider than a point's picture.
     Raises NoSolutionError with what the picture shows instead.
     """
-    disc = measure_disc(np.ascontiguousarray(picture, dtype=np.float32), saturation)
+    camera, camera_from_body, sun_body = view.camera, view.camera_from_body, view.sun_body
+    disc = measure_disc(np.ascontiguousarray(picture.values, np.float32), picture.saturation)
     sun = camera_from_body.apply(sun_body)
     towards = camera.unproject(disc.centre)
     phase = float(np.arccos(np.clip(-(towards @ sun), -1.0, 1.0)))
@@ -96,14 +88,14 @@ def navigate(
     noise = disc.centre_covariance + (shape_sigma * radius) ** 2 * np.eye(2)
     across = _across(camera, disc.centre) * distance
     square = np.eye(3) - np.outer(position, position) / distance**2
-    covariance += across @ noise @ across.T + square * (distance * attitude_sigma_rad) ** 2
+    covariance += across @ noise @ across.T + square * (distance * view.attitude_sigma_rad) ** 2
     share = float(np.sqrt(position @ covariance @ position)) / distance**2
     fix = Fix(
         Method.BRIGHTNESS_CENTRE,
         body_from_camera @ position,
         body_from_camera @ covariance @ body_from_camera.T,
         camera_from_body,
-        attitude_sigma_rad,
+        view.attitude_sigma_rad,
         Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels))),
         Reason(
             ReasonCode.SMALL_DISC, f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %"

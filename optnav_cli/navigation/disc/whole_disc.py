@@ -6,17 +6,18 @@ honest.
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
+from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.measurements.disc.moments import MAX_SMALL_DISC_PX
 from optnav_cli.measurements.limb.detection import LimbPoints
 from optnav_cli.navigation.disc.brightness_centre import SHAPE_SIGMA
+from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode
 
 DRAWING_SIGMA_PX = 0.01  # what drawing leaves
@@ -35,29 +36,18 @@ def is_for(limb: LimbPoints, camera: Camera) -> bool:
     return radius_px < MAX_SMALL_DISC_PX and bool(camera.contains(pixel, margin))
 
 
-def navigate(
-    picture: Float32Array,
-    camera: Camera,
-    camera_from_body: Rotation,
-    attitude_sigma_rad: float,
-    sun_body: FloatArray,
-    body: Body,
-    limb: LimbPoints,
-    *,
-    saturation: float | None = None,
-) -> Fix | None:
+def navigate(picture: Picture, view: CameraView, body: Body, limb: LimbPoints) -> Fix | None:
     """The camera's position from a small disc whose limb was found.
 
-    picture  (h, w) counts;  sun_body (3,) unit vector to the Sun, body frame
-    attitude_sigma_rad  1 sigma an axis;  saturation  counts of a full pixel, None if not known
-
     Returns None where the light leaves a doubt about a sphere under this Sun: the limb is better.
-
     Raises NoSolutionError for a disc whose light is not that of a sphere under this Sun.
     """
+    camera, camera_from_body = view.camera, view.camera_from_body
     per_px = rad_per_px(camera, limb.cone_axis_camera)
-    sun = camera_from_body.apply(sun_body)
-    fit = fit_disc(picture, camera, limb.cone_axis_camera, limb.cone_angle, sun, saturation)
+    sun = camera_from_body.apply(view.sun_body)
+    fit = fit_disc(
+        picture.values, camera, limb.cone_axis_camera, limb.cone_angle, sun, picture.saturation
+    )
     if fit.misfit > MAX_MISFIT:
         raise NoSolutionError(
             f"the disc's light is {fit.misfit:.1f} times as far from that of a sphere under the "
@@ -84,14 +74,14 @@ def navigate(
     covariance = fit.covariance + (shape_px**2 + DRAWING_SIGMA_PX**2) * np.eye(3)
     covariance = change @ covariance @ change.T
     square = np.eye(3) - np.outer(position, position) / distance**2
-    covariance += square * (distance * attitude_sigma_rad) ** 2
+    covariance += square * (distance * view.attitude_sigma_rad) ** 2
     body_from_camera = camera_from_body.inv().as_matrix()
     return Fix(
         Method.HORIZON_SPHERE,
         body_from_camera @ position,
         body_from_camera @ covariance @ body_from_camera.T,
         camera_from_body,
-        attitude_sigma_rad,
+        view.attitude_sigma_rad,
         Evidence(
             n_limb=len(limb),
             arc_deg=limb.arc_deg,

@@ -81,16 +81,7 @@ def _by_disc(
     Raises NoSolutionError for a sphere's disc that cannot be lit by this Sun.
     """
     if is_round(body) and whole_disc.is_for(limb, view.camera):
-        return whole_disc.navigate(
-            picture.values,
-            view.camera,
-            view.camera_from_body,
-            view.attitude_sigma_rad,
-            view.sun_body,
-            body,
-            limb,
-            saturation=picture.saturation,
-        )
+        return whole_disc.navigate(picture, view, body, limb)
     radius_px = limb.cone_angle / rad_per_px(view.camera, limb.cone_axis_camera)
     if relief is None or is_round(body) or radius_px > KNOWN_SHAPE_PX:
         return None
@@ -115,16 +106,7 @@ def _by_centre(
 ) -> Fix:
     """A position from the middle of light of a small disc."""
     try:
-        fix, width_sigmas = brightness_centre.navigate(
-            picture.values,
-            view.camera,
-            view.camera_from_body,
-            view.attitude_sigma_rad,
-            view.sun_body,
-            body,
-            saturation=picture.saturation,
-            relief=relief,
-        )
+        fix, width_sigmas = brightness_centre.navigate(picture, view, body, relief)
     except NoSolutionError as no_disc:
         if str(no_disc) == no_limb.text:
             raise

@@ -7,8 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
+from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.moments import sphere_moments
 from optnav_cli.navigation.disc.brightness_centre import SHAPE_SIGMA, navigate
+from optnav_cli.navigation.neighbour import CameraView
 from tests.optnav_cli.measurements.disc.drawn_discs import (
     blurred_disc,
     disc_distance,
@@ -29,6 +31,11 @@ def drawn(rng, radius_px, phase_deg, blur_px, snr=50.0):
     return expose(light, snr, rng), centre, sun
 
 
+def centre_fix(picture, camera, turn, sigma_rad, sun_body, saturation=None):
+    view = CameraView(camera, turn, sigma_rad, sun_body)
+    return navigate(Picture(picture, saturation), view, BODY)
+
+
 def centre_px(fix):
     return fix.evidence.outline.points_px[0]
 
@@ -41,7 +48,7 @@ def test_positions_of_300_discs_are_as_good_as_they_say():
         radius = rng.uniform(0.5, 6.0)
         picture, centre, sun = drawn(rng, radius, rng.uniform(0.0, 120.0), rng.uniform(0.5, 1.1))
         turn = Rotation.random(random_state=rng)
-        fix, _ = navigate(picture, CAMERA, turn, 0.0, turn.inv().apply(sun), BODY, saturation=255.0)
+        fix, _ = centre_fix(picture, CAMERA, turn, 0.0, turn.inv().apply(sun), saturation=255.0)
         mass = centre + rng.normal(0.0, SHAPE_SIGMA * BODY.radius_m, 3)
         error = fix.position_m + turn.inv().apply(mass)
         normalised.append(error @ np.linalg.solve(fix.covariance_m2, error) / 3.0)
@@ -73,8 +80,8 @@ def test_the_correction_depends_on_the_phase_and_hardly_on_the_law():
 def test_an_attitude_error_widens_the_position_across_the_line_of_sight():
     picture, centre, sun = drawn(np.random.default_rng(4), 4.0, 40.0, 0.8)
     still = Rotation.identity()
-    exact, _ = navigate(picture, CAMERA, still, 0.0, sun, BODY)
-    loose, _ = navigate(picture, CAMERA, still, 1e-3, sun, BODY)
+    exact, _ = centre_fix(picture, CAMERA, still, 0.0, sun)
+    loose, _ = centre_fix(picture, CAMERA, still, 1e-3, sun)
     distance = np.linalg.norm(exact.position_m)
     grown = loose.covariance_m2 - exact.covariance_m2
     across = np.cross(centre / np.linalg.norm(centre), [1.0, 0.0, 0.0])
@@ -87,17 +94,17 @@ def test_what_is_no_single_small_disc_is_told():
     picture, _, sun = drawn(rng, 3.0, 40.0, 0.8)
     still = Rotation.identity()
     with pytest.raises(NoSolutionError, match="which is the body"):
-        navigate(np.hstack([picture, picture]), far_camera(88), still, 0.0, sun, BODY)
+        centre_fix(np.hstack([picture, picture]), far_camera(88), still, 0.0, sun)
     empty = np.clip(np.rint(rng.normal(3.0, 0.8, picture.shape)), 0, 255).astype(np.float32)
     with pytest.raises(NoSolutionError, match="no body"):
-        navigate(empty, CAMERA, still, 0.0, sun, BODY)
+        centre_fix(empty, CAMERA, still, 0.0, sun)
     with pytest.raises(NoSolutionError, match="frame cuts"):
-        navigate(np.roll(picture, 21, axis=0), CAMERA, still, 0.0, sun, BODY)
+        centre_fix(np.roll(picture, 21, axis=0), CAMERA, still, 0.0, sun)
     full = np.minimum((picture - 3.0) * 20.0 + 3.0, 255.0).astype(np.float32)
     with pytest.raises(NoSolutionError, match="saturated"):
-        navigate(full, CAMERA, still, 0.0, sun, BODY, saturation=255.0)
+        centre_fix(full, CAMERA, still, 0.0, sun, saturation=255.0)
     with pytest.raises(NoSolutionError, match="the phase is 1"):
-        navigate(picture, CAMERA, still, 0.0, np.array([0.0, 0.05, 1.0]) / 1.00125, BODY)
+        centre_fix(picture, CAMERA, still, 0.0, np.array([0.0, 0.05, 1.0]) / 1.00125)
 
 
 def test_stars_and_hot_pixels_beside_the_disc_do_not_move_it():
@@ -107,7 +114,7 @@ def test_stars_and_hot_pixels_beside_the_disc_do_not_move_it():
     star[4, 5] = 500.0
     spoilt = picture + cv2.GaussianBlur(star, (0, 0), 0.9)
     spoilt[30, 30] = 250.0
-    clean, _ = navigate(picture, CAMERA, Rotation.identity(), 0.0, sun, BODY)
-    fix, _ = navigate(spoilt, CAMERA, Rotation.identity(), 0.0, sun, BODY)
+    clean, _ = centre_fix(picture, CAMERA, Rotation.identity(), 0.0, sun)
+    fix, _ = centre_fix(spoilt, CAMERA, Rotation.identity(), 0.0, sun)
     assert np.linalg.norm(centre_px(fix) - centre_px(clean)) < 0.02
     assert np.linalg.norm(centre_px(fix) - CAMERA.project(centre)) < 0.15
