@@ -30,7 +30,6 @@ from optnav_cli.navigation.settings import NavigateSettings, load_settings
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.report import write_report
 from optnav_cli.runs import navigate_folder as folder_run
-from optnav_cli.runs.navigate_folder import open_catalogs, open_field, whole_relief
 from optnav_cli.runs.simulate_folder import simulate_folder
 
 __all__ = [
@@ -93,13 +92,16 @@ def navigate_picture(
     if (position_m is None) != (position_sigma_m is None):
         raise UsageError("position_m and position_sigma_m belong together: give both or none")
     picture, tdb_s = Path(picture), utc_to_tdb_s(utc)
-    with open_catalogs([Path(path) for path in catalogs]) as found:
+    with folder_run.open_catalogs([Path(path) for path in catalogs]) as found:
         body = load_body(found[0].meta.body)
         motion = AnalyticEphemeris(body)
         inputs = NavigationInputs(
-            open_field(found, body), motion, whole_relief(found, None, body), NavigateSettings(),
+            folder_run.open_field(found, body),
+            motion,
+            folder_run.whole_relief(found, None, body),
+            NavigateSettings(),
             match_ncc,
-        )  # fmt: skip
+        )
         frame = Frame(
             file=picture.name,
             utc=utc,
@@ -133,9 +135,14 @@ def navigate_folder(
     OptnavError where folder or catalogs cannot be used at all.
     """
     return folder_run.navigate_folder(
-        Path(pictures), [Path(path) for path in catalogs], settings or NavigateSettings(), "ncc",
-        Path(run), progress or SilentProgress(), None if relief is None else Path(relief),
-    )  # fmt: skip
+        Path(pictures),
+        [Path(path) for path in catalogs],
+        settings or NavigateSettings(),
+        "ncc",
+        Path(run),
+        progress or SilentProgress(),
+        None if relief is None else Path(relief),
+    )
 
 
 def simulate(

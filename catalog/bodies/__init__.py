@@ -1,1 +1,1 @@
-"""What is known of a body as a whole: size, mass, how it turns, where its Sun stands."""
+"""A body as a whole: size, mass, rotation, and the direction of its Sun."""

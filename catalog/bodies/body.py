@@ -155,7 +155,7 @@ class Body:
     rotation             how the body-fixed frame turns, as published
     sun                  which analytic theory gives the Sun's direction, see `bodies.ephemeris`
     rotation_correction  what a fit to better data adds to the rotation, where there is one
-    gravity              its field beside the point mass; None where the file says nothing
+    gravity              its field beside the point mass; None where the file has none
     orbit                about its planet, for a moon whose planet no theory here gives otherwise
     spice                its names in SPICE kernels; None where the file states none
     """

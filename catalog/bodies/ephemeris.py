@@ -186,7 +186,7 @@ class AnalyticEphemeris:
 
 
 class SpiceEphemeris:
-    """SPICE kernels. The toolkit is asked anew for every time (some 20 microseconds)."""
+    """SPICE kernels. Every time is a call of the toolkit (some 20 microseconds)."""
 
     def __init__(self, body: Body, kernels: Sequence[Path]) -> None:
         """Load the kernels and check that they are about this body.

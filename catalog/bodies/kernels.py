@@ -1,4 +1,4 @@
-"""SPICE kernels that a user names: loaded, checked to be whole, and asked.
+"""SPICE kernels that a user names: loaded, checked to be whole, and read.
 
 The toolkit (NAIF; through the optional package spiceypy) holds its kernels once a process, so one
 set is in use at a time and each question first puts its own set in place.
@@ -51,11 +51,11 @@ class KernelSet:
 
     @property
     def has_orbits(self) -> bool:
-        """Whether any kernel tells where bodies are."""
+        """Whether any kernel has orbits."""
         return bool(self._orbits)
 
     def has_orbit(self, number: int) -> bool:
-        """Whether a kernel tells where the body with this NAIF number is."""
+        """Whether a kernel has the orbit of the body with this NAIF number."""
         return number in self._orbits
 
     def has_frame(self, frame: str) -> bool:
@@ -68,7 +68,7 @@ class KernelSet:
                 return False
 
     def body_frame(self, body: str) -> str:
-        """The frame that the kernels tie to a body; IAU_NAME where they say nothing else."""
+        """The frame that the kernels tie to a body; IAU_NAME by default."""
         with self._loaded() as spice:
             return str(spice.cnmfrm(body.upper())[1])
 
@@ -87,7 +87,7 @@ class KernelSet:
 
         of, seen_from  NAIF numbers
         apparent       with light time and stellar aberration; else at the very time
-        Raises DataError where the kernels do not tell.
+        Raises DataError where the kernels do not reach.
         """
         correction = "LT+S" if apparent else "NONE"
         with self._loaded() as spice:
@@ -100,7 +100,7 @@ class KernelSet:
         return np.asarray(km) * 1e3
 
     def orbit_span(self, numbers: Sequence[int]) -> Span | None:
-        """From when to when, TDB s, the kernels tell where all these bodies are."""
+        """First and last time, TDB s, of the orbits of all these bodies."""
         return _common(self._orbits[n] for n in numbers if n in self._orbits)
 
     def turn_span(self) -> Span | None:

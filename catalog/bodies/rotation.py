@@ -31,6 +31,12 @@ _DEGREE = math.pi / 180.0
 
 
 @kernel
+def _quadratic(coefficients: FloatArray, t: float) -> float:
+    value: float = coefficients[0] + t * (coefficients[1] + t * coefficients[2])
+    return value
+
+
+@kernel
 def _pole(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArray) -> Axes:
     """Right ascension and declination of the pole and prime meridian, rad.
 
@@ -38,13 +44,13 @@ def _pole(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArr
     amplitudes  (n, 3)  deg, of sine, cosine and sine of the terms' angles
     """
     c, d = t_s / CENTURY_S, t_s / DAY_S
-    ra = slow[0, 0] + c * (slow[0, 1] + c * slow[0, 2])
-    dec = slow[1, 0] + c * (slow[1, 1] + c * slow[1, 2])
+    ra = _quadratic(slow[0], c)
+    dec = _quadratic(slow[1], c)
     # whole turns off before small terms are added: at 1e7 deg each sum would cost digits
-    meridian = slow[2, 0] + d * (slow[2, 1] + d * slow[2, 2])
+    meridian = _quadratic(slow[2], d)
     meridian -= 360.0 * math.floor(meridian / 360.0)
     for i in range(angles.shape[0]):
-        angle = angles[i, 0] + c * (angles[i, 1] + c * angles[i, 2])
+        angle = _quadratic(angles[i], c)
         sine = math.sin(angle)
         ra += amplitudes[i, 0] * sine
         dec += amplitudes[i, 1] * math.cos(angle)
@@ -60,11 +66,11 @@ def _turn(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArr
     amplitudes  (n, 2, 3)  of sine and cosine of the terms' angles
     """
     c = t_s / CENTURY_S
-    x = slow[0, 0] + c * (slow[0, 1] + c * slow[0, 2])
-    y = slow[1, 0] + c * (slow[1, 1] + c * slow[1, 2])
-    z = slow[2, 0] + c * (slow[2, 1] + c * slow[2, 2])
+    x = _quadratic(slow[0], c)
+    y = _quadratic(slow[1], c)
+    z = _quadratic(slow[2], c)
     for i in range(angles.shape[0]):
-        angle = angles[i, 0] + c * (angles[i, 1] + c * angles[i, 2])
+        angle = _quadratic(angles[i], c)
         sine, cosine = math.sin(angle), math.cos(angle)
         x += amplitudes[i, 0, 0] * sine + amplitudes[i, 1, 0] * cosine
         y += amplitudes[i, 0, 1] * sine + amplitudes[i, 1, 1] * cosine

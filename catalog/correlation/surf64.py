@@ -22,12 +22,12 @@ CELLS = 4  # a side: 4 x 4 cells of four sums are the 64 numbers
 WEIGHT_SIGMA = 0.165
 # matching: cells of at most this many nodes over the whole reference
 MATCH_CELL_PX = 8
-# wavelets of two nodes hear every node's noise; SURF's own wavelet spans two samples of ~1.6
+# wavelets of two nodes carry every node's noise; SURF's own wavelet spans two samples of ~1.6
 MATCH_SMOOTHING_NODES = 1.0
 # correlation looks this far around the descriptor's peak, which is good to about a node
 REFINE_NODES = 3
-# distance to the best place over distance to the best rival; above it the two are alike (Lowe's
-# ratio, 0.8 in his paper; rivals here are relief of the same kind, so a little more is allowed)
+# distance to the best place over distance to the best rival; above it the two are not distinct
+# (Lowe's ratio, 0.8 in his paper; rivals here are relief of the same kind, so more is allowed)
 MAX_DISTANCE_RATIO = 0.9
 
 
@@ -230,8 +230,8 @@ def match_surf(reference: Float32Array, search: Float32Array, margin_nodes: int 
     """Find a reference in a search grid by SURF; its place and score are then correlation's.
 
     Arguments as `similarity_surface`, margin_nodes as `match_ncc`: the descriptor leaves it out.
-    The descriptor's own value says little (right 0.98, wrong up to 0.95), so the score is the
-    correlation at the refined peak and the runner-up the correlation at the descriptor's best
+    The descriptor's own value discriminates little (right 0.98, wrong up to 0.95), so the score is
+    the correlation at the refined peak and the runner-up the correlation at the descriptor's best
     rival: both compare with those of `match_ncc`.
     A peak whose rival is almost as near in descriptor space has an infinite covariance.
     """

@@ -20,6 +20,18 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
 
 
 @kernel
+def bilinear(grid: Float32Array, row: float, col: float) -> float:
+    """Value between four nodes; the place must lie inside."""
+    r = min(max(int(row), 0), grid.shape[0] - 2)
+    c = min(max(int(col), 0), grid.shape[1] - 2)
+    y, x = row - r, col - c
+    upper = grid[r, c] + x * (grid[r, c + 1] - grid[r, c])
+    lower = grid[r + 1, c] + x * (grid[r + 1, c + 1] - grid[r + 1, c])
+    value: float = upper + y * (lower - upper)
+    return value
+
+
+@kernel
 def _bilinear_at(grid: Float32Array, row: float, col: float) -> float:
     rows, cols = grid.shape
     # half a cell beyond the outer nodes still belongs to the outer pixels

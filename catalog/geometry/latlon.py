@@ -47,7 +47,7 @@ def wrap_longitude_deg(lon_deg: ArrayLike) -> FloatArray:
 def body_from_local(lat: float, lon: float) -> FloatArray:
     """Rotation (3, 3) whose columns are east, north and up at a point, in the body frame.
 
-    At a pole the longitude still says which way is east, so the axes stay defined.
+    At a pole the longitude still defines east, so the axes stay defined.
     """
     sin_lat, cos_lat = np.sin(lat), np.cos(lat)
     sin_lon, cos_lon = np.sin(lon), np.cos(lon)

@@ -23,7 +23,7 @@ def rotation_from_quaternion(qw: float, qx: float, qy: float, qz: float) -> Rota
 
 
 def quaternion_from_rotation(rotation: Rotation) -> FloatArray:
-    """Scalar-first unit quaternion (4,), scalar not negative: equal attitudes print alike."""
+    """Scalar-first unit quaternion (4,), scalar not negative: one for each attitude."""
     quaternion: FloatArray = rotation.as_quat(canonical=True, scalar_first=True)
     return quaternion
 

@@ -2,7 +2,7 @@
 
 Points are compared by their ids, the numbers of their cells. Heights are compared as they are
 stored, and unpacked only where that differs; one point's patches are held at a time. Every patch of
-both files is read with its checksum, so that a damaged catalog is told and never called the same.
+both files is read with its checksum: a damaged catalog is reported and never called the same.
 """
 
 import tomllib
@@ -253,7 +253,7 @@ def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
 
 
 def _relief_change(a: Catalog, b: Catalog) -> ReliefChange | None:
-    """Both reliefs are read, so that a damaged one is told."""
+    """Both reliefs are read, so that a damaged one is reported."""
     one, other = a.relief(), b.relief()
     if one is None or other is None or one.heights.shape != other.heights.shape:
         return None

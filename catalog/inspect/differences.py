@@ -1,12 +1,12 @@
 """Differences of two catalogs in words, for people and the logs of pipelines."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from catalog.arrays import BoolArray, FloatArray
+from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.control_point import Flag
 from catalog.files import replacing_file, starts_with
 from catalog.inspect.compare import CERTIFICATE, ComparedCatalog, Comparison
@@ -71,8 +71,7 @@ def _alone(side: ComparedCatalog) -> Iterator[str]:
         return
     yield f"only in {side.path}: {_points(len(side.only))}"
     yield from _shortened(
-        [f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}" for r in side.only[: SHOWN + 1]],
-        len(side.only),
+        list(side.only), lambda r: f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}"
     )
 
 
@@ -110,12 +109,13 @@ def _pairs(
     rows = np.flatnonzero(chosen)
     if rows.size:
         yield f"{name}: {_points(rows.size)}"
-        pairs = [
-            f"{found.ids[row]}: {text(found.first, found.before[row])} -> "
-            f"{text(found.second, found.after[row])}"
-            for row in rows[: SHOWN + 1]
-        ]
-        yield from _shortened(pairs, rows.size)
+        yield from _shortened(
+            rows,
+            lambda row: (
+                f"{found.ids[row]}: {text(found.first, found.before[row])} -> "
+                f"{text(found.second, found.after[row])}"
+            ),
+        )
 
 
 def _heights(found: Comparison) -> Iterator[str]:
@@ -135,12 +135,13 @@ def _heights(found: Comparison) -> Iterator[str]:
     yield text
     rows = np.flatnonzero(changed)
     rows = rows[np.argsort(-np.nan_to_num(found.height_max_m[rows], nan=np.inf), kind="stable")]
-    texts = [
-        f"{found.ids[row]}: max {found.height_max_m[row]:.3f} m, "
-        f"rms {found.height_rms_m[row]:.3f} m"
-        for row in rows[: SHOWN + 1]
-    ]
-    yield from _shortened(texts, rows.size)
+    yield from _shortened(
+        rows,
+        lambda row: (
+            f"{found.ids[row]}: max {found.height_max_m[row]:.3f} m, "
+            f"rms {found.height_rms_m[row]:.3f} m"
+        ),
+    )
 
 
 def _certificates(found: Comparison) -> Iterator[str]:
@@ -165,18 +166,17 @@ def _greatest(found: Comparison, sizes: FloatArray, chosen: BoolArray, form: str
     rows = np.flatnonzero(chosen)
     known = np.nan_to_num(np.abs(sizes[rows]), nan=np.inf)
     rows = rows[np.argsort(-known, kind="stable")]
-    texts = [f"{found.ids[row]}: " + form.format(sizes[row]) for row in rows[: SHOWN + 1]]
-    yield from _shortened(texts, rows.size)
+    yield from _shortened(rows, lambda row: f"{found.ids[row]}: " + form.format(sizes[row]))
 
 
 def _points(number: int | np.integer[Any]) -> str:
     return f"{number} point" if number == 1 else f"{number} points"
 
 
-def _shortened(texts: list[str], total: int) -> Iterator[str]:
-    yield from (f"  {line}" for line in texts[:SHOWN])
-    if total > SHOWN:
-        yield f"  and {total - SHOWN} more"
+def _shortened(items: Sequence[Any] | IndexArray, text: Callable[[Any], str]) -> Iterator[str]:
+    yield from (f"  {text(item)}" for item in items[:SHOWN])
+    if len(items) > SHOWN:
+        yield f"  and {len(items) - SHOWN} more"
 
 
 def _state(record: Record) -> str:

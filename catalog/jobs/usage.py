@@ -1,7 +1,7 @@
 """What a build used and what came of it: by stage, for people, benchmarks and `account.json`.
 
 Memory is the high-water mark that the system keeps of a process's life. It is not reset for each
-stage, though Linux can do that: whoever watches the process from outside would be told the reset
+stage, though Linux can do that: whoever watches the process from outside would see the reset
 mark. So a stage's own peak is known where it raised the mark, else it is at most the mark.
 
 Bytes are those of a process's read and write calls, from the page cache and through pipes between

@@ -7,7 +7,7 @@ node apart follow the Sun's azimuth across the grid; each carries the highest ra
 behind it has thrown, and a node is compared with the two lines that it lies between. Only that one
 interpolation is made, so a shadow's edge does not blur with its length.
 
-Map x and y stand for the tangent plane's: wrong by (rho / 2R)^2 of a shadow's length (a five
+Map x and y are taken for the tangent plane's: wrong by (rho / 2R)^2 of a shadow's length (a five
 thousandth at the rim of a 100 km tile on the Moon). The Sun is a point (its disc is 0.5 deg wide).
 """
 

@@ -98,8 +98,8 @@ def _tile_sums(
             if r < 2:
                 continue
             node = r - 2
-            _add_products(lines[node % 3], lines[(node + 1) % 3], lines[r % 3],
-                          scale, stretch[node], sums)  # fmt: skip
+            south, middle, north = lines[node % 3], lines[(node + 1) % 3], lines[r % 3]
+            _add_products(south, middle, north, scale, stretch[node], sums)
             if (node + 1) % step == 0:
                 for p in range(6):
                     into, line = out[p, node // step, first // step :], sums[p]
@@ -131,8 +131,8 @@ def tile_sums(
     out = np.empty((6, rows // step, cols // step), np.float32)
     # one code for all columns of a row: a library's blur may round its last few otherwise
     taps = cv2.getGaussianKernel(BLUR_TAPS, 1.0)[:, 0].astype(np.float32)
-    _tile_sums(np.ascontiguousarray(heights, dtype=np.float32), taps, np.float32(1.0 / posting_m),
-               stretch.astype(np.float32), step, out)  # fmt: skip
+    ground, scale = np.ascontiguousarray(heights, dtype=np.float32), np.float32(1.0 / posting_m)
+    _tile_sums(ground, taps, scale, stretch.astype(np.float32), step, out)
     return out
 
 

@@ -28,8 +28,8 @@ class Level(NamedTuple):
     truth         (t, t)  heights of the ground that is seen, posting / FINER, m; sub-posting
                           relief included
     posting_m             of the reference
-    blur_nodes            sigma of a blur on both sides, where the reference is finer than what is
-                          known
+    blur_nodes            sigma of a blur on both sides, where the reference is finer than the
+                          terrain model
     """
 
     reference: Float32Array
@@ -39,7 +39,7 @@ class Level(NamedTuple):
 
 
 class Circumstances(NamedTuple):
-    """What one trial looks like.
+    """The conditions of one trial.
 
     sun_local, view_local  (3,)  unit vectors east, north, up
     roll, scale            residual turn (rad) and stretch of the resampled picture
@@ -60,7 +60,7 @@ class Circumstances(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came of a trial: the error of the place (finest nodes), and whether to trust it."""
+    """The result of a trial: error of the place (finest nodes), and whether it was accepted."""
 
     error: tuple[float, float]
     score: float
@@ -74,7 +74,7 @@ class Outcome(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """When a match is believed, as the navigator does: score, and rival's score over it."""
+    """Limits of an accepted match, as in navigation: score, and rival's score over it."""
 
     min_score: float = 0.5
     rival_ratio: float = 0.9
@@ -98,7 +98,7 @@ class Search(NamedTuple):
 
 # A window turned by 6 deg and shrunk by 10 % reaches over this much more ground.
 WINDOW_REACH = 1.25
-MAX_SHIFT_NODES = 5.0  # of a point from where the search believes it
+MAX_SHIFT_NODES = 5.0  # of a point from its predicted place
 
 
 def truth_size(search: Search) -> int:
@@ -167,8 +167,8 @@ def run_trial(
         raise ValueError("a trial needs at least one level")
     rng = np.random.default_rng(list(seed))
     ground_from_picture = np.linalg.inv(distortion(circumstances))
-    believed = np.eye(2)  # picture from ground, as far as the search knows
-    place = np.zeros(2)  # where the point is believed to lie in the picture, m east and north
+    picture_from_ground = np.eye(2)  # as estimated so far
+    place = np.zeros(2)  # the point's estimated place in the picture, m east and north
     sun = circumstances.sun_local
     around = shadow_field(outer, sun, radius_m)
     for number in range(len(levels) - 1, -1, -1):
@@ -192,7 +192,7 @@ def run_trial(
         window = search.template_nodes + 2 * room
         offset = ground_from_picture @ (place - circumstances.shift_m) / level.posting_m
         offset = FINER * _FLIP @ offset
-        truth_from_picture = FINER * _FLIP @ ground_from_picture @ believed @ _FLIP
+        truth_from_picture = FINER * _FLIP @ ground_from_picture @ picture_from_ground @ _FLIP
         side = side_under(truth_from_picture, offset, window, level.truth.shape[0])
         seen = render_map_quickly(
             _centre(level.truth, side),
@@ -221,11 +221,11 @@ def run_trial(
             match, roll, scale = match_similarity(
                 template, picture, search.rolls, search.scales, match_ncc
             )
-            believed = _similarity(roll, scale)
+            picture_from_ground = _similarity(roll, scale)
             step = np.array([match.dx, -match.dy])
         else:
             match = match_ncc(template, picture)
-            step = believed @ np.array([match.dx, -match.dy])
+            step = picture_from_ground @ np.array([match.dx, -match.dy])
         place = place + step * step_m
         if not np.isfinite(match.covariance).all():
             break

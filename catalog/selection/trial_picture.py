@@ -1,4 +1,4 @@
-"""What a recognition trial's camera makes of rendered ground: blur, noise, exposure, 8 bits."""
+"""A recognition trial's picture of rendered ground: blur, noise, exposure, 8 bits."""
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ PSF_SIGMA_PX = 0.7
 COUNTS = 255.0
 # the brightest percent of a picture may saturate: exposure is set by what is seen
 EXPOSURE_PERCENTILE = 99.5
-# Ground beyond the window that its outermost pixels hear of, truth nodes: four sigma of the blur,
+# Ground beyond the window that its outermost pixels depend on, truth nodes: four sigma of the blur,
 # one for sampling, one for the slope.
 PICTURE_MARGIN = 8
 

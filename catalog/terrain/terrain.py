@@ -42,7 +42,7 @@ class Terrain(Protocol):
         """The map projection of patches about a place, planetocentric."""
 
     def points(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
-        """Body-fixed points (..., 3) of places as far as `xy_from_xyz` of a projection asks.
+        """Body-fixed points (..., 3) of places as far as `xy_from_xyz` of a projection needs.
 
         Of the ground (m) where a projection's x and y depend on heights, else directions.
         """

@@ -154,9 +154,7 @@ ingest = _stage(
     "ingest", "Read the terrain models that CONFIG names, average them and find their cells."
 )
 render = _stage(
-    "render",
-    "Shortlist points in each cell and render them under all Suns.",
-    on_workers=True,
+    "render", "Shortlist points in each cell and render them under all Suns.", on_workers=True
 )
 select = _stage("select", "Choose among each cell's shortlist the points to check.")
 check = _stage(

@@ -165,7 +165,7 @@ class OrbitArc:
         return self._fitted
 
     def _first_velocity(self, speed: float) -> FloatArray:
-        """A guess from the last two fixes that lie far enough apart to tell, else none."""
+        """A first velocity from the last two fixes that lie far enough apart, else zero."""
         last = self._fixes[-1]
         for earlier in reversed(self._fixes[:-1]):
             gap = last.tdb_s - earlier.tdb_s

@@ -157,9 +157,9 @@ def _sandwich(
     """Covariance (3, 3) from scores that are correlated over a window.
 
     In units of the stated noise the scatter of the scores is compared with what the fit would have
-    left of it. Few windows know the scatter of a direction badly: half of the answer is that of
-    all three together. It is raised for what an estimate from so few may miss, and in no
-    direction falls below the stated noise.
+    left of it. Few windows give a bad estimate of a direction's scatter: half of the answer is that
+    of all three together. It is raised for what so few may miss, and in no direction falls below
+    the stated noise.
     """
     lower = np.linalg.cholesky(noise)
     upper = np.ascontiguousarray(lower.T)

@@ -69,7 +69,7 @@ def consensus(
     """
     best_count, best_cost = 0, np.inf
     best = np.zeros(count, dtype=bool)
-    # All first: where most are right and lie close together, a pair tells less than they do.
+    # All first: where most are right and lie close together, a pair fixes less than they do.
     for sample in (np.arange(count), *_samples(count, size)):
         try:
             squares = squares_of(propose(sample))

@@ -70,7 +70,7 @@ def measure_levels(picture: Float32Array) -> Levels:
     rows, cols = max(height // BLOCK_PX, 1), max(width // BLOCK_PX, 1)
     mean = cv2.resize(picture, (cols, rows), interpolation=cv2.INTER_AREA)
     sky_mean = float(np.quantile(mean, SKY_QUANTILE))
-    # neighbouring blocks of the same level are sky too; the scatter inside the blocks tells it
+    # neighbouring blocks of the same level are sky too; the scatter inside the blocks shows it
     sample = picture[::2, ::2]
     near = sample[np.abs(sample - sky_mean) <= max(4.0 * _spread(sample, sky_mean), 1.0)]
     sky = float(near.mean()) if near.size else sky_mean

@@ -1,7 +1,7 @@
 """The other body in the picture: where it must stand if a lit disc is the body itself.
 
 On the way to the Moon the Earth shines beside it, and one lit disc looks like another. Time and
-attitude tell them apart: a disc taken for the Moon gives a position, and from there the Earth has
+attitude separate them: a disc taken for the Moon gives a position, and from there the Earth has
 one direction and one size. Light time and aberration move it by 20" and 2 km, which is left out.
 """
 
@@ -25,7 +25,7 @@ MIN_DIAMETER_PX = 5.0
 MARGIN_PX = 6.0
 # Half extent of a lit spot over the disc's radius: cusps are dark, blur and a bent lens widen.
 EXTENTS = (0.5, 1.35)
-BLUR_PX = 2.0
+SPOT_BLUR_PX = 2.0
 MAX_PIXELS = 4000  # of a spot that are looked at
 # From a body's neighbourhood, so near, the neighbour is what a camera shows that misses the body.
 NEAR_RADII = 5.0
@@ -41,7 +41,7 @@ class OtherBody:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CameraView:
     """A camera at a time: where it may look, and what it is lit by.
 
     attitude_sigma_rad  1 sigma an axis;  sun_body (3,) unit vector, body frame
@@ -54,7 +54,7 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Disc:
+class PredictedDisc:
     """A disc as a position predicts it.
 
     towards  (3,) unit vector to its centre, camera frame
@@ -88,8 +88,8 @@ def other_body(motion: Ephemeris, tdb_s: float) -> OtherBody | None:
 
 
 def predicted(
-    view: View, centre_m: FloatArray, radius_m: float, position_m: FloatArray, sigma_m: float
-) -> Disc:
+    view: CameraView, centre_m: FloatArray, radius_m: float, position_m: FloatArray, sigma_m: float
+) -> PredictedDisc:
     """A sphere's disc from a position that is good to sigma_m; all in the body frame."""
     away = centre_m - position_m
     distance = float(np.linalg.norm(away))
@@ -97,10 +97,10 @@ def predicted(
     phase = float(np.arccos(np.clip(-(towards @ view.sun_body), -1.0, 1.0)))
     sigma = float(np.hypot(sigma_m / distance, view.attitude_sigma_rad))
     angle = float(np.arcsin(min(radius_m / distance, 1.0)))
-    return Disc(view.camera_from_body.apply(towards), angle, sigma, phase)
+    return PredictedDisc(view.camera_from_body.apply(towards), angle, sigma, phase)
 
 
-def must_be_seen(view: View, disc: Disc, before: Disc) -> bool:
+def must_be_seen(view: CameraView, disc: PredictedDisc, before: PredictedDisc) -> bool:
     """Whether a disc lies whole in the picture, large, lit and clear of another one before it."""
     if disc.phase > MAX_PHASE:
         return False
@@ -133,27 +133,27 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
     return found
 
 
-def is_seen(disc: Disc, spot: Spot) -> bool:
+def is_seen(disc: PredictedDisc, spot: Spot) -> bool:
     """Whether a lit spot is the disc: in its place and of its size."""
-    blur = BLUR_PX * spot.rad_per_px
+    blur = SPOT_BLUR_PX * spot.rad_per_px
     if angle_between(disc.towards, spot.towards) > disc.angle + SIGMAS * disc.sigma + blur:
         return False
     return EXTENTS[0] * disc.angle - blur < spot.extent < EXTENTS[1] * disc.angle + blur
 
 
-def is_lit(disc: Disc, spots: list[Spot]) -> bool:
+def is_lit(disc: PredictedDisc, spots: list[Spot]) -> bool:
     """Whether any light comes from where a disc is predicted."""
     reach = disc.angle + SIGMAS * disc.sigma
     return any(angle_between(disc.towards, spot.towards) < reach + spot.extent for spot in spots)
 
 
-def is_within(spot: Spot, disc: Disc) -> bool:
+def is_within(spot: Spot, disc: PredictedDisc) -> bool:
     """Whether a lit spot's middle lies on a disc."""
     return bool(angle_between(disc.towards, spot.towards) < disc.angle)
 
 
 def is_more_likely_neighbour(
-    view: View, other: OtherBody, position_m: FloatArray, sigma_m: float, body_radius_m: float
+    view: CameraView, other: OtherBody, position_m: FloatArray, sigma_m: float, body_radius_m: float
 ) -> bool:
     """Whether a disc taken for the body is the neighbour as the body's surroundings show it.
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from catalog.arrays import ByteArray, Float32Array, FloatArray, Int32Array
 from catalog.errors import OutputError
+from optnav_cli.estimation.robust import MAD_TO_SIGMA
 
 DARK, BRIGHT = 0.5, 99.7  # percentiles that become black and white
 SAMPLES = 1 << 16  # pixels that the percentiles are taken from
@@ -16,7 +17,6 @@ PNG_LEVEL = 3
 # What stands so far out of the scatter about the median, or by so much of the whole range, is lit.
 LIT_SIGMAS, LIT_SHARE = 12.0, 0.05
 LIT_BRIGHT = 97.0  # percentile of it that becomes white
-MAD_TO_SIGMA = 1.4826
 GAMMA = 0.8  # lifts the shadows a little; below 1 is brighter
 Bgr = tuple[int, int, int]
 FONT = cv2.FONT_HERSHEY_SIMPLEX

@@ -23,7 +23,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.shape import Shape, load_shape
 from optnav_cli.simulation.exposure import Epoch
-from optnav_cli.simulation.inertial_path import States, epochs_of, path_frame
+from optnav_cli.simulation.inertial_path import States, epochs_of, even_ratios, path_frame
 from optnav_cli.simulation.scenario_base import ShapeScenario
 from optnav_cli.simulation.sections import Inclination, Positive
 
@@ -110,18 +110,14 @@ def approach_states(scenario: Approach, motion: Ephemeris) -> States:
     back = longest * np.linspace(0.0, 1.0, STEPS) ** 2
     flown = path.sol(arrival - back)
     distances = np.linalg.norm(flown[:3] - flown[6:9], axis=0)
-    rising = distances[1:] > distances[:-1]
-    end = STEPS if rising.all() else int(np.argmin(rising)) + 1
-    if distances[end - 1] < far:
+    ages, farthest = even_ratios(distances, back, (far, low), settings.frames)
+    if farthest < far:
         raise ConfigError(
-            f"[approach] comes from {distances[end - 1] / 1e3:.0f} km at most within "
+            f"[approach] comes from {farthest / 1e3:.0f} km at most within "
             f"{longest / 3600.0:.0f} hours, not from {settings.from_km:g} km; raise speed_m_s or "
             "change the arrival"
         )
-    wanted = np.geomspace(far, low, settings.frames)
-    # distance grows as the square of time near the lowest point
-    rise = np.sqrt(np.maximum(distances[:end] - low, 0.0))
-    times = arrival - np.interp(np.sqrt(wanted - low), rise, back[:end])
+    times = arrival - ages
     flown = path.sol(times)
     return times, (flown[:6] - flown[6:]).T
 

@@ -50,7 +50,7 @@ LIMB_SAMPLES = 8  # rays a side of a pixel at the limb: its share of sky is righ
 
 
 @dataclass(frozen=True)
-class View:
+class GroundView:
     """Which ground a picture needs.
 
     centre     (3,) direction of the middle, body frame, one of the fixed set
@@ -93,7 +93,7 @@ class GlobeTerrain:
         finest = float(self._heights.posting_m) / FINER
         return finest * np.exp2(np.arange(POSTINGS, dtype=np.float64))
 
-    def window(self, view: View, sun_body: FloatArray) -> tuple[FloatArray, Ground, Ground]:
+    def window(self, view: GroundView, sun_body: FloatArray) -> tuple[FloatArray, Ground, Ground]:
         """The ground of a view: (grid_from_body (3, 3), the window, the whole body coarsely).
 
         sun_body  where the Sun is: the seam of a ground that faces the camera is put in the dark
@@ -103,7 +103,7 @@ class GlobeTerrain:
         frame = level_frame(centre) if view.box else facing_frame(centre, sun_body)
         return self._kept.get(key, lambda: (frame, self._window(view, frame), self._coarse(frame)))
 
-    def _window(self, view: View, grid_from_body: FloatArray) -> Ground:
+    def _window(self, view: GroundView, grid_from_body: FloatArray) -> Ground:
         step = view.posting_m / self._heights.radius_m
         if view.box is None:
             # all round with two columns more, up to half a step from the pole
@@ -220,7 +220,7 @@ class GlobeGround:
         position: FloatArray,
         corners: FloatArray,
         body_from_camera: FloatArray,
-    ) -> View | None:
+    ) -> GroundView | None:
         """The ground that a picture shows, None when it shows only sky."""
         rows, cols = camera.shape
         r = np.unique(np.append(np.arange(0, rows, PROBE_PX), rows))
@@ -245,7 +245,7 @@ class GlobeGround:
             nodes = (box[2] - box[0]) * (box[3] - box[1])
         while nodes * (radius / posting) ** 2 > MAX_NODES:
             posting *= 2.0
-        return View(tuple(centre.tolist()), box, posting)
+        return GroundView(tuple(centre.tolist()), box, posting)
 
 
 def fixed_centre(direction: FloatArray) -> FloatArray:

@@ -183,21 +183,32 @@ def transfer_states(transfer: TransferSettings, motion: Ephemeris) -> States:
     longest = min(1.5 * far / excess, MAX_APPROACH_S)
     back = np.concatenate([[0.0], np.geomspace(10.0, longest, APPROACH_STEPS)])
     distances = np.linalg.norm(orbit.propagate(state, arrival, arrival - back)[0][:, :3], axis=1)
-    rising = distances[1:] > distances[:-1]
-    end = len(back) if rising.all() else int(np.argmin(rising)) + 1
-    if distances[end - 1] < far:
+    ages, farthest = even_ratios(distances, back, (far, low), transfer.frames)
+    if farthest < far:
         raise ConfigError(
-            f"[transfer] comes from {(distances[end - 1] - body.radius_m) / 1e3:.0f} km at most "
+            f"[transfer] comes from {(farthest - body.radius_m) / 1e3:.0f} km at most "
             f"within {longest / 86400.0:.0f} days, not from {transfer.from_km:.0f} km; "
             "raise excess_speed_km_s or change the arrival"
         )
-    wanted = np.geomspace(far, low, transfer.frames)
-    # distance grows as the square of time near the lowest point
-    ago = np.interp(
-        np.sqrt(wanted - low), np.sqrt(np.maximum(distances[:end] - low, 0.0)), back[:end]
-    )
-    times = arrival - ago
+    times = arrival - ages
     return times, orbit.propagate(state, arrival, times)[0]
+
+
+def even_ratios(
+    distances: FloatArray, ages: FloatArray, ends: tuple[float, float], count: int
+) -> tuple[FloatArray, float]:
+    """When a path comes by distances in even ratios, the first and last of which are `ends`.
+
+    distances, ages  (n,) of the path from the lowest point back: from the centre and how long ago
+    Returns (count,) how long ago, and the greatest distance up to which the path only rises.
+    """
+    rising = distances[1:] > distances[:-1]
+    end = len(ages) if rising.all() else int(np.argmin(rising)) + 1
+    far, low = ends
+    # distance grows as the square of time near the lowest point
+    rise = np.sqrt(np.maximum(distances[:end] - low, 0.0))
+    wanted = np.sqrt(np.geomspace(far, low, count) - low)
+    return np.interp(wanted, rise, ages[:end]), float(distances[end - 1])
 
 
 def path_frame(

@@ -118,12 +118,7 @@ def _place(box_deg: tuple[float, float, float, float], rng: np.random.Generator)
 
 
 def sun_over(
-    settings: SunSettings,
-    lat: float,
-    lon: float,
-    number: int,
-    count: int,
-    rng: np.random.Generator,
+    settings: SunSettings, lat: float, lon: float, number: int, count: int, rng: np.random.Generator
 ) -> FloatArray:
     """A unit vector (3,) to the Sun, body frame, that stands over a place as wanted.
 

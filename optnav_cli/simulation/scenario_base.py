@@ -21,10 +21,10 @@ from optnav_cli.frames.run_settings import SpiceSettings
 from optnav_cli.simulation.exposure import ATTITUDE, POINTING, PRIOR, Epoch, Exposure
 from optnav_cli.simulation.sections import (
     AttitudeSettings,
-    CameraSettings,
     DetailSettings,
     GlareSettings,
     GlobeSettings,
+    MainCamera,
     MountedCamera,
     PointingSettings,
     PriorSettings,
@@ -52,7 +52,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     body    a name of configs/bodies, or the path of a body file, from the scenario's folder
     """
 
-    camera: CameraSettings
+    camera: MainCamera
     beside: tuple[MountedCamera, ...] = ()
     dem: tuple[DemSettings, ...] = (DemSettings("tycho_gld100_256ppd.tif"),)
     body: str = "moon"
@@ -109,7 +109,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             dem=tuple(dems),
             globe=msgspec.structs.replace(self.globe, path=names.terrain(self.globe.path)),
             body=names.body(self.body),
-            camera=CameraSettings(names.camera(self.camera.name)),
+            camera=MainCamera(names.camera(self.camera.name)),
             beside=tuple(mounts),
             spice=SpiceSettings(tuple(map(names.kernel, self.spice.kernels))),
         )

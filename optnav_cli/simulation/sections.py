@@ -101,7 +101,7 @@ class DetailSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     saturation: NotNegative = 0.05
 
 
-class CameraSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class MainCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """name: a shipped camera, or a path to a camera file, relative to the scenario."""
 
     name: str

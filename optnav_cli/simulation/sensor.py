@@ -93,5 +93,6 @@ def add_hot_pixels(counts: Counts, number: int, bits: int, rng: np.random.Genera
 
 def _blurred(light: Float32Array, settings: SensorSettings) -> NDArray[np.floating[Any]]:
     if settings.psf_sigma_px > 0.0:
-        return np.asarray(cv2.GaussianBlur(light, (0, 0), settings.psf_sigma_px), np.float32)
+        blurred = cv2.GaussianBlur(light, (0, 0), settings.psf_sigma_px)
+        return blurred.astype(np.float32, copy=False)
     return light

@@ -18,7 +18,7 @@ from optnav_cli.frames.isis_cube import apollo_frame, read_cube_pose, write_apol
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.tables import Column, StudyReport, Table
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 PICTURE = "data/apollo15/AS15-M-0297_SML.png"
 CUBE = "data/apollo15/AS15-M-0297_crop.cub"
@@ -87,15 +87,12 @@ def _result(place: Path, cube: Path, picture: str, matcher: str) -> ApolloResult
     )
 
 
-COLUMNS = (
-    Column("matcher", "matcher"),
-    Column("used", "control points used"),
-    Column("predicted", "predicted"),
-    Column("residual_px", "residual a coordinate", "px", ".3f"),
-    Column("residual_m", "residual on the ground", "m", ".0f"),
-    *(Column(f"correction_{a.lower()}_m", f"position less label, {a}", "m", "+.0f") for a in "RNB"),
-    *(Column(f"sigma_{a.lower()}_m", f"sigma, {a}", "m", ".0f") for a in "RNB"),
-    *(Column(f"turn_{a}_deg", f"attitude from label, {a}", "°", "+.3f") for a in "xyz"),
+COLUMNS = columns(
+    "matcher; used = control points used; predicted; residual_px = residual a coordinate [px] .3f; "
+    "residual_m = residual on the ground [m] .0f; "
+    + "".join(f"correction_{a.lower()}_m = position less label, {a} [m] +.0f; " for a in "RNB")
+    + "".join(f"sigma, {a} [m] .0f; " for a in "RNB")
+    + "; ".join(f"turn_{a}_deg = attitude from label, {a} [°] +.3f" for a in "xyz")
 )
 
 
@@ -105,5 +102,4 @@ def report(result: ApolloResult) -> StudyReport:
     solved = (result.correction_rnb_m, result.sigma_rnb_m, result.turn_deg)
     errors = np.concatenate([[result.residual_px, result.residual_m], *solved])
     title = "AS15-M-0297 over GLD100 at 474 m, attitude free"
-    table = Table(title, COLUMNS, ((*counts, *map(float, errors)),))
-    return StudyReport((table,))
+    return StudyReport((StudyTable(title, COLUMNS, ((*counts, *map(float, errors)),)),))

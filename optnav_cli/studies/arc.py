@@ -21,7 +21,7 @@ from catalog.progress import Progress
 from optnav_cli.estimation.models.limb import fit_limb, linear_position
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from optnav_cli.studies.tables import Column, StudyReport, Table
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 RADIUS_M = 1_737_400.0
 STEP_DEG = 0.01
@@ -131,12 +131,11 @@ def limb_errors(rng: np.random.Generator, interval_deg: float, count: int) -> li
 
 def report(rows: Sequence[ArcRow]) -> StudyReport:
     """A table a fit: rows by arc, columns by interval."""
-    columns = [Column("arc_deg", "arc", "°", ".0f")]
-    for interval in INTERVALS_DEG:
-        for quantity in ("direction", "radius"):
-            name = f"{quantity}_{interval:g}_deg"
-            columns.append(Column(name, quantity, f"σ, {interval:g}°", ".3g"))
-    columns.append(Column("unsolved", "unsolved", "%", ".0f"))
+    intervals = "; ".join(
+        "; ".join(f"{x}_{c:g}_deg = {x} [σ, {c:g}°] .3g" for x in ("direction", "radius"))
+        for c in INTERVALS_DEG
+    )
+    heads = columns(f"arc_deg = arc [°] .0f; {intervals}; unsolved [%] .0f")
     tables = []
     for fit in FITS:
         lines = []
@@ -148,7 +147,7 @@ def report(rows: Sequence[ArcRow]) -> StudyReport:
             f"{fit} fit: errors of direction and angular radius, in sigmas of one point, "
             "by the interval over which points' errors are correlated"
         )
-        tables.append(Table(title, tuple(columns), tuple(lines)))
+        tables.append(StudyTable(title, heads, tuple(lines)))
     return StudyReport(tuple(tables))
 
 

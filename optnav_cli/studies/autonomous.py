@@ -38,7 +38,7 @@ from optnav_cli.studies.flights import (
     sigmas_off,
     with_star_sensor,
 )
-from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, tally
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, tally
 
 WIDE, NARROW = "shnk", "unk"
 # What the loop must see of the ground about Tycho from 400 km: 20 deg of arc about the flights.
@@ -50,7 +50,7 @@ MAX_SIGMAS = 5.0
 
 
 @dataclass(frozen=True)
-class Row:
+class LoopCase:
     """One line of the table: a scenario, whose camera counts, and the figures to reach, m.
 
     star_sensor  whether horizontal_m is for exact attitudes, so that the star sensor's part is
@@ -66,10 +66,10 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class RowResult:
+class LoopResult:
     """The frames of a row's camera."""
 
-    row: Row
+    row: LoopCase
     frames: tuple[FrameError, ...]
 
     @property
@@ -89,24 +89,24 @@ class ShareResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Results:
+class LoopResults:
     """Both tables."""
 
-    rows: tuple[RowResult, ...]
+    rows: tuple[LoopResult, ...]
     shares: tuple[ShareResult, ...]
 
 
 ROWS = (
-    Row("wide camera, 100 km", "tycho_100km", WIDE, 30.0, 30.0),
-    Row("wide camera, 200 km", "tycho_200km", WIDE, 30.0, 30.0),
-    Row("wide camera, 400 km", "tycho_400km", WIDE, 40.0, 30.0),
-    Row("narrow camera, 200 km", "tycho_200km", NARROW, 30.0, 150.0, star_sensor=True),
-    Row("narrow camera, 400 km", "tycho_400km", NARROW, 20.0, 50.0, star_sensor=True),
+    LoopCase("wide camera, 100 km", "tycho_100km", WIDE, 30.0, 30.0),
+    LoopCase("wide camera, 200 km", "tycho_200km", WIDE, 30.0, 30.0),
+    LoopCase("wide camera, 400 km", "tycho_400km", WIDE, 40.0, 30.0),
+    LoopCase("narrow camera, 200 km", "tycho_200km", NARROW, 30.0, 150.0, star_sensor=True),
+    LoopCase("narrow camera, 400 km", "tycho_400km", NARROW, 20.0, 50.0, star_sensor=True),
 )
 SHARES = ("horizon_050km", "horizon_100km", "horizon_200km", "horizon_800km")
 
 
-def run(output: Path, progress: Progress, frames: int | None = None, rows: str = "") -> Results:
+def run(output: Path, progress: Progress, frames: int | None = None, rows: str = "") -> LoopResults:
     """Fly, navigate and evaluate; pictures that are there already are used again.
 
     output  folder for catalogs, pictures, runs and figures.json
@@ -120,7 +120,7 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
         _catalog(output, "tycho", resource("configs/catalogs/tycho.toml"), None, progress),
         _surroundings(output, progress),
     ]
-    found: list[RowResult] = []
+    found: list[LoopResult] = []
     flown: dict[str, list[FrameError]] = {}
     for row in (r for r in ROWS if rows in r.name):
         if row.scenario not in flown:
@@ -128,16 +128,16 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
                 output, row.scenario, frames, catalogs, relief, progress
             )
         own = tuple(frame for frame in flown[row.scenario] if frame.camera == row.camera)
-        found.append(RowResult(row, own))
-        write_figures(output / FIGURES, Results(tuple(found), ()))
+        found.append(LoopResult(row, own))
+        write_figures(output / FIGURES, LoopResults(tuple(found), ()))
     shares: list[ShareResult] = []
     for name in (s for s in SHARES if rows in s):
         errors, arcs = _flown(output, name, frames, catalogs, relief, progress)
         shares.append(ShareResult(name, tuple(errors), tuple(arcs)))
-        write_figures(output / FIGURES, Results(tuple(found), tuple(shares)))
+        write_figures(output / FIGURES, LoopResults(tuple(found), tuple(shares)))
     if not found and not shares:
         raise NothingToDoError(f"no row of the study is called '{rows}'")
-    return Results(tuple(found), tuple(shares))
+    return LoopResults(tuple(found), tuple(shares))
 
 
 def lit_arc_deg(camera: Camera, truth: Truth, sun_body: FloatArray, radius_m: float) -> float:
@@ -222,39 +222,27 @@ def _catalog(
     return place
 
 
-ROW_COLUMNS = (
-    Column("case", "case"),
-    Column("solved", "solved"),
-    Column("frames", "frames"),
-    Column("horizontal_rms_m", "horizontal, rms", "m", ".1f"),
-    Column("horizontal_limit_m", "asked ≤", "m", ".0f"),
-    Column("height_rms_m", "height, rms", "m", ".1f"),
-    Column("height_limit_m", "asked ≤", "m", ".0f"),
-    Column("nees", "NEES", "", ".2f"),
-    Column("worst", "worst", "σ", ".1f"),
+ROW_COLUMNS = columns(
+    "case; solved; frames; horizontal, rms [m] .1f; horizontal_limit_m = asked ≤ [m] .0f; "
+    "height, rms [m] .1f; height_limit_m = asked ≤ [m] .0f; NEES .2f; worst [σ] .1f"
 )
-SHARE_COLUMNS = (
-    Column("scenario", "arc of lit limb"),
-    Column("enough_solved", f"≥ {ENOUGH_ARC_DEG:.0f}°, solved"),
-    Column("enough_frames", "of"),
-    Column("less_solved", "less, solved"),
-    Column("less_frames", "of"),
-    Column("worst", "worst", "σ", ".1f"),
-    Column("methods", "methods"),
+SHARE_COLUMNS = columns(
+    f"scenario = arc of lit limb; enough_solved = ≥ {ENOUGH_ARC_DEG:.0f}°, solved; "
+    "enough_frames = of; less, solved; less_frames = of; worst [σ] .1f; methods"
 )
 
 
-def report(results: Results) -> StudyReport:
+def report(results: LoopResults) -> StudyReport:
     """Both tables, and how many frames are wrong by more than MAX_SIGMAS."""
     tables, notes = [], []
     if results.rows:
-        tables.append(Table("", ROW_COLUMNS, tuple(_row_cells(row) for row in results.rows)))
+        tables.append(StudyTable("", ROW_COLUMNS, tuple(_row_cells(row) for row in results.rows)))
     if results.shares:
         shares = [_share_cells(share.scenario, [share]) for share in results.shares]
         if len(shares) > 1:
             shares.append(_share_cells("together", results.shares))
             notes.append(f"wanted: {100 * MIN_SOLVED:.0f} % of those with an arc of 140°")
-        tables.append(Table("", SHARE_COLUMNS, tuple(shares)))
+        tables.append(StudyTable("", SHARE_COLUMNS, tuple(shares)))
     every = [frame for row in results.rows for frame in row.frames]
     every += [frame for share in results.shares for frame in share.frames]
     wrong = sum(sigmas_off(frame) > MAX_SIGMAS for frame in every)
@@ -264,7 +252,7 @@ def report(results: Results) -> StudyReport:
     return StudyReport(tuple(tables), tuple(notes))
 
 
-def _row_cells(result: RowResult) -> tuple[Cell, ...]:
+def _row_cells(result: LoopResult) -> tuple[Cell, ...]:
     solved = [frame for frame in result.frames if frame.nees is not None]
     start = (result.row.name, len(solved), len(result.frames))
     limits = (result.limit_m, result.row.height_m)
@@ -286,17 +274,13 @@ def _share_cells(name: str, shares: Sequence[ShareResult]) -> tuple[Cell, ...]:
     return (name, *counts, worst, tally(methods))
 
 
-def write_figures(path: Path, results: Results) -> None:
+def write_figures(path: Path, results: LoopResults) -> None:
     """The tables, and every frame of them with its arc of lit limb."""
     single = frames_table(
         {r.row.name: r.frames for r in results.rows}
         | {share.scenario: share.frames for share in results.shares}
     )
-    columns = (
-        Column("scenario", "scenario"),
-        Column("file", "file"),
-        Column("arc_deg", "lit limb", "°", ".1f"),
-    )
     pairs = ((s, *pair) for s in results.shares for pair in zip(s.frames, s.arcs_deg, strict=True))
-    arcs = Table("arcs", columns, tuple((s.scenario, frame.file, arc) for s, frame, arc in pairs))
+    rows = tuple((share.scenario, frame.file, arc) for share, frame, arc in pairs)
+    arcs = StudyTable("arcs", columns("scenario; file; arc_deg = lit limb [°] .1f"), rows)
     StudyReport((*report(results).tables, single, arcs)).write(path)

@@ -43,7 +43,7 @@ from optnav_cli.simulation.mesh_ground import MeshGround
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import DetailSettings, SensorSettings
 from optnav_cli.simulation.sensor import expose
-from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, rms, tally
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms, tally
 
 Shape = Literal["moon", "phobos"]
 
@@ -68,7 +68,7 @@ NEES = (0.7, 1.4)
 
 
 @dataclass(frozen=True, eq=False)
-class Disc:
+class DrawnDisc:
     """A drawn disc with its truth.
 
     camera            of the part that is drawn, with its blur as calibrated
@@ -105,7 +105,7 @@ class DiscScene:
             detail = DetailSettings(GROUNDS, smallest_m=finest, rms_slope_deg=5.0)
             self._ground = GlobeGround.of_model(model, detail, self.body, kept=1)
 
-    def draw(self, diameter_px: float, ground: int, rng: np.random.Generator) -> Disc:
+    def draw(self, diameter_px: float, ground: int, rng: np.random.Generator) -> DrawnDisc:
         """A disc of this size over one of GROUNDS, all else drawn at random."""
         psf = rng.uniform(*PSF_PX)
         stated = max(psf + rng.normal(0.0, PSF_ERROR_PX), 0.0)
@@ -143,10 +143,15 @@ class DiscScene:
         bits = int(rng.choice(BITS))
         sensor = SensorSettings(psf_sigma_px=0.0, snr=float(rng.uniform(*SNR)), bits=bits)
         counts = expose(light, sensor, rng).astype(np.float32)
-        return Disc(
-            Picture(counts, FULL[bits]), camera, position, camera_from_body, sun,
-            diameter_px, float(np.degrees(phase)),
-        )  # fmt: skip
+        return DrawnDisc(
+            Picture(counts, FULL[bits]),
+            camera,
+            position,
+            camera_from_body,
+            sun,
+            diameter_px,
+            float(np.degrees(phase)),
+        )
 
 
 def _relief(model: MeshSettings, body: Body) -> GlobalRelief:
@@ -168,9 +173,12 @@ def _part(camera: Camera, side: int, rng: np.random.Generator) -> Camera:
 def _finer(camera: Camera) -> Camera:
     x, y = (FINE * (value + 0.5) - 0.5 for value in camera.principal_point_px)
     return replace(
-        camera, width_px=FINE * camera.width_px, height_px=FINE * camera.height_px,
-        focal_length_px=FINE * camera.focal_length_px, principal_point_px=(x, y),
-    )  # fmt: skip
+        camera,
+        width_px=FINE * camera.width_px,
+        height_px=FINE * camera.height_px,
+        focal_length_px=FINE * camera.focal_length_px,
+        principal_point_px=(x, y),
+    )
 
 
 def _rad_per_px(camera: Camera, towards: FloatArray) -> float:
@@ -222,7 +230,7 @@ def run(progress: Progress, discs: int, output: Path | None) -> list[DiscResult]
     return found
 
 
-def solve(scene: DiscScene, disc: Disc, blur_known: bool) -> DiscResult:
+def solve(scene: DiscScene, disc: DrawnDisc, blur_known: bool) -> DiscResult:
     """Solve a disc and compare it with its truth."""
     body, camera = scene.body, disc.camera
     if not blur_known:
@@ -251,16 +259,9 @@ def solve(scene: DiscScene, disc: Disc, blur_known: bool) -> DiscResult:
     )
 
 
-COLUMNS = (
-    Column("disc", "disc"),
-    Column("solved", "solved"),
-    Column("discs", "discs"),
-    Column("direction_px", "direction, rms", "px", ".3f"),
-    Column("direction_nees", "NEES", "", ".2f"),
-    Column("range_share", "range, rms", "%", ".2f"),
-    Column("range_nees", "NEES", "", ".2f"),
-    Column("worst", "worst", "σ", ".1f"),
-    Column("methods", "methods"),
+COLUMNS = columns(
+    "disc; solved; discs; direction_px = direction, rms [px] .3f; direction_nees = NEES .2f; "
+    "range_share = range, rms [%] .2f; range_nees = NEES .2f; worst [σ] .1f; methods"
 )
 
 
@@ -278,7 +279,7 @@ def report(results: Sequence[DiscResult]) -> StudyReport:
     reasons = Counter(r.reason.rpartition("; ")[2][:90] for r in results if not r.method)
     notes = [f"wanted: NEES {NEES[0]}-{NEES[1]}; worst: of direction or range"]
     notes += [f"{count} not solved: {reason}" for reason, count in reasons.most_common(6)]
-    return StudyReport((Table("", COLUMNS, tuple(rows)),), tuple(notes))
+    return StudyReport((StudyTable("", COLUMNS, tuple(rows)),), tuple(notes))
 
 
 def _cells(name: str, results: Sequence[DiscResult]) -> tuple[Cell, ...]:

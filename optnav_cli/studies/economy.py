@@ -11,25 +11,19 @@ by cell, so that cells where both take the same place add no scatter.
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import msgspec
 import numpy as np
 
-from catalog.bodies.body import load_body
 from catalog.build import check, render, select
-from catalog.build.config import BodySettings, BuildConfig, CheckSettings, RenderSettings
+from catalog.build.config import CheckSettings, RenderSettings
 from catalog.build.context import StageContext
 from catalog.build.trials import outcomes_at
-from catalog.config import resource
 from catalog.control_point import ControlPoint
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, Stage
-from catalog.terrain.dem.mosaic import Mosaic
-from catalog.terrain.dem.source import DemSettings
-from optnav_cli.studies.selection import DEM, SUNS, Z95, free_grounds
-from optnav_cli.studies.tables import Column, StudyReport, Table
+from optnav_cli.studies.selection import SUNS, Z95, free_grounds, tycho_context
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 ALL = 24  # candidates: the spacing between them leaves no room for more
 ALL_SPACED = 0.08  # of a cell between candidates
@@ -94,17 +88,9 @@ def run(
     progress: Progress, cells_deg: Sequence[float] = (1.0, 0.5), trials: int = 24, seed: int = 1
 ) -> list[EconomyRow]:
     """All policies on cells of each size; `trials` new trials a place, at least."""
-    body = load_body("moon")
-    dem = DemSettings(path=str(resource(DEM)))
-    rows = []
-    with TemporaryDirectory(prefix="optnav-") as folder:
-        mosaic = Mosaic.from_files([dem], Path(folder), body, Path(folder))
-        config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
-        for cell_deg in cells_deg:
-            context = StageContext(body, mosaic, CellGrid(cell_deg), mosaic.posting_m, config)
-            rows += one_size(context, progress, trials, seed)
-        mosaic.close()
-    return rows
+    with tycho_context() as context:
+        sizes = [replace(context, grid=CellGrid(cell_deg)) for cell_deg in cells_deg]
+        return [row for size in sizes for row in one_size(size, progress, trials, seed)]
 
 
 def one_size(context: StageContext, progress: Progress, trials: int, seed: int) -> list[EconomyRow]:
@@ -188,18 +174,11 @@ def _rate(
     return known[place]
 
 
-COLUMNS = (
-    Column("cell_deg", "cell", "°", "g"),
-    Column("cells", "cells"),
-    Column("trials", "new trials", "a place"),
-    Column("policy", "policy"),
-    Column("render_ms", "render", "ms", ".1f"),
-    Column("check_ms", "check", "ms", ".1f"),
-    Column("usable", "usable", "%", ".1f"),
-    Column("recognised", "recognised", "%", ".1f"),
-    Column("against", "against build", "points", "+.1f"),
-    Column("against_half", "± (95 %)", "points", ".1f"),
-    Column("same", "same place", "%", ".0f"),
+COLUMNS = columns(
+    "cell [°] g; cells; trials = new trials [a place]; policy; render [ms] .1f; "
+    "check [ms] .1f; usable [%] .1f; recognised [%] .1f; "
+    "against = against build [points] +.1f; against_half = ± (95 %) [points] .1f; "
+    "same = same place [%] .0f"
 )
 
 
@@ -212,4 +191,4 @@ def report(rows: Sequence[EconomyRow]) -> StudyReport:
         against = (None, None) if own else (100.0 * row.against[0], 100.0 * row.against[1])
         shares = (100.0 * row.usable, 100.0 * row.rate)
         lines.append((*start, *shares, *against, 100.0 * row.same))
-    return StudyReport((Table("", COLUMNS, tuple(lines)),))
+    return StudyReport((StudyTable("", COLUMNS, tuple(lines)),))

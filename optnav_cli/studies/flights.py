@@ -21,7 +21,7 @@ from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
-from optnav_cli.studies.tables import Cell, Column, Table
+from optnav_cli.studies.tables import Cell, StudyTable, columns
 
 GLOBE = "shared:moon/moon_gld100_32ppd.tif"  # the ground of shipped scenarios
 STAR_SENSOR_ARCSEC = 10.0
@@ -103,21 +103,15 @@ def sigmas_off(frame: FrameError) -> float:
     return 0.0 if frame.nees is None else float(np.sqrt(frame.nees))
 
 
-FRAME_COLUMNS = (
-    Column("case", "case"),
-    Column("file", "file"),
-    Column("distance_m", "distance", "m", ".0f"),
-    Column("method", "method"),
-    Column("prior", "prior"),
-    *(Column(f"error_{axis.lower()}_m", f"error {axis}", "m", ".1f") for axis in "RNB"),
-    Column("sigmas", "off", "σ", ".1f"),
-    Column("reason", "reason"),
+FRAME_COLUMNS = columns(
+    "case; file; distance [m] .0f; method; prior; error R [m] .1f; error N [m] .1f; "
+    "error B [m] .1f; sigmas = off [σ] .1f; reason"
 )
 
 
-def frames_table(cases: Mapping[str, Sequence[FrameError]]) -> Table:
+def frames_table(cases: Mapping[str, Sequence[FrameError]]) -> StudyTable:
     """Every frame of a study by case: what it was solved by, and its error or why it has none."""
-    return Table(
+    return StudyTable(
         "frames", FRAME_COLUMNS, tuple(_cells(case, f) for case, own in cases.items() for f in own)
     )
 

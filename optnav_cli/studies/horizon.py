@@ -28,7 +28,7 @@ from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigation.horizon import method as horizon
-from optnav_cli.navigation.neighbour import View, other_body
+from optnav_cli.navigation.neighbour import CameraView, other_body
 from optnav_cli.navigation.outline.method import mask_neighbour
 from optnav_cli.navigation.outline.one_body import detect_limb
 from optnav_cli.studies.flights import (
@@ -39,7 +39,7 @@ from optnav_cli.studies.flights import (
     rows_named,
     shipped_pictures,
 )
-from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, rms
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 DIRECTION_ARCSEC, DIRECTION_STAR_ARCSEC = 5.0, 20.0  # what far rows ask for
 MAX_SSP_M = 600.0
@@ -48,7 +48,7 @@ NEES = (0.7, 1.4)
 
 
 @dataclass(frozen=True)
-class Row:
+class HorizonCase:
     """One line of the table, a scenario, and what is asked of the terrain-aware horizon.
 
     ssp_m, ssp_star_m  rms over the ground with exact attitude and with the star sensor's
@@ -112,26 +112,26 @@ class CaseFigures:
 
 
 ROWS = (
-    Row("nadir 50 km", "horizon_050km", 250.0, 280.0, 100.0),
-    Row("nadir 100 km", "horizon_100km", 200.0, 230.0, 100.0),
-    Row("nadir 200 km", "horizon_200km", 150.0, 200.0, 100.0),
-    Row("nadir 800 km", "horizon_800km", 150.0, 200.0, 250.0),
-    Row("30° off nadir 100 km", "off_nadir_100km", 500.0, 500.0, 300.0),
-    Row("30° off nadir 200 km", "off_nadir_200km", 500.0, 500.0, 300.0),
-    Row("thin crescent 50 km", "crescent_050km"),
-    Row("thin crescent 80 km", "crescent_080km"),
-    Row("far 10 000 km", "far_010000km", range_share=0.0002),
-    Row("far 20 000 km", "far_020000km", range_share=0.0005),
-    Row("far 50 000 km", "far_050000km", range_share=0.001),
-    Row("far 100 000 km", "far_100000km", range_share=0.002),
+    HorizonCase("nadir 50 km", "horizon_050km", 250.0, 280.0, 100.0),
+    HorizonCase("nadir 100 km", "horizon_100km", 200.0, 230.0, 100.0),
+    HorizonCase("nadir 200 km", "horizon_200km", 150.0, 200.0, 100.0),
+    HorizonCase("nadir 800 km", "horizon_800km", 150.0, 200.0, 250.0),
+    HorizonCase("30° off nadir 100 km", "off_nadir_100km", 500.0, 500.0, 300.0),
+    HorizonCase("30° off nadir 200 km", "off_nadir_200km", 500.0, 500.0, 300.0),
+    HorizonCase("thin crescent 50 km", "crescent_050km"),
+    HorizonCase("thin crescent 80 km", "crescent_080km"),
+    HorizonCase("far 10 000 km", "far_010000km", range_share=0.0002),
+    HorizonCase("far 20 000 km", "far_020000km", range_share=0.0005),
+    HorizonCase("far 50 000 km", "far_050000km", range_share=0.001),
+    HorizonCase("far 100 000 km", "far_100000km", range_share=0.002),
 )
 
 
 @dataclass(frozen=True, eq=False)
-class RowResult:
+class HorizonResult:
     """A row's figures: sphere and relief, each with exact attitude and with the star sensor's."""
 
-    row: Row
+    row: HorizonCase
     sphere: CaseFigures
     terrain: CaseFigures
     sphere_star: CaseFigures
@@ -140,7 +140,7 @@ class RowResult:
 
 def run(
     output: Path, progress: Progress, frames: int | None = None, rows: str = ""
-) -> list[RowResult]:
+) -> list[HorizonResult]:
     """Make the pictures, solve and compare; pictures that are there already are used again.
 
     output  folder for pictures and figures.json
@@ -151,7 +151,7 @@ def run(
     globe = path_of(GLOBE, Path.cwd())
     chosen = rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
-    results: list[RowResult] = []
+    results: list[HorizonResult] = []
     for row in chosen:
         folder = read_folder(shipped_pictures(output, row.scenario, frames, progress))
         results.append(measure(row, folder, load_relief(str(globe), folder.body)))
@@ -159,7 +159,7 @@ def run(
     return results
 
 
-def measure(row: Row, folder: Folder, relief: GlobalRelief) -> RowResult:
+def measure(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> HorizonResult:
     """Solve every picture of a folder in four ways and compare with its truth.csv."""
     found: dict[tuple[bool, bool], list[LimbFix]] = {
         (terrain, star): [] for terrain in (False, True) for star in (False, True)
@@ -167,12 +167,12 @@ def measure(row: Row, folder: Folder, relief: GlobalRelief) -> RowResult:
     for frame in _frames(row, folder, relief):
         found[frame.terrain, frame.star_sensor].append(frame)
     figures = {case: figures_of(frames) for case, frames in found.items()}
-    return RowResult(
+    return HorizonResult(
         row, figures[False, False], figures[True, False], figures[False, True], figures[True, True]
     )
 
 
-def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]:
+def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]:
     rng = np.random.default_rng(SEED)
     sigma = STAR_SENSOR_ARCSEC * ARCSEC
     truths = {t.file: t for t in read_truth(folder.path / "truth.csv", folder.attitude)}
@@ -186,7 +186,7 @@ def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]
         for star_sensor, turned in ((False, attitude), (True, slip * attitude)):
             try:
                 if row.far and frame.tdb_s is not None:
-                    view = View(camera, turned, sigma if star_sensor else 0.0, sun)
+                    view = CameraView(camera, turned, sigma if star_sensor else 0.0, sun)
                     other = other_body(folder.motion, frame.tdb_s)
                     picture = mask_neighbour(loaded, view, folder.body, relief, other)
                 begin = time.process_time()
@@ -200,9 +200,14 @@ def _frames(row: Row, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]
                 begin = time.process_time()
                 try:
                     fix = horizon.navigate(
-                        limb, camera, turned, sigma if star_sensor else 0.0, sun, folder.body,
+                        limb,
+                        camera,
+                        turned,
+                        sigma if star_sensor else 0.0,
+                        sun,
+                        folder.body,
                         relief if terrain else None,
-                    )  # fmt: skip
+                    )
                 except NoSolutionError as error:
                     yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
                     continue
@@ -223,7 +228,9 @@ def _compared(
     below = fix.position_m / np.linalg.norm(fix.position_m)
     over = float(np.arctan2(np.linalg.norm(np.cross(below, up)), below @ up))
     return LimbFix(
-        file, terrain, star_sensor,
+        file,
+        terrain,
+        star_sensor,
         ssp_m=over * body.radius_m,
         height_m=height,
         range_share=height / distance,
@@ -231,7 +238,7 @@ def _compared(
         nees=float(error @ np.linalg.solve(fix.covariance_m2, error)) / 3.0,
         arc_deg=fix.evidence.arc_deg or 0.0,
         seconds=seconds,
-    )  # fmt: skip
+    )
 
 
 def figures_of(frames: Sequence[LimbFix]) -> CaseFigures:
@@ -257,48 +264,29 @@ def figures_of(frames: Sequence[LimbFix]) -> CaseFigures:
     )
 
 
-NEAR_COLUMNS = (
-    Column("case", "case"),
-    Column("solved", "solved"),
-    Column("frames", "frames"),
-    Column("sphere_ssp_m", "sphere, SSP", "m", ".0f"),
-    Column("sphere_height_m", "height", "m", ".0f"),
-    Column("terrain_ssp_m", "terrain, SSP", "m", ".0f"),
-    Column("ssp_limit_m", "asked ≤", "m", ".0f"),
-    Column("ssp_max_m", "max", "m", ".0f"),
-    Column("terrain_height_m", "height", "m", ".0f"),
-    Column("height_limit_m", "asked ≤", "m", ".0f"),
-    Column("star_ssp_m", "SSP, 10″", "m", ".0f"),
-    Column("star_ssp_limit_m", "asked ≤", "m", ".0f"),
-    Column("better", "better", "times", ".0f"),
+NEAR_COLUMNS = columns(
+    "case; solved; frames; sphere, SSP [m] .0f; sphere_height_m = height [m] .0f; "
+    "terrain, SSP [m] .0f; ssp_limit_m = asked ≤ [m] .0f; ssp_max_m = max [m] .0f; "
+    "terrain_height_m = height [m] .0f; height_limit_m = asked ≤ [m] .0f; "
+    "star_ssp_m = SSP, 10″ [m] .0f; star_ssp_limit_m = asked ≤ [m] .0f; "
+    "better = better [times] .0f"
 )
-FAR_COLUMNS = (
-    Column("case", "case"),
-    Column("solved", "solved"),
-    Column("frames", "frames"),
-    Column("sphere_range", "sphere, range", "%", ".4f"),
-    Column("terrain_range", "terrain, range", "%", ".4f"),
-    Column("range_limit", "asked ≤", "%", ".2f"),
-    Column("direction", "direction", "″", ".1f"),
-    Column("direction_limit", "asked ≤", "″", ".0f"),
-    Column("star_direction", "direction, 10″", "″", ".1f"),
-    Column("star_direction_limit", "asked ≤", "″", ".0f"),
+FAR_COLUMNS = columns(
+    "case; solved; frames; sphere, range [%] .4f; "
+    "terrain, range [%] .4f; range_limit = asked ≤ [%] .2f; "
+    "direction [″] .1f; direction_limit = asked ≤ [″] .0f; "
+    "star_direction = direction, 10″ [″] .1f; star_direction_limit = asked ≤ [″] .0f"
 )
-COMMON_COLUMNS = (
-    Column("nees", "NEES", "", ".2f"),
-    Column("star_nees", "NEES, 10″", "", ".2f"),
-    Column("worst", "worst", "σ", ".1f"),
-    Column("cpu_ms", "CPU", "ms", ".0f"),
-)
+COMMON_COLUMNS = columns("NEES .2f; star_nees = NEES, 10″ .2f; worst [σ] .1f; CPU [ms] .0f")
 
 
-def report(results: Sequence[RowResult]) -> StudyReport:
+def report(results: Sequence[HorizonResult]) -> StudyReport:
     """Near rows, far rows (rms), and why frames were not solved."""
     tables = []
-    for far, columns in ((False, NEAR_COLUMNS), (True, FAR_COLUMNS)):
+    for far, heads in ((False, NEAR_COLUMNS), (True, FAR_COLUMNS)):
         rows = tuple(_cells(result) for result in results if result.row.far is far)
         if rows:
-            tables.append(Table("", (*columns, *COMMON_COLUMNS), rows))
+            tables.append(StudyTable("", (*heads, *COMMON_COLUMNS), rows))
     notes = []
     for result in results:
         for reason in sorted(set(result.terrain.reasons)):
@@ -311,7 +299,7 @@ def report(results: Sequence[RowResult]) -> StudyReport:
     return StudyReport(tuple(tables), tuple(notes))
 
 
-def _cells(result: RowResult) -> tuple[Cell, ...]:
+def _cells(result: HorizonResult) -> tuple[Cell, ...]:
     row, sphere, terrain, star = result.row, result.sphere, result.terrain, result.terrain_star
     own: tuple[Cell, ...]
     if row.range_share is None:
@@ -329,13 +317,13 @@ def _cells(result: RowResult) -> tuple[Cell, ...]:
     return (row.name, terrain.solved, terrain.frames, *own, *common)
 
 
-def _ways(results: Sequence[RowResult]) -> Table:
+def _ways(results: Sequence[HorizonResult]) -> StudyTable:
     """All figures of every row solved in each of the four ways."""
     names = [field.name for field in fields(CaseFigures) if field.name != "reasons"]
-    columns = (Column("case", "case"), Column("way", "way"), *(Column(n, n) for n in names))
+    heads = columns("; ".join(["case", "way", *names]))
     rows = tuple(
         (result.row.name, way, *(getattr(getattr(result, way), name) for name in names))
         for result in results
         for way in ("sphere", "terrain", "sphere_star", "terrain_star")
     )
-    return Table("ways", columns, rows)
+    return StudyTable("ways", heads, rows)

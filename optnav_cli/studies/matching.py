@@ -36,7 +36,7 @@ from optnav_cli.studies.matching_trials import (
     references,
     trials_of,
 )
-from optnav_cli.studies.tables import Column, StudyReport, Table
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 CAMERA = "unk"
 MAX_ERROR_NODES = 3.0  # a match further from the truth is a wrong one, as `evaluate` counts
@@ -127,22 +127,12 @@ def tolerance(rows: Sequence[MatchingRow]) -> tuple[float, bool]:
     return values[-1], False
 
 
-COLUMNS = (
-    Column("matcher", "matcher"),
-    Column("aid", "aid"),
-    Column("value", "value", "", "g"),
-    Column("trials", "trials"),
-    Column("recognised", "recognised", "%", ".0f"),
-    Column("error_nodes", "error, rms", "nodes", ".2f"),
-    Column("accepted", "accepted", "%", ".0f"),
-    Column("wrong", "wrong", "%", ".0f"),
+COLUMNS = columns(
+    "matcher; aid; value g; trials; recognised [%] .0f; "
+    "error_nodes = error, rms [nodes] .2f; accepted [%] .0f; wrong [%] .0f"
 )
-BORNE_COLUMNS = (
-    Column("error", "error"),
-    Column("matcher", "matcher"),
-    Column("aid", "aid"),
-    Column("borne", f"borne with {100.0 * RECOGNISED:.0f} % recognised"),
-    Column("stated", "stated"),
+BORNE_COLUMNS = columns(
+    f"error; matcher; aid; borne = borne with {100.0 * RECOGNISED:.0f} % recognised; stated"
 )
 
 
@@ -154,15 +144,23 @@ def report(rows: Sequence[MatchingRow]) -> StudyReport:
         for name, aided, chosen in curves(rows, axis):
             aid = axis.aid if aided else "unaided"
             lines += [
-                (name, aid, r.value, r.trials, 100.0 * r.recognised, r.error_nodes,
-                 100.0 * r.accepted, 100.0 * r.wrong)
+                (
+                    name,
+                    aid,
+                    r.value,
+                    r.trials,
+                    100.0 * r.recognised,
+                    r.error_nodes,
+                    100.0 * r.accepted,
+                    100.0 * r.wrong,
+                )
                 for r in chosen
-            ]  # fmt: skip
+            ]
             stated = quantity(axis, axis.stated)
             tolerances.append((axis.name, name, aid, borne(axis, chosen), stated))
-        columns = tuple(replace(c, unit=axis.unit) if c.name == "value" else c for c in COLUMNS)
-        tables.append(Table(axis.name, columns, tuple(lines)))
-    tables.append(Table("", BORNE_COLUMNS, tuple(tolerances)))
+        heads = tuple(replace(c, unit=axis.unit) if c.name == "value" else c for c in COLUMNS)
+        tables.append(StudyTable(axis.name, heads, tuple(lines)))
+    tables.append(StudyTable("", BORNE_COLUMNS, tuple(tolerances)))
     worst = max(rows, key=lambda row: row.wrong)
     notes = (
         f"recognised: within {MAX_ERROR_NODES:g} nodes of the truth; accepted: by the gates",

@@ -28,12 +28,7 @@ from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
-from optnav_cli.matching.search_plan import (
-    NO_DISTORTION,
-    Distortion,
-    SearchPlan,
-    plan_distortion,
-)
+from optnav_cli.matching.search_plan import NO_DISTORTION, Distortion, SearchPlan, plan_distortion
 from optnav_cli.navigation.settings import MatchSettings
 from optnav_cli.simulation.region_ground import WHOLE, TruthTerrain
 from optnav_cli.simulation.sections import SensorSettings
@@ -100,11 +95,15 @@ def draw_scenes(
     corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
     details: dict[int | None, SyntheticRelief | None] = {
         number: SyntheticRelief(
-            number + 1, POSTING_M, body.radius_m,
-            smallest_m=MIN_M, rms_slope_deg=SLOPE_DEG, saturation=SATURATION,
+            number + 1,
+            POSTING_M,
+            body.radius_m,
+            smallest_m=MIN_M,
+            rms_slope_deg=SLOPE_DEG,
+            saturation=SATURATION,
         )
         for number in range(count)
-    }  # fmt: skip
+    }
     terrain = TruthTerrain(
         body, (DemSettings(str(resource(DEM))),), DemSettings(str(resource(GLOBE))), details
     )
@@ -273,9 +272,16 @@ class Look:
         return PicturePyramid(counts.astype(np.float32))
 
     def trials(
-        self, axis: Axis, value: float, aided: bool, picture: PicturePyramid, *,
-        wrong: Wrong = RIGHT, level: int = 0, distortion: Distortion = NO_DISTORTION,
-    ) -> Iterator[Trial]:  # fmt: skip
+        self,
+        axis: Axis,
+        value: float,
+        aided: bool,
+        picture: PicturePyramid,
+        *,
+        wrong: Wrong = RIGHT,
+        level: int = 0,
+        distortion: Distortion = NO_DISTORTION,
+    ) -> Iterator[Trial]:
         """Every point by every matcher from a pose that is wrong, by either sign in turn."""
         for number, point in enumerate(self.points):
             error = wrong.other_way() if number % 2 else wrong
@@ -298,9 +304,14 @@ class Look:
         return min(SLANT.values, key=lambda value: abs(value - angle))
 
     def _error(
-        self, point: Reference, stated: Pose, picture: PicturePyramid, level: int,
-        matcher: Matcher, distortion: Distortion,
-    ) -> tuple[float | None, bool]:  # fmt: skip
+        self,
+        point: Reference,
+        stated: Pose,
+        picture: PicturePyramid,
+        level: int,
+        matcher: Matcher,
+        distortion: Distortion,
+    ) -> tuple[float | None, bool]:
         """Distance from the truth, finest nodes, and whether the gates pass the match."""
         place, pose = point.point.xyz_m, self.scene.pose
         distance = float(np.linalg.norm(stated.position_m - place))

@@ -26,11 +26,11 @@ from optnav_cli.studies.flights import (
     shipped_pictures,
     with_star_sensor,
 )
-from optnav_cli.studies.tables import Column, StudyReport, Table
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 
 @dataclass(frozen=True)
-class Row:
+class FlightCase:
     """One line of the table: scenarios pooled, the catalog's cell, and the figures to reach."""
 
     name: str
@@ -41,18 +41,20 @@ class Row:
 
 
 ROWS = (
-    Row("unk 200 km, 1° cells", ("unk_200km",), 1.0, 30.0, 150.0),
-    Row("unk 200 km, 0.5° cells", ("unk_200km",), 0.5, 20.0, 80.0),
-    Row("unk 400 km, 1° cells", ("unk_400km",), 1.0, 20.0, 50.0),
-    Row("shnk 100-400 km, 1° cells", ("shnk_100km", "shnk_200km", "shnk_400km"), 1.0, 25.0, 25.0),
+    FlightCase("unk 200 km, 1° cells", ("unk_200km",), 1.0, 30.0, 150.0),
+    FlightCase("unk 200 km, 0.5° cells", ("unk_200km",), 0.5, 20.0, 80.0),
+    FlightCase("unk 400 km, 1° cells", ("unk_400km",), 1.0, 20.0, 50.0),
+    FlightCase(
+        "shnk 100-400 km, 1° cells", ("shnk_100km", "shnk_200km", "shnk_400km"), 1.0, 25.0, 25.0
+    ),
 )
 
 
 @dataclass(frozen=True)
-class RowResult:
+class FlightResult:
     """A row's figures; `limit_m` is what the horizontal error may be."""
 
-    row: Row
+    row: FlightCase
     star_sensor: bool
     evaluation: Evaluation
     figures: Figures
@@ -66,7 +68,7 @@ class RowResult:
 
 def run(
     output: Path, progress: Progress, frames: int | None = None, rows: str = ""
-) -> list[RowResult]:
+) -> list[FlightResult]:
     """Fly, navigate and evaluate every row; pictures that are there already are used again.
 
     output  folder for catalogs, pictures, runs and figures.json
@@ -75,7 +77,7 @@ def run(
     """
     chosen = rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
-    results: list[RowResult] = []
+    results: list[FlightResult] = []
     for row in chosen:
         catalog = _catalog(output, row.cell_deg, progress)
         for star_sensor in (False, True):
@@ -92,29 +94,20 @@ def run(
             limit = row.horizontal_m
             if star_sensor:
                 limit = limit_with_star_sensor(limit, evaluation.frames)
-            results.append(RowResult(row, star_sensor, evaluation, evaluation.figures(), limit))
+            results.append(FlightResult(row, star_sensor, evaluation, evaluation.figures(), limit))
             single = frames_table({r.case: r.evaluation.frames for r in results})
             StudyReport((*report(results).tables, single)).write(output / FIGURES)
     return results
 
 
-COLUMNS = (
-    Column("case", "case"),
-    Column("solved", "solved"),
-    Column("frames", "frames"),
-    Column("horizontal_rms_m", "horizontal, rms", "m", ".1f"),
-    Column("horizontal_limit_m", "asked ≤", "m", ".0f"),
-    Column("height_rms_m", "height, rms", "m", ".1f"),
-    Column("height_limit_m", "asked ≤", "m", ".0f"),
-    Column("nees", "NEES", "", ".2f"),
-    Column("inside_3_sigma", "in 3σ", "%", ".0f"),
-    Column("used", "used", "%", ".2f"),
-    Column("wrong", "wrong"),
-    Column("checked", "checked"),
+COLUMNS = columns(
+    "case; solved; frames; horizontal, rms [m] .1f; horizontal_limit_m = asked ≤ [m] .0f; "
+    "height, rms [m] .1f; height_limit_m = asked ≤ [m] .0f; NEES .2f; "
+    "inside_3_sigma = in 3σ [%] .0f; used [%] .2f; wrong; checked"
 )
 
 
-def report(results: Sequence[RowResult]) -> StudyReport:
+def report(results: Sequence[FlightResult]) -> StudyReport:
     """The table, one line a row, and the counts over all rows."""
     rows = []
     for result in results:
@@ -132,7 +125,7 @@ def report(results: Sequence[RowResult]) -> StudyReport:
         f"wrong matches kept {wrong} of {checked} ({100.0 * wrong / checked:.3f} %)",
         "relative to the terrain model's own frame; GLD100 itself is about 50 m from LOLA",
     )
-    return StudyReport((Table("", COLUMNS, tuple(rows)),), notes)
+    return StudyReport((StudyTable("", COLUMNS, tuple(rows)),), notes)
 
 
 def _catalog(output: Path, cell_deg: float, progress: Progress) -> Path:

@@ -30,7 +30,7 @@ from optnav_cli.studies.flights import (
     sigmas_off,
     with_star_sensor,
 )
-from optnav_cli.studies.tables import Cell, Column, StudyReport, Table, rms, tally
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms, tally
 
 WIDE, NARROW = "tsnn_shtk", "tsnn_utk"
 POINTS_M = 195.0  # half of the model's posting, 2 degrees of the equator
@@ -39,7 +39,7 @@ NEES = (0.7, 1.4)
 
 
 @dataclass(frozen=True)
-class Row:
+class PhobosCase:
     """One line of the table, the pictures of a scenario by one camera.
 
     prior        whether a position is stated
@@ -59,41 +59,43 @@ class Row:
 
 
 ROWS = (
-    Row("small disc, 20 000-6000 km", "phobos_disc"),
-    Row("limb, 1000 km", "phobos_limb_1000km"),
-    Row("limb, 300 km", "phobos_limb_0300km"),
-    Row("limb, 100 km", "phobos_limb_0100km", across_m=15.0, range_share=0.001),
-    Row("limb, 70 km", "phobos_limb_0070km"),
-    Row("points from a prior, 60 km", "phobos_points_060km", prior=True, across_m=POINTS_M),
-    Row("points from a prior, 40 km", "phobos_points_040km", prior=True, across_m=POINTS_M),
-    Row("points from a prior, 20 km", "phobos_points_020km", prior=True),
-    Row("loop, 60 km", "phobos_points_060km", across_m=POINTS_M),
-    Row("loop, 40 km", "phobos_points_040km", across_m=POINTS_M),
-    Row("loop, 20 km", "phobos_points_020km"),
-    Row("approach, 300-70 km", "phobos_approach", flown=True, distance_km=(70.0, 301.0)),
-    Row("approach, 70-40 km", "phobos_approach", flown=True, distance_km=(40.0, 70.0)),
-    Row("approach, 40-20 km", "phobos_approach", flown=True, distance_km=(19.0, 40.0)),
-    Row("narrow camera, 1000-500 km", "phobos_narrow", NARROW),
+    PhobosCase("small disc, 20 000-6000 km", "phobos_disc"),
+    PhobosCase("limb, 1000 km", "phobos_limb_1000km"),
+    PhobosCase("limb, 300 km", "phobos_limb_0300km"),
+    PhobosCase("limb, 100 km", "phobos_limb_0100km", across_m=15.0, range_share=0.001),
+    PhobosCase("limb, 70 km", "phobos_limb_0070km"),
+    PhobosCase("points from a prior, 60 km", "phobos_points_060km", prior=True, across_m=POINTS_M),
+    PhobosCase("points from a prior, 40 km", "phobos_points_040km", prior=True, across_m=POINTS_M),
+    PhobosCase("points from a prior, 20 km", "phobos_points_020km", prior=True),
+    PhobosCase("loop, 60 km", "phobos_points_060km", across_m=POINTS_M),
+    PhobosCase("loop, 40 km", "phobos_points_040km", across_m=POINTS_M),
+    PhobosCase("loop, 20 km", "phobos_points_020km"),
+    PhobosCase("approach, 300-70 km", "phobos_approach", flown=True, distance_km=(70.0, 301.0)),
+    PhobosCase("approach, 70-40 km", "phobos_approach", flown=True, distance_km=(40.0, 70.0)),
+    PhobosCase("approach, 40-20 km", "phobos_approach", flown=True, distance_km=(19.0, 40.0)),
+    PhobosCase("narrow camera, 1000-500 km", "phobos_narrow", NARROW),
 )
 
 
 @dataclass(frozen=True, eq=False)
-class RowResult:
+class PhobosResult:
     """The frames of a row."""
 
-    row: Row
+    row: PhobosCase
     frames: tuple[FrameError, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Results:
+class PhobosResults:
     """The table; the account is that of this run's build, whose stages may have been kept."""
 
     account: Account
-    rows: tuple[RowResult, ...]
+    rows: tuple[PhobosResult, ...]
 
 
-def run(output: Path, progress: Progress, frames: int | None = None, rows: str = "") -> Results:
+def run(
+    output: Path, progress: Progress, frames: int | None = None, rows: str = ""
+) -> PhobosResults:
     """Build, fly, navigate and compare; what is there already is used again.
 
     output  folder for catalog, pictures, runs and figures.json
@@ -105,7 +107,7 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
     catalog = output / "phobos.gpkg"
     config = resource("configs/catalogs/phobos.toml")
     account = build.run(config, output=catalog, progress=progress).account
-    found: list[RowResult] = []
+    found: list[PhobosResult] = []
     runs: dict[str, tuple[FrameError, ...]] = {}
     for row in chosen:
         folder = shipped_pictures(output, row.scenario, frames, progress)
@@ -114,11 +116,11 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
         name = folder.name
         if name not in runs:
             runs[name] = _navigated(folder, catalog, output / "runs" / name, progress)
-        found.append(RowResult(row, tuple(error for error in runs[name] if _is_of(row, error))))
+        found.append(PhobosResult(row, tuple(error for error in runs[name] if _is_of(row, error))))
         single = frames_table({result.row.name: result.frames for result in found})
-        so_far = report(Results(account, tuple(found)))
+        so_far = report(PhobosResults(account, tuple(found)))
         StudyReport((*so_far.tables, single), so_far.notes).write(output / FIGURES)
-    return Results(account, tuple(found))
+    return PhobosResults(account, tuple(found))
 
 
 def _navigated(
@@ -131,28 +133,19 @@ def _navigated(
     return tuple(evaluate_run(place, pictures / "truth.csv").frames)
 
 
-def _is_of(row: Row, frame: FrameError) -> bool:
+def _is_of(row: PhobosCase, frame: FrameError) -> bool:
     nearest, farthest = row.distance_km
     return frame.camera == row.camera and nearest <= frame.distance_m / 1e3 < farthest
 
 
-COLUMNS = (
-    Column("case", "case"),
-    Column("solved", "solved"),
-    Column("frames", "frames"),
-    Column("across_rms_m", "across, rms", "m", ".1f"),
-    Column("across_limit_m", "asked ≤", "m", ".0f"),
-    Column("across_max_m", "max", "m", ".0f"),
-    Column("range_rms_m", "range, rms", "m", ".1f"),
-    Column("range_share", "of range", "%", ".3f"),
-    Column("range_share_limit", "asked ≤", "%", ".1f"),
-    Column("nees", "NEES", "", ".2f"),
-    Column("worst", "worst", "σ", ".1f"),
-    Column("methods", "methods"),
+COLUMNS = columns(
+    "case; solved; frames; across, rms [m] .1f; across_limit_m = asked ≤ [m] .0f; "
+    "across_max_m = max [m] .0f; range, rms [m] .1f; range_share = of range [%] .3f; "
+    "range_share_limit = asked ≤ [%] .1f; NEES .2f; worst [σ] .1f; methods"
 )
 
 
-def report(results: Results) -> StudyReport:
+def report(results: PhobosResults) -> StudyReport:
     """The table, the build's line, and why frames were not solved."""
     notes = [_build_line(results.account), f"wanted besides: NEES {NEES[0]}-{NEES[1]}"]
     for result in results.rows:
@@ -162,7 +155,7 @@ def report(results: Results) -> StudyReport:
             f"{result.row.name}: {reasons.count(reason)} not solved: {reason}"
             for reason in sorted(set(reasons))
         ]
-    return StudyReport((Table("", COLUMNS, tuple(map(_cells, results.rows))),), tuple(notes))
+    return StudyReport((StudyTable("", COLUMNS, tuple(map(_cells, results.rows))),), tuple(notes))
 
 
 def _build_line(account: Account) -> str:
@@ -175,7 +168,7 @@ def _build_line(account: Account) -> str:
     )
 
 
-def _cells(result: RowResult) -> tuple[Cell, ...]:
+def _cells(result: PhobosResult) -> tuple[Cell, ...]:
     row = result.row
     solved = [frame for frame in result.frames if frame.error_rnb_m is not None]
     start = (row.name, len(solved), len(result.frames))

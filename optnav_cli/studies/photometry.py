@@ -26,7 +26,7 @@ from catalog.geometry.projection import Stereographic, node_grid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
 from catalog.terrain.dem.source import DemSettings, DemSource
-from optnav_cli.studies.tables import Column, StudyReport, Table
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 DEM = "data/tycho_gld100_256ppd.tif"
 POSTING_M = 118.45
@@ -150,12 +150,10 @@ def _direction(elevation_deg: float, azimuth_deg: float) -> FloatArray:
     return np.array([np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)])
 
 
-COLUMNS = (
-    Column("emission_deg", "emission", "°", ".0f"),
-    Column("correlation_mean", "correlation", "mean", ".3f"),
-    Column("correlation_least", "correlation", "least", ".3f"),
-    Column("shift_mean", "rms shift", "mean, nodes", ".2f"),
-    Column("shift_greatest", "rms shift", "greatest, nodes", ".2f"),
+COLUMNS = columns(
+    "emission_deg = emission [°] .0f; correlation [mean] .3f; correlation [least] .3f; "
+    "shift_mean = rms shift [mean, nodes] .2f; "
+    "shift_greatest = rms shift [greatest, nodes] .2f"
 )
 
 
@@ -165,7 +163,7 @@ def report(rows: Sequence[PhotometryRow]) -> StudyReport:
     for law in SIMPLE_LAWS:
         own = [row for row in rows if row.law == law]
         lines = tuple((row.emission_deg, *row.correlation, *row.shift) for row in own)
-        tables.append(Table(f"{law} against Hapke's law", COLUMNS, lines))
+        tables.append(StudyTable(f"{law} against Hapke's law", COLUMNS, lines))
         below = [row for row in own if row.emission_deg < 60.0]
         notes.append(
             f"{law} below 60° of emission: correlation "

@@ -54,9 +54,12 @@ def _seed(text: str = "Of trials.") -> click.Option:
 
 def _folder(default: str, text: str) -> click.Option:
     return click.Option(
-        ["-o", "--output"], type=click.Path(path_type=Path), default=default, show_default=True,
+        ["-o", "--output"],
+        type=click.Path(path_type=Path),
+        default=default,
+        show_default=True,
         help=text,
-    )  # fmt: skip
+    )
 
 
 def _flights(name: str, files: str, row: str) -> tuple[click.Option, ...]:

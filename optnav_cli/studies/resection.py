@@ -24,7 +24,7 @@ from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.estimation.resection import resect
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from optnav_cli.studies.tables import Column, StudyReport, Table
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 HEIGHT_M = 200e3
 RADIUS_M = 1_737_400.0
@@ -102,10 +102,11 @@ def one_geometry(
 
 def report(rows: Sequence[ResectionRow]) -> StudyReport:
     """Two tables: rows by the number of points, columns by intersection angle."""
-    columns = [Column("points", "points")]
-    for angle in ANGLES_DEG:
-        for quantity in ("horizontal", "height"):
-            columns.append(Column(f"{quantity}_{angle:g}_deg", quantity, f"σ, {angle:g}°", ".2f"))
+    angles = "; ".join(
+        "; ".join(f"{x}_{a:g}_deg = {x} [σ, {a:g}°] .2f" for x in ("horizontal", "height"))
+        for a in ANGLES_DEG
+    )
+    heads = columns(f"points; {angles}")
     tables = []
     for free in (False, True):
         chosen = [row for row in rows if row.free_attitude == free]
@@ -118,7 +119,7 @@ def report(rows: Sequence[ResectionRow]) -> StudyReport:
             f"attitude {'free' if free else 'known'}: horizontal (a component) and height error, "
             "point sigmas, by intersection angle"
         )
-        tables.append(Table(title, tuple(columns), tuple(lines)))
+        tables.append(StudyTable(title, heads, tuple(lines)))
     known = {(r.count, r.angle_deg): r.horizontal for r in rows if not r.free_attitude}
     notes = [
         f"4 points, {row.angle_deg:.0f}°: free attitude makes the horizontal error "

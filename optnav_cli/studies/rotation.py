@@ -24,7 +24,7 @@ from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import CENTURY_S, body_from_inertial
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
-from optnav_cli.studies.tables import Cell, Column, StudyReport, Table
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 Name = tuple[int, ...]
 
@@ -215,7 +215,8 @@ def turns(spice: SpiceEphemeris, body: Body, times: FloatArray) -> FloatArray:
     truth = np.array([spice.body_from_inertial(float(t)) for t in times])
     pieces = np.array_split(times, max(1, len(times) // 4000))
     ours = np.concatenate([body_from_inertial(body, piece) for piece in pieces])
-    return np.asarray(Rotation.from_matrix(truth @ ours.swapaxes(1, 2)).as_rotvec())
+    turned: FloatArray = Rotation.from_matrix(truth @ ours.swapaxes(1, 2)).as_rotvec()
+    return turned
 
 
 def _correction(fit: LineFit, years: tuple[float, float]) -> RotationCorrection:
@@ -268,11 +269,9 @@ def format_toml(fit: RotationFit) -> str:
     return "\n".join([*lines, "]"])
 
 
-COLUMNS = (
-    Column("series", "series"),
-    Column("rms_m", "shift, rms", "m", ".2f"),
-    Column("largest_m", "largest", "m", ".2f"),
-    *(Column(f"{axis}_rms_m", f"about {axis}, rms", "m", ".2f") for axis in "xyz"),
+COLUMNS = columns(
+    "series; shift, rms [m] .2f; largest [m] .2f; about x, rms [m] .2f; about y, rms [m] .2f; "
+    "about z, rms [m] .2f"
 )
 
 
@@ -287,7 +286,7 @@ def report(fit: RotationFit) -> StudyReport:
         f"rotation of {fit.body.name}, {len(fit.lines)} terms, against {fit.kernels}: shift of the "
         f"surface at {CHECKS} times between those of the fit"
     )
-    return StudyReport((Table(title, COLUMNS, tuple(rows)),))
+    return StudyReport((StudyTable(title, COLUMNS, tuple(rows)),))
 
 
 def _rms_and_largest(shift: FloatArray) -> tuple[float, float]:

@@ -10,8 +10,9 @@ so with the few nodes of a textbook's corner. Both keep the same distance from o
 as the chosen ones do.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -32,7 +33,7 @@ from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Outcome
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
-from optnav_cli.studies.tables import Cell, Column, StudyReport, Table
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
 
@@ -75,23 +76,21 @@ class SelectionRow:
 
 def run(progress: Progress, trials: int = 1000, seed: int = 1) -> list[SelectionRow]:
     """Both postings; at least `trials` trials a strategy."""
-    body = load_body("moon")
-    dem = DemSettings(path=str(resource(DEM)))
+    with tycho_context() as fine:
+        coarse = replace(fine, posting_m=2.0 * fine.posting_m)
+        return [one_posting(context, progress, trials, seed) for context in (fine, coarse)]
+
+
+@contextmanager
+def tycho_context() -> Iterator[StageContext]:
+    """The bundled Tycho terrain at its own posting, as a build with default settings has it."""
+    body, dem = load_body("moon"), DemSettings(path=str(resource(DEM)))
+    config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
     with TemporaryDirectory(prefix="optnav-") as folder:
         mosaic = Mosaic.from_files([dem], Path(folder), body, Path(folder))
-        config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
-        postings = (mosaic.posting_m, 2.0 * mosaic.posting_m)
-        rows = [
-            one_posting(
-                StageContext(body, mosaic, CellGrid(config.grid.cell_deg), posting, config),
-                progress,
-                trials,
-                seed,
-            )
-            for posting in postings
-        ]
+        grid = CellGrid(config.grid.cell_deg)
+        yield StageContext(body, mosaic, grid, mosaic.posting_m, config)
         mosaic.close()
-    return rows
 
 
 def one_posting(context: StageContext, progress: Progress, trials: int, seed: int) -> SelectionRow:
@@ -154,10 +153,7 @@ def _random(ground: CellGround, seed: Sequence[int]) -> tuple[float, float]:
 
 
 def _one_sun_harris(
-    context: StageContext,
-    grounds: dict[int, CellGround],
-    turn: int,
-    window: int | None = None,
+    context: StageContext, grounds: dict[int, CellGround], turn: int, window: int | None = None
 ) -> dict[int, tuple[float, float]]:
     """The strongest corners of pictures under one Sun, a place a cell, spaced as the build does.
 
@@ -249,25 +245,14 @@ def difference(better: Strategy, other: Strategy) -> Interval:
     return a - b, a - b - low, a - b + high
 
 
-COLUMNS = (
-    Column("posting_m", "posting", "m", ".0f"),
-    Column("cells", "cells"),
-    Column("strategy", "strategy"),
-    Column("trials", "trials"),
-    Column("recognised", "recognised", "%", ".1f"),
-    Column("recognised_low", "from", "%", ".1f"),
-    Column("recognised_high", "to", "%", ".1f"),
-    Column("error_m", "error", "m", ".0f"),
-    Column("error_low_m", "from", "m", ".0f"),
-    Column("error_high_m", "to", "m", ".0f"),
-    Column("wrong", "wrong", "%", ".1f"),
+COLUMNS = columns(
+    "posting [m] .0f; cells; strategy; trials; recognised [%] .1f; "
+    "recognised_low = from [%] .1f; recognised_high = to [%] .1f; error [m] .0f; "
+    "error_low_m = from [m] .0f; error_high_m = to [m] .0f; wrong [%] .1f"
 )
-GAIN_COLUMNS = (
-    Column("posting_m", "posting", "m", ".0f"),
-    Column("over", "chosen over"),
-    Column("gain", "gain", "points", "+.1f"),
-    Column("gain_low", "from", "points", "+.1f"),
-    Column("gain_high", "to", "points", "+.1f"),
+GAIN_COLUMNS = columns(
+    "posting [m] .0f; over = chosen over; gain = gain [points] +.1f; "
+    "gain_low = from [points] +.1f; gain_high = to [points] +.1f"
 )
 
 
@@ -286,8 +271,8 @@ def report(rows: Sequence[SelectionRow]) -> StudyReport:
         ):
             gains.append((row.posting_m, over, *_percent(gain)))
     tables = (
-        Table("strategies, 95 % intervals", COLUMNS, tuple(lines)),
-        Table("gain of recognition, 95 % intervals", GAIN_COLUMNS, tuple(gains)),
+        StudyTable("strategies, 95 % intervals", COLUMNS, tuple(lines)),
+        StudyTable("gain of recognition, 95 % intervals", GAIN_COLUMNS, tuple(gains)),
     )
     return StudyReport(tables)
 

@@ -22,11 +22,12 @@ Cell = str | int | float | None
 
 DIGITS = 6  # significant ones that a table keeps: more than it shows, fewer than machines differ in
 INNERMOST = re.compile(r"[\[{]\n[^\[\]{}]*[\]}]")  # lists and objects that hold no further ones
+COLUMN = re.compile(r"(?:([\w.]+) = )?(.+?)(?: \[(.+?)\])?(?: (g|\+?\.\d[fg]))?")
 MAX_ACROSS = 10  # a table of one row and more columns than these is shown as a list
 
 
 @dataclass(frozen=True)
-class Column:
+class StudyColumn:
     """What stands in one column.
 
     name    for programs;  title, unit  for people
@@ -43,15 +44,33 @@ class Column:
         return "-" if cell is None else format(cell, "" if isinstance(cell, str) else self.format)
 
 
+def columns(text: str) -> tuple[StudyColumn, ...]:
+    """Columns from "name = title [unit] .1f" each, with semicolons between them.
+
+    Only the title is needed; without a name it is made of the words of title and unit.
+    """
+    found = []
+    for part in text.split(";"):
+        match = COLUMN.fullmatch(part.strip())
+        if match is None:
+            raise ValueError(f"{part!r} is no column")
+        name, title, unit, shown = match.groups(default="")
+        words = re.findall("[a-z0-9]+", f"{title} {unit}".lower())
+        found.append(StudyColumn(name or "_".join(words), title, unit, shown))
+    if len({column.name for column in found}) < len(found):
+        raise ValueError(f"two columns of one name: {text}")
+    return tuple(found)
+
+
 @dataclass(frozen=True)
-class Table:
+class StudyTable:
     """Rows of figures under a title; numbers are kept to DIGITS, those that are not finite as None.
 
     rows  as many cells each as there are columns
     """
 
     title: str
-    columns: tuple[Column, ...]
+    columns: tuple[StudyColumn, ...]
     rows: tuple[tuple[Cell, ...], ...]
 
     def __post_init__(self) -> None:
@@ -112,7 +131,7 @@ class StudyReport:
     arguments  of the command that change figures;  commit  None outside a checkout;  date  UTC day
     """
 
-    tables: tuple[Table, ...]
+    tables: tuple[StudyTable, ...]
     notes: tuple[str, ...] = ()
     study: str = ""
     arguments: Mapping[str, Any] = field(default_factory=dict)
@@ -166,9 +185,9 @@ class StudyReport:
             if tables is None:
                 tables = [{key: content.pop(key) for key in ("title", "columns", "rows")}]
             made = (
-                Table(
+                StudyTable(
                     t["title"],
-                    tuple(Column(**c) for c in t["columns"]),
+                    tuple(StudyColumn(**c) for c in t["columns"]),
                     tuple(map(tuple, t["rows"])),
                 )
                 for t in tables

@@ -1,4 +1,4 @@
-"""Output places: atomic replacement, refusal of foreign files, what a killed command leaves."""
+"""Files and folders: atomic replacement, refusal of foreign files, what a killed command leaves."""
 
 import errno
 import json
@@ -7,12 +7,20 @@ import signal
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 
 from catalog import files
 from catalog.errors import OutputError
-from catalog.files import replacing_file, replacing_folder, starts_with
+from catalog.files import (
+    check_file,
+    locked,
+    putting_folder,
+    replacing_file,
+    replacing_folder,
+    starts_with,
+)
 
 
 def fill(folder, word, kind="run"):
@@ -177,3 +185,47 @@ def test_a_file_is_replaced_when_it_is_ours_and_refused_when_it_is_not(tmp_path)
         replacing_file(tmp_path / "folder", ours).__enter__()
     assert target.read_text() == "a letter"
     assert names(tmp_path) == ["folder", "report.html"]
+
+
+def test_a_place_is_asked_for_without_being_touched(tmp_path):
+    ours = starts_with(b"<!-- optnav")
+    check_file(tmp_path / "new.html", ours)
+    (tmp_path / "empty.html").touch()
+    check_file(tmp_path / "empty.html", ours)
+    (tmp_path / "letter.html").write_text("Dear")
+    with pytest.raises(OutputError, match=r"letter.html: exists and was not made by optnav"):
+        check_file(tmp_path / "letter.html", ours)
+    with pytest.raises(OutputError, match="is not a name for a file"):
+        check_file(Path("/"), ours)
+    assert names(tmp_path) == ["empty.html", "letter.html"]
+
+
+def test_side_files_of_the_old_file_go_with_it(tmp_path):
+    target = tmp_path / "c.db"
+    for name in ("c.db-wal", "c.db.txt"):
+        (tmp_path / name).touch()
+    with replacing_file(target, lambda _: True, ("-wal",)) as new:
+        new.write_bytes(b"new")
+        assert (tmp_path / "c.db-wal").exists()
+    assert names(tmp_path) == ["c.db", "c.db.txt"]
+
+
+def test_a_folder_of_a_work_folder_is_there_whole_or_as_it_was(tmp_path):
+    target = tmp_path / "levels"
+    for word in ("one", "two"):
+        with putting_folder(target) as new:
+            (new / "word.txt").write_text(word)
+            assert target.exists() == (word == "two")
+    with pytest.raises(RuntimeError), putting_folder(target) as new:
+        fail_halfway(new / "word.txt", RuntimeError)
+    assert (target / "word.txt").read_text() == "two"
+    assert names(tmp_path) == ["levels"]
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_what_is_locked_is_not_locked_twice(tmp_path, kind):
+    place = tmp_path if kind == "folder" else tmp_path / "lock"
+    with locked(place), pytest.raises(BlockingIOError), locked(place):
+        pass
+    with locked(place):
+        pass

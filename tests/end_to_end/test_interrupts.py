@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from catalog.config import resource
+from tests.catalog.build.killing import wait_for_the_end_of
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
@@ -45,17 +46,6 @@ def started(tmp_path: Path) -> Start:
     return start
 
 
-def wait_for_the_end_of(session: int) -> None:
-    """No process of a session may be left after five seconds."""
-    for _ in range(50):
-        try:
-            os.killpg(session, 0)
-        except ProcessLookupError:
-            return
-        time.sleep(0.1)
-    raise AssertionError("workers outlived the build")
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_build_ends_at_once_with_its_workers(
     number: signal.Signals, started: Start, tmp_path: Path
@@ -66,7 +56,7 @@ def test_an_interrupted_build_ends_at_once_with_its_workers(
     assert (process.returncode, "Traceback" in err) == (130, False)
     assert err.endswith("optnav: interrupted\n")
     assert not (tmp_path / "new.gpkg").exists()
-    wait_for_the_end_of(process.pid)
+    wait_for_the_end_of(process.pid, 5.0)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +74,7 @@ def test_a_build_killed_again_and_again_goes_on_to_the_same_catalog(
     for stage in stages:
         with started(stage) as process:
             process.kill()
-        wait_for_the_end_of(process.pid)
+        wait_for_the_end_of(process.pid, 5.0)
         if (tmp_path / "new.gpkg").exists():  # the kill came too late for the last stage
             (tmp_path / "new.gpkg").unlink()
     assert _digest(tmp_path) == undisturbed
@@ -112,7 +102,7 @@ def test_builds_and_workers_killed_at_any_moment_end_with_the_same_catalog(
                 with suppress(ProcessLookupError):
                     os.kill(victim, signal.SIGKILL)
                     kills += 1
-        wait_for_the_end_of(process.pid)
+        wait_for_the_end_of(process.pid, 5.0)
         if (folder / "new.gpkg").exists():
             assert _digest(folder) == undisturbed
             rounds += 1

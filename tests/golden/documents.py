@@ -21,33 +21,27 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 CONFIGS = CHECKOUT / "configs"
 FIGURES = CHECKOUT / "optnav_cli" / "studies" / "figures"
 BENCHES = CHECKOUT / "tests" / "bench" / "figures"
-# A sentence, and the study, table, row and columns that its figures stand in.
-ACCURACY = (
-    (
-        "A real Apollo 15 picture: {} of {} control points used, residual {} px ({} m).",
-        "apollo", 0, 0, ("used", "predicted", "residual_px", "residual_m"),
+# A sentence, and where its figures stand: study, table, row, columns.
+ACCURACY = {
+    "A real Apollo 15 picture: {} of {} control points used, residual {} px ({} m).": (
+        "apollo 0 0 used predicted residual_px residual_m"
     ),
-    (
-        "Control points, narrow camera at 200 km, prior off by 3 km: {} m horizontal, {} m height.",
-        "navigation", 0, 0, ("horizontal", "height"),
+    "Control points, narrow camera at 200 km, prior off by 3 km: {} m horizontal, {} m height.": (
+        "navigation 0 0 horizontal height"
     ),
-    (
-        "No prior at all, fisheye at 200 km: {} m horizontal, {} m height.",
-        "autonomous", 0, 1, ("horizontal", "height"),
+    "No prior at all, fisheye at 200 km: {} m horizontal, {} m height.": (
+        "autonomous 0 1 horizontal height"
     ),
-    (
-        "The limb alone, fisheye at 100 km: {} m horizontal, {} m height.",
-        "horizon", 0, 1, ("with_relief_below_worst", "height_2"),
+    "The limb alone, fisheye at 100 km: {} m horizontal, {} m height.": (
+        "horizon 0 1 with_relief_below_worst height_2"
     ),
-    (
-        "The limb alone from 100 000 km: range {}, direction {}.",
-        "horizon", 1, 3, ("range_with_relief", "direction"),
+    "The limb alone from 100 000 km: range {}, direction {}.": (
+        "horizon 1 3 range_with_relief direction"
     ),
-    (
-        "The limb of Phobos, 100 km from its centre: {} m across the line of sight, {} % of range.",
-        "phobos", 0, 1, ("across_the_line_of_sight", "range"),
+    "The limb of Phobos, 100 km from its centre: {} m across the line of sight, {} % of range.": (
+        "phobos 0 1 across_the_line_of_sight range"
     ),
-)  # fmt: skip
+}
 DOCUMENTS = sorted(
     path
     for pattern in ("*.md", "*/*.md", "*/*/*.md")
@@ -70,11 +64,12 @@ def bench(name: str) -> str:
 def accuracy() -> str:
     """A few figures of the studies, for the first page."""
     lines = []
-    for text, name, number, row, columns in ACCURACY:
-        table = _report(FIGURES / f"{name}.json").tables[number]
-        cells = dict(zip([c.name for c in table.columns], zip(table.columns, table.rows[row])))
+    for text, place in ACCURACY.items():
+        name, number, row, *columns = place.split()
+        table = _report(FIGURES / f"{name}.json").tables[int(number)]
+        cells = {c.name: (c, cell) for c, cell in zip(table.columns, table.rows[int(row)])}
         # what was asked for stands behind a figure in brackets
-        shown = (cells[name][0].shown(cells[name][1]).partition(" (")[0] for name in columns)
+        shown = (cells[column][0].shown(cells[column][1]).partition(" (")[0] for column in columns)
         lines.append(f"- {text.format(*shown)}")
     return "\n".join(lines)
 

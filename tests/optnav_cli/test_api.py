@@ -34,8 +34,10 @@ def place(tmp_path_factory):
     _, run, camera = (text for kind, text in README if kind == "toml")
     header, first, _ = next(text for kind, text in README if kind == "csv").splitlines()
     for name, text in (
-        ("run.toml", run), ("cameras/nav.toml", camera), ("frames.csv", f"{header}\n{first}\n")
-    ):  # fmt: skip
+        ("run.toml", run),
+        ("cameras/nav.toml", camera),
+        ("frames.csv", f"{header}\n{first}\n"),
+    ):
         (place / "pictures" / name).write_text(text)
     camera = api.load_camera(place / "pictures" / "cameras" / "nav.toml")
     world = RoughWorld(seed=1, nodes=96, camera=camera)
@@ -104,9 +106,11 @@ def test_what_cannot_be_used_is_said(place, tmp_path):
 
 def test_a_build_from_python_is_the_build_of_the_command(tmp_path):
     report = catalog_api.build_catalog(
-        resource("configs/catalogs/tycho.toml"), tmp_path / "t.gpkg", bbox=(-12, -44, -11, -43),
+        resource("configs/catalogs/tycho.toml"),
+        tmp_path / "t.gpkg",
+        bbox=(-12, -44, -11, -43),
         workers=1,
-    )  # fmt: skip
+    )
     assert (report.points, report.output) == (1, tmp_path / "t.gpkg")
     with catalog_api.open_catalog(tmp_path / "t.gpkg") as catalog:
         assert catalog.digest == report.digest

@@ -1,4 +1,4 @@
 """Radiance along rays over nested height grids of a body: what a camera anywhere would see.
 
-The world knows no cameras: a picture is asked for by the rays of its pixels' corners.
+Cameras are not known here: a picture is given by the rays of its pixels' corners.
 """

@@ -19,7 +19,7 @@ class Ground(NamedTuple):
     heights     (rows, cols) float32, m above the sphere of `radius_m`; rows run south, columns east
     north, west            rad  the first node
     step_lat, step_lon     rad  positive
-    tops_4 .. tops_256     highest node of each block, borders shared with the next block
+    highest_4 .. highest_256  highest node of each block, borders shared with the next block
     """
 
     heights: Float32Array
@@ -28,10 +28,10 @@ class Ground(NamedTuple):
     step_lat: float
     step_lon: float
     radius_m: float
-    tops_4: Float32Array
-    tops_16: Float32Array
-    tops_64: Float32Array
-    tops_256: Float32Array
+    highest_4: Float32Array
+    highest_16: Float32Array
+    highest_64: Float32Array
+    highest_256: Float32Array
     lowest_m: float
     highest_m: float
 
@@ -42,9 +42,13 @@ class Ground(NamedTuple):
 
 
 def make_ground(
-    heights: Float32Array, north: float, west: float, step_lat: float, step_lon: float,
+    heights: Float32Array,
+    north: float,
+    west: float,
+    step_lat: float,
+    step_lon: float,
     radius_m: float,
-) -> Ground:  # fmt: skip
+) -> Ground:
     """A ground from heights; the arguments are those of `Ground`.
 
     Raises ValueError for fewer than 4 x 4 nodes or a node without a height.
@@ -55,13 +59,23 @@ def make_ground(
     lowest, highest = float(heights.min()), float(heights.max())
     if not np.isfinite(highest - lowest):
         raise ValueError("a ground needs a height at every node")
-    max_heights = [_block_tops(heights)]
+    max_heights = [_block_maxima(heights)]
     for _ in range(3):
-        max_heights.append(_join_tops(max_heights[-1]))
+        max_heights.append(_join_maxima(max_heights[-1]))
     return Ground(
-        heights, float(north), float(west), float(step_lat), float(step_lon), float(radius_m),
-        max_heights[0], max_heights[1], max_heights[2], max_heights[3], lowest, highest,
-    )  # fmt: skip
+        heights,
+        float(north),
+        float(west),
+        float(step_lat),
+        float(step_lon),
+        float(radius_m),
+        max_heights[0],
+        max_heights[1],
+        max_heights[2],
+        max_heights[3],
+        lowest,
+        highest,
+    )
 
 
 def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
@@ -105,14 +119,13 @@ def surroundings(wide: Ground, inner: Ground, margin: float) -> Ground:
     turn = round(2.0 * np.pi / wide.step_lon)
     # of the columns beyond the seam either copy will do; the first of them is the west node
     columns = np.mod(start + np.arange(min(count, turn + 3)), turn)
-    return make_ground(
-        wide.heights[first : last + 1][:, columns], wide.north - first * wide.step_lat,
-        wide.west + start * wide.step_lon, wide.step_lat, wide.step_lon, wide.radius_m,
-    )  # fmt: skip
+    heights = wide.heights[first : last + 1][:, columns]
+    north, west = wide.north - first * wide.step_lat, wide.west + start * wide.step_lon
+    return make_ground(heights, north, west, wide.step_lat, wide.step_lon, wide.radius_m)
 
 
 @parallel_kernel
-def _block_tops(heights: Float32Array) -> Float32Array:
+def _block_maxima(heights: Float32Array) -> Float32Array:
     rows, cols = heights.shape
     out = np.empty(((rows + 3) // 4, (cols + 3) // 4), np.float32)
     for i in numba.prange(out.shape[0]):
@@ -128,7 +141,7 @@ def _block_tops(heights: Float32Array) -> Float32Array:
 
 
 @kernel
-def _join_tops(max_heights: Float32Array) -> Float32Array:
+def _join_maxima(max_heights: Float32Array) -> Float32Array:
     rows, cols = max_heights.shape
     out = np.empty(((rows + 3) // 4, (cols + 3) // 4), np.float32)
     for i in range(out.shape[0]):
@@ -137,18 +150,6 @@ def _join_tops(max_heights: Float32Array) -> Float32Array:
                 4 * i : min(4 * i + 4, rows), 4 * j : min(4 * j + 4, cols)
             ].max()
     return out
-
-
-@kernel
-def bilinear(grid: Float32Array, row: float, col: float) -> float:
-    """Value between four nodes; the place must lie inside."""
-    r = min(max(int(row), 0), grid.shape[0] - 2)
-    c = min(max(int(col), 0), grid.shape[1] - 2)
-    y, x = row - r, col - c
-    upper = grid[r, c] + x * (grid[r, c + 1] - grid[r, c])
-    lower = grid[r + 1, c] + x * (grid[r + 1, c + 1] - grid[r + 1, c])
-    value: float = upper + y * (lower - upper)
-    return value
 
 
 @kernel

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from catalog.geometry.grid import bicubic_at
+from catalog.geometry.grid import bicubic_at, bilinear
 from catalog.geometry.kernel import kernel
-from catalog.rendering.rays.ground import Ground, bilinear, grid_place
+from catalog.rendering.rays.ground import Ground, grid_place
 
 LEFT, HIT, DARK = 0, 1, 2  # how a walk ends: out of the grid or the range, on the ground, in shadow
 ANCHOR_REACH = 0.006  # rad
@@ -41,15 +41,15 @@ class Ray(NamedTuple):
 
 
 @kernel
-def _block_top(ground: Ground, level: int, row: int, col: int) -> float:
+def _block_highest(ground: Ground, level: int, row: int, col: int) -> float:
     if level == 0:
-        top = ground.tops_4[row >> 2, col >> 2]
+        top = ground.highest_4[row >> 2, col >> 2]
     elif level == 1:
-        top = ground.tops_16[row >> 4, col >> 4]
+        top = ground.highest_16[row >> 4, col >> 4]
     elif level == 2:
-        top = ground.tops_64[row >> 6, col >> 6]
+        top = ground.highest_64[row >> 6, col >> 6]
     else:
-        top = ground.tops_256[row >> 8, col >> 8]
+        top = ground.highest_256[row >> 8, col >> 8]
     return float(top)
 
 
@@ -118,7 +118,7 @@ def walk(
         after = height + step * (h1 + (2.0 * t + step) * h2)
         if level >= 0:
             # a ray that sinks and rises again inside the block is lowest between
-            if min(height, after) - 0.25 * step * step * h2 > _block_top(ground, level, i, j):
+            if min(height, after) - 0.25 * step * step * h2 > _block_highest(ground, level, i, j):
                 t += step
                 level = min(level + 1, 3)
             else:

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import ByteArray, Float32Array, FloatArray
-from catalog.geometry.grid import bicubic_at
+from catalog.geometry.grid import bicubic_at, bilinear
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.geometry.vectors import unit
 from catalog.photometry.hapke import LUNAR, HapkeParameters
-from catalog.rendering.rays.ground import Ground, bilinear, surroundings
+from catalog.rendering.rays.ground import Ground, surroundings
 from catalog.rendering.rays.light import BLOCK, Light, light_blocks, shade, shade_blocks
 from catalog.rendering.rays.march import FINE, SKY, WIDE, Ray, trace
 

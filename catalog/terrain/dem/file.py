@@ -1,4 +1,4 @@
-"""Opening a terrain model file and settling where it lies: what a header can say wrong."""
+"""Opening a terrain model file and finding where it lies, with a header's possible errors."""
 
 import os
 import warnings

@@ -6,6 +6,7 @@ from a compiled loop. A closed form is used only where it agrees with PROJ at th
 corners; any other projection goes through PROJ.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -145,6 +146,32 @@ class Georeference:
         return np.asarray(ratio / np.maximum(np.cos(lat), 1e-9))
 
 
+def column_spans(
+    col0: int, width: int, cols: int, wraps: bool, tile: int | None = None
+) -> Iterator[tuple[int, int, int]]:
+    """The parts of a window's columns that a raster of `cols` columns has.
+
+    col0, width  first column of the window, of any turn where the raster wraps, and their number
+    tile         no part crosses a multiple of it
+    Yields a part's place in the window, its first column in the raster and its width.
+    """
+    at = 0
+    while at < width:
+        col = col0 + at
+        if wraps:
+            col %= cols
+        elif col < 0:
+            at = -col0
+            continue
+        if col >= cols:
+            return
+        count = min(width - at, cols - col)
+        if tile is not None:
+            count = min(count, tile - col % tile)
+        yield at, col, count
+        at += count
+
+
 def georeference(
     wkt: str, affine: Steps, shape: tuple[int, int], longitude_sign: float, radius_m: float
 ) -> Georeference:
@@ -245,7 +272,7 @@ def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]
 
 
 def _polar(values: dict[str, float]) -> tuple[float, float, float] | None:
-    """Pole sign, central longitude and scale at the pole, in any of the ways a CRS says them."""
+    """Pole sign, central longitude and scale at the pole, in any of the ways a CRS states them."""
     if "Latitude of standard parallel" in values:  # variants B and C
         lat = values["Latitude of standard parallel"]
         scale = (1.0 + float(np.sin(abs(lat)))) / 2.0

@@ -2,7 +2,7 @@
 
 A source may fade into those below it toward its edge and its holes (catalog.terrain.dem.feather).
 
-A height is an area mean about as wide as the posting asked for: it is read from the overview that
+A height is an area mean about as wide as the wanted posting: it is read from the overview that
 fits, with columns averaged where they crowd (toward the poles of a cylindrical map); a footprint
 that is wider still is averaged from several samples, never one picked.
 """
@@ -34,7 +34,7 @@ class Sampled(NamedTuple):
 
     heights  (n) float32, NaN for none
     source   (n) the source that counts most, -1 for none
-    used     (sources that were asked, n) whether a source counts at all
+    used     (sources that were read, n) whether a source counts at all
     """
 
     heights: Float32Array
@@ -53,7 +53,7 @@ class Mosaic:
             raise ValueError("a mosaic needs at least one terrain model")
         self.pyramids = tuple(pyramids)
         self.body = pyramids[0].source.body
-        # one that shows all of the body without a hole: whatever is asked for has ground
+        # one that shows all of the body without a hole: every place has ground
         self.whole = any(p.covers_the_body for p in pyramids)
         self._reset()
 

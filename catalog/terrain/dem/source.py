@@ -1,7 +1,7 @@
 """One terrain model file, whatever GDAL reads: its grid, its units, its heights.
 
-rasterio neither applies scales and offsets nor knows whether a value is a height or a radius;
-both are settled here, once, and stated. A window comes out as metres above the reference sphere.
+rasterio neither applies scales and offsets nor distinguishes heights from radii; both are
+decided here, once, and stated. A window comes out as metres above the reference sphere.
 """
 
 from collections.abc import Iterator
@@ -31,18 +31,19 @@ from catalog.terrain.dem.file import (
     path_of,
     place_of,
 )
-from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.georeference import Georeference, column_spans
 
 METRES = {"m": 1.0, "km": 1000.0, "dm": 0.1, "cm": 0.01}
 # GDAL keeps decoded blocks; its default is 5 % of the machine, which is no bound for a worker.
 GDAL_CACHE_BYTES = 96 << 20
-PROBES = 5  # windows a side that are looked at to tell radii from heights
+PROBES = 5  # windows a side that are read to distinguish radii from heights
 PROBE_SIZE = 32
 # A raster this wide whose heights span less than this is in kilometres, not in metres: the
 # smoothest lunar mare has more relief over such a distance.
 SUSPICIOUS_EXTENT_M = 50e3
 SUSPICIOUS_RELIEF_M = 25.0
-# ISIS marks saturated and missing pixels with the lowest values of a type, GDAL knows one of them.
+# ISIS marks saturated and missing pixels with the lowest values of a type, of which GDAL takes
+# one as no data.
 ISIS_LOWEST_VALID = {"int16": -32752.0, "float32": -3.4028226e38, "uint16": 3.0}
 
 
@@ -163,7 +164,7 @@ class DemSource:
             self.heights = self.settings.heights
         elif probe.size:
             near = radius + lo <= float(probe.min()) and float(probe.max()) <= radius + hi
-            # bodies whose relief rivals their radius: heights and radii overlap, the offset tells
+            # bodies whose relief rivals their radius: heights and radii overlap, the offset decides
             self.heights = "radius" if near and float(probe.min()) > hi else "height"
         elif abs(offset_given - radius) < RADIUS_TOLERANCE * radius:
             self.heights = "radius"
@@ -229,20 +230,9 @@ class DemSource:
         top, bottom = max(row0, 0), min(row0 + height, rows)
         if bottom <= top:
             return out
-        at = 0
-        while at < width:
-            col = col0 + at
-            if self.wraps:
-                col %= cols
-            elif col < 0:
-                at = -col0
-                continue
-            if col >= cols or at >= width:
-                break
-            count = min(width - at, cols - col)
+        for at, col, count in column_spans(col0, width, cols, self.wraps):
             raw = self.read_raw(top, col, bottom - top, count)
             out[top - row0 : bottom - row0, at : at + count] = self.convert(raw)
-            at += count
         return out
 
     def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:

@@ -123,7 +123,7 @@ def _load(path: Path, kind: str) -> RawMesh:
 
 
 def count_faces(path: Path, progress: Progress) -> int | None:
-    """Faces of a file from its header or one pass over its text; None where they cannot be told."""
+    """Faces of a file from its header or one pass over its text; None where neither states them."""
     kind = path.suffix.lower()
     with path.open("rb") as file:
         if kind == ".ply":
@@ -134,7 +134,7 @@ def count_faces(path: Path, progress: Progress) -> int | None:
         if kind == ".stl":
             head = file.read(84)
             count = struct.unpack_from("<I", head, 80)[0] if len(head) == 84 else 0
-            if path.stat().st_size == 84 + 50 * count:  # binary: nothing else tells
+            if path.stat().st_size == 84 + 50 * count:  # only a binary file is so long
                 return int(count)
         pattern = _FACET_LINE if kind == ".stl" else _FACE_LINE
         file.seek(0)

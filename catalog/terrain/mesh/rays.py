@@ -1,10 +1,10 @@
 """Rays against a closed mesh: embree finds the triangle, 64-bit arithmetic the place on it.
 
-Embree reckons in 32 bits. So the mesh is scaled to a ball of radius 1, rays that start far away are
+Embree computes in 32 bits. So the mesh is scaled to a ball of radius 1, rays from far away are
 first moved to that ball, and distances are those to the plane of the found triangle in 64 bits.
 What is left: beside an edge (1e-7 of the body's size) the neighbour may be taken, whose plane there
-is as near, or a ray slips through between two triangles. Either meets a face from within, which a
-look at the face's side tells; it is traced again beside itself by a millionth of the body's size
+is as near, or a ray slips through between two triangles. Either meets a face from within, which the
+sign of the ray's cosine shows; it is traced again beside itself by a millionth of the body's size
 and, if that does not help, against all triangles in 64 bits. (Slips of shadow rays are not looked
 for: they are a few lit pixels in a million.)
 """
@@ -34,9 +34,13 @@ def outward(corners: FloatArray, face: int) -> tuple[float, float, float]:
 
 @kernel
 def _places(
-    corners: FloatArray, origins: FloatArray, rays: FloatArray, found: Int32Array,
-    distance: FloatArray, cosine: FloatArray,
-) -> None:  # fmt: skip
+    corners: FloatArray,
+    origins: FloatArray,
+    rays: FloatArray,
+    found: Int32Array,
+    distance: FloatArray,
+    cosine: FloatArray,
+) -> None:
     """Distances to the planes of found triangles, and cosines of rays on their outward normals."""
     for n in range(found.size):
         distance[n], cosine[n] = np.inf, 0.0
@@ -115,9 +119,14 @@ class MeshRays:
         return found, distance
 
     def _again(
-        self, origins: FloatArray, rays: FloatArray, sign: float, found: Int32Array,
-        distance: FloatArray, cosine: FloatArray,
-    ) -> None:  # fmt: skip
+        self,
+        origins: FloatArray,
+        rays: FloatArray,
+        sign: float,
+        found: Int32Array,
+        distance: FloatArray,
+        cosine: FloatArray,
+    ) -> None:
         """Trace rays that met a face from within once more, a hair aside."""
         inner = np.flatnonzero(cosine > 0.0)
         if not inner.size:

@@ -32,7 +32,7 @@ METRES = {"m": 1.0, "km": 1000.0}
 SAME_VERTEX = 1e-7
 # A triangle whose height over its longest edge is less has no normal worth the name.
 MIN_ASPECT = 1e-6
-MANY_FACES = 1_000_000  # from here on a check takes long enough to say so
+MANY_FACES = 1_000_000  # from here on a check takes long enough to log it
 NAMED_PLACES = 3
 
 
@@ -190,12 +190,12 @@ def _refuse_pieces(
     sizes = np.bincount(piece, minlength=pieces)
     largest = np.argsort(-sizes, kind="stable")[:NAMED_PLACES]
     middles = np.array([vertices[faces[piece == k]].mean(axis=(0, 1)) for k in largest]) / 1e3
-    told = "; ".join(
+    listed = "; ".join(
         f"{sizes[k]} faces about ({x:.4g}, {y:.4g}, {z:.4g}) km"
         for k, (x, y, z) in zip(largest, middles, strict=True)
     )
     raise DataError(
-        f"{path}: holds {pieces} closed surfaces ({told}{'; ...' if pieces > 3 else ''}); wanted "
+        f"{path}: holds {pieces} closed surfaces ({listed}{'; ...' if pieces > 3 else ''}); wanted "
         "one body: leave the others out of the file"
     )
 
@@ -218,8 +218,8 @@ def _check_manifold(path: Path, shape: Shape) -> None:
 def _places(points: FloatArray) -> str:
     """Latitudes and longitudes of the first few points."""
     lat, lon, radius = latlon_from_xyz(points[:NAMED_PLACES])
-    told = [
+    places = [
         f"lat {np.degrees(a):.2f}, lon {np.degrees(b):.2f}, {r / 1e3:.4g} km"
         for a, b, r in zip(lat, lon, radius, strict=True)
     ]
-    return "; ".join(told) + ("; ..." if len(points) > NAMED_PLACES else "")
+    return "; ".join(places) + ("; ..." if len(points) > NAMED_PLACES else "")

@@ -22,7 +22,7 @@ from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 
 SMALL_BODY_M = 100e3  # mean diameter
-# A coarse node is the mean of so many rays a side that none stands for more than a mesh's own
+# A coarse node is the mean of so many rays a side that none covers more than a mesh's own
 # posting; more than this would cost much and change little.
 MAX_RAYS_ASIDE = 8
 PAST = 1e-6  # of the body's reach: beyond a face that was met, before the next one is looked for
@@ -49,7 +49,7 @@ class MeshTerrain:
 
     @property
     def rays(self) -> MeshRays:
-        """The mesh for rays, read when first asked for."""
+        """The mesh for rays, read at first use."""
         if self._rays is None:
             self._rays = MeshRays(np.load(self.corners_file))
         return self._rays
@@ -74,7 +74,7 @@ class MeshTerrain:
         return [self.corners_file]
 
     def close(self) -> None:
-        """Forget the mesh; it is read again when asked for."""
+        """Drop the mesh; it is read again at the next use."""
         self._rays = None
 
     @property
@@ -127,7 +127,7 @@ class MeshTerrain:
     ) -> Sequence[tuple[Float32Array, float]]:
         """Coarser grids, each of twice the posting of the one before, until all of the body is in.
 
-        Overhanging ground stands in them with its top: it throws shadows.
+        Overhanging ground enters with its outermost height: it throws shadows.
         """
         if not self.in_planes:
             return ()
@@ -193,15 +193,15 @@ class MeshTerrain:
         return height.reshape(x.shape)
 
 
-RAYS_ASIDE = 4  # a side of a cell, whose mean stands for it
+RAYS_ASIDE = 4  # a side of a cell, of which the mean is taken
 MAX_ROWS = 1440
 
 
 def relief_of_mesh(terrain: MeshTerrain) -> GlobalRelief:
-    """Means and tops of radii, as far out as the surface reaches, in cells half as wide as faces.
+    """Mean and greatest heights, as far out as the surface reaches, in cells half as wide as faces.
 
-    On a flat face the radius is greatest at a corner or where a cell ends: tops are the greatest of
-    the cell's rays and vertices, low by the rise of a face over an eighth of a cell at most.
+    On a flat face the radius is greatest at a corner or where a cell ends. Greatest heights are
+    those of the cell's rays and vertices, low by the rise of a face over an eighth of a cell.
     """
     radius = terrain.body.radius_m
     rows = min(MAX_ROWS, int(np.ceil(2.0 * np.pi * radius / terrain.posting_m)))

@@ -1,4 +1,4 @@
-"""How triangles hang together: neighbours over edges, pieces, and which way faces are wound."""
+"""How triangles are connected: neighbours over edges, pieces, and which way faces are wound."""
 
 from typing import NamedTuple
 
@@ -42,9 +42,8 @@ def edges_of(faces: IntArray) -> Edges:
 
 
 @kernel
-def _flood(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray
-           ) -> int:  # fmt: skip
-    """Number pieces and say which faces are to turn so that each agrees with its first face.
+def _flood(other: IntArray, same: BoolArray, piece: IntArray, turned: BoolArray) -> int:
+    """Number pieces and mark which faces are to turn so that each agrees with its first face.
 
     Returns how many pieces, or minus one where a piece has only one side (as a Moebius strip has).
     """

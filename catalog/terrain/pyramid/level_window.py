@@ -6,7 +6,7 @@ from catalog.arrays import Float32Array
 from catalog.cache import Cache
 from catalog.geometry.kernel import kernel
 from catalog.terrain.dem.conversion import HEIGHTS
-from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.georeference import Georeference, column_spans
 from catalog.terrain.pyramid.pyramid import POLE_TOLERANCE, HeightPyramid
 
 TILE = 256  # pixels a side; whole tiles of the overviews
@@ -106,18 +106,8 @@ class LevelWindows:
         """Copy from tiles into `out`, whose rows lie inside the raster; columns wrap."""
         rows, cols = self.shape
         height, width = out.shape
-        at = 0
-        while at < width:
-            col = col0 + at
-            if self.wraps:
-                col %= cols
-            elif col < 0:
-                at = -col0
-                continue
-            if col >= cols:
-                return
+        for at, col, count in column_spans(col0, width, cols, self.wraps, TILE):
             along, inner = divmod(col, TILE)
-            count = min(width - at, TILE - inner, cols - col)
             row = max(row0, 0)
             while row < min(row0 + height, rows):
                 down, inner_row = divmod(row, TILE)
@@ -127,7 +117,6 @@ class LevelWindows:
                     inner_row : inner_row + lines, inner : inner + count
                 ]
                 row += lines
-            at += count
 
     def _tile(self, down: int, along: int) -> Float32Array:
         """Tile (down, along); shorter at the raster's far edges."""
@@ -147,7 +136,7 @@ class LevelWindows:
                 at = (part - 2 * along) * (TILE // 2)
                 HEIGHTS.average_columns(finer._tile(down, part), 2, out[:, at : at + TILE // 2])
             return out
-        # straight from the level: what lies between is nowhere asked for
+        # straight from the level: what lies between is not used elsewhere
         many = 1 << self.halvings
         step = max(1, READ_COLUMNS >> self.halvings)
         last = self._base.shape[1]
@@ -159,7 +148,7 @@ class LevelWindows:
         return out
 
     def least_halvings(self, down: int) -> int:
-        """The fewest halvings that any footprint in a row of tiles asks for, but for rare ones.
+        """The fewest halvings that any footprint in a row of tiles needs, but for rare ones.
 
         Footprints are about as high as the level's rows, half as high at the finest level.
         """

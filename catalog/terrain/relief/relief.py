@@ -1,7 +1,7 @@
-"""The coarse relief of a whole body: what shapes its horizon seen from space.
+"""The coarse relief of a whole body, which shapes its horizon seen from space.
 
-Every cell knows its mean height and its highest one: means make an unbiased surface, tops bound
-how far that surface can stand up against the sky between them. `relief_of_dem` makes one of a
+Every cell has a mean and a greatest height: means make an unbiased surface, greatest heights bound
+how far that surface can rise above the horizon between them. `relief_of_dem` makes one of a
 terrain model; a catalog may carry one.
 """
 
@@ -16,12 +16,12 @@ from catalog.geometry.kernel import kernel
 
 @dataclass(frozen=True, eq=False)
 class GlobalRelief:
-    """Heights of a whole body on a latitude-longitude grid whose values stand for areas.
+    """Heights of a whole body on a latitude-longitude grid whose values are of areas.
 
-    heights  (n, 2n) float32, mean height of a cell, m above the reference sphere; no NaN
-    tops     (n, 2n) float32, its highest place, m: at least the mean
-    radius_m of the reference sphere
-    source   the terrain models that it was made from
+    heights      (n, 2n) float32, mean height of a cell, m above the reference sphere; no NaN
+    max_heights  (n, 2n) float32, its highest place, m: at least the mean
+    radius_m     of the reference sphere
+    source       the terrain models that it was made from
 
     Row 0 lies half a step south of the north pole, column 0 half a step east of longitude -180.
     """

@@ -28,6 +28,8 @@ MAX_STRIP = 4096  # blocks longer than this and few rows thick are read by whole
 # A pixel reaches into a cell by more than this share of itself, or not at all: writers round
 # postings, which moves the far edge of a global raster by some hundredths of a pixel.
 SLIVER = 0.02
+ROWS = 2880  # 16 a degree: 1.9 km of lunar ground, fine enough for a horizon
+MIN_COVERAGE = 0.99  # of the sphere; the rest is filled from its surroundings
 
 
 class Layer(NamedTuple):
@@ -59,13 +61,26 @@ class Layer(NamedTuple):
         ]
 
 
+class Cells(NamedTuple):
+    """The cells (n, 2n) of a grid as kernels take them.
+
+    heights      m: sums over pixels by the share of the cell that each covers, or means
+    shares       of the cell that has heights
+    max_heights  m
+    """
+
+    heights: FloatArray | Float32Array
+    shares: Float32Array
+    max_heights: Float32Array
+
+
 class CellSums:
-    """What is known of the cells (n, 2n) of a whole-body grid.
+    """Mean and greatest heights of the cells (n, 2n) of a whole-body grid.
 
     Row 0 lies at the north pole, column 0 at longitude -180.
-    means   (n, 2n) m, mean of what was laid so far, 0 where `shares` is 0
-    shares  (n, 2n) share of the cell that has heights, 0 to 1
-    tops    (n, 2n) m, the highest pixel
+    means        (n, 2n) m, 0 where `shares` is 0
+    shares       (n, 2n) share of the cell that has heights, 0 to 1
+    max_heights  (n, 2n) m, of the pixels
     """
 
     def __init__(self, rows: int) -> None:
@@ -86,28 +101,31 @@ class CellSums:
         Returns the lowest and the highest of the raster, m. Raises DataError for a damaged file.
         """
         lowest, highest = np.inf, -np.inf
-        sums = np.zeros(self.means.shape)
-        weights, max_heights = np.zeros_like(self.shares), np.full_like(self.max_heights, -np.inf)
+        new = Cells(
+            np.zeros(self.means.shape),
+            np.zeros_like(self.shares),
+            np.full_like(self.max_heights, -np.inf),
+        )
         windows = layer.windows()
         with progress.stage("relief", total=len(windows), unit="window") as stage:
             for window in windows:
                 pixels = layer.read(*window)
                 if layer.place.kind == CYLINDRICAL:
-                    places = _edges(layer, len(sums), window)
-                    low, high = _add_overlaps(pixels, *places, sums, weights, max_heights)
+                    edges = _edges(layer, len(self.means), window)
+                    low, high = _add_overlaps(pixels, *edges, new)
                 else:
-                    middles = _middles(layer, len(sums), window)
-                    low, high = _add_middles(pixels, *middles, sums, weights, max_heights)
+                    middles = _middles(layer, len(self.means), window)
+                    low, high = _add_middles(pixels, *middles, new)
                 lowest, highest = min(lowest, low), max(highest, high)
                 stage.advance()
-        _join(sums, weights, max_heights, self.means, self.shares, self.max_heights)
+        _join(new, Cells(self.means, self.shares, self.max_heights))
         return lowest, highest
 
     def fill(self) -> None:
         """Give cells without a height that of their neighbours, ring by ring from the holes' edges.
 
-        Tops are filled alike, from the neighbours' tops: ground that nobody has measured is taken
-        to be as high as the ground about it.
+        Greatest heights are filled in the same way: ground that was not measured is taken to be as
+        high as the ground about it.
         """
         holes = np.argwhere(self.shares == 0.0)
         while holes.size:
@@ -119,147 +137,6 @@ class CellSums:
             self.means[row, col], self.max_heights[row, col] = found[known].T
             self.shares[row, col] = 1.0
             holes = holes[~known]
-
-
-def _edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
-    """Cell rows (height + 1) and columns (width + 1) of a window's pixel edges, fractional."""
-    row, col, height, width = window
-    col0, cols_per_rad, row0, rows_per_rad, _ = layer.place.parameters
-    step = 2.0**layer.level
-    edge_row = np.minimum((row + np.arange(height + 1)) * step, layer.place.shape[0]) - 0.5
-    edge_col = np.minimum((col + np.arange(width + 1)) * step, layer.place.shape[1]) - 0.5
-    lat = (edge_row - row0) / rows_per_rad
-    lon = (edge_col - col0) / cols_per_rad * layer.place.longitude_sign
-    return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
-
-
-def _middles(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
-    """Cell row and column (height, width) of a window's pixel centres, fractional; NaN for none."""
-    row, col, height, width = window
-    step = 2.0**layer.level
-    at_row, at_col = np.mgrid[row : row + height, col : col + width] + 0.5
-    lat, lon = layer.place.latlon_from_pixel(at_col * step - 0.5, at_row * step - 0.5)
-    return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
-
-
-@kernel
-def _add_overlaps(
-    pixels: Float32Array,
-    down: FloatArray,
-    along: FloatArray,
-    sums: FloatArray,
-    weights: Float32Array,
-    max_heights: Float32Array,
-) -> tuple[float, float]:
-    """Add pixels to all cells that they reach into; returns their lowest and highest height."""
-    rows, cols = sums.shape
-    lowest, highest = np.inf, -np.inf
-    for i in range(pixels.shape[0]):
-        north = min(max(min(down[i], down[i + 1]), 0.0), float(rows))
-        south = min(max(max(down[i], down[i + 1]), 0.0), float(rows))
-        for r in range(int(np.floor(north)), int(np.ceil(south))):
-            tall = min(south, r + 1.0) - max(north, float(r))
-            if tall <= SLIVER * (south - north):
-                continue
-            for j in range(pixels.shape[1]):
-                value = pixels[i, j]
-                if np.isnan(value):
-                    continue
-                lowest, highest = min(lowest, value), max(highest, value)
-                west, east = min(along[j], along[j + 1]), max(along[j], along[j + 1])
-                for c in range(int(np.floor(west)), int(np.ceil(east))):
-                    wide = min(east, c + 1.0) - max(west, float(c))
-                    if wide <= SLIVER * (east - west):
-                        continue
-                    _put(value, tall * wide, r, c % cols, sums, weights, max_heights)
-    return lowest, highest
-
-
-@kernel
-def _add_middles(
-    pixels: Float32Array,
-    down: FloatArray,
-    along: FloatArray,
-    sums: FloatArray,
-    weights: Float32Array,
-    max_heights: Float32Array,
-) -> tuple[float, float]:
-    """Add each pixel whole to the cell of its middle; returns their lowest and highest height."""
-    rows, cols = sums.shape
-    lowest, highest = np.inf, -np.inf
-    for i in range(pixels.shape[0]):
-        for j in range(pixels.shape[1]):
-            value = pixels[i, j]
-            if np.isnan(value) or not np.isfinite(down[i, j] + along[i, j]):
-                continue
-            lowest, highest = min(lowest, value), max(highest, value)
-            r = min(max(int(np.floor(down[i, j])), 0), rows - 1)
-            _put(value, 1.0, r, int(np.floor(along[i, j])) % cols, sums, weights, max_heights)
-    return lowest, highest
-
-
-@kernel
-def _put(
-    height: float,
-    weight: float,
-    row: int,
-    col: int,
-    sums: FloatArray,
-    weights: Float32Array,
-    max_heights: Float32Array,
-) -> None:
-    """Add a pixel's height to one cell."""
-    sums[row, col] += height * weight
-    weights[row, col] += weight
-    max_heights[row, col] = max(max_heights[row, col], height)
-
-
-@kernel
-def _join(
-    sums: FloatArray,
-    weights: Float32Array,
-    new_tops: Float32Array,
-    means: Float32Array,
-    shares: Float32Array,
-    max_heights: Float32Array,
-) -> None:
-    """Let new sums fill what cells still lack; a cell's top is the highest of all that it has."""
-    for i in range(sums.shape[0]):
-        for j in range(sums.shape[1]):
-            weight = float(weights[i, j])
-            share = float(shares[i, j])
-            taken = min(weight, 1.0 - share)
-            if taken <= SLIVER and (share > 0.0 or weight == 0.0):
-                continue
-            mean = sums[i, j] / weight
-            means[i, j] += (mean - means[i, j]) * (taken / (share + taken))
-            shares[i, j] = share + taken
-            max_heights[i, j] = max(max_heights[i, j], new_tops[i, j])
-
-
-@kernel
-def _of_neighbours(
-    holes: IntArray, means: Float32Array, shares: Float32Array, max_heights: Float32Array
-) -> FloatArray:
-    """Mean height and mean top (holes, 2) of the known ones of the eight cells around, else NaN."""
-    rows, cols = means.shape
-    found = np.full((holes.shape[0], 2), np.nan)
-    for n in range(holes.shape[0]):
-        height, top, count = 0.0, 0.0, 0
-        for i in range(max(holes[n, 0] - 1, 0), min(holes[n, 0] + 2, rows)):
-            for j in range(holes[n, 1] - 1, holes[n, 1] + 2):
-                k = j % cols
-                if shares[i, k] > 0.0:
-                    height += means[i, k]
-                    top += max_heights[i, k]
-                    count += 1
-        if count:
-            found[n, 0], found[n, 1] = height / count, top / count
-    return found
-
-
-ROWS = 2880  # 16 a degree: 1.9 km of lunar ground, as fine as a horizon asks for
-MIN_COVERAGE = 0.99  # of the sphere; the rest is filled from its surroundings
 
 
 def relief_from_dem(source: DemSource, rows: int | None = None) -> GlobalRelief:
@@ -319,7 +196,7 @@ def finished(sums: CellSums, radius_m: float, source: str) -> GlobalRelief:
 def load_relief(path: str, body: Body) -> GlobalRelief:
     """The relief of a terrain model file, "bundled:NAME" for one that travels with optnav.
 
-    A process that asks again gets the same one. Raises DataError.
+    Read once a process. Raises DataError.
     """
     try:
         source = DemSource.open(DemSettings(path=path), Path(), body)
@@ -328,7 +205,123 @@ def load_relief(path: str, body: Body) -> GlobalRelief:
         finally:
             source.close()
     except DataError as error:
-        # a file by itself has no section that could say what it does not
+        # a file by itself has no section in which more could be stated
         reason = str(error).replace("check `path` in its [[dem]] section", "check the path")
         section = "[relief] dem of a build config, whose catalog carries the relief"
         raise DataError(reason.replace("its [[dem]] section", section)) from None
+
+
+def _edges(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
+    """Cell rows (height + 1) and columns (width + 1) of a window's pixel edges, fractional."""
+    row, col, height, width = window
+    col0, cols_per_rad, row0, rows_per_rad, _ = layer.place.parameters
+    step = 2.0**layer.level
+    edge_row = np.minimum((row + np.arange(height + 1)) * step, layer.place.shape[0]) - 0.5
+    edge_col = np.minimum((col + np.arange(width + 1)) * step, layer.place.shape[1]) - 0.5
+    lat = (edge_row - row0) / rows_per_rad
+    lon = (edge_col - col0) / cols_per_rad * layer.place.longitude_sign
+    return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
+
+
+def _middles(layer: Layer, rows: int, window: Window) -> tuple[FloatArray, FloatArray]:
+    """Cell row and column (height, width) of a window's pixel centres, fractional; NaN for none."""
+    row, col, height, width = window
+    step = 2.0**layer.level
+    at_row, at_col = np.mgrid[row : row + height, col : col + width] + 0.5
+    lat, lon = layer.place.latlon_from_pixel(at_col * step - 0.5, at_row * step - 0.5)
+    return (np.pi / 2.0 - lat) * (rows / np.pi), (lon + np.pi) * (rows / np.pi)
+
+
+@kernel
+def _add_overlaps(
+    pixels: Float32Array, down: FloatArray, along: FloatArray, cells: Cells
+) -> tuple[float, float]:
+    """Add pixels to all cells that they reach into; returns their lowest and highest height."""
+    rows, cols = cells.heights.shape
+    lowest, highest = np.inf, -np.inf
+    for i in range(pixels.shape[0]):
+        north = min(max(min(down[i], down[i + 1]), 0.0), float(rows))
+        south = min(max(max(down[i], down[i + 1]), 0.0), float(rows))
+        for r in range(int(np.floor(north)), int(np.ceil(south))):
+            tall = min(south, r + 1.0) - max(north, float(r))
+            if tall <= SLIVER * (south - north):
+                continue
+            for j in range(pixels.shape[1]):
+                value = pixels[i, j]
+                if np.isnan(value):
+                    continue
+                lowest, highest = min(lowest, value), max(highest, value)
+                west, east = min(along[j], along[j + 1]), max(along[j], along[j + 1])
+                for c in range(int(np.floor(west)), int(np.ceil(east))):
+                    wide = min(east, c + 1.0) - max(west, float(c))
+                    if wide <= SLIVER * (east - west):
+                        continue
+                    _put(value, tall * wide, r, c % cols, cells)
+    return lowest, highest
+
+
+@kernel
+def _add_middles(
+    pixels: Float32Array, down: FloatArray, along: FloatArray, cells: Cells
+) -> tuple[float, float]:
+    """Add each pixel whole to the cell of its middle; returns their lowest and highest height."""
+    rows, cols = cells.heights.shape
+    lowest, highest = np.inf, -np.inf
+    for i in range(pixels.shape[0]):
+        for j in range(pixels.shape[1]):
+            value = pixels[i, j]
+            if np.isnan(value) or not np.isfinite(down[i, j] + along[i, j]):
+                continue
+            lowest, highest = min(lowest, value), max(highest, value)
+            r = min(max(int(np.floor(down[i, j])), 0), rows - 1)
+            _put(value, 1.0, r, int(np.floor(along[i, j])) % cols, cells)
+    return lowest, highest
+
+
+@kernel
+def _put(height: float, weight: float, row: int, col: int, cells: Cells) -> None:
+    """Add a pixel's height to one cell."""
+    cells.heights[row, col] += height * weight
+    cells.shares[row, col] += weight
+    cells.max_heights[row, col] = max(cells.max_heights[row, col], height)
+
+
+@kernel
+def _join(new: Cells, kept: Cells) -> None:
+    """Let new sums fill what kept means still lack; a cell's greatest height is that of both."""
+    means, shares, max_heights = kept
+    for i in range(means.shape[0]):
+        for j in range(means.shape[1]):
+            weight = float(new.shares[i, j])
+            share = float(shares[i, j])
+            taken = min(weight, 1.0 - share)
+            if taken <= SLIVER and (share > 0.0 or weight == 0.0):
+                continue
+            mean = new.heights[i, j] / weight
+            means[i, j] += (mean - means[i, j]) * (taken / (share + taken))
+            shares[i, j] = share + taken
+            max_heights[i, j] = max(max_heights[i, j], new.max_heights[i, j])
+
+
+@kernel
+def _of_neighbours(
+    holes: IntArray, means: Float32Array, shares: Float32Array, max_heights: Float32Array
+) -> FloatArray:
+    """Mean and greatest height (holes, 2), averaged over those of the eight cells around.
+
+    NaN where none of these has heights.
+    """
+    rows, cols = means.shape
+    found = np.full((holes.shape[0], 2), np.nan)
+    for n in range(holes.shape[0]):
+        height, top, count = 0.0, 0.0, 0
+        for i in range(max(holes[n, 0] - 1, 0), min(holes[n, 0] + 2, rows)):
+            for j in range(holes[n, 1] - 1, holes[n, 1] + 2):
+                k = j % cols
+                if shares[i, k] > 0.0:
+                    height += means[i, k]
+                    top += max_heights[i, k]
+                    count += 1
+        if count:
+            found[n, 0], found[n, 1] = height / count, top / count
+    return found

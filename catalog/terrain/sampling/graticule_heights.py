@@ -17,7 +17,7 @@ from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
 from catalog.terrain.pyramid.pyramid import HeightPyramid
 from catalog.terrain.sampling.footprint import MAX_COLUMNS, MAX_ROWS, add_weights, samples_across
 
-BLOCK = 128  # nodes a side: points are read by whole blocks, whichever part is asked for
+BLOCK = 128  # nodes a side: points are read by whole blocks, for any part
 
 
 def heights_by_blocks(

@@ -3,7 +3,7 @@
 In the plane of the observer's nadir and one azimuth the skyline is the ground point highest above
 the nadir. A crest at the angle d from the point where a sphere's limb would lie loses R d^2 / 2 of
 height, so lunar relief decides the limb within some +-280 km of it; the search goes on until no
-ground of the body could rise above what is found, near the body and at 100 000 km alike. Steps
+ground of the body could rise above what is found, near the body as well as at 100 000 km. Steps
 whose highest ground (a coarse grid of bounds) cannot reach the skyline found so far are jumped.
 """
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.geometry.grid import bilinear
 from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from catalog.terrain.relief.relief import GlobalRelief
@@ -131,12 +132,7 @@ def _height(grid: Float32Array, x: float, y: float, z: float) -> float:
     per_rad = (grid.shape[0] - 2) / np.pi
     row = (0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad + 0.5
     col = (np.arctan2(y, x) + np.pi) * per_rad + 0.5
-    i, j = min(int(row), grid.shape[0] - 2), min(int(col), grid.shape[1] - 2)
-    down, along = row - i, col - j
-    upper = grid[i, j] + along * (grid[i, j + 1] - grid[i, j])
-    lower = grid[i + 1, j] + along * (grid[i + 1, j + 1] - grid[i + 1, j])
-    answer: float = upper + down * (lower - upper)
-    return answer
+    return bilinear(grid, row, col)
 
 
 @kernel

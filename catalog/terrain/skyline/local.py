@@ -3,8 +3,8 @@
 Of every vertical plane through the patch two profiles are taken: the ground inside the patch, and
 the ground outside towards the azimuth, from the coarser grids about the same centre, each from
 where the finer one ends. The limit of the plane is the steepest line from a point inside to a point
-outside. It is raised from plane to plane: most planes hold no steeper one, which one look at each
-of their points tells, and ground that is too low for it is not even looked at. Heights are those
+outside. It is raised from plane to plane: most planes hold no steeper one, which one test of each
+of their points shows, and ground that is too low for it is skipped. Heights are those
 over the centre's tangent plane: curvature is in.
 Coarse grids hold area means: a peak narrower than their posting is lowered. The planes stand three
 nodes apart, the bins are sampled every 5 deg: on steep ground across the border of the patch the
@@ -217,8 +217,8 @@ def _limits_along(
 ) -> tuple[float, float]:
     """Tangents of the greatest elevation of outside ground towards (east, north) and away from it.
 
-    grids (levels, n, n) heights over the tangent plane, the patch's own first; tops (levels,)
-    their maxima; postings (levels,). Zero where nothing stands above the horizontal.
+    grids (levels, n, n) heights over the tangent plane, the patch's own first; max_heights
+    (levels,) their maxima; postings (levels,). Zero where nothing stands above the horizontal.
     """
     size, posting = grids.shape[1], postings[0]
     corner = (size - 1) / 2.0 * posting * (abs(east) + abs(north))
@@ -268,7 +268,7 @@ def skyline_limits_deg(
 ) -> FloatArray:
     """Sun elevation by azimuth above which ground outside a patch throws no shadow into it.
 
-    levels       (heights (n, n) float32, posting_m) of a point's grids, finest first, centred alike
+    levels       (heights (n, n) float32, posting_m) of grids about one centre, finest first
     patch_level  which of them is the patch; the coarser ones are the ground outside
     radius_m     radius of the reference sphere
     Returns (36,) deg for bins centred on 0, 10, ... deg east of north, not below zero (also where

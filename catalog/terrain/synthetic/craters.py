@@ -7,7 +7,7 @@ lacks lies in its rim, so that a field of craters leaves the ground's mean heigh
 hardly any power at wavelengths above a few diameters.
 
 Craters live in cells of latitude bands, one set of cells for each octave of diameter. A cell's
-craters follow from the seed and the cell's number alone, so any region of the body, asked for in
+craters follow from the seed and the cell's number alone, so any region of the body, sampled in
 any order, shows the same ground.
 """
 

@@ -5,6 +5,8 @@ read on the sphere: no poles, no seams, no net height. One octave of lattice spa
 about the wavelength 1.4 s and hardly any above 4 s.
 """
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -81,6 +83,19 @@ def noise(state: np.uint64, x: float, y: float, z: float) -> float:
     return a + w * (c - a)
 
 
+class Octaves(NamedTuple):
+    """Random relief as kernels take it.
+
+    spacing, amplitude  (octaves,) m, lattice spacings and amplitudes
+    radius              m, of the body
+    """
+
+    seed: int
+    spacing: FloatArray
+    amplitude: FloatArray
+    radius: float
+
+
 @kernel
 def octave_state(seed: int, octave: int) -> np.uint64:
     """The noise's state for an octave of a seed."""
@@ -88,50 +103,37 @@ def octave_state(seed: int, octave: int) -> np.uint64:
 
 
 @kernel
-def noise_at(
-    seed: int, spacing: FloatArray, amplitude: FloatArray, radius: float, directions: FloatArray
-) -> FloatArray:
-    """Summed octaves at unit directions (n, 3); spacing and amplitude (octaves,) m."""
+def noise_at(octaves: Octaves, directions: FloatArray) -> FloatArray:
+    """Summed octaves (n,), m, at unit directions (n, 3)."""
     out = np.zeros(directions.shape[0])
-    for octave in range(spacing.size):
-        state = octave_state(seed, octave)
-        scale = radius / spacing[octave]
+    for octave in range(octaves.spacing.size):
+        state = octave_state(octaves.seed, octave)
+        scale = octaves.radius / octaves.spacing[octave]
         for i in range(out.size):
             x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-            out[i] += amplitude[octave] * noise(state, x * scale, y * scale, z * scale)
+            out[i] += octaves.amplitude[octave] * noise(state, x * scale, y * scale, z * scale)
     return out
 
 
 @parallel_kernel
-def add_noise_window(
-    out: Float32Array,
-    seed: int,
-    spacing: FloatArray,
-    amplitude: FloatArray,
-    radius: float,
-    lat: FloatArray,
-    lon: FloatArray,
-) -> None:
+def add_noise_window(out: Float32Array, octaves: Octaves, lat: FloatArray, lon: FloatArray) -> None:
     """Add the octaves to a grid with latitudes (rows,) and longitudes (cols,), in place."""
     cos_lon, sin_lon = np.cos(lon), np.sin(lon)
     for i in numba.prange(out.shape[0]):
         cos_lat, sin_lat = np.cos(lat[i]), np.sin(lat[i])
-        for octave in range(spacing.size):
-            state = octave_state(seed, octave)
-            scale = radius / spacing[octave]
+        for octave in range(octaves.spacing.size):
+            state = octave_state(octaves.seed, octave)
+            scale = octaves.radius / octaves.spacing[octave]
             z = sin_lat * scale
             for j in range(out.shape[1]):
                 x, y = cos_lat * cos_lon[j] * scale, cos_lat * sin_lon[j] * scale
-                out[i, j] += np.float32(amplitude[octave] * noise(state, x, y, z))
+                out[i, j] += np.float32(octaves.amplitude[octave] * noise(state, x, y, z))
 
 
 @parallel_kernel
 def add_noise_turned(
     out: Float32Array,
-    seed: int,
-    spacing: FloatArray,
-    amplitude: FloatArray,
-    radius: float,
+    octaves: Octaves,
     lat: FloatArray,
     lon: FloatArray,
     body_from_grid: FloatArray,
@@ -141,12 +143,12 @@ def add_noise_turned(
     m = body_from_grid
     for i in numba.prange(out.shape[0]):
         c, z = np.cos(lat[i]), np.sin(lat[i])
-        for octave in range(spacing.size):
-            state = octave_state(seed, octave)
-            scale = radius / spacing[octave]
+        for octave in range(octaves.spacing.size):
+            state = octave_state(octaves.seed, octave)
+            scale = octaves.radius / octaves.spacing[octave]
             for j in range(out.shape[1]):
                 x, y = c * cos_lon[j], c * sin_lon[j]
                 p = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z) * scale
                 q = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z) * scale
                 r = (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z) * scale
-                out[i, j] += np.float32(amplitude[octave] * noise(state, p, q, r))
+                out[i, j] += np.float32(octaves.amplitude[octave] * noise(state, p, q, r))

@@ -1,9 +1,9 @@
-"""Seeded relief below a DEM's posting: the truth that a catalog of that DEM does not know.
+"""Seeded relief below a DEM's posting: ground that a catalog of that DEM does not have.
 
 Craters in equilibrium (`craters`) from twice the DEM's posting down to a smallest diameter, and
 random relief (`fractal`) with a power law over the same band. Neither holds net height, so the
 DEM's own content stays as it is. For one seed the ground is the same wherever and however it is
-asked for.
+sampled.
 """
 
 from dataclasses import dataclass
@@ -59,22 +59,21 @@ class SyntheticRelief:
         return max(1, round(float(np.log2(self.largest_m / self.smallest_m))))
 
     @cached_property
-    def _noise(self) -> tuple[FloatArray, FloatArray]:
-        """Lattice spacings and amplitudes of the random relief, m."""
+    def _noise(self) -> fractal.Octaves:
+        """The random relief over its whole band."""
         count = max(1, round(float(np.log2(self.dem_posting_m / self.smallest_m))) + 1)
         spacing = self.dem_posting_m / 2.0 ** np.arange(count, dtype=np.float64)
         shape = spacing**self.hurst
         slope = fractal.RMS_GRADIENT * float(np.linalg.norm(shape / spacing))
-        return spacing, shape * float(np.tan(np.radians(self.rms_slope_deg))) / slope
+        amplitude = shape * float(np.tan(np.radians(self.rms_slope_deg))) / slope
+        return fractal.Octaves(self.seed, spacing, amplitude, self.radius_m)
 
     def heights(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
         """Heights to add at points, microseconds each; lat, lon (...) rad; returns (...) m."""
         lat, lon = np.broadcast_arrays(np.asarray(lat, np.float64), wrap_longitude(lon))
         flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
         total = craters.crater_heights_at(self._population(self._octaves), *flat)
-        total += fractal.noise_at(
-            self.seed, *self._noise, self.radius_m, xyz_from_latlon(*flat, 1.0)
-        )
+        total += fractal.noise_at(self._noise, xyz_from_latlon(*flat, 1.0))
         return total.reshape(lat.shape)
 
     def window(
@@ -90,7 +89,7 @@ class SyntheticRelief:
         lat = north - step_lat * np.arange(rows, dtype=np.float64)
         lon = west + step_lon * np.arange(cols, dtype=np.float64)
         posting = self.radius_m * step_lat
-        self._add_window_noise(out, lat, lon, posting)
+        fractal.add_noise_window(out, self._resolved(posting), lat, lon)
         table = self._craters(lat[-1], west, lat[0], step_lon * (cols - 1))
         row = (north - table[:, craters.LAT]) / step_lat
         # a crater's longitude is brought next to the window's middle, so that ±180° is no border
@@ -121,11 +120,9 @@ class SyntheticRelief:
         lat = north - step * np.arange(rows, dtype=np.float64)
         lon = west + step * np.arange(cols, dtype=np.float64)
         posting = self.radius_m * step
-        spacing, amplitude = self._resolved(posting)
-        if spacing.size:
-            fractal.add_noise_turned(
-                out, self.seed, spacing, amplitude, self.radius_m, lat, lon, body_from_grid
-            )
+        noise = self._resolved(posting)
+        if noise.spacing.size:
+            fractal.add_noise_turned(out, noise, lat, lon, body_from_grid)
         octaves = min(self._octaves, int(np.floor(np.log2(self.largest_m / posting) + 1e-6)))
         if octaves < 1:
             return out
@@ -154,9 +151,8 @@ class SyntheticRelief:
         out = np.zeros((size, size), np.float32)
         x, y = node_grid(size, posting_m)
         lat, lon = projection.latlon(x, y)
-        spacing, amplitude = self._resolved(posting_m)
         directions = xyz_from_latlon(lat.ravel(), lon.ravel(), 1.0)
-        noise = fractal.noise_at(self.seed, spacing, amplitude, self.radius_m, directions)
+        noise = fractal.noise_at(self._resolved(posting_m), directions)
         out += noise.reshape(size, size).astype(np.float32)
         lon = wrap_longitude(lon - projection.lon)
         # over a pole the box is the whole turn
@@ -186,22 +182,16 @@ class SyntheticRelief:
             self.seed, octaves, self.largest_m, self.saturation, self.radius_m
         )
 
-    def _resolved(self, posting_m: float) -> tuple[FloatArray, FloatArray]:
+    def _resolved(self, posting_m: float) -> fractal.Octaves:
         """The octaves that a grid can show, lowered by the averaging over its cells.
 
         A mean over a square of side p lowers a wave of length L by about exp(-(pi p / L)^2 / 6).
         """
-        spacing, amplitude = self._noise
+        _, spacing, amplitude, _ = self._noise
         length = fractal.WAVELENGTH * spacing
         seen = length >= 2.0 * posting_m * 0.99
         factor = np.exp(-((np.pi * posting_m / length) ** 2) / 6.0)
-        return spacing[seen], (amplitude * factor)[seen]
-
-    def _add_window_noise(
-        self, out: Float32Array, lat: FloatArray, lon: FloatArray, posting_m: float
-    ) -> None:
-        spacing, amplitude = self._resolved(posting_m)
-        fractal.add_noise_window(out, self.seed, spacing, amplitude, self.radius_m, lat, lon)
+        return self._noise._replace(spacing=spacing[seen], amplitude=(amplitude * factor)[seen])
 
 
 def _body_box(

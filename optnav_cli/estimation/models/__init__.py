@@ -1,1 +1,1 @@
-"""Measurement models: each says what one kind of measurement tells of a state."""
+"""Measurement models: residuals, Jacobian and weights of one kind of measurement each."""

@@ -161,6 +161,7 @@ def _linear(stretched: FloatArray, weights: FloatArray, radii: FloatArray) -> Fl
             for m in range(k, 3):
                 normal[k, m] += scaled * stretched[i, m]
     mirrored(normal)
+    # of arcs so short that only rounding is left of the determinant there is no cone
     if not np.linalg.det(normal) > MIN_DETERMINANT * normal[0, 0] * normal[1, 1] * normal[2, 2]:
         return np.full(3, np.nan)
     s = inverse_of(normal) @ right

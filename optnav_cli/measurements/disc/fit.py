@@ -1,9 +1,9 @@
 """A small sphere's disc fitted whole: drawn again and again until it looks like the picture.
 
 Along a limb of less than some twenty pixels' radius a profile across it holds too little ground
-to tell the blur from the law, and near the cusps hardly a pixel is the limb's alone: the profiles'
-edges lie up to half a pixel off. All pixels together, with what is known of blur and law, tell them
-apart.
+to separate the blur from the law, and near the cusps hardly a pixel is the limb's alone: the
+profiles' edges lie up to half a pixel off. All pixels together, with what is known of blur and law,
+separate them.
 """
 
 from dataclasses import dataclass, replace
@@ -22,13 +22,13 @@ from optnav_cli.measurements.limb.photometry import three_laws
 from optnav_cli.measurements.segmentation import Levels, measure_levels
 from optnav_cli.reasons import Reason, ReasonCode
 
-MAX_RADIUS_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
+MAX_BENT_LIMB_PX = 60.0  # beyond it the straight limb's error is below 0.01 px
 FINE = 4  # sub-pixels a side
 MARGIN_PX = 12
 PIXEL_VARIANCE = 1.0 / 12.0  # of a pixel's own width, which `blur_px` includes
 ABOUT_PX = 6  # of sky about the disc that is fitted
 MIN_BLUR_PX = 0.36  # the smallest that `draw_disc` can draw
-# Of a pixel of ground over its brightness: patterns and slopes that the law does not know.
+# Of a pixel of ground over its brightness: patterns and slopes that the law does not model.
 TEXTURE, SHOT = 0.08, 1.0 / 50.0**2
 BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.3  # where it is not calibrated
 MIXTURE_SIGMA = 0.1  # of the shares of the second and the third law

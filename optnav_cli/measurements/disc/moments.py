@@ -31,12 +31,12 @@ SPHERE_NODES = 60  # a side of the half disc that is integrated
 MIN_SKY_PIXELS = 100
 MIN_PIXELS = 3  # lit; a hot pixel is one, two when they touch
 WINGS_PX = 4.0  # beyond the lit area the blur still holds light
-# A second spot this bright beside the first: which of them is the body cannot be told.
+# A second spot this bright beside the first: which of them is the body is open.
 RIVAL_SHARE = 0.3
-MAX_RADIUS_PX = 25.0
+MAX_SMALL_DISC_PX = 25.0  # radius; beyond it the limb's profiles are right to 0.01-0.05 px
 MAX_SATURATED = 0.05  # of the pixels that hold its light
 MAX_SATURATED_CORE = 0.25  # of those above half of the brightest
-# Signal to noise of a lit pixel, where the picture is too small a sample to tell its own.
+# Signal to noise of a lit pixel, where the picture is too small a sample to measure its own.
 ASSUMED_SNR = 50.0
 UNDITHERED = 0.4  # counts: scatter of a sky whose rounding is the same in all pixels
 LIT_SHARE = 0.1  # of the brightest pixel: lit, not the blur's wing
@@ -118,7 +118,7 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
     chosen = int(kept[first])
     left, top, wide, high = (int(value) for value in blobs.box[chosen])
     radius = 0.5 * max(wide, high)
-    if radius > MAX_RADIUS_PX:
+    if radius > MAX_SMALL_DISC_PX:
         raise NoSolutionError(
             f"a disc of {2.0 * radius:.0f} px is too large for its brightness centre; "
             "its limb is the measurement",

@@ -1,7 +1,7 @@
 """How large a small disc is, from how wide its light is spread: the disc's and the blur's together.
 
 Neither the brightness law nor, where the camera's file does not say it, the blur is known: all that
-fit the second moments are weighed against each other.
+fit the second moments are weighed by their likelihood.
 """
 
 from dataclasses import dataclass
@@ -11,16 +11,19 @@ import numpy as np
 from catalog.arrays import FloatArray
 from optnav_cli.measurements.disc.moments import DiscMoments, LightMoments
 
-MIN_PX, MAX_PX = 0.3, 30.0  # radii; equal steps of the logarithm are equally likely
+MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX = (
+    0.3,
+    30.0,
+)  # radii; equal steps of the logarithm are equally likely
 RADII = 200  # first over all of them, then over the likely ones
 UNLIKELY = 1e-6  # of the likeliest
-# Sigma of the blur, the pixel's own width included: what is believed of a camera's optics whose
-# file does not say.
+# Sigma of the blur, the pixel's own width included: that of common optics, for a camera
+# whose file does not say.
 BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.17
 BLUR_STEPS, BLUR_REACH = 51, 3.5  # blurs that are weighed, up to so many sigmas away
-# Belief in LAWS: Hapke's, Lommel-Seeliger's, Lambert's, and Hapke's for smoother and rougher
-# ground: ground without air is dark and rough.
-LAW_BELIEF = (0.60, 0.01, 0.01, 0.19, 0.19)
+# Prior probability of LAWS: Hapke's, Lommel-Seeliger's, Lambert's, and Hapke's for smoother and
+# rougher ground: ground without air is dark and rough.
+LAW_PRIOR = (0.60, 0.01, 0.01, 0.19, 0.19)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,7 @@ def radius_posterior(
         shape_sigma,
         known_blur_px or (BLUR_PX, BLUR_SIGMA_PX),
     )
-    radii = np.geomspace(MIN_PX, MAX_PX, RADII)
+    radii = np.geomspace(MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX, RADII)
     logs, squares = weighing.of(radii)
     point = float(logs[:, 0].max())
     likely = np.flatnonzero((logs > logs.max() + np.log(UNLIKELY)).any(axis=0))
@@ -90,17 +93,17 @@ class _Weighing:
     round_blur: FloatArray
     moments: list[LightMoments]
     shape_sigma: float
-    believed_blur: tuple[float, float]
+    blur_prior: tuple[float, float]
 
     def of(self, radii: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Logarithms of how likely radii are, and the squared misfits at the best blur.
 
         Both (laws, radii).
         """
-        middle, sigma = self.believed_blur
+        middle, sigma = self.blur_prior
         reach = BLUR_REACH * sigma
         blurs = np.linspace(max(middle - reach, 0.0), middle + reach, BLUR_STEPS)
-        belief = ((blurs - middle) / sigma) ** 2
+        blur_misfit = ((blurs - middle) / sigma) ** 2
         area = radii[:, None] ** 2
         logs = np.empty((len(self.moments), len(radii)))
         squares = np.empty(logs.shape)
@@ -113,8 +116,8 @@ class _Weighing:
             covariance = self.noise + (area**2)[..., None] * np.diag(off**2)
             miss = self.second - area[..., None] * shape - blurs[:, None] ** 2 * self.round_blur
             inverse = np.linalg.inv(covariance)
-            total = np.einsum("rbi,rij,rbj->rb", miss, inverse, miss) + belief
+            total = np.einsum("rbi,rij,rbj->rb", miss, inverse, miss) + blur_misfit
             squares[k] = total.min(axis=1)
             each = -0.5 * (total + np.log(np.linalg.det(covariance))[:, None])
-            logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(LAW_BELIEF[k])
+            logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(LAW_PRIOR[k])
         return logs, squares

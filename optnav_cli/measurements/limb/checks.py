@@ -86,7 +86,7 @@ def check_arc(arc: float, n_points: int) -> None:
 def check_sharp(sharpness: FloatArray) -> None:
     """Raises NoSolutionError when the edge on the Sun's side is as soft as a terminator.
 
-    sharpness (n,) of the limb's points, see limb_search
+    sharpness (n,) of the limb's points, see `sharpness` of the candidates
     """
     middle = float(np.median(sharpness))
     if middle < MIN_SHARPNESS:

@@ -13,7 +13,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.disc.fit import MAX_RADIUS_PX, edge_bias_px
+from optnav_cli.measurements.disc.fit import MAX_BENT_LIMB_PX, edge_bias_px
 from optnav_cli.measurements.limb.candidates import (
     Candidates,
     bounded_by_sky,
@@ -128,7 +128,7 @@ def find_limb(
     shape = common_shape(profiles, levels, full)
     edges = locate_edges(profiles, shape, levels, full)
     distance, inward = distances(cone, where)
-    if sun_camera is not None and float(np.median(bend)) * MAX_RADIUS_PX > 1.0:
+    if sun_camera is not None and float(np.median(bend)) * MAX_BENT_LIMB_PX > 1.0:
         bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, levels)
     else:
         # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)

@@ -2,7 +2,7 @@
 
 A profile is a run of pixels along the row or the column that found the candidate, so that its
 pixels are the detector's own and no two profiles of one direction share one. The model is the
-body's brightness law across the limb, blurred (see edge_light); level, brightness and place are
+body's brightness law across the limb, blurred (see photometry); level, brightness and place are
 each profile's own, blur width and law are common to the picture and found from all profiles.
 """
 
@@ -29,14 +29,14 @@ MAX_DEPTH_PX, MAX_DEPTH_SHARE = 6.0, 0.35
 
 ITERATIONS = 12
 SETTLED_PX = 2e-4
-MAX_PX = 4.0  # of an edge from where its threshold was crossed
+MAX_EDGE_SHIFT_PX = 4.0  # of an edge from where its threshold was crossed
 START_BLUR_PX = 0.9
 BLUR_RANGE_PX = (0.35, 4.0)
-# What the shares of the second and third law are believed to be, and their 1 sigma.
+# What the shares of the second and third law are expected to be, and their 1 sigma.
 MIXTURE_PRIOR, MIXTURE_SIGMA = 0.0, 0.5
 # Search of blur and shares: differences, largest move, turns.
 SHAPE_STEPS = np.array([0.005, 0.02, 0.02])
-SHAPE_LARGEST = np.array([0.3, 0.7, 0.7])
+MAX_SHAPE_MOVE = np.array([0.3, 0.7, 0.7])
 SHAPE_TURNS, SHAPE_HALVINGS = 6, 4
 MAX_SHAPING = 300  # profiles that find the common blur and law
 # A profile without an edge leaves no residual: so that losing them is no improvement, each step of
@@ -87,7 +87,7 @@ class EdgeShape:
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
+class LimbEdges:
     """Where the edges lie.
 
     depth       (n,)  inside the fitted cone's curve, px; NaN where no edge fits
@@ -173,7 +173,7 @@ def _fit(
             place += min(max(move, -1.0), 1.0)
             if abs(move) < SETTLED_PX and turn > 1:
                 break
-        if used < 5 or not abs(place - start[i]) < MAX_PX:
+        if used < 5 or not abs(place - start[i]) < MAX_EDGE_SHIFT_PX:
             result[i, :] = np.nan
             residual[i, :] = 0.0
             continue
@@ -229,7 +229,9 @@ def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeS
     return shape
 
 
-def locate_edges(profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float) -> Edges:
+def locate_edges(
+    profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float
+) -> LimbEdges:
     """Place every edge of the profiles, with what the picture's edges have in common."""
     fitter = _Fitter(profiles, levels.sky, saturation)
     fitter.run(shape)
@@ -238,7 +240,7 @@ def locate_edges(profiles: Profiles, shape: EdgeShape, levels: Levels, saturatio
     mean = float(total[good].sum()) / max(float(freedom[good].sum()), 1.0)
     factor = (total + LOCAL_FREEDOM * mean) / (freedom + LOCAL_FREEDOM)
     depth = np.where(good, fitter.state[:, 2], np.nan)
-    return Edges(depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2))
+    return LimbEdges(depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2))
 
 
 def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
@@ -262,7 +264,7 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
         columns = [residuals(best + step) - at_best for step in np.diag(SHAPE_STEPS)]
         jacobian = np.stack(columns, axis=1) / SHAPE_STEPS
         move = -np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ at_best)
-        move = np.clip(move, -SHAPE_LARGEST, SHAPE_LARGEST)
+        move = np.clip(move, -MAX_SHAPE_MOVE, MAX_SHAPE_MOVE)
         for _ in range(SHAPE_HALVINGS):
             better = best + move
             better[0] = np.clip(better[0], *BLUR_RANGE_PX)

@@ -1,4 +1,4 @@
-"""The lit part of a body in the picture against the Sun that attitude and time claim.
+"""The lit part of a body in the picture against the Sun as attitude and time place it.
 
 A limb is lit where its surface faces the Sun, so the middle of the lit arc is the Sun's side. The
 cusps that end the arc are rough by relief; an arc that the frame or structure ends says less. And
@@ -22,7 +22,7 @@ CUT_SIGMA = np.radians(35.0)  # of one that the frame may have ended
 DISAGREE_SIGMAS = 3.0
 # Lit share of the disc against the phase's: of the same discs 0.03 rms off, 0.05 at most, by the
 # threshold and by shadows at the terminator; blur widens a small disc by about a pixel.
-SHARE_LIMIT, BLUR_PX = 0.12, 1.0
+SHARE_LIMIT, RIM_BLUR_PX = 0.12, 1.0
 MIN_RADIUS_PX = 8.0
 MAX_DISC = 0.25  # rad; of a body close by a cap is seen, whose lit share is another
 RIM_POINTS = 180
@@ -55,12 +55,12 @@ def sun_side_angle(limb: LimbPoints, rays: FloatArray, sun_camera: FloatArray) -
     axis = limb.cone_axis_camera
     outward = rays - (rays @ axis)[:, None] * axis
     seen = unit(outward).mean(axis=0)
-    claimed = sun_camera - (sun_camera @ axis) * axis
-    sine = float(np.linalg.norm(claimed))
+    expected = sun_camera - (sun_camera @ axis) * axis
+    sine = float(np.linalg.norm(expected))
     sided = MIN_ARC_DEG <= limb.arc_deg <= FULL_ARC_DEG and np.linalg.norm(seen) > 0.0
     if not sided or sine < MIN_SINE:
         return SunSide(0.0, float(np.pi))
-    cosine = float(seen @ claimed / (np.linalg.norm(seen) * sine))
+    cosine = float(seen @ expected / (np.linalg.norm(seen) * sine))
     sigma = CUT_SIGMA if limb.cut_by_frame else CUSP_SIGMA
     # as the Sun nears the line of sight the cusps spread and the side blurs
     return SunSide(float(np.arccos(np.clip(cosine, -1.0, 1.0))), float(min(sigma / sine, np.pi)))
@@ -85,7 +85,7 @@ def lit_share(limb: LimbPoints, camera: Camera) -> float | None:
     radius = float(np.sqrt(area / np.pi))
     if radius < MIN_RADIUS_PX:
         return None
-    return limb.lit_pixels / (area * (1.0 + BLUR_PX / radius) ** 2)
+    return limb.lit_pixels / (area * (1.0 + RIM_BLUR_PX / radius) ** 2)
 
 
 def rejection_of_sun(limb: LimbPoints, camera: Camera, sun_camera: FloatArray) -> str:

@@ -2,7 +2,7 @@
 
 Source: Zhukov 2025, ch. 2: the direction to a small body is that of its middle of light, corrected
 for the phase; the correction depends on the illumination and hardly on the reflectance law. Ours:
-bodies that are no sphere are corrected for their shape too (`shape_moments`), and the range comes
+bodies that are no sphere are corrected for their shape too (`light_moments`), and the range comes
 from the second moments, which are the disc's and the blur's together. Neither law nor blur is
 known, so all that fit are weighed against each other; what they leave is the covariance, along the
 line of sight most of all.
@@ -23,7 +23,7 @@ from optnav_cli.reasons import Reason, ReasonCode
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
 # What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
-# (Smith et al., JGR 102, 1997). Maria, which no law knows, are not in it.
+# (Smith et al., JGR 102, 1997). Maria, which are in no law, are not in it.
 SHAPE_SIGMA = 0.0012
 # The same of a body that is no sphere: the ground below its known relief, at a full phase, and the
 # ground over its ellipsoid. What the first throws shadows on grows as the lit share shrinks.

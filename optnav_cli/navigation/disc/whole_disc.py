@@ -1,7 +1,7 @@
 """Navigation by the whole disc of a sphere of some five to twenty-five pixels' radius.
 
 Ours: such a disc has a limb, but too few pixels about it for its profiles. All its pixels are
-fitted at once (`disc_fit`), which is several times as good as the limb alone, and the covariance is
+fitted at once (`fit_disc`), which is several times as good as the limb alone, and the covariance is
 honest.
 """
 
@@ -14,14 +14,12 @@ from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.measurements.disc.fit import ABOUT_PX, fit_disc, rad_per_px
+from optnav_cli.measurements.disc.moments import MAX_SMALL_DISC_PX
 from optnav_cli.measurements.limb.detection import LimbPoints
+from optnav_cli.navigation.disc.brightness_centre import SHAPE_SIGMA
 from optnav_cli.reasons import Reason, ReasonCode
 
-MAX_RADIUS_PX = 25.0  # beyond it the limb's profiles are right to a few hundredths of a pixel
-# What the figure moves the fitted centre and radius by, of the radius, at full phase: the Moon's is
-# 1.8 km off its centre of mass. Shadows on its ground do more as the lit share shrinks.
-SHAPE_SIGMA = 0.0012
-MODEL_SIGMA_PX = 0.01  # what drawing leaves
+DRAWING_SIGMA_PX = 0.01  # what drawing leaves
 # Of 100 drawn discs the misfit was 0.7-1.1 under their own Sun, and over 1.25 or without a solution
 # under one turned by 45 or 180 deg about the line of sight from a phase of 15 deg on. Ground of two
 # kinds may cost as much, so that only the larger one refuses.
@@ -34,7 +32,7 @@ def is_for(limb: LimbPoints, camera: Camera) -> bool:
     radius_px = limb.cone_angle / rad_per_px(camera, limb.cone_axis_camera)
     margin = radius_px + ABOUT_PX + 2.0
     pixel = camera.project(limb.cone_axis_camera)
-    return radius_px < MAX_RADIUS_PX and bool(camera.contains(pixel, margin))
+    return radius_px < MAX_SMALL_DISC_PX and bool(camera.contains(pixel, margin))
 
 
 def navigate(
@@ -80,8 +78,10 @@ def navigate(
     position = place(state)
     distance = float(np.linalg.norm(position))
     lit = 0.5 * (1.0 + float(position @ sun) / distance)
+    # the figure moves the fitted centre and radius; shadows on its ground do more as the lit share
+    # shrinks
     shape_px = SHAPE_SIGMA * fit.radius_px / max(lit, 0.1)
-    covariance = fit.covariance + (shape_px**2 + MODEL_SIGMA_PX**2) * np.eye(3)
+    covariance = fit.covariance + (shape_px**2 + DRAWING_SIGMA_PX**2) * np.eye(3)
     covariance = change @ covariance @ change.T
     square = np.eye(3) - np.outer(position, position) / distance**2
     covariance += square * (distance * attitude_sigma_rad) ** 2

@@ -28,7 +28,7 @@ from optnav_cli.navigation.horizon.limb_rays import (
 )
 from optnav_cli.navigation.horizon.relief_skyline import MAX_MISFIT, relief_skyline
 from optnav_cli.navigation.horizon.shape_skyline import is_shape, shape_skyline
-from optnav_cli.navigation.horizon.skyline import Followed, Skyline, follow, with_limb_errors
+from optnav_cli.navigation.horizon.skyline import BodySkyline, Followed, follow, with_limb_errors
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 SHORT_ARC_DEG = 140.0  # below it a fix is remarked on
@@ -60,7 +60,7 @@ def navigate(
         position, covariance = _on_ellipsoid(rays, azimuths, start, sun, body)
         fit = start
     else:
-        skyline: Skyline = (
+        skyline: BodySkyline = (
             shape_skyline(relief) if is_shape(relief) else relief_skyline(relief, body.name)
         )
         last = follow(skyline, rays, start.state, sun)
@@ -122,7 +122,7 @@ def _on_ellipsoid(
     return position, fit.noise + relief + considered(fit.measured.gain(fit.noise), errors)
 
 
-def _fits_better(inverse: LimbRays, skyline: Skyline, last: Followed, body: Body) -> bool:
+def _fits_better(inverse: LimbRays, skyline: BodySkyline, last: Followed, body: Body) -> bool:
     """Whether rays by the inverse rotation fit a skyline, where those of the stated one do not."""
     try:
         start = fit_limb(inverse.rays, inverse.own_sigmas(), body.radii_m).state

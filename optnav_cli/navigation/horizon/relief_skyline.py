@@ -1,6 +1,6 @@
 """The skyline of a relief on a sphere: every ray touches a sphere of its own skyline's size.
 
-Outliers (crests in shadow, ground that the relief does not know) lose their weight by Tukey's
+Outliers (crests in shadow, ground that is not in the relief) lose their weight by Tukey's
 biweight, whose width follows the scatter: wide while the position is kilometres off, narrow in the
 end.
 """
@@ -59,7 +59,7 @@ class SkylineSizes:
 
 
 class ReliefSkyline:
-    """A relief made ready for skylines, and how well these are known; see `Skyline`.
+    """A relief made ready for skylines, and how well these are known; see `BodySkyline`.
 
     crest_noise_m  of a single crest
     """
@@ -75,7 +75,7 @@ class ReliefSkyline:
         self.crest_noise_m, self.crest_sigma_m = crest_noise_m, crest_sigma_m
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
-        """As `Skyline.fit`: a fit to the skyline without its outliers."""
+        """As `BodySkyline.fit`: a fit to the skyline without its outliers."""
         line = self.sizes_at(position, rays, sun)
         usable, kept = usable_rays(rays, position, line.lit, line.sun_sine)
         sizes, radii = line.sizes[usable], np.full(3, self.limb.radius_m)
@@ -100,7 +100,7 @@ class ReliefSkyline:
         return float(np.linalg.norm(step)) < max(STILL_M, STILL_SIGMAS * sigma)
 
     def check(self, last: Followed) -> None:
-        """As `Skyline.check`."""
+        """As `BodySkyline.check`."""
         if last.fit.misfit > MAX_MISFIT:
             raise NoSolutionError(
                 f"the limb is not the skyline of {self._body_name}'s relief: it scatters by "

@@ -68,7 +68,7 @@ class Silhouette:
 
 
 class ShapeSkyline:
-    """A shape made ready for silhouettes; see `Skyline`.
+    """A shape made ready for silhouettes; see `BodySkyline`.
 
     crest_noise_m   of a single crest
     clearance_m     ground by which a crest may miss the Sun and still be taken as lit
@@ -86,7 +86,7 @@ class ShapeSkyline:
         self.clearance_m = SHADOW_CLEARANCE * cell_m
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
-        """As `Skyline.fit`: one Gauss-Newton step."""
+        """As `BodySkyline.fit`: one Gauss-Newton step."""
         line = self.silhouette(position, rays, sun)
         usable, kept = usable_rays(rays, position, line.usable, line.sun_sine)
         azimuths, ranges = kept.azimuths(position), line.ranges[usable]
@@ -113,7 +113,7 @@ class ShapeSkyline:
         return squared_distance(step, estimate.covariance) < STILL_SIGMAS**2
 
     def check(self, last: Followed) -> None:
-        """As `Skyline.check`."""
+        """As `BodySkyline.check`."""
         if not last.settled:
             raise NoSolutionError(
                 f"the position still moves by {last.moved_m:.0f} m after {last.passes} passes over "

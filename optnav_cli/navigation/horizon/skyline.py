@@ -1,7 +1,7 @@
 """A position from a limb on a body's own skyline: predicted, fitted, and predicted again.
 
 The skyline is predicted from the position so far and the position fitted to it, until that stands
-still. What the model cannot know (crests in shadow, ground below its cells) loses its weight.
+still. What is not in the model (crests in shadow, ground below its cells) loses its weight.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class Followed:
     settled: bool
 
 
-class Skyline(Protocol):
+class BodySkyline(Protocol):
     """The skyline of a body, as the limb of its relief or of its shape.
 
     max_passes      over it
@@ -105,7 +105,7 @@ def usable_rays(
 
 
 def follow(
-    skyline: Skyline, rays: LimbRays, start_m: FloatArray, sun: FloatArray | None
+    skyline: BodySkyline, rays: LimbRays, start_m: FloatArray, sun: FloatArray | None
 ) -> Followed:
     """Passes over a skyline from a first position (3,) till it stands still, or too many."""
     position, moved, passes = start_m, np.inf, 0
@@ -122,7 +122,7 @@ def follow(
             return Followed(fit, passes, moved, False)
 
 
-def with_limb_errors(skyline: Skyline, fit: SkylineFit) -> tuple[FloatArray, FloatArray]:
+def with_limb_errors(skyline: BodySkyline, fit: SkylineFit) -> tuple[FloatArray, FloatArray]:
     """Position (3,), m, and covariance (3, 3) with what limb points and crests have wrong together.
 
     The attitude's error is not in it.

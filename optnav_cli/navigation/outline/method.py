@@ -18,11 +18,11 @@ from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.segmentation import Blobs, lit_blobs, measure_levels, without_blobs
 from optnav_cli.navigation.neighbour import (
-    BLUR_PX,
-    Disc,
+    SPOT_BLUR_PX,
+    CameraView,
     OtherBody,
+    PredictedDisc,
     Spot,
-    View,
     is_lit,
     is_more_likely_neighbour,
     is_seen,
@@ -39,7 +39,7 @@ MAX_SPOTS = 30  # the largest; the rest are stars
 MAX_BODIES = 4  # of them are taken for the body
 FARTHEST = 1.5  # from the body, in distances of the other one
 ROUGH_SHARE = 0.3  # error of a range from the extent of a spot
-# Wider uncertain, the other body's direction speaks for nothing.
+# A less certain direction of the other body decides nothing.
 MAX_SIGMA = 0.06
 
 
@@ -59,12 +59,16 @@ def navigate(
     sun_body (3,) unit vector, body frame;  other  the neighbour that may be in the picture as well.
     Raises NoSolutionError with what the picture shows instead.
     """
-    view = View(camera, camera_from_body, attitude_sigma_rad, sun_body)
+    view = CameraView(camera, camera_from_body, attitude_sigma_rad, sun_body)
     return _choose(picture, view, body, relief, other).outline
 
 
 def mask_neighbour(
-    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, other: OtherBody | None
+    picture: Picture,
+    view: CameraView,
+    body: Body,
+    relief: GlobalRelief | None,
+    other: OtherBody | None,
 ) -> Picture:
     """The picture that `navigate` solves: with sky in place of the neighbour where it shows both.
 
@@ -83,7 +87,7 @@ class _Choice:
 
 def _choose(
     picture: Picture,
-    view: View,
+    view: CameraView,
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody | None,
@@ -102,14 +106,14 @@ def _choose(
 
 def _one_of_two(
     picture: Picture,
-    view: View,
+    view: CameraView,
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody,
     alone: Fix | None,
     reason: Reason,
 ) -> _Choice:
-    """The outline that another body in the picture speaks for, or does not speak against.
+    """The outline that another body in the picture confirms, or does not contradict.
 
     alone, reason  what the picture gives without asking which body it is
     """
@@ -162,7 +166,7 @@ def _one_of_two(
 
 def _agreed(
     picture: Picture,
-    view: View,
+    view: CameraView,
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody,
@@ -190,13 +194,13 @@ def _agreed(
     return agreed
 
 
-def _may_be(view: View, body: Body, other: OtherBody, spot: Spot, rest: list[Spot]) -> bool:
+def _may_be(view: CameraView, body: Body, other: OtherBody, spot: Spot, rest: list[Spot]) -> bool:
     """Whether a spot taken for the body puts the other body about where one of the rest is."""
     if spot.extent > NEAR_ANGLE:
         return True
     towards = view.camera_from_body.inv().apply(spot.towards)
     distance = body.radius_m / np.sin(spot.extent)
-    blur = BLUR_PX * spot.rad_per_px / spot.extent
+    blur = SPOT_BLUR_PX * spot.rad_per_px / spot.extent
     seen = predicted(
         view, other.centre_m, other.radius_m, -distance * towards, (ROUGH_SHARE + blur) * distance
     )
@@ -210,9 +214,9 @@ def _sigma(found: Fix) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(found.covariance_m2)[-1]))
 
 
-def _disc(view: View, body: Body, found: Fix) -> Disc:
+def _disc(view: CameraView, body: Body, found: Fix) -> PredictedDisc:
     return predicted(view, np.zeros(3), body.radius_m, found.position_m, 0.0)
 
 
-def _other_disc(view: View, other: OtherBody, found: Fix) -> Disc:
+def _other_disc(view: CameraView, other: OtherBody, found: Fix) -> PredictedDisc:
     return predicted(view, other.centre_m, other.radius_m, found.position_m, _sigma(found))

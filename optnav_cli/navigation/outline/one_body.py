@@ -19,7 +19,7 @@ from optnav_cli.measurements.limb.sun_check import rejection_of_sun
 from optnav_cli.navigation.disc import brightness_centre, whole_disc
 from optnav_cli.navigation.horizon import method as horizon
 from optnav_cli.navigation.horizon.shape_skyline import relief_fraction
-from optnav_cli.navigation.neighbour import View
+from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # A disc of a larger radius, rad, is that of a body close by: it is not asked which.
@@ -45,7 +45,7 @@ def detect_limb(
     )
 
 
-def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None) -> Fix:
+def solve(picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None) -> Fix:
     """A position from the one body of a picture: by its limb, else by its middle of light."""
     try:
         limb = detect_limb(picture, view.camera, view.camera_from_body, view.sun_body, body)
@@ -66,7 +66,7 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
     small = _by_disc(picture, view, body, relief, limb)
     if small is not None:
         return small
-    # close to the body the limb's own relief tells a wrong Sun
+    # close to the body a wrong Sun shows in the fit of the limb's relief
     doubt = _rejection_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
         raise NoSolutionError(f"{doubt}: attitude or time is wrong", ReasonCode.WRONG_LIGHT)
@@ -74,7 +74,7 @@ def solve(picture: Picture, view: View, body: Body, relief: GlobalRelief | None)
 
 
 def _by_disc(
-    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, limb: LimbPoints
+    picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None, limb: LimbPoints
 ) -> Fix | None:
     """A position from all of a small disc; None for one whose limb is the better measurement.
 
@@ -99,7 +99,7 @@ def _by_disc(
     return None
 
 
-def _rejection_of_sun(picture: Picture, view: View, body: Body) -> str:
+def _rejection_of_sun(picture: Picture, view: CameraView, body: Body) -> str:
     """What the lit part of a disc says against the Sun, in words, if anything."""
     if not is_round(body):
         return ""
@@ -111,7 +111,7 @@ def _rejection_of_sun(picture: Picture, view: View, body: Body) -> str:
 
 
 def _by_centre(
-    picture: Picture, view: View, body: Body, relief: GlobalRelief | None, no_limb: Reason
+    picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None, no_limb: Reason
 ) -> Fix:
     """A position from the middle of light of a small disc."""
     try:

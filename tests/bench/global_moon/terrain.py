@@ -88,9 +88,8 @@ class Ground:
         rows, cols = self.shape
         lat = np.pi / 2.0 - (row + 0.5 + np.arange(height)) * np.pi / rows
         lon = (col + 0.5 + np.arange(width)) % cols * (2.0 * np.pi / cols)
-        fractal.add_noise_window(
-            noise, self.seed, self.spacings, self.amplitudes, self.radius_m, lat, lon
-        )
+        octaves = fractal.Octaves(self.seed, self.spacings, self.amplitudes, self.radius_m)
+        fractal.add_noise_window(noise, octaves, lat, lon)
         first = int(np.floor((row + 0.5) / self.factor - 0.5)) - 1
         last = int(np.floor((row + height - 0.5) / self.factor - 0.5)) + 2
         heights, gains = self._model_rows(first, last + 1)

@@ -7,7 +7,9 @@ process, then a line `stage count workers...` at each step. `ended STATUS` comes
 
 import multiprocessing
 import os
+import signal
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,6 +19,19 @@ THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_
 
 def say(*words):
     os.write(1, (" ".join(map(str, words)) + "\n").encode())  # whole, whoever else writes
+
+
+def wait_for_the_end_of(session, seconds):
+    """No process of a session may be left by then."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        try:
+            os.killpg(session, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    os.killpg(session, signal.SIGKILL)
+    raise AssertionError("workers outlived the build")
 
 
 class Telling:

@@ -15,6 +15,7 @@ import pytest
 
 from catalog.jobs.usage import Account
 from tests.catalog.build.coarse_tycho import CONFIG
+from tests.catalog.build.killing import wait_for_the_end_of
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="builds are forked")
 
@@ -72,18 +73,6 @@ def builds(tmp_path_factory):
     builds.close()
 
 
-def wait_for_the_end_of(session):
-    """No process of a session may be left after ten seconds."""
-    for _ in range(200):
-        try:
-            os.killpg(session, 0)
-        except ProcessLookupError:
-            return
-        time.sleep(0.05)
-    os.killpg(session, signal.SIGKILL)
-    raise AssertionError("workers outlived the build")
-
-
 def results(folder):
     """Files of finished work: one that is made again has another number or date."""
     found = {}
@@ -129,7 +118,7 @@ class Killer:
     def after(self, session, words):
         """Look around when a build has ended."""
         self.builds.until("ended")
-        wait_for_the_end_of(session)
+        wait_for_the_end_of(session, 10.0)
         self.look()
         if words[0] == "digest":  # prepared patches are not kept beside the catalog
             self.compare_account()

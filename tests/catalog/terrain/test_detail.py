@@ -127,7 +127,7 @@ def test_the_lattice_noise_has_no_net_height():
     directions = rng.normal(size=(200_000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     one = np.array([1.0])
-    values = fractal.noise_at(4, one, one, 5000.0, directions)
+    values = fractal.noise_at(fractal.Octaves(4, one, one, 5000.0), directions)
     assert abs(values.mean()) < 0.003
     assert values.std() > 0.15
 

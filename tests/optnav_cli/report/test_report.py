@@ -11,6 +11,7 @@ from catalog.errors import DataError, OutputError
 from optnav_cli.evaluation.files import evaluate_run, write_evaluation
 from optnav_cli.output.overlay import write_overlay
 from optnav_cli.output.run_folder import read_run
+from optnav_cli.reasons import ReasonCode
 from optnav_cli.report import write_report
 from optnav_cli.report.error_plots import frames_of
 from tests.optnav_cli.output.approach import write_approach
@@ -177,4 +178,4 @@ def test_matches_refused_for_one_reason_are_counted_together(tmp_path, make_run)
     for number in range(4):
         table = table.replace("score below the threshold", f"score 0.1{number} below 0.30", 1)
     (tmp_path / "run" / "matches.csv").write_text(table)
-    assert "the correlation is too low 4" in report_of(tmp_path / "run", tmp_path).text
+    assert f"{ReasonCode.LOW_SCORE.meaning} 4" in report_of(tmp_path / "run", tmp_path).text

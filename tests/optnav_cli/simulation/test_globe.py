@@ -18,7 +18,7 @@ from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.globe_ground import (
     GlobeGround,
     GlobeTerrain,
-    View,
+    GroundView,
     facing_frame,
     fixed_centre,
     level_frame,
@@ -229,7 +229,7 @@ def test_neighbouring_windows_hold_the_same_ground():
     place = xyz_from_latlon(1.35, 1.3, 1.0)
     for direction in ([0.1, 0.1, 1.0], [0.3, 0.05, 0.9]):
         centre = fixed_centre(np.array(direction))
-        view = View(tuple(centre.tolist()), (-0.4, -0.4, 0.4, 0.4), posting)
+        view = GroundView(tuple(centre.tolist()), (-0.4, -0.4, 0.4, 0.4), posting)
         turned, fine, wide = terrain.window(view, np.array([1.0, 0.0, 0.0]))
         own = turned @ place
         row = (fine.north - np.arcsin(own[2])) / fine.step_lat
@@ -256,7 +256,7 @@ def test_grounds_far_away_keep_the_crests_of_their_limb():
     centre = tuple(fixed_centre(np.array([0.2, -0.9, 0.3])).tolist())
     skylines = []
     for posting in terrain.postings()[:3]:
-        _, ring, _ = terrain.window(View(centre, None, float(posting)), sun)
+        _, ring, _ = terrain.window(GroundView(centre, None, float(posting)), sun)
         lat = ring.north - ring.step_lat * np.arange(len(ring.heights))
         across = (RADIUS_M + ring.heights) * np.cos(lat)[:, None]
         skylines.append(float(across.max(axis=0).mean()) - RADIUS_M)

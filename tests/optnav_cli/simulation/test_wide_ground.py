@@ -62,7 +62,7 @@ def test_without_detail_the_globe_is_shown_as_it_is(heights, details):
         assert globe.of(None).heights.tobytes() == plain.heights.tobytes()
         assert (globe.of(None).north, globe.of(None).west) == (plain.north, plain.west)
     np.testing.assert_array_equal(
-        WideGround(heights, RADIUS_M, SEAM, {}).of(7).tops_64, plain.tops_64
+        WideGround(heights, RADIUS_M, SEAM, {}).of(7).highest_64, plain.highest_64
     )
 
 

@@ -14,8 +14,8 @@ from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.studies.autonomous import (
     ROWS,
     SHARES,
-    Results,
-    RowResult,
+    LoopResult,
+    LoopResults,
     ShareResult,
     lit_arc_deg,
     report,
@@ -73,19 +73,19 @@ def test_every_row_has_a_scenario_with_its_camera(row) -> None:
 def test_the_star_sensor_adds_its_part_to_a_limit_in_quadrature() -> None:
     """20 m and 0.07 m a km at 400 km: 28 m."""
     exact, sensor = ROWS[2], ROWS[4]
-    assert RowResult(exact, (found([0.0, 0.0, 0.0]),)).limit_m == 40.0
-    limit = RowResult(sensor, (found([0.0, 0.0, 0.0]), missed())).limit_m
+    assert LoopResult(exact, (found([0.0, 0.0, 0.0]),)).limit_m == 40.0
+    limit = LoopResult(sensor, (found([0.0, 0.0, 0.0]), missed())).limit_m
     assert limit == pytest.approx(np.hypot(20.0, 28.0))
 
 
 def test_the_tables_say_what_is_solved_asked_and_wrong(tmp_path: Path) -> None:
     good, wrong = found([3.0, 6.0, 8.0]), found([0.0, 60.0, 0.0])
-    row = RowResult(ROWS[2], (good, wrong, missed()))
+    row = LoopResult(ROWS[2], (good, wrong, missed()))
     shares = (
         ShareResult(SHARES[0], (good, missed()), (150.0, 160.0)),
         ShareResult(SHARES[1], (good, good), (139.0, 141.0)),
     )
-    results = Results((row,), shares)
+    results = LoopResults((row,), shares)
     cases, arcs = (table for table in report(results).tables)
     assert cases.column("case") == ["wide camera, 400 km"]
     assert (cases.column("solved"), cases.column("frames")) == ([2], [3])

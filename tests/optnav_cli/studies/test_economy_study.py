@@ -13,12 +13,13 @@ from catalog.progress import SilentProgress
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.studies import economy
+from optnav_cli.studies.selection import DEM
 
 
 @pytest.fixture
 def context(tmp_path):
     body = load_body("moon")
-    dem = DemSettings(path=str(resource(economy.DEM)))
+    dem = DemSettings(path=str(resource(DEM)))
     mosaic = Mosaic.from_files([dem], Path(tmp_path), body, tmp_path)
     config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
     return StageContext(body, mosaic, CellGrid(1.0), 2.0 * mosaic.posting_m, config)

@@ -9,7 +9,7 @@ from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import SilentProgress
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.studies.horizon import ROWS, LimbFix, RowResult, figures_of, report, run
+from optnav_cli.studies.horizon import ROWS, HorizonResult, LimbFix, figures_of, report, run
 
 
 def frame(ssp_m, nees, **values):
@@ -43,8 +43,8 @@ def test_the_table_names_what_is_asked_and_why_frames_failed():
     solved = figures_of([frame(30.0, 1.0)])
     poor = figures_of([frame(600.0, 1.0)])
     none = figures_of([LimbFix("b.png", True, False, reason="no lit limb")])
-    near = RowResult(ROWS[0], poor, solved, poor, solved)
-    far = RowResult(ROWS[-1], poor, solved, poor, solved)
+    near = HorizonResult(ROWS[0], poor, solved, poor, solved)
+    far = HorizonResult(ROWS[-1], poor, solved, poor, solved)
     dark = replace(near, terrain=none)
     by_limb, far_away = report([near, far]).tables
     assert (by_limb.column("terrain_ssp_m"), by_limb.column("ssp_limit_m")) == ([30.0], [250.0])

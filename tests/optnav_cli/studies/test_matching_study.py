@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 
 from optnav_cli.matching.reference import Reference
-from optnav_cli.studies.matching import (
-    MatchingRow,
-    borne,
-    picture,
-    report,
-    summarise,
-    tolerance,
-)
+from optnav_cli.studies.matching import MatchingRow, borne, picture, report, summarise, tolerance
 from optnav_cli.studies.matching_trials import (
     AXES,
     MATCHERS,

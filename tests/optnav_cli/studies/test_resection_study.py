@@ -5,13 +5,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from optnav_cli.studies.resection import (
-    ANGLES_DEG,
-    COUNTS,
-    ResectionRow,
-    one_geometry,
-    picture,
-)
+from optnav_cli.studies.resection import ANGLES_DEG, COUNTS, ResectionRow, one_geometry, picture
 
 
 def horizontal(count: int, angle: float, free: bool = False) -> float:

@@ -14,11 +14,15 @@ import catalog
 from catalog.errors import DataError
 from optnav_cli.main import cli
 from optnav_cli.studies.registry import STUDIES, Study
-from optnav_cli.studies.tables import Column, StudyReport, Table, checkout_commit
+from optnav_cli.studies.tables import StudyColumn, StudyReport, StudyTable, checkout_commit
 
-TABLE = Table(
+TABLE = StudyTable(
     "errors",
-    (Column("case", "case"), Column("error_m", "error", "m", ".1f"), Column("frames", "frames")),
+    (
+        StudyColumn("case", "case"),
+        StudyColumn("error_m", "error", "m", ".1f"),
+        StudyColumn("frames", "frames"),
+    ),
     (("near", 1.23456789, 12), ("far", float("nan"), 3)),
 )
 
@@ -34,8 +38,8 @@ def test_a_table_is_aligned_on_the_screen_and_a_missing_number_is_a_dash() -> No
 
 
 def test_a_single_long_row_is_shown_as_a_list() -> None:
-    columns = tuple(Column(f"x{n}", f"quantity {n}", "m", ".1f") for n in range(12))
-    lines = Table("", columns, (tuple(map(float, range(12))),)).to_text().splitlines()
+    columns = tuple(StudyColumn(f"x{n}", f"quantity {n}", "m", ".1f") for n in range(12))
+    lines = StudyTable("", columns, (tuple(map(float, range(12))),)).to_text().splitlines()
     assert lines[3] == "quantity 3   3.0 m"
 
 
@@ -48,11 +52,11 @@ def test_a_document_s_table_has_units_in_its_head() -> None:
 
 def test_rows_must_fit_the_columns() -> None:
     with pytest.raises(ValueError, match="2 cells for 3 columns"):
-        Table("", TABLE.columns, (("near", 1.0),))
+        StudyTable("", TABLE.columns, (("near", 1.0),))
 
 
 @pytest.mark.parametrize("tables", [(TABLE,), (TABLE, TABLE)])
-def test_stored_figures_come_back_as_they_were(tables: tuple[Table, ...]) -> None:
+def test_stored_figures_come_back_as_they_were(tables: tuple[StudyTable, ...]) -> None:
     options = {"output": Path("/somewhere"), "kernels": (Path("/a/b.bsp"),), "trials": 3}
     report = StudyReport(tables, ("a note",)).signed("arc", options)
     assert StudyReport.from_json(report.to_json()) == report

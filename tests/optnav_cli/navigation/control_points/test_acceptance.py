@@ -17,19 +17,14 @@ from optnav_cli.navigation.control_points.acceptance import (
 
 
 @dataclass
-class Solved:
-    degrees_of_freedom: int
-
-
-@dataclass
 class Robust:
-    resection: Solved
+    degrees_of_freedom: int
     used: np.ndarray
     variance_factor: float = 1.0
 
 
 def robust(count, freedom=3, factor=1.0):
-    return Robust(Solved(freedom), np.ones(count, dtype=bool), factor)
+    return Robust(freedom, np.ones(count, dtype=bool), factor)
 
 
 def test_two_good_matches_of_two_are_a_solution():
