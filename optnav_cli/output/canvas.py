@@ -74,7 +74,8 @@ def resized(picture: ByteArray, factor: float) -> ByteArray:
     if factor == 1.0:
         return picture
     height, width = (max(1, round(side * factor)) for side in picture.shape[:2])
-    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    smaller = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    return smaller.astype(np.uint8, copy=False)
 
 
 def encoded(picture: ByteArray, suffix: str, quality: int = 85) -> bytes:
@@ -156,4 +157,4 @@ def text_width(words: str) -> int:
 def dimmed(gray: ByteArray) -> ByteArray:
     """A picture (h, w) as what marks are drawn on."""
     dim = np.asarray(gray * SHADE, dtype=np.uint8) // GRAY_STEP * GRAY_STEP
-    return np.asarray(cv2.cvtColor(dim, cv2.COLOR_GRAY2BGR), np.uint8)
+    return cv2.cvtColor(dim, cv2.COLOR_GRAY2BGR).astype(np.uint8, copy=False)

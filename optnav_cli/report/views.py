@@ -230,11 +230,11 @@ def _whole() -> MapView:
 
     def latlon(x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
         lon, lat = MOLLWEIDE(np.asarray(x, np.float64), np.asarray(y, np.float64), inverse=True)
-        return np.asarray(lat), np.asarray(lon)
+        return lat, lon
 
     def places(lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
         x, y = MOLLWEIDE(np.asarray(lon_deg, np.float64), np.asarray(lat_deg, np.float64))
-        return np.asarray(x), np.asarray(y)
+        return x, y
 
     def plot() -> Plot:
         height = WIDE // 2 + WIDE_MARGINS[2] + WIDE_MARGINS[3]

@@ -179,7 +179,7 @@ def test_only_a_run_that_compiles_says_so(tmp_path: Path) -> None:
         "print(twice(2.0))\n"
     )
 
-    def told() -> int:
+    def messages() -> int:
         result = subprocess.run(
             [sys.executable, "-c", script, str(tmp_path)],
             capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2],
@@ -188,4 +188,4 @@ def test_only_a_run_that_compiles_says_so(tmp_path: Path) -> None:
         assert result.stdout == "4.0\n"
         return result.stderr.count("compiling numerical kernels")
 
-    assert [told(), told(), told()] == [1, 0, 0]
+    assert [messages(), messages(), messages()] == [1, 0, 0]

@@ -1,4 +1,4 @@
-"""Evaluation: planted errors come back by axis, the covariance test tells honest from dishonest."""
+"""Evaluation: planted errors come back by axis, the covariance test separates good from bad."""
 
 import csv
 import json
@@ -205,7 +205,7 @@ def test_frames_that_only_the_truth_has_are_left_out_with_a_remark(tmp_path, mak
     (tmp_path / "solution.csv").write_text("".join(lines[:-2]))
     evaluation = evaluate_run(tmp_path, tmp_path / "truth.csv")
     assert "2 frames of the truth are not in the run" in format_table(evaluation)
-    # Their places still tell the direction of motion.
+    # Their places still give the direction of motion.
     assert [frame.forward for frame in evaluation.frames] == ["motion"] * 3
 
 

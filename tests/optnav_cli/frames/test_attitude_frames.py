@@ -42,8 +42,10 @@ def by_toolkit(utc: str) -> Rotation:
 def star_folder(tmp_path: Path, kernels: list[Path]) -> Path:
     """One camera attitude relative to the body, written against the stars by the toolkit."""
     SpiceEphemeris(load_body("moon"), kernels).body_from_inertial(0.0)  # loads the kernels
-    told = {utc: quaternion_from_rotation(CAMERA_FROM_BODY * by_toolkit(utc).inv()) for utc in UTCS}
-    return folder_of(tmp_path, told)
+    given = {
+        utc: quaternion_from_rotation(CAMERA_FROM_BODY * by_toolkit(utc).inv()) for utc in UTCS
+    }
+    return folder_of(tmp_path, given)
 
 
 def attitudes(folder: Folder) -> list[Rotation]:
@@ -78,21 +80,21 @@ def test_a_star_is_where_the_quaternion_puts_it(tmp_path: Path, kernels: list[Pa
     folder = read_folder(star_folder(tmp_path, kernels), kernels)
     for frame, utc in zip(folder.frames, UTCS, strict=True):
         assert frame.camera_from_body is not None
-        told = CAMERA_FROM_BODY * by_toolkit(utc).inv()
+        written = CAMERA_FROM_BODY * by_toolkit(utc).inv()
         pole = by_toolkit(utc).apply([0.0, 0.0, 1.0])
         np.testing.assert_allclose(
-            frame.camera_from_body.apply([0.0, 0.0, 1.0]), told.apply(pole), atol=1e-13
+            frame.camera_from_body.apply([0.0, 0.0, 1.0]), written.apply(pole), atol=1e-13
         )
-        inverse = told.inv() * by_toolkit(utc)
+        inverse = written.inv() * by_toolkit(utc)
         assert (inverse * CAMERA_FROM_BODY.inv()).magnitude() > 0.5
 
 
 def test_the_body_turns_under_a_fixed_camera_by_half_a_degree_an_hour(tmp_path: Path) -> None:
     """A sign slip in time or rotation would show: 13.18 deg a day, eastward."""
-    told = dict.fromkeys(
+    written = dict.fromkeys(
         ("2023-08-17T05:00:00Z", "2023-08-17T06:00:00Z"), np.array([1.0, 0.0, 0.0, 0.0])
     )
-    first, later = attitudes(read_folder(folder_of(tmp_path, told)))
+    first, later = attitudes(read_folder(folder_of(tmp_path, written)))
     # the same inertial direction moves west over the turning body
     boresight = [rotation.inv().apply([1.0, 0.0, 0.0]) for rotation in (first, later)]
     turned = [np.arctan2(direction[1], direction[0]) for direction in boresight]
@@ -123,12 +125,12 @@ def test_a_frame_outside_the_kernels_is_its_own_problem(
 def test_the_bodys_own_error_is_part_of_an_attitude_against_the_stars(tmp_path: Path) -> None:
     """Beyond the years of the fitted correction the series alone is good to 80 m: 9.5"."""
     identity = np.array([1.0, 0.0, 0.0, 0.0])
-    told = {UTCS[0]: identity, "2070-01-01T00:00:00Z": identity}
-    near, far = read_folder(folder_of(tmp_path, told, sigma="0")).frames
+    written = {UTCS[0]: identity, "2070-01-01T00:00:00Z": identity}
+    near, far = read_folder(folder_of(tmp_path, written, sigma="0")).frames
     moon = load_body("moon")
     assert moon.rotation_correction is not None
     for frame, error_m in ((near, moon.rotation_correction.error_m), (far, 80.0)):
         assert frame.attitude_sigma_rad == pytest.approx(error_m / moon.radius_m)
         assert frame.body_sigma_rad == frame.attitude_sigma_rad
-    free: Frame = read_folder(folder_of(tmp_path, told, sigma="")).frames[0]
+    free: Frame = read_folder(folder_of(tmp_path, written, sigma="")).frames[0]
     assert free.attitude_sigma_rad is None

@@ -1,4 +1,4 @@
-"""Numbers read as people say them."""
+"""Numbers and accounts in words."""
 
 import pytest
 
@@ -12,11 +12,11 @@ from optnav_cli.output.wording import account_lines, amount, duration, plural, s
     [(0.04, "0.0 s"), (9.94, "9.9 s"), (9.96, "10 s"), (59.6, "1 min 00 s"), (125, "2 min 05 s"),
      (7800, "2 h 10 min")],
 )  # fmt: skip
-def test_durations_read_as_people_say_them(seconds: float, text: str) -> None:
+def test_durations_are_written_in_the_largest_units(seconds: float, text: str) -> None:
     assert duration(seconds) == text
 
 
-def test_a_slow_rate_is_told_the_other_way_round() -> None:
+def test_a_slow_rate_is_written_as_time_a_unit() -> None:
     assert speed(0.25, "frame") == "4.0 s a frame"
     assert speed(12.34, "frame") == "12.3 frames/s"
 
@@ -34,7 +34,7 @@ def test_a_symbol_of_a_unit_has_no_plural() -> None:
     assert (plural("cell", 2), plural("cell", 1), plural("MB", 2)) == ("cells", "cell", "MB")
 
 
-def test_an_account_tells_outcome_reasons_and_stages_in_even_columns() -> None:
+def test_an_account_lists_outcome_reasons_and_stages_in_even_columns() -> None:
     account = Account("optnav", 2, cells=12)
     account.judge(
         [(True, Flag.NONE)] * 8 + [(False, Flag.FLAT | Flag.SHADOWED), (False, Flag.FLAT)]

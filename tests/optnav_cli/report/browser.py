@@ -1,4 +1,4 @@
-"""A headless Chromium, spoken to through its debugging pipe with the standard library alone."""
+"""A headless Chromium, driven through its debugging pipe with the standard library alone."""
 
 import base64
 import json

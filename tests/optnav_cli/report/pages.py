@@ -64,7 +64,7 @@ def report_of(source, tmp_path):
     assert "@import" not in text
     numbers = re.findall(r'\b(?:points|cx|cy|x|y|height|width)="([^"]*)"', text)
     assert not re.search("nan|inf", "".join(numbers))
-    # people who cannot see a drawing are told what it shows, and can jump by headings
+    # people who cannot see a drawing get its description, and can jump by headings
     assert all(page.labels)
     assert page.headings[0] == 1
     assert max(np.diff(page.headings), default=0) <= 1

@@ -1,4 +1,4 @@
-"""A small body and its points from six sides: where they are, what hides them, what is told."""
+"""A small body and its points from six sides: where they are, what hides them, what is written."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""Maps: every pixel knows its place and its cell, as another library says; relief is lit right."""
+"""Maps: every pixel knows its place and its cell, by another library, too; relief is lit right."""
 
 import sqlite3
 
