@@ -25,6 +25,7 @@ class CsvColumn:
     unit     of a number, as people write it
     form     how a number is written, as a format specification; "" as Python prints it
     empty    whether a cell may be empty: unknown, or not applicable
+    newer    whether files of former versions lack the column; its cells are empty then
     """
 
     name: str
@@ -33,6 +34,7 @@ class CsvColumn:
     unit: str = ""
     form: str = ""
     empty: bool = False
+    newer: bool = False
 
     def cell(self, value: object) -> str:
         """A value as it is written; None and numbers that are not finite are empty."""
@@ -171,11 +173,11 @@ class CsvTable:
         problem = ""
         if len(cells) != len(header):
             problem = f"the row has {len(cells)} values; wanted {len(header)}"
-        named = dict.fromkeys(header, "") | dict(zip(header, cells, strict=False))
+        named = dict.fromkeys([*self.names, *header], "") | dict(zip(header, cells, strict=False))
         return CsvRow(where, named, {column.name: column for column in self.columns}, problem)
 
     def _check_header(self, path: Path, header: list[str]) -> None:
-        missing = [name for name in self.names if name not in header]
+        missing = [c.name for c in self.columns if c.name not in header and not c.newer]
         if missing:
             extra = [name for name in header if name not in self.names]
             near = nearest_name(missing[0], extra)

@@ -56,7 +56,9 @@ USED = _count("n_used", "of these, kept by the solution")
 STATUS = _text("status", "solved or unsolved")
 METHOD = _text("method", "how the frame was solved, or how far it got", empty=True)
 REASON = _text("reason", "why a frame is unsolved, or a remark", empty=True)
-REASON_CODE = _text("reason_code", "the code of that reason, for programs", empty=True)
+REASON_CODE = CsvColumn(
+    "reason_code", "the code of that reason, for programs", "text", empty=True, newer=True
+)
 
 FRAMES = CsvTable(
     (

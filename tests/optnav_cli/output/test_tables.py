@@ -221,3 +221,14 @@ def test_a_covariance_that_is_none_is_refused(tmp_path, moon):
 
 def test_a_tiny_negative_number_is_written_without_its_sign():
     assert [fixed(v, 2) for v in (-0.001, -0.006, None, 0.0)] == ["0.00", "-0.01", "", "0.00"]
+
+
+def test_runs_written_before_reasons_had_codes_are_read(tmp_path, moon):
+    path = tmp_path / "solution.csv"
+    write_solutions(path, [a_solution(np.array([1.9e6, 0.0, 0.0]))], moon)
+    lines = [line.rpartition(",")[0] for line in path.read_text().splitlines()]
+    assert lines[0].endswith(",reason")
+    path.write_text("\n".join(lines) + "\n")
+    (read,) = read_solutions(path, moon)
+    assert read.solved
+    assert read.reason_code == ReasonCode.NONE
