@@ -224,11 +224,11 @@ def test_a_tiny_negative_number_is_written_without_its_sign():
 
 
 def test_runs_written_before_reasons_had_codes_are_read(tmp_path, moon):
-    path = tmp_path / "solution.csv"
-    write_solutions(path, [a_solution(np.array([1.9e6, 0.0, 0.0]))], moon)
+    path, attitude = tmp_path / "solution.csv", FileAttitude("camera_from_body", moon)
+    write_solutions(path, [a_solution(np.array([1.9e6, 0.0, 0.0]))], attitude)
     lines = [line.rpartition(",")[0] for line in path.read_text().splitlines()]
     assert lines[0].endswith(",reason")
     path.write_text("\n".join(lines) + "\n")
-    (read,) = read_solutions(path, moon)
+    (read,) = read_solutions(path, attitude)
     assert read.solved
     assert read.reason_code == ReasonCode.NONE
