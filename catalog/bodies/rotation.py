@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
-from catalog.bodies.body import (
-    J2000_YEAR,
-    JULIAN_YEAR_S,
-    Body,
-    RotationCorrection,
-    RotationSeries,
-)
+from catalog.bodies.body import J2000_YEAR, JULIAN_YEAR_S, Body, RotationCorrection, RotationSeries
 from catalog.bodies.epochs import DAY_S
 from catalog.geometry.kernel import kernel
 from catalog.geometry.rotations import ARCSEC

@@ -71,11 +71,7 @@ class Mosaic:
 
     @classmethod
     def from_files(
-        cls,
-        settings: Sequence[DemSettings],
-        base_dir: Path,
-        body: Body,
-        overview_dir: Path,
+        cls, settings: Sequence[DemSettings], base_dir: Path, body: Body, overview_dir: Path
     ) -> "Mosaic":
         """A mosaic of [[dem]] sections; overviews that `overview_dir` does not hold yet are made.
 
@@ -224,10 +220,7 @@ class Mosaic:
         self._reset()
 
     def _sample(
-        self,
-        places: Callable[[Georeference], Pixels],
-        count: int,
-        posting_m: float,
+        self, places: Callable[[Georeference], Pixels], count: int, posting_m: float
     ) -> Sampled:
         """Heights of `count` points; `places` finds them in a raster."""
         layers = []

@@ -130,10 +130,7 @@ class DemSource:
             body=body,
             place=place,
             convert=Conversion(
-                scale * factor,
-                offset * factor,
-                np.nan if nodata is None else float(nodata),
-                lowest,
+                scale * factor, offset * factor, np.nan if nodata is None else float(nodata), lowest
             ),
             heights="height",
             units=units,

@@ -36,12 +36,7 @@ FINEST_FACES = 4_000_000  # that a coarse model is refined to: a grown mesh must
 
 
 def smooth_corners(
-    path: Path,
-    longitude: str,
-    metres: float,
-    vertices: FloatArray,
-    faces: IntArray,
-    halvings: int,
+    path: Path, longitude: str, metres: float, vertices: FloatArray, faces: IntArray, halvings: int
 ) -> FloatArray:
     """Corners (m, 3, 3) m of a mesh whose edges are 2^halvings times shorter than the model's.
 

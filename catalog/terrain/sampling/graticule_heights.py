@@ -46,11 +46,7 @@ def heights_by_blocks(
 
 
 def heights_by_weights(
-    base: LevelWindows,
-    pyramid: HeightPyramid,
-    graticule: Graticule,
-    part: Part,
-    rows_wide: float,
+    base: LevelWindows, pyramid: HeightPyramid, graticule: Graticule, part: Part, rows_wide: float
 ) -> Float32Array:
     """Heights (height, width) m of a part from a level of a cylindrical raster, NaN for none.
 
