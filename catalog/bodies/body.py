@@ -177,10 +177,8 @@ class Body:
 
         tdb_s  TDB seconds past J2000
         """
-        correction = self.rotation_correction
-        if correction is None or not correction.holds(tdb_s):
-            return self.rotation.error_m
-        return correction.error_m
+        fit = self.rotation_correction
+        return (fit if fit is not None and fit.holds(tdb_s) else self.rotation).error_m
 
 
 def load_body(name_or_path: str, beside: Path | None = None) -> Body:

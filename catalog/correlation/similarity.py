@@ -46,10 +46,9 @@ def turned(
     """
     size = reference.shape[0]
     centre = (size - 1) / 2.0
-    matrix = cv2.getRotationMatrix2D((centre, centre), float(np.degrees(roll)), scale)
     image = cv2.warpAffine(
         reference,
-        matrix,
+        cv2.getRotationMatrix2D((centre, centre), float(np.degrees(roll)), scale),
         (size, size),
         flags=cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,

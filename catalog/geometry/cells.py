@@ -141,8 +141,7 @@ class CellGrid:
                 continue
             count = int(self.cells_in_band[band])
             lon = -180.0 + 360.0 * (np.arange(count) + 0.5) / count
-            inside = np.mod(lon - west, 360.0) <= width
-            cells.append(self.first_cell[band] + np.flatnonzero(inside))
+            cells.append(self.first_cell[band] + np.flatnonzero(np.mod(lon - west, 360.0) <= width))
         if not cells:
             return np.empty(0, dtype=np.int64)
         return np.concatenate(cells).astype(np.int64)

@@ -27,8 +27,7 @@ def bilinear(grid: Float32Array, row: float, col: float) -> float:
     y, x = row - r, col - c
     upper = grid[r, c] + x * (grid[r, c + 1] - grid[r, c])
     lower = grid[r + 1, c] + x * (grid[r + 1, c + 1] - grid[r + 1, c])
-    value: float = upper + y * (lower - upper)
-    return value
+    return float(upper + y * (lower - upper))
 
 
 @kernel

@@ -99,8 +99,7 @@ class Stereographic:
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights above the sphere."""
         directions = self.local_directions(x, y) @ self.body_from_local.T
-        radius = self.radius_m + np.asarray(height, dtype=np.float64)
-        return directions * radius[..., None]
+        return directions * (self.radius_m + np.asarray(height, dtype=np.float64))[..., None]
 
     def latlon(
         self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0

@@ -32,8 +32,7 @@ def _ratio(
     length = math.sqrt(a * a + b * b + 1.0)
     mu0 = max((-a * sun[0] - b * sun[1] + sun[2]) / length, GRAZING)
     mu = max((-a * view[0] - b * view[1] + view[2]) / length, GRAZING)
-    ratio: float = reflectance_scalar(mu0, mu, cos_g, surface) * (mu0 + mu) / mu0
-    return ratio
+    return float(reflectance_scalar(mu0, mu, cos_g, surface) * (mu0 + mu) / mu0)
 
 
 def slope_table(

@@ -147,8 +147,7 @@ def sun_products(suns_local: FloatArray) -> Float32Array:
     """
     suns = np.asarray(suns_local, dtype=np.float64).reshape(-1, 3)
     east, north = suns[:, 0] / suns[:, 2], suns[:, 1] / suns[:, 2]
-    products = np.stack([east * east, east * north, north * north], axis=1)
-    return products.astype(np.float32)
+    return np.stack([east * east, east * north, north * north], axis=1).astype(np.float32)
 
 
 def hessian_eigenvalue_map(

@@ -74,8 +74,7 @@ def predict_match(brightness: Float32Array, snr: float) -> MatchPrediction:
     """
     brightness = np.ascontiguousarray(brightness, dtype=np.float32)
     mxx, mxy, myy, mean = _structure_tensor(brightness)
-    error = _error_px(mxx, mxy, myy, mean, snr)
-    return MatchPrediction(error, _correlation(brightness, mean, snr))
+    return MatchPrediction(_error_px(mxx, mxy, myy, mean, snr), _correlation(brightness, mean, snr))
 
 
 def _error_px(mxx: float, mxy: float, myy: float, mean: float, snr: float) -> float:
@@ -90,8 +89,7 @@ def _correlation(brightness: Float32Array, mean: float, snr: float) -> float:
     if mean <= 0.0:
         return 0.0
     # holes are zero after the high-pass and count as nodes without contrast
-    deviation = cv2.meanStdDev(high_pass(brightness))[1]
-    contrast = float(deviation[0, 0]) / mean
+    contrast = float(cv2.meanStdDev(high_pass(brightness))[1][0, 0]) / mean
     return contrast / math.hypot(contrast, 1.0 / snr)
 
 

@@ -37,8 +37,7 @@ def strongest_peaks(response: Float32Array, radius: float, count: int) -> list[t
     rows, cols = np.ogrid[: left.shape[0], : left.shape[1]]
     peaks: list[tuple[int, int]] = []
     while len(peaks) < count and left.size:
-        flat = int(np.argmax(left))
-        row, col = divmod(flat, left.shape[1])
+        row, col = divmod(int(np.argmax(left)), left.shape[1])
         if not np.isfinite(left[row, col]):
             break
         peaks.append((row, col))

@@ -143,8 +143,7 @@ def distortion(circumstances: Circumstances) -> FloatArray:
     """(2, 2): map offsets of the ground (x east, y north) to offsets in the resampled picture."""
     turn = _similarity(circumstances.roll, circumstances.scale)
     along = np.array([np.sin(circumstances.stretch_azimuth), np.cos(circumstances.stretch_azimuth)])
-    squeeze = np.eye(2) - (1.0 - circumstances.stretch) * np.outer(along, along)
-    return turn @ squeeze
+    return turn @ (np.eye(2) - (1.0 - circumstances.stretch) * np.outer(along, along))
 
 
 def run_trial(

@@ -37,10 +37,9 @@ def picture_of(
     sigma = FINER * np.hypot(PSF_SIGMA_PX / averaging, 1.0 / np.sqrt(12.0))
     blurred = cv2.GaussianBlur(brightness, (0, 0), float(sigma))
     centre = np.full(2, (size - 1) / 2.0)
-    matrix = np.column_stack([ground_from_picture, origin - ground_from_picture @ centre])
     sampled = cv2.warpAffine(
         blurred,
-        matrix,
+        np.column_stack([ground_from_picture, origin - ground_from_picture @ centre]),
         (size, size),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_CONSTANT,

@@ -98,8 +98,7 @@ def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
     pole = np.roll(rolled, rows, axis=1)
     tall = np.concatenate([pole[1::-1], rolled, pole[:-3:-1]])
     wide = np.concatenate([tall[:, -2:], tall, tall[:, :2]], axis=1)
-    north = 0.5 * np.pi + 1.5 * step
-    return make_ground(wide, north, (shift - 1.5) * step, step, step, radius_m)
+    return make_ground(wide, 0.5 * np.pi + 1.5 * step, (shift - 1.5) * step, step, step, radius_m)
 
 
 def surroundings(wide: Ground, inner: Ground, margin: float) -> Ground:
@@ -156,7 +155,6 @@ def _join_maxima(max_heights: Float32Array) -> Float32Array:
 def grid_place(ground: Ground, x: float, y: float, z: float) -> tuple[float, float]:
     """Fractional row and column of a body-fixed direction; columns count from the west node on."""
     lat = np.arctan2(z, np.sqrt(x * x + y * y))
-    lon = np.arctan2(y, x)
-    east = lon - ground.west
+    east = np.arctan2(y, x) - ground.west
     east -= 2.0 * np.pi * np.floor(east / (2.0 * np.pi))
     return (ground.north - lat) / ground.step_lat, east / ground.step_lon

@@ -43,8 +43,7 @@ def _way_out(r: float, climb: float, ground: Ground) -> float:
     """Way (m) from radius r, rising by `climb` a metre, to above the highest node of a ground."""
     top = ground.radius_m + ground.highest_m
     free = r * r * climb * climb + (top - r) * (top + r)
-    way: float = np.sqrt(free) - r * climb + 1.0 if free > 0.0 else 0.0
-    return way
+    return float(np.sqrt(free) - r * climb + 1.0 if free > 0.0 else 0.0)
 
 
 @kernel

@@ -161,8 +161,7 @@ def _ray(corners: FloatArray, i: int, j: int, y: float, x: float) -> tuple[float
 def _pixel_angle(corners: FloatArray, i: int, j: int) -> float:
     p, q = corners[i, j], corners[i + 1, j + 1]
     d = (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
-    angle: float = np.sqrt(0.5 * d)
-    return angle
+    return float(np.sqrt(0.5 * d))
 
 
 @parallel_kernel
@@ -182,8 +181,7 @@ def first_hits(fine: Ground, wide: Ground, view: View, hits: Hits) -> None:
             if dx != dx:
                 hint = 0.0
                 continue
-            ray = Ray(origin[0], origin[1], origin[2], dx, dy, dz)
-            k, s, r, c = trace(fine, wide, ray, hint)
+            k, s, r, c = trace(fine, wide, Ray(origin[0], origin[1], origin[2], dx, dy, dz), hint)
             kind[i, j], distance[i, j], row[i, j], col[i, j] = k, s, r, c
             hint = 0.0
             if k == FINE:

@@ -77,13 +77,11 @@ class Mosaic:
 
         Raises DataError for a file that cannot be used and OutputError for an unwritable folder.
         """
-        ordered = sorted(settings, key=lambda s: s.priority)
-        return cls(
-            [
-                HeightPyramid.load_or_build(one, base_dir, body, overview_dir / f"dem-{i:02d}")
-                for i, one in enumerate(ordered)
-            ]
-        )
+        pyramids = [
+            HeightPyramid.load_or_build(one, base_dir, body, overview_dir / f"dem-{i:02d}")
+            for i, one in enumerate(sorted(settings, key=lambda s: s.priority))
+        ]
+        return cls(pyramids)
 
     @property
     def posting_m(self) -> float:
@@ -105,10 +103,9 @@ class Mosaic:
     @property
     def extent(self) -> str:
         """The ground that it covers: west, south, east, north of each source."""
-        sources = [pyramid.source for pyramid in self.pyramids]
         return "; ".join(
             f"{s.path.name} covers {','.join(f'{v:.6g}' for v in np.degrees(s.latlon_bounds()))}"
-            for s in sources
+            for s in (pyramid.source for pyramid in self.pyramids)
         )
 
     def files(self) -> list[Path]:
@@ -188,8 +185,7 @@ class Mosaic:
         there is no ground.
         """
         if len(self.pyramids) == 1:
-            found = self.covers(projection.lat, projection.lon, posting_m)
-            return self.names[0] if found else ""
+            return self.names[0] if self.covers(projection.lat, projection.lon, posting_m) else ""
         sampled = self._sample_grid(projection, posting_m, size)
         numbers = np.flatnonzero(sampled.used.any(axis=1)).tolist()
         middle = int(self.source_index(projection.lat, projection.lon))
@@ -207,9 +203,7 @@ class Mosaic:
     def _at(
         self, lat: ArrayLike, lon: ArrayLike, posting_m: float
     ) -> tuple[Sampled, tuple[int, ...]]:
-        lat, lon = np.broadcast_arrays(
-            np.asarray(lat, dtype=np.float64), np.asarray(lon, dtype=np.float64)
-        )
+        lat, lon = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (lat, lon)))
         flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
         return self._sample(lambda p: pixels_of_points(p, *flat), lat.size, posting_m), lat.shape
 

@@ -184,8 +184,7 @@ class MeshRays:
                     "rays on meshes need the package embreex, which is made for x86-64 machines "
                     "only; build on such a machine: its catalog can be used on all"
                 ) from None
-            device = EmbreeDevice()
-            scene = EmbreeScene(device)
+            scene = EmbreeScene(EmbreeDevice())
             TriangleMesh(scene, (self.corners / self.reach_m).astype(np.float32))
             self._index = scene
         return self._index

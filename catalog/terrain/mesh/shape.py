@@ -145,8 +145,7 @@ def _merged(raw: RawMesh, mended: list[str]) -> tuple[FloatArray, IntArray]:
     number = connected_components(links, directed=False)[1]
     _, first = np.unique(number, return_index=True)
     vertices, faces = raw.vertices[first], number.astype(np.int64)[raw.faces]
-    named = np.unique(raw.faces)
-    gone = named.size - np.unique(faces).size
+    gone = np.unique(raw.faces).size - np.unique(faces).size
     if gone:
         mended.append(f"{gone} vertices stood where another did and were merged")
     return vertices, faces

@@ -92,8 +92,7 @@ def surface_of(grid: RadiiGrid, longitude: str) -> tuple[FloatArray, IntArray]:
     at = np.stack([lats[:, None] + 0.0 * lons, np.mod(lons, 360.0) + 0.0 * radii, radii], axis=-1)
     at[np.abs(lats) > 90.0 - ANGLE_TOLERANCE_DEG, :, 1] = 0.0
     corners = at.reshape(-1, 3)[faces]
-    point_twice = (corners == np.roll(corners, -1, axis=1)).all(axis=2).any(axis=1)
-    faces = faces[~point_twice]
+    faces = faces[~(corners == np.roll(corners, -1, axis=1)).all(axis=2).any(axis=1)]
     return vertices, faces if sign > 0.0 else faces[:, ::-1]
 
 

@@ -147,8 +147,7 @@ class MeshTerrain:
         """Means of heights over the cells of a grid's nodes."""
         aside = int(np.clip(np.ceil(posting_m / self._posting_m - 0.05), 1, MAX_RAYS_ASIDE))
         x, y = node_grid(size * aside, posting_m / aside)
-        found = heights(projection, x, y, size * posting_m)
-        cells = found.reshape(size, aside, size, aside)
+        cells = heights(projection, x, y, size * posting_m).reshape(size, aside, size, aside)
         means: Float32Array = cells.mean(axis=(1, 3)).astype(np.float32)
         return means
 

@@ -96,8 +96,7 @@ class LevelWindows:
             self._fill(mirrored, -(row0 + top - 1) - 1, col0 + cols // 2)
             out[:top] = mirrored[::-1]
         if bottom < height and self.mirrors_bottom:
-            beyond = height - bottom
-            mirrored = np.full((beyond, width), np.nan, dtype=np.float32)
+            mirrored = np.full((height - bottom, width), np.nan, dtype=np.float32)
             self._fill(mirrored, 2 * rows - (row0 + height), col0 + cols // 2)
             out[bottom:] = mirrored[::-1]
         return out
@@ -155,8 +154,7 @@ class LevelWindows:
         place = self.pyramid.source.place
         edges = np.array([down * TILE, min((down + 1) * TILE, self.shape[0])]) * self.scale - 0.5
         lat, _ = place.latlon_from_pixel(np.zeros(2), edges)
-        share = 1.0 if self.level else 0.5
-        wide = share * float(place.columns_per_posting(1.0, lat).min())
+        wide = (1.0 if self.level else 0.5) * float(place.columns_per_posting(1.0, lat).min())
         return int(halvings_for(wide, self.most_halvings))
 
 

@@ -91,8 +91,7 @@ class CellSums:
     @property
     def coverage(self) -> float:
         """Share of the sphere's surface that has heights."""
-        rows = self.shares.shape[0]
-        edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, rows + 1))
+        edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, self.shares.shape[0] + 1))
         return float((edges[:-1] - edges[1:]) @ self.shares.mean(axis=1, dtype=np.float64) / 2.0)
 
     def fill_from(self, layer: Layer, progress: Progress) -> tuple[float, float]:
@@ -111,11 +110,9 @@ class CellSums:
             for window in windows:
                 pixels = layer.read(*window)
                 if layer.place.kind == CYLINDRICAL:
-                    edges = _edges(layer, len(self.means), window)
-                    low, high = _add_overlaps(pixels, *edges, new)
+                    low, high = _add_overlaps(pixels, *_edges(layer, len(self.means), window), new)
                 else:
-                    middles = _middles(layer, len(self.means), window)
-                    low, high = _add_middles(pixels, *middles, new)
+                    low, high = _add_middles(pixels, *_middles(layer, len(self.means), window), new)
                 lowest, highest = min(lowest, low), max(highest, high)
                 stage.advance()
         _join(new, Cells(self.means, self.shares, self.max_heights))

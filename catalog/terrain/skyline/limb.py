@@ -140,15 +140,13 @@ def _bound(bounds: Float32Array, x: float, y: float, z: float) -> float:
     per_rad = bounds.shape[0] / np.pi
     row = int((0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad)
     col = int((np.arctan2(y, x) + np.pi) * per_rad)
-    answer: float = bounds[min(row, bounds.shape[0] - 1), min(col, bounds.shape[1] - 1)]
-    return answer
+    return float(bounds[min(row, bounds.shape[0] - 1), min(col, bounds.shape[1] - 1)])
 
 
 @kernel
 def _cot(distance: float, radius: float, angle: float) -> float:
     """Cotangent of the off-nadir angle of a point; the skyline has the smallest."""
-    answer: float = (distance - radius * np.cos(angle)) / (radius * np.sin(angle))
-    return answer
+    return float((distance - radius * np.cos(angle)) / (radius * np.sin(angle)))
 
 
 @kernel

@@ -289,6 +289,5 @@ def skyline_limits_deg(
     angles = np.degrees(np.arctan(tangents)).reshape(AZIMUTHS, PER_BIN)
     # the border between two bins belongs to both
     middle, border = angles[:, 0], angles[:, PER_BIN // 2]
-    worst = np.maximum(np.maximum(middle, border), np.roll(border, 1))
-    limits: FloatArray = np.maximum(worst, 0.0)
+    limits: FloatArray = np.maximum(np.maximum(np.maximum(middle, border), np.roll(border, 1)), 0.0)
     return limits

@@ -66,8 +66,7 @@ def profile(x: float, wear: float) -> float:
     # (1 - y) exp(-y) with y = 2 x^2: floor, rim crest at x = 1, no net volume
     y = 2.0 * x * x
     worn = -_WORN_FLOOR * (1.0 - y) * float(np.exp(-y))
-    height: float = (1.0 - wear) * fresh + wear * worn
-    return height
+    return float((1.0 - wear) * fresh + wear * worn)
 
 
 @kernel
@@ -147,8 +146,7 @@ def _gather(population: Population, box: FloatArray, table: FloatArray) -> int:
             for turned in range(low, high + 1):
                 column = turned % columns
                 state = _cell_state(seed, octave, band, column)
-                count = _cell_count(state, band, bands, columns, 0.5 * top, f, radius)
-                for index in range(count):
+                for index in range(_cell_count(state, band, bands, columns, 0.5 * top, f, radius)):
                     if found < table.shape[0]:
                         crater = _crater(state, index, band, bands, column, columns, 0.5 * top)
                         for k in range(5):
@@ -166,8 +164,7 @@ def crater_table(
     Returns (n, 5): latitude, longitude (rad), diameter, rim-to-floor depth (m), wear 0..1.
     """
     box = np.array([south, west, north, width], dtype=np.float64)
-    empty = np.empty((0, 5))
-    table = np.empty((_gather(population, box, empty), 5))
+    table = np.empty((_gather(population, box, np.empty((0, 5))), 5))
     _gather(population, box, table)
     return table
 

@@ -129,8 +129,7 @@ class SyntheticRelief:
         table = craters.crater_table(
             self._population(octaves), *_body_box(body_from_grid, lat, lon)
         )
-        directions = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0)
-        own = directions @ body_from_grid
+        own = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0) @ body_from_grid
         own_lat = np.arcsin(np.clip(own[:, 2], -1.0, 1.0))
         row = (north - own_lat) / step
         col = np.mod(np.arctan2(own[:, 1], own[:, 0]) - west, 2.0 * np.pi) / step
