@@ -161,7 +161,11 @@ def _check_file(path: Path) -> None:
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
     if binary:
-        whole = _daf_bytes(head) if len(head) == _RECORD_BYTES else _RECORD_BYTES
+        whole = _RECORD_BYTES
+        if len(head) == whole:
+            # least size, from the file record (NAIF, "DAF Required Reading")
+            order = ">" if head[88:96] == b"BIG-IEEE" else "<"
+            whole = 8 * (int(struct.unpack_from(f"{order}i", head, 84)[0]) - 1)
         if size < whole:
             raise DataError(
                 f"{path}: the SPICE kernel is cut short: {size} of at least {whole} bytes; "
@@ -179,13 +183,6 @@ def _check_file(path: Path) -> None:
                 f"{path}: the SPICE kernel is cut short: a parenthesis of its last data section "
                 "is not closed; fetch it again"
             )
-
-
-def _daf_bytes(head: bytes) -> int:
-    """Least size of a binary kernel, from its file record (NAIF, "DAF Required Reading")."""
-    order = ">" if head[88:96] == b"BIG-IEEE" else "<"
-    (first_free,) = struct.unpack_from(f"{order}i", head, 84)
-    return 8 * (int(first_free) - 1)
 
 
 def _cover(spice: ModuleType, kind: str) -> dict[int, Span]:

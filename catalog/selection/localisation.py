@@ -175,14 +175,9 @@ def hessian_eigenvalue_map(
         raise ValueError(f"a window of {window} nodes does not fit into {heights.shape}")
     # the border of a grid lacks second differences: four sides of a window at most
     least = (1.0 - MAX_MISSING) * window * window - 4.0 * window
-    return _eigenvalue_map(
-        np.ascontiguousarray(heights, dtype=np.float32),
-        1.0 / posting_m,
-        window,
-        least,
-        azimuth_products() if products is None else products,
-        step,
-    )
+    grid = np.ascontiguousarray(heights, dtype=np.float32)
+    weights = azimuth_products() if products is None else products
+    return _eigenvalue_map(grid, 1.0 / posting_m, window, least, weights, step)
 
 
 def hessian_eigenvalue(

@@ -176,17 +176,9 @@ def run_trial(
         if not coarsest:  # one grid further than the level before it
             above = levels[number + 1]
             around = shadow_field([(above.reference, above.posting_m)], sun, radius_m, around)
-        template = _centre(
-            render_map(
-                level.reference,
-                level.posting_m,
-                sun,
-                law="lommel_seeliger",
-                radius_m=radius_m,
-                outer=around,
-            ),
-            search.template_nodes,
-        )
+        ground, posting_m, law = level.reference, level.posting_m, "lommel_seeliger"
+        template = render_map(ground, posting_m, sun, law=law, radius_m=radius_m, outer=around)
+        template = _centre(template, search.template_nodes)
         room = search.coarse_nodes if coarsest else search.fine_nodes
         window = search.template_nodes + 2 * room
         offset = ground_from_picture @ (place - circumstances.shift_m) / level.posting_m

@@ -59,23 +59,12 @@ def make_ground(
     lowest, highest = float(heights.min()), float(heights.max())
     if not np.isfinite(highest - lowest):
         raise ValueError("a ground needs a height at every node")
-    max_heights = [_block_maxima(heights)]
-    for _ in range(3):
-        max_heights.append(_join_maxima(max_heights[-1]))
-    return Ground(
-        heights,
-        float(north),
-        float(west),
-        float(step_lat),
-        float(step_lon),
-        float(radius_m),
-        max_heights[0],
-        max_heights[1],
-        max_heights[2],
-        max_heights[3],
-        lowest,
-        highest,
-    )
+    of_4 = _block_maxima(heights)
+    of_16 = _join_maxima(of_4)
+    of_64 = _join_maxima(of_16)
+    max_heights = of_4, of_16, of_64, _join_maxima(of_64)
+    place = float(north), float(west), float(step_lat), float(step_lon), float(radius_m)
+    return Ground(heights, *place, *max_heights, lowest, highest)
 
 
 def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
@@ -145,9 +134,7 @@ def _join_maxima(max_heights: Float32Array) -> Float32Array:
     out = np.empty(((rows + 3) // 4, (cols + 3) // 4), np.float32)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = max_heights[
-                4 * i : min(4 * i + 4, rows), 4 * j : min(4 * j + 4, cols)
-            ].max()
+            out[i, j] = max_heights[4 * i : 4 * i + 4, 4 * j : 4 * j + 4].max()
     return out
 
 

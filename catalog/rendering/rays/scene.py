@@ -131,9 +131,8 @@ class Scene:
     def _shade(self, wanted: ByteArray, origin: FloatArray, shaded: Float32Array) -> None:
         # blocks that an earlier picture lit stay lit
         self._fine_wanted[(wanted == 1) & (self._fine_wanted == 0)] = 1
-        light_blocks(
-            self.fine, self.between, self._around, self.sun, self._fine_wanted, self._fine_lit
-        )
+        grounds = self.fine, self.between, self._around
+        light_blocks(*grounds, self.sun, self._fine_wanted, self._fine_lit)
         shade_blocks(self.fine, self.sun, origin, self.surface, wanted, self._fine_lit, shaded)
 
 
@@ -236,11 +235,9 @@ def _wide_radiance(
     south_rate = bicubic_at(h, row + 0.5, col) - bicubic_at(h, row - 0.5, col)
     east_rate = bicubic_at(h, row, col + 0.5) - bicubic_at(h, row, col - 0.5)
     lat, lon = wide.north - row * wide.step_lat, wide.west + col * wide.step_lon
-    cos_lat, sin_lat, cos_lon, sin_lon = np.cos(lat), np.sin(lat), np.cos(lon), np.sin(lon)
-    up, east = (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat), (-sin_lon, cos_lon, 0.0)
     height = bicubic_at(h, row, col)
     light = Light(sun, camera, surface)
-    value: float = shade(wide, lat, height, up, east, south_rate, east_rate, light)
+    value: float = shade(wide, lat, lon, height, south_rate, east_rate, light)
     value *= free / 255.0
     return value
 

@@ -21,12 +21,12 @@ from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.source import METRES
 from catalog.terrain.mesh.file import MeshSettings, RawMesh, read_mesh
 from catalog.terrain.mesh.winding import Edges, edges_of, pieces_of, turns_about, volume_of
 
 log = logging.getLogger(__name__)
 
-METRES = {"m": 1.0, "km": 1000.0}
 # Vertices nearer than this share of the body's size are one: seams differ by rounding of their
 # longitude (1e-12), neighbours of the largest models are 1e-4 apart.
 SAME_VERTEX = 1e-7

@@ -39,7 +39,12 @@ def read_table(path: Path, longitude: str) -> tuple[FloatArray, IntArray]:
     if len(first) <= 2 and longitude == "west":
         raise ValueError('a table of vertices has no longitudes; take longitude = "west" out')
     if len(first) == 1 and len(second) == 3:
-        return _icq(np.loadtxt(path, skiprows=1, ndmin=2), int(first[0]))
+        rows, q = np.loadtxt(path, skiprows=1, ndmin=2), int(first[0])
+        if rows.shape != (6 * (q + 1) ** 2, 3):
+            wanted = 6 * (q + 1) ** 2
+            raise ValueError(f"{len(rows)} vertices; six faces of {q} x {q} have {wanted}")
+        numbers = np.arange(len(rows)).reshape(6, q + 1, q + 1)
+        return rows, np.concatenate([_quads(face) for face in numbers])
     if len(first) <= 2 and len(second) == 4:
         return _plates(path, int(first[0]))
     if len(first) != 3:
@@ -107,13 +112,6 @@ def _plates(path: Path, count: int) -> tuple[FloatArray, IntArray]:
     if vertices.shape != (count, 3) or faces.shape != (plates, 3):
         raise ValueError(f"{len(lines)} lines for {count} vertices and {plates} plates")
     return vertices, faces
-
-
-def _icq(rows: FloatArray, q: int) -> tuple[FloatArray, IntArray]:
-    if rows.shape != (6 * (q + 1) ** 2, 3):
-        raise ValueError(f"{len(rows)} vertices; six faces of {q} x {q} have {6 * (q + 1) ** 2}")
-    numbers = np.arange(len(rows)).reshape(6, q + 1, q + 1)
-    return rows, np.concatenate([_quads(face) for face in numbers])
 
 
 def _quads(numbers: IntArray) -> IntArray:

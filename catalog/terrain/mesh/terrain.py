@@ -7,6 +7,7 @@ Where it meets the ground again soon below, the ground overhangs and has no one 
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ class MeshTerrain:
     corners_file  .npy of (m, 3, 3) m, faces counter-clockwise from outside
     name          of the file that the mesh came from
     posting_m     distance of neighbouring vertices
+    in_planes     whether patches lie in tangent planes: on a small body
     """
 
     whole = True
@@ -41,33 +43,18 @@ class MeshTerrain:
 
     def __init__(self, body: Body, corners_file: Path, name: str, posting_m: float) -> None:
         self.body, self.corners_file, self.name = body, corners_file, name
-        self._posting_m = posting_m
-        self._rays: MeshRays | None = None
+        self.posting_m = posting_m
+        self.names: tuple[str, ...] = (name,)
+        self.extent = f"{name} covers all of {body.name}"
+        self.in_planes = 2.0 * body.radius_m < SMALL_BODY_M
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_rays": None}
+        return {name: value for name, value in self.__dict__.items() if name != "rays"}
 
-    @property
+    @cached_property
     def rays(self) -> MeshRays:
         """The mesh for rays, read at first use."""
-        if self._rays is None:
-            self._rays = MeshRays(np.load(self.corners_file))
-        return self._rays
-
-    @property
-    def posting_m(self) -> float:
-        """Distance of neighbouring vertices."""
-        return self._posting_m
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The mesh's file."""
-        return (self.name,)
-
-    @property
-    def extent(self) -> str:
-        """All of the body."""
-        return f"{self.name} covers all of {self.body.name}"
+        return MeshRays(np.load(self.corners_file))
 
     def files(self) -> list[Path]:
         """The file of corners."""
@@ -75,12 +62,7 @@ class MeshTerrain:
 
     def close(self) -> None:
         """Drop the mesh; it is read again at the next use."""
-        self._rays = None
-
-    @property
-    def in_planes(self) -> bool:
-        """Whether patches lie in tangent planes: on a small body."""
-        return 2.0 * self.body.radius_m < SMALL_BODY_M
+        self.__dict__.pop("rays", None)
 
     def projection(self, lat: float, lon: float) -> MapProjection:
         """The projection of patches about the ground at a place (rad, planetocentric)."""
@@ -145,7 +127,7 @@ class MeshTerrain:
         self, projection: MapProjection, posting_m: float, size: int, heights: Any
     ) -> Float32Array:
         """Means of heights over the cells of a grid's nodes."""
-        aside = int(np.clip(np.ceil(posting_m / self._posting_m - 0.05), 1, MAX_RAYS_ASIDE))
+        aside = int(np.clip(np.ceil(posting_m / self.posting_m - 0.05), 1, MAX_RAYS_ASIDE))
         x, y = node_grid(size * aside, posting_m / aside)
         cells = heights(projection, x, y, size * posting_m).reshape(size, aside, size, aside)
         means: Float32Array = cells.mean(axis=(1, 3)).astype(np.float32)

@@ -49,7 +49,11 @@ class LimbRelief:
         crests = relief.heights + np.float32(top_share) * (relief.max_heights - relief.heights)
         self.radius_m = relief.radius_m
         self.posting_m = relief.posting_m
-        self.grid = _with_borders(crests.astype(np.float32))
+        # one more row and column on every side, so that bilinear needs no exceptions
+        grid = crests.astype(np.float32)
+        half = grid.shape[1] // 2
+        tall = np.concatenate([np.roll(grid[:1], half, 1), grid, np.roll(grid[-1:], half, 1)])
+        self.grid = np.ascontiguousarray(np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1))
         self.bounds = _bounds(crests)
         self.highest_m = float(crests.max())
 
@@ -62,24 +66,16 @@ class LimbRelief:
         place = np.ascontiguousarray(position_m, dtype=np.float64)
         around = np.ascontiguousarray(azimuths, dtype=np.float64)
         found = np.empty((3, around.size))
-        _skyline(
-            self.grid,
-            self.bounds,
-            self.radius_m,
-            self.highest_m,
-            float(np.linalg.norm(place)),
-            np.ascontiguousarray(axes, dtype=np.float64),
-            around,
-            found,
-        )
-        return Skyline(found[0], found[1], found[2])
+        body = self.grid, self.bounds, self.radius_m, self.highest_m
+        rows = np.ascontiguousarray(axes, dtype=np.float64)
+        _skyline(*body, float(np.linalg.norm(place)), rows, around, found)
+        return Skyline(*found)
 
     def sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
         """Whether the Sun (3,), a direction, stands clear of the relief at places (n, 3), m."""
         places = np.ascontiguousarray(points, dtype=np.float64)
-        towards = unit(sun)
         lit = np.empty(len(places), np.bool_)
-        _sunlit(self.grid, self.radius_m, self.highest_m, self.posting_m, places, towards, lit)
+        _sunlit(self.grid, self.radius_m, self.highest_m, self.posting_m, places, unit(sun), lit)
         return lit
 
 
@@ -91,13 +87,6 @@ def nadir_axes(position: ArrayLike) -> FloatArray:
     first -= up * (first @ up)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(up, first), up])
-
-
-def _with_borders(grid: Float32Array) -> Float32Array:
-    """One more row and column on every side, so that bilinear needs no exceptions."""
-    half = grid.shape[1] // 2
-    tall = np.concatenate([np.roll(grid[:1], half, 1), grid, np.roll(grid[-1:], half, 1)])
-    return np.ascontiguousarray(np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1))
 
 
 def _bounds(grid: Float32Array) -> Float32Array:

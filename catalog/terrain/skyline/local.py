@@ -250,9 +250,8 @@ def _limits(heights: Float32Array, postings: FloatArray, radius: float, per_bin:
     for level in range(postings.size):
         max_heights[level] = -np.inf
         for height in grids[level].flat:
-            max_heights[level] = (
-                max(max_heights[level], height) if height == height else max_heights[level]
-            )
+            if height > max_heights[level]:
+                max_heights[level] = height
     half = AZIMUTHS * per_bin // 2
     tangents = np.empty(2 * half)
     for k in range(half):
