@@ -174,10 +174,7 @@ class SpiceEphemeris(Ephemeris):
     """SPICE kernels. Every time is a call of the toolkit (some 20 microseconds)."""
 
     def __init__(self, body: Body, kernels: Sequence[Path]) -> None:
-        """Load the kernels and check that they are about this body.
-
-        Raises DataError for kernels that are missing, damaged, incomplete or of another body.
-        """
+        """Raises DataError for kernels that are missing, damaged, incomplete or of another body."""
         self.body = body
         self._analytic = AnalyticEphemeris(body)
         self._kernels = KernelSet(kernels)

@@ -130,9 +130,8 @@ def _void_flat_windows(
 
 def cropped(grid: NDArray[Number], margin: int) -> NDArray[Number]:
     """A grid (rows, cols, ...) without its outer `margin` nodes, contiguous."""
-    return np.ascontiguousarray(
-        grid[margin : grid.shape[0] - margin, margin : grid.shape[1] - margin]
-    )
+    rows, cols = (slice(margin, side - margin) for side in grid.shape[:2])
+    return np.ascontiguousarray(grid[rows, cols])
 
 
 def match_ncc(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:

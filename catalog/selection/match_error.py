@@ -105,8 +105,7 @@ def best_rival(surface: Float32Array, search_nodes: float) -> float:
             here = surface[r, c]
             if not (LOBE_NODES < distance <= search_nodes and here > best):
                 continue
-            neighbours = surface[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
-            if here >= neighbours.max():
+            if here >= surface[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2].max():
                 best = float(here)
     return best
 

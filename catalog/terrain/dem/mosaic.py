@@ -167,7 +167,10 @@ class Mosaic:
         Where one cylindrical source serves the zone, a node whose footprint touches a hole has no
         height.
         """
-        meeting = [i for i, p in enumerate(self.pyramids) if _meets(p, latitudes)]
+        # south and north of each source
+        bounds = [p.source.latlon_bounds()[1::2] for p in self.pyramids]
+        least, most = latitudes
+        meeting = [i for i, (south, north) in enumerate(bounds) if south <= most and north >= least]
         if not meeting:
             return np.full((part.height, part.width), np.nan, dtype=np.float32)
         pyramid = self.pyramids[meeting[0]]
@@ -257,16 +260,8 @@ class Mosaic:
         return self._levels[i, level]
 
 
-def _meets(pyramid: HeightPyramid, latitudes: tuple[float, float]) -> bool:
-    _, south, _, north = pyramid.source.latlon_bounds()
-    return bool(south <= latitudes[1] and north >= latitudes[0])
-
-
 def _composed(layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count: int) -> Sampled:
-    """One height a point from those of the sources: point numbers, heights, weights, in order.
-
-    Each source is laid over what those below it give; where they give nothing it counts wholly.
-    """
+    """One height a point from those of the sources: point numbers, heights, weights, in order."""
     heights = np.full(count, np.nan, dtype=np.float32)
     source = np.full(count, -1, dtype=np.int8)
     used = np.zeros((len(layers), count), dtype=bool)

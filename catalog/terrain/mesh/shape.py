@@ -105,7 +105,17 @@ def closed_shape(path: Path, raw: RawMesh) -> Shape:
     if pieces < 0:
         raise DataError(f"{path}: the surface has only one side; wanted one that encloses a body")
     if pieces > 1:
-        _refuse_pieces(path, vertices, faces, pieces, piece)
+        sizes = np.bincount(piece, minlength=pieces)
+        largest = np.argsort(-sizes, kind="stable")[:NAMED_PLACES]
+        middles = np.array([vertices[faces[piece == k]].mean(axis=(0, 1)) for k in largest]) / 1e3
+        listed = "; ".join(
+            f"{sizes[k]} faces about ({x:.4g}, {y:.4g}, {z:.4g}) km"
+            for k, (x, y, z) in zip(largest, middles, strict=True)
+        )
+        raise DataError(
+            f"{path}: holds {pieces} closed surfaces ({listed}{'; ...' if pieces > 3 else ''}); "
+            "wanted one body: leave the others out of the file"
+        )
     faces = np.where(turned[:, None], faces[:, ::-1], faces)
     inward = volume_of(vertices, faces) < 0.0
     if inward:
@@ -115,7 +125,17 @@ def closed_shape(path: Path, raw: RawMesh) -> Shape:
         mended.append(f"{wrong} of {len(faces)} faces looked inward and were turned")
     used, faces = np.unique(faces, return_inverse=True)
     shape = Shape(vertices[used], faces.reshape(-1, 3), tuple(mended))
-    _check_manifold(path, shape)
+    # the same once more by a library made for it: what it cannot take is no solid
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(vert_properties=shape.vertices, tri_verts=shape.faces.astype(np.uint64))
+    )
+    if solid.status() != manifold3d.Error.NoError:
+        raise DataError(
+            f"{path}: is no solid ({solid.status().name}): faces that touch or cross each other; "
+            "mend it in a mesh editor"
+        )
+    if (count := len(solid.decompose())) != 1:
+        raise DataError(f"{path}: is {count} solids that touch; wanted one body")
     return shape
 
 
@@ -183,42 +203,10 @@ def _check_edges(path: Path, vertices: FloatArray, faces: IntArray, edges: Edges
             )
 
 
-def _refuse_pieces(
-    path: Path, vertices: FloatArray, faces: IntArray, pieces: int, piece: IntArray
-) -> None:
-    sizes = np.bincount(piece, minlength=pieces)
-    largest = np.argsort(-sizes, kind="stable")[:NAMED_PLACES]
-    middles = np.array([vertices[faces[piece == k]].mean(axis=(0, 1)) for k in largest]) / 1e3
-    listed = "; ".join(
-        f"{sizes[k]} faces about ({x:.4g}, {y:.4g}, {z:.4g}) km"
-        for k, (x, y, z) in zip(largest, middles, strict=True)
-    )
-    raise DataError(
-        f"{path}: holds {pieces} closed surfaces ({listed}{'; ...' if pieces > 3 else ''}); wanted "
-        "one body: leave the others out of the file"
-    )
-
-
-def _check_manifold(path: Path, shape: Shape) -> None:
-    """The same once more by a library made for it: what it cannot take is no solid."""
-    solid = manifold3d.Manifold(
-        manifold3d.Mesh64(vert_properties=shape.vertices, tri_verts=shape.faces.astype(np.uint64))
-    )
-    if solid.status() != manifold3d.Error.NoError:
-        raise DataError(
-            f"{path}: is no solid ({solid.status().name}): faces that touch or cross each other; "
-            "mend it in a mesh editor"
-        )
-    pieces = len(solid.decompose())
-    if pieces != 1:
-        raise DataError(f"{path}: is {pieces} solids that touch; wanted one body")
-
-
 def _places(points: FloatArray) -> str:
     """Latitudes and longitudes of the first few points."""
     lat, lon, radius = latlon_from_xyz(points[:NAMED_PLACES])
-    places = [
+    return "; ".join(
         f"lat {np.degrees(a):.2f}, lon {np.degrees(b):.2f}, {r / 1e3:.4g} km"
         for a, b, r in zip(lat, lon, radius, strict=True)
-    ]
-    return "; ".join(places) + ("; ..." if len(points) > NAMED_PLACES else "")
+    ) + ("; ..." if len(points) > NAMED_PLACES else "")

@@ -100,11 +100,8 @@ class CellSums:
         Returns the lowest and the highest of the raster, m. Raises DataError for a damaged file.
         """
         lowest, highest = np.inf, -np.inf
-        new = Cells(
-            np.zeros(self.means.shape),
-            np.zeros_like(self.shares),
-            np.full_like(self.max_heights, -np.inf),
-        )
+        max_heights = np.full_like(self.max_heights, -np.inf)
+        new = Cells(np.zeros(self.means.shape), np.zeros_like(self.shares), max_heights)
         windows = layer.windows()
         with progress.stage("relief", total=len(windows), unit="window") as stage:
             for window in windows:
@@ -304,10 +301,7 @@ def _join(new: Cells, kept: Cells) -> None:
 def _of_neighbours(
     holes: IntArray, means: Float32Array, shares: Float32Array, max_heights: Float32Array
 ) -> FloatArray:
-    """Mean and greatest height (holes, 2), averaged over those of the eight cells around.
-
-    NaN where none of these has heights.
-    """
+    """Mean and greatest height (holes, 2) of the eight cells around, averaged; NaN without any."""
     rows, cols = means.shape
     found = np.full((holes.shape[0], 2), np.nan)
     for n in range(holes.shape[0]):

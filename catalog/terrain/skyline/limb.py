@@ -8,6 +8,7 @@ whose highest ground (a coarse grid of bounds) cannot reach the skyline found so
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +37,15 @@ class Skyline:
     off_nadir: FloatArray
     range: FloatArray
     radius_m: FloatArray
+
+
+class _Outlook(NamedTuple):
+    """The grid with borders on a sphere (m), the observer's distance (m) and axes (3, 3)."""
+
+    grid: Float32Array
+    sphere: float
+    distance: float
+    axes: FloatArray
 
 
 class LimbRelief:
@@ -153,29 +163,18 @@ def _direction(
 
 @kernel
 def _ground_cot(
-    grid: Float32Array,
-    sphere: float,
-    distance: float,
-    axes: FloatArray,
-    azimuth: tuple[float, float],
-    angle: float,
+    outlook: _Outlook, azimuth: tuple[float, float], angle: float
 ) -> tuple[float, float]:
-    """`_cot` of the ground at an angle from the observer, and its radius.
-
-    azimuth  its cosine and sine
-    """
+    """`_cot` of the ground at an angle from the observer, at an azimuth, and its radius."""
     up, along = np.cos(angle), np.sin(angle)
-    x, y, z = _direction(axes, azimuth, up, along)
-    radius = sphere + _height(grid, x, y, z)
-    return (distance - radius * up) / (radius * along), radius
+    x, y, z = _direction(outlook.axes, azimuth, up, along)
+    radius = outlook.sphere + _height(outlook.grid, x, y, z)
+    return (outlook.distance - radius * up) / (radius * along), radius
 
 
 @kernel
 def _highest_of_segment(
-    grid: Float32Array,
-    sphere: float,
-    distance: float,
-    axes: FloatArray,
+    outlook: _Outlook,
     azimuth: tuple[float, float],
     segment: tuple[float, float, float, int],
     best: tuple[float, float],
@@ -190,7 +189,7 @@ def _highest_of_segment(
     for k in range(parts):
         angle = start + (k + 0.5) * step
         if low < angle < high:
-            cot, _ = _ground_cot(grid, sphere, distance, axes, azimuth, angle)
+            cot, _ = _ground_cot(outlook, azimuth, angle)
             if cot < best_cot:
                 best_cot, best_angle = cot, angle
     return best_cot, best_angle
@@ -198,20 +197,14 @@ def _highest_of_segment(
 
 @kernel
 def _refined(
-    grid: Float32Array,
-    sphere: float,
-    distance: float,
-    axes: FloatArray,
-    azimuth: tuple[float, float],
-    half: float,
-    best: tuple[float, float],
+    outlook: _Outlook, azimuth: tuple[float, float], half: float, best: tuple[float, float]
 ) -> tuple[float, float]:
     """`best` (cotangent, angle) after halvings of the step about it, from `half` (rad) on."""
     best_cot, best_angle = best
     for _ in range(REFINEMENTS):
         centre = best_angle
         for side in (-half, half):
-            cot, _ = _ground_cot(grid, sphere, distance, axes, azimuth, centre + side)
+            cot, _ = _ground_cot(outlook, azimuth, centre + side)
             if cot < best_cot:
                 best_cot, best_angle = cot, centre + side
         half *= 0.5
@@ -229,6 +222,7 @@ def _skyline(
     azimuths: FloatArray,
     found: FloatArray,
 ) -> None:
+    outlook = _Outlook(grid, sphere, distance, axes)
     posting = np.pi / (grid.shape[0] - 2)
     parts = int(np.ceil(SEGMENT / min(0.5 * posting, MAX_STEP)))
     step = SEGMENT / parts
@@ -259,13 +253,9 @@ def _skyline(
             if _cot(distance, radius, min(max(np.arccos(radius / distance), low), high)) > best:
                 continue
             segment = low, high, start, parts
-            best, best_angle = _highest_of_segment(
-                grid, sphere, distance, axes, azimuth, segment, (best, best_angle)
-            )
-        best, best_angle = _refined(
-            grid, sphere, distance, axes, azimuth, 0.5 * step, (best, best_angle)
-        )
-        _, radius = _ground_cot(grid, sphere, distance, axes, azimuth, best_angle)
+            best, best_angle = _highest_of_segment(outlook, azimuth, segment, (best, best_angle))
+        best, best_angle = _refined(outlook, azimuth, 0.5 * step, (best, best_angle))
+        _, radius = _ground_cot(outlook, azimuth, best_angle)
         found[0, n], found[1, n], found[2, n] = np.arctan2(1.0, best), best_angle, radius
 
 

@@ -53,29 +53,6 @@ def _tangent_heights(grids: Float32Array, postings: FloatArray, radius: float) -
 
 
 @kernel
-def _profile(
-    grid: Float32Array,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    first: int,
-    last: int,
-    heights: FloatArray,
-) -> None:
-    """Bilinear heights at (x, y) + k (dx, dy), k = first..last, in nodes; all must lie inside."""
-    size = grid.shape[0]
-    for k in range(first, last + 1):
-        col, row = x + k * dx, y + k * dy
-        i, j = min(np.uint64(row), np.uint64(size - 2)), min(np.uint64(col), np.uint64(size - 2))
-        dr, dc = row - i, col - j
-        i1, j1 = i + np.uint64(1), j + np.uint64(1)
-        heights[k - first] = (1.0 - dr) * ((1.0 - dc) * grid[i, j] + dc * grid[i, j1]) + dr * (
-            (1.0 - dc) * grid[i1, j] + dc * grid[i1, j1]
-        )
-
-
-@kernel
 def _inside(origin: float, step: float, top: float) -> tuple[float, float]:
     """Range of k for which 0 <= origin + k step <= top."""
     if abs(step) < 1e-12:
@@ -159,9 +136,20 @@ def _known_profile(
     s: FloatArray,
     z: FloatArray,
 ) -> int:
-    """Fill s, z with way and height of the points k step, k = first..last, that have ground."""
-    col, row, d_col, d_row = crossing
-    _profile(grid, col, row, d_col, d_row, first, last, z)
+    """Fill s, z with way and height of the points k step, k = first..last, that have ground.
+
+    All of them must lie inside the grid; heights are bilinear.
+    """
+    x, y, dx, dy = crossing
+    size = grid.shape[0]
+    for k in range(first, last + 1):
+        col, row = x + k * dx, y + k * dy
+        i, j = min(np.uint64(row), np.uint64(size - 2)), min(np.uint64(col), np.uint64(size - 2))
+        dr, dc = row - i, col - j
+        i1, j1 = i + np.uint64(1), j + np.uint64(1)
+        z[k - first] = (1.0 - dr) * ((1.0 - dc) * grid[i, j] + dc * grid[i, j1]) + dr * (
+            (1.0 - dc) * grid[i1, j] + dc * grid[i1, j1]
+        )
     count = 0
     for k in range(first, last + 1):
         height = z[k - first]

@@ -163,8 +163,7 @@ class SyntheticRelief:
         cx, cy = projection.xy_from_latlon(table[:, craters.LAT], table[:, craters.LON])
         middle = (size - 1) / 2.0
         # the map's scale is 1 + (rho / 2R)^2: craters grow with it
-        scale = 1.0 + (cx * cx + cy * cy) / (2.0 * self.radius_m) ** 2
-        table[:, craters.DIAMETER] *= scale
+        table[:, craters.DIAMETER] *= 1.0 + (cx * cx + cy * cy) / (2.0 * self.radius_m) ** 2
         steps = np.full(size, posting_m)
         craters.stamp(out, middle - cy / posting_m, middle + cx / posting_m, table, steps, steps)
         return out
