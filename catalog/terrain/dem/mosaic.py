@@ -55,6 +55,7 @@ class Mosaic:
         self.body = pyramids[0].source.body
         # one that shows all of the body without a hole: every place has ground
         self.whole = any(p.covers_the_body for p in pyramids)
+        self.posting_m = min(p.source.posting_m for p in pyramids)  # the finest of all
         self._reset()
 
     def _reset(self) -> None:
@@ -63,7 +64,7 @@ class Mosaic:
         self._feathers: dict[int, Feather | None] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"pyramids": self.pyramids, "body": self.body, "whole": self.whole}
+        return {k: v for k, v in self.__dict__.items() if not k.startswith("_")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -82,11 +83,6 @@ class Mosaic:
             for i, one in enumerate(sorted(settings, key=lambda s: s.priority))
         ]
         return cls(pyramids)
-
-    @property
-    def posting_m(self) -> float:
-        """The finest posting of all sources."""
-        return min(p.source.posting_m for p in self.pyramids)
 
     @property
     def names(self) -> tuple[str, ...]:
