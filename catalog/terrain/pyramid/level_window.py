@@ -63,14 +63,10 @@ class LevelWindows:
         self.wraps = whole
         top, bottom = mirrored_poles(place)
         self.mirrors_top, self.mirrors_bottom = even and top, even and bottom
-        self.most_halvings = self._count_halvings() if base is None else 0
-
-    def _count_halvings(self) -> int:
-        """Halvings that leave some columns, and an even number of whole ones in a ring."""
-        cols, count = self.shape[1], 0
-        while cols >= 2 * MIN_COLUMNS and not (self.wraps and cols % 4):
-            cols, count = -(-cols // 2), count + 1
-        return count
+        self.most_halvings = 0
+        # halvings leave some columns, and an even number of whole ones in a ring
+        while base is None and cols >= 2 * MIN_COLUMNS and not (whole and cols % 4):
+            cols, self.most_halvings = -(-cols // 2), self.most_halvings + 1
 
     def halved(self, halvings: int) -> "LevelWindows":
         """The same level with columns averaged 2^halvings at a time."""
