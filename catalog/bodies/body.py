@@ -13,7 +13,6 @@ from catalog.errors import ConfigError
 SunTheory = Literal[
     "moon", "earth", "mercury", "venus", "mars", "jupiter", "saturn", "uranus", "neptune"
 ]
-Heights = tuple[float, float]
 Polynomial = tuple[float, float, float]
 Axes = tuple[float, float, float]
 J2000_YEAR = 2000.0
@@ -134,7 +133,7 @@ class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     radius_km: float
     radii_km: tuple[float, float, float]
     gm_km3_s2: float
-    plausible_heights_km: Heights
+    plausible_heights_km: tuple[float, float]
     sun: SunTheory
     rotation: RotationSeries
     rotation_correction: RotationCorrection | None = None
@@ -164,7 +163,7 @@ class Body:
     radius_m: float
     radii_m: tuple[float, float, float]
     gm_m3_s2: float
-    plausible_heights_m: Heights
+    plausible_heights_m: tuple[float, float]
     rotation: RotationSeries
     sun: SunTheory
     rotation_correction: RotationCorrection | None = None
@@ -177,10 +176,8 @@ class Body:
 
         tdb_s  TDB seconds past J2000
         """
-        correction = self.rotation_correction
-        if correction is None or not correction.holds(tdb_s):
-            return self.rotation.error_m
-        return correction.error_m
+        fit = self.rotation_correction
+        return (fit if fit is not None and fit.holds(tdb_s) else self.rotation).error_m
 
 
 def load_body(name_or_path: str, beside: Path | None = None) -> Body:

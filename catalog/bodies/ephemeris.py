@@ -12,10 +12,11 @@ Positions are geometric ones at the very time, as forces and orbits need them.
 """
 
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import erfa
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, LockedOrbit, SunTheory, load_body
 from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
-from catalog.bodies.kernels import KernelSet
+from catalog.bodies.kernels import KernelSet, common_span
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import DataError
 from catalog.geometry.vectors import unit
@@ -49,7 +50,8 @@ def planet_body(body: Body, orbit: LockedOrbit, tdb_s: float) -> FloatArray:
 
 LIGHT_AU_PER_DAY = 173.1446326846693  # c * 86400 s / 149597870700 m
 AU_M = 149597870700.0
-PLANETS = {  # numbers of SOFA's plan94
+# Numbers of SOFA's plan94.
+PLANETS = {
     "mercury": 1,
     "venus": 2,
     "mars": 4,
@@ -65,30 +67,6 @@ def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
     from_sun, velocity = _heliocentric(body.sun, tdb_s / DAY_S)
     direction = -unit(from_sun)
     return unit(direction + velocity / LIGHT_AU_PER_DAY)
-
-
-def position_inertial(body: Body, of: str, tdb_s: float) -> FloatArray:
-    """Position (3,) of the centre of `of` from the body's centre at the same time, inertial, m.
-
-    of  sun, earth, moon or mars. For Phobos all but Mars are seen from Mars, 9400 km off.
-    Raises DataError for a moon's planet where the moon's file has no [orbit].
-    """
-    day = tdb_s / DAY_S
-    if body.orbit is not None and of == body.orbit.around:
-        turn = body_from_inertial(body, tdb_s)
-        return turn.T @ planet_body(body, body.orbit, tdb_s)
-    if of == body.name or of == body.sun:
-        raise DataError(
-            f"there is no theory here of {of} as seen from {body.name}; "
-            "name SPICE kernels that have it"
-        )
-    if {of, body.sun} == {"earth", "moon"}:
-        # the pair itself: the Sun's distance would cost digits
-        sign = 1.0 if of == "moon" else -1.0
-        return sign * _moon(day)[0] * AU_M
-    seen_from = _heliocentric(body.sun, day)[0]
-    there = np.zeros(3) if of == "sun" else _heliocentric(of, day)[0]
-    return (there - seen_from) * AU_M
 
 
 def _heliocentric(of: str, day: float) -> tuple[FloatArray, FloatArray]:
@@ -127,34 +105,34 @@ SUN_NAIF = (10,)
 _AGREEMENT = np.radians(0.5)
 
 
-class Ephemeris(Protocol):
+class Ephemeris(ABC):
     """Rotation of a body and the directions and places of its neighbours; times are TDB s."""
 
-    @property
-    def body(self) -> Body:
-        """The body that this is about."""
+    body: Body
+    name: str  # the source, for a log
 
-    @property
-    def name(self) -> str:
-        """The source, for a log."""
-
+    @abstractmethod
     def error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
 
+    @abstractmethod
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
         """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
 
+    @abstractmethod
     def sun_inertial(self, tdb_s: float) -> FloatArray:
         """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes."""
 
-    def sun_body(self, tdb_s: float) -> FloatArray:
-        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
-
+    @abstractmethod
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
         """Geometric position (3,) of a neighbour's centre from the body's, inertial, m."""
 
+    def sun_body(self, tdb_s: float) -> FloatArray:
+        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
+        return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
 
-class AnalyticEphemeris:
+
+class AnalyticEphemeris(Ephemeris):
     """Analytic theories: SOFA and the rotation series of the body's file."""
 
     def __init__(self, body: Body) -> None:
@@ -162,41 +140,45 @@ class AnalyticEphemeris:
         self.name = "analytic theory (SOFA, rotation series)"
 
     def error_m(self, tdb_s: float) -> float:
-        """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
         return self.body.rotation_error_m(tdb_s)
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
-        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
         return body_from_inertial(self.body, tdb_s)
 
     def sun_inertial(self, tdb_s: float) -> FloatArray:
-        """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes."""
         return sun_direction_inertial(self.body, tdb_s)
 
-    def sun_body(self, tdb_s: float) -> FloatArray:
-        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
-        return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
-
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
-        """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
+        """For Phobos all but Mars are seen from Mars, 9400 km off.
 
-        Raises DataError for a pair without a theory here: a body and itself.
+        Raises DataError for a pair without a theory here: a body and itself, or a moon's planet
+        where the moon's file has no [orbit].
         """
-        return position_inertial(self.body, of, tdb_s)
+        body, day = self.body, tdb_s / DAY_S
+        if body.orbit is not None and of == body.orbit.around:
+            return body_from_inertial(body, tdb_s).T @ planet_body(body, body.orbit, tdb_s)
+        if of == body.name or of == body.sun:
+            raise DataError(
+                f"there is no theory here of {of} as seen from {body.name}; "
+                "name SPICE kernels that have it"
+            )
+        if {of, body.sun} == {"earth", "moon"}:
+            # the pair itself: the Sun's distance would cost digits
+            return (1.0 if of == "moon" else -1.0) * _moon(day)[0] * AU_M
+        seen_from = _heliocentric(body.sun, day)[0]
+        there = np.zeros(3) if of == "sun" else _heliocentric(of, day)[0]
+        return (there - seen_from) * AU_M
 
 
-class SpiceEphemeris:
+class SpiceEphemeris(Ephemeris):
     """SPICE kernels. Every time is a call of the toolkit (some 20 microseconds)."""
 
     def __init__(self, body: Body, kernels: Sequence[Path]) -> None:
-        """Load the kernels and check that they are about this body.
-
-        Raises DataError for kernels that are missing, damaged, incomplete or of another body.
-        """
+        """Raises DataError for kernels that are missing, damaged, incomplete or of another body."""
         self.body = body
         self._analytic = AnalyticEphemeris(body)
         self._kernels = KernelSet(kernels)
-        self._orbits = self._kernels.has_orbits
+        self._orbits = bool(self._kernels.orbits)
         rest = "" if self._orbits else "; the Sun by analytic theory (SOFA)"
         self.name = f"SPICE kernels ({self._kernels.names}){rest}"
         if body.spice is None:
@@ -208,46 +190,29 @@ class SpiceEphemeris:
         self._check()
 
     def error_m(self, tdb_s: float) -> float:
-        """Error of the rotation as a shift of the surface, 1 sigma a body axis, m."""
         stated = self._names.frame_error_m
         return self.body.rotation_error_m(tdb_s) if stated is None else stated
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
-        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame.
-
-        Raises DataError, with the span the kernels cover, for a time outside it.
-        """
+        """Raises DataError, with the span the kernels cover, for a time outside it."""
         return self._kernels.rotation(self._frame, tdb_s)
 
     def sun_inertial(self, tdb_s: float) -> FloatArray:
-        """Unit vector (3,) to the apparent Sun from the body's centre, inertial axes.
-
-        Raises DataError, with the span the kernels cover, for a time outside it.
-        """
+        """Raises DataError, with the span the kernels cover, for a time outside it."""
         if not self._orbits:
             return self._analytic.sun_inertial(tdb_s)
         of, centre = self._sun_and_viewer()
         return unit(self._kernels.position_m(of, centre, tdb_s, apparent=True))
 
-    def sun_body(self, tdb_s: float) -> FloatArray:
-        """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
-        return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
-
     def position_m(self, of: Neighbour, tdb_s: float) -> FloatArray:
-        """Geometric position (3,) of a neighbour's centre from the body's, inertial, m.
-
-        Raises DataError for a time or body that the kernels do not cover.
-        """
+        """Raises DataError for a time or body that the kernels do not cover."""
         orbit = self.body.orbit
-        own = orbit is not None and of == orbit.around and not self._has_own_orbit()
-        if own or not self._orbits:
+        lacking = not any(self._kernels.has_orbit(number) for number in self._names.naif)
+        if (lacking and orbit is not None and of == orbit.around) or not self._orbits:
             return self._analytic.position_m(of, tdb_s)
         centre = self._number(self.body.name, self._names.naif)
         there = self._number(of, naif_numbers(of))
         return self._kernels.position_m(there, centre, tdb_s, apparent=False)
-
-    def _has_own_orbit(self) -> bool:
-        return any(self._kernels.has_orbit(number) for number in self._names.naif)
 
     def _sun_and_viewer(self) -> tuple[int, int]:
         """NAIF numbers of the Sun and of the body that it is seen from."""
@@ -277,7 +242,7 @@ class SpiceEphemeris:
             middle = _middle(self._kernels.orbit_span((sun, centre)), middle)
             ours, theirs = (m.sun_inertial(middle) for m in (self._analytic, self))
             self._compare(float(np.linalg.norm(ours - theirs)), "the Sun", middle)
-        middle = _middle(self._kernels.turn_span(), middle)
+        middle = _middle(common_span(self._kernels.turns.values()), middle)
         ours, theirs = (m.body_from_inertial(middle) for m in (self._analytic, self))
         # a rotation by a small angle differs from none by sqrt(2) of it
         apart = float(np.linalg.norm(ours @ theirs.T - np.eye(3)) / np.sqrt(2.0))

@@ -32,6 +32,8 @@ _LOCK = threading.RLock()  # the toolkit is not safe to call from two threads
 class KernelSet:
     """The kernels of one run, in the order given; later ones win over earlier ones.
 
+    orbits  first and last time, TDB s, of the orbits of bodies, by NAIF number
+    turns   the same of the binary orientation kernels
     Raises DataError for a kernel that is missing, cut short or no kernel, and where spiceypy is
     not installed.
     """
@@ -43,22 +45,16 @@ class KernelSet:
         for path in self.paths:
             _check_file(Path(path))
         with self._loaded() as spice:
-            self._orbits = _cover(spice, "SPK")
-            self._turns = _cover(spice, "PCK")
+            self.orbits, self.turns = _cover(spice, "SPK"), _cover(spice, "PCK")
 
     @property
     def names(self) -> str:
         """The file names, for a log."""
         return ", ".join(Path(path).name for path in self.paths)
 
-    @property
-    def has_orbits(self) -> bool:
-        """Whether any kernel has orbits."""
-        return bool(self._orbits)
-
     def has_orbit(self, number: int) -> bool:
         """Whether a kernel has the orbit of the body with this NAIF number."""
-        return number in self._orbits
+        return number in self.orbits
 
     def has_frame(self, frame: str) -> bool:
         """Whether the kernels define a frame of this name, with data or without."""
@@ -81,7 +77,7 @@ class KernelSet:
                 matrix: FloatArray = spice.pxform(INERTIAL, frame, tdb_s)
                 return matrix
             except spice.exceptions.SpiceyError as error:
-                span = _common(self._turns.values())
+                span = common_span(self.turns.values())
                 raise self._no_data(f"the frame {frame}", tdb_s, span, error) from None
 
     def position_m(self, of: int, seen_from: int, tdb_s: float, *, apparent: bool) -> FloatArray:
@@ -96,18 +92,14 @@ class KernelSet:
             try:
                 km, _ = spice.spkpos(str(of), tdb_s, INERTIAL, correction, str(seen_from))
             except spice.exceptions.SpiceyError as error:
-                pair = (self._orbits[n] for n in (of, seen_from) if n in self._orbits)
+                pair = (self.orbits[n] for n in (of, seen_from) if n in self.orbits)
                 what = f"body {of} seen from {seen_from}"
-                raise self._no_data(what, tdb_s, _common(pair), error) from None
+                raise self._no_data(what, tdb_s, common_span(pair), error) from None
         return np.asarray(km) * 1e3
 
     def orbit_span(self, numbers: Sequence[int]) -> Span | None:
         """First and last time, TDB s, of the orbits of all these bodies."""
-        return _common(self._orbits[n] for n in numbers if n in self._orbits)
-
-    def turn_span(self) -> Span | None:
-        """From when to when the binary orientation kernels reach; None without such kernels."""
-        return _common(self._turns.values())
+        return common_span(self.orbits[n] for n in numbers if n in self.orbits)
 
     def _no_data(self, what: str, tdb_s: float, span: Span | None, error: Exception) -> DataError:
         at = utc_from_tdb_s(tdb_s, 0)
@@ -127,7 +119,13 @@ class KernelSet:
     @contextmanager
     def _loaded(self) -> Iterator[ModuleType]:
         """The toolkit with this set in place, for one thread at a time."""
-        spice = _toolkit()
+        try:
+            spice = import_module("spiceypy")
+        except ImportError:
+            raise DataError(
+                "SPICE kernels are named, but the package spiceypy is not installed; "
+                "install it with `pip install 'optnav[spice]'`, or leave [spice] out"
+            ) from None
         with _LOCK:
             if KernelSet._in_use != self.paths:
                 for path in KernelSet._in_use:
@@ -147,16 +145,6 @@ class KernelSet:
             yield spice
 
 
-def _toolkit() -> ModuleType:
-    try:
-        return import_module("spiceypy")
-    except ImportError:
-        raise DataError(
-            "SPICE kernels are named, but the package spiceypy is not installed; "
-            "install it with `pip install 'optnav[spice]'`, or leave [spice] out"
-        ) from None
-
-
 def _check_file(path: Path) -> None:
     """Refuse what is no kernel or cut short: the toolkit itself loads both without a word."""
     if len(str(path)) > _MAX_PATH:
@@ -173,7 +161,11 @@ def _check_file(path: Path) -> None:
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
     if binary:
-        whole = _daf_bytes(head) if len(head) == _RECORD_BYTES else _RECORD_BYTES
+        whole = _RECORD_BYTES
+        if len(head) == whole:
+            # least size, from the file record (NAIF, "DAF Required Reading")
+            order = ">" if head[88:96] == b"BIG-IEEE" else "<"
+            whole = 8 * (int(struct.unpack_from(f"{order}i", head, 84)[0]) - 1)
         if size < whole:
             raise DataError(
                 f"{path}: the SPICE kernel is cut short: {size} of at least {whole} bytes; "
@@ -191,13 +183,6 @@ def _check_file(path: Path) -> None:
                 f"{path}: the SPICE kernel is cut short: a parenthesis of its last data section "
                 "is not closed; fetch it again"
             )
-
-
-def _daf_bytes(head: bytes) -> int:
-    """Least size of a binary kernel, from its file record (NAIF, "DAF Required Reading")."""
-    order = ">" if head[88:96] == b"BIG-IEEE" else "<"
-    (first_free,) = struct.unpack_from(f"{order}i", head, 84)
-    return 8 * (int(first_free) - 1)
 
 
 def _cover(spice: ModuleType, kind: str) -> dict[int, Span]:
@@ -224,7 +209,7 @@ def _cover(spice: ModuleType, kind: str) -> dict[int, Span]:
     return spans
 
 
-def _common(spans: Iterable[Span]) -> Span | None:
+def common_span(spans: Iterable[Span]) -> Span | None:
     """What all spans share; None without spans."""
     listed = list(spans)
     if not listed:

@@ -16,6 +16,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import (
     J2000_YEAR,
     JULIAN_YEAR_S,
+    Axes,
     Body,
     RotationCorrection,
     RotationSeries,
@@ -24,16 +25,13 @@ from catalog.bodies.epochs import DAY_S
 from catalog.geometry.kernel import kernel
 from catalog.geometry.rotations import ARCSEC
 
-Axes = tuple[float, float, float]
-
 CENTURY_S = 36525.0 * DAY_S
 _DEGREE = math.pi / 180.0
 
 
 @kernel
 def _quadratic(coefficients: FloatArray, t: float) -> float:
-    value: float = coefficients[0] + t * (coefficients[1] + t * coefficients[2])
-    return value
+    return float(coefficients[0] + t * (coefficients[1] + t * coefficients[2]))
 
 
 @kernel

@@ -23,10 +23,10 @@ from catalog.jobs.workspace import code_key, content_hash, stage_key
 from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.mosaic import Mosaic
-from catalog.terrain.dem.source import DemSource
+from catalog.terrain.dem.source import METRES, DemSource
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.refine import FINEST_FACES, smooth_corners
-from catalog.terrain.mesh.shape import METRES, Shape, load_shape
+from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
 from catalog.terrain.pyramid.overviews import FORMAT
 from catalog.terrain.pyramid.pyramid import HeightPyramid

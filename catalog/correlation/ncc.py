@@ -130,9 +130,8 @@ def _void_flat_windows(
 
 def cropped(grid: NDArray[Number], margin: int) -> NDArray[Number]:
     """A grid (rows, cols, ...) without its outer `margin` nodes, contiguous."""
-    return np.ascontiguousarray(
-        grid[margin : grid.shape[0] - margin, margin : grid.shape[1] - margin]
-    )
+    rows, cols = (slice(margin, side - margin) for side in grid.shape[:2])
+    return np.ascontiguousarray(grid[rows, cols])
 
 
 def match_ncc(reference: Float32Array, search: Float32Array, margin_nodes: int = 0) -> Match:
@@ -146,8 +145,7 @@ def match_ncc(reference: Float32Array, search: Float32Array, margin_nodes: int =
 def match_in(reference: Float32Array, image: Filtered, margin_nodes: int = 0) -> Match:
     """`match_ncc` in a search grid that is filtered already."""
     nodes = int(np.isfinite(cropped(reference, margin_nodes)).sum())
-    template = filtered(reference, margin_nodes=margin_nodes)
-    return locate_peak(correlated(template, image), nodes)
+    return locate_peak(correlated(filtered(reference, margin_nodes=margin_nodes), image), nodes)
 
 
 def blur_nodes(posting_m: float, known_m: float) -> float:
@@ -194,39 +192,29 @@ def match_masked(reference: Float32Array, search: Float32Array, margin_nodes: in
     """
     room = (search.shape[0] - reference.shape[0]) // 2
     reference = np.where(np.isfinite(cropped(search, room)), reference, np.float32(np.nan))
-    sides = [cropped(high_pass(grid), margin_nodes) for grid in (reference, search)]
-    masks = [
-        np.isfinite(cropped(grid, margin_nodes)).astype(np.float32) for grid in (reference, search)
-    ]
-    # a side without contrast has no correlation: rounding noise would decide
-    floors = [
-        MIN_CONTRAST * float(np.nanmax(np.abs(grid), initial=0.0)) for grid in (reference, search)
-    ]
-    surface, common = _surface(sides[0], masks[0], sides[1], masks[1], floors)
+    both = reference, search
+    has, shows = (np.isfinite(cropped(grid, margin_nodes)).astype(np.float32) for grid in both)
+    template, image = (filtered(grid, margin_nodes) for grid in both)
+    surface, common = _surface(template, has, image, shows)
     row, col = np.unravel_index(int(np.argmax(surface)), surface.shape)
     return locate_peak(surface, int(common[row, col]))
 
 
 def _surface(
-    template: Float32Array,
-    has: Float32Array,
-    image: Float32Array,
-    shows: Float32Array,
-    floors: list[float],
+    template: Filtered, has: Float32Array, image: Filtered, shows: Float32Array
 ) -> tuple[Float32Array, FloatArray]:
     """Scores at every place where the template fits, -1 with too few nodes; and common nodes."""
+    part, whole = template.values, image.values
     common = _sums(shows, has)
     n = np.maximum(common, 1.0)
-    of_template, of_image = _sums(shows, template), _sums(image, has)
-    product = _sums(image, template) - of_template * of_image / n
-    squares = (
-        _sums(shows, template * template) - of_template**2 / n,
-        _sums(image * image, has) - of_image**2 / n,
-    )
+    of_part, of_whole = _sums(shows, part), _sums(whole, has)
+    product = _sums(whole, part) - of_part * of_whole / n
+    part_square = _sums(shows, part * part) - of_part**2 / n
+    whole_square = _sums(whole * whole, has) - of_whole**2 / n
     enough = common >= max(MIN_COMMON_SHARE * common.max(), 1.0)
-    for square, floor in zip(squares, floors, strict=True):
-        enough &= square > n * floor**2
-    square = np.where(enough, squares[0] * squares[1], 1.0)
+    # a side without contrast has no correlation: rounding noise would decide
+    enough &= (part_square > n * template.floor**2) & (whole_square > n * image.floor**2)
+    square = np.where(enough, part_square * whole_square, 1.0)
     surface = np.where(enough, product / np.sqrt(square), -1.0)
     return np.clip(surface, -1.0, 1.0).astype(np.float32), common
 

@@ -46,15 +46,8 @@ def turned(
     """
     size = reference.shape[0]
     centre = (size - 1) / 2.0
-    matrix = cv2.getRotationMatrix2D((centre, centre), float(np.degrees(roll)), scale)
-    image = cv2.warpAffine(
-        reference,
-        matrix,
-        (size, size),
-        flags=cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=beyond,
-    )
+    turn = cv2.getRotationMatrix2D((centre, centre), float(np.degrees(roll)), scale)
+    image = cv2.warpAffine(reference, turn, (size, size), borderValue=beyond)
     return np.asarray(image, dtype=np.float32)
 
 
@@ -124,10 +117,7 @@ def pair_scores(
 
 
 def _window_contrast(image: Filtered, size: int) -> Float32Array:
-    """Root of the sum of squared differences to the mean, of each square window of an image.
-
-    Infinite where there is no contrast, so that nothing correlates there.
-    """
+    """Root of summed squared differences to the mean of square windows; infinite without any."""
     count = image.values.shape[0] - size + 1
     mean, square = (
         box(

@@ -80,11 +80,7 @@ def _cell_sums(image: Float32Array, cell_px: int) -> Float32Array:
 
 @kernel
 def _gather(
-    sums: Float32Array,
-    rows: IntArray,
-    cols: IntArray,
-    cell_px: int,
-    weights: Float32Array,
+    sums: Float32Array, rows: IntArray, cols: IntArray, cell_px: int, weights: Float32Array
 ) -> Float32Array:
     """Weighted cell sums of each square, normalised; zeros for a square without contrast."""
     cells = weights.shape[0]

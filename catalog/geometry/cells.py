@@ -68,7 +68,7 @@ class CellGrid:
 
     def band_of(self, cell: int) -> int:
         """Latitude band of a cell number."""
-        return int(np.searchsorted(self.first_cell, cell, side="right") - 1)
+        return int(self.bands_of(np.array([cell]))[0])
 
     def bands_of(self, cells: IntArray) -> IntArray:
         """(n,) latitude bands of cell numbers."""
@@ -77,13 +77,8 @@ class CellGrid:
 
     def bounds_deg(self, cell: int) -> tuple[float, float, float, float]:
         """West, south, east, north of a cell (deg, west in [-180, 180))."""
-        band = self.band_of(cell)
-        count = int(self.cells_in_band[band])
-        column = cell - int(self.first_cell[band])
-        south = -90.0 + self.step_deg * band
-        north = min(south + self.step_deg, 90.0)
-        west = -180.0 + 360.0 * column / count
-        return west, south, west + 360.0 / count, north
+        west, south, east, north = self.bounds_of(np.array([cell]))[:, 0].tolist()
+        return west, south, east, north
 
     def bounds_of(self, cells: IntArray) -> FloatArray:
         """(4, n) the same of many cells."""
@@ -91,9 +86,8 @@ class CellGrid:
         count = self.cells_in_band[bands]
         south = -90.0 + self.step_deg * bands
         west = -180.0 + 360.0 * (cells - self.first_cell[bands]) / count
-        return np.stack(
-            [west, south, west + 360.0 / count, np.minimum(south + self.step_deg, 90.0)]
-        )
+        north = np.minimum(south + self.step_deg, 90.0)
+        return np.stack([west, south, west + 360.0 / count, north])
 
     def centre_deg(self, cell: int) -> tuple[float, float]:
         """Latitude and longitude (deg) of a cell's middle; the pole for a cell that is a cap."""
@@ -108,7 +102,7 @@ class CellGrid:
         # the pole itself would fall into a band beyond the last
         first = min(max(0, int((south + 90.0) / self.step_deg)), self.bands - 1)
         last = min(self.bands - 1, int((north + 90.0) / self.step_deg))
-        parts: list[IntArray] = []
+        parts = [np.empty(0, dtype=np.int64)]
         # widest in longitude where the circle touches its meridians: sin(dlon) = sin(r)/cos(lat)
         sine = np.sin(np.radians(min(radius_deg, 90.0)))
         cosine = np.cos(np.radians(lat_deg))
@@ -122,15 +116,12 @@ class CellGrid:
                 continue
             low = int(np.floor((lon_deg - half + 180.0) / 360.0 * count))
             high = int(np.floor((lon_deg + half + 180.0) / 360.0 * count))
-            columns = np.arange(low, min(high, low + count - 1) + 1) % count
-            parts.append(start + columns)
-        if not parts:
-            return np.empty(0, dtype=np.int64)
+            parts.append(start + np.arange(low, min(high, low + count - 1) + 1) % count)
         return np.unique(np.concatenate(parts)).astype(np.int64)
 
     def in_bbox(self, west: float, south: float, east: float, north: float) -> IntArray:
         """Cells whose middle lies in a box (deg), sorted; west > east crosses ±180°."""
-        cells: list[IntArray] = []
+        cells = [np.empty(0, dtype=np.int64)]
         width = (east - west) % 360.0
         if width == 0.0 and east != west:
             width = 360.0
@@ -141,10 +132,7 @@ class CellGrid:
                 continue
             count = int(self.cells_in_band[band])
             lon = -180.0 + 360.0 * (np.arange(count) + 0.5) / count
-            inside = np.mod(lon - west, 360.0) <= width
-            cells.append(self.first_cell[band] + np.flatnonzero(inside))
-        if not cells:
-            return np.empty(0, dtype=np.int64)
+            cells.append(self.first_cell[band] + np.flatnonzero(np.mod(lon - west, 360.0) <= width))
         return np.concatenate(cells).astype(np.int64)
 
 

@@ -9,8 +9,7 @@ from catalog.geometry.kernel import kernel
 @kernel
 def cubic_weights(t: float) -> tuple[float, float, float, float]:
     """Weights of the four neighbours for cubic convolution with a = -1/2 (Keys 1981)."""
-    t2 = t * t
-    t3 = t2 * t
+    t2, t3 = t * t, t * t * t
     return (
         -0.5 * t + t2 - 0.5 * t3,
         1.0 - 2.5 * t2 + 1.5 * t3,
@@ -27,8 +26,7 @@ def bilinear(grid: Float32Array, row: float, col: float) -> float:
     y, x = row - r, col - c
     upper = grid[r, c] + x * (grid[r, c + 1] - grid[r, c])
     lower = grid[r + 1, c] + x * (grid[r + 1, c + 1] - grid[r + 1, c])
-    value: float = upper + y * (lower - upper)
-    return value
+    return float(upper + y * (lower - upper))
 
 
 @kernel
@@ -43,8 +41,7 @@ def _bilinear_at(grid: Float32Array, row: float, col: float) -> float:
     c = min(int(col), max(cols - 2, 0))
     dr, dc = row - r, col - c
     r2, c2 = min(r + 1, rows - 1), min(c + 1, cols - 1)
-    total = 0.0
-    weight = 0.0
+    total = weight = 0.0
     for rr, wr in ((r, 1.0 - dr), (r2, dr)):
         for cc, wc in ((c, 1.0 - dc), (c2, dc)):
             w = wr * wc
@@ -66,8 +63,7 @@ def bicubic_at(grid: Float32Array, row: float, col: float) -> float:
     if not (1.0 <= row < rows - 2.0 and 1.0 <= col < cols - 2.0):
         return _bilinear_at(grid, row, col)
     r, c = int(row), int(col)
-    wr = cubic_weights(row - r)
-    wc = cubic_weights(col - c)
+    wr, wc = cubic_weights(row - r), cubic_weights(col - c)
     total = 0.0
     for i in range(4):
         line = 0.0

@@ -13,14 +13,9 @@ def xyz_from_latlon(lat: ArrayLike, lon: ArrayLike, radius: ArrayLike) -> FloatA
     Returns (..., 3) in the unit of `radius`.
     """
     lat, lon, radius = np.broadcast_arrays(lat, lon, radius)
-    return np.stack(
-        [
-            radius * np.cos(lat) * np.cos(lon),
-            radius * np.cos(lat) * np.sin(lon),
-            radius * np.sin(lat),
-        ],
-        axis=-1,
-    ).astype(np.float64)
+    across = radius * np.cos(lat)
+    xyz = across * np.cos(lon), across * np.sin(lon), radius * np.sin(lat)
+    return np.stack(xyz, axis=-1).astype(np.float64)
 
 
 def latlon_from_xyz(xyz: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -21,6 +21,8 @@ from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.vectors import unit
 
+Angles = tuple[FloatArray, FloatArray]
+
 
 class MapProjection(Protocol):
     """The map of a patch: x east and y north, m, about its centre, and heights over a reference."""
@@ -48,9 +50,7 @@ class MapProjection(Protocol):
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights."""
 
-    def latlon(
-        self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0
-    ) -> tuple[FloatArray, FloatArray]:
+    def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
         """Planetocentric latitude and east longitude (rad) of map points at heights (m)."""
 
     def xy_from_xyz(self, xyz: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -99,12 +99,9 @@ class Stereographic:
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights above the sphere."""
         directions = self.local_directions(x, y) @ self.body_from_local.T
-        radius = self.radius_m + np.asarray(height, dtype=np.float64)
-        return directions * radius[..., None]
+        return directions * (self.radius_m + np.asarray(height, dtype=np.float64))[..., None]
 
-    def latlon(
-        self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0
-    ) -> tuple[FloatArray, FloatArray]:
+    def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
         """Latitude and east longitude (rad) of map points x, y (m), whatever their height."""
         directions = np.asarray(self.local_directions(x, y) @ self.body_from_local.T)
         lat, lon, _ = latlon_from_xyz(directions)
@@ -182,9 +179,7 @@ class TangentPlane:
         points: FloatArray = local @ self.body_from_local.T + np.array(self.foot_m)
         return points
 
-    def latlon(
-        self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0
-    ) -> tuple[FloatArray, FloatArray]:
+    def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
         """Planetocentric latitude and east longitude (rad) of map points at heights (m)."""
         lat, lon, _ = latlon_from_xyz(self.points(x, y, height))
         return lat, lon

@@ -32,14 +32,9 @@ def cross_matrix(vectors: ArrayLike) -> FloatArray:
     """Matrices (..., 3, 3) with cross_matrix(a) @ b = a x b."""
     v = np.asarray(vectors, dtype=np.float64)
     zero = np.zeros(v.shape[:-1])
-    return np.stack(
-        [
-            np.stack([zero, -v[..., 2], v[..., 1]], axis=-1),
-            np.stack([v[..., 2], zero, -v[..., 0]], axis=-1),
-            np.stack([-v[..., 1], v[..., 0], zero], axis=-1),
-        ],
-        axis=-2,
-    )
+    x, y, z = np.moveaxis(v, -1, 0)
+    rows = (zero, -z, y), (z, zero, -x), (-y, x, zero)
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def rnb_axes(position: ArrayLike, forward: ArrayLike) -> FloatArray:

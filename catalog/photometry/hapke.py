@@ -76,13 +76,9 @@ def opposition_surge(cos_g: float, bs0: float, hs: float) -> float:
 
 
 @kernel
-def _e1(cot_x: float, cot_theta: float) -> float:
-    return math.exp(-2.0 / math.pi * cot_theta * cot_x)
-
-
-@kernel
-def _e2(cot_x: float, cot_theta: float) -> float:
-    return math.exp(-cot_theta * cot_theta * cot_x * cot_x / math.pi)
+def _e1_e2(cot_x: float, cot_theta: float) -> tuple[float, float]:
+    e1 = math.exp(-2.0 / math.pi * cot_theta * cot_x)
+    return e1, math.exp(-cot_theta * cot_theta * cot_x * cot_x / math.pi)
 
 
 @kernel
@@ -112,8 +108,8 @@ def rough_cosines(
     chi = 1.0 / math.sqrt(1.0 + math.pi * tan_theta * tan_theta)
     cot_i = mu0 / max(sin_i, 1e-9)
     cot_e = mu / max(sin_e, 1e-9)
-    e1_i, e2_i = _e1(cot_i, cot_theta), _e2(cot_i, cot_theta)
-    e1_e, e2_e = _e1(cot_e, cot_theta), _e2(cot_e, cot_theta)
+    e1_i, e2_i = _e1_e2(cot_i, cot_theta)
+    e1_e, e2_e = _e1_e2(cot_e, cot_theta)
     eta_i = chi * (mu0 + sin_i * tan_theta * e2_i / (2.0 - e1_i))
     eta_e = chi * (mu + sin_e * tan_theta * e2_e / (2.0 - e1_e))
     if mu0 >= mu:  # i <= e: the facets that hide are tilted by the view

@@ -9,6 +9,7 @@ L = 1 - 0.019 g + 0.242e-3 g^2 - 1.46e-6 g^3 with g in degrees.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -96,38 +97,25 @@ def _reflectance_flat(cosines: FloatArray, law: SurfaceLaw) -> FloatArray:
 
 
 def _reflectance(
-    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, number: int, albedo: float
+    number: int,
+    mu0: ArrayLike,
+    mu: ArrayLike,
+    cos_phase: ArrayLike,
+    albedo: float = NORMAL_ALBEDO,
 ) -> FloatArray:
+    """Radiance factor by a simple law; zero where mu0 <= 0 or mu <= 0.
+
+    mu0, mu, cos_phase  cosines of incidence, emission and phase; shapes broadcast
+    albedo              normal albedo
+    """
     cosines = broadcast_cosines(mu0, mu, cos_phase)
     law = SurfaceLaw(number, hapke.LUNAR, float(albedo))
     return _reflectance_flat(cosines.reshape(3, -1), law).reshape(cosines.shape[1:])
 
 
-def lambert(
-    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = NORMAL_ALBEDO
-) -> FloatArray:
-    """Radiance factor by Lambert's law; zero where mu0 <= 0 or mu <= 0.
-
-    mu0, mu, cos_phase  cosines of incidence, emission and phase; shapes broadcast
-    albedo              normal albedo
-    """
-    return _reflectance(mu0, mu, cos_phase, LAMBERT, albedo)
-
-
-def lommel_seeliger(
-    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = NORMAL_ALBEDO
-) -> FloatArray:
-    """Radiance factor by the Lommel-Seeliger law; the arguments are those of `lambert`."""
-    return _reflectance(mu0, mu, cos_phase, LOMMEL_SEELIGER, albedo)
-
-
-def lunar_lambert(
-    mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = NORMAL_ALBEDO
-) -> FloatArray:
-    """Radiance factor by McEwen's lunar-Lambert law; the arguments are those of `lambert`."""
-    return _reflectance(mu0, mu, cos_phase, LUNAR_LAMBERT, albedo)
-
-
+lambert = partial(_reflectance, LAMBERT)
+lommel_seeliger = partial(_reflectance, LOMMEL_SEELIGER)
+lunar_lambert = partial(_reflectance, LUNAR_LAMBERT)
 LAWS: dict[str, Law] = {
     "hapke": hapke.reflectance,
     "lommel_seeliger": lommel_seeliger,

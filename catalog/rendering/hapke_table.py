@@ -25,17 +25,6 @@ SMALL_TABLE_SIZE = 33
 GRAZING = 1e-3
 
 
-@kernel
-def _ratio(
-    a: float, b: float, sun: FloatArray, view: FloatArray, cos_g: float, surface: HapkeParameters
-) -> float:
-    length = math.sqrt(a * a + b * b + 1.0)
-    mu0 = max((-a * sun[0] - b * sun[1] + sun[2]) / length, GRAZING)
-    mu = max((-a * view[0] - b * view[1] + view[2]) / length, GRAZING)
-    ratio: float = reflectance_scalar(mu0, mu, cos_g, surface) * (mu0 + mu) / mu0
-    return ratio
-
-
 def slope_table(
     sun: FloatArray, view: FloatArray, surface: HapkeParameters, size: int
 ) -> FloatArray:
@@ -83,7 +72,10 @@ def _fill(
         for col in range(j, j + 2):
             if table[row, col] != table[row, col]:
                 a, b = col * step - TABLE_SLOPE, row * step - TABLE_SLOPE
-                table[row, col] = _ratio(a, b, sun, view, cos_g, surface)
+                length = math.sqrt(a * a + b * b + 1.0)
+                mu0 = max((-a * sun[0] - b * sun[1] + sun[2]) / length, GRAZING)
+                mu = max((-a * view[0] - b * view[1] + view[2]) / length, GRAZING)
+                table[row, col] = reflectance_scalar(mu0, mu, cos_g, surface) * (mu0 + mu) / mu0
 
 
 @kernel

@@ -79,8 +79,7 @@ def render_map_quickly(
     if law != "hapke" or grid.heights.size < SMALL_TABLE_PAYS_NODES:
         return _far_view(grid, sun, view_local, law, lit)
     view = _unit(view_local, "view_local")
-    table = slope_table(sun, view, LUNAR, SMALL_TABLE_SIZE)
-    return shade_hapke(grid, sun, view, LUNAR, lit, table)
+    return shade_hapke(grid, sun, view, LUNAR, lit, slope_table(sun, view, LUNAR, SMALL_TABLE_SIZE))
 
 
 def _illuminated(
@@ -107,8 +106,7 @@ def _far_view(
             weight = lunar_weight(float(sun @ view))
         return shade_two_terms(grid, sun, view, weight, NORMAL_ALBEDO, lit)
     if grid.heights.size >= TABLE_PAYS_NODES:
-        table = slope_table(sun, view, LUNAR, TABLE_SIZE)
-        return shade_hapke(grid, sun, view, LUNAR, lit, table)
+        return shade_hapke(grid, sun, view, LUNAR, lit, slope_table(sun, view, LUNAR, TABLE_SIZE))
     return shade_fixed(grid, sun, view, _lunar(law), lit)
 
 

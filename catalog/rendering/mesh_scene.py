@@ -130,8 +130,7 @@ class MeshScene:
         rays = np.zeros((corners.shape[0] - 1, corners.shape[1] - 1, 3))
         for i, share in ((0, 1.0 - down), (1, down)):
             for j, part in ((0, 1.0 - along), (1, along)):
-                inner = corners[i : i + rays.shape[0], j : j + rays.shape[1]]
-                rays += share * part * inner
+                rays += share * part * corners[i : i + rays.shape[0], j : j + rays.shape[1]]
         if chosen is not None:
             rays = rays[chosen]
         flat = rays.reshape(-1, 3)

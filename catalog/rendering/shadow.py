@@ -107,8 +107,7 @@ def _sweep(
     # lines[k + span] meets row t at column k + shear t; the highest k starts in the last column
     lines = np.full(size + span + 1, NOTHING)
     born = size + span  # the lowest line that has entered the grid
-    z = np.empty(size)
-    limit = np.empty(size)
+    z, limit = np.empty(size), np.empty(size)
     for t in range(size):
         row = size - 1 - t if flip_t else t
         _tangent_row(heights, row, posting, radius, flip_c, z)
@@ -256,18 +255,15 @@ def _swept(
     field: FloatArray,
     lit: BoolArray,
 ) -> None:
-    heights, ratio = _rows_along(grid, sweep.swap), posting_m / outer.posting_m
+    heights, ratio = np.ascontiguousarray(grid, dtype=np.float32), posting_m / outer.posting_m
+    if sweep.swap:
+        heights = np.asarray(cv2.transpose(heights), dtype=np.float32)
     _sweep(heights, float(posting_m), float(radius_m), sweep, outer.heights, ratio, field, lit)
 
 
 def _refuse_shape(grid: Float32Array, what: str) -> None:
     if grid.ndim != 2 or grid.shape[0] != grid.shape[1] or grid.shape[0] < 2:
         raise ValueError(f"lit_mask: {what} is square, at least 2 x 2, not {grid.shape}")
-
-
-def _rows_along(grid: Float32Array, swap: bool) -> Float32Array:
-    rows: Float32Array = np.ascontiguousarray(grid, dtype=np.float32)
-    return np.asarray(cv2.transpose(rows), dtype=np.float32) if swap else rows
 
 
 def halo(relief_m: float, elevation: float) -> float:

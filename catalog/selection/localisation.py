@@ -147,8 +147,7 @@ def sun_products(suns_local: FloatArray) -> Float32Array:
     """
     suns = np.asarray(suns_local, dtype=np.float64).reshape(-1, 3)
     east, north = suns[:, 0] / suns[:, 2], suns[:, 1] / suns[:, 2]
-    products = np.stack([east * east, east * north, north * north], axis=1)
-    return products.astype(np.float32)
+    return np.stack([east * east, east * north, north * north], axis=1).astype(np.float32)
 
 
 def hessian_eigenvalue_map(
@@ -176,14 +175,9 @@ def hessian_eigenvalue_map(
         raise ValueError(f"a window of {window} nodes does not fit into {heights.shape}")
     # the border of a grid lacks second differences: four sides of a window at most
     least = (1.0 - MAX_MISSING) * window * window - 4.0 * window
-    return _eigenvalue_map(
-        np.ascontiguousarray(heights, dtype=np.float32),
-        1.0 / posting_m,
-        window,
-        least,
-        azimuth_products() if products is None else products,
-        step,
-    )
+    grid = np.ascontiguousarray(heights, dtype=np.float32)
+    weights = azimuth_products() if products is None else products
+    return _eigenvalue_map(grid, 1.0 / posting_m, window, least, weights, step)
 
 
 def hessian_eigenvalue(

@@ -74,25 +74,17 @@ def predict_match(brightness: Float32Array, snr: float) -> MatchPrediction:
     """
     brightness = np.ascontiguousarray(brightness, dtype=np.float32)
     mxx, mxy, myy, mean = _structure_tensor(brightness)
-    error = _error_px(mxx, mxy, myy, mean, snr)
-    return MatchPrediction(error, _correlation(brightness, mean, snr))
-
-
-def _error_px(mxx: float, mxy: float, myy: float, mean: float, snr: float) -> float:
+    if mean <= 0.0:
+        return MatchPrediction(math.inf, 0.0)
     smallest = 0.5 * (mxx + myy - math.hypot(mxx - myy, 2.0 * mxy))
     # 1e-12 of the brightness²: below it the difference of two sums is rounding
-    if mean <= 0.0 or smallest <= 1e-12 * mean * mean:
-        return math.inf
-    return mean / (snr * math.sqrt(smallest))
-
-
-def _correlation(brightness: Float32Array, mean: float, snr: float) -> float:
-    if mean <= 0.0:
-        return 0.0
+    known = smallest > 1e-12 * mean * mean
     # holes are zero after the high-pass and count as nodes without contrast
-    deviation = cv2.meanStdDev(high_pass(brightness))[1]
-    contrast = float(deviation[0, 0]) / mean
-    return contrast / math.hypot(contrast, 1.0 / snr)
+    contrast = float(cv2.meanStdDev(high_pass(brightness))[1][0, 0]) / mean
+    return MatchPrediction(
+        mean / (snr * math.sqrt(smallest)) if known else math.inf,
+        contrast / math.hypot(contrast, 1.0 / snr),
+    )
 
 
 @kernel
@@ -113,8 +105,7 @@ def best_rival(surface: Float32Array, search_nodes: float) -> float:
             here = surface[r, c]
             if not (LOBE_NODES < distance <= search_nodes and here > best):
                 continue
-            neighbours = surface[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
-            if here >= neighbours.max():
+            if here >= surface[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2].max():
                 best = float(here)
     return best
 

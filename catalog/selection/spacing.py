@@ -37,8 +37,7 @@ def strongest_peaks(response: Float32Array, radius: float, count: int) -> list[t
     rows, cols = np.ogrid[: left.shape[0], : left.shape[1]]
     peaks: list[tuple[int, int]] = []
     while len(peaks) < count and left.size:
-        flat = int(np.argmax(left))
-        row, col = divmod(flat, left.shape[1])
+        row, col = divmod(int(np.argmax(left)), left.shape[1])
         if not np.isfinite(left[row, col]):
             break
         peaks.append((row, col))
@@ -72,11 +71,8 @@ def choose_spaced(
     for i in np.lexsort((np.arange(cell_of.size), worth)):
         ranked.setdefault(int(cell_of[i]), []).append(int(i))
 
-    def turn(cell: int) -> tuple[bool, float, int]:
-        best = float(worth[ranked[cell][0]])
-        return not np.isfinite(best), -best, cell
-
-    turns = sorted(ranked, key=turn)
+    best = {cell: float(worth[those[0]]) for cell, those in ranked.items()}
+    turns = sorted(ranked, key=lambda cell: (not np.isfinite(best[cell]), -best[cell], cell))
     accepted = np.zeros(cell_of.size, dtype=bool)
     taken: dict[int, list[int]] = {cell: [] for cell in turns}
     spacing: dict[int, float] = dict.fromkeys(turns, 0.0)

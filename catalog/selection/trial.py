@@ -124,9 +124,8 @@ def draw_circumstances(
     roll, scale, off_nadir = rng.uniform(-1.0, 1.0, 3)
     azimuth = rng.uniform(0.0, 2.0 * np.pi)
     angle = abs(off_nadir) * np.radians(max_off_nadir_deg)
-    view = np.array(
-        [np.sin(angle) * np.sin(azimuth), np.sin(angle) * np.cos(azimuth), np.cos(angle)]
-    )
+    across = np.sin(angle)
+    view = np.array([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(angle)])
     return Circumstances(
         sun_local=np.asarray(suns[rng.integers(len(suns))], dtype=np.float64),
         view_local=view,
@@ -143,8 +142,7 @@ def distortion(circumstances: Circumstances) -> FloatArray:
     """(2, 2): map offsets of the ground (x east, y north) to offsets in the resampled picture."""
     turn = _similarity(circumstances.roll, circumstances.scale)
     along = np.array([np.sin(circumstances.stretch_azimuth), np.cos(circumstances.stretch_azimuth)])
-    squeeze = np.eye(2) - (1.0 - circumstances.stretch) * np.outer(along, along)
-    return turn @ squeeze
+    return turn @ (np.eye(2) - (1.0 - circumstances.stretch) * np.outer(along, along))
 
 
 def run_trial(
@@ -169,7 +167,7 @@ def run_trial(
     ground_from_picture = np.linalg.inv(distortion(circumstances))
     picture_from_ground = np.eye(2)  # as estimated so far
     place = np.zeros(2)  # the point's estimated place in the picture, m east and north
-    sun = circumstances.sun_local
+    sun, view = circumstances.sun_local, circumstances.view_local
     around = shadow_field(outer, sun, radius_m)
     for number in range(len(levels) - 1, -1, -1):
         level = levels[number]
@@ -177,41 +175,24 @@ def run_trial(
         if not coarsest:  # one grid further than the level before it
             above = levels[number + 1]
             around = shadow_field([(above.reference, above.posting_m)], sun, radius_m, around)
-        template = _centre(
-            render_map(
-                level.reference,
-                level.posting_m,
-                sun,
-                law="lommel_seeliger",
-                radius_m=radius_m,
-                outer=around,
-            ),
-            search.template_nodes,
-        )
+        ground, posting_m, law = level.reference, level.posting_m, "lommel_seeliger"
+        template = render_map(ground, posting_m, sun, law=law, radius_m=radius_m, outer=around)
+        template = _centre(template, search.template_nodes)
         room = search.coarse_nodes if coarsest else search.fine_nodes
         window = search.template_nodes + 2 * room
-        offset = ground_from_picture @ (place - circumstances.shift_m) / level.posting_m
+        offset = ground_from_picture @ (place - circumstances.shift_m) / posting_m
         offset = FINER * _FLIP @ offset
         truth_from_picture = FINER * _FLIP @ ground_from_picture @ picture_from_ground @ _FLIP
         side = side_under(truth_from_picture, offset, window, level.truth.shape[0])
+        truth, finer_m = _centre(level.truth, side), posting_m / FINER
         seen = render_map_quickly(
-            _centre(level.truth, side),
-            level.posting_m / FINER,
-            sun,
-            view_local=circumstances.view_local,
-            radius_m=radius_m,
-            outer=around,
+            truth, finer_m, sun, view_local=view, radius_m=radius_m, outer=around
         )
+        origin, averaging = offset + (side - 1) / 2.0, round(posting_m / levels[0].posting_m)
         picture = picture_of(
-            seen,
-            truth_from_picture,
-            offset + (side - 1) / 2.0,
-            window,
-            round(level.posting_m / levels[0].posting_m),
-            circumstances.snr,
-            rng,
+            seen, truth_from_picture, origin, window, averaging, circumstances.snr, rng
         )
-        step_m = level.posting_m
+        step_m = posting_m
         if level.blur_nodes:
             even = search.template_nodes % 2 == 0
             template = thinned(template, level.blur_nodes, even)

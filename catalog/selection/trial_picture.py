@@ -38,14 +38,8 @@ def picture_of(
     blurred = cv2.GaussianBlur(brightness, (0, 0), float(sigma))
     centre = np.full(2, (size - 1) / 2.0)
     matrix = np.column_stack([ground_from_picture, origin - ground_from_picture @ centre])
-    sampled = cv2.warpAffine(
-        blurred,
-        matrix,
-        (size, size),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=float("nan"),
-    )
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    sampled = cv2.warpAffine(blurred, matrix, (size, size), flags=flags, borderValue=float("nan"))
     noise = rng.standard_normal((size, size), dtype=np.float32)
     return exposed(np.asarray(sampled, dtype=np.float32), noise, 1.0 / (snr * averaging))
 

@@ -16,16 +16,10 @@ class Terrain(Protocol):
     """The ground of a body. Angles are rad, heights m, float32, NaN where there are none."""
 
     body: Body
+    posting_m: float  # the finest posting; a finer patch is interpolated
+    in_planes: bool  # whether patches lie in tangent planes: on a small body
     whole: bool  # whether every place of the body has a height
     has_graticules: bool  # whether heights on a graticule cost much less than those of points
-
-    @property
-    def posting_m(self) -> float:
-        """The finest posting; a finer patch is interpolated."""
-
-    @property
-    def in_planes(self) -> bool:
-        """Whether patches lie in tangent planes: on a small body."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -59,23 +59,12 @@ def make_ground(
     lowest, highest = float(heights.min()), float(heights.max())
     if not np.isfinite(highest - lowest):
         raise ValueError("a ground needs a height at every node")
-    max_heights = [_block_maxima(heights)]
-    for _ in range(3):
-        max_heights.append(_join_maxima(max_heights[-1]))
-    return Ground(
-        heights,
-        float(north),
-        float(west),
-        float(step_lat),
-        float(step_lon),
-        float(radius_m),
-        max_heights[0],
-        max_heights[1],
-        max_heights[2],
-        max_heights[3],
-        lowest,
-        highest,
-    )
+    of_4 = _block_maxima(heights)
+    of_16 = _join_maxima(of_4)
+    of_64 = _join_maxima(of_16)
+    max_heights = of_4, of_16, of_64, _join_maxima(of_64)
+    place = float(north), float(west), float(step_lat), float(step_lon), float(radius_m)
+    return Ground(heights, *place, *max_heights, lowest, highest)
 
 
 def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
@@ -98,8 +87,7 @@ def whole_sphere(heights: Float32Array, radius_m: float, seam: float) -> Ground:
     pole = np.roll(rolled, rows, axis=1)
     tall = np.concatenate([pole[1::-1], rolled, pole[:-3:-1]])
     wide = np.concatenate([tall[:, -2:], tall, tall[:, :2]], axis=1)
-    north = 0.5 * np.pi + 1.5 * step
-    return make_ground(wide, north, (shift - 1.5) * step, step, step, radius_m)
+    return make_ground(wide, 0.5 * np.pi + 1.5 * step, (shift - 1.5) * step, step, step, radius_m)
 
 
 def surroundings(wide: Ground, inner: Ground, margin: float) -> Ground:
@@ -146,9 +134,7 @@ def _join_maxima(max_heights: Float32Array) -> Float32Array:
     out = np.empty(((rows + 3) // 4, (cols + 3) // 4), np.float32)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = max_heights[
-                4 * i : min(4 * i + 4, rows), 4 * j : min(4 * j + 4, cols)
-            ].max()
+            out[i, j] = max_heights[4 * i : 4 * i + 4, 4 * j : 4 * j + 4].max()
     return out
 
 
@@ -156,7 +142,6 @@ def _join_maxima(max_heights: Float32Array) -> Float32Array:
 def grid_place(ground: Ground, x: float, y: float, z: float) -> tuple[float, float]:
     """Fractional row and column of a body-fixed direction; columns count from the west node on."""
     lat = np.arctan2(z, np.sqrt(x * x + y * y))
-    lon = np.arctan2(y, x)
-    east = lon - ground.west
+    east = np.arctan2(y, x) - ground.west
     east -= 2.0 * np.pi * np.floor(east / (2.0 * np.pi))
     return (ground.north - lat) / ground.step_lat, east / ground.step_lon

@@ -43,8 +43,7 @@ def _way_out(r: float, climb: float, ground: Ground) -> float:
     """Way (m) from radius r, rising by `climb` a metre, to above the highest node of a ground."""
     top = ground.radius_m + ground.highest_m
     free = r * r * climb * climb + (top - r) * (top + r)
-    way: float = np.sqrt(free) - r * climb + 1.0 if free > 0.0 else 0.0
-    return way
+    return float(np.sqrt(free) - r * climb + 1.0 if free > 0.0 else 0.0)
 
 
 @kernel
@@ -73,16 +72,12 @@ def lit_share(
     end = _way_out(r, low, first)
     ray = Ray(x, y, z, dx, dy, dz)
     how, s, _, _, deepest = walk(first, ray, s, end, 0, full)
-    end = _way_out(r, low, second)
-    if how != DARK and s < end:
-        s = max(s, second.step_lat * second.radius_m)
-        how, s, _, _, deep = walk(second, ray, s, end, 2, full)
-        deepest = max(deepest, deep)
-    end = _way_out(r, low, third)
-    if how != DARK and s < end:
-        s = max(s, third.step_lat * third.radius_m)
-        how, s, _, _, deep = walk(third, ray, s, end, 2, full)
-        deepest = max(deepest, deep)
+    for ground in (second, third):
+        end = _way_out(r, low, ground)
+        if how != DARK and s < end:
+            s = max(s, ground.step_lat * ground.radius_m)
+            how, s, _, _, deep = walk(ground, ray, s, end, 2, full)
+            deepest = max(deepest, deep)
     return max(0.0, 1.0 - deepest / full)
 
 
@@ -90,22 +85,22 @@ def lit_share(
 def shade(
     ground: Ground,
     lat: float,
+    lon: float,
     height: float,
-    up: tuple[float, float, float],
-    east: tuple[float, float, float],
     south_rate: float,
     east_rate: float,
     light: Light,
 ) -> float:
-    """Radiance factor of a place with given height gradients.
+    """Radiance factor of a place (rad) with given height gradients.
 
-    up, east    unit vectors of the place, body frame
     south_rate  m a row southward; east_rate m a column eastward
     """
     sun, camera, surface = light
+    cos_lat, sin_lat, cos_lon, sin_lon = np.cos(lat), np.sin(lat), np.cos(lon), np.sin(lon)
+    up, east = (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat), (-sin_lon, cos_lon, 0.0)
     r = ground.radius_m + height
     slope_n = -south_rate / (ground.step_lat * r)
-    slope_e = east_rate / (ground.step_lon * r * max(np.cos(lat), 1e-6))
+    slope_e = east_rate / (ground.step_lon * r * max(cos_lat, 1e-6))
     # north = up x east
     nx = up[1] * east[2] - up[2] * east[1]
     ny = up[2] * east[0] - up[0] * east[2]
@@ -125,9 +120,7 @@ def shade(
 
 
 @kernel
-def shade_node(
-    ground: Ground, i: int, j: int, sun: FloatArray, camera: FloatArray, surface: HapkeParameters
-) -> float:
+def shade_node(ground: Ground, i: int, j: int, light: Light) -> float:
     """Radiance factor of a node in full sunlight."""
     h = ground.heights
     rows, cols = h.shape
@@ -136,10 +129,7 @@ def shade_node(
     south_rate = (h[b, j] - h[a, j]) / (b - a)
     east_rate = (h[i, d] - h[i, c]) / (d - c)
     lat, lon = ground.north - i * ground.step_lat, ground.west + j * ground.step_lon
-    cos_lat, sin_lat, cos_lon, sin_lon = np.cos(lat), np.sin(lat), np.cos(lon), np.sin(lon)
-    up, east = (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat), (-sin_lon, cos_lon, 0.0)
-    light = Light(sun, camera, surface)
-    return shade(ground, lat, float(h[i, j]), up, east, south_rate, east_rate, light)
+    return shade(ground, lat, lon, float(h[i, j]), south_rate, east_rate, light)
 
 
 @parallel_kernel
@@ -171,13 +161,7 @@ def light_blocks(
 
 @parallel_kernel
 def shade_blocks(
-    ground: Ground,
-    sun: FloatArray,
-    camera: FloatArray,
-    surface: HapkeParameters,
-    wanted: ByteArray,
-    lit: ByteArray,
-    out: Float32Array,
+    ground: Ground, light: Light, wanted: ByteArray, lit: ByteArray, out: Float32Array
 ) -> None:
     """Radiance factors of the nodes in wanted blocks (1), cast shadows included, into `out`."""
     rows, cols = ground.heights.shape
@@ -189,6 +173,5 @@ def shade_blocks(
                 for j in range(bj * BLOCK, min((bj + 1) * BLOCK, cols)):
                     value = 0.0
                     if lit[i, j] > 0:
-                        value = shade_node(ground, i, j, sun, camera, surface) * lit[i, j]
-                        value /= 255.0
+                        value = shade_node(ground, i, j, light) * lit[i, j] / 255.0
                     out[i, j] = np.float32(value)

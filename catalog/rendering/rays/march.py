@@ -91,8 +91,7 @@ def walk(
             sideways = np.sqrt(de * de + dn * dn)
             if reach * sideways > POLE_REACH * flat:
                 # near a pole longitudes turn fast; half a cell beside it they mean nothing
-                least = 0.5 * ground.step_lat * ground.radius_m
-                reach = max(POLE_REACH * flat, least) / sideways
+                reach = max(POLE_REACH * flat, 0.5 * ground.step_lat * ground.radius_m) / sideways
             inverse = 1.0 / r
             h0, h1, h2 = r - ground.radius_m, du, 0.5 * (de * de + dn * dn) * inverse
             r0 = (ground.north - np.arctan2(pz, flat)) * per_lat

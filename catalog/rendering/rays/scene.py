@@ -50,13 +50,13 @@ class View(NamedTuple):
 class Shading(NamedTuple):
     """Brightness of the grounds of a picture.
 
-    sun       (3,) unit vector, body frame
+    light     the Sun, the camera and the surface
     fine      (rows, cols) radiance factors of the fine ground's nodes, NaN where not computed
     wide_lit  lit shares of the wide ground's nodes, 0..255
     missing   receives 1 in the fine ground's blocks that a ray met and that are not computed
     """
 
-    sun: FloatArray
+    light: Light
     fine: Float32Array
     wide_lit: ByteArray
     missing: ByteArray
@@ -107,6 +107,7 @@ class Scene:
         shape = corners.shape[0] - 1, corners.shape[1] - 1
         distance, row, col = (np.zeros(shape, np.float32) for _ in range(3))
         view, aside = View(origin, corners), (samples, limb_samples)
+        light = Light(self.sun, origin, self.surface)
         hits = Hits(np.zeros(shape, np.uint8), distance, row, col)
         first_hits(self.fine, self.wide, view, hits)
 
@@ -117,24 +118,20 @@ class Scene:
         shaded = np.full(self.fine.heights.shape, np.nan, np.float32)
         out = np.full(shape, np.nan, np.float32)
         while True:
-            self._shade(wanted, origin, shaded)
+            # blocks that an earlier picture lit stay lit
+            self._fine_wanted[(wanted == 1) & (self._fine_wanted == 0)] = 1
+            grounds = self.fine, self.between, self._around
+            light_blocks(*grounds, self.sun, self._fine_wanted, self._fine_lit)
+            shade_blocks(self.fine, light, wanted, self._fine_lit, shaded)
             missing = np.zeros_like(wanted)
-            shading = Shading(self.sun, shaded, self._wide_lit, missing)
-            mean_radiance(self.fine, self.wide, self.surface, view, hits, shading, aside, out)
+            shading = Shading(light, shaded, self._wide_lit, missing)
+            mean_radiance(self.fine, self.wide, view, hits, shading, aside, out)
             # between the middles of pixels a few rays find ground that these did not see
             if not missing.any():
                 return out
             done = wanted.astype(bool)
             add_with_neighbours(missing, wanted)
             wanted[done] = 0
-
-    def _shade(self, wanted: ByteArray, origin: FloatArray, shaded: Float32Array) -> None:
-        # blocks that an earlier picture lit stay lit
-        self._fine_wanted[(wanted == 1) & (self._fine_wanted == 0)] = 1
-        light_blocks(
-            self.fine, self.between, self._around, self.sun, self._fine_wanted, self._fine_lit
-        )
-        shade_blocks(self.fine, self.sun, origin, self.surface, wanted, self._fine_lit, shaded)
 
 
 def _masks(ground: Ground) -> tuple[ByteArray, ByteArray]:
@@ -161,8 +158,7 @@ def _ray(corners: FloatArray, i: int, j: int, y: float, x: float) -> tuple[float
 def _pixel_angle(corners: FloatArray, i: int, j: int) -> float:
     p, q = corners[i, j], corners[i + 1, j + 1]
     d = (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
-    angle: float = np.sqrt(0.5 * d)
-    return angle
+    return float(np.sqrt(0.5 * d))
 
 
 @parallel_kernel
@@ -182,8 +178,7 @@ def first_hits(fine: Ground, wide: Ground, view: View, hits: Hits) -> None:
             if dx != dx:
                 hint = 0.0
                 continue
-            ray = Ray(origin[0], origin[1], origin[2], dx, dy, dz)
-            k, s, r, c = trace(fine, wide, ray, hint)
+            k, s, r, c = trace(fine, wide, Ray(origin[0], origin[1], origin[2], dx, dy, dz), hint)
             kind[i, j], distance[i, j], row[i, j], col[i, j] = k, s, r, c
             hint = 0.0
             if k == FINE:
@@ -219,15 +214,7 @@ def add_with_neighbours(seen: ByteArray, wanted: ByteArray) -> None:
 
 
 @kernel
-def _wide_radiance(
-    wide: Ground,
-    row: float,
-    col: float,
-    lit: ByteArray,
-    sun: FloatArray,
-    camera: FloatArray,
-    surface: HapkeParameters,
-) -> float:
+def _wide_radiance(wide: Ground, row: float, col: float, lit: ByteArray, light: Light) -> float:
     h = wide.heights
     r, c = min(int(row), h.shape[0] - 2), min(int(col), h.shape[1] - 2)
     y, x = row - r, col - c
@@ -238,13 +225,8 @@ def _wide_radiance(
     south_rate = bicubic_at(h, row + 0.5, col) - bicubic_at(h, row - 0.5, col)
     east_rate = bicubic_at(h, row, col + 0.5) - bicubic_at(h, row, col - 0.5)
     lat, lon = wide.north - row * wide.step_lat, wide.west + col * wide.step_lon
-    cos_lat, sin_lat, cos_lon, sin_lon = np.cos(lat), np.sin(lat), np.cos(lon), np.sin(lon)
-    up, east = (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat), (-sin_lon, cos_lon, 0.0)
     height = bicubic_at(h, row, col)
-    light = Light(sun, camera, surface)
-    value: float = shade(wide, lat, height, up, east, south_rate, east_rate, light)
-    value *= free / 255.0
-    return value
+    return float(shade(wide, lat, lon, height, south_rate, east_rate, light) * (free / 255.0))
 
 
 @kernel
@@ -289,7 +271,6 @@ def _smooth_at(kind: ByteArray, row: Float32Array, col: Float32Array, i: int, j:
 def mean_radiance(
     fine: Ground,
     wide: Ground,
-    surface: HapkeParameters,
     view: View,
     hits: Hits,
     shading: Shading,
@@ -302,7 +283,7 @@ def mean_radiance(
     A pixel that sees a node without brightness stays NaN; the node's block is marked as missing.
     """
     kind, distance, row, col = hits.kind, hits.distance, hits.row, hits.col
-    sun, shaded, wide_lit, missing = shading.sun, shading.fine, shading.wide_lit, shading.missing
+    light, shaded, wide_lit, missing = shading
     origin, corners = view.origin, view.corners
     posting = fine.step_lat * fine.radius_m
     for i in numba.prange(kind.shape[0]):
@@ -331,5 +312,5 @@ def mean_radiance(
                             missing[int(r) // BLOCK, int(c) // BLOCK] = 1
                         total += value
                     elif k == WIDE:
-                        total += _wide_radiance(wide, r, c, wide_lit, sun, origin, surface)
+                        total += _wide_radiance(wide, r, c, wide_lit, light)
             out[i, j] = np.float32(total / (n * n))

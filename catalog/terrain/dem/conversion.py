@@ -74,5 +74,4 @@ def _average(raw: NDArray[Any], many: int, convert: Conversion, out: Float32Arra
                     total += value
                     valid += 1
             enough = valid > 0 and 2 * valid >= end - k * many
-            mean = total / valid * convert.scale_m + convert.offset_m if enough else np.nan
-            out[i, k] = mean
+            out[i, k] = total / valid * convert.scale_m + convert.offset_m if enough else np.nan

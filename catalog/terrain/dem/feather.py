@@ -117,8 +117,7 @@ class Feather:
         there = (over >= 0) & (over < height)
         there &= ~above | (self.mirrors[0] and self.even)
         there &= ~below | (self.mirrors[1] and self.even)
-        shift = np.where(above | below, width // 2, 0)
-        at = cols[None, :] + shift[:, None]
+        at = cols[None, :] + np.where(above | below, width // 2, 0)[:, None]
         if self.turn:
             at = np.mod(at, width)
         inside = there[:, None] & (at >= 0) & (at < width)

@@ -35,25 +35,21 @@ def path_of(name: str, base_dir: Path) -> Path:
     Raises ConfigError for a shared or shipped file that is not there.
     """
     if name.startswith(SHARED):
-        return _shared_path(name)
+        folder = os.environ.get(SHARED_FOLDER)
+        if not folder:
+            raise ConfigError(
+                f"'{name}' lies in the folder that the environment variable {SHARED_FOLDER} names, "
+                "which is not set; set it, or write the file's own path"
+            )
+        path = Path(folder).resolve() / name.removeprefix(SHARED)
+        if not path.is_file():
+            raise ConfigError(
+                f"'{name}' is not there: {SHARED_FOLDER} is {folder}, and {path} is no file"
+            )
+        return path
     if name.startswith(BUNDLED):
         return resource(f"data/{name.removeprefix(BUNDLED)}")
     return base_dir / name
-
-
-def _shared_path(name: str) -> Path:
-    folder = os.environ.get(SHARED_FOLDER)
-    if not folder:
-        raise ConfigError(
-            f"'{name}' lies in the folder that the environment variable {SHARED_FOLDER} names, "
-            "which is not set; set it, or write the file's own path"
-        )
-    path = Path(folder).resolve() / name.removeprefix(SHARED)
-    if not path.is_file():
-        raise ConfigError(
-            f"'{name}' is not there: {SHARED_FOLDER} is {folder}, and {path} is no file"
-        )
-    return path
 
 
 def label_of(path: Path) -> Path:

@@ -7,7 +7,7 @@ corners; any other projection goes through PROJ.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -96,29 +96,19 @@ class Georeference:
         Columns of a cylindrical raster lie in [-0.5, period - 0.5): any turn of longitude is right.
         Points that the projection cannot show give NaN.
         """
-        lat, lon = np.broadcast_arrays(
-            np.asarray(lat, dtype=np.float64), np.asarray(lon, dtype=np.float64)
-        )
+        lat, lon = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (lat, lon)))
         if self.kind == OTHER:
             return self._pixel_through_proj(lat, lon)
         col, row = np.empty(lat.size), np.empty(lat.size)
-        _pixels(
-            self.kind,
-            np.array(self.parameters),
-            self.longitude_sign,
-            np.ascontiguousarray(lat).ravel(),
-            np.ascontiguousarray(lon).ravel(),
-            col,
-            row,
-        )
+        flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
+        _pixels(self.kind, np.array(self.parameters), self.longitude_sign, *flat, col, row)
         return col.reshape(lat.shape), row.reshape(lat.shape)
 
     def _pixel_through_proj(
         self, lat: FloatArray, lon: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         forward, _ = self._transformers
-        lon_deg = np.degrees(lon) * self.longitude_sign
-        x, y = forward.transform(lon_deg, np.degrees(lat))
+        x, y = forward.transform(np.degrees(lon) * self.longitude_sign, np.degrees(lat))
         # PROJ gives infinities for points that the projection cannot show
         shown = np.isfinite(x) & np.isfinite(y)
         a, b, c, d, e, f = self.affine
@@ -202,17 +192,7 @@ def georeference(
 
 def georeference_through_proj(closed: Georeference) -> Georeference:
     """The same raster with every point sent through PROJ (the reference of the closed forms)."""
-    return Georeference(
-        closed.wkt,
-        closed.affine,
-        closed.shape,
-        closed.longitude_sign,
-        OTHER,
-        (),
-        closed.row_angle,
-        closed.column_angle,
-        closed.turn,
-    )
+    return replace(closed, kind=OTHER, parameters=())
 
 
 def _turn_in_x(crs: pyproj.CRS) -> float:
@@ -236,10 +216,9 @@ def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]
         return None
     if crs.is_geographic:
         unit = crs.axis_info[0].unit_conversion_factor  # rad a CRS unit
-        rows = 1.0 / (unit * e)
-        return CYLINDRICAL, (-c / a - 0.5, 1.0 / (unit * a), -f / e - 0.5, rows, _turn(unit * a))
-    operation = crs.coordinate_operation
-    ellipsoid = crs.ellipsoid
+        rows, turn = 1.0 / (unit * e), float(2.0 * np.pi / abs(unit * a))
+        return CYLINDRICAL, (-c / a - 0.5, 1.0 / (unit * a), -f / e - 0.5, rows, turn)
+    operation, ellipsoid = crs.coordinate_operation, crs.ellipsoid
     if operation is None or ellipsoid is None or ellipsoid.inverse_flattening != 0.0:
         return None
     radius = ellipsoid.semi_major_metre
@@ -254,13 +233,8 @@ def _closed_form(crs: pyproj.CRS, affine: Steps) -> tuple[int, tuple[float, ...]
         col0 = (east / unit - per_rad * lon0 - c) / a - 0.5
         row0 = (north / unit - radius / unit * lat0 - f) / e - 0.5
         period = 2.0 * np.pi * per_rad / abs(a)
-        return CYLINDRICAL, (
-            float(col0),
-            float(per_rad / a),
-            float(row0),
-            float(radius / unit / e),
-            float(period),
-        )
+        numbers = col0, per_rad / a, row0, radius / unit / e, period
+        return CYLINDRICAL, tuple(float(number) for number in numbers)
     if "Stereographic" in operation.method_name and a == -e:
         polar = _polar(values)
         if polar is None:
@@ -283,10 +257,6 @@ def _polar(values: dict[str, float]) -> tuple[float, float, float] | None:
         return None
     lon0 = values.get("Longitude of natural origin", values.get("Longitude of origin", 0.0))
     return float(np.sign(lat)), lon0, scale
-
-
-def _turn(step: float) -> float:
-    return float(2.0 * np.pi / abs(step))
 
 
 def _agrees(made: Georeference) -> bool:

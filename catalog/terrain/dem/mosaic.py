@@ -55,6 +55,7 @@ class Mosaic:
         self.body = pyramids[0].source.body
         # one that shows all of the body without a hole: every place has ground
         self.whole = any(p.covers_the_body for p in pyramids)
+        self.posting_m = min(p.source.posting_m for p in pyramids)  # the finest of all
         self._reset()
 
     def _reset(self) -> None:
@@ -63,7 +64,7 @@ class Mosaic:
         self._feathers: dict[int, Feather | None] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"pyramids": self.pyramids, "body": self.body, "whole": self.whole}
+        return {k: v for k, v in self.__dict__.items() if not k.startswith("_")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -71,28 +72,17 @@ class Mosaic:
 
     @classmethod
     def from_files(
-        cls,
-        settings: Sequence[DemSettings],
-        base_dir: Path,
-        body: Body,
-        overview_dir: Path,
+        cls, settings: Sequence[DemSettings], base_dir: Path, body: Body, overview_dir: Path
     ) -> "Mosaic":
         """A mosaic of [[dem]] sections; overviews that `overview_dir` does not hold yet are made.
 
         Raises DataError for a file that cannot be used and OutputError for an unwritable folder.
         """
-        ordered = sorted(settings, key=lambda s: s.priority)
-        return cls(
-            [
-                HeightPyramid.load_or_build(one, base_dir, body, overview_dir / f"dem-{i:02d}")
-                for i, one in enumerate(ordered)
-            ]
-        )
-
-    @property
-    def posting_m(self) -> float:
-        """The finest posting of all sources."""
-        return min(p.source.posting_m for p in self.pyramids)
+        pyramids = [
+            HeightPyramid.load_or_build(one, base_dir, body, overview_dir / f"dem-{i:02d}")
+            for i, one in enumerate(sorted(settings, key=lambda s: s.priority))
+        ]
+        return cls(pyramids)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -109,10 +99,9 @@ class Mosaic:
     @property
     def extent(self) -> str:
         """The ground that it covers: west, south, east, north of each source."""
-        sources = [pyramid.source for pyramid in self.pyramids]
         return "; ".join(
             f"{s.path.name} covers {','.join(f'{v:.6g}' for v in np.degrees(s.latlon_bounds()))}"
-            for s in sources
+            for s in (pyramid.source for pyramid in self.pyramids)
         )
 
     def files(self) -> list[Path]:
@@ -174,7 +163,10 @@ class Mosaic:
         Where one cylindrical source serves the zone, a node whose footprint touches a hole has no
         height.
         """
-        meeting = [i for i, p in enumerate(self.pyramids) if _meets(p, latitudes)]
+        # south and north of each source
+        bounds = [p.source.latlon_bounds()[1::2] for p in self.pyramids]
+        least, most = latitudes
+        meeting = [i for i, (south, north) in enumerate(bounds) if south <= most and north >= least]
         if not meeting:
             return np.full((part.height, part.width), np.nan, dtype=np.float32)
         pyramid = self.pyramids[meeting[0]]
@@ -192,8 +184,7 @@ class Mosaic:
         there is no ground.
         """
         if len(self.pyramids) == 1:
-            found = self.covers(projection.lat, projection.lon, posting_m)
-            return self.names[0] if found else ""
+            return self.names[0] if self.covers(projection.lat, projection.lon, posting_m) else ""
         sampled = self._sample_grid(projection, posting_m, size)
         numbers = np.flatnonzero(sampled.used.any(axis=1)).tolist()
         middle = int(self.source_index(projection.lat, projection.lon))
@@ -211,9 +202,7 @@ class Mosaic:
     def _at(
         self, lat: ArrayLike, lon: ArrayLike, posting_m: float
     ) -> tuple[Sampled, tuple[int, ...]]:
-        lat, lon = np.broadcast_arrays(
-            np.asarray(lat, dtype=np.float64), np.asarray(lon, dtype=np.float64)
-        )
+        lat, lon = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (lat, lon)))
         flat = np.ascontiguousarray(lat).ravel(), np.ascontiguousarray(lon).ravel()
         return self._sample(lambda p: pixels_of_points(p, *flat), lat.size, posting_m), lat.shape
 
@@ -224,10 +213,7 @@ class Mosaic:
         self._reset()
 
     def _sample(
-        self,
-        places: Callable[[Georeference], Pixels],
-        count: int,
-        posting_m: float,
+        self, places: Callable[[Georeference], Pixels], count: int, posting_m: float
     ) -> Sampled:
         """Heights of `count` points; `places` finds them in a raster."""
         layers = []
@@ -270,16 +256,8 @@ class Mosaic:
         return self._levels[i, level]
 
 
-def _meets(pyramid: HeightPyramid, latitudes: tuple[float, float]) -> bool:
-    _, south, _, north = pyramid.source.latlon_bounds()
-    return bool(south <= latitudes[1] and north >= latitudes[0])
-
-
 def _composed(layers: Sequence[tuple[IntArray, Float32Array, FloatArray]], count: int) -> Sampled:
-    """One height a point from those of the sources: point numbers, heights, weights, in order.
-
-    Each source is laid over what those below it give; where they give nothing it counts wholly.
-    """
+    """One height a point from those of the sources: point numbers, heights, weights, in order."""
     heights = np.full(count, np.nan, dtype=np.float32)
     source = np.full(count, -1, dtype=np.int8)
     used = np.zeros((len(layers), count), dtype=bool)

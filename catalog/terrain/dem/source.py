@@ -124,25 +124,13 @@ class DemSource:
             raise DataError(f"{path}: scale is 0; set `scale` in its [[dem]] section")
         nodata = settings.nodata if settings.nodata is not None else dataset.nodata
         lowest = ISIS_LOWEST_VALID.get(dtype, -np.inf) if dataset.driver == "ISIS3" else -np.inf
+        missing = np.nan if nodata is None else float(nodata)
+        convert = Conversion(scale * factor, offset * factor, missing, lowest)
+        block = tuple(dataset.block_shapes[0])
         source = cls(
-            path=path,
-            settings=settings,
-            body=body,
-            place=place,
-            convert=Conversion(
-                scale * factor,
-                offset * factor,
-                np.nan if nodata is None else float(nodata),
-                lowest,
-            ),
-            heights="height",
-            units=units,
-            dtype=dtype,
-            block_shape=tuple(dataset.block_shapes[0]),
-            _dataset=dataset,
+            path, settings, body, place, convert, "height", units, dtype, block, _dataset=dataset
         )
-        probe = source._probe()
-        source._settle_radius(probe, offset_given=offset * factor)
+        source._settle_radius(source._probe(), offset_given=offset * factor)
         return source
 
     def _probe(self) -> FloatArray:
@@ -213,8 +201,7 @@ class DemSource:
         for pole in (np.pi / 2.0, -np.pi / 2.0):
             c, r = self.place.pixel_from_latlon(np.array([pole]), np.array([0.0]))
             if -0.5 <= c[0] <= cols - 0.5 and -0.5 <= r[0] <= rows - 0.5:
-                whole = (-np.pi, min(south, pole), np.pi, max(north, pole))
-                return whole
+                return (-np.pi, min(south, pole), np.pi, max(north, pole))
         middle = self.place.latlon_from_pixel([(cols - 1) / 2.0], [(rows - 1) / 2.0])[1][0]
         offset = np.mod(lon - middle + np.pi, 2.0 * np.pi) - np.pi
         return float(middle + offset.min()), south, float(middle + offset.max()), north

@@ -138,19 +138,14 @@ def count_faces(path: Path, progress: Progress) -> int | None:
                 return int(count)
         pattern = _FACET_LINE if kind == ".stl" else _FACE_LINE
         file.seek(0)
-        return _matching_lines(file, pattern, path.stat().st_size, progress)
-
-
-def _matching_lines(
-    file: BinaryIO, pattern: re.Pattern[bytes], size: int, progress: Progress
-) -> int:
-    count, rest = 0, b""
-    with progress.stage("count faces", total=-(-size // MEGABYTE), unit="MB") as shown:
-        while block := file.read(MEGABYTE):
-            whole, _, rest = (rest + block).rpartition(b"\n")
-            count += len(pattern.findall(whole))
-            shown.advance()
-    return count + len(pattern.findall(rest))
+        count, rest = 0, b""
+        blocks = -(-path.stat().st_size // MEGABYTE)
+        with progress.stage("count faces", total=blocks, unit="MB") as shown:
+            while block := file.read(MEGABYTE):
+                whole, _, rest = (rest + block).rpartition(b"\n")
+                count += len(pattern.findall(whole))
+                shown.advance()
+        return count + len(pattern.findall(rest))
 
 
 def _glb_faces(file: BinaryIO) -> int | None:

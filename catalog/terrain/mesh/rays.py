@@ -9,6 +9,7 @@ and, if that does not help, against all triangles in 64 bits. (Slips of shadow r
 for: they are a few lit pixels in a million.)
 """
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,17 +95,17 @@ class MeshRays:
     def __init__(self, corners: FloatArray) -> None:
         self.corners = np.ascontiguousarray(corners, dtype=np.float64)
         self.reach_m = float(np.sqrt(np.square(corners).sum(axis=2).max()))
-        self._index: Any = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_index": None}
+        return {name: value for name, value in self.__dict__.items() if name != "_scene"}
 
     def first_hits(self, origins_m: ArrayLike, rays: ArrayLike) -> tuple[Int32Array, FloatArray]:
         """First faces that unit rays (n, 3) from outside meet (-1: none), and distances (n) m.
 
         origins_m  (n, 3) or (3,), body frame; distances are infinite where nothing is met
         """
-        origins, rays = _pairs(origins_m, rays)
+        both = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (origins_m, rays)))
+        origins, rays = (np.ascontiguousarray(v) for v in both)
         found = np.empty(len(rays), np.int32)
         distance, cosine = np.empty(len(rays)), np.empty(len(rays))
         for part in _parts(len(rays)):
@@ -112,33 +113,22 @@ class MeshRays:
             found[part] = self._run(start, rays[part], "INTERSECT")
             found[part][ahead] = -1
         _places(self.corners, origins, rays, found, distance, cosine)
+        # rays that met a face from within are traced once more, a hair aside
         for sign in (1.0, -1.0):
-            self._again(origins, rays, sign, found, distance, cosine)
+            inner = np.flatnonzero(cosine > 0.0)
+            if not inner.size:
+                break
+            aside = np.cross(rays[inner], np.roll(rays[inner], 1, axis=1) + [0.3, 0.5, 0.7])
+            aside *= sign * ASIDE * self.reach_m / np.linalg.norm(aside, axis=1)[:, None]
+            start, ahead = self._starts(origins[inner] + aside, rays[inner])
+            again = self._run(start, rays[inner], "INTERSECT")
+            again[ahead] = -1
+            at, side = np.empty(inner.size), np.empty(inner.size)
+            _places(self.corners, origins[inner], rays[inner], again, at, side)
+            found[inner], distance[inner], cosine[inner] = again, at, side
         for n in np.flatnonzero(cosine > 0.0):
             found[n], distance[n] = first_of_all(self.corners, origins[n], rays[n], 0.0)
         return found, distance
-
-    def _again(
-        self,
-        origins: FloatArray,
-        rays: FloatArray,
-        sign: float,
-        found: Int32Array,
-        distance: FloatArray,
-        cosine: FloatArray,
-    ) -> None:
-        """Trace rays that met a face from within once more, a hair aside."""
-        inner = np.flatnonzero(cosine > 0.0)
-        if not inner.size:
-            return
-        aside = np.cross(rays[inner], np.roll(rays[inner], 1, axis=1) + [0.3, 0.5, 0.7])
-        aside *= sign * ASIDE * self.reach_m / np.linalg.norm(aside, axis=1)[:, None]
-        start, ahead = self._starts(origins[inner] + aside, rays[inner])
-        again = self._run(start, rays[inner], "INTERSECT")
-        again[ahead] = -1
-        at, side = np.empty(inner.size), np.empty(inner.size)
-        _places(self.corners, origins[inner], rays[inner], again, at, side)
-        found[inner], distance[inner], cosine[inner] = again, at, side
 
     def next_hits(
         self, origins_m: FloatArray, rays: FloatArray, beyond_m: FloatArray
@@ -170,32 +160,23 @@ class MeshRays:
     def _run(self, origins: FloatArray, rays: FloatArray, query: str) -> Int32Array:
         scaled = np.ascontiguousarray(origins / self.reach_m, dtype=np.float32)
         directions = np.ascontiguousarray(rays, dtype=np.float32)
-        faces: Int32Array = self._scene().run(scaled, directions, query=query)
+        faces: Int32Array = self._scene.run(scaled, directions, query=query)
         return faces
 
+    @cached_property
     def _scene(self) -> Any:
-        if self._index is None:
-            try:
-                from embreex.mesh_construction import TriangleMesh
-                from embreex.rtcore import EmbreeDevice
-                from embreex.rtcore_scene import EmbreeScene
-            except ImportError:
-                raise DataError(
-                    "rays on meshes need the package embreex, which is made for x86-64 machines "
-                    "only; build on such a machine: its catalog can be used on all"
-                ) from None
-            device = EmbreeDevice()
-            scene = EmbreeScene(device)
-            TriangleMesh(scene, (self.corners / self.reach_m).astype(np.float32))
-            self._index = scene
-        return self._index
-
-
-def _pairs(origins: ArrayLike, rays: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    first, second = np.broadcast_arrays(
-        np.asarray(origins, dtype=np.float64), np.asarray(rays, dtype=np.float64)
-    )
-    return np.ascontiguousarray(first), np.ascontiguousarray(second)
+        try:
+            from embreex.mesh_construction import TriangleMesh
+            from embreex.rtcore import EmbreeDevice
+            from embreex.rtcore_scene import EmbreeScene
+        except ImportError:
+            raise DataError(
+                "rays on meshes need the package embreex, which is made for x86-64 machines only; "
+                "build on such a machine: its catalog can be used on all"
+            ) from None
+        scene = EmbreeScene(EmbreeDevice())
+        TriangleMesh(scene, (self.corners / self.reach_m).astype(np.float32))
+        return scene
 
 
 def _parts(count: int) -> list[slice]:

@@ -36,12 +36,7 @@ FINEST_FACES = 4_000_000  # that a coarse model is refined to: a grown mesh must
 
 
 def smooth_corners(
-    path: Path,
-    longitude: str,
-    metres: float,
-    vertices: FloatArray,
-    faces: IntArray,
-    halvings: int,
+    path: Path, longitude: str, metres: float, vertices: FloatArray, faces: IntArray, halvings: int
 ) -> FloatArray:
     """Corners (m, 3, 3) m of a mesh whose edges are 2^halvings times shorter than the model's.
 
@@ -49,8 +44,7 @@ def smooth_corners(
     vertices, faces  (n, 3) m and (k, 3): the closed surface that was made of it
     """
     if path.suffix.lower() in (".tab", ".txt") and is_grid(path):
-        grid = finer_grid(read_grid(path), 2**halvings)
-        vertices, faces = surface_of(grid, longitude)
+        vertices, faces = surface_of(finer_grid(read_grid(path), 2**halvings), longitude)
         return metres * vertices[faces]
     for _ in range(halvings):
         vertices, faces = butterfly(vertices, faces)
@@ -108,8 +102,7 @@ def butterfly(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArr
 def _between(values: FloatArray, times: int) -> FloatArray:
     """Values and those that cut each step between them into `times`."""
     count = values.size - 1
-    places = np.arange(count * times + 1) / times
-    return np.interp(places, np.arange(count + 1), values)
+    return np.interp(np.arange(count * times + 1) / times, np.arange(count + 1), values)
 
 
 @kernel
@@ -224,8 +217,7 @@ def _halved(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray
     middles = 0.5 * (vertices[first] + vertices[second])
     # the cubic's middle: a chord that dives below the plane of an end lies under the ground
     for end, sign in ((first, -0.125), (second, 0.125)):
-        dive = np.einsum("ij,ij->i", way, normals[end])
-        middles += sign * dive[:, None] * normals[end]
+        middles += sign * np.einsum("ij,ij->i", way, normals[end])[:, None] * normals[end]
     a, b, c = faces.T
     ab, bc, ca = (count + number).reshape(3, -1)
     corners = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]

@@ -21,12 +21,12 @@ from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem.file import path_of
+from catalog.terrain.dem.source import METRES
 from catalog.terrain.mesh.file import MeshSettings, RawMesh, read_mesh
 from catalog.terrain.mesh.winding import Edges, edges_of, pieces_of, turns_about, volume_of
 
 log = logging.getLogger(__name__)
 
-METRES = {"m": 1.0, "km": 1000.0}
 # Vertices nearer than this share of the body's size are one: seams differ by rounding of their
 # longitude (1e-12), neighbours of the largest models are 1e-4 apart.
 SAME_VERTEX = 1e-7
@@ -105,7 +105,17 @@ def closed_shape(path: Path, raw: RawMesh) -> Shape:
     if pieces < 0:
         raise DataError(f"{path}: the surface has only one side; wanted one that encloses a body")
     if pieces > 1:
-        _refuse_pieces(path, vertices, faces, pieces, piece)
+        sizes = np.bincount(piece, minlength=pieces)
+        largest = np.argsort(-sizes, kind="stable")[:NAMED_PLACES]
+        middles = np.array([vertices[faces[piece == k]].mean(axis=(0, 1)) for k in largest]) / 1e3
+        listed = "; ".join(
+            f"{sizes[k]} faces about ({x:.4g}, {y:.4g}, {z:.4g}) km"
+            for k, (x, y, z) in zip(largest, middles, strict=True)
+        )
+        raise DataError(
+            f"{path}: holds {pieces} closed surfaces ({listed}{'; ...' if pieces > 3 else ''}); "
+            "wanted one body: leave the others out of the file"
+        )
     faces = np.where(turned[:, None], faces[:, ::-1], faces)
     inward = volume_of(vertices, faces) < 0.0
     if inward:
@@ -115,7 +125,17 @@ def closed_shape(path: Path, raw: RawMesh) -> Shape:
         mended.append(f"{wrong} of {len(faces)} faces looked inward and were turned")
     used, faces = np.unique(faces, return_inverse=True)
     shape = Shape(vertices[used], faces.reshape(-1, 3), tuple(mended))
-    _check_manifold(path, shape)
+    # the same once more by a library made for it: what it cannot take is no solid
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(vert_properties=shape.vertices, tri_verts=shape.faces.astype(np.uint64))
+    )
+    if solid.status() != manifold3d.Error.NoError:
+        raise DataError(
+            f"{path}: is no solid ({solid.status().name}): faces that touch or cross each other; "
+            "mend it in a mesh editor"
+        )
+    if (count := len(solid.decompose())) != 1:
+        raise DataError(f"{path}: is {count} solids that touch; wanted one body")
     return shape
 
 
@@ -145,8 +165,7 @@ def _merged(raw: RawMesh, mended: list[str]) -> tuple[FloatArray, IntArray]:
     number = connected_components(links, directed=False)[1]
     _, first = np.unique(number, return_index=True)
     vertices, faces = raw.vertices[first], number.astype(np.int64)[raw.faces]
-    named = np.unique(raw.faces)
-    gone = named.size - np.unique(faces).size
+    gone = np.unique(raw.faces).size - np.unique(faces).size
     if gone:
         mended.append(f"{gone} vertices stood where another did and were merged")
     return vertices, faces
@@ -184,42 +203,10 @@ def _check_edges(path: Path, vertices: FloatArray, faces: IntArray, edges: Edges
             )
 
 
-def _refuse_pieces(
-    path: Path, vertices: FloatArray, faces: IntArray, pieces: int, piece: IntArray
-) -> None:
-    sizes = np.bincount(piece, minlength=pieces)
-    largest = np.argsort(-sizes, kind="stable")[:NAMED_PLACES]
-    middles = np.array([vertices[faces[piece == k]].mean(axis=(0, 1)) for k in largest]) / 1e3
-    listed = "; ".join(
-        f"{sizes[k]} faces about ({x:.4g}, {y:.4g}, {z:.4g}) km"
-        for k, (x, y, z) in zip(largest, middles, strict=True)
-    )
-    raise DataError(
-        f"{path}: holds {pieces} closed surfaces ({listed}{'; ...' if pieces > 3 else ''}); wanted "
-        "one body: leave the others out of the file"
-    )
-
-
-def _check_manifold(path: Path, shape: Shape) -> None:
-    """The same once more by a library made for it: what it cannot take is no solid."""
-    solid = manifold3d.Manifold(
-        manifold3d.Mesh64(vert_properties=shape.vertices, tri_verts=shape.faces.astype(np.uint64))
-    )
-    if solid.status() != manifold3d.Error.NoError:
-        raise DataError(
-            f"{path}: is no solid ({solid.status().name}): faces that touch or cross each other; "
-            "mend it in a mesh editor"
-        )
-    pieces = len(solid.decompose())
-    if pieces != 1:
-        raise DataError(f"{path}: is {pieces} solids that touch; wanted one body")
-
-
 def _places(points: FloatArray) -> str:
     """Latitudes and longitudes of the first few points."""
     lat, lon, radius = latlon_from_xyz(points[:NAMED_PLACES])
-    places = [
+    return "; ".join(
         f"lat {np.degrees(a):.2f}, lon {np.degrees(b):.2f}, {r / 1e3:.4g} km"
         for a, b, r in zip(lat, lon, radius, strict=True)
-    ]
-    return "; ".join(places) + ("; ..." if len(points) > NAMED_PLACES else "")
+    ) + ("; ..." if len(points) > NAMED_PLACES else "")

@@ -39,7 +39,12 @@ def read_table(path: Path, longitude: str) -> tuple[FloatArray, IntArray]:
     if len(first) <= 2 and longitude == "west":
         raise ValueError('a table of vertices has no longitudes; take longitude = "west" out')
     if len(first) == 1 and len(second) == 3:
-        return _icq(np.loadtxt(path, skiprows=1, ndmin=2), int(first[0]))
+        rows, q = np.loadtxt(path, skiprows=1, ndmin=2), int(first[0])
+        if rows.shape != (6 * (q + 1) ** 2, 3):
+            wanted = 6 * (q + 1) ** 2
+            raise ValueError(f"{len(rows)} vertices; six faces of {q} x {q} have {wanted}")
+        numbers = np.arange(len(rows)).reshape(6, q + 1, q + 1)
+        return rows, np.concatenate([_quads(face) for face in numbers])
     if len(first) <= 2 and len(second) == 4:
         return _plates(path, int(first[0]))
     if len(first) != 3:
@@ -92,8 +97,7 @@ def surface_of(grid: RadiiGrid, longitude: str) -> tuple[FloatArray, IntArray]:
     at = np.stack([lats[:, None] + 0.0 * lons, np.mod(lons, 360.0) + 0.0 * radii, radii], axis=-1)
     at[np.abs(lats) > 90.0 - ANGLE_TOLERANCE_DEG, :, 1] = 0.0
     corners = at.reshape(-1, 3)[faces]
-    point_twice = (corners == np.roll(corners, -1, axis=1)).all(axis=2).any(axis=1)
-    faces = faces[~point_twice]
+    faces = faces[~(corners == np.roll(corners, -1, axis=1)).all(axis=2).any(axis=1)]
     return vertices, faces if sign > 0.0 else faces[:, ::-1]
 
 
@@ -108,13 +112,6 @@ def _plates(path: Path, count: int) -> tuple[FloatArray, IntArray]:
     if vertices.shape != (count, 3) or faces.shape != (plates, 3):
         raise ValueError(f"{len(lines)} lines for {count} vertices and {plates} plates")
     return vertices, faces
-
-
-def _icq(rows: FloatArray, q: int) -> tuple[FloatArray, IntArray]:
-    if rows.shape != (6 * (q + 1) ** 2, 3):
-        raise ValueError(f"{len(rows)} vertices; six faces of {q} x {q} have {6 * (q + 1) ** 2}")
-    numbers = np.arange(len(rows)).reshape(6, q + 1, q + 1)
-    return rows, np.concatenate([_quads(face) for face in numbers])
 
 
 def _quads(numbers: IntArray) -> IntArray:

@@ -7,13 +7,14 @@ Where it meets the ground again soon below, the ground overhangs and has no one 
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from catalog.arrays import BoolArray, Float32Array, FloatArray, Int32Array
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
@@ -34,6 +35,7 @@ class MeshTerrain:
     corners_file  .npy of (m, 3, 3) m, faces counter-clockwise from outside
     name          of the file that the mesh came from
     posting_m     distance of neighbouring vertices
+    in_planes     whether patches lie in tangent planes: on a small body
     """
 
     whole = True
@@ -41,33 +43,18 @@ class MeshTerrain:
 
     def __init__(self, body: Body, corners_file: Path, name: str, posting_m: float) -> None:
         self.body, self.corners_file, self.name = body, corners_file, name
-        self._posting_m = posting_m
-        self._rays: MeshRays | None = None
+        self.posting_m = posting_m
+        self.names: tuple[str, ...] = (name,)
+        self.extent = f"{name} covers all of {body.name}"
+        self.in_planes = 2.0 * body.radius_m < SMALL_BODY_M
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_rays": None}
+        return {name: value for name, value in self.__dict__.items() if name != "rays"}
 
-    @property
+    @cached_property
     def rays(self) -> MeshRays:
         """The mesh for rays, read at first use."""
-        if self._rays is None:
-            self._rays = MeshRays(np.load(self.corners_file))
-        return self._rays
-
-    @property
-    def posting_m(self) -> float:
-        """Distance of neighbouring vertices."""
-        return self._posting_m
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The mesh's file."""
-        return (self.name,)
-
-    @property
-    def extent(self) -> str:
-        """All of the body."""
-        return f"{self.name} covers all of {self.body.name}"
+        return MeshRays(np.load(self.corners_file))
 
     def files(self) -> list[Path]:
         """The file of corners."""
@@ -75,12 +62,7 @@ class MeshTerrain:
 
     def close(self) -> None:
         """Drop the mesh; it is read again at the next use."""
-        self._rays = None
-
-    @property
-    def in_planes(self) -> bool:
-        """Whether patches lie in tangent planes: on a small body."""
-        return 2.0 * self.body.radius_m < SMALL_BODY_M
+        self.__dict__.pop("rays", None)
 
     def projection(self, lat: float, lon: float) -> MapProjection:
         """The projection of patches about the ground at a place (rad, planetocentric)."""
@@ -107,7 +89,7 @@ class MeshTerrain:
 
     def local_grid(self, projection: MapProjection, posting_m: float, size: int) -> Float32Array:
         """Heights (size, size) of a centred map grid; NaN beside the body and under overhangs."""
-        return self._grid(projection, posting_m, size, self._single)
+        return self._grid(projection, posting_m, size, size * posting_m)
 
     def graticule_heights(
         self, graticule: Graticule, part: Part, posting_m: float, latitudes: tuple[float, float]
@@ -118,8 +100,8 @@ class MeshTerrain:
 
     def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
         """Whether a vertical line through a node meets the ground again within the grid's width."""
-        first = self._first(projection, *node_grid(size, posting_m), size * posting_m)
-        single = self._single(projection, *node_grid(size, posting_m), size * posting_m)
+        first = self._outermost(projection, *node_grid(size, posting_m))
+        single = self._outermost(projection, *node_grid(size, posting_m), size * posting_m)
         return bool((np.isnan(single) & ~np.isnan(first)).any())
 
     def beyond(
@@ -134,7 +116,7 @@ class MeshTerrain:
         grids = []
         while size * posting_m < 4.0 * self.rays.reach_m:
             posting_m *= 2.0
-            grids.append((self._grid(projection, posting_m, size, self._first), posting_m))
+            grids.append((self._grid(projection, posting_m, size), posting_m))
         return grids
 
     def provenance(self, projection: MapProjection, posting_m: float, size: int) -> str:
@@ -142,43 +124,27 @@ class MeshTerrain:
         return self.name
 
     def _grid(
-        self, projection: MapProjection, posting_m: float, size: int, heights: Any
+        self, projection: MapProjection, posting_m: float, size: int, depth_m: float = 0.0
     ) -> Float32Array:
-        """Means of heights over the cells of a grid's nodes."""
-        aside = int(np.clip(np.ceil(posting_m / self._posting_m - 0.05), 1, MAX_RAYS_ASIDE))
+        """Means of heights, see `_outermost`, over the cells of a grid's nodes."""
+        aside = int(np.clip(np.ceil(posting_m / self.posting_m - 0.05), 1, MAX_RAYS_ASIDE))
         x, y = node_grid(size * aside, posting_m / aside)
-        found = heights(projection, x, y, size * posting_m)
-        cells = found.reshape(size, aside, size, aside)
+        heights = self._outermost(projection, x, y, depth_m)
+        cells = heights.reshape(size, aside, size, aside)
         means: Float32Array = cells.mean(axis=(1, 3)).astype(np.float32)
         return means
 
-    def _lines(
-        self, projection: MapProjection, x: FloatArray, y: FloatArray
-    ) -> tuple[FloatArray, FloatArray, float]:
-        """Starts above all ground and downward rays (n, 3) of nodes, and the starts' height, m."""
-        top = 2.0 * self.rays.reach_m
-        starts = projection.points(x.ravel(), y.ravel(), top)
-        return starts, projection.downward(starts), top
-
     def _outermost(
-        self, starts: FloatArray, rays: FloatArray, top_m: float
-    ) -> tuple[Int32Array, FloatArray, FloatArray]:
-        """Faces, distances and heights (n), m, of the first ground on lines of `_lines`."""
+        self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float = 0.0
+    ) -> FloatArray:
+        """Heights of the outermost ground; NaN where it begins again less than depth_m below."""
+        top = 2.0 * self.rays.reach_m  # above all ground
+        starts = projection.points(x.ravel(), y.ravel(), top)
+        rays = projection.downward(starts)
         face, distance = self.rays.first_hits(starts, rays)
-        return face, distance, np.where(np.isfinite(distance), top_m - distance, np.nan)
-
-    def _first(
-        self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float
-    ) -> FloatArray:
-        """Heights of the outermost ground at map points."""
-        return self._outermost(*self._lines(projection, x, y))[2].reshape(x.shape)
-
-    def _single(
-        self, projection: MapProjection, x: FloatArray, y: FloatArray, depth_m: float
-    ) -> FloatArray:
-        """The same; NaN where ground begins again less than depth_m below."""
-        starts, rays, top = self._lines(projection, x, y)
-        face, distance, height = self._outermost(starts, rays, top)
+        height = np.where(np.isfinite(distance), top - distance, np.nan)
+        if depth_m == 0.0:
+            return height.reshape(x.shape)
         met = np.flatnonzero(face >= 0)
         past = PAST * self.rays.reach_m
         # out of the body again, then into it once more

@@ -63,14 +63,10 @@ class LevelWindows:
         self.wraps = whole
         top, bottom = mirrored_poles(place)
         self.mirrors_top, self.mirrors_bottom = even and top, even and bottom
-        self.most_halvings = self._count_halvings() if base is None else 0
-
-    def _count_halvings(self) -> int:
-        """Halvings that leave some columns, and an even number of whole ones in a ring."""
-        cols, count = self.shape[1], 0
-        while cols >= 2 * MIN_COLUMNS and not (self.wraps and cols % 4):
-            cols, count = -(-cols // 2), count + 1
-        return count
+        self.most_halvings = 0
+        # halvings leave some columns, and an even number of whole ones in a ring
+        while base is None and cols >= 2 * MIN_COLUMNS and not (whole and cols % 4):
+            cols, self.most_halvings = -(-cols // 2), self.most_halvings + 1
 
     def halved(self, halvings: int) -> "LevelWindows":
         """The same level with columns averaged 2^halvings at a time."""
@@ -96,8 +92,7 @@ class LevelWindows:
             self._fill(mirrored, -(row0 + top - 1) - 1, col0 + cols // 2)
             out[:top] = mirrored[::-1]
         if bottom < height and self.mirrors_bottom:
-            beyond = height - bottom
-            mirrored = np.full((beyond, width), np.nan, dtype=np.float32)
+            mirrored = np.full((height - bottom, width), np.nan, dtype=np.float32)
             self._fill(mirrored, 2 * rows - (row0 + height), col0 + cols // 2)
             out[bottom:] = mirrored[::-1]
         return out
@@ -155,8 +150,7 @@ class LevelWindows:
         place = self.pyramid.source.place
         edges = np.array([down * TILE, min((down + 1) * TILE, self.shape[0])]) * self.scale - 0.5
         lat, _ = place.latlon_from_pixel(np.zeros(2), edges)
-        share = 1.0 if self.level else 0.5
-        wide = share * float(place.columns_per_posting(1.0, lat).min())
+        wide = (1.0 if self.level else 0.5) * float(place.columns_per_posting(1.0, lat).min())
         return int(halvings_for(wide, self.most_halvings))
 
 

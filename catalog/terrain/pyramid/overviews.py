@@ -92,11 +92,6 @@ def whole_blocks_path(folder: Path) -> Path:
     return folder / "whole-blocks.npy"
 
 
-def level_count(shape: tuple[int, int]) -> int:
-    """Levels down to a side of about SMALLEST, the source's own included."""
-    return max(1, 1 + math.floor(math.log2(max(1.0, min(shape) / SMALLEST))))
-
-
 def write_levels(
     source: DemSource, folder: Path, workers: int, progress: Progress
 ) -> PyramidRecord:
@@ -105,7 +100,8 @@ def write_levels(
     Raises DataError for a damaged file, one without data or with impossible heights, OutputError
     when the folder cannot be written.
     """
-    levels = level_count(source.shape)
+    # down to a side of about SMALLEST, the source's own included
+    levels = max(1, 1 + math.floor(math.log2(max(1.0, min(source.shape) / SMALLEST))))
     copied = _is_copied(source)
     if copied:
         _copy_into_tiles(source, folder, progress)
@@ -226,9 +222,11 @@ def _in_order(
 
 
 def _create(source: DemSource, folder: Path, level: int) -> Any:
+    """A tiled file to write a level to: heights, or counts as they are for level 0."""
     rows, cols = level_shape(source.shape, level)
     a, b, c, d, e, f = source.place.affine
     step = 2.0**level
+    dtype = "float32" if level else source.dtype
     return rasterio.open(
         level_path(folder, level),
         "w",
@@ -236,8 +234,8 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
         height=rows,
         width=cols,
         count=1,
-        dtype="float32",
-        nodata=math.nan,
+        dtype=dtype,
+        nodata=math.nan if level else None,
         crs=rasterio.CRS.from_wkt(source.place.wkt),
         transform=rasterio.Affine(a * step, b * step, c, d * step, e * step, f),
         tiled=True,
@@ -245,7 +243,7 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
         blockysize=BLOCK,
         compress="zstd",
         zstd_level=1,
-        predictor=3,
+        predictor=3 if np.dtype(dtype).kind == "f" else 2,
         bigtiff="if_safer",
     )
 
@@ -253,26 +251,8 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
 def _copy_into_tiles(source: DemSource, folder: Path, progress: Progress) -> None:
     """Level 0 as tiles, counts unchanged, read in bands of whole rows."""
     rows, cols = source.shape
-    dtype = np.dtype(source.dtype)
     with (
-        rasterio.open(
-            level_path(folder, 0),
-            "w",
-            driver="GTiff",
-            height=rows,
-            width=cols,
-            count=1,
-            dtype=source.dtype,
-            crs=rasterio.CRS.from_wkt(source.place.wkt),
-            transform=rasterio.Affine(*source.place.affine),
-            tiled=True,
-            blockxsize=BLOCK,
-            blockysize=BLOCK,
-            compress="zstd",
-            zstd_level=1,
-            predictor=3 if dtype.kind == "f" else 2,
-            bigtiff="if_safer",
-        ) as copy,
+        _create(source, folder, 0) as copy,
         progress.stage("tiles", total=-(-rows // BLOCK), unit="band") as stage,
     ):
         for row in range(0, rows, BLOCK):

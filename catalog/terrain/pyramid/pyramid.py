@@ -127,11 +127,7 @@ class HeightPyramid:
 
     @classmethod
     def build(
-        cls,
-        source: DemSource,
-        folder: Path,
-        workers: int = 1,
-        progress: Progress | None = None,
+        cls, source: DemSource, folder: Path, workers: int = 1, progress: Progress | None = None
     ) -> "HeightPyramid":
         """Read a source whole and write its overviews; the folder appears when all is done.
 
@@ -151,12 +147,7 @@ class HeightPyramid:
 
     @classmethod
     def load_or_build(
-        cls,
-        settings: DemSettings,
-        base_dir: Path,
-        body: Body,
-        folder: Path,
-        workers: int = 1,
+        cls, settings: DemSettings, base_dir: Path, body: Body, folder: Path, workers: int = 1
     ) -> "HeightPyramid":
         """The pyramid of a [[dem]] section, made if the folder does not hold it yet."""
         source = DemSource.open(settings, base_dir, body)

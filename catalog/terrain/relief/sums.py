@@ -91,8 +91,7 @@ class CellSums:
     @property
     def coverage(self) -> float:
         """Share of the sphere's surface that has heights."""
-        rows = self.shares.shape[0]
-        edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, rows + 1))
+        edges = np.sin(np.linspace(np.pi / 2.0, -np.pi / 2.0, self.shares.shape[0] + 1))
         return float((edges[:-1] - edges[1:]) @ self.shares.mean(axis=1, dtype=np.float64) / 2.0)
 
     def fill_from(self, layer: Layer, progress: Progress) -> tuple[float, float]:
@@ -101,21 +100,16 @@ class CellSums:
         Returns the lowest and the highest of the raster, m. Raises DataError for a damaged file.
         """
         lowest, highest = np.inf, -np.inf
-        new = Cells(
-            np.zeros(self.means.shape),
-            np.zeros_like(self.shares),
-            np.full_like(self.max_heights, -np.inf),
-        )
+        max_heights = np.full_like(self.max_heights, -np.inf)
+        new = Cells(np.zeros(self.means.shape), np.zeros_like(self.shares), max_heights)
         windows = layer.windows()
         with progress.stage("relief", total=len(windows), unit="window") as stage:
             for window in windows:
                 pixels = layer.read(*window)
                 if layer.place.kind == CYLINDRICAL:
-                    edges = _edges(layer, len(self.means), window)
-                    low, high = _add_overlaps(pixels, *edges, new)
+                    low, high = _add_overlaps(pixels, *_edges(layer, len(self.means), window), new)
                 else:
-                    middles = _middles(layer, len(self.means), window)
-                    low, high = _add_middles(pixels, *middles, new)
+                    low, high = _add_middles(pixels, *_middles(layer, len(self.means), window), new)
                 lowest, highest = min(lowest, low), max(highest, high)
                 stage.advance()
         _join(new, Cells(self.means, self.shares, self.max_heights))
@@ -307,10 +301,7 @@ def _join(new: Cells, kept: Cells) -> None:
 def _of_neighbours(
     holes: IntArray, means: Float32Array, shares: Float32Array, max_heights: Float32Array
 ) -> FloatArray:
-    """Mean and greatest height (holes, 2), averaged over those of the eight cells around.
-
-    NaN where none of these has heights.
-    """
+    """Mean and greatest height (holes, 2) of the eight cells around, averaged; NaN without any."""
     rows, cols = means.shape
     found = np.full((holes.shape[0], 2), np.nan)
     for n in range(holes.shape[0]):

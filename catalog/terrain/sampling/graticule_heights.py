@@ -46,11 +46,7 @@ def heights_by_blocks(
 
 
 def heights_by_weights(
-    base: LevelWindows,
-    pyramid: HeightPyramid,
-    graticule: Graticule,
-    part: Part,
-    rows_wide: float,
+    base: LevelWindows, pyramid: HeightPyramid, graticule: Graticule, part: Part, rows_wide: float
 ) -> Float32Array:
     """Heights (height, width) m of a part from a level of a cylindrical raster, NaN for none.
 
@@ -60,8 +56,7 @@ def heights_by_weights(
     place = pyramid.source.place
     col0, cols_per_rad, row0, rows_per_rad, period = place.parameters
     wide = period / (graticule.columns * base.scale)
-    halvings = int(halvings_for(wide, base.most_halvings))
-    level = base.halved(halvings)
+    level = base.halved(int(halvings_for(wide, base.most_halvings)))
     row = (row0 + rows_per_rad * graticule.lat(part.rows) + 0.5) / level.scale - 0.5
     col = col0 + cols_per_rad * place.longitude_sign * graticule.lon(part.cols)
     # of that turn which the raster shows

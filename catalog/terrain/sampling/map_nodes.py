@@ -70,7 +70,7 @@ def pixels_of_grid(
 ) -> Pixels:
     """Places of the nodes of a centred map grid (size, size), row by row from the north-west."""
     spacing = posting_m / (2.0 * projection.radius_m)
-    row, col, column_scale = np.empty(size * size), np.empty(size * size), np.empty(size * size)
+    row, col, column_scale = places = np.empty((3, size * size))
     ratio = place.row_angle / place.column_angle
     parameters = np.array(place.parameters)
     # longitudes are counted from the grid's middle, so that none jumps inside it
@@ -86,7 +86,7 @@ def pixels_of_grid(
         cylinder = Cylinder(middle, cols_per_rad, row0, rows_per_rad, ratio)
         _cylindrical(m, size, spacing, first, step, cylinder, nodes)
         if step > 1:
-            _between(nodes, size, _cubic_weights(step), row, col, column_scale)
+            _between(nodes, size, _cubic_weights(step), places)
         else:
             row, col, column_scale = nodes.reshape(3, -1)
     elif place.kind == POLAR:
@@ -166,14 +166,7 @@ def _cylindrical(
 
 
 @kernel
-def _between(
-    nodes: FloatArray,
-    size: int,
-    weights: FloatArray,
-    row: FloatArray,
-    col: FloatArray,
-    column_scale: FloatArray,
-) -> None:
+def _between(nodes: FloatArray, size: int, weights: FloatArray, places: FloatArray) -> None:
     """All nodes from every `len(weights)`th, whose first lies one such step outside the grid."""
     step, n = weights.shape[0], nodes.shape[1]
     line = np.empty((3, n))
@@ -192,24 +185,13 @@ def _between(
             for s in range(min(step, size - start)):
                 w0, w1, w2, w3 = weights[s, 0], weights[s, 1], weights[s, 2], weights[s, 3]
                 at = i * size + start + s
-                row[at] = (
-                    w0 * line[0, b]
-                    + w1 * line[0, b + 1]
-                    + w2 * line[0, b + 2]
-                    + w3 * line[0, b + 3]
-                )
-                col[at] = (
-                    w0 * line[1, b]
-                    + w1 * line[1, b + 1]
-                    + w2 * line[1, b + 2]
-                    + w3 * line[1, b + 3]
-                )
-                column_scale[at] = (
-                    w0 * line[2, b]
-                    + w1 * line[2, b + 1]
-                    + w2 * line[2, b + 2]
-                    + w3 * line[2, b + 3]
-                )
+                for k in range(3):
+                    places[k, at] = (
+                        w0 * line[k, b]
+                        + w1 * line[k, b + 1]
+                        + w2 * line[k, b + 2]
+                        + w3 * line[k, b + 3]
+                    )
 
 
 @kernel

@@ -8,6 +8,7 @@ whose highest ground (a coarse grid of bounds) cannot reach the skyline found so
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,6 +39,15 @@ class Skyline:
     radius_m: FloatArray
 
 
+class _Outlook(NamedTuple):
+    """The grid with borders on a sphere (m), the observer's distance (m) and axes (3, 3)."""
+
+    grid: Float32Array
+    sphere: float
+    distance: float
+    axes: FloatArray
+
+
 class LimbRelief:
     """A relief made ready for skylines.
 
@@ -49,7 +59,11 @@ class LimbRelief:
         crests = relief.heights + np.float32(top_share) * (relief.max_heights - relief.heights)
         self.radius_m = relief.radius_m
         self.posting_m = relief.posting_m
-        self.grid = _with_borders(crests.astype(np.float32))
+        # one more row and column on every side, so that bilinear needs no exceptions
+        grid = crests.astype(np.float32)
+        half = grid.shape[1] // 2
+        tall = np.concatenate([np.roll(grid[:1], half, 1), grid, np.roll(grid[-1:], half, 1)])
+        self.grid = np.ascontiguousarray(np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1))
         self.bounds = _bounds(crests)
         self.highest_m = float(crests.max())
 
@@ -62,24 +76,16 @@ class LimbRelief:
         place = np.ascontiguousarray(position_m, dtype=np.float64)
         around = np.ascontiguousarray(azimuths, dtype=np.float64)
         found = np.empty((3, around.size))
-        _skyline(
-            self.grid,
-            self.bounds,
-            self.radius_m,
-            self.highest_m,
-            float(np.linalg.norm(place)),
-            np.ascontiguousarray(axes, dtype=np.float64),
-            around,
-            found,
-        )
-        return Skyline(found[0], found[1], found[2])
+        body = self.grid, self.bounds, self.radius_m, self.highest_m
+        rows = np.ascontiguousarray(axes, dtype=np.float64)
+        _skyline(*body, float(np.linalg.norm(place)), rows, around, found)
+        return Skyline(*found)
 
     def sunlit(self, points: ArrayLike, sun: ArrayLike) -> BoolArray:
         """Whether the Sun (3,), a direction, stands clear of the relief at places (n, 3), m."""
         places = np.ascontiguousarray(points, dtype=np.float64)
-        towards = unit(sun)
         lit = np.empty(len(places), np.bool_)
-        _sunlit(self.grid, self.radius_m, self.highest_m, self.posting_m, places, towards, lit)
+        _sunlit(self.grid, self.radius_m, self.highest_m, self.posting_m, places, unit(sun), lit)
         return lit
 
 
@@ -91,13 +97,6 @@ def nadir_axes(position: ArrayLike) -> FloatArray:
     first -= up * (first @ up)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(up, first), up])
-
-
-def _with_borders(grid: Float32Array) -> Float32Array:
-    """One more row and column on every side, so that bilinear needs no exceptions."""
-    half = grid.shape[1] // 2
-    tall = np.concatenate([np.roll(grid[:1], half, 1), grid, np.roll(grid[-1:], half, 1)])
-    return np.ascontiguousarray(np.concatenate([tall[:, -1:], tall, tall[:, :1]], axis=1))
 
 
 def _bounds(grid: Float32Array) -> Float32Array:
@@ -140,15 +139,13 @@ def _bound(bounds: Float32Array, x: float, y: float, z: float) -> float:
     per_rad = bounds.shape[0] / np.pi
     row = int((0.5 * np.pi - np.arctan2(z, np.sqrt(x * x + y * y))) * per_rad)
     col = int((np.arctan2(y, x) + np.pi) * per_rad)
-    answer: float = bounds[min(row, bounds.shape[0] - 1), min(col, bounds.shape[1] - 1)]
-    return answer
+    return float(bounds[min(row, bounds.shape[0] - 1), min(col, bounds.shape[1] - 1)])
 
 
 @kernel
 def _cot(distance: float, radius: float, angle: float) -> float:
     """Cotangent of the off-nadir angle of a point; the skyline has the smallest."""
-    answer: float = (distance - radius * np.cos(angle)) / (radius * np.sin(angle))
-    return answer
+    return float((distance - radius * np.cos(angle)) / (radius * np.sin(angle)))
 
 
 @kernel
@@ -166,29 +163,18 @@ def _direction(
 
 @kernel
 def _ground_cot(
-    grid: Float32Array,
-    sphere: float,
-    distance: float,
-    axes: FloatArray,
-    azimuth: tuple[float, float],
-    angle: float,
+    outlook: _Outlook, azimuth: tuple[float, float], angle: float
 ) -> tuple[float, float]:
-    """`_cot` of the ground at an angle from the observer, and its radius.
-
-    azimuth  its cosine and sine
-    """
+    """`_cot` of the ground at an angle from the observer, at an azimuth, and its radius."""
     up, along = np.cos(angle), np.sin(angle)
-    x, y, z = _direction(axes, azimuth, up, along)
-    radius = sphere + _height(grid, x, y, z)
-    return (distance - radius * up) / (radius * along), radius
+    x, y, z = _direction(outlook.axes, azimuth, up, along)
+    radius = outlook.sphere + _height(outlook.grid, x, y, z)
+    return (outlook.distance - radius * up) / (radius * along), radius
 
 
 @kernel
 def _highest_of_segment(
-    grid: Float32Array,
-    sphere: float,
-    distance: float,
-    axes: FloatArray,
+    outlook: _Outlook,
     azimuth: tuple[float, float],
     segment: tuple[float, float, float, int],
     best: tuple[float, float],
@@ -203,7 +189,7 @@ def _highest_of_segment(
     for k in range(parts):
         angle = start + (k + 0.5) * step
         if low < angle < high:
-            cot, _ = _ground_cot(grid, sphere, distance, axes, azimuth, angle)
+            cot, _ = _ground_cot(outlook, azimuth, angle)
             if cot < best_cot:
                 best_cot, best_angle = cot, angle
     return best_cot, best_angle
@@ -211,20 +197,14 @@ def _highest_of_segment(
 
 @kernel
 def _refined(
-    grid: Float32Array,
-    sphere: float,
-    distance: float,
-    axes: FloatArray,
-    azimuth: tuple[float, float],
-    half: float,
-    best: tuple[float, float],
+    outlook: _Outlook, azimuth: tuple[float, float], half: float, best: tuple[float, float]
 ) -> tuple[float, float]:
     """`best` (cotangent, angle) after halvings of the step about it, from `half` (rad) on."""
     best_cot, best_angle = best
     for _ in range(REFINEMENTS):
         centre = best_angle
         for side in (-half, half):
-            cot, _ = _ground_cot(grid, sphere, distance, axes, azimuth, centre + side)
+            cot, _ = _ground_cot(outlook, azimuth, centre + side)
             if cot < best_cot:
                 best_cot, best_angle = cot, centre + side
         half *= 0.5
@@ -242,6 +222,7 @@ def _skyline(
     azimuths: FloatArray,
     found: FloatArray,
 ) -> None:
+    outlook = _Outlook(grid, sphere, distance, axes)
     posting = np.pi / (grid.shape[0] - 2)
     parts = int(np.ceil(SEGMENT / min(0.5 * posting, MAX_STEP)))
     step = SEGMENT / parts
@@ -272,13 +253,9 @@ def _skyline(
             if _cot(distance, radius, min(max(np.arccos(radius / distance), low), high)) > best:
                 continue
             segment = low, high, start, parts
-            best, best_angle = _highest_of_segment(
-                grid, sphere, distance, axes, azimuth, segment, (best, best_angle)
-            )
-        best, best_angle = _refined(
-            grid, sphere, distance, axes, azimuth, 0.5 * step, (best, best_angle)
-        )
-        _, radius = _ground_cot(grid, sphere, distance, axes, azimuth, best_angle)
+            best, best_angle = _highest_of_segment(outlook, azimuth, segment, (best, best_angle))
+        best, best_angle = _refined(outlook, azimuth, 0.5 * step, (best, best_angle))
+        _, radius = _ground_cot(outlook, azimuth, best_angle)
         found[0, n], found[1, n], found[2, n] = np.arctan2(1.0, best), best_angle, radius
 
 

@@ -53,29 +53,6 @@ def _tangent_heights(grids: Float32Array, postings: FloatArray, radius: float) -
 
 
 @kernel
-def _profile(
-    grid: Float32Array,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    first: int,
-    last: int,
-    heights: FloatArray,
-) -> None:
-    """Bilinear heights at (x, y) + k (dx, dy), k = first..last, in nodes; all must lie inside."""
-    size = grid.shape[0]
-    for k in range(first, last + 1):
-        col, row = x + k * dx, y + k * dy
-        i, j = min(np.uint64(row), np.uint64(size - 2)), min(np.uint64(col), np.uint64(size - 2))
-        dr, dc = row - i, col - j
-        i1, j1 = i + np.uint64(1), j + np.uint64(1)
-        heights[k - first] = (1.0 - dr) * ((1.0 - dc) * grid[i, j] + dc * grid[i, j1]) + dr * (
-            (1.0 - dc) * grid[i1, j] + dc * grid[i1, j1]
-        )
-
-
-@kernel
 def _inside(origin: float, step: float, top: float) -> tuple[float, float]:
     """Range of k for which 0 <= origin + k step <= top."""
     if abs(step) < 1e-12:
@@ -159,9 +136,20 @@ def _known_profile(
     s: FloatArray,
     z: FloatArray,
 ) -> int:
-    """Fill s, z with way and height of the points k step, k = first..last, that have ground."""
-    col, row, d_col, d_row = crossing
-    _profile(grid, col, row, d_col, d_row, first, last, z)
+    """Fill s, z with way and height of the points k step, k = first..last, that have ground.
+
+    All of them must lie inside the grid; heights are bilinear.
+    """
+    x, y, dx, dy = crossing
+    size = grid.shape[0]
+    for k in range(first, last + 1):
+        col, row = x + k * dx, y + k * dy
+        i, j = min(np.uint64(row), np.uint64(size - 2)), min(np.uint64(col), np.uint64(size - 2))
+        dr, dc = row - i, col - j
+        i1, j1 = i + np.uint64(1), j + np.uint64(1)
+        z[k - first] = (1.0 - dr) * ((1.0 - dc) * grid[i, j] + dc * grid[i, j1]) + dr * (
+            (1.0 - dc) * grid[i1, j] + dc * grid[i1, j1]
+        )
     count = 0
     for k in range(first, last + 1):
         height = z[k - first]
@@ -250,9 +238,8 @@ def _limits(heights: Float32Array, postings: FloatArray, radius: float, per_bin:
     for level in range(postings.size):
         max_heights[level] = -np.inf
         for height in grids[level].flat:
-            max_heights[level] = (
-                max(max_heights[level], height) if height == height else max_heights[level]
-            )
+            if height > max_heights[level]:
+                max_heights[level] = height
     half = AZIMUTHS * per_bin // 2
     tangents = np.empty(2 * half)
     for k in range(half):
@@ -289,6 +276,5 @@ def skyline_limits_deg(
     angles = np.degrees(np.arctan(tangents)).reshape(AZIMUTHS, PER_BIN)
     # the border between two bins belongs to both
     middle, border = angles[:, 0], angles[:, PER_BIN // 2]
-    worst = np.maximum(np.maximum(middle, border), np.roll(border, 1))
-    limits: FloatArray = np.maximum(worst, 0.0)
+    limits: FloatArray = np.maximum(np.maximum(np.maximum(middle, border), np.roll(border, 1)), 0.0)
     return limits

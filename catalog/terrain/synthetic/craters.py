@@ -66,21 +66,7 @@ def profile(x: float, wear: float) -> float:
     # (1 - y) exp(-y) with y = 2 x^2: floor, rim crest at x = 1, no net volume
     y = 2.0 * x * x
     worn = -_WORN_FLOOR * (1.0 - y) * float(np.exp(-y))
-    height: float = (1.0 - wear) * fresh + wear * worn
-    return height
-
-
-@kernel
-def _columns(band: int, bands: int) -> int:
-    """Cells in a latitude band."""
-    middle = -0.5 * np.pi + np.pi * (band + 0.5) / bands
-    return max(1, int(np.ceil(2.0 * bands * np.cos(middle))))
-
-
-@kernel
-def _cell_state(seed: int, octave: int, band: int, column: int) -> np.uint64:
-    state = join(join(np.uint64(0x0C7A7E25), seed), octave)
-    return join(join(state, band), column)
+    return float((1.0 - wear) * fresh + wear * worn)
 
 
 @kernel
@@ -93,8 +79,7 @@ def _cell_count(
     area = radius * radius * 2.0 * np.pi / columns * (np.sin(north) - np.sin(south))
     mean = 0.75 * f * GEOMETRIC_SATURATION / (smallest * smallest) * area
     draw = unit(join(state, -1))
-    term = np.exp(-mean)
-    total = term
+    total = term = np.exp(-mean)
     count = 0
     while draw > total and count < 1000:
         count += 1
@@ -139,16 +124,17 @@ def _gather(population: Population, box: FloatArray, table: FloatArray) -> int:
         turn = widest >= 0.5 * np.pi or np.sin(reach) >= np.cos(widest)
         half = np.pi if turn else np.arcsin(np.sin(reach) / np.cos(widest))
         for band in range(first, last + 1):
-            columns = _columns(band, bands)
+            middle = -0.5 * np.pi + np.pi * (band + 0.5) / bands
+            columns = max(1, int(np.ceil(2.0 * bands * np.cos(middle))))
             low = int(np.floor((box[1] - half + np.pi) / (2.0 * np.pi) * columns))
             high = int(np.floor((box[1] + box[3] + half + np.pi) / (2.0 * np.pi) * columns))
             if turn or high - low >= columns:
                 low, high = 0, columns - 1
             for turned in range(low, high + 1):
                 column = turned % columns
-                state = _cell_state(seed, octave, band, column)
-                count = _cell_count(state, band, bands, columns, 0.5 * top, f, radius)
-                for index in range(count):
+                state = join(join(np.uint64(0x0C7A7E25), seed), octave)
+                state = join(join(state, band), column)
+                for index in range(_cell_count(state, band, bands, columns, 0.5 * top, f, radius)):
                     if found < table.shape[0]:
                         crater = _crater(state, index, band, bands, column, columns, 0.5 * top)
                         for k in range(5):
@@ -166,8 +152,7 @@ def crater_table(
     Returns (n, 5): latitude, longitude (rad), diameter, rim-to-floor depth (m), wear 0..1.
     """
     box = np.array([south, west, north, width], dtype=np.float64)
-    empty = np.empty((0, 5))
-    table = np.empty((_gather(population, box, empty), 5))
+    table = np.empty((_gather(population, box, np.empty((0, 5))), 5))
     _gather(population, box, table)
     return table
 

@@ -129,8 +129,7 @@ class SyntheticRelief:
         table = craters.crater_table(
             self._population(octaves), *_body_box(body_from_grid, lat, lon)
         )
-        directions = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0)
-        own = directions @ body_from_grid
+        own = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0) @ body_from_grid
         own_lat = np.arcsin(np.clip(own[:, 2], -1.0, 1.0))
         row = (north - own_lat) / step
         col = np.mod(np.arctan2(own[:, 1], own[:, 0]) - west, 2.0 * np.pi) / step
@@ -164,8 +163,7 @@ class SyntheticRelief:
         cx, cy = projection.xy_from_latlon(table[:, craters.LAT], table[:, craters.LON])
         middle = (size - 1) / 2.0
         # the map's scale is 1 + (rho / 2R)^2: craters grow with it
-        scale = 1.0 + (cx * cx + cy * cy) / (2.0 * self.radius_m) ** 2
-        table[:, craters.DIAMETER] *= scale
+        table[:, craters.DIAMETER] *= 1.0 + (cx * cx + cy * cy) / (2.0 * self.radius_m) ** 2
         steps = np.full(size, posting_m)
         craters.stamp(out, middle - cy / posting_m, middle + cx / posting_m, table, steps, steps)
         return out
