@@ -83,11 +83,7 @@ def strongest_of(context: StageContext, cell: int, ground: CellGround) -> list[t
     latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
     suns = suns_of(context.config.render, latitude)
     response = hessian_eigenvalue_map(
-        blurred(ground.heights),
-        context.posting_m,
-        ground.window,
-        sun_products(suns),
-        ground.step,
+        blurred(ground.heights), context.posting_m, ground.window, sun_products(suns), ground.step
     )
     radius = separation_places(context, ground)
     free = np.where(ground.inside & ground.whole, response, np.nan)

@@ -100,10 +100,7 @@ def _use(found: Comparison) -> Iterator[str]:
 
 
 def _pairs(
-    name: str,
-    found: Comparison,
-    chosen: BoolArray,
-    text: Callable[[ComparedCatalog, Record], str],
+    name: str, found: Comparison, chosen: BoolArray, text: Callable[[ComparedCatalog, Record], str]
 ) -> Iterator[str]:
     """A line with the number of chosen points, and what each is in both catalogs."""
     rows = np.flatnonzero(chosen)

@@ -215,7 +215,7 @@ def insert_service_rows(
     srs_id = srs_of(meta.body, meta.radius_m)[0]
     box = tuple(extent) if extent is not None else (None,) * 4
     tables: list[tuple[object, ...]] = [
-        (POINTS, "features", "Control points with their certificates", *box, srs_id),
+        (POINTS, "features", "Control points with their certificates", *box, srs_id)
     ]
     if with_patches:
         nobox = (None,) * 4

@@ -167,9 +167,7 @@ def _stored_points(
 
 
 def insert_features(
-    db: sqlite3.Connection,
-    meta: CatalogMeta,
-    points: Iterable[tuple[ControlPoint, Record]],
+    db: sqlite3.Connection, meta: CatalogMeta, points: Iterable[tuple[ControlPoint, Record]]
 ) -> tuple[float, float, float, float] | None:
     """Fill the feature layer and its R-tree; returns west, south, east, north of the points."""
     srs_id = srs_of(meta.body, meta.radius_m)[0]
