@@ -46,7 +46,8 @@ def select(context: StageContext, records: Sequence[RenderedCell]) -> list[Selec
         cells,
         np.array([place.lat_deg for place in places]),
         np.array([place.lon_deg for place in places]),
-        np.array([_badness(place) for place in places]),
+        # places with holes in their fine patches come after all others
+        np.array([place.localisation_px + 1e6 * (place.missing > MAX_MISSING) for place in places]),
         settings.spacing_cell * context.grid.step_deg,
     )
     return [
@@ -74,9 +75,3 @@ def _places(record: RenderedCell, percentile: float) -> list[Place]:
             record.candidates, errors[:, :, rank].max(axis=1).tolist(), strict=True
         )
     ]
-
-
-def _badness(place: Place) -> float:
-    """Predicted error; places with holes in their fine patches come after all others."""
-    holes = 1e6 if place.missing > MAX_MISSING else 0.0
-    return place.localisation_px + holes

@@ -44,13 +44,8 @@ def draw_pyramid(pyramid: Pyramid, radius_m: float) -> ByteArray:
     picture: ByteArray = np.full((height, width, 3), _PAPER, dtype=np.uint8)
     _head(picture, pyramid)
     azimuth, elevation = np.radians(SUN_AZIMUTH_DEG), np.radians(SUN_ELEVATION_DEG)
-    sun = np.array(
-        [
-            np.cos(elevation) * np.sin(azimuth),
-            np.cos(elevation) * np.cos(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    across = np.cos(elevation)
+    sun = np.array([across * np.sin(azimuth), across * np.cos(azimuth), np.sin(elevation)])
     for level, patch in enumerate(levels):
         left = GAP_PX + level * (TILE_PX + GAP_PX)
         outer = tuple((p.heights_m, p.posting_m) for p in levels[level + 1 :])

@@ -26,6 +26,7 @@ SIDECARS = ("-wal", "-shm", "-journal")
 CACHE_KIB = 8192
 # Where SQLite's header keeps its change counter, and the counter that its page count goes with.
 COUNTER, COUNTER_AGAIN = slice(24, 28), slice(92, 96)
+PAGES = slice(16, 18), slice(28, 32)  # their size and number
 PIECE = 1 << 20
 
 
@@ -127,14 +128,12 @@ def live_log(path: Path) -> Path | None:
 
 def _check_length(path: Path, header: bytes, size: int) -> None:
     """Compare the file's length with the page count in its header (SQLite file format, 1.3)."""
-    page_size = int.from_bytes(header[16:18], "big")
-    page_size = 65536 if page_size == 1 else page_size
-    pages = int.from_bytes(header[28:32], "big")
+    page_size, pages = (int.from_bytes(header[part], "big") for part in PAGES)
+    whole = pages * (65536 if page_size == 1 else page_size)
     # the count is kept only by programs that write both version numbers alike
-    if header[24:28] == header[92:96] and size < pages * page_size:
+    if header[COUNTER] == header[COUNTER_AGAIN] and size < whole:
         raise DataError(
-            f"{path}: is cut short: {size} bytes of {pages * page_size}; copy it again or "
-            "build it again"
+            f"{path}: is cut short: {size} bytes of {whole}; copy it again or build it again"
         )
 
 
@@ -145,8 +144,7 @@ def put_seal(path: Path) -> None:
         if place < 0:
             raise ValueError(f"{path}: its manifest has no place for a seal")
         place += len(SEAL)
-        counter, _ = _counters(file)
-        seal = f"{counter}:{_hash(file, place)}".encode("ascii")
+        seal = f"{_counters(file)[0]}:{_hash(file, place)}".encode("ascii")
         file.seek(place)
         file.write(seal)
 
