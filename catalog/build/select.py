@@ -63,6 +63,7 @@ def _places(record: RenderedCell, percentile: float) -> list[Place]:
     errors = np.sort([candidate.error_px for candidate in record.candidates], axis=2)
     # nearest rank, not interpolated: an infinite error beside a finite one has no mean
     rank = math.ceil((errors.shape[2] - 1) * (percentile / 100.0))
+    worst = errors[:, :, rank].max(axis=1).tolist()
     return [
         Place(
             lat_deg=candidate.lat_deg,
@@ -71,7 +72,5 @@ def _places(record: RenderedCell, percentile: float) -> list[Place]:
             hessian_eigenvalue=candidate.hessian_eigenvalue,
             missing=max(candidate.missing),
         )
-        for candidate, error in zip(
-            record.candidates, errors[:, :, rank].max(axis=1).tolist(), strict=True
-        )
+        for candidate, error in zip(record.candidates, worst, strict=True)
     ]

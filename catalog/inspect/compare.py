@@ -19,7 +19,7 @@ from catalog.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.codec import decode, decode_counts
-from catalog.store.manifest import CatalogMeta, ReliefMeta
+from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import StoredPatch
 from catalog.store.reader import Catalog
 
@@ -148,38 +148,27 @@ def require_whole(path: str | Path) -> None:
         catalog.relief()
 
 
-def content_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ...]:
-    """Settings that differ and are part of the content digest."""
-    one, other = (
-        {name: str(getattr(meta, name)) for name in CONTENT}
-        | {"point_sources": ", ".join(meta.point_sources)}
-        | ({"relief": _relief_text(meta.relief)} if meta.relief is not None else {})
-        | ({"planes": str(meta.planes.rounded())} if meta.planes is not None else {})
-        for meta in (first, second)
-    )
-    return tuple(_changes(one, other))
+def _content(meta: CatalogMeta) -> dict[str, str]:
+    """Settings that are part of the content digest."""
+    values = {name: str(getattr(meta, name)) for name in CONTENT}
+    values["point_sources"] = ", ".join(meta.point_sources)
+    if meta.relief is not None:
+        relief = meta.relief
+        values["relief"] = f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
+    return values | ({"planes": str(meta.planes.rounded())} if meta.planes is not None else {})
 
 
-def provenance_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ...]:
-    """What else differs: program, time, hashes of terrain models, values of the build config."""
-    one, other = (
-        {name: str(getattr(meta, name)) for name in OF_THE_MOMENT}
-        | {f"source {name}": text for name, text in meta.sources.items()}
-        | _config_values(meta.config)
-        for meta in (first, second)
-    )
-    return tuple(_changes(one, other))
+def _provenance(meta: CatalogMeta) -> dict[str, str]:
+    """What else there is: program, time, hashes of terrain models, values of the build config."""
+    values = {name: str(getattr(meta, name)) for name in OF_THE_MOMENT}
+    sources = {f"source {name}": text for name, text in meta.sources.items()}
+    return values | sources | _config_values(meta.config)
 
 
-def _relief_text(relief: ReliefMeta) -> str:
-    return f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
-
-
-def _changes(one: Mapping[str, str], other: Mapping[str, str]) -> Iterator[Change]:
-    for name in [*one, *(name for name in other if name not in one)]:
-        change = Change(name, one.get(name, NOTHING), other.get(name, NOTHING))
-        if change.first != change.second:
-            yield change
+def _changes(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[Change, ...]:
+    names = [*one, *(name for name in other if name not in one)]
+    changes = (Change(name, one.get(name, NOTHING), other.get(name, NOTHING)) for name in names)
+    return tuple(change for change in changes if change.first != change.second)
 
 
 def _config_values(text: str) -> dict[str, str]:
@@ -203,7 +192,7 @@ def _flat(name: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
-    settings = content_changes(a.meta, b.meta)
+    settings = _changes(_content(a.meta), _content(b.meta))
     comparable = not {"body", "radius_m", "cell_deg"} & {change.name for change in settings}
     shared, rows_a, rows_b = np.intersect1d(
         a.ids, b.ids if comparable else b.ids[:0], assume_unique=True, return_indices=True
@@ -230,7 +219,7 @@ def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
         _side(a, shared, comparable, stage),
         _side(b, shared, comparable, stage),
         settings,
-        provenance_changes(a.meta, b.meta),
+        _changes(_provenance(a.meta), _provenance(b.meta)),
         comparable,
         before[changed],
         after[changed],

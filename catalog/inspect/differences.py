@@ -65,12 +65,11 @@ def lines(found: Comparison) -> Iterator[str]:
 
 
 def _alone(side: ComparedCatalog) -> Iterator[str]:
-    if not len(side.only):
-        return
-    yield f"only in {side.path}: {_points(len(side.only))}"
-    yield from _shortened(
-        list(side.only), lambda r: f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}"
-    )
+    if len(side.only):
+        yield f"only in {side.path}: {_points(len(side.only))}"
+        yield from _shortened(
+            list(side.only), lambda r: f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}"
+        )
 
 
 def _places(found: Comparison) -> Iterator[str]:

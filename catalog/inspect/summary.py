@@ -46,9 +46,8 @@ def describe(catalog: Catalog) -> dict[str, str]:
         "points": str(len(catalog)),
         "usable": str(usable),
         "rejected": str(len(catalog) - usable),
+        **{f"rejected_{why.replace(' ', '_')}": str(number) for why, number in rejected.items()},
     }
-    for reason, number in rejected.items():
-        lines[f"rejected_{reason.replace(' ', '_')}"] = str(number)
     box = extent_deg(catalog)
     if box is not None:
         lines["extent_deg"] = "west {:.4f}, south {:.4f}, east {:.4f}, north {:.4f}".format(*box)
@@ -63,10 +62,9 @@ def describe(catalog: Catalog) -> dict[str, str]:
         "software": meta.software,
         "created_utc": meta.created_utc,
         "size_bytes": str(catalog.path.stat().st_size),
+        **{f"source {name}": content for name, content in meta.sources.items()},
+        "digest": meta.digest,
     }
-    for name, content in meta.sources.items():
-        lines[f"source {name}"] = content
-    lines["digest"] = meta.digest
     return lines
 
 

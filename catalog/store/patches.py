@@ -23,7 +23,7 @@ import numpy as np
 from catalog.arrays import Int16Array
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
-from catalog.store.codec import Encoded, decode, decode_counts, encode
+from catalog.store.codec import Encoded, decode, encode
 from catalog.store.manifest import CatalogMeta, content_text
 from catalog.store.records import checksum, rounded_point
 from catalog.store.schema import HEIGHT_LAYER, patch_key
@@ -88,12 +88,6 @@ def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
     """The patch of a row (columns as PATCH_COLUMNS). Raises DataError for a damaged one."""
     patch = stored_patch_from_row(row, point_id, level)
     return Patch(patch.posting_m, decode(patch.encoded))
-
-
-def content_from_row(row: Sequence[object], point_id: int, level: int) -> tuple[bytes, Int16Array]:
-    """Header and counts of a row, for the digest. Raises DataError for a damaged one."""
-    patch = stored_patch_from_row(row, point_id, level)
-    return patch.header, decode_counts(patch.encoded.data, patch.encoded.size)
 
 
 def patch_header(point_id: int, level: int, posting_m: float, encoded: Encoded) -> bytes:

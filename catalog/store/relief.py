@@ -59,13 +59,6 @@ class TilePlace(NamedTuple):
         return f"relief, {LAYERS[self.layer]}, tile {self.row}, {self.col}"
 
 
-class Tile(NamedTuple):
-    """A tile as the file holds it; `header` is what checksum and digest cover beside its data."""
-
-    encoded: Encoded
-    header: bytes
-
-
 def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
     """Round a relief's heights and compress them.
 
@@ -98,7 +91,7 @@ def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | Non
         return None
     number = meta.relief.rows
     means, max_heights = (
-        _assembled([read_tile(db, place).encoded for place in _places(number, layer)], number)
+        _assembled([read_tile(db, place)[0] for place in _places(number, layer)], number)
         for layer in (MEANS, TOPS)
     )
     max_heights += means
@@ -110,8 +103,11 @@ def tile_places(meta: ReliefMeta) -> list[TilePlace]:
     return [*_places(meta.rows, MEANS), *_places(meta.rows, TOPS)]
 
 
-def read_tile(db: sqlite3.Connection, place: TilePlace) -> Tile:
-    """A tile as it is stored. Raises DataError unless it is there and its checksum fits."""
+def read_tile(db: sqlite3.Connection, place: TilePlace) -> tuple[Encoded, bytes]:
+    """A tile as it is stored, and what checksum and digest cover beside its data.
+
+    Raises DataError unless it is there and its checksum fits.
+    """
     try:
         row = db.execute(SELECT_TILE, (place.key,)).fetchone()
     except (sqlite3.Error, ValueError) as error:
@@ -125,7 +121,7 @@ def read_tile(db: sqlite3.Connection, place: TilePlace) -> Tile:
     header = _header(place, encoded)
     if stored != checksum(header, encoded.data):
         raise DataError(f"{place}: does not fit its checksum")
-    return Tile(encoded, header)
+    return encoded, header
 
 
 def relief_digest(
@@ -136,8 +132,8 @@ def relief_digest(
     def contents() -> Iterator[tuple[bytes, Int16Array]]:
         for place in tile_places(meta):
             try:
-                tile = read_tile(db, place)
-                yield tile.header, decode_counts(tile.encoded.data, tile.encoded.size)
+                tile, header = read_tile(db, place)
+                yield header, decode_counts(tile.data, tile.size)
             except DataError as error:
                 report(str(place), str(error).removeprefix(f"{place}: "))
 

@@ -9,9 +9,15 @@ from pathlib import Path
 from catalog.arrays import RecordArray
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
+from catalog.store.codec import decode_counts
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
 from catalog.store.manifest import CatalogMeta
-from catalog.store.patches import catalog_digest, content_from_row, patches_digest, point_digest
+from catalog.store.patches import (
+    catalog_digest,
+    patches_digest,
+    point_digest,
+    stored_patch_from_row,
+)
 from catalog.store.reader import SELECT_PATCHES, read_records
 from catalog.store.records import record_from_row
 from catalog.store.relief import relief_digest, tile_places
@@ -104,8 +110,7 @@ def _integrity(db: sqlite3.Connection, found: Verification) -> None:
         (identity,) = db.execute("PRAGMA application_id").fetchone()
         if identity != APPLICATION_ID:
             found.add("file header", f"application id {identity:#x} is not a GeoPackage's")
-        rows = db.execute(f"PRAGMA integrity_check({MAX_INTEGRITY_LINES})").fetchall()
-        for (line,) in rows:
+        for (line,) in db.execute(f"PRAGMA integrity_check({MAX_INTEGRITY_LINES})").fetchall():
             if line != "ok":
                 found.add("SQLite", line)
     except (sqlite3.Error, ValueError) as error:
@@ -178,7 +183,9 @@ def _contents(
                 if row is None:
                     found.add(place, "is missing")
                     continue
-                contents.append(content_from_row(row, number, level))
+                patch = stored_patch_from_row(row, number, level)
+                counts = decode_counts(patch.encoded.data, patch.encoded.size)
+                contents.append((patch.header, counts))
             except (sqlite3.Error, ValueError, DataError) as error:
                 found.add(place, error)
         digests += point_digest(record.tobytes(), patches_digest(contents))

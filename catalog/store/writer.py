@@ -172,15 +172,12 @@ def insert_features(
     """Fill the feature layer and its R-tree; returns west, south, east, north of the points."""
     srs_id = srs_of(meta.body, meta.radius_m)[0]
     insert = f"INSERT INTO {POINTS} VALUES ({', '.join('?' * len(POINT_COLUMNS))})"
-    box: tuple[float, float, float, float] | None = None
     places: list[tuple[int, float, float]] = []
     for point, record in points:
-        lat, lon = point.lat_deg, point.lon_deg
         db.execute(insert, feature_row(point, record, srs_id))
-        places.append((point.id, lon, lat))
-        west, south, east, north = box or (lon, lat, lon, lat)
-        box = (min(west, lon), min(south, lat), max(east, lon), max(north, lat))
+        places.append((point.id, point.lon_deg, point.lat_deg))
     tree = f"INSERT INTO {RTREE} VALUES (?,?,?,?,?)"
     db.executemany(tree, [(number, x, x, y, y) for number, x, y in places])
     create_triggers(db)
-    return box
+    _, lon, lat = zip(*places) if places else ((), (), ())
+    return (min(lon), min(lat), max(lon), max(lat)) if places else None
