@@ -241,9 +241,8 @@ def settle_pyramid(run: IngestRun) -> tuple[PyramidSettings, float]:
     Raises ConfigError when even the finest patch spans more.
     """
     settings, radius = run.config.pyramid, run.body.radius_m
-    posting = settings.posting_m
-    if posting is None:
-        posting = CELLS_ACROSS * math.radians(run.config.grid.cell_deg) * radius / settings.size
+    cell_m = math.radians(run.config.grid.cell_deg) * radius
+    posting = settings.posting_m or CELLS_ACROSS * cell_m / settings.size
     spans_deg = math.degrees(posting * settings.size / radius)
     if spans_deg > MAX_ARC_DEG + 1e-9:
         raise ConfigError(

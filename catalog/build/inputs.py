@@ -119,11 +119,11 @@ def _keys(first: str, config: BuildConfig, posting_m: float) -> dict[str, str]:
 
 def _check_posting(run: IngestRun, posting_m: float, finest_m: float) -> None:
     """Refuse patches wider than the body and a posting that shows nothing more."""
-    if posting_m < finest_m / MAX_OVERSAMPLING:
+    least_m = finest_m / MAX_OVERSAMPLING
+    if posting_m < least_m:
         raise ConfigError(
             f"{run.config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
-            f"model has {finest_m:.6g} m; wanted at least {finest_m / MAX_OVERSAMPLING:.6g}, "
-            "or leave it out"
+            f"model has {finest_m:.6g} m; wanted at least {least_m:.6g}, or leave it out"
         )
     reach = posting_m * run.config.pyramid.size * 2 ** (run.config.pyramid.levels - 1)
     if reach > run.body.radius_m:

@@ -99,9 +99,8 @@ def write(
     results  where prepared points rest until the file is whole
     Raises OutputError for a place that cannot be written.
     """
-    terrain, planes = context.mosaic, None
-    if terrain.in_planes:
-        planes = PlanesMeta(context.body.radii_m, terrain.posting_m)
+    terrain = context.mosaic
+    planes = PlanesMeta(context.body.radii_m, terrain.posting_m) if terrain.in_planes else None
     meta = CatalogMeta(
         body=context.body.name,
         radius_m=context.body.radius_m,

@@ -103,9 +103,8 @@ def _head(picture: ByteArray, pyramid: Pyramid) -> None:
 
 def _label(level: int, patch: Patch) -> str:
     known = patch.heights_m[np.isfinite(patch.heights_m)]
-    if known.size == 0:
-        return f"level {level}  {patch.posting_m:.4g} m  no data"
-    return f"level {level}  {patch.posting_m:.4g} m  {known.min():.0f}..{known.max():.0f} m"
+    heights = f"{known.min():.0f}..{known.max():.0f} m" if known.size else "no data"
+    return f"level {level}  {patch.posting_m:.4g} m  {heights}"
 
 
 def _write(picture: ByteArray, text: str, x: int, y: int, size: float = 0.42) -> None:

@@ -112,13 +112,10 @@ class Account(msgspec.Struct):
 
     def judge(self, points: Iterable[tuple[bool, Flag]]) -> None:
         """Count points (usable, flags) and what keeps them from use, the most frequent first."""
-        total = usable = 0
-        reasons: Counter[str] = Counter()
-        for good, flags in points:
-            total, usable = total + 1, usable + good
-            if not good:
-                reasons.update(reasons_text(flag) for flag in flags)
-        self.points, self.usable = total, usable
+        judged = list(points)
+        bad = [flags for good, flags in judged if not good]
+        reasons = Counter(reasons_text(flag) for flags in bad for flag in flags)
+        self.points, self.usable = len(judged), len(judged) - len(bad)
         self.reasons = dict(reasons.most_common())
 
     def total(self) -> StageAccount:

@@ -151,10 +151,8 @@ class Workspace:
     def records(self, name: str, type_: type[Any]) -> list[Any] | None:
         """The records of a result file; None, and the file gone, where it is missing or damaged."""
         data = self.get(name)
-        if data is None:
-            return None
         try:
-            return decode_records(data, type_)
+            return None if data is None else decode_records(data, type_)
         except DamagedRecordsError:
             (self.folder / name).unlink(missing_ok=True)
             return None

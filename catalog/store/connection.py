@@ -63,21 +63,22 @@ def connect(path: Path) -> sqlite3.Connection:
         _check_length(path, header, size)
     # Without a log beside it nobody is writing, and `immutable` spares locks and works on
     # read-only media; with one (a GIS program has the file open) SQLite must read both.
-    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro" + (
-        "&immutable=1" if log is None else ""
-    )
+    mode = "ro&immutable=1" if log is None else "ro"
+    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode={mode}"
     try:
         # SQLite serialises calls itself, so that threads may share a catalog
         db = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
         db.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
     except sqlite3.Error as error:
         left = (
-            f"; a program was stopped while it wrote to it and left {log.name}: open and close the "
-            "catalog once with that program, where it can be written"
-            if log is not None
-            else "; restore it or build it again"
+            "restore it or build it again"
+            if log is None
+            else (
+                f"a program was stopped while it wrote to it and left {log.name}: open and close the "
+                "catalog once with that program, where it can be written"
+            )
         )
-        raise DataError(f"{path}: cannot be opened: {error}{left}") from None
+        raise DataError(f"{path}: cannot be opened: {error}; {left}") from None
     return db
 
 

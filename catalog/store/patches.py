@@ -59,8 +59,7 @@ def prepare_point(
 ) -> PreparedPoint:
     """Round a point's numbers and compress its patches, finest first, each with its height step."""
     rounded = rounded_point(point)
-    rows: list[PatchRow] = []
-    contents: list[tuple[bytes, Int16Array]] = []
+    rows, contents = [], []
     for level, (patch, step) in enumerate(zip(patches, steps_m, strict=True)):
         encoded, counts = encode(patch.heights_m, step)
         posting = round(float(patch.posting_m), POSTING_DECIMALS)

@@ -60,10 +60,9 @@ class Catalog:
         self.meta = meta
         self.grid = CellGrid(meta.cell_deg)
         self.records = records
-        self.ids: IntArray = np.ascontiguousarray(records["id"], dtype=np.int64)
-        self.lat_deg: FloatArray = np.ascontiguousarray(records["lat_deg"], dtype=np.float64)
-        self.lon_deg: FloatArray = np.ascontiguousarray(records["lon_deg"], dtype=np.float64)
-        self.radius_m: FloatArray = np.ascontiguousarray(records["radius_m"], dtype=np.float64)
+        self.ids: IntArray = records["id"].astype(np.int64)
+        places = (records[name].astype(np.float64) for name in ("lat_deg", "lon_deg", "radius_m"))
+        self.lat_deg, self.lon_deg, self.radius_m = places
         self.usable: BoolArray = records["usable"] != 0
         self._db = db
 

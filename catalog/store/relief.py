@@ -71,8 +71,7 @@ def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
     above = np.maximum(relief.max_heights - stored - np.float32(MEAN_STEP_M / 2.0), 0.0)
     above = np.ceil(above / np.float32(TOP_STEP_M)) * np.float32(TOP_STEP_M)
     max_heights = [_encoded(above, place, TOP_STEP_M) for place in _places(number, TOPS)]
-    rows: list[ReliefRow] = []
-    contents: list[tuple[bytes, Int16Array]] = []
+    rows, contents = [], []
     places = [*_places(number, MEANS), *_places(number, TOPS)]
     for place, (encoded, counts) in zip(places, means + max_heights, strict=True):
         header = _header(place, encoded)
