@@ -212,8 +212,8 @@ class _Build:
         if records is None:
             raise self._missing("select")
         by_cell = {record.cell: record for record in records}
-        pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in inputs.chunks]
-        return [piece for piece in pieces if piece]
+        pieces = ([by_cell[cell] for cell in chunk if cell in by_cell] for chunk in inputs.chunks)
+        return [*filter(None, pieces)]
 
     def _points(self, inputs: BuildInputs, checked: ChunkResults, count: int) -> list[ControlPoint]:
         """The points of so many checked pieces, judged in the account."""

@@ -197,5 +197,4 @@ def _fine_patches_missing(
     top, bottom = index(-y - half), index(-y + half) + 1
     left, right = index(x - half), index(x + half) + 1
     total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
-    missing: FloatArray = 1.0 - total / ((bottom - top) * (right - left))
-    return missing
+    return 1.0 - total / ((bottom - top) * (right - left))

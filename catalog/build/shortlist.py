@@ -60,13 +60,11 @@ class Zone(NamedTuple):
 
     def row_tiles(self, lat: FloatArray) -> FloatArray:
         """Tiles from the south pole to latitudes (rad)."""
-        tiles: FloatArray = (lat + np.pi / 2.0) / (self.step * self.graticule.row_angle)
-        return tiles
+        return (lat + np.pi / 2.0) / (self.step * self.graticule.row_angle)
 
     def col_tiles(self, lon: FloatArray) -> FloatArray:
         """Tiles from -180° to longitudes (rad) of any turn."""
-        tiles: FloatArray = (lon + np.pi) / (self.step * self.graticule.column_angle)
-        return tiles
+        return (lon + np.pi) / (self.step * self.graticule.column_angle)
 
     def _lat(self, row: IntArray) -> FloatArray:
         angle = self.step * self.graticule.row_angle
@@ -79,8 +77,7 @@ class Zone(NamedTuple):
 
     def aspect(self, row: IntArray) -> FloatArray:
         """Width over height of a tile in the middle of windows, by their first row of tiles."""
-        width: FloatArray = np.cos(self._lat(row)) * self.graticule.column_angle
-        return width / self.graticule.row_angle
+        return np.cos(self._lat(row)) * self.graticule.column_angle / self.graticule.row_angle
 
     def wide(self, row: IntArray) -> IntArray:
         """Tiles that windows are wide, so that they are about square on the ground."""

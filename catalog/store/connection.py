@@ -70,14 +70,12 @@ def connect(path: Path) -> sqlite3.Connection:
         db = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
         db.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
     except sqlite3.Error as error:
-        left = (
-            "restore it or build it again"
-            if log is None
-            else (
-                f"a program was stopped while it wrote to it and left {log.name}: open and close the "
-                "catalog once with that program, where it can be written"
+        left = "restore it or build it again"
+        if log is not None:
+            left = (
+                f"a program was stopped while it wrote to it and left {log.name}: open and close "
+                "the catalog once with that program, where it can be written"
             )
-        )
         raise DataError(f"{path}: cannot be opened: {error}; {left}") from None
     return db
 

@@ -64,10 +64,8 @@ class PlanesMeta:
 
     def rounded(self) -> dict[str, Any]:
         """As it is written."""
-        return {
-            "radii_m": [round(float(radius), 3) for radius in self.radii_m],
-            "model_posting_m": round(float(self.model_posting_m), 3),
-        }
+        radii_m = [round(float(radius), 3) for radius in self.radii_m]
+        return {"radii_m": radii_m, "model_posting_m": round(float(self.model_posting_m), 3)}
 
 
 @dataclass(frozen=True)

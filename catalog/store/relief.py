@@ -145,9 +145,8 @@ def _header(place: TilePlace, encoded: Encoded) -> bytes:
 
 def _places(number: int, layer: int) -> Iterator[TilePlace]:
     size = min(TILE, number)
-    for row in range(-(-number // size)):
-        for col in range(-(-2 * number // size)):
-            yield TilePlace(layer, row, col)
+    for row, col in np.ndindex(-(-number // size), -(-2 * number // size)):
+        yield TilePlace(layer, row, col)
 
 
 def _part(grid: Float32Array, place: TilePlace, size: int) -> Float32Array:

@@ -177,17 +177,15 @@ def create_tables(db: sqlite3.Connection, with_patches: bool = True) -> None:
     tables = (
         _SERVICE_TABLES + (_CATALOG_TABLES + _PATCH_TABLE if with_patches else "") + _POINT_TABLE
     )
-    for statement in tables.split(";\n"):
-        if statement.strip():
-            db.execute(statement)
+    for statement in filter(str.strip, tables.split(";\n")):
+        db.execute(statement)
     db.execute(f"CREATE VIRTUAL TABLE {RTREE} USING rtree(id, minx, maxx, miny, maxy)")
 
 
 def create_triggers(db: sqlite3.Connection) -> None:
     """Add the R-tree triggers, once all points are in."""
-    for statement in RTREE_TRIGGERS.split("END;\n"):
-        if statement.strip():
-            db.execute(statement + " END")
+    for statement in filter(str.strip, RTREE_TRIGGERS.split("END;\n")):
+        db.execute(statement + " END")
 
 
 def insert_service_rows(
@@ -198,8 +196,7 @@ def insert_service_rows(
 ) -> None:
     """Fill the service tables. extent: west, south, east, north (deg) of the points, if any."""
     for table, rows in service_rows(meta).items():
-        for row in rows:
-            db.execute(f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})", row)
+        db.executemany(f"INSERT INTO {table} VALUES ({', '.join('?' * len(rows[0]))})", rows)
     srs_id = srs_of(meta.body, meta.radius_m)[0]
     box = tuple(extent) if extent is not None else (None,) * 4
     tables: list[tuple[object, ...]] = [
