@@ -221,7 +221,9 @@ def _explain(message: str, info: inspect.Type, data: Any) -> str:
     if expected:
         kinds = [_KINDS.get(kind, kind) for kind in expected[1].split(" | ") if kind != "null"]
         wanted = " or ".join(kinds) + (f" {expected[2]}" if expected[2] else "")
-        got = "" if found or not expected[3] else f"; it is {_found(expected[3])}"
+        word = expected[3]  # what msgspec says it got: a kind in backquotes, or how many items
+        known = "" if found or not word else _KINDS.get(word.strip("`"), f"{word} long")
+        got = f"; it is {known}" if known else ""
         return f"{place}: must be {wanted}{got}"
     if text.startswith("Invalid enum value"):
         choices = sorted(str(choice) for choice in _choices(_type_at(info, steps)))
@@ -237,9 +239,7 @@ def _missing_message(key: str, info: inspect.Type, steps: Steps) -> str:
     type_ = _type_at(info, (*steps, key))
     if isinstance(type_, inspect.StructType):
         return f"it has no section {_section((*steps, key))}; add it"
-    if isinstance(type_, inspect.ListType | inspect.VarTupleType) and isinstance(
-        type_.item_type, inspect.StructType
-    ):
+    if isinstance(_type_at(info, (*steps, key, 0)), inspect.StructType):
         return f"it has no section [{_section((*steps, key))}]; add at least one"
     return f"{_section(steps)} needs the setting {key!r}; add it".lstrip()
 
@@ -261,11 +261,9 @@ def _type_at(info: inspect.Type, steps: Steps) -> inspect.Type | None:
 
 
 def _choices(type_: inspect.Type | None) -> list[Any]:
-    if isinstance(type_, inspect.LiteralType):
-        return list(type_.values)
     if isinstance(type_, inspect.EnumType):
         return [member.value for member in type_.cls]
-    return []
+    return list(type_.values) if isinstance(type_, inspect.LiteralType) else []
 
 
 def _value_at(data: Any, steps: Steps) -> Any:
@@ -275,11 +273,6 @@ def _value_at(data: Any, steps: Steps) -> Any:
             return None
         data = data[step]
     return data
-
-
-def _found(word: str) -> str:
-    """What msgspec says it got: a kind in backquotes, or how many items."""
-    return _KINDS.get(word.strip("`"), f"{word} long")
 
 
 def _toml(value: Any) -> str:

@@ -11,6 +11,7 @@ In a work folder, which is optnav's own and locked as a whole, parts are named N
 import ctypes
 import errno
 import fcntl
+import glob
 import hashlib
 import json
 import os
@@ -102,11 +103,8 @@ def made_by_optnav(folder: Path, kind: str) -> bool:
         manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    return (
-        isinstance(manifest, dict)
-        and manifest.get("made_by") == MADE_BY
-        and manifest.get("kind") == kind
-    )
+    wanted = {"made_by": MADE_BY, "kind": kind}
+    return isinstance(manifest, dict) and wanted.items() <= manifest.items()
 
 
 def check_folder(path: Path, kind: str) -> None:
@@ -240,7 +238,9 @@ def _new_folder(path: Path) -> Iterator[Path]:
     new = Path(tempfile.mkdtemp(prefix=f".{path.name}.{NEW}", dir=path.parent))
     try:
         with locked(new):
-            new.chmod(0o777 & ~_umask())  # mkdtemp makes it private
+            mask = os.umask(0)
+            os.umask(mask)
+            new.chmod(0o777 & ~mask)  # mkdtemp makes it private
             yield new
     finally:
         shutil.rmtree(new, ignore_errors=True)
@@ -254,7 +254,7 @@ def _remove_leftovers(path: Path) -> None:
             shutil.rmtree(old)
         else:
             os.rename(old, path)
-    for leftover in sorted(path.parent.glob(f".{_glob_safe(path.name)}.{NEW}*")):
+    for leftover in sorted(path.parent.glob(f".{glob.escape(path.name)}.{NEW}*")):
         try:
             with locked(leftover):
                 shutil.rmtree(leftover)
@@ -300,13 +300,3 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-def _glob_safe(name: str) -> str:
-    return "".join(f"[{c}]" if c in "*?[" else c for c in name)

@@ -25,6 +25,9 @@ from catalog.bodies.epochs import DAY_S
 from catalog.geometry.kernel import kernel
 from catalog.geometry.rotations import ARCSEC
 
+Axes = tuple[float, float, float]
+Series = tuple[FloatArray, FloatArray, FloatArray]  # slow part, angles and amplitudes of terms
+
 CENTURY_S = 36525.0 * DAY_S
 _DEGREE = math.pi / 180.0
 
@@ -77,16 +80,10 @@ def _turn(t_s: float, slow: FloatArray, angles: FloatArray, amplitudes: FloatArr
 
 
 @kernel
-def rotate_by_series(
-    times_s: FloatArray,
-    slow: FloatArray,
-    angles: FloatArray,
-    amplitudes: FloatArray,
-    out: FloatArray,
-) -> None:
+def rotate_by_series(times_s: FloatArray, series: Series, out: FloatArray) -> None:
     """Write rotations (n, 3, 3) from inertial to body axes of times (n,)."""
     for i in range(times_s.shape[0]):
-        ra, dec, meridian = _pole(times_s[i], slow, angles, amplitudes)
+        ra, dec, meridian = _pole(times_s[i], *series)
         # about z by 90 deg + ra, about x by 90 deg - dec, about z by the meridian, multiplied out
         cn, sn = -math.sin(ra), math.cos(ra)
         ci, si = math.sin(dec), math.cos(dec)
@@ -99,18 +96,13 @@ def rotate_by_series(
 
 @kernel
 def turn_on(
-    times_s: FloatArray,
-    years_s: tuple[float, float],
-    slow: FloatArray,
-    angles: FloatArray,
-    amplitudes: FloatArray,
-    out: FloatArray,
+    times_s: FloatArray, years_s: tuple[float, float], series: Series, out: FloatArray
 ) -> None:
     """Turn rotations (n, 3, 3) on by the correction where a time lies from years_s[0] to [1]."""
     for i in range(times_s.shape[0]):
         if not (years_s[0] <= times_s[i] <= years_s[1]):
             continue
-        x, y, z = _turn(times_s[i], slow, angles, amplitudes)
+        x, y, z = _turn(times_s[i], *series)
         # Rodrigues' formula with the series of its factors: exact to 1e-16 below 0.01 rad
         squared = x * x + y * y + z * z
         first = 1.0 - squared / 6.0 * (1.0 - squared / 20.0)
@@ -130,14 +122,14 @@ def body_from_inertial(body: Body, tdb_s: ArrayLike) -> FloatArray:
     """
     times = np.ascontiguousarray(tdb_s, dtype=np.float64).reshape(-1)
     rotations = np.empty((len(times), 3, 3))
-    rotate_by_series(times, *_series_table(body.rotation), rotations)
+    rotate_by_series(times, _series_table(body.rotation), rotations)
     if body.rotation_correction is not None:
         turn_on(times, *_correction_table(body.rotation_correction), rotations)
     return rotations.reshape(*np.shape(tdb_s), 3, 3)
 
 
 @lru_cache
-def _series_table(series: RotationSeries) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _series_table(series: RotationSeries) -> Series:
     """Slow part (3, 3), angles (n, 3) and amplitudes (n, 3) as the kernel takes them."""
     slow = (
         series.pole_ra_deg_by_century,
@@ -154,9 +146,7 @@ def _series_table(series: RotationSeries) -> tuple[FloatArray, FloatArray, Float
 
 
 @lru_cache
-def _correction_table(
-    correction: RotationCorrection,
-) -> tuple[tuple[float, float], FloatArray, FloatArray, FloatArray]:
+def _correction_table(correction: RotationCorrection) -> tuple[tuple[float, float], Series]:
     """First and last time, s, slow part (3, 3), angles (n, 3), amplitudes (n, 2, 3), rad."""
     slow = (
         correction.x_arcsec_by_century,
@@ -166,8 +156,7 @@ def _correction_table(
     first, last = ((year - J2000_YEAR) * JULIAN_YEAR_S for year in correction.years)
     angles = [term.angle_deg_by_century for term in correction.terms]
     amplitudes = [(term.sin_arcsec, term.cos_arcsec) for term in correction.terms]
-    return (
-        (first, last),
+    return (first, last), (
         np.array(slow) * ARCSEC,
         np.radians(np.reshape(angles, (-1, 3))),
         np.array(amplitudes, dtype=np.float64).reshape(-1, 2, 3) * ARCSEC,

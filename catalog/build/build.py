@@ -131,15 +131,8 @@ class _Build:
         """All wanted stages in order; a stage whose forerunner is not done is refused."""
         report = BuildReport(self.workspace.folder, self.account)
         with self._stage("ingest") as stage:  # every run begins with it
-            run = IngestRun(
-                self.workspace,
-                self.config,
-                self.config_path,
-                self.body,
-                self.count,
-                self.progress,
-                stage,
-            )
+            ground = self.config, self.config_path, self.body
+            run = IngestRun(self.workspace, *ground, self.count, self.progress, stage)
             inputs = prepare_inputs(run, bbox)
             report.dems, self.account.cells = inputs.dems, inputs.cells
         rendered = self._results(inputs, "render", RenderedCell)
@@ -162,7 +155,13 @@ class _Build:
                     points = self._points(inputs, checked, len(self._chosen(inputs)))
                 self._write(inputs, points, output, report, stage)
             if report.usable == 0:
-                raise self._nothing_usable(output)
+                judged = self.account
+                reasons = ", ".join(f"{count} {reason}" for reason, count in judged.reasons.items())
+                raise NothingToDoError(
+                    f"{output}: written, but none of its {judged.points} control points is usable "
+                    f"({reasons}); no data wants more ground around the cells or smaller "
+                    "patches ([pyramid] levels, size), the rest is judged by [check]"
+                )
         return report
 
     @contextmanager
@@ -213,8 +212,8 @@ class _Build:
         if records is None:
             raise self._missing("select")
         by_cell = {record.cell: record for record in records}
-        pieces = [[by_cell[cell] for cell in chunk if cell in by_cell] for chunk in inputs.chunks]
-        return [piece for piece in pieces if piece]
+        pieces = ([by_cell[cell] for cell in chunk if cell in by_cell] for chunk in inputs.chunks)
+        return [*filter(None, pieces)]
 
     def _points(self, inputs: BuildInputs, checked: ChunkResults, count: int) -> list[ControlPoint]:
         """The points of so many checked pieces, judged in the account."""
@@ -249,15 +248,12 @@ class _Build:
         else:
             results = self._results(inputs, "write", PreparedPoint)
             self.workspace.keep_only("write", {results.key})  # first, for they are as large as it
+            prepared = stored_relief(self.workspace, relief) if relief is not None else None
             written = write.write(
                 inputs.context,
                 points,
                 output,
-                extras=CatalogExtras(
-                    inputs.sources(),
-                    config_text,
-                    stored_relief(self.workspace, relief) if relief is not None else None,
-                ),
+                extras=CatalogExtras(inputs.sources(), config_text, prepared),
                 results=results,
                 workers=self.workers,
                 progress=self.progress,
@@ -267,15 +263,6 @@ class _Build:
         self.workspace.keep_only("write", set())  # the catalog has it all now
         report.output, report.points = written.path, written.count
         report.usable, report.digest = written.usable, written.digest
-
-    def _nothing_usable(self, output: Path) -> NothingToDoError:
-        judged = self.account
-        reasons = ", ".join(f"{count} {reason}" for reason, count in judged.reasons.items())
-        return NothingToDoError(
-            f"{output}: written, but none of its {judged.points} control points is usable "
-            f"({reasons}); no data wants more ground around the cells or smaller "
-            "patches ([pyramid] levels, size), the rest is judged by [check]"
-        )
 
     def _missing(self, stage: str) -> UsageError:
         return UsageError(

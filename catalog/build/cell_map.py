@@ -83,11 +83,7 @@ def strongest_of(context: StageContext, cell: int, ground: CellGround) -> list[t
     latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))
     suns = suns_of(context.config.render, latitude)
     response = hessian_eigenvalue_map(
-        blurred(ground.heights),
-        context.posting_m,
-        ground.window,
-        sun_products(suns),
-        ground.step,
+        blurred(ground.heights), context.posting_m, ground.window, sun_products(suns), ground.step
     )
     radius = separation_places(context, ground)
     free = np.where(ground.inside & ground.whole, response, np.nan)
@@ -139,9 +135,8 @@ def _ground_side(context: StageContext, cell: int, window: int) -> int:
     # a cell is widest at its border nearer to the equator; a cap is as wide as its circle
     parallel = np.cos(np.radians(min(abs(south), abs(north)) if south * north > 0.0 else 0.0))
     width = 2.0 * np.sin(np.radians(min(east - west, 180.0)) / 2.0) * parallel
-    metres = max(np.radians(north - south), width) * max(
-        context.body.radius_m, *context.body.radii_m
-    )
+    radius = max(context.body.radius_m, *context.body.radii_m)
+    metres = max(np.radians(north - south), width) * radius
     return int(np.ceil(1.02 * metres / context.posting_m)) + window
 
 
@@ -202,6 +197,4 @@ def _fine_patches_missing(
     top, bottom = index(-y - half), index(-y + half) + 1
     left, right = index(x - half), index(x + half) + 1
     total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
-    area = (bottom - top) * (right - left)
-    missing: FloatArray = 1.0 - total / area
-    return missing
+    return 1.0 - total / ((bottom - top) * (right - left))

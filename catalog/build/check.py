@@ -202,25 +202,13 @@ def _uniqueness(
         highest=UNIQUENESS_SUN,
     )
     margins = []
-    for level, patch in enumerate(patches):
-        coarsest = level == len(patches) - 1
+    for patch in patches:
+        coarsest = patch is patches[-1]
         reach = settings.search_km * 1e3 / patch.posting_m if coarsest else FINE_SEARCH_NODES
-        margins.append(
-            min(
-                uniqueness_margin(
-                    render_map(
-                        patch.heights_m,
-                        patch.posting_m,
-                        sun,
-                        radius_m=projection.radius_m,
-                        law="lommel_seeliger",
-                    ),
-                    context.size - 2 * room,
-                    reach,
-                )
-                for sun in suns
-            )
-        )
+        ground, law = (patch.heights_m, patch.posting_m), "lommel_seeliger"
+        pictures = (render_map(*ground, sun, radius_m=projection.radius_m, law=law) for sun in suns)
+        side = context.size - 2 * room
+        margins.append(min(uniqueness_margin(picture, side, reach) for picture in pictures))
     return tuple(margins)
 
 

@@ -5,7 +5,8 @@ The ground is one or more [[dem]], or one [[mesh]].
 A section's settings are a struct of its own here; values that depend on each other are checked.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -198,52 +199,37 @@ class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def load_build_config(path: Path) -> BuildConfig:
     """Read and check a build config. Raises ConfigError naming file, section and key."""
     config = load_toml(path, BuildConfig)
-    for problem in _problems(config):
+    for problem in chain(_ground_problems(config), _size_problems(config)):
         raise ConfigError(f"{path}: {problem}")
     return config
 
 
-def _problems(config: BuildConfig) -> list[str]:
-    return [*_ground_problems(config), *_size_problems(config)]
-
-
-def _ground_problems(config: BuildConfig) -> list[str]:
-    found = []
+def _ground_problems(config: BuildConfig) -> Iterator[str]:
     if not config.dem and not config.mesh:
-        found.append("has no [[dem]] and no [[mesh]] section; name the body's ground")
+        yield "has no [[dem]] and no [[mesh]] section; name the body's ground"
     if config.mesh and (config.dem or config.relief.dem is not None):
-        found.append("has [[mesh]] beside terrain models; a mesh is all of a body: choose one kind")
+        yield "has [[mesh]] beside terrain models; a mesh is all of a body: choose one kind"
     if len(config.mesh) > 1:
-        found.append(
-            f"has {len(config.mesh)} sections [[mesh]]; wanted one: a mesh is all of a body"
-        )
+        yield f"has {len(config.mesh)} sections [[mesh]]; wanted one: a mesh is all of a body"
     for dem in config.dem:
         if not dem.path:
-            found.append("[[dem]] path is empty; name a terrain model")
+            yield "[[dem]] path is empty; name a terrain model"
         if dem.priority < 1:
-            found.append(f"[[dem]] priority is {dem.priority}; wanted 1 (used first) or more")
+            yield f"[[dem]] priority is {dem.priority}; wanted 1 (used first) or more"
         if dem.scale == 0.0:
-            found.append("[[dem]] scale is 0; wanted the height of one count")
+            yield "[[dem]] scale is 0; wanted the height of one count"
     if config.relief.dem is not None and not config.relief.dem.path:
-        found.append("[relief] dem path is empty; name a terrain model of the whole body")
-    return found
+        yield "[relief] dem path is empty; name a terrain model of the whole body"
 
 
-def _size_problems(config: BuildConfig) -> list[str]:
-    found = []
-    step = config.grid.cell_deg
+def _size_problems(config: BuildConfig) -> Iterator[str]:
+    step, pyramid = config.grid.cell_deg, config.pyramid
     smallest = (41_253.0 / MAX_CELLS) ** 0.5  # square degrees of a sphere shared by the cells
     if not smallest <= step <= MAX_CELL_DEG:
-        found.append(
-            f"[grid] cell_deg is {step:g}; wanted between {smallest:.2g} and {MAX_CELL_DEG:g}"
-        )
-    pyramid = config.pyramid
+        yield f"[grid] cell_deg is {step:g}; wanted between {smallest:.2g} and {MAX_CELL_DEG:g}"
     if not 1 <= pyramid.levels <= MAX_LEVELS:
-        found.append(f"[pyramid] levels is {pyramid.levels}; wanted 1 to {MAX_LEVELS}")
+        yield f"[pyramid] levels is {pyramid.levels}; wanted 1 to {MAX_LEVELS}"
     if not SIZES[0] <= pyramid.size <= SIZES[1] or pyramid.size % 2:
-        found.append(
-            f"[pyramid] size is {pyramid.size}; wanted an even number, {SIZES[0]} to {SIZES[1]}"
-        )
+        yield f"[pyramid] size is {pyramid.size}; wanted an even number, {SIZES[0]} to {SIZES[1]}"
     if pyramid.posting_m is not None and pyramid.posting_m <= 0.0:
-        found.append(f"[pyramid] posting_m is {pyramid.posting_m:g}; wanted more than 0")
-    return found
+        yield f"[pyramid] posting_m is {pyramid.posting_m:g}; wanted more than 0"

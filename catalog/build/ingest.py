@@ -8,7 +8,6 @@ import io
 import logging
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -24,7 +23,6 @@ from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import METRES, DemSource
-from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.refine import FINEST_FACES, smooth_corners
 from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
@@ -74,8 +72,7 @@ def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord]]:
     Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
     """
     body, workspace = run.body, run.workspace
-    pyramids: list[HeightPyramid] = []
-    records: list[DemRecord] = []
+    found: list[tuple[HeightPyramid, DemRecord]] = []
     for one in sorted(run.config.dem, key=lambda s: s.priority):
         source = DemSource.open(one, run.folder, body)
         digest = content_hash(source.files, workspace, run.progress)
@@ -89,10 +86,9 @@ def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord]]:
             run.account.done += 1
         else:
             run.account.kept += 1
-        pyramids.append(pyramid)
-        records.append(_record(pyramid, digest, folder))
-    workspace.keep_only("dem", {record.folder.removeprefix("dem-") for record in records})
-    return Mosaic(pyramids), records
+        found.append((pyramid, _record(pyramid, digest, folder)))
+    workspace.keep_only("dem", {record.folder.removeprefix("dem-") for _, record in found})
+    return Mosaic([pyramid for pyramid, _ in found]), [record for _, record in found]
 
 
 def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:
@@ -125,9 +121,8 @@ def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArra
     cells = np.arange(grid.total, dtype=np.int64)
     if bbox is not None:
         west, south, east, north = bbox
-        if not (
-            -90.0 <= south < north <= 90.0 and np.isfinite([west, east]).all() and west != east
-        ):
+        wide = np.isfinite([west, east]).all() and west != east
+        if not (-90.0 <= south < north <= 90.0 and wide):
             raise UsageError(
                 f"--bbox {_text(bbox)}: wanted W,S,E,N in degrees with S < N, both within -90..90"
             )
@@ -175,7 +170,7 @@ def chunks_of(grid: CellGrid, cells: IntArray) -> list[list[int]]:
         # equal turns of longitude for a row of blocks: narrower toward the poles, still neighbours
         return band, int((lon + 180.0) // (BLOCK_CELLS * grid.step_deg)), cell
 
-    ordered = sorted((int(cell) for cell in cells), key=place)
+    ordered = sorted(cells.tolist(), key=place)
     return [ordered[i : i + size] for i in range(0, len(ordered), size)]
 
 
@@ -212,7 +207,11 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
             mended=shape.mended,
         )
         corners = io.BytesIO()
-        np.save(corners, _corners(shape, settings, path, halvings))
+        if halvings:  # of a smooth surface through the vertices
+            smooth = settings.longitude, METRES[settings.units], shape.vertices, shape.faces
+            np.save(corners, smooth_corners(path, *smooth, halvings))
+        else:
+            np.save(corners, shape.vertices[shape.faces])
         workspace.put(f"{folder}/{CORNERS}", corners.getvalue())
         workspace.put(f"{folder}/{RECORD}", msgspec.json.encode(record))
         run.account.done += 1
@@ -235,14 +234,6 @@ def _halvings(shape: Shape, finest_m: float) -> int:
     return max(0, min(wanted, int(math.log(FINEST_FACES / len(shape.faces), 4.0))))
 
 
-def _corners(shape: Shape, settings: MeshSettings, path: Path, halvings: int) -> FloatArray:
-    """Corners (m, 3, 3) m of the faces, or of those of a smooth surface through the vertices."""
-    if not halvings:
-        return shape.vertices[shape.faces]
-    metres = METRES[settings.units]
-    return smooth_corners(path, settings.longitude, metres, shape.vertices, shape.faces, halvings)
-
-
 def settle_pyramid(run: IngestRun) -> tuple[PyramidSettings, float]:
     """Posting and number of levels: the finest spans two cells, the coarsest at most 30 deg.
 
@@ -250,9 +241,8 @@ def settle_pyramid(run: IngestRun) -> tuple[PyramidSettings, float]:
     Raises ConfigError when even the finest patch spans more.
     """
     settings, radius = run.config.pyramid, run.body.radius_m
-    posting = settings.posting_m
-    if posting is None:
-        posting = CELLS_ACROSS * math.radians(run.config.grid.cell_deg) * radius / settings.size
+    cell_m = math.radians(run.config.grid.cell_deg) * radius
+    posting = settings.posting_m or CELLS_ACROSS * cell_m / settings.size
     spans_deg = math.degrees(posting * settings.size / radius)
     if spans_deg > MAX_ARC_DEG + 1e-9:
         raise ConfigError(
@@ -266,6 +256,6 @@ def settle_pyramid(run: IngestRun) -> tuple[PyramidSettings, float]:
 
 def settle_mesh_relief(run: IngestRun, terrain: MeshTerrain, mesh: MeshRecord) -> ReliefRecord:
     """Make the relief of the whole body, or keep that of an earlier run."""
-    key = stage_key(code_key(), mesh.folder)
-    make_or_keep(run, key, lambda: prepare_relief(relief_of_mesh(terrain)))
-    return ReliefRecord(key, {})
+    record = ReliefRecord(stage_key(code_key(), mesh.folder), {})
+    make_or_keep(run, record.key, lambda: prepare_relief(relief_of_mesh(terrain)))
+    return record

@@ -1,7 +1,6 @@
 """What a build works on: terrain models read, posting settled, cells found and cut into chunks."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,33 +91,39 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
     keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
     context = StageContext(body, terrain, grid, posting, config)
     inputs = BuildInputs(context, records, chunks_of(grid, cells), keys, relief)
-    run.workspace.put(MANIFEST, msgspec.json.format(_manifest(inputs), indent=2))
+    manifest = {
+        "software": f"optnav {catalog.__version__}",
+        "body": body.name,
+        "dems": records,
+        "cells": inputs.cells,
+        "keys": keys,
+        "config": config,
+    }
+    run.workspace.put(MANIFEST, msgspec.json.format(msgspec.json.encode(manifest), indent=2))
     return inputs
 
 
 def _keys(first: str, config: BuildConfig, posting_m: float) -> dict[str, str]:
     """Keys of the stages; each depends on the one before and on the stage's own settings."""
     keys = {"ingest": first}
-    parts: Sequence[tuple[str, tuple[Any, ...]]] = (
-        ("render", (config.grid, config.pyramid, posting_m, config.render)),
-        ("select", (config.select,)),
-        ("check", (config.check,)),
-        ("write", (config.write,)),
-    )
-    key = first
-    for stage, settings in parts:
-        key = stage_key(key, stage, settings)
-        keys[stage] = key
+    parts: dict[str, tuple[Any, ...]] = {
+        "render": (config.grid, config.pyramid, posting_m, config.render),
+        "select": (config.select,),
+        "check": (config.check,),
+        "write": (config.write,),
+    }
+    for stage, settings in parts.items():
+        keys[stage] = first = stage_key(first, stage, settings)
     return keys
 
 
 def _check_posting(run: IngestRun, posting_m: float, finest_m: float) -> None:
     """Refuse patches wider than the body and a posting that shows nothing more."""
-    if posting_m < finest_m / MAX_OVERSAMPLING:
+    least_m = finest_m / MAX_OVERSAMPLING
+    if posting_m < least_m:
         raise ConfigError(
             f"{run.config_path}: [pyramid] posting_m is {posting_m:g}, but the finest terrain "
-            f"model has {finest_m:.6g} m; wanted at least {finest_m / MAX_OVERSAMPLING:.6g}, "
-            "or leave it out"
+            f"model has {finest_m:.6g} m; wanted at least {least_m:.6g}, or leave it out"
         )
     reach = posting_m * run.config.pyramid.size * 2 ** (run.config.pyramid.levels - 1)
     if reach > run.body.radius_m:
@@ -138,16 +143,3 @@ def _check_cells(run: IngestRun, posting_m: float) -> None:
             f"nodes of {posting_m:g} m wide; wanted at most {MAX_NODES_ACROSS}: set a smaller "
             "[grid] cell_deg or a coarser [pyramid] posting_m"
         )
-
-
-def _manifest(inputs: BuildInputs) -> bytes:
-    return msgspec.json.encode(
-        {
-            "software": f"optnav {catalog.__version__}",
-            "body": inputs.context.body.name,
-            "dems": inputs.dems,
-            "cells": inputs.cells,
-            "keys": inputs.keys,
-            "config": inputs.context.config,
-        }
-    )

@@ -104,10 +104,8 @@ def stored_relief(workspace: Workspace, record: ReliefRecord) -> PreparedRelief 
 def _made(
     run: IngestRun, mosaic: Mosaic, own: list[float], named: DemSource | None
 ) -> PreparedRelief | None:
-    body = mosaic.body
-    rows = _rows(mosaic, own, named)
-    cell_m = np.pi * body.radius_m / rows
-    sums = CellSums(rows)
+    body, sums = mosaic.body, CellSums(_rows(mosaic, own, named))
+    cell_m = np.pi * body.radius_m / len(sums.means)
     names, covered = [], 0.0
     for pyramid, name in zip(mosaic.pyramids, mosaic.names):
         sums.fill_from(_layer(pyramid, cell_m / SAMPLES_ACROSS), run.progress)
@@ -130,12 +128,11 @@ def _made(
 def _rows(mosaic: Mosaic, own: list[float], named: DemSource | None) -> int:
     """Rows of the relief: half of the body's ground is shown by models as fine, or finer."""
     steps = [pyramid.source.place.row_angle for pyramid in mosaic.pyramids]
-    shares = list(own)
     if named is not None:
         steps.append(named.place.row_angle)
-        shares.append(max(0.0, 1.0 - sum(own)))
+        own = [*own, max(0.0, 1.0 - sum(own))]
     order = np.argsort(steps, kind="stable")
-    shown = np.cumsum(np.array(shares)[order])
+    shown = np.cumsum(np.array(own)[order])
     return rows_of(steps[order[int(np.searchsorted(shown, shown[-1] / 2.0))]])
 
 

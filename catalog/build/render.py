@@ -116,12 +116,7 @@ def _scores(
         for k, sun in enumerate(suns):
             picture = blurred(
                 render_map_quickly(
-                    grid,
-                    posting,
-                    sun,
-                    radius_m=projection.radius_m,
-                    law=settings.law,
-                    outer=outer,
+                    grid, posting, sun, radius_m=projection.radius_m, law=settings.law, outer=outer
                 )
             )
             for i, inside in enumerate(windows[level]):

@@ -46,7 +46,8 @@ def select(context: StageContext, records: Sequence[RenderedCell]) -> list[Selec
         cells,
         np.array([place.lat_deg for place in places]),
         np.array([place.lon_deg for place in places]),
-        np.array([_badness(place) for place in places]),
+        # places with holes in their fine patches come after all others
+        np.array([place.localisation_px + 1e6 * (place.missing > MAX_MISSING) for place in places]),
         settings.spacing_cell * context.grid.step_deg,
     )
     return [
@@ -62,6 +63,7 @@ def _places(record: RenderedCell, percentile: float) -> list[Place]:
     errors = np.sort([candidate.error_px for candidate in record.candidates], axis=2)
     # nearest rank, not interpolated: an infinite error beside a finite one has no mean
     rank = math.ceil((errors.shape[2] - 1) * (percentile / 100.0))
+    worst = errors[:, :, rank].max(axis=1).tolist()
     return [
         Place(
             lat_deg=candidate.lat_deg,
@@ -70,13 +72,5 @@ def _places(record: RenderedCell, percentile: float) -> list[Place]:
             hessian_eigenvalue=candidate.hessian_eigenvalue,
             missing=max(candidate.missing),
         )
-        for candidate, error in zip(
-            record.candidates, errors[:, :, rank].max(axis=1).tolist(), strict=True
-        )
+        for candidate, error in zip(record.candidates, worst, strict=True)
     ]
-
-
-def _badness(place: Place) -> float:
-    """Predicted error; places with holes in their fine patches come after all others."""
-    holes = 1e6 if place.missing > MAX_MISSING else 0.0
-    return place.localisation_px + holes

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.build.cell_map import (
     cell_ground,
     has_whole_patches,
@@ -60,13 +60,11 @@ class Zone(NamedTuple):
 
     def row_tiles(self, lat: FloatArray) -> FloatArray:
         """Tiles from the south pole to latitudes (rad)."""
-        tiles: FloatArray = (lat + np.pi / 2.0) / (self.step * self.graticule.row_angle)
-        return tiles
+        return (lat + np.pi / 2.0) / (self.step * self.graticule.row_angle)
 
     def col_tiles(self, lon: FloatArray) -> FloatArray:
         """Tiles from -180° to longitudes (rad) of any turn."""
-        tiles: FloatArray = (lon + np.pi) / (self.step * self.graticule.column_angle)
-        return tiles
+        return (lon + np.pi) / (self.step * self.graticule.column_angle)
 
     def _lat(self, row: IntArray) -> FloatArray:
         angle = self.step * self.graticule.row_angle
@@ -79,8 +77,7 @@ class Zone(NamedTuple):
 
     def aspect(self, row: IntArray) -> FloatArray:
         """Width over height of a tile in the middle of windows, by their first row of tiles."""
-        width: FloatArray = np.cos(self._lat(row)) * self.graticule.column_angle
-        return width / self.graticule.row_angle
+        return np.cos(self._lat(row)) * self.graticule.column_angle / self.graticule.row_angle
 
     def wide(self, row: IntArray) -> IntArray:
         """Tiles that windows are wide, so that they are about square on the ground."""
@@ -124,20 +121,12 @@ def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortli
             for group in _groups(zone, spans):
                 found.update(_swept(context, mosaic, zone, group))
     for cell in asked.tolist():
-        alone = None if cell in found else _alone(context, cell)
-        if alone is not None:
-            found[cell] = alone
+        ground = None if cell in found else cell_ground(context, cell)
+        if ground is not None:
+            peaks = strongest_of(context, cell, ground)
+            places = np.array([(ground.lat[peak], ground.lon[peak]) for peak in peaks])
+            found[cell] = Shortlist(places, ground.complete)
     return {cell: found[cell] for cell in asked.tolist() if cell in found}
-
-
-def _alone(context: StageContext, cell: int) -> Shortlist | None:
-    """The shortlist from a cell's own map grid."""
-    ground = cell_ground(context, cell)
-    if ground is None:
-        return None
-    peaks = strongest_of(context, cell, ground)
-    places = np.array([(ground.lat[peak], ground.lon[peak]) for peak in peaks])
-    return Shortlist(places, ground.complete)
 
 
 def _zone_of(context: StageContext, bands: IntArray) -> IntArray:
@@ -223,12 +212,8 @@ def _swept(
     row, col = int(group.top.min()), int(group.first.min())
     height = int(group.bottom.max()) + zone.tall - 1 - row
     width = int(group.end.max()) - col
-    part = Part(
-        row * step - MARGIN,
-        col * step - MARGIN,
-        height * step + 2 * MARGIN,
-        width * step + 2 * MARGIN,
-    )
+    size = height * step + 2 * MARGIN, width * step + 2 * MARGIN
+    part = Part(row * step - MARGIN, col * step - MARGIN, *size)
     heights = mosaic.graticule_heights(zone.graticule, part, context.posting_m, zone.latitudes)
     across = np.cos(zone.graticule.lat(part.rows[MARGIN:-MARGIN]))
     stretch = zone.graticule.row_angle / (zone.graticule.column_angle * across)
@@ -255,9 +240,6 @@ def _swept(
         # holes would leave a cell with some of its places: such cells are looked at one by one
         whole = bool(np.isfinite(own).all())
         for i, cell in enumerate(band.cells.tolist()):
-            if counts[i] and (whole or _is_whole(own, band.first[i] - col, band.end[i] - col)):
+            cut = own[:, :, band.first[i] - col : band.end[i] - col]
+            if counts[i] and (whole or np.isfinite(cut).all()):
                 yield cell, Shortlist(places[i, : counts[i]], complete=True)
-
-
-def _is_whole(tiles: Float32Array, first: int, end: int) -> bool:
-    return bool(np.isfinite(tiles[:, :, first:end]).all())

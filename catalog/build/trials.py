@@ -102,10 +102,9 @@ def _levels(
     levels = []
     for patch in patches[:TRIAL_LEVELS]:
         posting = patch.posting_m / FINER
+        beyond = known, smallest, size, terrain.body.radius_m, slope_deg
         truth = terrain.local_grid(projection, posting, size)
-        truth = truth + _relief(
-            ground % GROUNDS, posting, known, smallest, size, terrain.body.radius_m, slope_deg
-        )
+        truth = truth + _relief(ground % GROUNDS, posting, *beyond)
         # as navigation does, which knows the posting of shape models only
         blur = blur_nodes(patch.posting_m, terrain.posting_m) if terrain.in_planes else 0.0
         levels.append(Level(patch.heights_m, truth, patch.posting_m, blur))

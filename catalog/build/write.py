@@ -50,27 +50,22 @@ class CatalogExtras(NamedTuple):
     relief: PreparedRelief | None
 
 
-class _Memory(msgspec.Struct, frozen=True):
-    key: str
-    seal: str
-
-
 def remember_published(workspace: Workspace, key: str, path: Path) -> None:
     """Note that the catalog at a path was made from what the key stands for."""
     meta = _meta(path)
     if meta is not None:
-        workspace.put(FILE, msgspec.json.encode(_Memory(key, meta.seal)))
+        workspace.put(FILE, msgspec.json.encode({"key": key, "seal": meta.seal}))
 
 
 def find_published(workspace: Workspace, key: str, path: Path) -> Written | None:
     """The catalog at a path, if it is the remembered one of this key and whole to the last byte."""
     data = workspace.get(FILE)
     try:
-        memory = msgspec.json.decode(data, type=_Memory) if data else None
+        memory = msgspec.json.decode(data or b"{}", type=dict[str, str])
     except msgspec.MsgspecError:
-        memory = None
-    meta = _meta(path) if memory is not None and memory.key == key else None
-    if memory is None or meta is None or meta.seal != memory.seal or live_log(path):
+        return None
+    meta = _meta(path) if memory.get("key") == key else None
+    if meta is None or meta.seal != memory.get("seal") or live_log(path):
         return None
     if seal_state(path, meta.seal) is not SealState.WHOLE:
         return None
@@ -104,9 +99,8 @@ def write(
     results  where prepared points rest until the file is whole
     Raises OutputError for a place that cannot be written.
     """
-    terrain, planes = context.mosaic, None
-    if terrain.in_planes:
-        planes = PlanesMeta(context.body.radii_m, terrain.posting_m)
+    terrain = context.mosaic
+    planes = PlanesMeta(context.body.radii_m, terrain.posting_m) if terrain.in_planes else None
     meta = CatalogMeta(
         body=context.body.name,
         radius_m=context.body.radius_m,
@@ -132,13 +126,11 @@ def write(
 def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list[PreparedPoint]:
     """Cut and compress the patches of some points; runs in a worker."""
     steps = context.config.write.steps_m(context.postings_m)
-    prepared = []
-    for point in points:
-        # the patches are centred on the place that the catalog will state
-        place = rounded_point(point)
-        patches = context.patches(place.lat_deg, place.lon_deg)
-        prepared.append(prepare_point(place, patches, steps))
-    return prepared
+    # the patches are centred on the place that the catalog will state
+    return [
+        prepare_point(place, context.patches(place.lat_deg, place.lon_deg), steps)
+        for place in map(rounded_point, points)
+    ]
 
 
 def _in_order(results: ChunkResults, ready: Iterable[int]) -> Iterator[PreparedPoint]:

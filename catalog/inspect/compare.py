@@ -5,6 +5,7 @@ stored, and unpacked only where that differs; one point's patches are held at a 
 both files is read with its checksum: a damaged catalog is reported and never called the same.
 """
 
+import math
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -18,21 +19,16 @@ from catalog.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.codec import decode, decode_counts
-from catalog.store.manifest import CatalogMeta, ReliefMeta
+from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import StoredPatch
 from catalog.store.reader import Catalog
 
 CONTENT = ("body", "radius_m", "cell_deg", "levels", "size", "posting_m", "height_step_m")
 OF_THE_MOMENT = ("software", "created_utc")
 NOTHING = "none"
-CERTIFICATE = (
-    "localisation_px",
-    "hessian_eigenvalue",
-    "recognition_rate",
-    "trials",
-    "uniqueness",
-    "shadow_limit_deg",
-)
+SCORES = ("localisation_px", "hessian_eigenvalue", "recognition_rate", "trials")
+LISTS = ("uniqueness", "shadow_limit_deg")  # shown by their largest difference
+CERTIFICATE = SCORES + LISTS
 
 
 class Change(NamedTuple):
@@ -116,9 +112,7 @@ class Comparison:
 
     def field_change(self, name: str) -> FloatArray:
         """(n,) largest difference of a field's numbers, absolute; inf from or to unknown."""
-        a, b = (_columns(records[name]) for records in (self.before, self.after))
-        levels = min(a.shape[1], b.shape[1])
-        a, b = a[:, :levels], b[:, :levels]
+        a, b = _columns(self.before[name], self.after[name])
         change = np.where(np.isnan(a) & np.isnan(b), 0.0, np.abs(a - b))
         largest: FloatArray = np.where(np.isnan(change), np.inf, change).max(axis=1, initial=0.0)
         return largest
@@ -135,13 +129,8 @@ def compare(first: str | Path, second: str | Path, progress: Progress | None = N
         (progress or SilentProgress()).stage("compare", len(a) + len(b), "point") as stage,
     ):
         found = _compare(a, b, stage)
-    differs = bool(
-        found.settings
-        or len(found.first.only)
-        or len(found.second.only)
-        or len(found.ids)
-        or found.relief
-    )
+    alone = len(found.first.only) + len(found.second.only)
+    differs = bool(found.settings or alone or len(found.ids) or found.relief)
     # equal digests of different contents, or different ones of equal: one of the two is not true
     if found.same == differs:
         raise DataError(
@@ -159,38 +148,27 @@ def require_whole(path: str | Path) -> None:
         catalog.relief()
 
 
-def content_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ...]:
-    """Settings that differ and are part of the content digest."""
-    one, other = (
-        {name: str(getattr(meta, name)) for name in CONTENT}
-        | {"point_sources": ", ".join(meta.point_sources)}
-        | ({"relief": _relief(meta.relief)} if meta.relief is not None else {})
-        | ({"planes": str(meta.planes.rounded())} if meta.planes is not None else {})
-        for meta in (first, second)
-    )
-    return tuple(_changes(one, other))
+def _content(meta: CatalogMeta) -> dict[str, str]:
+    """Settings that are part of the content digest."""
+    values = {name: str(getattr(meta, name)) for name in CONTENT}
+    values["point_sources"] = ", ".join(meta.point_sources)
+    if meta.relief is not None:
+        relief = meta.relief
+        values["relief"] = f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
+    return values | ({"planes": str(meta.planes.rounded())} if meta.planes is not None else {})
 
 
-def provenance_changes(first: CatalogMeta, second: CatalogMeta) -> tuple[Change, ...]:
-    """What else differs: program, time, hashes of terrain models, values of the build config."""
-    one, other = (
-        {name: str(getattr(meta, name)) for name in OF_THE_MOMENT}
-        | {f"source {name}": text for name, text in meta.sources.items()}
-        | _config_values(meta.config)
-        for meta in (first, second)
-    )
-    return tuple(_changes(one, other))
+def _provenance(meta: CatalogMeta) -> dict[str, str]:
+    """What else there is: program, time, hashes of terrain models, values of the build config."""
+    values = {name: str(getattr(meta, name)) for name in OF_THE_MOMENT}
+    sources = {f"source {name}": text for name, text in meta.sources.items()}
+    return values | sources | _config_values(meta.config)
 
 
-def _relief(relief: ReliefMeta) -> str:
-    return f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
-
-
-def _changes(one: Mapping[str, str], other: Mapping[str, str]) -> Iterator[Change]:
-    for name in [*one, *(name for name in other if name not in one)]:
-        change = Change(name, one.get(name, NOTHING), other.get(name, NOTHING))
-        if change.first != change.second:
-            yield change
+def _changes(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[Change, ...]:
+    names = [*one, *(name for name in other if name not in one)]
+    changes = (Change(name, one.get(name, NOTHING), other.get(name, NOTHING)) for name in names)
+    return tuple(change for change in changes if change.first != change.second)
 
 
 def _config_values(text: str) -> dict[str, str]:
@@ -214,13 +192,15 @@ def _flat(name: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
-    settings = content_changes(a.meta, b.meta)
+    settings = _changes(_content(a.meta), _content(b.meta))
     comparable = not {"body", "radius_m", "cell_deg"} & {change.name for change in settings}
     shared, rows_a, rows_b = np.intersect1d(
         a.ids, b.ids if comparable else b.ids[:0], assume_unique=True, return_indices=True
     )
     before, after = a.records[rows_a], b.records[rows_b]
-    moved_m = _distance(a.direction[rows_a], b.direction[rows_b]) * a.meta.radius_m
+    # twice the sine of half the angle, which keeps its digits at small ones
+    chord = np.linalg.norm(a.direction[rows_a] - b.direction[rows_b], axis=1)
+    moved_m = 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)) * a.meta.radius_m
     patches = np.zeros(len(shared), dtype=np.bool_)
     holes = np.zeros(len(shared), dtype=np.int64)
     height_max, height_rms = np.zeros(len(shared)), np.zeros(len(shared))
@@ -239,7 +219,7 @@ def _compare(a: Catalog, b: Catalog, stage: Stage) -> Comparison:
         _side(a, shared, comparable, stage),
         _side(b, shared, comparable, stage),
         settings,
-        provenance_changes(a.meta, b.meta),
+        _changes(_provenance(a.meta), _provenance(b.meta)),
         comparable,
         before[changed],
         after[changed],
@@ -308,27 +288,19 @@ def _height_differences(
     return largest, float(np.sqrt(squares / nodes)), holes
 
 
-def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(n,) angles between unit vectors (n, 3), rad; the chord keeps its digits at small ones."""
-    chord = np.linalg.norm(one - other, axis=1)
-    angles: FloatArray = 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
-    return angles
-
-
 def _names(meta: CatalogMeta, records: RecordArray) -> NDArray[np.str_]:
     """(n,) the texts that the points' `source` stands for."""
-    names: NDArray[np.str_] = np.array([*meta.point_sources, ""], dtype=np.str_)
-    return np.take(names, records["source"])
+    return np.take(np.array([*meta.point_sources, ""], dtype=np.str_), records["source"])
 
 
-def _columns(values: NDArray[np.generic]) -> FloatArray:
-    return values.astype(np.float64).reshape(len(values), int(np.prod(values.shape[1:])))
+def _columns(one: NDArray[np.generic], other: NDArray[np.generic]) -> list[FloatArray]:
+    """(n, levels) numbers of two columns, as many as both have: levels may differ."""
+    both = [a.astype(np.float64).reshape(len(a), math.prod(a.shape[1:])) for a in (one, other)]
+    return [values[:, : min(a.shape[1] for a in both)] for values in both]
 
 
 def _differs(one: NDArray[np.generic], other: NDArray[np.generic]) -> BoolArray:
     """(n,) where two columns of numbers, or of lists of them, differ; unknown equals unknown."""
-    a, b = _columns(one), _columns(other)
-    levels = min(a.shape[1], b.shape[1])  # of catalogs with more and fewer levels
-    a, b = a[:, :levels], b[:, :levels]
+    a, b = _columns(one, other)
     different: BoolArray = ((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1)
     return different

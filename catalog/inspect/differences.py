@@ -9,7 +9,7 @@ import numpy as np
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.control_point import Flag
 from catalog.files import replacing_file, starts_with
-from catalog.inspect.compare import CERTIFICATE, ComparedCatalog, Comparison
+from catalog.inspect.compare import CERTIFICATE, LISTS, SCORES, ComparedCatalog, Comparison
 from catalog.store.records import Record, reasons_text
 from catalog.tables import CsvColumn, CsvTable
 
@@ -20,9 +20,7 @@ def summary(found: Comparison) -> str:
     """What differs, in one line; "" for nothing."""
     moved, usable = found.moved_m > 0.0, found.field_changed("usable")
     reasons = found.field_changed("flags") & ~usable
-    certificate = np.zeros(len(moved), dtype=np.bool_)
-    for name in CERTIFICATE:
-        certificate |= found.field_changed(name)
+    certificate = np.any([found.field_changed(name) for name in CERTIFICATE], axis=0)
     counts = (
         ("settings", len(found.settings)),
         (f"points only in {found.first.path.name}", len(found.first.only)),
@@ -67,12 +65,11 @@ def lines(found: Comparison) -> Iterator[str]:
 
 
 def _alone(side: ComparedCatalog) -> Iterator[str]:
-    if not len(side.only):
-        return
-    yield f"only in {side.path}: {_points(len(side.only))}"
-    yield from _shortened(
-        list(side.only), lambda r: f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}"
-    )
+    if len(side.only):
+        yield f"only in {side.path}: {_points(len(side.only))}"
+        yield from _shortened(
+            list(side.only), lambda r: f"{r['id']}: at {r['lat_deg']:.5f}, {r['lon_deg']:.5f}"
+        )
 
 
 def _places(found: Comparison) -> Iterator[str]:
@@ -80,12 +77,12 @@ def _places(found: Comparison) -> Iterator[str]:
     if len(moved):
         spread = f"median {np.median(moved):.3f} m, max {moved.max():.3f} m"
         yield f"moved: {_points(len(moved))}, {spread}"
-        yield from _greatest(found, found.moved_m, found.moved_m > 0.0, "{:.3f} m")
+        yield from _greatest(found, found.moved_m > 0.0, "{:.3f} m", found.moved_m)
     radius = found.after["radius_m"] - found.before["radius_m"]
     still = found.field_changed("radius_m") & (found.moved_m == 0.0)
     if still.any():
         yield f"radius of points in place: {_points(still.sum())}, {_largest(radius[still])} m"
-        yield from _greatest(found, radius, still, "{:+.3f} m")
+        yield from _greatest(found, still, "{:+.3f} m", radius)
 
 
 def _use(found: Comparison) -> Iterator[str]:
@@ -100,10 +97,7 @@ def _use(found: Comparison) -> Iterator[str]:
 
 
 def _pairs(
-    name: str,
-    found: Comparison,
-    chosen: BoolArray,
-    text: Callable[[ComparedCatalog, Record], str],
+    name: str, found: Comparison, chosen: BoolArray, text: Callable[[ComparedCatalog, Record], str]
 ) -> Iterator[str]:
     """A line with the number of chosen points, and what each is in both catalogs."""
     rows = np.flatnonzero(chosen)
@@ -133,15 +127,8 @@ def _heights(found: Comparison) -> Iterator[str]:
     if found.holes[changed].any():
         text += f", {found.holes[changed].sum()} nodes with a height in one only"
     yield text
-    rows = np.flatnonzero(changed)
-    rows = rows[np.argsort(-np.nan_to_num(found.height_max_m[rows], nan=np.inf), kind="stable")]
-    yield from _shortened(
-        rows,
-        lambda row: (
-            f"{found.ids[row]}: max {found.height_max_m[row]:.3f} m, "
-            f"rms {found.height_rms_m[row]:.3f} m"
-        ),
-    )
+    sizes = found.height_max_m, found.height_rms_m
+    yield from _greatest(found, changed, "max {:.3f} m, rms {:.3f} m", *sizes)
 
 
 def _certificates(found: Comparison) -> Iterator[str]:
@@ -150,7 +137,7 @@ def _certificates(found: Comparison) -> Iterator[str]:
         if chosen.any():
             change = found.field_change(name)
             yield f"{name}: {_points(chosen.sum())}, {_largest(change[chosen])}"
-            yield from _greatest(found, change, chosen, "by {:.4g}")
+            yield from _greatest(found, chosen, "by {:.4g}", change)
 
 
 def _largest(changes: FloatArray) -> str:
@@ -161,12 +148,13 @@ def _largest(changes: FloatArray) -> str:
     return ", ".join(parts + ([f"{unknown} known in one only"] if unknown else []))
 
 
-def _greatest(found: Comparison, sizes: FloatArray, chosen: BoolArray, form: str) -> Iterator[str]:
-    """Lines of the chosen points with the largest sizes."""
+def _greatest(found: Comparison, chosen: BoolArray, form: str, *sizes: FloatArray) -> Iterator[str]:
+    """Lines of the chosen points with the largest of the first sizes."""
     rows = np.flatnonzero(chosen)
-    known = np.nan_to_num(np.abs(sizes[rows]), nan=np.inf)
+    known = np.nan_to_num(np.abs(sizes[0][rows]), nan=np.inf)
     rows = rows[np.argsort(-known, kind="stable")]
-    yield from _shortened(rows, lambda row: f"{found.ids[row]}: " + form.format(sizes[row]))
+    form = f"{{}}: {form}"
+    yield from _shortened(rows, lambda row: form.format(*(a[row] for a in (found.ids, *sizes))))
 
 
 def _points(number: int | np.integer[Any]) -> str:
@@ -187,9 +175,6 @@ def _state(record: Record) -> str:
 
 def _source(side: ComparedCatalog, record: Record) -> str:
     return side.meta.point_sources[int(record["source"])] or "none"
-
-
-LISTS = ("uniqueness", "shadow_limit_deg")  # shown by their largest difference
 
 
 def _pair(name: str, meaning: str, kind: Literal["text", "number"], form: str) -> list[CsvColumn]:
@@ -213,14 +198,10 @@ DIFFERENCES = CsvTable(
         *_pair("usable", "1 for a usable point", "text", ""),
         *_pair("reasons", "why it is not usable", "text", ""),
         *_pair("source", "terrain model", "text", ""),
+        *(column for name in SCORES for column in _pair(name, name, "number", ".10g")),
         *(
-            column
-            for name in CERTIFICATE
-            for column in (
-                [CsvColumn(f"{name}_change", f"largest change of {name}", form=".4g", empty=True)]
-                if name in LISTS
-                else _pair(name, name, "number", ".10g")
-            )
+            CsvColumn(f"{name}_change", f"largest change of {name}", form=".4g", empty=True)
+            for name in LISTS
         ),
     )
 )
@@ -253,9 +234,8 @@ def _rows(found: Comparison) -> Iterator[dict[str, object]]:
             "nodes_in_one_only": int(found.holes[number]),
         }
         row |= {f"{name}_change": float(lists[name][number]) for name in LISTS}
-        yield (
-            row | _columns(found.first, before, "first") | _columns(found.second, after, "second")
-        )
+        row |= _columns(found.first, before, "first")
+        yield row | _columns(found.second, after, "second")
 
 
 def _columns(side: ComparedCatalog, record: Record, suffix: str) -> dict[str, object]:
@@ -265,7 +245,5 @@ def _columns(side: ComparedCatalog, record: Record, suffix: str) -> dict[str, ob
         "reasons": reasons_text(Flag(int(record["flags"]))),
         "source": side.meta.point_sources[int(record["source"])],
     }
-    for name in ("lat_deg", "lon_deg", *CERTIFICATE):
-        if name not in LISTS:
-            columns[name] = float(record[name])
+    columns |= {name: float(record[name]) for name in ("lat_deg", "lon_deg", *SCORES)}
     return {f"{name}_{suffix}": value for name, value in columns.items()}

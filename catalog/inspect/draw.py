@@ -44,13 +44,8 @@ def draw_pyramid(pyramid: Pyramid, radius_m: float) -> ByteArray:
     picture: ByteArray = np.full((height, width, 3), _PAPER, dtype=np.uint8)
     _head(picture, pyramid)
     azimuth, elevation = np.radians(SUN_AZIMUTH_DEG), np.radians(SUN_ELEVATION_DEG)
-    sun = np.array(
-        [
-            np.cos(elevation) * np.sin(azimuth),
-            np.cos(elevation) * np.cos(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    across = np.cos(elevation)
+    sun = np.array([across * np.sin(azimuth), across * np.cos(azimuth), np.sin(elevation)])
     for level, patch in enumerate(levels):
         left = GAP_PX + level * (TILE_PX + GAP_PX)
         outer = tuple((p.heights_m, p.posting_m) for p in levels[level + 1 :])
@@ -108,9 +103,8 @@ def _head(picture: ByteArray, pyramid: Pyramid) -> None:
 
 def _label(level: int, patch: Patch) -> str:
     known = patch.heights_m[np.isfinite(patch.heights_m)]
-    if known.size == 0:
-        return f"level {level}  {patch.posting_m:.4g} m  no data"
-    return f"level {level}  {patch.posting_m:.4g} m  {known.min():.0f}..{known.max():.0f} m"
+    heights = f"{known.min():.0f}..{known.max():.0f} m" if known.size else "no data"
+    return f"level {level}  {patch.posting_m:.4g} m  {heights}"
 
 
 def _write(picture: ByteArray, text: str, x: int, y: int, size: float = 0.42) -> None:

@@ -47,6 +47,9 @@ HEAD_BYTES = 4096
 BASE_SHARE = 0.2
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
+AZIMUTHS = [i * 360 // SHADOW_AZIMUTHS for i in range(SHADOW_AZIMUTHS)]
+SHADOW_COLUMNS = [(f"shadow_limit_{azimuth:03d}_deg", azimuth) for azimuth in AZIMUTHS]
+
 Properties = dict[str, object]
 
 
@@ -93,9 +96,8 @@ def point_properties(point: ControlPoint) -> Properties:
     }
     for level, margin in enumerate(point.uniqueness):
         properties[f"uniqueness_{level}"] = unknown_as_none(margin)
-    for i, limit in enumerate(point.shadow_limit_deg):
-        azimuth = i * 360 // SHADOW_AZIMUTHS
-        properties[f"shadow_limit_{azimuth:03d}_deg"] = unknown_as_none(limit)
+    for (name, _), limit in zip(SHADOW_COLUMNS, point.shadow_limit_deg):
+        properties[name] = unknown_as_none(limit)
     return properties
 
 
@@ -127,7 +129,7 @@ def points_table(levels: int) -> CsvTable:
     def number(name: str, meaning: str, unit: str = "") -> CsvColumn:
         return CsvColumn(name, meaning, unit=unit, empty=True)
 
-    azimuths = [i * 360 // SHADOW_AZIMUTHS for i in range(SHADOW_AZIMUTHS)]
+    shadow = "Sun elevation without shadow"
     return CsvTable(
         (
             CsvColumn("id", "the control point's id", "count"),
@@ -143,25 +145,16 @@ def points_table(levels: int) -> CsvTable:
             CsvColumn("trials", "recognition trials", "count"),
             CsvColumn("source", "terrain models of its finest patch", "text", empty=True),
             *(number(f"uniqueness_{k}", f"uniqueness margin, level {k}") for k in range(levels)),
-            *(
-                number(
-                    f"shadow_limit_{a:03d}_deg", f"Sun elevation without shadow, azimuth {a}", "deg"
-                )
-                for a in azimuths
-            ),
+            *(number(name, f"{shadow}, azimuth {a}", "deg") for name, a in SHADOW_COLUMNS),
         )
     )
 
 
-def _csv_type(column: CsvColumn) -> str:
-    places = {"lon_deg": "CoordX", "lat_deg": "CoordY"}
-    kinds = {"text": "String", "number": "Real"}
-    return places.get(column.name, kinds.get(column.kind, "Integer64"))
-
-
 def _write_csv(catalog: Catalog, path: Path) -> None:
     table = points_table(catalog.meta.levels)
-    types = ",".join(map(_csv_type, table.columns))
+    kinds = {"lon_deg": "CoordX", "lat_deg": "CoordY", "text": "String", "number": "Real"}
+    columns = ((column.name, kinds.get(column.kind, "Integer64")) for column in table.columns)
+    types = ",".join(kinds.get(name, kind) for name, kind in columns)
     wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)[4]
     with replacing_file(path, starts_with(",".join(table.names[:6]).encode())) as new:
         table.write(new, map(point_properties, catalog.points()))
@@ -174,8 +167,7 @@ def _write_geopackage(catalog: Catalog, path: Path) -> None:
         replacing_file(path, is_points_file, SIDECARS) as partial,
         closing(sqlite3.connect(partial, isolation_level=None)) as db,
     ):
-        db.execute("PRAGMA journal_mode = OFF")
-        db.execute("PRAGMA synchronous = OFF")
+        db.executescript("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")
         create_tables(db, with_patches=False)
         db.execute("BEGIN")
         extent = insert_features(db, catalog.meta, zip(catalog.points(), catalog.records))
@@ -247,11 +239,8 @@ def _faces(size: int) -> IntArray:
     # once round the ground, eastward along the south
     rim = np.concatenate([top[-1, :-1], top[:0:-1, -1], top[0, :0:-1], top[:-1, 0]])
     after, below = np.roll(rim, -1), rim + size * size
-    sides = [
-        np.stack([below, np.roll(below, -1), after], axis=1),
-        np.stack([below, after, rim], axis=1),
-    ]
-    return np.concatenate([ground, bottom, *sides])
+    side = np.stack([below, np.roll(below, -1), after], axis=1)
+    return np.concatenate([ground, bottom, side, np.stack([below, after, rim], axis=1)])
 
 
 def _is_our_patch(path: Path) -> bool:
@@ -290,11 +279,9 @@ def export_relief(catalog: Catalog, path: Path) -> int:
             with rasterio.open(partial, "w", **profile) as file:
                 file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{RELIEF_NAME}: {relief.source}")
                 file.units = ("m",) * len(BANDS)
-                for band, (name, grid) in enumerate(
-                    zip(BANDS, (relief.heights, relief.max_heights)), 1
-                ):
+                for band, grid in enumerate((relief.heights, relief.max_heights), 1):
                     file.write(grid, band)
-                    file.set_band_description(band, name)
+                    file.set_band_description(band, BANDS[band - 1])
         except RasterioError as error:
             raise OutputError(f"{path}: cannot be written ({error}); free some space") from None
     return rows

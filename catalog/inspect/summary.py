@@ -13,12 +13,8 @@ from catalog.store.records import reasons_text
 def rejected_by_reason(catalog: Catalog) -> dict[str, int]:
     """How many points that are not usable carry each flag; one may carry several."""
     flags = catalog.records["flags"][~catalog.usable]
-    counts: dict[str, int] = {}
-    for flag in Flag.__members__.values():
-        number = int(np.count_nonzero(flags & int(flag)))
-        if flag and number:
-            counts[reasons_text(flag)] = number
-    return counts
+    counts = {reasons_text(flag): int(np.count_nonzero(flags & int(flag))) for flag in Flag}
+    return {reason: number for reason, number in counts.items() if number}
 
 
 def extent_deg(catalog: Catalog) -> tuple[float, float, float, float] | None:
@@ -50,9 +46,8 @@ def describe(catalog: Catalog) -> dict[str, str]:
         "points": str(len(catalog)),
         "usable": str(usable),
         "rejected": str(len(catalog) - usable),
+        **{f"rejected_{why.replace(' ', '_')}": str(number) for why, number in rejected.items()},
     }
-    for reason, number in rejected.items():
-        lines[f"rejected_{reason.replace(' ', '_')}"] = str(number)
     box = extent_deg(catalog)
     if box is not None:
         lines["extent_deg"] = "west {:.4f}, south {:.4f}, east {:.4f}, north {:.4f}".format(*box)
@@ -67,10 +62,9 @@ def describe(catalog: Catalog) -> dict[str, str]:
         "software": meta.software,
         "created_utc": meta.created_utc,
         "size_bytes": str(catalog.path.stat().st_size),
+        **{f"source {name}": content for name, content in meta.sources.items()},
+        "digest": meta.digest,
     }
-    for name, content in meta.sources.items():
-        lines[f"source {name}"] = content
-    lines["digest"] = meta.digest
     return lines
 
 
@@ -127,10 +121,5 @@ def describe_point(point: ControlPoint) -> dict[str, str]:
 
 def distance_km(catalog: Catalog, point: ControlPoint, lat_deg: float, lon_deg: float) -> float:
     """Distance along the reference sphere from a place to a point."""
-    angle = angular_distance(
-        np.radians(lat_deg),
-        np.radians(lon_deg),
-        np.radians(point.lat_deg),
-        np.radians(point.lon_deg),
-    )
+    angle = angular_distance(*np.radians([lat_deg, lon_deg, point.lat_deg, point.lon_deg]))
     return float(angle) * catalog.meta.radius_m / 1000.0

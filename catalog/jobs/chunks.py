@@ -37,13 +37,8 @@ class ChunkResults:
 
     def all_records(self, count: int) -> list[Any] | None:
         """The records of all chunks, one after the other; None where a chunk has none."""
-        records: list[Any] = []
-        for position in range(count):
-            part = self.records(position)
-            if part is None:
-                return None
-            records.extend(part)
-        return records
+        parts = [self.records(position) for position in range(count)]
+        return None if None in parts else [record for part in parts if part for record in part]
 
     def make(
         self,
@@ -65,7 +60,8 @@ class ChunkResults:
         shown.keep(sum(len(chunks[position]) for position in found))
         yield from found
         work = [(self.name(position), chunks[position]) for position in missing]
-        make_one = partial(_made, function, self.workspace, _process())
+        coordinator = socket.gethostname(), os.getpid()
+        make_one = partial(_made, function, self.workspace, coordinator)
         for at, (data, usage) in workers.run(make_one, context, work):
             if data is not None:
                 self.workspace.put(work[at][0], data)
@@ -101,7 +97,3 @@ def _made(
         return None
 
     return metered(make)
-
-
-def _process() -> tuple[str, int]:
-    return socket.gethostname(), os.getpid()

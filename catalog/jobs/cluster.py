@@ -85,7 +85,6 @@ def load_distributed() -> Any:
 
 
 def unreachable(address: str, reason: str) -> WorkersError:
-    """The error of a scheduler that does not answer."""
     return WorkersError(
         f"{address}: no scheduler can be reached ({reason}); "
         "check the address and that `dask scheduler` runs there"
@@ -159,12 +158,8 @@ class ClusterPool:
         self._distributed = load_distributed()
         from distributed.scheduler import KilledWorker
 
-        self.lost: tuple[type[Exception], ...] = (
-            KilledWorker,
-            CancelledError,
-            ImportError,
-            _SchedulerLostError,
-        )
+        errors = KilledWorker, CancelledError, ImportError, _SchedulerLostError
+        self.lost: tuple[type[Exception], ...] = errors
         self._client: Any = None
         self._executor: Executor | None = None
         self._needs: Needs = {}
@@ -254,7 +249,15 @@ class ClusterPool:
                     self.address, timeout=ANSWER_S, set_as_default=False, name="optnav"
                 )
             self._wait_for_workers()
-            self._ask_scheduler()
+            try:  # the scheduler too loads the functions that it hands to workers
+                self._client.run_on_scheduler(code_key)
+            except (ImportError, AttributeError) as error:
+                raise WorkersError(
+                    f"{self.address}: the scheduler cannot load optnav ({error}); start it from an "
+                    "environment with the same version installed"
+                ) from None
+            except (OSError, RuntimeError) as error:
+                raise _SchedulerLostError from error
             self._ask_all()
         except _SchedulerLostError:
             self.abandon()
@@ -265,10 +268,8 @@ class ClusterPool:
 
     def _wait_for_workers(self) -> None:
         until = time.monotonic() + ARRIVE_S
-        found = self._listed()
-        while not found and time.monotonic() < until:
+        while not (found := self._listed()) and time.monotonic() < until:
             time.sleep(0.2)
-            found = self._listed()
         if not found:
             raise WorkersError(
                 f"{self.address}: the scheduler has no workers (waited {ARRIVE_S:.0f} s); start "
@@ -279,10 +280,9 @@ class ClusterPool:
         threads = max(int(worker["nthreads"]) for worker in found.values())
         if threads > 1:
             log.warning(
-                "workers of %d threads use one of them for a build; start them with "
-                "--nworkers %d --nthreads 1",
-                threads,
-                threads,
+                "workers of %(n)d threads use one of them for a build; start them with "
+                "--nworkers %(n)d --nthreads 1",
+                {"n": threads},
             )
 
     def _listed(self) -> dict[str, Any]:
@@ -293,18 +293,6 @@ class ClusterPool:
             raise _SchedulerLostError from error
         found: dict[str, Any] = identity["workers"]
         return found
-
-    def _ask_scheduler(self) -> None:
-        """The scheduler too loads the functions that it hands to workers."""
-        try:
-            self._client.run_on_scheduler(code_key)
-        except (ImportError, AttributeError) as error:
-            raise WorkersError(
-                f"{self.address}: the scheduler cannot load optnav ({error}); start it from an "
-                "environment with the same version installed"
-            ) from None
-        except (OSError, RuntimeError) as error:
-            raise _SchedulerLostError from error
 
     def _ask_all(self) -> None:
         """Raises WorkersError, naming the first, when workers are not fit for the work."""

@@ -102,7 +102,12 @@ def call_on_node(packed: bytes, function: Callable[[Any, Any], Any], chunk: Any)
         needs, blob = pickle.loads(packed)
         # a worker that came while the build went on was not asked at its start
         _met.get(hashlib.sha256(repr(needs).encode()).digest(), lambda: _require(needs))
-        _one_thread()
+        import cv2
+        import numba
+
+        # cores are the workers' to share out
+        cv2.setNumThreads(1)
+        numba.set_num_threads(1)  # of this thread
         return call_in_worker(blob, function, chunk)
 
 
@@ -113,12 +118,3 @@ def _require(needs: Needs) -> None:
         from distributed import get_worker
 
         raise WorkersError(f"worker {get_worker().address}: {reason}")
-
-
-def _one_thread() -> None:
-    """Keep numeric libraries to one thread each: cores are the workers' to share out."""
-    import cv2
-    import numba
-
-    cv2.setNumThreads(1)
-    numba.set_num_threads(1)  # of this thread

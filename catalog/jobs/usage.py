@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import msgspec
 
@@ -112,13 +112,10 @@ class Account(msgspec.Struct):
 
     def judge(self, points: Iterable[tuple[bool, Flag]]) -> None:
         """Count points (usable, flags) and what keeps them from use, the most frequent first."""
-        total = usable = 0
-        reasons: Counter[str] = Counter()
-        for good, flags in points:
-            total, usable = total + 1, usable + good
-            if not good:
-                reasons.update(reasons_text(flag) for flag in flags)
-        self.points, self.usable = total, usable
+        judged = list(points)
+        bad = [flags for good, flags in judged if not good]
+        reasons = Counter(reasons_text(flag) for flags in bad for flag in flags)
+        self.points, self.usable = len(judged), len(judged) - len(bad)
         self.reasons = dict(reasons.most_common())
 
     def total(self) -> StageAccount:
@@ -134,8 +131,8 @@ class Account(msgspec.Struct):
         return whole
 
 
-def _sum(a: int | None, b: int | None) -> int | None:
-    return None if a is None or b is None else a + b
+def _sum(a: int | None, b: int | None, sign: int = 1) -> int | None:
+    return None if a is None or b is None else a + sign * b
 
 
 def _greater(a: Peak | None, b: Peak) -> Peak:
@@ -143,7 +140,7 @@ def _greater(a: Peak | None, b: Peak) -> Peak:
     return b if a is None or (b.bytes, b.own) > (a.bytes, a.own) else a
 
 
-class _State(msgspec.Struct, frozen=True):
+class _State(NamedTuple):
     """What this process has used since it began."""
 
     cpu_s: float
@@ -177,15 +174,12 @@ def _bytes_moved() -> tuple[int | None, int | None]:
 
 
 def _between(before: _State, after: _State) -> Usage:
-    def more(a: int | None, b: int | None) -> int | None:
-        return None if a is None or b is None else b - a
-
     return Usage(
         process=_process(),
         cpu_s=after.cpu_s - before.cpu_s,
         peak=Peak(after.mark_bytes, after.mark_bytes > before.mark_bytes),
-        read_bytes=more(before.read_bytes, after.read_bytes),
-        written_bytes=more(before.written_bytes, after.written_bytes),
+        read_bytes=_sum(after.read_bytes, before.read_bytes, -1),
+        written_bytes=_sum(after.written_bytes, before.written_bytes, -1),
     )
 
 

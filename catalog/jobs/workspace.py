@@ -111,23 +111,16 @@ class Workspace:
                 raise _unwritable(self.folder, error) from None
             os.ftruncate(handle, 0)
             os.pwrite(handle, f"{os.getpid()}\n".encode("ascii"), 0)
-            self._clear_remains()
+            for remains in self.folder.rglob(f"*{PARTIAL}"):  # of killed processes
+                if remains.is_file():
+                    remains.unlink(missing_ok=True)
             try:
                 yield
             except BaseException:
-                self._leave_no_trace()
+                # results lie in folders: without one, what this run made holds none
+                if self._made_now and not any(place.is_dir() for place in self.folder.iterdir()):
+                    shutil.rmtree(self.folder, ignore_errors=True)
                 raise
-
-    def _clear_remains(self) -> None:
-        """Remove what killed processes were writing."""
-        for path in self.folder.rglob(f"*{PARTIAL}"):
-            if path.is_file():
-                path.unlink(missing_ok=True)
-
-    def _leave_no_trace(self) -> None:
-        """Remove a folder that this run made and that holds no result: results lie in folders."""
-        if self._made_now and not any(path.is_dir() for path in self.folder.iterdir()):
-            shutil.rmtree(self.folder, ignore_errors=True)
 
     def path(self, *names: str) -> Path:
         """A place in the folder."""
@@ -158,10 +151,8 @@ class Workspace:
     def records(self, name: str, type_: type[Any]) -> list[Any] | None:
         """The records of a result file; None, and the file gone, where it is missing or damaged."""
         data = self.get(name)
-        if data is None:
-            return None
         try:
-            return decode_records(data, type_)
+            return None if data is None else decode_records(data, type_)
         except DamagedRecordsError:
             (self.folder / name).unlink(missing_ok=True)
             return None
@@ -196,8 +187,8 @@ def code_key() -> str:
 @cache
 def surroundings() -> tuple[tuple[str, str], ...]:
     """Name and version of what the same bytes need beside the code."""
-    found = [("python", ".".join(platform.python_version_tuple()[:2]))]
-    found.append(("processor", platform.machine()))
+    python = ".".join(platform.python_version_tuple()[:2])
+    found = [("python", python), ("processor", platform.machine())]
     for name in LIBRARIES:
         try:
             found.append((name, version(name)))
@@ -211,7 +202,11 @@ def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress
 
     Raises DataError for a file that cannot be read.
     """
-    known = _known_hashes(workspace)
+    stored = workspace.get(HASHES)
+    try:
+        known = msgspec.json.decode(stored or b"{}", type=dict[str, str])
+    except msgspec.MsgspecError:
+        known = {}
     whole = hashlib.sha256()
     for path in files:
         try:
@@ -232,19 +227,15 @@ def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress
 
 def encode_records(records: Sequence[Any]) -> bytes:
     """Structs or dataclasses as bytes; the same records give the same bytes."""
-    payload = zstandard.ZstdCompressor(level=1).compress(
-        msgspec.msgpack.encode(records, enc_hook=_plain)
-    )
+    plain = msgspec.msgpack.encode(records, enc_hook=_plain)
+    payload = zstandard.ZstdCompressor(level=1).compress(plain)
     return MAGIC + hashlib.sha256(payload).digest()[:HASH_BYTES] + payload
 
 
 def are_whole(data: bytes) -> bool:
     """Whether bytes of `encode_records` are as they were made."""
     head = len(MAGIC) + HASH_BYTES
-    stated = data[len(MAGIC) : head]
-    return data.startswith(MAGIC) and (
-        hashlib.sha256(memoryview(data)[head:]).digest()[:HASH_BYTES] == stated
-    )
+    return data[:head] == MAGIC + hashlib.sha256(memoryview(data)[head:]).digest()[:HASH_BYTES]
 
 
 def decode_records(data: bytes, type_: type[T]) -> list[T]:
@@ -264,14 +255,6 @@ def _unwritable(folder: Path, error: OSError) -> OutputError:
         f"{folder}: cannot be written ({error.strerror or error}); "
         "free space, change its permissions or name another work folder"
     )
-
-
-def _known_hashes(workspace: Workspace) -> dict[str, str]:
-    data = workspace.get(HASHES)
-    try:
-        return msgspec.json.decode(data, type=dict[str, str]) if data else {}
-    except msgspec.MsgspecError:
-        return {}
 
 
 def _plain(value: Any) -> Any:

@@ -26,6 +26,7 @@ SIDECARS = ("-wal", "-shm", "-journal")
 CACHE_KIB = 8192
 # Where SQLite's header keeps its change counter, and the counter that its page count goes with.
 COUNTER, COUNTER_AGAIN = slice(24, 28), slice(92, 96)
+PAGES = slice(16, 18), slice(28, 32)  # their size and number
 PIECE = 1 << 20
 
 
@@ -62,21 +63,20 @@ def connect(path: Path) -> sqlite3.Connection:
         _check_length(path, header, size)
     # Without a log beside it nobody is writing, and `immutable` spares locks and works on
     # read-only media; with one (a GIS program has the file open) SQLite must read both.
-    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro" + (
-        "&immutable=1" if log is None else ""
-    )
+    mode = "ro&immutable=1" if log is None else "ro"
+    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode={mode}"
     try:
         # SQLite serialises calls itself, so that threads may share a catalog
         db = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
         db.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
     except sqlite3.Error as error:
-        left = (
-            f"; a program was stopped while it wrote to it and left {log.name}: open and close the "
-            "catalog once with that program, where it can be written"
-            if log is not None
-            else "; restore it or build it again"
-        )
-        raise DataError(f"{path}: cannot be opened: {error}{left}") from None
+        left = "restore it or build it again"
+        if log is not None:
+            left = (
+                f"a program was stopped while it wrote to it and left {log.name}: open and close "
+                "the catalog once with that program, where it can be written"
+            )
+        raise DataError(f"{path}: cannot be opened: {error}; {left}") from None
     return db
 
 
@@ -127,14 +127,12 @@ def live_log(path: Path) -> Path | None:
 
 def _check_length(path: Path, header: bytes, size: int) -> None:
     """Compare the file's length with the page count in its header (SQLite file format, 1.3)."""
-    page_size = int.from_bytes(header[16:18], "big")
-    page_size = 65536 if page_size == 1 else page_size
-    pages = int.from_bytes(header[28:32], "big")
+    page_size, pages = (int.from_bytes(header[part], "big") for part in PAGES)
+    whole = pages * (65536 if page_size == 1 else page_size)
     # the count is kept only by programs that write both version numbers alike
-    if header[24:28] == header[92:96] and size < pages * page_size:
+    if header[COUNTER] == header[COUNTER_AGAIN] and size < whole:
         raise DataError(
-            f"{path}: is cut short: {size} bytes of {pages * page_size}; copy it again or "
-            "build it again"
+            f"{path}: is cut short: {size} bytes of {whole}; copy it again or build it again"
         )
 
 
@@ -145,8 +143,7 @@ def put_seal(path: Path) -> None:
         if place < 0:
             raise ValueError(f"{path}: its manifest has no place for a seal")
         place += len(SEAL)
-        counter, _ = _counters(file)
-        seal = f"{counter}:{_hash(file, place)}".encode("ascii")
+        seal = f"{_counters(file)[0]}:{_hash(file, place)}".encode("ascii")
         file.seek(place)
         file.write(seal)
 

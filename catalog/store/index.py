@@ -112,23 +112,12 @@ class CellIndex:
     """
 
     def __init__(self, grid: CellGrid, cells: IntArray, direction: FloatArray) -> None:
-        self._step = float(grid.step_deg)
-        self._cells_in_band = grid.cells_in_band
-        self._first_row = np.searchsorted(cells, grid.first_cell).astype(np.int64)
+        first_row = np.searchsorted(cells, grid.first_cell).astype(np.int64)
         band = np.searchsorted(grid.first_cell, cells, side="right") - 1
-        self._column = np.asarray(cells - grid.first_cell[band], dtype=np.int64)
-        self._direction = np.ascontiguousarray(direction)
+        column = np.asarray(cells - grid.first_cell[band], dtype=np.int64)
+        bands = float(grid.step_deg), grid.cells_in_band, first_row
+        self._tables = *bands, column, np.ascontiguousarray(direction)
 
     def nearest_row(self, lat_deg: float, lon_deg: float) -> int:
         """Row of the nearest point, -1 when there is none; lat in [-90, 90], lon in [-180, 180)."""
-        return int(
-            _nearest_row(
-                lat_deg,
-                lon_deg,
-                self._step,
-                self._cells_in_band,
-                self._first_row,
-                self._column,
-                self._direction,
-            )
-        )
+        return int(_nearest_row(lat_deg, lon_deg, *self._tables))

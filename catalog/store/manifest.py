@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import msgspec
+
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
 from catalog.geometry.projection import FLAT_RADIUS_M, MapProjection
@@ -28,6 +30,11 @@ CHECKSUM = "checksum"
 SEAL = "seal"  # of all bytes of the file, see `catalog.store.connection`
 COUNTER_DIGITS, HASH_DIGITS = 8, 64
 OPEN_SEAL = "0" * COUNTER_DIGITS + ":" + "0" * HASH_DIGITS
+PLAIN_ROWS: dict[type, tuple[str, ...]] = {
+    str: ("body", "config", "software", "created_utc", "digest"),
+    int: ("levels", "size", "count", "usable"),
+    float: ("radius_m", "cell_deg", "posting_m", "height_step_m"),
+}
 
 
 @dataclass(frozen=True)
@@ -57,10 +64,8 @@ class PlanesMeta:
 
     def rounded(self) -> dict[str, Any]:
         """As it is written."""
-        return {
-            "radii_m": [round(float(radius), 3) for radius in self.radii_m],
-            "model_posting_m": round(float(self.model_posting_m), 3),
-        }
+        radii_m = [round(float(radius), 3) for radius in self.radii_m]
+        return {"radii_m": radii_m, "model_posting_m": round(float(self.model_posting_m), 3)}
 
 
 @dataclass(frozen=True)
@@ -186,47 +191,24 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
             f"{where}: is of catalog format {version}; this optnav reads up to {FORMAT_VERSION}; "
             "install a newer optnav"
         )
-    if not _checksum_fits(texts):
+    if texts.get(CHECKSUM) != _checksum(texts):
         raise DataError(
             f"{where}: the manifest (table optnav_meta) does not fit its checksum; the catalog is "
             "damaged or was edited: restore it or build it again"
         )
+    decode = msgspec.json.decode
     try:
+        plain: dict[str, Any] = {
+            name: kind(texts[name]) for kind, names in PLAIN_ROWS.items() for name in names
+        }
         return CatalogMeta(
-            body=texts["body"],
-            radius_m=float(texts["radius_m"]),
-            cell_deg=float(texts["cell_deg"]),
-            levels=int(texts["levels"]),
-            size=int(texts["size"]),
-            posting_m=float(texts["posting_m"]),
-            height_step_m=float(texts["height_step_m"]),
+            **plain,
             sources=json.loads(texts["sources"]),
-            config=texts["config"],
-            software=texts["software"],
-            created_utc=texts["created_utc"],
             point_sources=tuple(json.loads(texts["point_sources"])),
-            count=int(texts["count"]),
-            usable=int(texts["usable"]),
-            digest=texts["digest"],
-            relief=_relief(texts["relief"]) if "relief" in texts else None,
-            planes=_planes(texts["planes"]) if "planes" in texts else None,
+            relief=decode(texts.get("relief", "null"), type=ReliefMeta | None),
+            planes=decode(texts.get("planes", "null"), type=PlanesMeta | None),
             seal=texts.get(SEAL, ""),
             format_version=int(version),
         )
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, msgspec.MsgspecError) as error:
         raise DataError(f"{where}: the manifest (table optnav_meta) lacks {error}") from None
-
-
-def _relief(text: str) -> ReliefMeta:
-    found = json.loads(text)
-    return ReliefMeta(int(found["rows"]), str(found["source"]), str(found["digest"]))
-
-
-def _planes(text: str) -> PlanesMeta:
-    found = json.loads(text)
-    x, y, z = (float(radius) for radius in found["radii_m"])
-    return PlanesMeta((x, y, z), float(found["model_posting_m"]))
-
-
-def _checksum_fits(rows: Mapping[str, str]) -> bool:
-    return rows.get(CHECKSUM) == _checksum(rows)

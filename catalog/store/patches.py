@@ -23,7 +23,7 @@ import numpy as np
 from catalog.arrays import Int16Array
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
-from catalog.store.codec import Encoded, decode, decode_counts, encode
+from catalog.store.codec import Encoded, decode, encode
 from catalog.store.manifest import CatalogMeta, content_text
 from catalog.store.records import checksum, rounded_point
 from catalog.store.schema import HEIGHT_LAYER, patch_key
@@ -59,27 +59,13 @@ def prepare_point(
 ) -> PreparedPoint:
     """Round a point's numbers and compress its patches, finest first, each with its height step."""
     rounded = rounded_point(point)
-    rows: list[PatchRow] = []
-    contents: list[tuple[bytes, Int16Array]] = []
+    rows, contents = [], []
     for level, (patch, step) in enumerate(zip(patches, steps_m, strict=True)):
         encoded, counts = encode(patch.heights_m, step)
         posting = round(float(patch.posting_m), POSTING_DECIMALS)
         header = patch_header(rounded.id, level, posting, encoded)
         key = patch_key(rounded.id, HEIGHT_LAYER, level)
-        rows.append(
-            (
-                key,
-                rounded.id,
-                HEIGHT_LAYER,
-                level,
-                posting,
-                encoded.size,
-                encoded.step,
-                encoded.offset,
-                checksum(header, encoded.data),
-                encoded.data,
-            )
-        )
+        rows.append((key, rounded.id, HEIGHT_LAYER, level, posting, *encoded.columns(header)))
         contents.append((header, counts))
     return PreparedPoint(rounded, tuple(rows), patches_digest(contents))
 
@@ -103,12 +89,6 @@ def patch_from_row(row: Sequence[object], point_id: int, level: int) -> Patch:
     return Patch(patch.posting_m, decode(patch.encoded))
 
 
-def content_from_row(row: Sequence[object], point_id: int, level: int) -> tuple[bytes, Int16Array]:
-    """Header and counts of a row, for the digest. Raises DataError for a damaged one."""
-    patch = stored_patch_from_row(row, point_id, level)
-    return patch.header, decode_counts(patch.encoded.data, patch.encoded.size)
-
-
 def patch_header(point_id: int, level: int, posting_m: float, encoded: Encoded) -> bytes:
     """What checksum and digest cover of a patch beside its data."""
     numbers = encoded.size, posting_m, encoded.step, encoded.offset
@@ -129,19 +109,9 @@ def point_digest(record: bytes, patches: bytes) -> bytes:
     return hashlib.sha256(record + patches).digest()
 
 
-class CatalogDigest:
-    """Collects the digests of points, in id order; 41 252 of them are 1.3 MB."""
+def catalog_digest(meta: CatalogMeta, points: bytes | bytearray) -> str:
+    """The catalog's digest, of the digests of its points in id order (1.3 MB for 41 252 of them).
 
-    def __init__(self) -> None:
-        self._points = bytearray()
-
-    def add(self, digest: bytes) -> None:
-        """Append the next point's digest."""
-        self._points += digest
-
-    def hexdigest(self, meta: CatalogMeta) -> str:
-        """The catalog's digest; `meta.count` and `meta.point_sources` must be filled in."""
-        digest = hashlib.sha256(content_text(meta).encode())
-        digest.update(b"\n")
-        digest.update(self._points)
-        return digest.hexdigest()
+    `meta.count` and `meta.point_sources` must be filled in.
+    """
+    return hashlib.sha256(content_text(meta).encode() + b"\n" + points).hexdigest()

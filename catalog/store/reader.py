@@ -4,7 +4,7 @@ import logging
 import math
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -60,10 +60,9 @@ class Catalog:
         self.meta = meta
         self.grid = CellGrid(meta.cell_deg)
         self.records = records
-        self.ids: IntArray = np.ascontiguousarray(records["id"], dtype=np.int64)
-        self.lat_deg: FloatArray = np.ascontiguousarray(records["lat_deg"], dtype=np.float64)
-        self.lon_deg: FloatArray = np.ascontiguousarray(records["lon_deg"], dtype=np.float64)
-        self.radius_m: FloatArray = np.ascontiguousarray(records["radius_m"], dtype=np.float64)
+        self.ids: IntArray = records["id"].astype(np.int64)
+        places = (records[name].astype(np.float64) for name in ("lat_deg", "lon_deg", "radius_m"))
+        self.lat_deg, self.lon_deg, self.radius_m = places
         self.usable: BoolArray = records["usable"] != 0
         self._db = db
 
@@ -79,7 +78,8 @@ class Catalog:
         db = connect(path)
         try:
             meta = read_meta(db, path)
-            records = read_records(db, meta, _refuse if strict else _warn_about(path))
+            warn = partial(log.warning, "%s: %s: %s", path)
+            records = read_records(db, meta, _refuse if strict else warn)
         except DataError as error:
             db.close()
             where = "" if str(error).startswith(str(path)) else f"{path}: "
@@ -223,12 +223,8 @@ def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
     except sqlite3.Error as error:
         raise DataError(f"cannot be read: {error}") from None
     for number, (key, count, stored, data) in enumerate(rows):
-        if (
-            key != number
-            or not isinstance(data, bytes)
-            or stored != checksum(data)
-            or len(data) != count * layout.itemsize
-        ):
+        whole = key == number and isinstance(data, bytes) and stored == checksum(data)
+        if not whole or len(data) != count * layout.itemsize:
             raise DataError(f"row {number} does not fit its checksum")
         parts.append(data)
     records = np.frombuffer(b"".join(parts), dtype=layout)
@@ -256,10 +252,7 @@ def feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -
         raise DataError(f"the catalog is damaged: {error}; restore it or build it again") from None
     if meta.count and not good:
         raise DataError("the catalog is damaged: no control point is whole; build it again")
-    records = np.zeros(len(good), dtype=record_type(meta.levels))
-    for row_number, key in enumerate(sorted(good)):
-        records[row_number] = good[key]
-    return records
+    return np.array([good[key] for key in sorted(good)], dtype=record_type(meta.levels))
 
 
 def read_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> RecordArray:
@@ -276,10 +269,3 @@ def read_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> R
 
 def _refuse(place: str, what: object) -> None:
     raise DataError(f"{place}: {what}")
-
-
-def _warn_about(path: Path) -> Callable[[str, object], None]:
-    def warn(place: str, what: object) -> None:
-        log.warning("%s: %s: %s", path, place, what)
-
-    return warn

@@ -10,6 +10,7 @@ import math
 import struct
 import zlib
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag
 from catalog.errors import DataError
 from catalog.store.schema import POINT_COLUMNS
 
+T = TypeVar("T")
 Record = np.void  # one of them
-
 LATLON_DECIMALS = 7  # degrees: 3 mm on the Moon
 RADIUS_DECIMALS = 3  # metres
 SCORE_DECIMALS = 4  # localisation, rates and margins
@@ -86,14 +87,12 @@ def record_from_point(
     source         place of the point's `source` in the manifest's `point_sources`
     """
     record: Record = np.zeros(1, dtype=layout)[0]
-    for name in SAME:
+    for name in (*SAME, "flags", "usable"):
         record[name] = getattr(point, name)
-    record["flags"] = int(point.flags)
-    record["usable"] = point.usable
     record["levels"] = stored_levels
     record["source"] = source
-    record["uniqueness"] = point.uniqueness if point.uniqueness else math.nan
-    record["shadow_limit_deg"] = point.shadow_limit_deg if point.shadow_limit_deg else math.nan
+    record["uniqueness"] = point.uniqueness or math.nan
+    record["shadow_limit_deg"] = point.shadow_limit_deg or math.nan
     return record
 
 
@@ -116,10 +115,7 @@ def unknown_as_none(value: float) -> float | None:
 
 def checksum(*parts: bytes) -> int:
     """CRC-32 of some bytes one after the other."""
-    value = 0
-    for part in parts:
-        value = zlib.crc32(part, value)
-    return value
+    return zlib.crc32(b"".join(parts))
 
 
 def point_geometry(lon_deg: float, lat_deg: float, srs_id: int) -> bytes:
@@ -129,20 +125,12 @@ def point_geometry(lon_deg: float, lat_deg: float, srs_id: int) -> bytes:
 
 def reasons_text(flags: Flag) -> str:
     """Flags in words, comma-separated: "flat, not unique"."""
-    names = [name.lower().replace("_", " ") for name in Flag.__members__ if name != "NONE"]
-    bits = [flag for flag in Flag.__members__.values() if flag]
-    return ", ".join(name for name, bit in zip(names, bits, strict=True) if flags & bit)
+    members = Flag.__members__.items()
+    return ", ".join(name.lower().replace("_", " ") for name, bit in members if flags & bit)
 
 
 def _list_text(values: Sequence[float]) -> str:
     return json.dumps([unknown_as_none(v) for v in values], separators=(",", ":"))
-
-
-def _extreme(values: Sequence[float], largest: bool) -> float | None:
-    known = [float(v) for v in values if np.isfinite(v)]
-    if not known:
-        return None
-    return max(known) if largest else min(known)
 
 
 def feature_row(point: ControlPoint, record: Record, srs_id: int) -> tuple[object, ...]:
@@ -160,9 +148,9 @@ def feature_row(point: ControlPoint, record: Record, srs_id: int) -> tuple[objec
         unknown_as_none(point.hessian_eigenvalue),
         unknown_as_none(point.recognition_rate),
         point.trials,
-        _extreme(point.uniqueness, largest=False),
+        min(filter(math.isfinite, point.uniqueness), default=None),
         _list_text(point.uniqueness),
-        _extreme(point.shadow_limit_deg, largest=True),
+        max(filter(math.isfinite, point.shadow_limit_deg), default=None),
         _list_text(point.shadow_limit_deg),
         point.source,
         int(record["levels"]),
@@ -179,22 +167,19 @@ def record_from_row(
     """
     cells = dict(zip(POINT_COLUMNS, row, strict=True))
     try:
-        uniqueness = json.loads(_text(cells["uniqueness"]))
-        shadows = json.loads(_text(cells["shadow_limit_deg"]))
+        uniqueness = json.loads(_cell(cells["uniqueness"], str, "text"))
+        shadows = json.loads(_cell(cells["shadow_limit_deg"], str, "text"))
         if len(uniqueness) not in (0, levels) or len(shadows) not in (0, SHADOW_AZIMUTHS):
             raise ValueError("a list of the wrong length")
-        source = _text(cells["source"])
+        source = _cell(cells["source"], str, "text")
+        same: dict[str, Any] = {
+            name: _whole(cells[name]) if kind.startswith("<i") else _number(cells[name])
+            for name, kind in SAME.items()
+        }
         point = ControlPoint(
-            id=_whole(cells["id"]),
-            lat_deg=_number(cells["lat_deg"]),
-            lon_deg=_number(cells["lon_deg"]),
-            radius_m=_number(cells["radius_m"]),
-            localisation_px=_number(cells["localisation_px"]),
-            hessian_eigenvalue=_number(cells["hessian_eigenvalue"]),
-            recognition_rate=_number(cells["recognition_rate"]),
-            trials=_whole(cells["trials"]),
-            uniqueness=tuple(_number(v) for v in uniqueness),
-            shadow_limit_deg=tuple(_number(v) for v in shadows),
+            **same,
+            uniqueness=tuple(map(_number, uniqueness)),
+            shadow_limit_deg=tuple(map(_number, shadows)),
             usable=bool(_whole(cells["usable"])),
             flags=Flag(_whole(cells["flags"])),
             source=source,
@@ -209,21 +194,17 @@ def record_from_row(
     return record
 
 
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{type(value).__name__} where text should be")
+def _cell(value: object, type_: type[T], wanted: str) -> T:
+    if not isinstance(value, type_):
+        raise ValueError(f"{type(value).__name__} where {wanted} should be")
     return value
 
 
 def _whole(value: object) -> int:
-    if not isinstance(value, int):
-        raise ValueError(f"{type(value).__name__} where a whole number should be")
-    return value
+    return _cell(value, int, "a whole number")
 
 
 def _number(value: object) -> float:
-    if value is None:
-        return float("nan")
-    if not isinstance(value, int | float):
-        raise ValueError(f"{type(value).__name__} where a number should be")
-    return float(value)
+    if value is None or isinstance(value, int):
+        return math.nan if value is None else float(value)
+    return _cell(value, float, "a number")

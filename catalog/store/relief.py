@@ -59,13 +59,6 @@ class TilePlace(NamedTuple):
         return f"relief, {LAYERS[self.layer]}, tile {self.row}, {self.col}"
 
 
-class Tile(NamedTuple):
-    """A tile as the file holds it; `header` is what checksum and digest cover beside its data."""
-
-    encoded: Encoded
-    header: bytes
-
-
 def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
     """Round a relief's heights and compress them.
 
@@ -78,26 +71,14 @@ def prepare_relief(relief: GlobalRelief) -> PreparedRelief:
     above = np.maximum(relief.max_heights - stored - np.float32(MEAN_STEP_M / 2.0), 0.0)
     above = np.ceil(above / np.float32(TOP_STEP_M)) * np.float32(TOP_STEP_M)
     max_heights = [_encoded(above, place, TOP_STEP_M) for place in _places(number, TOPS)]
-    rows: list[ReliefRow] = []
-    contents: list[tuple[bytes, Int16Array]] = []
+    rows, contents = [], []
     places = [*_places(number, MEANS), *_places(number, TOPS)]
     for place, (encoded, counts) in zip(places, means + max_heights, strict=True):
         header = _header(place, encoded)
         contents.append((header, counts))
-        rows.append(
-            (
-                place.key,
-                *place,
-                encoded.size,
-                encoded.step,
-                encoded.offset,
-                checksum(header, encoded.data),
-                encoded.data,
-            )
-        )
-    return PreparedRelief(
-        ReliefMeta(number, relief.source, patches_digest(contents).hex()), tuple(rows)
-    )
+        rows.append((place.key, *place, *encoded.columns(header)))
+    digest = patches_digest(contents).hex()
+    return PreparedRelief(ReliefMeta(number, relief.source, digest), tuple(rows))
 
 
 def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | None:
@@ -109,7 +90,7 @@ def read_relief(db: sqlite3.Connection, meta: CatalogMeta) -> GlobalRelief | Non
         return None
     number = meta.relief.rows
     means, max_heights = (
-        _assembled([read_tile(db, place).encoded for place in _places(number, layer)], number)
+        _assembled([read_tile(db, place)[0] for place in _places(number, layer)], number)
         for layer in (MEANS, TOPS)
     )
     max_heights += means
@@ -121,15 +102,25 @@ def tile_places(meta: ReliefMeta) -> list[TilePlace]:
     return [*_places(meta.rows, MEANS), *_places(meta.rows, TOPS)]
 
 
-def read_tile(db: sqlite3.Connection, place: TilePlace) -> Tile:
-    """A tile as it is stored. Raises DataError unless it is there and its checksum fits."""
+def read_tile(db: sqlite3.Connection, place: TilePlace) -> tuple[Encoded, bytes]:
+    """A tile as it is stored, and what checksum and digest cover beside its data.
+
+    Raises DataError unless it is there and its checksum fits.
+    """
     try:
         row = db.execute(SELECT_TILE, (place.key,)).fetchone()
     except (sqlite3.Error, ValueError) as error:
         raise DataError(f"{place}: {error}") from None
     if row is None:
         raise DataError(f"{place}: is missing")
-    return _tile_from_row(row, place)
+    *where, size, step, offset, stored, data = row
+    encoded = Encoded.of_row(size, step, offset, data)
+    if where != [place.key, *place] or encoded is None:
+        raise DataError(f"{place}: its row of {RELIEF} is damaged")
+    header = _header(place, encoded)
+    if stored != checksum(header, encoded.data):
+        raise DataError(f"{place}: does not fit its checksum")
+    return encoded, header
 
 
 def relief_digest(
@@ -140,58 +131,42 @@ def relief_digest(
     def contents() -> Iterator[tuple[bytes, Int16Array]]:
         for place in tile_places(meta):
             try:
-                tile = read_tile(db, place)
-                yield tile.header, decode_counts(tile.encoded.data, tile.encoded.size)
+                tile, header = read_tile(db, place)
+                yield header, decode_counts(tile.data, tile.size)
             except DataError as error:
                 report(str(place), str(error).removeprefix(f"{place}: "))
 
     return patches_digest(contents()).hex()
 
 
-def _tile_from_row(row: Sequence[object], place: TilePlace) -> Tile:
-    *where, size, step, offset, stored, data = row
-    encoded = Encoded.of_row(size, step, offset, data)
-    if where != [place.key, *place] or encoded is None:
-        raise DataError(f"{place}: its row of {RELIEF} is damaged")
-    header = _header(place, encoded)
-    if stored != checksum(header, encoded.data):
-        raise DataError(f"{place}: does not fit its checksum")
-    return Tile(encoded, header)
-
-
 def _header(place: TilePlace, encoded: Encoded) -> bytes:
     return _HEADER.pack(*place, encoded.size, encoded.step, encoded.offset)
 
 
-def _tile_size(number: int) -> int:
-    return min(TILE, number)
-
-
 def _places(number: int, layer: int) -> Iterator[TilePlace]:
-    size = _tile_size(number)
-    for row in range(-(-number // size)):
-        for col in range(-(-2 * number // size)):
-            yield TilePlace(layer, row, col)
+    size = min(TILE, number)
+    for row, col in np.ndindex(-(-number // size), -(-2 * number // size)):
+        yield TilePlace(layer, row, col)
+
+
+def _part(grid: Float32Array, place: TilePlace, size: int) -> Float32Array:
+    return grid[place.row * size :, place.col * size :][:size, :size]
 
 
 def _encoded(grid: Float32Array, place: TilePlace, step: float) -> tuple[Encoded, Int16Array]:
-    size = _tile_size(grid.shape[0])
-    part = grid[
-        place.row * size : (place.row + 1) * size, place.col * size : (place.col + 1) * size
-    ]
+    size = min(TILE, len(grid))
+    part = _part(grid, place, size)
     missing = [(0, size - side) for side in part.shape]
     return encode(np.pad(part, missing, mode="edge"), step)
 
 
 def _assembled(tiles: Sequence[Encoded], number: int) -> Float32Array:
     """The grid (number, 2 number) of all tiles of a layer. Raises DataError."""
-    size = _tile_size(number)
+    size = min(TILE, number)
     grid = np.empty((number, 2 * number), np.float32)
     for place, encoded in zip(_places(number, MEANS), tiles, strict=True):
         if encoded.size != size:
             raise DataError(f"relief: a tile of {encoded.size} cells a side; wanted {size}")
-        part = grid[
-            place.row * size : (place.row + 1) * size, place.col * size : (place.col + 1) * size
-        ]
+        part = _part(grid, place, size)
         part[:] = decode(encoded)[: part.shape[0], : part.shape[1]]
     return grid

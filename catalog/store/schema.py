@@ -82,7 +82,7 @@ CREATE TABLE {RECORDS} (
   data BLOB NOT NULL);
 """
 
-_RELIEF_TABLE = f"""
+RELIEF_TABLE = f"""
 CREATE TABLE {RELIEF} (
   id INTEGER PRIMARY KEY NOT NULL, layer INTEGER NOT NULL, tile_row INTEGER NOT NULL,
   tile_col INTEGER NOT NULL, size INTEGER NOT NULL, step DOUBLE NOT NULL,
@@ -96,7 +96,7 @@ def _columns(statement: str) -> tuple[str, ...]:
 
 
 POINT_COLUMNS, PATCH_COLUMNS = _columns(_POINT_TABLE), _columns(_PATCH_TABLE)
-RELIEF_COLUMNS = _columns(_RELIEF_TABLE)
+RELIEF_COLUMNS = _columns(RELIEF_TABLE)
 
 # The triggers that the extension gpkg_rtree_index wants, so that programs which edit a copy of
 # the layer keep its index; they call functions that only GIS programs have.
@@ -161,18 +161,11 @@ def service_rows(meta: CatalogMeta) -> dict[str, list[tuple[object, ...]]]:
         ("WGS 84 geodetic", 4326, "EPSG", 4326, wgs84, "Earth"),
         (name, srs_id, organization, code, wkt, "planetocentric latitude, east longitude"),
     ]
+    rtree = "gpkg_rtree_index", "http://www.geopackage.org/spec120/#extension_rtree", "write-only"
     return {
         "gpkg_spatial_ref_sys": systems,
         "gpkg_geometry_columns": [(POINTS, GEOMETRY, "POINT", srs_id, 0, 0)],
-        "gpkg_extensions": [
-            (
-                POINTS,
-                GEOMETRY,
-                "gpkg_rtree_index",
-                "http://www.geopackage.org/spec120/#extension_rtree",
-                "write-only",
-            )
-        ],
+        "gpkg_extensions": [(POINTS, GEOMETRY, *rtree)],
     }
 
 
@@ -184,22 +177,15 @@ def create_tables(db: sqlite3.Connection, with_patches: bool = True) -> None:
     tables = (
         _SERVICE_TABLES + (_CATALOG_TABLES + _PATCH_TABLE if with_patches else "") + _POINT_TABLE
     )
-    for statement in tables.split(";\n"):
-        if statement.strip():
-            db.execute(statement)
+    for statement in filter(str.strip, tables.split(";\n")):
+        db.execute(statement)
     db.execute(f"CREATE VIRTUAL TABLE {RTREE} USING rtree(id, minx, maxx, miny, maxy)")
-
-
-def create_relief_table(db: sqlite3.Connection) -> None:
-    """Make the empty table of a catalog that carries a relief."""
-    db.execute(_RELIEF_TABLE)
 
 
 def create_triggers(db: sqlite3.Connection) -> None:
     """Add the R-tree triggers, once all points are in."""
-    for statement in RTREE_TRIGGERS.split("END;\n"):
-        if statement.strip():
-            db.execute(statement + " END")
+    for statement in filter(str.strip, RTREE_TRIGGERS.split("END;\n")):
+        db.execute(statement + " END")
 
 
 def insert_service_rows(
@@ -210,25 +196,21 @@ def insert_service_rows(
 ) -> None:
     """Fill the service tables. extent: west, south, east, north (deg) of the points, if any."""
     for table, rows in service_rows(meta).items():
-        for row in rows:
-            db.execute(f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})", row)
+        db.executemany(f"INSERT INTO {table} VALUES ({', '.join('?' * len(rows[0]))})", rows)
     srs_id = srs_of(meta.body, meta.radius_m)[0]
     box = tuple(extent) if extent is not None else (None,) * 4
     tables: list[tuple[object, ...]] = [
-        (POINTS, "features", "Control points with their certificates", *box, srs_id),
+        (POINTS, "features", "Control points with their certificates", *box, srs_id)
     ]
     if with_patches:
-        nobox = (None,) * 4
+        nowhere = (None,) * 5
         tables += [
-            (PATCHES, "attributes", "Height grids of the control points", *nobox, None),
-            (RECORDS, "attributes", "The control points, packed", *nobox, None),
-            (META, "attributes", "Manifest", *nobox, None),
+            (PATCHES, "attributes", "Height grids of the control points", *nowhere),
+            (RECORDS, "attributes", "The control points, packed", *nowhere),
+            (META, "attributes", "Manifest", *nowhere),
         ]
         if meta.relief is not None:
-            tables.append((RELIEF, "attributes", "Relief of the whole body", *nobox, None))
-    for name, kind, description, west, south, east, north, srs in tables:
-        changed = meta.created_utc or "1970-01-01T00:00:00Z"
-        db.execute(
-            "INSERT INTO gpkg_contents VALUES (?,?,?,?,?,?,?,?,?,?)",
-            (name, kind, name, description, changed, west, south, east, north, srs),
-        )
+            tables.append((RELIEF, "attributes", "Relief of the whole body", *nowhere))
+    for name, kind, description, *where in tables:
+        row = name, kind, name, description, meta.created_utc or "1970-01-01T00:00:00Z", *where
+        db.execute("INSERT INTO gpkg_contents VALUES (?,?,?,?,?,?,?,?,?,?)", row)

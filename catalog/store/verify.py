@@ -9,9 +9,15 @@ from pathlib import Path
 from catalog.arrays import RecordArray
 from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
+from catalog.store.codec import decode_counts
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
 from catalog.store.manifest import CatalogMeta
-from catalog.store.patches import CatalogDigest, content_from_row, patches_digest, point_digest
+from catalog.store.patches import (
+    catalog_digest,
+    patches_digest,
+    point_digest,
+    stored_patch_from_row,
+)
 from catalog.store.reader import SELECT_PATCHES, read_records
 from catalog.store.records import record_from_row
 from catalog.store.relief import relief_digest, tile_places
@@ -104,8 +110,7 @@ def _integrity(db: sqlite3.Connection, found: Verification) -> None:
         (identity,) = db.execute("PRAGMA application_id").fetchone()
         if identity != APPLICATION_ID:
             found.add("file header", f"application id {identity:#x} is not a GeoPackage's")
-        rows = db.execute(f"PRAGMA integrity_check({MAX_INTEGRITY_LINES})").fetchall()
-        for (line,) in rows:
+        for (line,) in db.execute(f"PRAGMA integrity_check({MAX_INTEGRITY_LINES})").fetchall():
             if line != "ok":
                 found.add("SQLite", line)
     except (sqlite3.Error, ValueError) as error:
@@ -153,14 +158,9 @@ def _features(
 
 def _encloses(tree: Sequence[float], record: RecordArray) -> bool:
     west, east, south, north = tree
+    near = max(east - west, north - south) <= RTREE_TOLERANCE_DEG
     lon, lat = float(record["lon_deg"]), float(record["lat_deg"])
-    near = RTREE_TOLERANCE_DEG
-    return (
-        west <= lon <= east
-        and south <= lat <= north
-        and east - west <= near
-        and north - south <= near
-    )
+    return near and west <= lon <= east and south <= lat <= north
 
 
 def _contents(
@@ -171,32 +171,31 @@ def _contents(
     stage: Stage,
 ) -> None:
     """Decode every patch and compute the content digest."""
-    digest = CatalogDigest()
-    wanted = 0
+    digests = bytearray()
     for record in records:
-        number, levels = int(record["id"]), int(record["levels"])
-        wanted += levels
-        first = patch_key(number, HEIGHT_LAYER, 0)
+        number = int(record["id"])
         contents = []
-        for level in range(levels):
+        for level in range(record["levels"]):
             place = f"control point {number}, level {level}"
             try:
-                key = first + level
+                key = patch_key(number, HEIGHT_LAYER, level)
                 row = db.execute(SELECT_PATCHES, (key, key)).fetchone()
                 if row is None:
                     found.add(place, "is missing")
                     continue
-                contents.append(content_from_row(row, number, level))
+                patch = stored_patch_from_row(row, number, level)
+                counts = decode_counts(patch.encoded.data, patch.encoded.size)
+                contents.append((patch.header, counts))
             except (sqlite3.Error, ValueError, DataError) as error:
                 found.add(place, error)
-        digest.add(point_digest(record.tobytes(), patches_digest(contents)))
+        digests += point_digest(record.tobytes(), patches_digest(contents))
         found.points += 1
         found.patches += len(contents)
         stage.advance()
-    found.computed = digest.hexdigest(meta)
+    found.computed = catalog_digest(meta, digests)
     if found.computed != found.stated:
         found.add("digest", f"the content gives {found.computed}; {found.stated} is stated")
-    _count(db, PATCHES, wanted, found)
+    _count(db, PATCHES, int(records["levels"].sum()), found)
 
 
 def _read_again(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> CatalogMeta:

@@ -15,7 +15,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.store.connection import SIDECARS, is_catalog_file, put_seal
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import RELIEF_VERSION, CatalogMeta, rows_from_meta
-from catalog.store.patches import CatalogDigest, PreparedPoint, point_digest
+from catalog.store.patches import PreparedPoint, catalog_digest, point_digest
 from catalog.store.records import (
     Record,
     checksum,
@@ -33,8 +33,8 @@ from catalog.store.schema import (
     RECORDS,
     RECORDS_A_ROW,
     RELIEF,
+    RELIEF_TABLE,
     RTREE,
-    create_relief_table,
     create_tables,
     create_triggers,
     insert_service_rows,
@@ -72,7 +72,7 @@ def write_catalog(
         with closing(_connect_new(partial)) as db:
             create_tables(db)
             if relief is not None:
-                create_relief_table(db)
+                db.execute(RELIEF_TABLE)
                 version = max(meta.format_version, RELIEF_VERSION)
                 meta = replace(meta, relief=relief.meta, format_version=version)
             meta = _fill(db, meta, points, relief.rows if relief is not None else ())
@@ -84,10 +84,10 @@ def write_catalog(
 def _connect_new(path: Path) -> sqlite3.Connection:
     db = sqlite3.connect(path, isolation_level=None)
     # nobody reads the file before it is complete, and a broken one is thrown away
-    db.execute("PRAGMA journal_mode = OFF")
-    db.execute("PRAGMA synchronous = OFF")
-    db.execute("PRAGMA locking_mode = EXCLUSIVE")
-    db.execute("PRAGMA temp_store = MEMORY")
+    db.executescript(
+        "PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA locking_mode = EXCLUSIVE; "
+        "PRAGMA temp_store = MEMORY;"
+    )
     return db
 
 
@@ -102,7 +102,7 @@ def _fill(
     layout = record_type(meta.levels)
     grid = CellGrid(meta.cell_deg)
     sources: dict[str, int] = {}
-    digest = CatalogDigest()
+    digests = bytearray()
     chunk: list[bytes] = []
     count = usable = chunks = 0
     last_id = -1
@@ -113,7 +113,7 @@ def _fill(
         last_id = point.id
         source = sources.setdefault(point.source, len(sources))
         record = record_from_point(point, len(prepared.rows), source, layout).tobytes()
-        digest.add(point_digest(record, prepared.patches_digest))
+        digests += point_digest(record, prepared.patches_digest)
         db.executemany(insert_patch, prepared.rows)
         chunk.append(record)
         count += 1
@@ -124,7 +124,7 @@ def _fill(
     if chunk:
         _insert_records(db, chunks, chunk)
     meta = replace(meta, point_sources=tuple(sources), count=count, usable=usable)
-    meta = replace(meta, digest=digest.hexdigest(meta))
+    meta = replace(meta, digest=catalog_digest(meta, digests))
     extent = insert_features(db, meta, _stored_points(db, meta))
     insert_service_rows(db, meta, extent)
     if relief_rows:
@@ -167,22 +167,17 @@ def _stored_points(
 
 
 def insert_features(
-    db: sqlite3.Connection,
-    meta: CatalogMeta,
-    points: Iterable[tuple[ControlPoint, Record]],
+    db: sqlite3.Connection, meta: CatalogMeta, points: Iterable[tuple[ControlPoint, Record]]
 ) -> tuple[float, float, float, float] | None:
     """Fill the feature layer and its R-tree; returns west, south, east, north of the points."""
     srs_id = srs_of(meta.body, meta.radius_m)[0]
     insert = f"INSERT INTO {POINTS} VALUES ({', '.join('?' * len(POINT_COLUMNS))})"
-    box: tuple[float, float, float, float] | None = None
     places: list[tuple[int, float, float]] = []
     for point, record in points:
-        lat, lon = point.lat_deg, point.lon_deg
         db.execute(insert, feature_row(point, record, srs_id))
-        places.append((point.id, lon, lat))
-        west, south, east, north = box or (lon, lat, lon, lat)
-        box = (min(west, lon), min(south, lat), max(east, lon), max(north, lat))
+        places.append((point.id, point.lon_deg, point.lat_deg))
     tree = f"INSERT INTO {RTREE} VALUES (?,?,?,?,?)"
     db.executemany(tree, [(number, x, x, y, y) for number, x, y in places])
     create_triggers(db)
-    return box
+    _, lon, lat = zip(*places) if places else ((), (), ())
+    return (min(lon), min(lat), max(lon), max(lat)) if places else None

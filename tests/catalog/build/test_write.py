@@ -36,7 +36,7 @@ class PlaneWaveContext:
         self.levels, self.size, self.posting_m = 2, 16, 200.0
         self.postings_m = (200.0, 400.0)
         self.config = SimpleNamespace(write=WriteSettings())
-        self.mosaic = None  # heights on maps, not a shape model's
+        self.mosaic = SimpleNamespace(in_planes=False)  # heights on maps, not a shape model's
         self.asked: list[tuple[float, float]] = []
 
     def patches(self, lat_deg: float, lon_deg: float) -> tuple[Patch, ...]:
