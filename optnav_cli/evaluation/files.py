@@ -213,11 +213,7 @@ def evaluate_run(run: Path, truth: Path) -> Evaluation:
     truths = read_truth(truth, folder.attitude)
     try:
         return evaluate(
-            folder.solutions,
-            truths,
-            folder.attitude.body.radius_m,
-            folder.matches,
-            folder.cameras,
+            folder.solutions, truths, folder.attitude.body.radius_m, folder.matches, folder.cameras
         )
     except DataError as error:
         raise DataError(f"{truth}: {error}") from error

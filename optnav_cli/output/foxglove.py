@@ -56,34 +56,27 @@ def _choice(name: str, *values: str) -> None:
 
 _choice("LogLevel", "UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 _choice("PointsAnnotationType", "UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST")
-_message("Point2", "A point in 2D", "x:number y:number")
-_message("Vector3", "A vector in 3D", "x:number y:number z:number")
-_message("Quaternion", "An orientation", "x:number y:number z:number w:number")
-_message("Color", "Red, green, blue, alpha, each 0 to 1", "r:number g:number b:number a:number")
-_message("KeyValuePair", "A key with its value", "key:text value:text")
-_message("Pose", "A pose in 3D", "position:Vector3 orientation:Quaternion")
-_message(
-    "CircleAnnotation",
-    "A circle on a 2D image",
-    "timestamp:time position:Point2 diameter:number thickness:number "
-    "fill_color:Color outline_color:Color metadata:KeyValuePair[]",
-)
-_message(
-    "PointsAnnotation",
-    "An array of points on a 2D image",
-    "timestamp:time type:PointsAnnotationType points:Point2[] outline_color:Color "
-    "outline_colors:Color[] fill_color:Color thickness:number metadata:KeyValuePair[]",
-)
-_message(
-    "TextAnnotation",
-    "A text label on a 2D image",
-    "timestamp:time position:Point2 text:text font_size:number "
-    "text_color:Color background_color:Color metadata:KeyValuePair[]",
-)
+_PARTS = """
+Point2: A point in 2D: x:number y:number
+Vector3: A vector in 3D: x:number y:number z:number
+Quaternion: An orientation: x:number y:number z:number w:number
+Color: Red, green, blue, alpha, each 0 to 1: r:number g:number b:number a:number
+KeyValuePair: A key with its value: key:text value:text
+Pose: A pose in 3D: position:Vector3 orientation:Quaternion
+CircleAnnotation: A circle on a 2D image:
+  timestamp:time position:Point2 diameter:number thickness:number
+  fill_color:Color outline_color:Color metadata:KeyValuePair[]
+PointsAnnotation: An array of points on a 2D image:
+  timestamp:time type:PointsAnnotationType points:Point2[] outline_color:Color
+  outline_colors:Color[] fill_color:Color thickness:number metadata:KeyValuePair[]
+TextAnnotation: A text label on a 2D image:
+  timestamp:time position:Point2 text:text font_size:number
+  text_color:Color background_color:Color metadata:KeyValuePair[]
+"""
+for _part in re.split(r"\n(?=\w)", _PARTS.strip()):
+    _message(*re.split(r":\s+", _part, maxsplit=2))
 COMPRESSED_IMAGE = _message(
-    "CompressedImage",
-    "A compressed image",
-    "timestamp:time frame_id:text data:base64 format:text",
+    "CompressedImage", "A compressed image", "timestamp:time frame_id:text data:base64 format:text"
 )
 CAMERA_CALIBRATION = _message(
     "CameraCalibration",

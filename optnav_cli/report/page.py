@@ -57,10 +57,7 @@ def side_by_side(kind: str, parts: Iterable[Markup]) -> Markup:
 
 
 def figure(
-    content: Markup,
-    caption: str,
-    keys: Mapping[str, str] | None = None,
-    extra: Markup = Markup(),
+    content: Markup, caption: str, keys: Mapping[str, str] | None = None, extra: Markup = Markup()
 ) -> Markup:
     """A drawing with a caption and, if given, what its colours ("k1", ...) mean and more HTML."""
     return _block("figure", content, caption, keys or {}, extra)
