@@ -48,12 +48,10 @@ def relief(
         heights, words = _moon_heights(lat_deg, lon_deg), MOON_WORDS
     else:
         # heights above tangent planes are no map's: a small body is drawn by its whole relief
-        in_planes = catalog.meta.planes is not None
-        own = (
-            _whole_heights(catalog, lat_deg, lon_deg)
-            if in_planes
-            else _own_heights(catalog, lat_deg, lon_deg, pixel_m)
-        )
+        if catalog.meta.planes is not None:
+            own = _whole_heights(catalog, lat_deg, lon_deg)
+        else:
+            own = _own_heights(catalog, lat_deg, lon_deg, pixel_m)
         if own is None:
             return None
         heights, words = own, OWN_WORDS
