@@ -245,7 +245,7 @@ def rays_of_pixels(model: int, p: FloatArray, pixels: FloatArray, rays: FloatArr
 def brown_limit(coefficients: tuple[float, ...]) -> float:
     """Squared tangent of the off-axis angle up to which the Brown model is one to one.
 
-    coefficients  k1 k2 p1 p2 k3;  returns infinity without distortion.
+    coefficients  k1 k2 p1 p2 k3, or none;  returns infinity without distortion.
     """
     if not any(coefficients):
         return math.inf

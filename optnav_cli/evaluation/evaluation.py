@@ -131,14 +131,9 @@ def _frame_error(
     camera: Camera | None,
 ) -> FrameError:
     distance = float(np.linalg.norm(truth.position_m))
+    height, name = distance - reference_radius_m, camera.name if camera is not None else ""
     frame = FrameError(
-        solution.file,
-        solution.utc,
-        solution,
-        forward,
-        distance - reference_radius_m,
-        distance_m=distance,
-        camera=camera.name if camera is not None else "",
+        solution.file, solution.utc, solution, forward, height, distance_m=distance, camera=name
     )
     if solution.position_m is None or solution.covariance_m2 is None or not solution.solved:
         return frame

@@ -140,7 +140,6 @@ def usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Ma
 
 
 def value_map(
-    catalog: Catalog,
     maps: Sequence[MapPanel],
     values: FloatArray,
     scale: Scale,

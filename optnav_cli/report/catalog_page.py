@@ -80,17 +80,10 @@ def catalog_page(catalog: Catalog) -> str:
         maps = panels(catalog)
         if has_sides(catalog):
             sections.append(_sides(catalog))
-        sections.append(
-            section(
-                "Usable control points",
-                usable_map(catalog, maps, latitude_plot(catalog)),
-                _reasons(catalog),
-            )
-        )
-        for quantity in quantities(catalog):
-            sections.append(_quantity(catalog, maps, quantity))
-        sections.append(_sources(catalog, maps))
-        sections.append(gallery(catalog))
+        usable = usable_map(catalog, maps, latitude_plot(catalog))
+        sections.append(section("Usable control points", usable, _reasons(catalog)))
+        sections += [_quantity(catalog, maps, quantity) for quantity in quantities(catalog)]
+        sections += [_sources(catalog, maps), gallery(catalog)]
     sections.append(_made_from(catalog))
     subtitle = (
         f"{counted(len(catalog), 'control point')}, {grouped(_usable(catalog))} usable; "
@@ -98,7 +91,7 @@ def catalog_page(catalog: Catalog) -> str:
         "finest."
     )
     title = f"{meta.body.capitalize()}: catalog {catalog.path.name}"
-    return page(title, subtitle, [text for text in sections if text])
+    return page(title, subtitle, filter(None, sections))
 
 
 def quantities(catalog: Catalog) -> list[Quantity]:
@@ -144,25 +137,20 @@ def _quantity(catalog: Catalog, maps: Sequence[MapPanel], quantity: Quantity) ->
         missing = f"The catalog holds no {quantity.label} of any point."
         return section(quantity.heading, paragraph(missing))
     scale = Scale.of(known, quantity.more_is_better, quantity.log)
-    edges = quantity.edges
-    if edges is None:
-        edges = edges_of(scale)
-    else:
+    edges = edges_of(scale) if quantity.edges is None else quantity.edges
+    if quantity.edges is not None:
         scale = Scale(0.0, 1.0, quantity.more_is_better)
     whole = maps[0].view.whole
     bars = histogram(values, usable, scale, edges, quantity.heading, quantity.label, whole)
-    caption = " ".join(
-        words
-        for words in (
-            quantity.words,
-            spread_words(values, usable, quantity.form),
-            "Bars in colour: usable points, gray: others; the dashed line is the usable points' "
-            "median.",
-            beyond_words(known, edges),
-        )
-        if words
+    words = (
+        quantity.words,
+        spread_words(values, usable, quantity.form),
+        "Bars in colour: usable points, gray: others; the dashed line is the usable points' "
+        "median.",
+        beyond_words(known, edges),
     )
-    parts = [value_map(catalog, maps, values, scale, quantity.heading, bars, caption)]
+    caption = " ".join(filter(None, words))
+    parts = [value_map(maps, values, scale, quantity.heading, bars, caption)]
     if quantity.heading == "Shadow limits":
         parts.append(shadow_plot(catalog))
     return section(quantity.heading, *parts)
@@ -223,9 +211,8 @@ def _reasons(catalog: Catalog) -> Markup:
     if firsts[-1]:
         rows.append((NO_REASON, grouped(int(firsts[-1])), "", "", grouped(int(firsts[-1]))))
     header = ("why points are not usable", "points", "of all", "for this alone", "so on the map")
-    return paragraph(
-        f"{counted(flags.size, 'point')} not usable; one may have several reasons."
-    ) + table(header, rows)
+    words = f"{counted(flags.size, 'point')} not usable; one may have several reasons."
+    return paragraph(words) + table(header, rows)
 
 
 def _sides(catalog: Catalog) -> Markup:
@@ -243,8 +230,7 @@ def _sources(catalog: Catalog, maps: Sequence[MapPanel]) -> Markup:
     rows = []
     for number, name in enumerate(meta.point_sources):
         here = source == number
-        good = int(np.count_nonzero(here & catalog.usable))
-        total = int(np.count_nonzero(here))
+        good, total = (int(np.count_nonzero(x)) for x in (here & catalog.usable, here))
         rows.append((name or NO_SOURCE, grouped(total), grouped(good), percent(good, total)))
     counts = table(("points come from", "points", "usable", "share"), rows)
     several = len(meta.point_sources) > 1
@@ -267,8 +253,8 @@ def _made_from(catalog: Catalog) -> Markup:
     ]
     parts = [table(("what", "value"), facts, text_columns=2)]
     if meta.sources:
-        rows = list(meta.sources.items())
-        parts.append(table(("terrain model", "hash or description"), rows, text_columns=2))
+        header = ("terrain model", "hash or description")
+        parts.append(table(header, meta.sources.items(), text_columns=2))
     else:
         parts.append(paragraph("The catalog does not name its terrain models."))
     if meta.config:
@@ -305,17 +291,11 @@ def gallery(catalog: Catalog) -> Markup:
         )
     ]
     kinds = first_reasons(catalog)
-    failed = [
-        (reason, np.flatnonzero(kinds == number))
-        for number, reason in enumerate(REASONS.values(), start=1)
-    ]
     groups = [("Best", best.tolist()), ("Worst usable", worst.tolist())]
-    groups += [
+    for number, reason in enumerate(REASONS.values(), start=1):
+        there = np.flatnonzero(kinds == number).tolist()
         # the one in the middle stands for the others better than an extreme one
-        (f"Not usable: {reason}", [int(there[len(there) // 2])])
-        for reason, there in failed
-        if len(there)
-    ]
+        groups.append((f"Not usable: {reason}", there[len(there) // 2 :][:1]))
     for heading, chosen in groups:
         if chosen:
             parts.append(subsection(heading, *(_point(catalog, row) for row in chosen)))
@@ -324,14 +304,12 @@ def gallery(catalog: Catalog) -> Markup:
 
 def _point(catalog: Catalog, row: int) -> Markup:
     record, point = catalog.records[row], int(catalog.ids[row])
-    tried = int(record["trials"])
+    tried, rate = int(record["trials"]), 100.0 * record["recognition_rate"]
     error = float(record["localisation_px"])
     words = [
         f"Point {point} at {catalog.lat_deg[row]:.3f}°, {catalog.lon_deg[row]:.3f}°",
         f"predicted error {error:.2f} nodes" if np.isfinite(error) else "error not known",
-        f"recognised in {100.0 * record['recognition_rate']:.0f} % of {tried} trials"
-        if tried
-        else "not tried",
+        f"recognised in {rate:.0f} % of {tried} trials" if tried else "not tried",
     ]
     try:
         levels = catalog.patches(point)

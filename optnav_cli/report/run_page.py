@@ -57,9 +57,8 @@ def ground_plot(run: RunFolder) -> Markup:
     solved = [s for s in run.solutions if s.position_m is not None]
     lat, lon, _ = latlon_from_xyz(np.array([s.position_m for s in solved]))
     points = {(m.catalog, m.cp_id): m for m in sorted(run.matches, key=lambda match: match.used)}
-    cp_lat, cp_lon, _ = latlon_from_xyz(
-        np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
-    )
+    tried = np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
+    cp_lat, cp_lon, _ = latlon_from_xyz(tried)
     step = -(-len(solved) // MAX_FOOTPRINTS)
     borders = [border for s in solved[::step] if (border := _footprint(run, s)) is not None]
     all_lat = np.degrees(np.concatenate([lat, cp_lat, *(b[0] for b in borders)]))
@@ -79,12 +78,8 @@ def ground_plot(run: RunFolder) -> Markup:
     x, y = ground.places(np.degrees(lat), np.degrees(lon))
     plot.line(x, y, "s2 thin")
     plot.dots(x, y, "s2", 3.2, [s.file for s in solved])
-    keys = {
-        "k2": "below the camera",
-        "k1": "footprint",
-        "k3": "control point used",
-        "k4": "tried, never used",
-    }
+    keys = {"k2": "below the camera", "k1": "footprint"}
+    keys |= {"k3": "control point used", "k4": "tried, never used"}
     some = "" if step == 1 else f" Footprints of every {step}th frame."
     return figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
 
@@ -103,13 +98,9 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         plot.dots(few[:, 0], few[:, 1], "s1", 1.8)
         angle = np.linspace(0.0, 2.0 * np.pi, 73)
         plot.line(rms * np.cos(angle), rms * np.sin(angle), "s2", closed=True)
-        drawings.append(
-            figure(
-                plot.svg("Residuals of the control points used, px"),
-                f"Residuals of {len(used)} matches used; rms {rms:.2f} px a coordinate",
-                {"k2": "the rms"},
-            )
-        )
+        drawn = plot.svg("Residuals of the control points used, px")
+        words = f"Residuals of {len(used)} matches used; rms {rms:.2f} px a coordinate"
+        drawings.append(figure(drawn, words, {"k2": "the rms"}))
     scores = [(m.score, m.used) for m in run.matches if m.score is not None]
     if scores:
         values = np.array([score for score, _ in scores])
@@ -122,9 +113,8 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         plot = Plot(x, y, width=HALF, height=420)
         plot.bars(edges, below, "s4")
         plot.bars(edges, above, "s3", below)
-        drawings.append(
-            figure(plot.svg("Scores of matches"), "Scores.", {"k3": "used", "k4": "not used"})
-        )
+        drawn = plot.svg("Scores of matches")
+        drawings.append(figure(drawn, "Scores.", {"k3": "used", "k4": "not used"}))
     return [side_by_side("pair", drawings)]
 
 
@@ -170,18 +160,11 @@ def errors_table(evaluation: dict[str, Any]) -> Markup:
     for axis, name in names.items():
         spread = evaluation[axis]
         sigma = "-" if spread["sigma_m"] is None else f"{spread['sigma_m'] / unit:.1f}"
-        rows.append(
-            (
-                name,
-                f"{spread['bias_m'] / unit:+.1f}",
-                sigma,
-                f"{spread['rms_m'] / unit:.1f}",
-                f"{spread['max_m'] / unit:.1f}",
-                f"{100.0 * evaluation['share_inside_3_sigma'][axis]:.1f} %",
-            )
-        )
-    rms, farthest = (evaluation[f"horizontal_{name}_m"] / unit for name in ("rms", "max"))
-    rows.append(("horizontal", "", "", f"{rms:.1f}", f"{farthest:.1f}", ""))
+        rms, farthest = (f"{spread[key] / unit:.1f}" for key in ("rms_m", "max_m"))
+        inside = f"{100.0 * evaluation['share_inside_3_sigma'][axis]:.1f} %"
+        rows.append((name, f"{spread['bias_m'] / unit:+.1f}", sigma, rms, farthest, inside))
+    rms, farthest = (f"{evaluation[f'horizontal_{k}_m'] / unit:.1f}" for k in ("rms", "max"))
+    rows.append(("horizontal", "", "", rms, farthest, ""))
     points = evaluation["control_points"]
     low, high = evaluation["normalised_error_squared_95_percent"]
     notes = [
@@ -265,28 +248,22 @@ def run_page(folder: Path) -> str:
         sections.append(section("On the ground", ground_plot(run)))
     if any(match.measured_px is not None for match in run.matches):
         sections.append(section("Control points", *residual_plots(run), _refusals(run)))
-    sections.append(_thumbnails(run))
-    sections.append(_unsolved(run))
-    sections.append(section("Frames", _frames(run.solutions)))
-    sections.append(_made_from(folder))
-    body = run.attitude.body.name.capitalize()
+    frames = section("Frames", _frames(run.solutions))
+    sections += [_thumbnails(run), _unsolved(run), frames, _made_from(folder)]
+    title = f"{run.attitude.body.name.capitalize()}: run {folder.resolve().name}"
     subtitle = f"{len(run.solutions)} frames, {len(solved)} solved. Positions in the body frame."
-    return page(
-        f"{body}: run {folder.resolve().name}", subtitle, [text for text in sections if text]
-    )
+    return page(title, subtitle, filter(None, sections))
 
 
 def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     solved = [s for s in run.solutions if s.solved]
     values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
     if evaluation is not None:
+        nees = f"{evaluation['normalised_error_squared']:.2f}"
         values += [
             (length_words(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
             (length_words(evaluation["height_rms_m"]), "height error, rms"),
-            (
-                f"{evaluation['normalised_error_squared']:.2f}",
-                "error squared over stated covariance (1 is honest)",
-            ),
+            (nees, "error squared over stated covariance (1 is honest)"),
         ]
     predicted = sum(s.n_predicted or 0 for s in solved)
     if predicted:
@@ -296,45 +273,36 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     if residuals:
         rms = float(np.sqrt(np.mean(np.square(residuals))))
         values.append((f"{rms:.2f} px", "residual, rms a coordinate"))
-    note = (
-        Markup() if evaluation else paragraph("Not compared with a truth: see `optnav evaluate`.")
-    )
-    return tiles(values) + note
+    if evaluation:
+        return tiles(values)
+    return tiles(values) + paragraph("Not compared with a truth: see `optnav evaluate`.")
 
 
 def _refusals(run: RunFolder) -> Markup:
-    reasons = Counter(
-        match.reason_code.meaning or "not used" for match in run.matches if not match.used
-    )
+    reasons = Counter(m.reason_code.meaning or "not used" for m in run.matches if not m.used)
     if not reasons:
         return Markup()
-    rows = [(reason, str(count)) for reason, count in sorted(reasons.items(), key=_most_first)]
+    most_first = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+    rows = [(reason, str(count)) for reason, count in most_first]
     return table(("control points tried but not used: why", "times"), rows[:12])
 
 
 def _thumbnails(run: RunFolder) -> Markup:
     """Overlays, unsolved frames first among equals, evenly through the run."""
-    there = [
-        solution
-        for solution in run.solutions
-        if overlay_path(run.path / OVERLAYS, solution.file).is_file()
-    ]
+    paths = {s.file: overlay_path(run.path / OVERLAYS, s.file) for s in run.solutions}
+    there = [file for file, path in paths.items() if path.is_file()]
     if not there:
         return Markup()
-    picked = there
-    if len(there) > MAX_THUMBNAILS:
-        places = np.linspace(0, len(there) - 1, MAX_THUMBNAILS).round().astype(int)
-        picked = [there[place] for place in places]
+    number = min(len(there), MAX_THUMBNAILS)
+    picked = [there[k] for k in np.linspace(0, len(there) - 1, number).round().astype(int)]
     pictures = []
-    for solution in picked:
-        picture = cv2.imread(str(overlay_path(run.path / OVERLAYS, solution.file)))
+    for file in picked:
+        picture = cv2.imread(str(paths[file]))
         if picture is None:  # a damaged overlay is no reason to have no report
             continue
-        pixels = np.asarray(picture, np.uint8)
-        height, width = pixels.shape[:2]
-        small = resized(pixels, shrink_factor(width, height, THUMBNAIL_PX))
-        uri = data_uri(small, ".jpg", 72)
-        pictures.append(figure(image(uri, f"overlay of {solution.file}"), solution.file))
+        height, width = picture.shape[:2]
+        small = resized(np.asarray(picture, np.uint8), shrink_factor(width, height, THUMBNAIL_PX))
+        pictures.append(figure(image(data_uri(small, ".jpg", 72), f"overlay of {file}"), file))
     words = (
         "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times."
     )
@@ -359,7 +327,9 @@ def _frames(solutions: Sequence[Solution]) -> Markup:
         header += ("limb points", "arc, °")
     rows = []
     for s in solutions:
-        place = ("unsolved", "", "") if s.position_m is None else _kilometres(s.position_m)
+        place = ["unsolved", "", ""]
+        if s.position_m is not None:
+            place = [fixed(float(v) / 1e3, 4) for v in s.position_m]
         sigma = None if s.covariance_m2 is None else float(np.sqrt(np.trace(s.covariance_m2) / 3.0))
         angle = None if s.attitude_sigma_rad is None else s.attitude_sigma_rad / ARCSEC
         counts = ("" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used))
@@ -382,12 +352,3 @@ def _made_from(folder: Path) -> Markup:
     except DataError:  # a run put together by hand is still worth a report
         return Markup()
     return section("Made from", folded("manifest.json", listing(manifest)))
-
-
-def _kilometres(position_m: Any) -> tuple[str, str, str]:
-    x, y, z = (fixed(float(v) / 1e3, 4) for v in position_m)
-    return x, y, z
-
-
-def _most_first(item: tuple[str, int]) -> tuple[int, str]:
-    return -item[1], item[0]
