@@ -54,6 +54,7 @@ def evaluate(
              has the frame's camera
     Raises DataError when a frame has no truth or one of another time.
     """
+    cameras = cameras or {}
     by_file = {truth.file: truth for truth in truths}
     _check_same_frames(solutions, by_file)
     named = [by_file[solution.file] for solution in solutions]
@@ -65,14 +66,9 @@ def evaluate(
             kept.setdefault(match.file, []).append(match)
     frames = tuple(
         _frame_error(
-            solution,
-            truth,
-            *axes[truth.file],
-            reference_radius_m,
-            kept.get(solution.file, []),
-            (cameras or {}).get(solution.file),
+            s, truth, *axes[s.file], reference_radius_m, kept.get(s.file, []), cameras.get(s.file)
         )
-        for solution, truth in zip(solutions, named, strict=True)
+        for s, truth in zip(solutions, named, strict=True)
     )
     extra = len(truths) - len(named)
     remark = f"{extra} frames of the truth are not in the run and are left out"

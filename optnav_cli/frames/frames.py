@@ -84,7 +84,9 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
     try:
         if row.problem:
             raise DataError(row.problem)
-        _check_name(file)
+        path = PurePosixPath(file.replace("\\", "/"))
+        if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
+            raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
         if camera not in cameras:
             near = nearest_name(camera, cameras)
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(cameras)}"
@@ -96,6 +98,8 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
         written = _unit(row, QUATERNION, "the quaternion qw, qx, qy, qz")
         rotation = None if written is None else rotation_from_quaternion(*written)
         sun = _unit(row, SUN, "the Sun's direction sun_x, sun_y, sun_z")
+        motion = attitude.ephemeris
+        sun_body = motion.sun_body(tdb_s) if sun is None else sun / float(np.linalg.norm(sun))
         return Frame(
             file=file,
             utc=utc,
@@ -106,20 +110,10 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
             body_sigma_rad=body_sigma,
             position_m=position,
             position_sigma_m=position_sigma,
-            sun_body=(
-                attitude.ephemeris.sun_body(tdb_s)
-                if sun is None
-                else sun / float(np.linalg.norm(sun))
-            ),
+            sun_body=sun_body,
         )
     except DataError as error:
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
-
-
-def _check_name(file: str) -> None:
-    path = PurePosixPath(file.replace("\\", "/"))
-    if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
-        raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
 
 
 def _unit(row: CsvRow, columns: Sequence[str], what: str) -> FloatArray | None:

@@ -149,14 +149,9 @@ def patch_outlines(
     one = np.ones_like(side)
     x = np.concatenate([side, one, -side, -one])
     y = np.concatenate([one, -side, -one, side])
-    return [
-        camera.project_from_body(
-            projection.points(half * x, half * y, np.full(x.shape, height_m)),
-            position_m,
-            camera_from_body.as_matrix(),
-        )
-        for half in half_sizes_m
-    ]
+    matrix, heights = camera_from_body.as_matrix(), np.full(x.shape, height_m)
+    borders = (projection.points(half * x, half * y, heights) for half in half_sizes_m)
+    return [camera.project_from_body(border, position_m, matrix) for border in borders]
 
 
 def _draw_match(canvas: Canvas, match: MatchRow) -> None:

@@ -112,7 +112,8 @@ def usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Ma
     whole = maps[0].view.whole
     dots = not whole and len(catalog) <= MAX_DOTS
     strength = np.where(kinds == 0, TINT, STRONG_TINT)
-    tints = _bgra([colours[kind] for kind in kinds.tolist()], strength)
+    by_kind = [colours[kind] for kind in kinds.tolist()]
+    tints = _bgra(by_kind, strength)
     drawings, whose = [], ""
     for panel in maps if whole else maps[:1]:
         ground = relief(catalog, panel.lat_deg, panel.lon_deg)
@@ -124,7 +125,9 @@ def usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Ma
             pictures.append(data_uri(panel.painted(tints)))
         plot = panel.plot(*pictures)
         if dots:
-            _dots(plot, panel.view, catalog, kinds)
+            x, y = panel.view.places(catalog.lat_deg, catalog.lon_deg)
+            radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
+            plot.dots(x, y, "ringed", radius, titles_of(catalog, kinds), by_kind)
         drawings.append(plot.svg(f"Map of usable control points: {panel.view.name}"))
     if not dots:  # as they look on the relief
         shares = [TINT / SOLID] + [STRONG_TINT / SOLID] * (len(colours) - 1)
@@ -194,13 +197,6 @@ def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
         f"{point}: {POINT_WORDS[kind]}, predicted error {score:.2f} nodes"
         for point, kind, score in zip(catalog.ids.tolist(), kinds.tolist(), scores, strict=True)
     ]
-
-
-def _dots(plot: Plot, view: MapView, catalog: Catalog, kinds: IntArray) -> None:
-    x, y = view.places(catalog.lat_deg, catalog.lon_deg)
-    colours = [POINT_COLOURS[kind] for kind in kinds.tolist()]
-    radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
-    plot.dots(x, y, "ringed", radius, titles_of(catalog, kinds), colours)
 
 
 def _bgra(colours: Sequence[str], strength: IntArray) -> ByteArray:

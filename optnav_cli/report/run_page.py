@@ -23,21 +23,8 @@ from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import OVERLAYS, RunFolder, read_run
 from optnav_cli.output.tables import fixed
+from optnav_cli.report import page as html
 from optnav_cli.report.error_plots import error_plots
-from optnav_cli.report.page import (
-    data_uri,
-    figure,
-    folded,
-    image,
-    listing,
-    page,
-    paragraph,
-    section,
-    side_by_side,
-    subsection,
-    table,
-    tiles,
-)
 from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
 from optnav_cli.report.views import GroundMap
 
@@ -81,7 +68,7 @@ def ground_plot(run: RunFolder) -> Markup:
     keys = {"k2": "below the camera", "k1": "footprint"}
     keys |= {"k3": "control point used", "k4": "tried, never used"}
     some = "" if step == 1 else f" Footprints of every {step}th frame."
-    return figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
+    return html.figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
 
 
 def residual_plots(run: RunFolder) -> list[Markup]:
@@ -100,7 +87,7 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         plot.line(rms * np.cos(angle), rms * np.sin(angle), "s2", closed=True)
         drawn = plot.svg("Residuals of the control points used, px")
         words = f"Residuals of {len(used)} matches used; rms {rms:.2f} px a coordinate"
-        drawings.append(figure(drawn, words, {"k2": "the rms"}))
+        drawings.append(html.figure(drawn, words, {"k2": "the rms"}))
     scores = [(m.score, m.used) for m in run.matches if m.score is not None]
     if scores:
         values = np.array([score for score, _ in scores])
@@ -114,8 +101,8 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         plot.bars(edges, below, "s4")
         plot.bars(edges, above, "s3", below)
         drawn = plot.svg("Scores of matches")
-        drawings.append(figure(drawn, "Scores.", {"k3": "used", "k4": "not used"}))
-    return [side_by_side("pair", drawings)]
+        drawings.append(html.figure(drawn, "Scores.", {"k3": "used", "k4": "not used"}))
+    return [html.side_by_side("pair", drawings)]
 
 
 def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArray] | None:
@@ -182,11 +169,11 @@ def errors_table(evaluation: dict[str, Any]) -> Markup:
             "neighbour in their pass."
         )
     header = (f"error, {unit_name}", "bias", "sigma", "rms", "max", "inside 3 stated sigmas")
-    parts = [table(header, rows), *map(paragraph, notes)]
+    parts = [html.table(header, rows), *map(html.paragraph, notes)]
     methods = evaluation.get("methods", [])
     if len(methods) > 1:
         parts.append(_methods_table(methods))
-    return section("Against the truth", *parts)
+    return html.section("Against the truth", *parts)
 
 
 def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
@@ -215,7 +202,7 @@ def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
         "R, N, B: bias / sigma / greatest error. Range (of the height) and direction to the centre "
         "are rms. In 3 sigmas: the least share of R, N, B. NEES is 1 for an honest covariance."
     )
-    return subsection("By method", table(header, rows), paragraph(note))
+    return html.subsection("By method", html.table(header, rows), html.paragraph(note))
 
 
 def _spread(values: dict[str, float]) -> str:
@@ -244,15 +231,15 @@ def run_page(folder: Path) -> str:
     if evaluation is not None:
         sections.append(errors_table(evaluation))
     if solved:
-        sections.append(section("Errors and stated sigmas", *error_plots(run)))
-        sections.append(section("On the ground", ground_plot(run)))
+        sections.append(html.section("Errors and stated sigmas", *error_plots(run)))
+        sections.append(html.section("On the ground", ground_plot(run)))
     if any(match.measured_px is not None for match in run.matches):
-        sections.append(section("Control points", *residual_plots(run), _refusals(run)))
-    frames = section("Frames", _frames(run.solutions))
+        sections.append(html.section("Control points", *residual_plots(run), _refusals(run)))
+    frames = html.section("Frames", _frames(run.solutions))
     sections += [_thumbnails(run), _unsolved(run), frames, _made_from(folder)]
     title = f"{run.attitude.body.name.capitalize()}: run {folder.resolve().name}"
     subtitle = f"{len(run.solutions)} frames, {len(solved)} solved. Positions in the body frame."
-    return page(title, subtitle, filter(None, sections))
+    return html.page(title, subtitle, filter(None, sections))
 
 
 def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
@@ -274,8 +261,8 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
         rms = float(np.sqrt(np.mean(np.square(residuals))))
         values.append((f"{rms:.2f} px", "residual, rms a coordinate"))
     if evaluation:
-        return tiles(values)
-    return tiles(values) + paragraph("Not compared with a truth: see `optnav evaluate`.")
+        return html.tiles(values)
+    return html.tiles(values) + html.paragraph("Not compared with a truth: see `optnav evaluate`.")
 
 
 def _refusals(run: RunFolder) -> Markup:
@@ -284,7 +271,7 @@ def _refusals(run: RunFolder) -> Markup:
         return Markup()
     most_first = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     rows = [(reason, str(count)) for reason, count in most_first]
-    return table(("control points tried but not used: why", "times"), rows[:12])
+    return html.table(("control points tried but not used: why", "times"), rows[:12])
 
 
 def _thumbnails(run: RunFolder) -> Markup:
@@ -302,19 +289,21 @@ def _thumbnails(run: RunFolder) -> Markup:
             continue
         height, width = picture.shape[:2]
         small = resized(np.asarray(picture, np.uint8), shrink_factor(width, height, THUMBNAIL_PX))
-        pictures.append(figure(image(data_uri(small, ".jpg", 72), f"overlay of {file}"), file))
-    words = (
-        "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times."
-    )
-    shown = f" {len(picked)} of {len(there)} frames." if len(picked) < len(there) else ""
-    return section("Pictures", paragraph(words + shown), side_by_side("thumbs", pictures))
+        shown = html.image(html.data_uri(small, ".jpg", 72), f"overlay of {file}")
+        pictures.append(html.figure(shown, file))
+    words = "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times"
+    words += f". {len(picked)} of {len(there)} frames." if len(picked) < len(there) else "."
+    thumbs = html.side_by_side("thumbs", pictures)
+    return html.section("Pictures", html.paragraph(words), thumbs)
 
 
 def _unsolved(run: RunFolder) -> Markup:
     rows = [(s.file, s.utc, s.reason) for s in run.solutions if not s.solved]
     if not rows:
         return Markup()
-    return section("Unsolved frames", table(("file", "UTC", "reason"), rows, text_columns=3))
+    return html.section(
+        "Unsolved frames", html.table(("file", "UTC", "reason"), rows, text_columns=3)
+    )
 
 
 def _frames(solutions: Sequence[Solution]) -> Markup:
@@ -342,8 +331,8 @@ def _frames(solutions: Sequence[Solution]) -> Markup:
                 *(("" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)) if limb else ()),
             )
         )
-    content = table(header, rows, text_columns=3)
-    return content if len(rows) <= ROWS_OPEN else folded(f"All {len(rows)} frames", content)
+    content = html.table(header, rows, text_columns=3)
+    return content if len(rows) <= ROWS_OPEN else html.folded(f"All {len(rows)} frames", content)
 
 
 def _made_from(folder: Path) -> Markup:
@@ -351,4 +340,4 @@ def _made_from(folder: Path) -> Markup:
         manifest = read_manifest(folder)
     except DataError:  # a run put together by hand is still worth a report
         return Markup()
-    return section("Made from", folded("manifest.json", listing(manifest)))
+    return html.section("Made from", html.folded("manifest.json", html.listing(manifest)))

@@ -70,10 +70,8 @@ def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title
     """
     name = f"<title>{escape(title)}</title>" if title else ""
     if shape == "circle":
-        return (
-            f'<circle class="mark {series}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}">'
-            f"{name}</circle>"
-        )
+        disc = f'cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}"'
+        return f'<circle class="mark {series}" {disc}>{name}</circle>'
     if shape == "dash":
         ends = f"M{x - 1.3 * radius:.1f} {y:.1f}h{2.6 * radius:.1f}"
         return f'<path class="mark stroke {series}" d="{ends}">{name}</path>'
@@ -192,16 +190,13 @@ class Plot:
         colours: Sequence[str] | None = None,
     ) -> None:
         """Dots; `titles` appear under the pointer, `colours` (CSS) replace the series'."""
-        places = np.column_stack([self.px(x), self.py(y)])
-        for index, (cx, cy) in enumerate(places):
+        for index, (cx, cy) in enumerate(np.column_stack([self.px(x), self.py(y)])):
             if not (math.isfinite(cx) and math.isfinite(cy)):
                 continue
             style = f' style="fill:{colours[index]}"' if colours else ""
             name = f"<title>{escape(titles[index])}</title>" if titles else ""
-            self._body.append(
-                f'<circle class="dot {series}" cx="{cx:.1f}" cy="{cy:.1f}" r="{radius:g}"{style}>'
-                f"{name}</circle>"
-            )
+            disc = f'cx="{cx:.1f}" cy="{cy:.1f}" r="{radius:g}"{style}'
+            self._body.append(f'<circle class="dot {series}" {disc}>{name}</circle>')
 
     def marks(
         self,
@@ -275,11 +270,8 @@ class Plot:
         clip = f"c{hash_of(description + self._x_axis.label + self._y_axis.label):x}"
         inner, left, top = self.inner, self._left, self._top
         wide = ' class="wide"' if self.width > HALF else ""
-        place = (
-            f'x="{at[0]:g}" y="{at[1]:g}" width="{self.width}" height="{self.height}" '
-            if at
-            else ""
-        )
+        size = f'width="{self.width}" height="{self.height}"'
+        place = f'x="{at[0]:g}" y="{at[1]:g}" {size} ' if at else ""
         parts = [
             f'<svg {place}viewBox="0 0 {self.width} {self.height}" role="img"{wide} '
             f'aria-label="{escape(description, quote=True)}">',
