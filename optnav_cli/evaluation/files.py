@@ -16,7 +16,7 @@ from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
-from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures, Spread, method_words
+from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures, method_words
 from optnav_cli.evaluation.motion import directions_of_motion
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
@@ -144,13 +144,12 @@ def _time(utc: str) -> float:
         return -math.inf
 
 
-def spread_summary(values: Spread) -> dict[str, float | None]:
-    """One component's errors as JSON values, m."""
-    return {f"{k}_m": None if v is None else round(v, 3) for k, v in asdict(values).items()}
-
-
 def _spreads(figures: Figures) -> dict[str, dict[str, float | None]]:
-    return {axis: spread_summary(getattr(figures, axis)) for axis in "rnb"}
+    """Each component's errors as JSON values, m."""
+    return {
+        axis: {f"{k}_m": None if v is None else round(v, 3) for k, v in asdict(spread).items()}
+        for axis, spread in zip("rnb", (figures.r, figures.n, figures.b), strict=True)
+    }
 
 
 def _inside(figures: Figures) -> dict[str, float]:

@@ -10,7 +10,7 @@ from typing import Any
 
 Schema = dict[str, Any]
 
-DEBUG, INFO, WARNING, ERROR = 1, 2, 3, 4  # of foxglove.LogLevel
+INFO, WARNING = 2, 3  # of foxglove.LogLevel
 POINTS, LINE_STRIP = 1, 3  # of foxglove.PointsAnnotationType
 _COUNT: Schema = {"type": "integer", "minimum": 0}
 _NANOSECONDS: Schema = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
