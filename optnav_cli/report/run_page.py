@@ -178,26 +178,18 @@ def errors_table(evaluation: dict[str, Any]) -> Markup:
 
 def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
     """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
-    header = (
-        *("method", "solved", "R", "N", "B"),
-        *("range, %", "direction, ″", "in 3 sigmas", "NEES"),
-    )
+    header = ["method", "solved", "R", "N", "B", "range, %", "direction, ″", "in 3 sigmas", "NEES"]
     rows = []
     for method in methods:
         name, camera = method_words(method["method"]), method["camera"]
         inside = method["share_inside_3_sigma"]
         least = min(inside[axis] for axis in "rnb")
-        rows.append(
-            (
-                f"{name}, {camera}" if camera else name,
-                f"{method['solved']} of {method['frames_of_camera']}",
-                *(_spread(method[axis]) for axis in "rnb"),
-                "" if method["range_rms_percent"] is None else f"{method['range_rms_percent']:.2g}",
-                f"{method['direction_rms_arcsec']:.3g}",
-                f"{100.0 * least:.0f} %",
-                f"{method['normalised_error_squared']:.2f}",
-            )
-        )
+        ranges, direction = method["range_rms_percent"], method["direction_rms_arcsec"]
+        row = [f"{name}, {camera}" if camera else name]
+        row += [f"{method['solved']} of {method['frames_of_camera']}"]
+        row += [_spread(method[axis]) for axis in "rnb"]
+        row += ["" if ranges is None else f"{ranges:.2g}", f"{direction:.3g}"]
+        rows.append([*row, f"{100.0 * least:.0f} %", f"{method['normalised_error_squared']:.2f}"])
     note = (
         "R, N, B: bias / sigma / greatest error. Range (of the height) and direction to the centre "
         "are rms. In 3 sigmas: the least share of R, N, B. NEES is 1 for an honest covariance."
@@ -322,15 +314,11 @@ def _frames(solutions: Sequence[Solution]) -> Markup:
         sigma = None if s.covariance_m2 is None else float(np.sqrt(np.trace(s.covariance_m2) / 3.0))
         angle = None if s.attitude_sigma_rad is None else s.attitude_sigma_rad / ARCSEC
         counts = ("" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used))
-        rows.append(
-            (
-                *(s.file, s.utc, method_words(s.method) if s.method else "", *place),
-                *(fixed(sigma, 1), fixed(angle, 1)),
-                *counts,
-                fixed(s.residual_rms_px, 3),
-                *(("" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)) if limb else ()),
-            )
-        )
+        row = [s.file, s.utc, method_words(s.method) if s.method else "", *place]
+        row += [fixed(sigma, 1), fixed(angle, 1), *counts, fixed(s.residual_rms_px, 3)]
+        if limb:
+            row += ["" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)]
+        rows.append(row)
     content = html.table(header, rows, text_columns=3)
     return content if len(rows) <= ROWS_OPEN else html.folded(f"All {len(rows)} frames", content)
 
