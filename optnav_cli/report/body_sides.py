@@ -196,12 +196,11 @@ def sides_figure(catalog: Catalog) -> Markup:
         plot.line((0.95 * half - bar, 0.95 * half), (-0.95 * half, -0.95 * half), "scale")
         plot.text(0.95 * half, -0.91 * half, f"{bar:g} km", "halo", "end")
         drawings.append(plot.svg(f"Control points seen from {side.name}"))
-    return figure(
-        side_by_side("triple", drawings),
+    caption = (
         "Where the points are, on the relief that the catalog carries; lines every 30°. A point is "
-        "coloured by the first check that it failed.",
-        extra=legend(legend_entries(kinds)),
+        "coloured by the first check that it failed."
     )
+    return figure(side_by_side("triple", drawings), caption, extra=legend(legend_entries(kinds)))
 
 
 def sides_picture(catalog: Catalog) -> ByteArray:
