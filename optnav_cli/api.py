@@ -92,25 +92,20 @@ def navigate_picture(
     if (position_m is None) != (position_sigma_m is None):
         raise UsageError("position_m and position_sigma_m belong together: give both or none")
     picture, tdb_s = Path(picture), utc_to_tdb_s(utc)
+    sigma_rad = None if attitude_sigma_arcsec is None else attitude_sigma_arcsec * ARCSEC
     with folder_run.open_catalogs([Path(path) for path in catalogs]) as found:
         body = load_body(found[0].meta.body)
         motion = AnalyticEphemeris(body)
-        inputs = NavigationInputs(
-            folder_run.open_field(found, body),
-            motion,
-            folder_run.whole_relief(found, None, body),
-            NavigateSettings(),
-            match_ncc,
-        )
+        points = folder_run.open_field(found, body)
+        relief = folder_run.whole_relief(found, None, body)
+        inputs = NavigationInputs(points, motion, relief, NavigateSettings(), match_ncc)
         frame = Frame(
             file=picture.name,
             utc=utc,
             camera=camera.name,
             tdb_s=tdb_s,
             camera_from_body=rotation_from_quaternion(*camera_from_body),
-            attitude_sigma_rad=(
-                None if attitude_sigma_arcsec is None else attitude_sigma_arcsec * ARCSEC
-            ),
+            attitude_sigma_rad=sigma_rad,
             position_m=None if position_m is None else np.array(position_m, dtype=np.float64),
             position_sigma_m=position_sigma_m,
             sun_body=motion.sun_body(tdb_s),

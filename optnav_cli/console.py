@@ -206,15 +206,9 @@ def announce_compilation() -> None:
 class _CompilationListener:
     """What numba calls around each compilation that its cache could not spare."""
 
-    def on_start(self, event: Any) -> None:
-        _log_compilation()
-
-    def on_end(self, event: Any) -> None:
-        return None
-
     def notify(self, event: Any) -> None:
         if event.is_start:
-            self.on_start(event)
+            _log_compilation()
 
 
 def _has_cached_kernels() -> bool:

@@ -48,18 +48,18 @@ class BoundingBoxType(click.ParamType):  # type: ignore[type-arg] # generic sinc
         return west, south, east, north
 
 
-def latitude(ctx: click.Context, param: click.Parameter, value: float) -> float:
-    """Callback that refuses a latitude outside -90..90 degrees."""
-    if not -90.0 <= value <= 90.0:
-        raise click.BadParameter(f"{value} is not within -90..90 degrees", ctx, param)
-    return value
+def _within(low: int, high: int) -> Callable[[click.Context, click.Parameter, float], float]:
+    """A callback that refuses an angle outside low..high degrees."""
+
+    def checked(ctx: click.Context, param: click.Parameter, value: float) -> float:
+        if not low <= value <= high:
+            raise click.BadParameter(f"{value} is not within {low}..{high} degrees", ctx, param)
+        return value
+
+    return checked
 
 
-def longitude(ctx: click.Context, param: click.Parameter, value: float) -> float:
-    """Callback that refuses a longitude outside -180..360 degrees."""
-    if not -180.0 <= value <= 360.0:
-        raise click.BadParameter(f"{value} is not within -180..360 degrees", ctx, param)
-    return value
+latitude, longitude = _within(-90, 90), _within(-180, 360)
 
 
 def path_argument(name: str) -> Callable[[F], F]:
@@ -74,32 +74,27 @@ def output_option(text: str, *, required: bool = True) -> Callable[[F], F]:
     )
 
 
-def workers_option(command: F) -> F:
-    """`--workers N`: processes; all cores when left out."""
-    return click.option(
-        "--workers",
-        type=click.IntRange(min=1),
-        help="Processes to work with; all cores by default.",
-    )(command)
-
-
-def scheduler_option(command: F) -> F:
-    """`--scheduler ADDRESS`: a cluster's workers instead of processes of this machine."""
-    return click.option(
-        "--scheduler",
-        metavar="tcp://HOST:PORT",
-        help="Work on the workers of this dask scheduler; they must see the terrain models and "
-        "the work folder under the same paths. Ingest stays here, with --workers threads.",
-    )(command)
-
-
-def bbox_option(command: F) -> F:
-    """`--bbox W,S,E,N`: only cells with their middle in this box."""
-    return click.option(
-        "--bbox",
-        type=BoundingBoxType(),
-        help="Only cells whose middle lies in this box (degrees); W > E crosses ±180°.",
-    )(command)
+workers_option = click.option(
+    "--workers", type=click.IntRange(min=1), help="Processes to work with; all cores by default."
+)
+scheduler_option = click.option(
+    "--scheduler",
+    metavar="tcp://HOST:PORT",
+    help="Work on the workers of this dask scheduler; they must see the terrain models and "
+    "the work folder under the same paths. Ingest stays here, with --workers threads.",
+)
+bbox_option = click.option(
+    "--bbox",
+    type=BoundingBoxType(),
+    help="Only cells whose middle lies in this box (degrees); W > E crosses ±180°.",
+)
+matcher_option = click.option(
+    "--matcher",
+    type=click.Choice(["ncc", "surf"]),
+    default="ncc",
+    show_default=True,
+    help="How a control point is recognised.",
+)
 
 
 def work_option(*, required: bool) -> Callable[[F], F]:
@@ -123,7 +118,7 @@ class Entry:
 
 
 class LazyGroup(click.Group):
-    """A group whose commands come from a table; the table is asked for once, when it is needed."""
+    """A group whose commands come from a table by name, in the order in which help lists them."""
 
     def __init__(
         self, *args: Any, table: Callable[[], Mapping[str, Entry]] = dict, **kwargs: Any
@@ -131,16 +126,11 @@ class LazyGroup(click.Group):
         super().__init__(*args, **kwargs)
         self._table = table
 
-    @property
-    def table(self) -> Mapping[str, Entry]:
-        """The entries by command name, in the order in which help lists them."""
-        return self._table()
-
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*self.table, *super().list_commands(ctx)]
+        return [*self._table(), *super().list_commands(ctx)]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        entry = self.table.get(cmd_name)
+        entry = self._table().get(cmd_name)
         if entry is None:
             return super().get_command(ctx, cmd_name)
         command = getattr(import_module(entry.module), entry.attribute)
@@ -160,20 +150,9 @@ class LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands from the table alone, without importing one of them."""
-        rows = [(name, entry.text) for name, entry in self.table.items()]
+        rows = [(name, entry.text) for name, entry in self._table().items()]
         for name in super().list_commands(ctx):
             rows.append((name, self.commands[name].get_short_help_str(limit=200)))
         if rows:
             with formatter.section("Commands"):
                 formatter.write_dl(rows)
-
-
-def matcher_option(command: F) -> F:
-    """`--matcher ncc|surf`: how a control point is recognised."""
-    return click.option(
-        "--matcher",
-        type=click.Choice(["ncc", "surf"]),
-        default="ncc",
-        show_default=True,
-        help="How a control point is recognised.",
-    )(command)

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.camera import lens
-from optnav_cli.camera.lens import brown_limit, fisheye_limit
 
 Model = Literal["pinhole", "equidistant", "kannala_brandt"]
 Distortion = Literal["none", "brown"]
@@ -72,13 +71,11 @@ class Camera:
         parameters = np.zeros(lens.PARAMETERS)
         parameters[:3] = self.focal_length_px, *self.principal_point_px
         parameters[3 : 3 + len(self.coefficients)] = self.coefficients
-        model = lens.PINHOLE if self.model == "pinhole" else lens.FISHEYE
-        if model == lens.PINHOLE:
-            parameters[lens.LIMIT] = (
-                brown_limit(self.coefficients) if self.coefficients else math.inf
-            )
+        if self.model == "pinhole":
+            model, parameters[lens.LIMIT] = lens.PINHOLE, lens.brown_limit(self.coefficients)
         else:
-            parameters[lens.LIMIT] = fisheye_limit(self.coefficients or (0.0, 0.0, 0.0, 0.0))
+            terms = self.coefficients or (0.0, 0.0, 0.0, 0.0)
+            model, parameters[lens.LIMIT] = lens.FISHEYE, lens.fisheye_limit(terms)
         circle = self.image_circle_radius_px
         parameters[lens.CIRCLE] = math.inf if circle is None else circle
         return model, parameters

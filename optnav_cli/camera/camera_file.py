@@ -45,20 +45,11 @@ def load_camera(path: str | Path) -> Camera:
     _check_picture(settings, where)
     _check_lens(settings, where)
     _check_blur(settings, where)
-    return Camera(
-        name=settings.name,
-        model=settings.model,
-        width_px=settings.width_px,
-        height_px=settings.height_px,
-        focal_length_px=_focal_length_px(settings, where),
-        principal_point_px=settings.principal_point_px,
-        distortion=settings.distortion,
-        coefficients=settings.coefficients,
-        image_circle_radius_px=settings.image_circle_radius_px,
-        pixel_pitch_um=settings.pixel_pitch_um,
-        psf_sigma_px=settings.psf_sigma_px,
-        psf_error_px=settings.psf_error_px,
-    )
+    values = msgspec.structs.asdict(settings) | {
+        "focal_length_px": _focal_length_px(settings, where)
+    }
+    del values["focal_length_mm"]
+    return Camera(**values)
 
 
 def preset_camera(name: str) -> Camera:
@@ -90,12 +81,9 @@ def camera_toml(camera: Camera) -> str:
         lines.append(f'distortion = "{camera.distortion}"')
     if camera.coefficients:
         lines.append(f"coefficients = [{', '.join(repr(float(c)) for c in camera.coefficients)}]")
-    if camera.image_circle_radius_px is not None:
-        lines.append(f"image_circle_radius_px = {float(camera.image_circle_radius_px)!r}")
-    if camera.psf_sigma_px is not None:
-        lines.append(f"psf_sigma_px = {float(camera.psf_sigma_px)!r}")
-    if camera.psf_error_px is not None:
-        lines.append(f"psf_error_px = {float(camera.psf_error_px)!r}")
+    for key in ("image_circle_radius_px", "psf_sigma_px", "psf_error_px"):
+        if (value := getattr(camera, key)) is not None:
+            lines.append(f"{key} = {float(value)!r}")
     return "\n".join(lines) + "\n"
 
 
@@ -153,11 +141,8 @@ def _focal_length_px(settings: CameraFileSettings, where: str) -> float:
         value = getattr(settings, key)
         if value is not None and value <= 0.0:
             raise ConfigError(f"{where}: {key} is {value}; wanted a positive number")
-    pixels, length_mm, pitch_um = (
-        settings.focal_length_px,
-        settings.focal_length_mm,
-        settings.pixel_pitch_um,
-    )
+    pixels, length_mm = settings.focal_length_px, settings.focal_length_mm
+    pitch_um = settings.pixel_pitch_um
     if (length_mm is None) != (pitch_um is None):
         missing = "pixel_pitch_um" if pitch_um is None else "focal_length_mm"
         raise ConfigError(

@@ -99,14 +99,8 @@ def _derivatives(model: int, p: FloatArray, x: float, y: float, z: float) -> Der
     c, s = (x / across, y / across) if across > 0.0 else (1.0, 0.0)
     xy = f * (along - around) * c * s
     depth = -f * slope / range2
-    return (
-        f * (along * c * c + around * s * s),
-        xy,
-        depth * x,
-        xy,
-        f * (along * s * s + around * c * c),
-        depth * y,
-    )
+    xx, yy = f * (along * c * c + around * s * s), f * (along * s * s + around * c * c)
+    return xx, xy, depth * x, xy, yy, depth * y
 
 
 @kernel
@@ -245,7 +239,7 @@ def rays_of_pixels(model: int, p: FloatArray, pixels: FloatArray, rays: FloatArr
 def brown_limit(coefficients: tuple[float, ...]) -> float:
     """Squared tangent of the off-axis angle up to which the Brown model is one to one.
 
-    coefficients  k1 k2 p1 p2 k3;  returns infinity without distortion.
+    coefficients  k1 k2 p1 p2 k3, or none;  returns infinity without distortion.
     """
     if not any(coefficients):
         return math.inf

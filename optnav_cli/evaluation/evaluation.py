@@ -54,9 +54,9 @@ def evaluate(
              has the frame's camera
     Raises DataError when a frame has no truth or one of another time.
     """
+    cameras = cameras or {}
     by_file = {truth.file: truth for truth in truths}
     _check_same_frames(solutions, by_file)
-    named = [by_file[solution.file] for solution in solutions]
     # The direction of motion rests on all true positions, also of frames that the run lacks.
     axes = dict(zip(by_file, directions_of_motion(truths), strict=True))
     kept: dict[str, list[MatchRow]] = {}
@@ -64,17 +64,10 @@ def evaluate(
         if match.used and match.measured_px is not None:
             kept.setdefault(match.file, []).append(match)
     frames = tuple(
-        _frame_error(
-            solution,
-            truth,
-            *axes[truth.file],
-            reference_radius_m,
-            kept.get(solution.file, []),
-            (cameras or {}).get(solution.file),
-        )
-        for solution, truth in zip(solutions, named, strict=True)
+        _frame_error(s, by_file[s.file], *axes[s.file], reference_radius_m, kept, cameras)
+        for s in solutions
     )
-    extra = len(truths) - len(named)
+    extra = len(truths) - len(solutions)
     remark = f"{extra} frames of the truth are not in the run and are left out"
     return Evaluation(frames, (remark,) if extra else ())
 
@@ -127,18 +120,14 @@ def _frame_error(
     axes: FloatArray,
     forward: Forward,
     reference_radius_m: float,
-    kept: Sequence[MatchRow],
-    camera: Camera | None,
+    kept: Mapping[str, Sequence[MatchRow]],
+    cameras: Mapping[str, Camera],
 ) -> FrameError:
+    camera = cameras.get(solution.file)
     distance = float(np.linalg.norm(truth.position_m))
+    height, name = distance - reference_radius_m, camera.name if camera is not None else ""
     frame = FrameError(
-        solution.file,
-        solution.utc,
-        solution,
-        forward,
-        distance - reference_radius_m,
-        distance_m=distance,
-        camera=camera.name if camera is not None else "",
+        solution.file, solution.utc, solution, forward, height, distance_m=distance, camera=name
     )
     if solution.position_m is None or solution.covariance_m2 is None or not solution.solved:
         return frame
@@ -146,7 +135,7 @@ def _frame_error(
     angle = None
     if solution.camera_from_body is not None:
         angle = float((solution.camera_from_body * truth.camera_from_body.inv()).magnitude())
-    n_checked, n_wrong = _checked(kept, truth, camera)
+    n_checked, n_wrong = _checked(kept.get(solution.file, ()), truth, camera)
     return replace(
         frame,
         error_rnb_m=axes @ error,

@@ -232,12 +232,8 @@ def check_limits(
 
 
 def _spread(values: FloatArray) -> Spread:
-    return Spread(
-        bias=float(values.mean()),
-        sigma=float(values.std(ddof=1)) if len(values) > 1 else None,
-        rms=_rms(values),
-        max=float(np.abs(values).max()),
-    )
+    sigma = float(values.std(ddof=1)) if len(values) > 1 else None
+    return Spread(float(values.mean()), sigma, _rms(values), float(np.abs(values).max()))
 
 
 def _rms(values: FloatArray) -> float:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
-from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures, Spread, method_words
+from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures, method_words
 from optnav_cli.evaluation.motion import directions_of_motion
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
@@ -24,6 +24,7 @@ from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.output.tables import fixed
 
 EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
+POINT_COUNTS = ("predicted", "matched", "used", "checked", "wrong")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,21 +56,11 @@ class ErrorRow:
 def error_cells(frame: FrameError) -> dict[str, object]:
     """A frame as a row of evaluation.csv."""
     solution = frame.solution
-    cells: dict[str, object] = {
-        "file": frame.file,
-        "utc": frame.utc,
-        "status": solution.status,
-        "method": solution.method,
-        "camera": frame.camera,
-        "forward": frame.forward,
-        "truth_height_m": frame.height_m,
-        "normalised_error_squared": frame.nees,
-        "n_predicted": solution.n_predicted,
-        "n_matched": solution.n_matched,
-        "n_used": solution.n_used,
-        "n_wrong": frame.n_wrong,
-        "reason": solution.reason,
-    }
+    of_solution = ("status", "method", "n_predicted", "n_matched", "n_used", "reason")
+    cells: dict[str, object] = {name: getattr(solution, name) for name in of_solution}
+    of_frame = ("file", "utc", "camera", "forward", "n_wrong")
+    cells |= {name: getattr(frame, name) for name in of_frame}
+    cells |= {"truth_height_m": frame.height_m, "normalised_error_squared": frame.nees}
     for columns, values in ((ERRORS, frame.error_rnb_m), (SIGMAS, frame.sigma_rnb_m)):
         if values is not None:
             cells |= zip(columns, values, strict=True)
@@ -110,8 +101,7 @@ def _error_row(row: CsvRow) -> ErrorRow:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Place:
+class _Place(NamedTuple):
     tdb_s: float
     position_m: FloatArray
 
@@ -154,25 +144,29 @@ def _time(utc: str) -> float:
         return -math.inf
 
 
-def spread_summary(values: Spread) -> dict[str, float | None]:
-    """One component's errors as JSON values, m."""
-    return {f"{k}_m": None if v is None else round(v, 3) for k, v in asdict(values).items()}
+def _spreads(figures: Figures) -> dict[str, dict[str, float | None]]:
+    """Each component's errors as JSON values, m."""
+    return {
+        axis: {f"{k}_m": None if v is None else round(v, 3) for k, v in asdict(spread).items()}
+        for axis, spread in zip("rnb", (figures.r, figures.n, figures.b), strict=True)
+    }
+
+
+def _inside(figures: Figures) -> dict[str, float]:
+    return {axis: round(v, 6) for axis, v in zip("rnb", figures.inside_3_sigma, strict=True)}
 
 
 def method_summary(method: MethodFigures) -> dict[str, Any]:
     """A method's figures as JSON values, rounded as they are written."""
     figures = method.figures
-    inside = (round(v, 6) for v in figures.inside_3_sigma)
     ranges = None if method.range_rms is None else round(100.0 * method.range_rms, 6)
     return {
         "method": method.method,
         "camera": method.camera,
         "frames_of_camera": method.of_frames,
         "solved": figures.solved,
-        "r": spread_summary(figures.r),
-        "n": spread_summary(figures.n),
-        "b": spread_summary(figures.b),
-        "share_inside_3_sigma": dict(zip("rnb", inside, strict=True)),
+        **_spreads(figures),
+        "share_inside_3_sigma": _inside(figures),
         "normalised_error_squared": round(figures.nees, 6),
         "range_rms_percent": ranges,
         "direction_rms_arcsec": round(method.direction_rms / ARCSEC, 4),
@@ -213,11 +207,7 @@ def evaluate_run(run: Path, truth: Path) -> Evaluation:
     truths = read_truth(truth, folder.attitude)
     try:
         return evaluate(
-            folder.solutions,
-            truths,
-            folder.attitude.body.radius_m,
-            folder.matches,
-            folder.cameras,
+            folder.solutions, truths, folder.attitude.body.radius_m, folder.matches, folder.cameras
         )
     except DataError as error:
         raise DataError(f"{truth}: {error}") from error
@@ -247,26 +237,16 @@ def summary_of(evaluation: Evaluation) -> dict[str, Any]:
         "frames": figures.frames,
         "solved": figures.solved,
         "share_solved": round(figures.solved / figures.frames, 6),
-        "r": spread_summary(figures.r),
-        "n": spread_summary(figures.n),
-        "b": spread_summary(figures.b),
+        **_spreads(figures),
         "horizontal_rms_m": round(figures.horizontal_rms_m, 3),
         "horizontal_max_m": round(figures.horizontal_max_m, 3),
         "height_rms_m": round(figures.height_rms_m, 3),
-        "share_inside_3_sigma": dict(
-            zip("rnb", (round(v, 6) for v in figures.inside_3_sigma), strict=True)
-        ),
+        "share_inside_3_sigma": _inside(figures),
         "normalised_error_squared": round(figures.nees, 6),
         "normalised_error_squared_95_percent": [round(v, 6) for v in figures.nees_range],
         "attitude_rms_arcsec": arcsec(figures.attitude_rms),
         "attitude_max_arcsec": arcsec(figures.attitude_max),
-        "control_points": {
-            "predicted": figures.n_predicted,
-            "matched": figures.n_matched,
-            "used": figures.n_used,
-            "checked": figures.n_checked,
-            "wrong": figures.n_wrong,
-        },
+        "control_points": {name: getattr(figures, f"n_{name}") for name in POINT_COUNTS},
         "methods": [method_summary(method) for method in evaluation.by_method()],
         "frames_with_local_north": figures.north_frames,
         "unsolved_reasons": dict(figures.unsolved_reasons),

@@ -50,10 +50,8 @@ def directions_of_motion(places: Sequence[Placed]) -> list[tuple[FloatArray, For
 
 def _next_in_time(places: Sequence[Placed], order: Sequence[int], here: Placed) -> Placed | None:
     """The first in order that is of another time."""
-    for index in order:
-        if abs(places[index].tdb_s - here.tdb_s) > SAME_TIME_S:
-            return places[index]
-    return None
+    others = (places[index] for index in order)
+    return next((other for other in others if abs(other.tdb_s - here.tdb_s) > SAME_TIME_S), None)
 
 
 def _same_pass(one: Placed, later: Placed) -> bool:

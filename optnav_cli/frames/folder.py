@@ -97,7 +97,7 @@ def write_folder(
     (path / "cameras").mkdir(parents=True, exist_ok=True)
     write_run_settings(settings, path)
     for camera in cameras:
-        text = camera_toml(camera)
-        (path / "cameras" / f"{camera.name}.toml").write_text(text, encoding="utf-8")
+        file = path / "cameras" / f"{camera.name}.toml"
+        file.write_text(camera_toml(camera), encoding="utf-8")
     attitude = FileAttitude(settings.attitude, load_body(settings.body), motion)
     write_frames(path / "frames.csv", attitude, frames)

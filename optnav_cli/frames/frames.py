@@ -1,6 +1,6 @@
 """frames.csv: what is known beforehand about each picture of a folder."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
@@ -85,7 +84,9 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
     try:
         if row.problem:
             raise DataError(row.problem)
-        _check_name(file)
+        path = PurePosixPath(file.replace("\\", "/"))
+        if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
+            raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
         if camera not in cameras:
             near = nearest_name(camera, cameras)
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(cameras)}"
@@ -94,50 +95,36 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
         position, position_sigma = _position(row, attitude.body)
         sigma = _sigma(row, "attitude_sigma_arcsec", ARCSEC)
         body_sigma = attitude.sigma_rad(tdb_s)
+        written = _unit(row, QUATERNION, "the quaternion qw, qx, qy, qz")
+        rotation = None if written is None else rotation_from_quaternion(*written)
+        sun = _unit(row, SUN, "the Sun's direction sun_x, sun_y, sun_z")
+        motion = attitude.ephemeris
+        sun_body = motion.sun_body(tdb_s) if sun is None else sun / float(np.linalg.norm(sun))
         return Frame(
             file=file,
             utc=utc,
             camera=camera,
             tdb_s=tdb_s,
-            camera_from_body=_attitude(row, attitude, tdb_s),
+            camera_from_body=None if rotation is None else attitude.read(rotation, tdb_s),
             attitude_sigma_rad=None if sigma is None else float(np.hypot(sigma, body_sigma)),
             body_sigma_rad=body_sigma,
             position_m=position,
             position_sigma_m=position_sigma,
-            sun_body=_sun(row, attitude.ephemeris, tdb_s),
+            sun_body=sun_body,
         )
     except DataError as error:
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
 
 
-def _check_name(file: str) -> None:
-    path = PurePosixPath(file.replace("\\", "/"))
-    if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
-        raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
-
-
-def _attitude(row: CsvRow, attitude: FileAttitude, tdb_s: float) -> Rotation | None:
-    quaternion = row.vector(QUATERNION)
-    if quaternion is None:
-        return None
-    _check_unit(quaternion, "the quaternion qw, qx, qy, qz")
-    return attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
-
-
-def _sun(row: CsvRow, motion: Ephemeris, tdb_s: float) -> FloatArray:
-    vector = row.vector(SUN)
-    if vector is None:
-        return motion.sun_body(tdb_s)
-    _check_unit(vector, "the Sun's direction sun_x, sun_y, sun_z")
-    return vector / float(np.linalg.norm(vector))
-
-
-def _check_unit(vector: FloatArray, what: str) -> None:
-    length = float(np.linalg.norm(vector))
+def _unit(row: CsvRow, columns: Sequence[str], what: str) -> FloatArray | None:
+    """A vector (n,) of unit length, as far as its digits go; None where it is not given."""
+    vector = row.vector(columns)
+    length = 1.0 if vector is None else float(np.linalg.norm(vector))
     if length < 1e-12:
         raise DataError(f"{what} is zero; wanted a length of 1")
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise DataError(f"{what} has a length of {length:.6g}; wanted 1")
+    return vector
 
 
 def _sigma(row: CsvRow, column: str, unit: float) -> float | None:

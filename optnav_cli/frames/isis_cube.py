@@ -23,6 +23,7 @@ the tilt held the best position leaves 1.0 px rms, with the tilt mirrored 0.40, 
 import json
 import shutil
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,11 +81,12 @@ def read_cube_pose(path: str | Path) -> CubePose:
     try:
         body_from_inertial = _rotation(path, label, "BodyRotation")
         isis_from_inertial = _rotation(path, label, "InstrumentPointing")
-        position = _vector(path, label, "InstrumentPosition")
-        velocity = _vector(path, label, "InstrumentPosition", "V")
-        sun = _vector(path, label, "SunPosition")
+        axes = ("J2000X", "J2000Y", "J2000Z")
+        position = _fields(path, label, "InstrumentPosition", axes)
+        velocity = _fields(path, label, "InstrumentPosition", [f"{axis}V" for axis in axes])
+        sun = _fields(path, label, "SunPosition", axes)
         utc = str(label.get("IsisCube", {}).get("Instrument", {}).get("StartTime", ""))
-        tdb_s = _record(path, label, "InstrumentPosition")["ET"]
+        tdb_s = float(_fields(path, label, "InstrumentPosition", ["ET"])[0])
     except DataError as error:
         raise DataError(
             f"{path}: {error}; run spiceinit on the cube and attach its tables"
@@ -122,8 +124,8 @@ def read_cube_label(path: str | Path) -> Label:
     return label
 
 
-def _record(path: Path, label: Label, name: str) -> dict[str, float]:
-    """The one record of a binary table, by field name."""
+def _fields(path: Path, label: Label, name: str, wanted: Sequence[str]) -> FloatArray:
+    """Some fields of the one record of a binary table."""
     table = label.get(f"Table_{name}")
     if not isinstance(table, dict):
         raise DataError(f"it has no table {name}")
@@ -148,25 +150,17 @@ def _record(path: Path, label: Label, name: str) -> dict[str, float]:
     record = {field: float(values[field]) for field in layout.names or ()}
     if not np.isfinite(list(record.values())).all():
         raise DataError(f"its table {name} holds values that are not finite")
-    return record
-
-
-def _vector(path: Path, label: Label, name: str, suffix: str = "") -> FloatArray:
-    record = _record(path, label, name)
     try:
-        return np.array([record[f"J2000{axis}{suffix}"] for axis in "XYZ"])
+        return np.array([record[field] for field in wanted])
     except KeyError as error:
         raise DataError(f"its table {name} has no field {error}") from None
 
 
 def _rotation(path: Path, label: Label, name: str) -> Rotation:
     """Rotation from J2000: the table's quaternion, then the constant part of the label."""
-    record = _record(path, label, name)
+    quaternion = _fields(path, label, name, [f"J2000Q{part}" for part in range(4)])
     try:
-        quaternion = [record[f"J2000Q{part}"] for part in range(4)]
         rotation = Rotation.from_quat(quaternion, scalar_first=True)
-    except KeyError as error:
-        raise DataError(f"its table {name} has no field {error}") from None
     except ValueError:
         raise DataError(f"its table {name} holds a quaternion of zero length") from None
     constant = label[f"Table_{name}"].get("ConstantRotation")

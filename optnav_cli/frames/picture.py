@@ -82,8 +82,7 @@ def _read(path: Path, camera: Camera) -> tuple[NDArray[np.generic], str]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(path) as dataset:
-                coloured = dataset.count > 1 or dataset.colorinterp[0] == ColorInterp.palette
-                if coloured:
+                if dataset.count > 1 or dataset.colorinterp[0] == ColorInterp.palette:
                     raise DataError(
                         f"{path}: the picture is in colour or has {dataset.count} bands; "
                         "wanted one grey band: convert it"

@@ -31,16 +31,8 @@ def _position(what: str, form: str, empty: bool = True) -> list[CsvColumn]:
 
 
 def _quaternion(what: str, form: str, empty: bool = True) -> list[CsvColumn]:
-    return [
-        _number(
-            name,
-            f"{what}: quaternion of the rotation that run.toml names, {name[1]}",
-            "",
-            form,
-            empty,
-        )
-        for name in QUATERNION
-    ]
+    what = f"{what}: quaternion of the rotation that run.toml names"
+    return [_number(name, f"{what}, {name[1]}", "", form, empty) for name in QUATERNION]
 
 
 def _pixel(name: str, meaning: str, empty: bool = True) -> list[CsvColumn]:
@@ -60,21 +52,14 @@ REASON_CODE = CsvColumn(
     "reason_code", "the code of that reason, for programs", "text", empty=True, newer=True
 )
 
+TO_SUN = "unit vector to the Sun, body frame"
 FRAMES = CsvTable(
     (
         *(FILE, UTC, CAMERA, *_quaternion("attitude", ".12f")),
         _number("attitude_sigma_arcsec", "1 sigma an axis; 0: exact, empty: free", "arcsec", ".6g"),
         *_position("prior position of the camera", ".4f"),
         _number("position_sigma_m", "1 sigma of the prior position, a component", "m", ".6g"),
-        *(
-            _number(
-                name,
-                f"unit vector to the Sun, body frame, {name[-1]}; empty: by the time",
-                "",
-                ".12f",
-            )
-            for name in SUN
-        ),
+        *(_number(name, f"{TO_SUN}, {name[-1]}; empty: by the time", "", ".12f") for name in SUN),
     ),
     by_hand=True,
 )

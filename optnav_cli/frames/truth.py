@@ -63,13 +63,8 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
     if position is None or quaternion is None:
         raise DataError("a position or quaternion is empty; fill it in")
     tdb_s = utc_to_tdb_s(row["utc"])
-    return Truth(
-        file=row["file"],
-        utc=row["utc"],
-        tdb_s=tdb_s,
-        position_m=position,
-        camera_from_body=attitude.read(rotation_from_quaternion(*quaternion), tdb_s),
-    )
+    camera_from_body = attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
+    return Truth(row["file"], row["utc"], tdb_s, position, camera_from_body)
 
 
 def _cells(truth: Truth, attitude: FileAttitude) -> dict[str, object]:

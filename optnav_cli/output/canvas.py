@@ -24,14 +24,6 @@ TEXT_SIZE = 0.45
 SUBPIXEL_BITS = 4  # OpenCV draws at sixteenths of a pixel
 GRAY_STEP = 4  # levels of gray are thinned out: noise takes most of a PNG's bytes, nobody sees it
 SHADE = 0.8  # the picture is dimmed a little under the marks
-# Blue, green, red. Distinct for people with colour-blindness, too, and in shape.
-PREDICTED = (255, 190, 60)
-FOUND = (90, 240, 110)
-REJECTED = (80, 90, 255)
-RESIDUAL = (60, 220, 255)
-OUTLINE = (210, 170, 80)
-DISC = (60, 220, 255)
-RESIDUALS_ENLARGED = 50.0
 
 
 def eight_bits(picture: NDArray[np.generic]) -> ByteArray:
@@ -80,10 +72,9 @@ def resized(picture: ByteArray, factor: float) -> ByteArray:
 
 def encoded(picture: ByteArray, suffix: str, quality: int = 85) -> bytes:
     """The bytes of a picture as ".png" or ".jpg" (`quality` 0..100 for the latter)."""
+    jpeg = suffix == ".jpg"
     options = (
-        [cv2.IMWRITE_JPEG_QUALITY, quality]
-        if suffix == ".jpg"
-        else [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL]
+        [cv2.IMWRITE_JPEG_QUALITY, quality] if jpeg else [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL]
     )
     done, data = cv2.imencode(suffix, picture, options)
     if not done:
@@ -114,11 +105,11 @@ class Canvas:
         points = self.place(pixels)
         cv2.polylines(self.image, [points], closed, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
 
-    def ring(self, pixel: FloatArray, radius: float, colour: Bgr) -> None:
-        """A circle about a frame pixel, its radius in canvas pixels."""
+    def ring(self, pixel: FloatArray, radius: float, colour: Bgr, width: int = 2) -> None:
+        """A circle about a frame pixel, its radius and width in canvas pixels; width -1: filled."""
         x, y = (int(v) for v in self.place(pixel))
         r = int(radius * 2**SUBPIXEL_BITS)
-        cv2.circle(self.image, (x, y), r, colour, 2, cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.circle(self.image, (x, y), r, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
 
     def cross(self, pixel: FloatArray, arm: float, colour: Bgr) -> None:
         """A slanted cross, arms in canvas pixels."""
@@ -134,9 +125,7 @@ class Canvas:
 
     def dot(self, pixel: FloatArray, colour: Bgr, radius: float = 2.0) -> None:
         """A disc about a frame pixel, its radius in canvas pixels."""
-        x, y = (int(v) for v in self.place(pixel))
-        r = int(radius * 2**SUBPIXEL_BITS)
-        cv2.circle(self.image, (x, y), r, colour, -1, cv2.LINE_AA, SUBPIXEL_BITS)
+        self.ring(pixel, radius, colour, -1)
 
     def text(self, words: str, x: float, y: float, colour: Bgr) -> None:
         """Words with a dark rim, their lower left corner at canvas pixel x, y."""

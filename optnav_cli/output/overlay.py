@@ -13,13 +13,6 @@ from catalog.geometry.projection import MapProjection
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks, Solution
 from optnav_cli.output.canvas import (
-    DISC,
-    FOUND,
-    OUTLINE,
-    PREDICTED,
-    REJECTED,
-    RESIDUAL,
-    RESIDUALS_ENLARGED,
     SUBPIXEL_BITS,
     Canvas,
     dimmed,
@@ -31,6 +24,10 @@ from optnav_cli.output.canvas import (
 )
 from optnav_cli.output.recording import describe
 
+# Blue, green, red. Distinct for people with colour-blindness, too, and in shape.
+PREDICTED, FOUND, REJECTED = (255, 190, 60), (90, 240, 110), (80, 90, 255)
+RESIDUAL, OUTLINE, DISC = (60, 220, 255), (210, 170, 80), (60, 220, 255)
+RESIDUALS_ENLARGED = 50.0
 AIM_PX = 26.0
 FRAME = (150, 150, 150)
 INSET_ROOM, MIN_INSET_PX = 1.5, 48.0  # side of what is enlarged over the outline's, and at least
@@ -46,11 +43,9 @@ def draw_outline(canvas: Canvas, marks: OutlineMarks) -> None:
     if marks.is_disc:
         canvas.aim(marks.points_px[0], AIM_PX, DISC)
         return
-    used = marks.used
-    for pixel in marks.points_px[used]:
-        canvas.dot(pixel, FOUND)
-    for pixel in marks.points_px[~used]:
-        canvas.dot(pixel, REJECTED)
+    for chosen, colour in ((marks.used, FOUND), (~marks.used, REJECTED)):
+        for pixel in marks.points_px[chosen]:
+            canvas.dot(pixel, colour)
     for enlarged, colour in ((0.0, PREDICTED), (RESIDUALS_ENLARGED, RESIDUAL)):
         for curve in marks.curves(enlarged):
             canvas.line(curve, colour, 1)
@@ -67,9 +62,8 @@ def put_inset(canvas: Canvas, gray: ByteArray, marks: OutlineMarks) -> None:
         for middle, most in zip((low + high) / 2.0, gray.shape[::-1], strict=True)
     )
     size = round(INSET_SHARE * min(canvas.image.shape[:2]))
-    crop = cv2.resize(
-        gray[y : y + side, x : x + side], (size, size), interpolation=cv2.INTER_NEAREST
-    )
+    part = gray[y : y + side, x : x + side]
+    crop = cv2.resize(part, (size, size), interpolation=cv2.INTER_NEAREST)
     inset = Canvas(dimmed(np.asarray(crop, np.uint8)), size / side, (x, y))
     draw_outline(inset, marks)
     corners = np.array([(x, y), (x + side, y), (x + side, y + side), (x, y + side)]) - 0.5
@@ -155,14 +149,9 @@ def patch_outlines(
     one = np.ones_like(side)
     x = np.concatenate([side, one, -side, -one])
     y = np.concatenate([one, -side, -one, side])
-    return [
-        camera.project_from_body(
-            projection.points(half * x, half * y, np.full(x.shape, height_m)),
-            position_m,
-            camera_from_body.as_matrix(),
-        )
-        for half in half_sizes_m
-    ]
+    matrix, heights = camera_from_body.as_matrix(), np.full(x.shape, height_m)
+    borders = (projection.points(half * x, half * y, heights) for half in half_sizes_m)
+    return [camera.project_from_body(border, position_m, matrix) for border in borders]
 
 
 def _draw_match(canvas: Canvas, match: MatchRow) -> None:

@@ -11,7 +11,6 @@ import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -55,12 +54,7 @@ class Recording:
         self._writer.start(library="optnav")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None:
                 self._writer.finish()  # type: ignore[no-untyped-call]
@@ -86,21 +80,37 @@ class Recording:
             factor = shrink_factor(camera.width_px, camera.height_px, MAX_PX)
             place = f"/camera/{camera.name}"
             if picture is not None:
-                self._write(f"{place}/image", self._image(camera, picture, factor))
-            self._write(f"{place}/calibration", self._calibration(camera, factor))
+                small = resized(eight_bits(picture), factor)
+                data = base64.b64encode(encoded(small, ".jpg", JPEG_QUALITY)).decode("ascii")
+                content: Message = {"frame_id": camera.name, "data": data, "format": "jpeg"}
+                self._write(f"{place}/image", foxglove.COMPRESSED_IMAGE, self._stamped(content))
+            content = self._stamped(self._calibration(camera, factor))
+            self._write(f"{place}/calibration", foxglove.CAMERA_CALIBRATION, content)
             size = factor * max(camera.width_px, camera.height_px) / MAX_PX
-            drawn = Annotations(self._stamp(), factor, size)
+            drawn = Annotations(self._stamped({}), factor, size)
             drawn.add_matches(matches)
             if marks is not None:
                 drawn.add_outline(marks)
-            self._write(f"{place}/annotations", drawn.message)
+            self._write(f"{place}/annotations", foxglove.IMAGE_ANNOTATIONS, drawn.message)
         if solution.position_m is not None and solution.camera_from_body is not None:
-            self._write("/pose", self._pose(solution))
-            self._write("/tf", self._transform(solution, camera))
-        self._write("/log", self._log(solution))
+            position = dict(zip("xyz", map(float, solution.position_m), strict=True))
+            # the camera's axes seen from the body
+            quaternion = quaternion_from_rotation(solution.camera_from_body.inv())
+            qw, qx, qy, qz = (float(v) for v in quaternion)
+            orientation = {"x": qx, "y": qy, "z": qz, "w": qw}
+            pose = {"position": position, "orientation": orientation}
+            content = self._stamped({"frame_id": self._body, "pose": pose})
+            self._write("/pose", foxglove.POSE_IN_FRAME, content)
+            child = "camera" if camera is None else camera.name
+            content = {"parent_frame_id": self._body, "child_frame_id": child}
+            content |= {"translation": position, "rotation": orientation}
+            self._write("/tf", foxglove.FRAME_TRANSFORM, self._stamped(content))
+        level = foxglove.INFO if solution.solved else foxglove.WARNING
+        content = {"level": level, "message": describe(solution), "name": "optnav"}
+        content |= {"file": solution.file, "line": 0}
+        self._write("/log", foxglove.LOG, self._stamped(content))
 
-    def _write(self, topic: str, message: tuple[foxglove.Schema, Message]) -> None:
-        schema, content = message
+    def _write(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
         title = schema["title"]
         if title not in self._schemas:
             self._schemas[title] = self._writer.register_schema(
@@ -119,28 +129,17 @@ class Recording:
         )
         self._sequence += 1
 
-    def _stamp(self) -> Message:
-        return {"sec": self._last_ns // 10**9, "nsec": self._last_ns % 10**9}
+    def _stamped(self, content: Message) -> Message:
+        seconds, nanoseconds = divmod(self._last_ns, 10**9)
+        return {"timestamp": {"sec": seconds, "nsec": nanoseconds}, **content}
 
-    def _image(
-        self, camera: Camera, picture: NDArray[np.generic], factor: float
-    ) -> tuple[foxglove.Schema, Message]:
-        data = encoded(resized(eight_bits(picture), factor), ".jpg", JPEG_QUALITY)
-        return foxglove.COMPRESSED_IMAGE, {
-            "timestamp": self._stamp(),
-            "frame_id": camera.name,
-            "data": base64.b64encode(data).decode("ascii"),
-            "format": "jpeg",
-        }
-
-    def _calibration(self, camera: Camera, factor: float) -> tuple[foxglove.Schema, Message]:
+    def _calibration(self, camera: Camera, factor: float) -> Message:
         # A scaled picture keeps its corners, and pixel centres stand half a pixel inside them.
         cx, cy = ((c + 0.5) * factor - 0.5 for c in camera.principal_point_px)
         focal = camera.focal_length_px * factor
         fisheye = camera.model != "pinhole"
         terms = camera.coefficients or (0.0,) * (4 if fisheye else 5)
-        return foxglove.CAMERA_CALIBRATION, {
-            "timestamp": self._stamp(),
+        return {
             "frame_id": camera.name,
             "width": max(1, round(camera.width_px * factor)),
             "height": max(1, round(camera.height_px * factor)),
@@ -149,36 +148,6 @@ class Recording:
             "K": [focal, 0.0, cx, 0.0, focal, cy, 0.0, 0.0, 1.0],
             "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             "P": [focal, 0.0, cx, 0.0, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-        }
-
-    def _pose(self, solution: Solution) -> tuple[foxglove.Schema, Message]:
-        position, orientation = _camera_in_body(solution)
-        return foxglove.POSE_IN_FRAME, {
-            "timestamp": self._stamp(),
-            "frame_id": self._body,
-            "pose": {"position": position, "orientation": orientation},
-        }
-
-    def _transform(
-        self, solution: Solution, camera: Camera | None
-    ) -> tuple[foxglove.Schema, Message]:
-        position, orientation = _camera_in_body(solution)
-        return foxglove.FRAME_TRANSFORM, {
-            "timestamp": self._stamp(),
-            "parent_frame_id": self._body,
-            "child_frame_id": "camera" if camera is None else camera.name,
-            "translation": position,
-            "rotation": orientation,
-        }
-
-    def _log(self, solution: Solution) -> tuple[foxglove.Schema, Message]:
-        return foxglove.LOG, {
-            "timestamp": self._stamp(),
-            "level": foxglove.INFO if solution.solved else foxglove.WARNING,
-            "message": describe(solution),
-            "name": "optnav",
-            "file": solution.file,
-            "line": 0,
         }
 
 
@@ -211,20 +180,10 @@ def nanoseconds(utc: str, otherwise: int = 0) -> int:
     return max(0, seconds * 10**9 + int(((fraction or "") + "0" * 9)[:9]))
 
 
-def _camera_in_body(solution: Solution) -> tuple[Message, Message]:
-    if solution.position_m is None or solution.camera_from_body is None:
-        raise ValueError(f"{solution.file}: there is no pose to record")
-    x, y, z = (float(v) for v in solution.position_m)
-    qw, qx, qy, qz = (
-        float(v) for v in quaternion_from_rotation(solution.camera_from_body.inv())
-    )  # the camera's axes seen from the body
-    return {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
-
-
 class Annotations:
     """Collects the marks of one picture as a foxglove.ImageAnnotations message.
 
-    stamp   the message's time
+    stamp   the message's time, as a field of it
     factor  recorded pixels a pixel of the frame
     size    of the picture, share of one on which marks have the sizes above
     """
@@ -236,13 +195,9 @@ class Annotations:
         self._texts: list[Message] = []
 
     @property
-    def message(self) -> tuple[foxglove.Schema, Message]:
+    def message(self) -> Message:
         """What was added so far."""
-        return foxglove.IMAGE_ANNOTATIONS, {
-            "circles": self._circles,
-            "points": self._points,
-            "texts": self._texts,
-        }
+        return {"circles": self._circles, "points": self._points, "texts": self._texts}
 
     def add_matches(self, matches: Iterable[MatchRow]) -> None:
         """Where control points were predicted and found; what has no place is skipped."""
@@ -255,59 +210,52 @@ class Annotations:
                     self._circle(pixel, rgb, diameter, _about(match))
             last, rgb, _ = marks[-1]
             if np.isfinite(last).all():
-                self._text(last, rgb, str(match.cp_id))
+                text = {
+                    **self._stamp,
+                    "position": self._place(last + MARK_PX * self._size / self._factor),
+                    "text": str(match.cp_id),
+                    "font_size": TEXT_PX * self._size,
+                    "text_color": _color(rgb),
+                    "background_color": _CLEAR,
+                    "metadata": [],
+                }
+                self._texts.append(text)
 
     def add_outline(self, outline: OutlineMarks) -> None:
         """Limb points, used and left out, with the fitted limb; or a disc's centre."""
         if outline.is_disc:
             self._circle(outline.points_px[0], DISC, DISC_PX, [])
             return
-        used = outline.used
-        for chosen, rgb in ((used, FOUND), (~used, REJECTED)):
+        for chosen, rgb in ((outline.used, FOUND), (~outline.used, REJECTED)):
             if chosen.any():
                 self._line(foxglove.POINTS, outline.points_px[chosen], rgb, POINT_PX)
         for curve in outline.curves(0.0):
             self._line(foxglove.LINE_STRIP, curve, PREDICTED, LINE_PX)
 
     def _circle(self, pixel: FloatArray, rgb: Rgb, diameter: float, about: list[Message]) -> None:
-        self._circles.append(
-            {
-                "timestamp": self._stamp,
-                "position": self._place(pixel),
-                "diameter": diameter * self._size,
-                "thickness": LINE_PX * self._size,
-                "fill_color": _CLEAR,
-                "outline_color": _color(rgb),
-                "metadata": about,
-            }
-        )
-
-    def _text(self, pixel: FloatArray, rgb: Rgb, words: str) -> None:
-        self._texts.append(
-            {
-                "timestamp": self._stamp,
-                "position": self._place(pixel + MARK_PX * self._size / self._factor),
-                "text": words,
-                "font_size": TEXT_PX * self._size,
-                "text_color": _color(rgb),
-                "background_color": _CLEAR,
-                "metadata": [],
-            }
-        )
+        circle = {
+            **self._stamp,
+            "position": self._place(pixel),
+            "diameter": diameter * self._size,
+            "thickness": LINE_PX * self._size,
+            "fill_color": _CLEAR,
+            "outline_color": _color(rgb),
+            "metadata": about,
+        }
+        self._circles.append(circle)
 
     def _line(self, kind: int, pixels: FloatArray, rgb: Rgb, thickness: float) -> None:
-        self._points.append(
-            {
-                "timestamp": self._stamp,
-                "type": kind,
-                "points": [self._place(pixel) for pixel in pixels],
-                "outline_color": _color(rgb),
-                "outline_colors": [],
-                "fill_color": _CLEAR,
-                "thickness": thickness * self._size,
-                "metadata": [],
-            }
-        )
+        line = {
+            **self._stamp,
+            "type": kind,
+            "points": [self._place(pixel) for pixel in pixels],
+            "outline_color": _color(rgb),
+            "outline_colors": [],
+            "fill_color": _CLEAR,
+            "thickness": thickness * self._size,
+            "metadata": [],
+        }
+        self._points.append(line)
 
     def _place(self, pixel: FloatArray) -> Message:
         x, y = ((float(v) + 0.5) * self._factor for v in pixel)

@@ -17,6 +17,13 @@ from optnav_cli.frames.tables import COVARIANCE, MATCHES, POSITION, QUATERNION, 
 from optnav_cli.reasons import Reason, ReasonCode
 
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # where COVARIANCE stands in the matrix
+# Columns that hold what the attributes of the same names do.
+EVIDENCE = ("n_predicted", "n_matched", "n_used", "residual_rms_px", "n_limb", "arc_deg")
+SAME_IN_SOLUTION = (*EVIDENCE, "file", "utc", "status", "method", "prior", "reason", "reason_code")
+SAME_IN_MATCH = (
+    *("file", "catalog", "level", "score", "runner_up", "sun_elevation_deg", "used"),
+    *("reason", "reason_code"),
+)
 
 
 def write_solutions(path: Path, solutions: Iterable[Solution], attitude: FileAttitude) -> None:
@@ -45,21 +52,7 @@ def fixed(value: float | None, decimals: int) -> str:
 
 
 def _solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, object]:
-    cells: dict[str, object] = {
-        "file": solution.file,
-        "utc": solution.utc,
-        "status": solution.status,
-        "method": solution.method,
-        "n_predicted": solution.n_predicted,
-        "n_matched": solution.n_matched,
-        "n_used": solution.n_used,
-        "residual_rms_px": solution.residual_rms_px,
-        "prior": solution.prior,
-        "n_limb": solution.n_limb,
-        "arc_deg": solution.arc_deg,
-        "reason": solution.reason,
-        "reason_code": solution.reason_code,
-    }
+    cells: dict[str, object] = {name: getattr(solution, name) for name in SAME_IN_SOLUTION}
     if solution.position_m is not None:
         cells |= zip(POSITION, solution.position_m, strict=True)
         cells |= _place_cells(solution.position_m)
@@ -104,15 +97,10 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
             raise DataError(
                 "a solved frame without method, position or covariance; run navigate again"
             )
-        outcome = Fix(
-            method,
-            position,
-            _covariance(upper),
-            None if written is None else attitude.read(written, row["utc"]),
-            None if sigma is None else sigma * ARCSEC,
-            evidence,
-            reason,
-        )
+        camera_from_body = None if written is None else attitude.read(written, row["utc"])
+        sigma_rad = None if sigma is None else sigma * ARCSEC
+        covariance = _covariance(upper)
+        outcome = Fix(method, position, covariance, camera_from_body, sigma_rad, evidence, reason)
     return Solution(row["file"], row["utc"], outcome, row["prior"])
 
 
@@ -140,18 +128,8 @@ def _covariance(upper: FloatArray) -> FloatArray:
 
 
 def _match_cells(match: MatchRow) -> dict[str, object]:
-    cells: dict[str, object] = {
-        "file": match.file,
-        "catalog": match.catalog,
-        "id": match.cp_id,
-        "level": match.level,
-        "score": match.score,
-        "runner_up": match.runner_up,
-        "sun_elevation_deg": match.sun_elevation_deg,
-        "used": match.used,
-        "reason": match.reason,
-        "reason_code": match.reason_code,
-    }
+    cells: dict[str, object] = {name: getattr(match, name) for name in SAME_IN_MATCH}
+    cells["id"] = match.cp_id
     cells |= _place_cells(match.cp_position_m)
     for name in ("predicted", "measured", "residual"):
         pixel = getattr(match, f"{name}_px")
@@ -162,10 +140,8 @@ def _match_cells(match: MatchRow) -> dict[str, object]:
 
 def _match(row: CsvRow) -> MatchRow:
     cp_id, level = row.count("id"), row.count("level")
-    place, predicted = (
-        row.vector(("lat_deg", "lon_deg", "radius_m")),
-        row.vector(_pixel("predicted")),
-    )
+    place = row.vector(("lat_deg", "lon_deg", "radius_m"))
+    predicted = row.vector(_pixel("predicted"))
     if cp_id is None or level is None or place is None or predicted is None:
         raise DataError("id, level, place or predicted pixel is empty; run navigate again")
     lat, lon, radius = place

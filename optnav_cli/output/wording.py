@@ -28,9 +28,7 @@ def plural(unit: str, count: int) -> str:
     """The English plural of a unit of work: cells, geometries, pictures; MB stays."""
     if count == 1 or unit.isupper():
         return unit
-    if unit.endswith("y"):
-        return f"{unit[:-1]}ies"
-    return f"{unit}s"
+    return f"{unit[:-1]}ies" if unit.endswith("y") else f"{unit}s"
 
 
 def amount(count: float) -> str:
@@ -71,34 +69,20 @@ def _outcome(account: Account) -> list[str]:
     name = max(map(len, account.reasons), default=0)
     number = max((len(str(count)) for count in account.reasons.values()), default=0)
     for reason, count in account.reasons.items():
-        lines.append(
-            f"  {reason:{name}}  {count:{number}d}  {_share(count, account.points):>7} of all"
-        )
+        share = f"{_share(count, account.points):>7} of all"
+        lines.append(f"  {reason:{name}}  {count:{number}d}  {share}")
     return lines
 
 
 def _row(stage: StageAccount, done: str, kept: str) -> tuple[str, ...]:
-    return (
-        stage.name,
-        done,
-        kept,
-        duration(stage.seconds),
-        duration(stage.cpu_s),
-        _peak(stage.peak),
-        _peak(stage.worker_peak),
-        _bytes(stage.read_bytes),
-        _bytes(stage.written_bytes),
-    )
+    times = (duration(stage.seconds), duration(stage.cpu_s))
+    peaks = (_peak(stage.peak), _peak(stage.worker_peak))
+    sizes = ("" if n is None else amount(n) for n in (stage.read_bytes, stage.written_bytes))
+    return (stage.name, done, kept, *times, *peaks, *sizes)
 
 
 def _peak(peak: Peak | None) -> str:
-    if peak is None:
-        return "-"
-    return f"{'' if peak.own else '≤ '}{amount(peak.bytes)}"
-
-
-def _bytes(count: int | None) -> str:
-    return "" if count is None else amount(count)
+    return "-" if peak is None else f"{'' if peak.own else '≤ '}{amount(peak.bytes)}"
 
 
 def _share(count: int, of: int) -> str:

@@ -19,8 +19,8 @@ from catalog.store.reader import Catalog
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.output.canvas import FONT, SUBPIXEL_BITS
-from optnav_cli.report.catalog_maps import POINT_COLOURS, POINT_WORDS, first_reasons, titles_of
-from optnav_cli.report.page import counted, data_uri, figure, grouped, legend, side_by_side
+from optnav_cli.report.catalog_maps import POINT_COLOURS, first_reasons, legend_entries, titles_of
+from optnav_cli.report.page import counted, data_uri, figure, legend, side_by_side
 from optnav_cli.report.shades import bgr_of
 from optnav_cli.report.svg import Plot
 from optnav_cli.report.views import THIRD
@@ -101,10 +101,8 @@ def sides(catalog: Catalog, size_px: int) -> list[Side]:
     lat, lon = np.radians(catalog.lat_deg), np.radians(catalog.lon_deg)
     points = xyz_from_latlon(lat, lon, np.asarray(records["radius_m"], np.float64))
     lines = _graticule(relief)
-    unresolved_posting_m = (
-        HIDDEN_CELLS * relief.posting_m * max(1.0, len(relief.heights) / MAX_ROWS)
-    )
-    return [_side(mesh, side, size_px, points, lines, unresolved_posting_m) for side in SIDES]
+    hidden_m = HIDDEN_CELLS * relief.posting_m * max(1.0, len(relief.heights) / MAX_ROWS)
+    return [_side(mesh, side, size_px, points, lines, hidden_m) for side in SIDES]
 
 
 def relief_corners(relief: GlobalRelief) -> FloatArray:
@@ -133,13 +131,12 @@ def relief_corners(relief: GlobalRelief) -> FloatArray:
 
 def _graticule(relief: GlobalRelief) -> list[FloatArray]:
     """Parallels and meridians (k, 3) m on the relief."""
-    found = []
     along = np.radians(np.arange(-180.0, 180.0 + LINE_STEP_DEG, LINE_STEP_DEG))
-    for degrees in range(-90 + GRATICULE_DEG, 90, GRATICULE_DEG):
-        found.append((np.full_like(along, np.radians(degrees)), along))
     upward = np.radians(np.arange(-90.0, 90.0 + LINE_STEP_DEG, LINE_STEP_DEG))
-    for degrees in range(-180, 180, GRATICULE_DEG):
-        found.append((upward, np.full_like(upward, np.radians(degrees))))
+    parallels = np.radians(range(-90 + GRATICULE_DEG, 90, GRATICULE_DEG))
+    found = [(np.full_like(along, lat), along) for lat in parallels]
+    meridians = np.radians(range(-180, 180, GRATICULE_DEG))
+    found += [(upward, np.full_like(upward, lon)) for lon in meridians]
     return [
         MARGIN * xyz_from_latlon(lat, lon, relief.radius_m + relief.heights_at(lat, lon))
         for lat, lon in found
@@ -152,7 +149,7 @@ def _side(
     size_px: int,
     points: FloatArray,
     lines: list[FloatArray],
-    unresolved_posting_m: float,
+    hidden_m: float,
 ) -> Side:
     toward, up = np.array(side[0], np.float64), np.array(side[1], np.float64)
     right = np.cross(up, toward)
@@ -174,7 +171,7 @@ def _side(
         away = np.linalg.norm(sight, axis=1)
         _, met = mesh.first_hits(viewer, sight / away[:, None])
         flat = np.column_stack([places @ right, places @ up])
-        flat[met < away - unresolved_posting_m] = np.nan
+        flat[met < away - hidden_m] = np.nan
         return flat
 
     return Side(side[2], half, gray, shown(points), [shown(line) for line in lines])
@@ -199,13 +196,11 @@ def sides_figure(catalog: Catalog) -> Markup:
         plot.line((0.95 * half - bar, 0.95 * half), (-0.95 * half, -0.95 * half), "scale")
         plot.text(0.95 * half, -0.91 * half, f"{bar:g} km", "halo", "end")
         drawings.append(plot.svg(f"Control points seen from {side.name}"))
-    keys = legend(_entries(kinds))
-    return figure(
-        side_by_side("triple", drawings),
+    caption = (
         "Where the points are, on the relief that the catalog carries; lines every 30°. A point is "
-        "coloured by the first check that it failed.",
-        extra=keys,
+        "coloured by the first check that it failed."
     )
+    return figure(side_by_side("triple", drawings), caption, extra=legend(legend_entries(kinds)))
 
 
 def sides_picture(catalog: Catalog) -> ByteArray:
@@ -219,19 +214,9 @@ def sides_picture(catalog: Catalog) -> ByteArray:
     width = rows[0].shape[1]
     head = np.full((HEAD_PX, width, 3), PAPER, np.uint8)
     usable = int(np.count_nonzero(catalog.usable))
-    words = (
-        f"{catalog.meta.body}: {catalog.path.name}, {counted(len(catalog), 'control point')}, "
-        f"{usable} usable"
-    )
-    _write(head, words, GAP_PX, 22, INK, 0.55)
+    words = f"{catalog.meta.body}: {catalog.path.name}, {counted(len(catalog), 'control point')}"
+    _write(head, f"{words}, {usable} usable", GAP_PX, 22, INK, 0.55)
     return np.vstack([head, *rows, _legend(width, kinds)])
-
-
-def _entries(kinds: IntArray) -> list[tuple[str, str]]:
-    present = [k for k in range(len(POINT_WORDS)) if (kinds == k).any()]
-    return [
-        (POINT_COLOURS[k], f"{POINT_WORDS[k]}: {grouped(int((kinds == k).sum()))}") for k in present
-    ]
 
 
 def _tile(side: Side, kinds: IntArray) -> ByteArray:
@@ -296,7 +281,7 @@ def _joined(tiles: Sequence[ByteArray]) -> ByteArray:
 
 def _legend(width: int, kinds: IntArray) -> ByteArray:
     """What the dots mean, in columns as wide as the sides."""
-    entries = _entries(kinds)
+    entries = legend_entries(kinds)
     column = SIDE_PX + GAP_PX
     strip = np.full((ROW_PX * -(-len(entries) // COLUMNS) + 6, width, 3), PAPER, np.uint8)
     for number, (colour, words) in enumerate(entries):

@@ -60,8 +60,7 @@ class MapPanel:
 
     def painted(self, colours: ByteArray) -> ByteArray:
         """Picture (h, w, 4) of the points' colours (n, 4); clear where there is no point."""
-        clear = np.zeros((1, 4), np.uint8)
-        return np.concatenate([colours, clear])[self.rows]
+        return np.concatenate([colours, np.zeros((1, 4), np.uint8)])[self.rows]
 
     def plot(self, *pictures: str) -> Plot:
         """A drawing of the map with pictures (data addresses) of its pixels on it."""
@@ -75,14 +74,13 @@ class MapPanel:
 
 def panels(catalog: Catalog) -> list[MapPanel]:
     """The maps of a catalog with at least one point, the main one first."""
-    found = []
-    for view in views(
-        catalog.grid, catalog.ids, catalog.lat_deg, catalog.lon_deg, catalog.meta.radius_m
-    ):
-        lat, lon = view.pixels()
-        rows = rows_of_pixels(catalog.grid, catalog.ids, lat, lon)
-        found.append(MapPanel(view, lat, lon, rows))
-    return found
+    grid, ids = catalog.grid, catalog.ids
+    shown = views(grid, ids, catalog.lat_deg, catalog.lon_deg, catalog.meta.radius_m)
+    places = [view.pixels() for view in shown]
+    return [
+        MapPanel(view, lat, lon, rows_of_pixels(grid, ids, lat, lon))
+        for view, (lat, lon) in zip(shown, places, strict=True)
+    ]
 
 
 def first_reasons(catalog: Catalog) -> IntArray:
@@ -98,14 +96,24 @@ def first_reasons(catalog: Catalog) -> IntArray:
     return kinds
 
 
+def legend_entries(
+    kinds: IntArray, colours: Sequence[str] = POINT_COLOURS
+) -> list[tuple[str, str]]:
+    """Colours and words, with their number, of the kinds (n,) of `first_reasons` that occur."""
+    counts = np.bincount(kinds, minlength=len(POINT_WORDS)).tolist()
+    entries = zip(colours, POINT_WORDS, counts, strict=True)
+    return [(colour, f"{words}: {grouped(count)}") for colour, words, count in entries if count]
+
+
 def usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
     """Usable points and why others are not, on shaded relief; with a drawing beside the caps."""
     kinds = first_reasons(catalog)
-    colours, words = POINT_COLOURS, POINT_WORDS
+    colours: Sequence[str] = POINT_COLOURS
     whole = maps[0].view.whole
     dots = not whole and len(catalog) <= MAX_DOTS
     strength = np.where(kinds == 0, TINT, STRONG_TINT)
-    tints = _bgra([colours[kind] for kind in kinds.tolist()], strength)
+    by_kind = [colours[kind] for kind in kinds.tolist()]
+    tints = _bgra(by_kind, strength)
     drawings, whose = [], ""
     for panel in maps if whole else maps[:1]:
         ground = relief(catalog, panel.lat_deg, panel.lon_deg)
@@ -117,27 +125,24 @@ def usable_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Ma
             pictures.append(data_uri(panel.painted(tints)))
         plot = panel.plot(*pictures)
         if dots:
-            _dots(plot, panel.view, catalog, kinds)
+            x, y = panel.view.places(catalog.lat_deg, catalog.lon_deg)
+            radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
+            plot.dots(x, y, "ringed", radius, titles_of(catalog, kinds), by_kind)
         drawings.append(plot.svg(f"Map of usable control points: {panel.view.name}"))
-    present = [k for k in range(len(words)) if (kinds == k).any()]
-    shown = list(colours)
     if not dots:  # as they look on the relief
         shares = [TINT / SOLID] + [STRONG_TINT / SOLID] * (len(colours) - 1)
-        shown = [blended(c, share, GRAY) for c, share in zip(colours, shares, strict=True)]
-    keys = legend([(shown[k], f"{words[k]}: {grouped(int((kinds == k).sum()))}") for k in present])
+        colours = [blended(c, share, GRAY) for c, share in zip(colours, shares, strict=True)]
+    entries = legend_entries(kinds, colours)
     shape = "a dot a point" if dots else "a tile a cell"
-    first = "" if len(present) < 2 else " A point is coloured by the first check that it failed."
+    first = "" if len(entries) < 2 else " A point is coloured by the first check that it failed."
     if whole:
         drawings.append(beside)
-    return figure(
-        _arranged(drawings, whole) if whole else drawings[0],
-        f"Where the points are, {shape}.{first} {whose}",
-        extra=keys,
-    )
+    drawn = _arranged(drawings, whole) if whole else drawings[0]
+    words = f"Where the points are, {shape}.{first} {whose}"
+    return figure(drawn, words, extra=legend(entries))
 
 
 def value_map(
-    catalog: Catalog,
     maps: Sequence[MapPanel],
     values: FloatArray,
     scale: Scale,
@@ -151,15 +156,10 @@ def value_map(
     colours[:, :3] = bgr_of(OTHER)
     colours[known, :3] = scale.bgr(values[known])
     colours[:, 3] = SOLID
-    whole = maps[0].view.whole
-    drawings = [
-        panel.plot(data_uri(panel.painted(colours))).svg(f"Map of {name}: {panel.view.name}")
-        for panel in (maps if whole else maps[1:])
-    ]
     unknown = Markup()
     if not known.all():
         unknown = legend([(OTHER, f"not known: {grouped(int((~known).sum()))}")])
-    return figure(_arranged([*drawings, histogram], whole), caption, extra=unknown)
+    return figure(_coloured(maps, colours, name, histogram), caption, extra=unknown)
 
 
 def source_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Markup:
@@ -168,13 +168,19 @@ def source_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Ma
     names = catalog.meta.point_sources
     colours = [SOURCE_COLOURS[k % len(SOURCE_COLOURS)] for k in range(len(names))]
     painted = _bgra([colours[k] for k in sources.tolist()], np.full(len(sources), SOLID))
+    keys = legend([(c, name or NO_SOURCE) for c, name in zip(colours, names, strict=True)])
+    drawn = _coloured(maps, painted, "sources", beside)
+    return figure(drawn, "Terrain model of each point.", extra=keys)
+
+
+def _coloured(maps: Sequence[MapPanel], colours: ByteArray, name: str, beside: Markup) -> Markup:
+    """All maps of a whole body, or the small one, in the points' colours (n, 4)."""
     whole = maps[0].view.whole
     drawings = [
-        panel.plot(data_uri(panel.painted(painted))).svg(f"Map of sources: {panel.view.name}")
+        panel.plot(data_uri(panel.painted(colours))).svg(f"Map of {name}: {panel.view.name}")
         for panel in (maps if whole else maps[1:])
     ]
-    keys = legend([(c, name or NO_SOURCE) for c, name in zip(colours, names, strict=True)])
-    return figure(_arranged([*drawings, beside], whole), "Terrain model of each point.", extra=keys)
+    return _arranged([*drawings, beside], whole)
 
 
 def _arranged(drawings: Sequence[Markup], whole: bool) -> Markup:
@@ -191,13 +197,6 @@ def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
         f"{point}: {POINT_WORDS[kind]}, predicted error {score:.2f} nodes"
         for point, kind, score in zip(catalog.ids.tolist(), kinds.tolist(), scores, strict=True)
     ]
-
-
-def _dots(plot: Plot, view: MapView, catalog: Catalog, kinds: IntArray) -> None:
-    x, y = view.places(catalog.lat_deg, catalog.lon_deg)
-    colours = [POINT_COLOURS[kind] for kind in kinds.tolist()]
-    radius = float(np.clip(120.0 / np.sqrt(len(x)), 3.0, 6.5))
-    plot.dots(x, y, "ringed", radius, titles_of(catalog, kinds), colours)
 
 
 def _bgra(colours: Sequence[str], strength: IntArray) -> ByteArray:
@@ -256,10 +255,8 @@ def histogram(
 def latitude_plot(catalog: Catalog) -> Markup:
     """Share of usable points by latitude."""
     edges = np.linspace(-90.0, 90.0, round(180.0 / BAND_DEG) + 1)
-    total, good = (
-        np.histogram(catalog.lat_deg[choice], edges)[0]
-        for choice in (np.ones(len(catalog), np.bool_), catalog.usable)
-    )
+    latitudes = (catalog.lat_deg, catalog.lat_deg[catalog.usable])
+    total, good = (np.histogram(lat_deg, edges)[0] for lat_deg in latitudes)
     x, y = PlotAxis((-90.0, 90.0), "latitude, deg"), PlotAxis((0.0, 100.0), "usable points, %")
     plot = Plot(x, y, width=THIRD, height=THIRD)
     share = 100.0 * good / np.maximum(total, 1)
@@ -277,8 +274,7 @@ def edges_of(scale: Scale) -> FloatArray:
 def rate_edges(trials: IntArray) -> FloatArray:
     """Bars for success rates: one for each possible rate where all points had as many trials."""
     numbers = np.unique(trials[trials > 0])
-    steps = int(numbers[0]) if len(numbers) == 1 else 20
-    steps = min(steps, MAX_EXACT_TRIALS)
+    steps = min(int(numbers[0]), MAX_EXACT_TRIALS) if len(numbers) == 1 else 20
     return (np.arange(steps + 2) - 0.5) / steps
 
 

@@ -13,43 +13,9 @@ from catalog.arrays import ByteArray, Float32Array, FloatArray
 from catalog.control_point import Flag, Patch
 from catalog.errors import DataError
 from catalog.store.reader import Catalog
+from optnav_cli.report import catalog_maps as maps
+from optnav_cli.report import page as html
 from optnav_cli.report.body_sides import has_sides, sides_figure
-from optnav_cli.report.catalog_maps import (
-    NO_REASON,
-    NO_SOURCE,
-    REASONS,
-    MapPanel,
-    beyond_words,
-    edges_of,
-    first_reasons,
-    histogram,
-    latitude_plot,
-    panels,
-    rate_edges,
-    shadow_plot,
-    source_map,
-    spread_words,
-    usable_map,
-    value_map,
-)
-from optnav_cli.report.page import (
-    captioned,
-    counted,
-    data_uri,
-    figure,
-    folded,
-    grouped,
-    image,
-    listing,
-    page,
-    paragraph,
-    percent,
-    section,
-    side_by_side,
-    subsection,
-    table,
-    tiles,
-)
 from optnav_cli.report.relief import shaded
 from optnav_cli.report.shades import Scale
 
@@ -77,28 +43,21 @@ def catalog_page(catalog: Catalog) -> str:
     meta = catalog.meta
     sections = [_main_numbers(catalog), *_warnings(catalog)]
     if len(catalog):
-        maps = panels(catalog)
+        panels = maps.panels(catalog)
         if has_sides(catalog):
             sections.append(_sides(catalog))
-        sections.append(
-            section(
-                "Usable control points",
-                usable_map(catalog, maps, latitude_plot(catalog)),
-                _reasons(catalog),
-            )
-        )
-        for quantity in quantities(catalog):
-            sections.append(_quantity(catalog, maps, quantity))
-        sections.append(_sources(catalog, maps))
-        sections.append(gallery(catalog))
+        usable = maps.usable_map(catalog, panels, maps.latitude_plot(catalog))
+        sections.append(html.section("Usable control points", usable, _reasons(catalog)))
+        sections += [_quantity(catalog, panels, quantity) for quantity in quantities(catalog)]
+        sections += [_sources(catalog, panels), gallery(catalog)]
     sections.append(_made_from(catalog))
+    count, levels = html.counted(len(catalog), "control point"), html.counted(meta.levels, "level")
     subtitle = (
-        f"{counted(len(catalog), 'control point')}, {grouped(_usable(catalog))} usable; "
-        f"{counted(meta.levels, 'level')} of {meta.size} nodes, {meta.posting_m:.6g} m between the "
-        "finest."
+        f"{count}, {html.grouped(int(catalog.usable.sum()))} usable; "
+        f"{levels} of {meta.size} nodes, {meta.posting_m:.6g} m between the finest."
     )
     title = f"{meta.body.capitalize()}: catalog {catalog.path.name}"
-    return page(title, subtitle, [text for text in sections if text])
+    return html.page(title, subtitle, filter(None, sections))
 
 
 def quantities(catalog: Catalog) -> list[Quantity]:
@@ -120,7 +79,7 @@ def quantities(catalog: Catalog) -> list[Quantity]:
             "Recognition", "recognised share of the trials",
             "Share of the recognition trials (richer terrain, noise, wrong poses) that succeeded; "
             "more is better.",
-            rate, True, ".0%", rate_edges(trials),
+            rate, True, ".0%", maps.rate_edges(trials),
         ),
         Quantity(
             "Uniqueness", "uniqueness margin, least of the levels",
@@ -137,43 +96,38 @@ def quantities(catalog: Catalog) -> list[Quantity]:
     ]  # fmt: skip
 
 
-def _quantity(catalog: Catalog, maps: Sequence[MapPanel], quantity: Quantity) -> Markup:
+def _quantity(catalog: Catalog, panels: Sequence[maps.MapPanel], quantity: Quantity) -> Markup:
     values, usable = quantity.values, catalog.usable
     known = values[np.isfinite(values)]
     if known.size == 0:
         missing = f"The catalog holds no {quantity.label} of any point."
-        return section(quantity.heading, paragraph(missing))
+        return html.section(quantity.heading, html.paragraph(missing))
     scale = Scale.of(known, quantity.more_is_better, quantity.log)
-    edges = quantity.edges
-    if edges is None:
-        edges = edges_of(scale)
-    else:
+    edges = maps.edges_of(scale) if quantity.edges is None else quantity.edges
+    if quantity.edges is not None:
         scale = Scale(0.0, 1.0, quantity.more_is_better)
-    whole = maps[0].view.whole
-    bars = histogram(values, usable, scale, edges, quantity.heading, quantity.label, whole)
-    caption = " ".join(
-        words
-        for words in (
-            quantity.words,
-            spread_words(values, usable, quantity.form),
-            "Bars in colour: usable points, gray: others; the dashed line is the usable points' "
-            "median.",
-            beyond_words(known, edges),
-        )
-        if words
+    whole = panels[0].view.whole
+    bars = maps.histogram(values, usable, scale, edges, quantity.heading, quantity.label, whole)
+    words = (
+        quantity.words,
+        maps.spread_words(values, usable, quantity.form),
+        "Bars in colour: usable points, gray: others; the dashed line is the usable points' "
+        "median.",
+        maps.beyond_words(known, edges),
     )
-    parts = [value_map(catalog, maps, values, scale, quantity.heading, bars, caption)]
+    caption = " ".join(filter(None, words))
+    parts = [maps.value_map(panels, values, scale, quantity.heading, bars, caption)]
     if quantity.heading == "Shadow limits":
-        parts.append(shadow_plot(catalog))
-    return section(quantity.heading, *parts)
+        parts.append(maps.shadow_plot(catalog))
+    return html.section(quantity.heading, *parts)
 
 
 def _main_numbers(catalog: Catalog) -> Markup:
     meta, usable = catalog.meta, catalog.usable
-    count = _usable(catalog)
+    count = int(usable.sum())
     values = [
-        (grouped(count), "usable control points"),
-        (grouped(len(catalog)), f"cells with a point, of {grouped(catalog.grid.total)}"),
+        (html.grouped(count), "usable control points"),
+        (html.grouped(len(catalog)), f"cells with a point, of {html.grouped(catalog.grid.total)}"),
     ]
     if len(catalog):
         values.append((f"{count / len(catalog):.1%}", "of the points usable"))
@@ -187,7 +141,7 @@ def _main_numbers(catalog: Catalog) -> Markup:
         if scores.size:
             middle = np.mean(scores) if column == "recognition_rate" else np.median(scores)
             values.append((form.format(middle), name))
-    return tiles(values)
+    return html.tiles(values)
 
 
 def _warnings(catalog: Catalog) -> list[Markup]:
@@ -202,53 +156,54 @@ def _warnings(catalog: Catalog) -> list[Markup]:
         found.append("The catalog holds no control point: there is nothing to draw.")
     elif not catalog.usable.any():
         found.append("The catalog has no usable point: navigation will find nothing with it.")
-    return [paragraph(words, "note") for words in found]
+    return [html.paragraph(words, "note") for words in found]
 
 
 def _reasons(catalog: Catalog) -> Markup:
     """Why points are not usable: how many fail each check, and how many fail it alone."""
     flags = catalog.records["flags"][~catalog.usable].astype(np.int64)
     if flags.size == 0:
-        return paragraph("All points are usable.")
+        return html.paragraph("All points are usable.")
     rows = []
     # a point too near to a neighbour's may be usable, so alone it explains nothing
-    firsts = np.bincount(first_reasons(catalog), minlength=len(REASONS) + 2)
-    for number, (flag, text) in enumerate(REASONS.items(), start=1):
+    firsts = np.bincount(maps.first_reasons(catalog), minlength=len(maps.REASONS) + 2)
+    for number, (flag, text) in enumerate(maps.REASONS.items(), start=1):
         carried = (flags & int(flag)) != 0
         alone = (flags & ~int(Flag.CROWDED)) == int(flag)
         if carried.any():
             counts = (int(carried.sum()), int(alone.sum()), int(firsts[number]))
-            share = percent(counts[0], len(catalog))
-            rows.append((text, grouped(counts[0]), share, *map(grouped, counts[1:])))
+            share = html.percent(counts[0], len(catalog))
+            rows.append((text, html.grouped(counts[0]), share, *map(html.grouped, counts[1:])))
     if firsts[-1]:
-        rows.append((NO_REASON, grouped(int(firsts[-1])), "", "", grouped(int(firsts[-1]))))
+        unexplained = html.grouped(int(firsts[-1]))
+        rows.append((maps.NO_REASON, unexplained, "", "", unexplained))
     header = ("why points are not usable", "points", "of all", "for this alone", "so on the map")
-    return paragraph(
-        f"{counted(flags.size, 'point')} not usable; one may have several reasons."
-    ) + table(header, rows)
+    words = f"{html.counted(flags.size, 'point')} not usable; one may have several reasons."
+    return html.paragraph(words) + html.table(header, rows)
 
 
 def _sides(catalog: Catalog) -> Markup:
     try:
         drawing = sides_figure(catalog)
     except DataError as fault:  # damaged relief, or a machine without embree: the rest can be shown
-        drawing = paragraph(str(fault), "note")
-    return section("On the body", drawing)
+        drawing = html.paragraph(str(fault), "note")
+    return html.section("On the body", drawing)
 
 
-def _sources(catalog: Catalog, maps: Sequence[MapPanel]) -> Markup:
+def _sources(catalog: Catalog, panels: Sequence[maps.MapPanel]) -> Markup:
     """Points and usable points of each terrain model; with a map where there are several."""
     meta = catalog.meta
     source = catalog.records["source"].astype(np.int64)
     rows = []
     for number, name in enumerate(meta.point_sources):
         here = source == number
-        good = int(np.count_nonzero(here & catalog.usable))
-        total = int(np.count_nonzero(here))
-        rows.append((name or NO_SOURCE, grouped(total), grouped(good), percent(good, total)))
-    counts = table(("points come from", "points", "usable", "share"), rows)
+        good, total = (int(np.count_nonzero(x)) for x in (here & catalog.usable, here))
+        share = html.percent(good, total)
+        rows.append((name or maps.NO_SOURCE, html.grouped(total), html.grouped(good), share))
+    counts = html.table(("points come from", "points", "usable", "share"), rows)
     several = len(meta.point_sources) > 1
-    return section("Provenance", source_map(catalog, maps, counts) if several else counts)
+    shown = maps.source_map(catalog, panels, counts) if several else counts
+    return html.section("Provenance", shown)
 
 
 def _made_from(catalog: Catalog) -> Markup:
@@ -265,19 +220,15 @@ def _made_from(catalog: Catalog) -> Markup:
         ("file", f"{catalog.path.stat().st_size / 1e6:.1f} MB"),
         ("digest", catalog.digest),
     ]
-    parts = [table(("what", "value"), facts, text_columns=2)]
+    parts = [html.table(("what", "value"), facts, text_columns=2)]
     if meta.sources:
-        rows = list(meta.sources.items())
-        parts.append(table(("terrain model", "hash or description"), rows, text_columns=2))
+        header = ("terrain model", "hash or description")
+        parts.append(html.table(header, meta.sources.items(), text_columns=2))
     else:
-        parts.append(paragraph("The catalog does not name its terrain models."))
+        parts.append(html.paragraph("The catalog does not name its terrain models."))
     if meta.config:
-        parts.append(folded("Build config", listing(meta.config)))
-    return section("Made from", *parts)
-
-
-def _usable(catalog: Catalog) -> int:
-    return int(np.count_nonzero(catalog.usable))
+        parts.append(html.folded("Build config", html.listing(meta.config)))
+    return html.section("Made from", *parts)
 
 
 def _finite(values: NDArray[np.floating[Any]]) -> FloatArray:
@@ -298,49 +249,41 @@ def gallery(catalog: Catalog) -> Markup:
     best = order[:SHOWN]
     worst = order[max(len(order) - SHOWN, len(best)) :]
     parts = [
-        paragraph(
+        html.paragraph(
             "Heights by colour, dark is low, shaded from the upper left; north up, finest level "
             "left. The frame in a level is the ground of the level before. Gray: no data. Points "
             "are ranked by their predicted match error."
         )
     ]
-    kinds = first_reasons(catalog)
-    failed = [
-        (reason, np.flatnonzero(kinds == number))
-        for number, reason in enumerate(REASONS.values(), start=1)
-    ]
+    kinds = maps.first_reasons(catalog)
     groups = [("Best", best.tolist()), ("Worst usable", worst.tolist())]
-    groups += [
+    for number, reason in enumerate(maps.REASONS.values(), start=1):
+        there = np.flatnonzero(kinds == number).tolist()
         # the one in the middle stands for the others better than an extreme one
-        (f"Not usable: {reason}", [int(there[len(there) // 2])])
-        for reason, there in failed
-        if len(there)
-    ]
+        groups.append((f"Not usable: {reason}", there[len(there) // 2 :][:1]))
     for heading, chosen in groups:
         if chosen:
-            parts.append(subsection(heading, *(_point(catalog, row) for row in chosen)))
-    return section("Examples", *parts) if len(parts) > 1 else Markup()
+            parts.append(html.subsection(heading, *(_point(catalog, row) for row in chosen)))
+    return html.section("Examples", *parts) if len(parts) > 1 else Markup()
 
 
 def _point(catalog: Catalog, row: int) -> Markup:
     record, point = catalog.records[row], int(catalog.ids[row])
-    tried = int(record["trials"])
+    tried, rate = int(record["trials"]), 100.0 * record["recognition_rate"]
     error = float(record["localisation_px"])
     words = [
         f"Point {point} at {catalog.lat_deg[row]:.3f}°, {catalog.lon_deg[row]:.3f}°",
         f"predicted error {error:.2f} nodes" if np.isfinite(error) else "error not known",
-        f"recognised in {100.0 * record['recognition_rate']:.0f} % of {tried} trials"
-        if tried
-        else "not tried",
+        f"recognised in {rate:.0f} % of {tried} trials" if tried else "not tried",
     ]
     try:
         levels = catalog.patches(point)
     except DataError as fault:
-        return paragraph(str(fault), "note")
+        return html.paragraph(str(fault), "note")
     if not levels:
-        return paragraph(f"{'; '.join(words)}. No heights are kept for it.")
+        return html.paragraph(f"{'; '.join(words)}. No heights are kept for it.")
     pictures = [_level(levels[k], k, point) for k in range(len(levels))]
-    return figure(side_by_side("patches", pictures), "; ".join(words))
+    return html.figure(html.side_by_side("patches", pictures), "; ".join(words))
 
 
 def _level(patch: Patch, number: int, point: int) -> Markup:
@@ -348,8 +291,10 @@ def _level(patch: Patch, number: int, point: int) -> Markup:
     known = patch.heights_m[np.isfinite(patch.heights_m)]
     relief = f"{float(np.ptp(known)):.0f} m of relief" if known.size else "no data"
     words = f"{_short(patch.posting_m)} m a node, {_short(width_km)} km wide, {relief}"
-    picture = image(data_uri(coloured(patch)), f"heights about point {point}, level {number}")
-    return captioned(picture, words, "box inner" if number else "box")
+    picture = html.image(
+        html.data_uri(coloured(patch)), f"heights about point {point}, level {number}"
+    )
+    return html.captioned(picture, words, "box inner" if number else "box")
 
 
 def _short(value: float) -> str:

@@ -6,6 +6,7 @@ direction over a transfer, each method in its own colour.
 
 from collections import Counter
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from markupsafe import Markup
@@ -65,14 +66,9 @@ class Frames:
 
     def of(self, method: str, camera: str) -> IndexArray:
         """Places of a series' solved frames."""
-        return np.array(
-            [
-                index
-                for index, row in enumerate(self.rows)
-                if row.solved and (row.method, row.camera) == (method, camera)
-            ],
-            dtype=np.intp,
-        )
+        key = (True, method, camera)
+        same = [(row.solved, row.method, row.camera) == key for row in self.rows]
+        return np.flatnonzero(same)
 
     def sign(self, method: str, camera: str) -> tuple[str, str]:
         """Series and shape of a method's marks, hollow for the wider cameras."""
@@ -90,15 +86,12 @@ class Frames:
         found = []
         for camera in sorted({row.camera for row in self.rows}):
             places = [i for i, row in enumerate(self.rows) if row.camera == camera]
-            keys = [self.rows[i].method if self.rows[i].solved else None for i in places]
-            start = 0
-            for end in range(1, len(places) + 1):
-                if end == len(places) or keys[end] != keys[start]:
-                    method = keys[start]
-                    if method is not None:
-                        series, _ = SIGNS.get(method, OTHER_SIGN)
-                        found.append((series, np.array(places[start:end], dtype=np.intp)))
-                    start = end
+            for (solved, method), run in groupby(
+                places, lambda i: (self.rows[i].solved, self.rows[i].solved and self.rows[i].method)
+            ):
+                if solved:
+                    series, _ = SIGNS.get(str(method), OTHER_SIGN)
+                    found.append((series, np.array(list(run), dtype=np.intp)))
         return found
 
 
@@ -177,10 +170,7 @@ def _over_time(frames: Frames) -> tuple[list[Panel], str]:
         size = f"|{letter}|" if log else letter
         label = f"{size}, {name}" if frames.compared else f"sigma {letter}, {name}"
         x_label = frames.x_label if axis == 2 else ""
-        if log:
-            plot = _log_plot(frames, values, band, label, x_label)
-        else:
-            plot = _linear_plot(frames, values, band, label, x_label)
+        plot = _time_plot(frames, values, band, label, x_label, log)
         what = "Error" if frames.compared else "Stated sigma"
         words = f"{what} along {letter} ({words}) of each frame, {name}"
         panels.append(Panel("", plot, words))
@@ -190,42 +180,31 @@ def _over_time(frames: Frames) -> tuple[list[Panel], str]:
     return panels, caption
 
 
-def _linear_plot(
-    frames: Frames, values: FloatArray, band: FloatArray, label: str, x_label: str
+def _time_plot(
+    frames: Frames, values: FloatArray, band: FloatArray, label: str, x_label: str, log: bool
 ) -> Plot:
-    low = np.zeros(1) if not frames.compared else -band
-    y = span(np.concatenate([values, band, low]), 0.08)
-    plot = Plot(PlotAxis(span(frames.x, 0.03), x_label), PlotAxis(y, label), height=200)
-    if frames.compared:
-        for series, places in frames.stretches():
-            x, half = frames.x[places], band[places]
-            if len(places) > 1:
-                plot.band(x, -half, half, series)
-            else:
-                plot.line(np.repeat(x, 2), np.concatenate([-half, half]), f"{series} thin")
-        plot.level(0.0)
-    _marks(plot, frames, frames.x, values, np.abs(values) > band)
-    _unsolved(plot, frames, frames.x)
-    return plot
-
-
-def _log_plot(
-    frames: Frames, values: FloatArray, band: FloatArray, label: str, x_label: str
-) -> Plot:
-    sizes = np.abs(values)
-    y = _log_range(sizes, band)
+    sizes, outside = np.abs(values), np.abs(values) > band
+    if log:
+        y = _log_range(sizes, band)
+        values, low, high = _log(sizes, y), np.full(len(band), y[0]), _log(band, y)
+    else:
+        low, high = -band, band
+        y = span(np.concatenate([values, high, low if frames.compared else np.zeros(1)]), 0.08)
     x_axis = PlotAxis(span(frames.x, 0.03), x_label)
-    plot = Plot(x_axis, PlotAxis(y, label, log=True), height=230)
-    if frames.compared:
-        for series, places in frames.stretches():
-            x, top = frames.x[places], _log(band[places], y)
-            if len(places) > 1:
-                plot.band(x, np.full(len(x), y[0]), top, series)
+    plot = Plot(x_axis, PlotAxis(y, label, log), height=230 if log else 200)
+    for series, places in frames.stretches() if frames.compared else ():
+        x, bottom, top = frames.x[places], low[places], high[places]
+        if len(places) > 1:
+            plot.band(x, bottom, top, series)
+            if log:
                 plot.line(x, top, f"{series} thin")
-            else:
-                plot.marks(x, top, series, "dash")
-    _marks(plot, frames, frames.x, _log(sizes, y), sizes > band)
-    _unsolved(plot, frames, frames.x)
+        elif log:
+            plot.marks(x, top, series, "dash")
+        else:
+            plot.line(np.repeat(x, 2), np.concatenate([bottom, top]), f"{series} thin")
+    if frames.compared and not log:
+        plot.level(0.0)
+    _marks(plot, frames, frames.x, values, outside)
     return plot
 
 
@@ -253,7 +232,6 @@ def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
                 places = frames.of(method, camera)
                 plot.marks(x[places], _log(bound[places], y), series, "dash")
         _marks(plot, frames, x, _log(values, y), values > bound)
-        _unsolved(plot, frames, x)
         what = "Error" if frames.compared else "Stated sigma"
         panels.append(Panel("", plot, f"{what} of the {words} of each frame over the height"))
     caption = "Errors of range and direction over the height; dashes are 3 stated sigmas."
@@ -263,6 +241,7 @@ def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
 
 
 def _marks(plot: Plot, frames: Frames, x: FloatArray, y: FloatArray, outside: BoolArray) -> None:
+    """Solved frames, and crosses at the foot for the others, with names under the pointer."""
     for method, camera in frames.series:
         series, shape = frames.sign(method, camera)
         places = frames.of(method, camera)
@@ -271,15 +250,10 @@ def _marks(plot: Plot, frames: Frames, x: FloatArray, y: FloatArray, outside: Bo
         far = places[outside[places]] if frames.compared else places[:0]
         names = [f"{frames.rows[i].file}, outside 3 sigmas" for i in far]
         plot.marks(x[far], y[far], "s4", shape, 4.2, names)
-
-
-def _unsolved(plot: Plot, frames: Frames, x: FloatArray) -> None:
-    """Crosses at the foot of the plot, with the reason under the pointer."""
-    places = [i for i, row in enumerate(frames.rows) if not row.solved]
-    low, high = plot.y
-    titles = [f"{frames.rows[i].file}: {frames.rows[i].reason}" for i in places]
-    foot = np.full(len(places), low + 0.05 * (high - low))
-    plot.marks(x[places], foot, "muted", "cross", 3.6, titles)
+    unsolved = [i for i, row in enumerate(frames.rows) if not row.solved]
+    titles = [f"{frames.rows[i].file}: {frames.rows[i].reason}" for i in unsolved]
+    foot = np.full(len(unsolved), plot.y[0] + 0.05 * (plot.y[1] - plot.y[0]))
+    plot.marks(x[unsolved], foot, "muted", "cross", 3.6, titles)
 
 
 def _legend(frames: Frames) -> list[LegendEntry]:

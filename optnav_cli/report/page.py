@@ -6,6 +6,7 @@ Text is escaped by the templates; `Markup` is what they made, or a drawing.
 import base64
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,19 @@ def page(title: str, subtitle: str, sections: Iterable[Markup]) -> str:
     return template.render(title=title, subtitle=subtitle, sections=list(sections))
 
 
+def _block(name: str, *values: object) -> Markup:
+    """A macro of the template of blocks, filled in."""
+    return Markup(getattr(TEMPLATES.get_template("blocks.html").module, name)(*values))
+
+
+# Blocks that are filled in as they are called.
+legend = partial(_block, "legend")  # of (colour "#rrggbb", what it means)
+tiles = partial(_block, "tiles")  # the main numbers, (number, what it is) each
+folded = partial(_block, "folded")  # (summary, content): content that opens on a click
+image = partial(_block, "image")  # (address, description): an img element of a `data_uri`
+captioned = partial(_block, "captioned")  # (picture, words below it, class of its frame)
+
+
 def section(heading: str, *parts: Markup) -> Markup:
     """A section with its heading."""
     return _block("section", heading, parts)
@@ -57,23 +71,10 @@ def side_by_side(kind: str, parts: Iterable[Markup]) -> Markup:
 
 
 def figure(
-    content: Markup,
-    caption: str,
-    keys: Mapping[str, str] | None = None,
-    extra: Markup = Markup(),
+    content: Markup, caption: str, keys: Mapping[str, str] | None = None, extra: Markup = Markup()
 ) -> Markup:
     """A drawing with a caption and, if given, what its colours ("k1", ...) mean and more HTML."""
     return _block("figure", content, caption, keys or {}, extra)
-
-
-def legend(keys: Sequence[tuple[str, str]]) -> Markup:
-    """What colours ("#rrggbb") mean."""
-    return _block("legend", keys)
-
-
-def tiles(values: Iterable[tuple[str, str]]) -> Markup:
-    """The main numbers, each with what it is."""
-    return _block("tiles", values)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]], text_columns: int = 1) -> Markup:
@@ -81,25 +82,10 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], text_columns: in
     return _block("table", header, rows, text_columns)
 
 
-def folded(summary: str, content: Markup) -> Markup:
-    """Content that opens on a click."""
-    return _block("folded", summary, content)
-
-
 def listing(values: Mapping[str, Any] | str) -> Markup:
     """A manifest or a config as it stands."""
     text = values if isinstance(values, str) else json.dumps(values, indent=2, ensure_ascii=False)
     return _block("listing", text)
-
-
-def captioned(picture: Markup, words: str, kind: str) -> Markup:
-    """One of a row of pictures with its words below; `kind` is a class of its frame."""
-    return _block("captioned", picture, words, kind)
-
-
-def image(uri: str, description: str) -> Markup:
-    """An img element of a `data_uri`."""
-    return _block("image", uri, description)
 
 
 def grouped(number: int) -> str:
@@ -124,8 +110,3 @@ def data_uri(picture: ByteArray, suffix: str = ".png", quality: int = 80) -> str
     kind = "jpeg" if suffix == ".jpg" else "png"
     data = base64.b64encode(encoded(picture, suffix, quality)).decode("ascii")
     return f"data:image/{kind};base64,{data}"
-
-
-def _block(name: str, *values: object) -> Markup:
-    """A macro of the template of blocks, filled in."""
-    return Markup(getattr(TEMPLATES.get_template("blocks.html").module, name)(*values))

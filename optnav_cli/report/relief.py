@@ -1,7 +1,6 @@
 """Shaded relief under a map: from the bundled Moon, or from the catalog's own height grids."""
 
 import logging
-from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -42,18 +41,19 @@ def relief(
     Returns the picture, where its ground is known (h, w), and whose heights they are; None where
     the catalog holds too little ground and its body is not the Moon.
     """
-    pixel_m = _pixel_m(lat_deg, lon_deg, catalog.meta.radius_m)
+    row, column = (side // 2 for side in lat_deg.shape)  # the pixel in the middle, and its size
+    lat, lon = (np.radians(v[row, column : column + 2]) for v in (lat_deg, lon_deg))
+    first, second = xyz_from_latlon(lat, lon, catalog.meta.radius_m)
+    pixel_m = float(np.linalg.norm(second - first))
     is_moon = catalog.meta.body == "moon" and catalog.meta.radius_m == MOON_RADIUS_M
     if is_moon and pixel_m >= MIN_MOON_PIXEL_M:
         heights, words = _moon_heights(lat_deg, lon_deg), MOON_WORDS
     else:
         # heights above tangent planes are no map's: a small body is drawn by its whole relief
-        in_planes = catalog.meta.planes is not None
-        own = (
-            _whole_heights(catalog, lat_deg, lon_deg)
-            if in_planes
-            else _own_heights(catalog, lat_deg, lon_deg, pixel_m)
-        )
+        if catalog.meta.planes is not None:
+            own = _whole_heights(catalog, lat_deg, lon_deg)
+        else:
+            own = _own_heights(catalog, lat_deg, lon_deg, pixel_m)
         if own is None:
             return None
         heights, words = own, OWN_WORDS
@@ -71,14 +71,6 @@ def shaded(heights_m: Float32Array, posting_m: float) -> ByteArray:
     steep = float(np.percentile(rough, 90.0)) if rough.size else 1.0
     light: FloatArray = np.tanh(STEEP * facing / max(steep, 1e-9))
     return np.clip(np.rint(GRAY + DEPTH * light), 0.0, 255.0).astype(np.uint8)
-
-
-def _pixel_m(lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float) -> float:
-    """Distance of two neighbouring pixels in the middle of a map."""
-    row, column = (side // 2 for side in lat_deg.shape)
-    lat, lon = (np.radians(v[row, column : column + 2]) for v in (lat_deg, lon_deg))
-    first, second = xyz_from_latlon(lat, lon, radius_m)
-    return float(np.linalg.norm(second - first))
 
 
 def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> Float32Array:
@@ -128,10 +120,12 @@ def _own_heights(
     damaged = 0
     for number in np.flatnonzero(np.diff(bounds)):
         row, pixels = int(chosen[number]), near[bounds[number] : bounds[number + 1]]
-        patch = _patch(catalog, row, level)
-        if patch is None:
+        try:
+            levels = catalog.patches(int(catalog.ids[row]))
+        except DataError:
             damaged += 1
             continue
+        patch = levels[min(level, len(levels) - 1)]
         lat0, lon0 = np.radians((catalog.lat_deg[row], catalog.lon_deg[row]))
         projection = Stereographic(lat0, lon0, catalog.meta.radius_m)
         heights[pixels] = _sampled(patch, *projection.xy_from_xyz(directions[pixels]), pixel_m)
@@ -167,14 +161,6 @@ def _spread(catalog: Catalog) -> IntArray:
         cells = CellGrid(step).cell_of(catalog.lat_deg[rows], catalog.lon_deg[rows])
         rows = rows[np.unique(cells, return_index=True)[1]]
     return rows
-
-
-def _patch(catalog: Catalog, row: int, level: int) -> Patch | None:
-    try:
-        levels: Sequence[Patch] = catalog.patches(int(catalog.ids[row]))
-    except DataError:
-        return None
-    return levels[min(level, len(levels) - 1)]
 
 
 def _sampled(patch: Patch, x: FloatArray, y: FloatArray, pixel_m: float) -> Float32Array:

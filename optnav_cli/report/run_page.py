@@ -23,21 +23,8 @@ from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.run_folder import OVERLAYS, RunFolder, read_run
 from optnav_cli.output.tables import fixed
+from optnav_cli.report import page as html
 from optnav_cli.report.error_plots import error_plots
-from optnav_cli.report.page import (
-    data_uri,
-    figure,
-    folded,
-    image,
-    listing,
-    page,
-    paragraph,
-    section,
-    side_by_side,
-    subsection,
-    table,
-    tiles,
-)
 from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
 from optnav_cli.report.views import GroundMap
 
@@ -57,9 +44,8 @@ def ground_plot(run: RunFolder) -> Markup:
     solved = [s for s in run.solutions if s.position_m is not None]
     lat, lon, _ = latlon_from_xyz(np.array([s.position_m for s in solved]))
     points = {(m.catalog, m.cp_id): m for m in sorted(run.matches, key=lambda match: match.used)}
-    cp_lat, cp_lon, _ = latlon_from_xyz(
-        np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
-    )
+    tried = np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
+    cp_lat, cp_lon, _ = latlon_from_xyz(tried)
     step = -(-len(solved) // MAX_FOOTPRINTS)
     borders = [border for s in solved[::step] if (border := _footprint(run, s)) is not None]
     all_lat = np.degrees(np.concatenate([lat, cp_lat, *(b[0] for b in borders)]))
@@ -79,14 +65,10 @@ def ground_plot(run: RunFolder) -> Markup:
     x, y = ground.places(np.degrees(lat), np.degrees(lon))
     plot.line(x, y, "s2 thin")
     plot.dots(x, y, "s2", 3.2, [s.file for s in solved])
-    keys = {
-        "k2": "below the camera",
-        "k1": "footprint",
-        "k3": "control point used",
-        "k4": "tried, never used",
-    }
+    keys = {"k2": "below the camera", "k1": "footprint"}
+    keys |= {"k3": "control point used", "k4": "tried, never used"}
     some = "" if step == 1 else f" Footprints of every {step}th frame."
-    return figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
+    return html.figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
 
 
 def residual_plots(run: RunFolder) -> list[Markup]:
@@ -103,13 +85,9 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         plot.dots(few[:, 0], few[:, 1], "s1", 1.8)
         angle = np.linspace(0.0, 2.0 * np.pi, 73)
         plot.line(rms * np.cos(angle), rms * np.sin(angle), "s2", closed=True)
-        drawings.append(
-            figure(
-                plot.svg("Residuals of the control points used, px"),
-                f"Residuals of {len(used)} matches used; rms {rms:.2f} px a coordinate",
-                {"k2": "the rms"},
-            )
-        )
+        drawn = plot.svg("Residuals of the control points used, px")
+        words = f"Residuals of {len(used)} matches used; rms {rms:.2f} px a coordinate"
+        drawings.append(html.figure(drawn, words, {"k2": "the rms"}))
     scores = [(m.score, m.used) for m in run.matches if m.score is not None]
     if scores:
         values = np.array([score for score, _ in scores])
@@ -122,10 +100,9 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         plot = Plot(x, y, width=HALF, height=420)
         plot.bars(edges, below, "s4")
         plot.bars(edges, above, "s3", below)
-        drawings.append(
-            figure(plot.svg("Scores of matches"), "Scores.", {"k3": "used", "k4": "not used"})
-        )
-    return [side_by_side("pair", drawings)]
+        drawn = plot.svg("Scores of matches")
+        drawings.append(html.figure(drawn, "Scores.", {"k3": "used", "k4": "not used"}))
+    return [html.side_by_side("pair", drawings)]
 
 
 def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArray] | None:
@@ -170,18 +147,11 @@ def errors_table(evaluation: dict[str, Any]) -> Markup:
     for axis, name in names.items():
         spread = evaluation[axis]
         sigma = "-" if spread["sigma_m"] is None else f"{spread['sigma_m'] / unit:.1f}"
-        rows.append(
-            (
-                name,
-                f"{spread['bias_m'] / unit:+.1f}",
-                sigma,
-                f"{spread['rms_m'] / unit:.1f}",
-                f"{spread['max_m'] / unit:.1f}",
-                f"{100.0 * evaluation['share_inside_3_sigma'][axis]:.1f} %",
-            )
-        )
-    rms, farthest = (evaluation[f"horizontal_{name}_m"] / unit for name in ("rms", "max"))
-    rows.append(("horizontal", "", "", f"{rms:.1f}", f"{farthest:.1f}", ""))
+        rms, farthest = (f"{spread[key] / unit:.1f}" for key in ("rms_m", "max_m"))
+        inside = f"{100.0 * evaluation['share_inside_3_sigma'][axis]:.1f} %"
+        rows.append((name, f"{spread['bias_m'] / unit:+.1f}", sigma, rms, farthest, inside))
+    rms, farthest = (f"{evaluation[f'horizontal_{k}_m'] / unit:.1f}" for k in ("rms", "max"))
+    rows.append(("horizontal", "", "", rms, farthest, ""))
     points = evaluation["control_points"]
     low, high = evaluation["normalised_error_squared_95_percent"]
     notes = [
@@ -199,40 +169,32 @@ def errors_table(evaluation: dict[str, Any]) -> Markup:
             "neighbour in their pass."
         )
     header = (f"error, {unit_name}", "bias", "sigma", "rms", "max", "inside 3 stated sigmas")
-    parts = [table(header, rows), *map(paragraph, notes)]
+    parts = [html.table(header, rows), *map(html.paragraph, notes)]
     methods = evaluation.get("methods", [])
     if len(methods) > 1:
         parts.append(_methods_table(methods))
-    return section("Against the truth", *parts)
+    return html.section("Against the truth", *parts)
 
 
 def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
     """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
-    header = (
-        *("method", "solved", "R", "N", "B"),
-        *("range, %", "direction, ″", "in 3 sigmas", "NEES"),
-    )
+    header = ["method", "solved", "R", "N", "B", "range, %", "direction, ″", "in 3 sigmas", "NEES"]
     rows = []
     for method in methods:
         name, camera = method_words(method["method"]), method["camera"]
         inside = method["share_inside_3_sigma"]
         least = min(inside[axis] for axis in "rnb")
-        rows.append(
-            (
-                f"{name}, {camera}" if camera else name,
-                f"{method['solved']} of {method['frames_of_camera']}",
-                *(_spread(method[axis]) for axis in "rnb"),
-                "" if method["range_rms_percent"] is None else f"{method['range_rms_percent']:.2g}",
-                f"{method['direction_rms_arcsec']:.3g}",
-                f"{100.0 * least:.0f} %",
-                f"{method['normalised_error_squared']:.2f}",
-            )
-        )
+        ranges, direction = method["range_rms_percent"], method["direction_rms_arcsec"]
+        row = [f"{name}, {camera}" if camera else name]
+        row += [f"{method['solved']} of {method['frames_of_camera']}"]
+        row += [_spread(method[axis]) for axis in "rnb"]
+        row += ["" if ranges is None else f"{ranges:.2g}", f"{direction:.3g}"]
+        rows.append([*row, f"{100.0 * least:.0f} %", f"{method['normalised_error_squared']:.2f}"])
     note = (
         "R, N, B: bias / sigma / greatest error. Range (of the height) and direction to the centre "
         "are rms. In 3 sigmas: the least share of R, N, B. NEES is 1 for an honest covariance."
     )
-    return subsection("By method", table(header, rows), paragraph(note))
+    return html.subsection("By method", html.table(header, rows), html.paragraph(note))
 
 
 def _spread(values: dict[str, float]) -> str:
@@ -261,32 +223,26 @@ def run_page(folder: Path) -> str:
     if evaluation is not None:
         sections.append(errors_table(evaluation))
     if solved:
-        sections.append(section("Errors and stated sigmas", *error_plots(run)))
-        sections.append(section("On the ground", ground_plot(run)))
+        sections.append(html.section("Errors and stated sigmas", *error_plots(run)))
+        sections.append(html.section("On the ground", ground_plot(run)))
     if any(match.measured_px is not None for match in run.matches):
-        sections.append(section("Control points", *residual_plots(run), _refusals(run)))
-    sections.append(_thumbnails(run))
-    sections.append(_unsolved(run))
-    sections.append(section("Frames", _frames(run.solutions)))
-    sections.append(_made_from(folder))
-    body = run.attitude.body.name.capitalize()
+        sections.append(html.section("Control points", *residual_plots(run), _refusals(run)))
+    frames = html.section("Frames", _frames(run.solutions))
+    sections += [_thumbnails(run), _unsolved(run), frames, _made_from(folder)]
+    title = f"{run.attitude.body.name.capitalize()}: run {folder.resolve().name}"
     subtitle = f"{len(run.solutions)} frames, {len(solved)} solved. Positions in the body frame."
-    return page(
-        f"{body}: run {folder.resolve().name}", subtitle, [text for text in sections if text]
-    )
+    return html.page(title, subtitle, filter(None, sections))
 
 
 def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     solved = [s for s in run.solutions if s.solved]
     values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
     if evaluation is not None:
+        nees = f"{evaluation['normalised_error_squared']:.2f}"
         values += [
             (length_words(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
             (length_words(evaluation["height_rms_m"]), "height error, rms"),
-            (
-                f"{evaluation['normalised_error_squared']:.2f}",
-                "error squared over stated covariance (1 is honest)",
-            ),
+            (nees, "error squared over stated covariance (1 is honest)"),
         ]
     predicted = sum(s.n_predicted or 0 for s in solved)
     if predicted:
@@ -296,57 +252,50 @@ def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     if residuals:
         rms = float(np.sqrt(np.mean(np.square(residuals))))
         values.append((f"{rms:.2f} px", "residual, rms a coordinate"))
-    note = (
-        Markup() if evaluation else paragraph("Not compared with a truth: see `optnav evaluate`.")
-    )
-    return tiles(values) + note
+    if evaluation:
+        return html.tiles(values)
+    return html.tiles(values) + html.paragraph("Not compared with a truth: see `optnav evaluate`.")
 
 
 def _refusals(run: RunFolder) -> Markup:
-    reasons = Counter(
-        match.reason_code.meaning or "not used" for match in run.matches if not match.used
-    )
+    reasons = Counter(m.reason_code.meaning or "not used" for m in run.matches if not m.used)
     if not reasons:
         return Markup()
-    rows = [(reason, str(count)) for reason, count in sorted(reasons.items(), key=_most_first)]
-    return table(("control points tried but not used: why", "times"), rows[:12])
+    most_first = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+    rows = [(reason, str(count)) for reason, count in most_first]
+    return html.table(("control points tried but not used: why", "times"), rows[:12])
 
 
 def _thumbnails(run: RunFolder) -> Markup:
     """Overlays, unsolved frames first among equals, evenly through the run."""
-    there = [
-        solution
-        for solution in run.solutions
-        if overlay_path(run.path / OVERLAYS, solution.file).is_file()
-    ]
+    paths = {s.file: overlay_path(run.path / OVERLAYS, s.file) for s in run.solutions}
+    there = [file for file, path in paths.items() if path.is_file()]
     if not there:
         return Markup()
-    picked = there
-    if len(there) > MAX_THUMBNAILS:
-        places = np.linspace(0, len(there) - 1, MAX_THUMBNAILS).round().astype(int)
-        picked = [there[place] for place in places]
+    number = min(len(there), MAX_THUMBNAILS)
+    picked = [there[k] for k in np.linspace(0, len(there) - 1, number).round().astype(int)]
     pictures = []
-    for solution in picked:
-        picture = cv2.imread(str(overlay_path(run.path / OVERLAYS, solution.file)))
+    for file in picked:
+        picture = cv2.imread(str(paths[file]))
         if picture is None:  # a damaged overlay is no reason to have no report
             continue
-        pixels = np.asarray(picture, np.uint8)
-        height, width = pixels.shape[:2]
-        small = resized(pixels, shrink_factor(width, height, THUMBNAIL_PX))
-        uri = data_uri(small, ".jpg", 72)
-        pictures.append(figure(image(uri, f"overlay of {solution.file}"), solution.file))
-    words = (
-        "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times."
-    )
-    shown = f" {len(picked)} of {len(there)} frames." if len(picked) < len(there) else ""
-    return section("Pictures", paragraph(words + shown), side_by_side("thumbs", pictures))
+        height, width = picture.shape[:2]
+        small = resized(np.asarray(picture, np.uint8), shrink_factor(width, height, THUMBNAIL_PX))
+        shown = html.image(html.data_uri(small, ".jpg", 72), f"overlay of {file}")
+        pictures.append(html.figure(shown, file))
+    words = "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times"
+    words += f". {len(picked)} of {len(there)} frames." if len(picked) < len(there) else "."
+    thumbs = html.side_by_side("thumbs", pictures)
+    return html.section("Pictures", html.paragraph(words), thumbs)
 
 
 def _unsolved(run: RunFolder) -> Markup:
     rows = [(s.file, s.utc, s.reason) for s in run.solutions if not s.solved]
     if not rows:
         return Markup()
-    return section("Unsolved frames", table(("file", "UTC", "reason"), rows, text_columns=3))
+    return html.section(
+        "Unsolved frames", html.table(("file", "UTC", "reason"), rows, text_columns=3)
+    )
 
 
 def _frames(solutions: Sequence[Solution]) -> Markup:
@@ -359,21 +308,19 @@ def _frames(solutions: Sequence[Solution]) -> Markup:
         header += ("limb points", "arc, °")
     rows = []
     for s in solutions:
-        place = ("unsolved", "", "") if s.position_m is None else _kilometres(s.position_m)
+        place = ["unsolved", "", ""]
+        if s.position_m is not None:
+            place = [fixed(float(v) / 1e3, 4) for v in s.position_m]
         sigma = None if s.covariance_m2 is None else float(np.sqrt(np.trace(s.covariance_m2) / 3.0))
         angle = None if s.attitude_sigma_rad is None else s.attitude_sigma_rad / ARCSEC
         counts = ("" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used))
-        rows.append(
-            (
-                *(s.file, s.utc, method_words(s.method) if s.method else "", *place),
-                *(fixed(sigma, 1), fixed(angle, 1)),
-                *counts,
-                fixed(s.residual_rms_px, 3),
-                *(("" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)) if limb else ()),
-            )
-        )
-    content = table(header, rows, text_columns=3)
-    return content if len(rows) <= ROWS_OPEN else folded(f"All {len(rows)} frames", content)
+        row = [s.file, s.utc, method_words(s.method) if s.method else "", *place]
+        row += [fixed(sigma, 1), fixed(angle, 1), *counts, fixed(s.residual_rms_px, 3)]
+        if limb:
+            row += ["" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)]
+        rows.append(row)
+    content = html.table(header, rows, text_columns=3)
+    return content if len(rows) <= ROWS_OPEN else html.folded(f"All {len(rows)} frames", content)
 
 
 def _made_from(folder: Path) -> Markup:
@@ -381,13 +328,4 @@ def _made_from(folder: Path) -> Markup:
         manifest = read_manifest(folder)
     except DataError:  # a run put together by hand is still worth a report
         return Markup()
-    return section("Made from", folded("manifest.json", listing(manifest)))
-
-
-def _kilometres(position_m: Any) -> tuple[str, str, str]:
-    x, y, z = (fixed(float(v) / 1e3, 4) for v in position_m)
-    return x, y, z
-
-
-def _most_first(item: tuple[str, int]) -> tuple[int, str]:
-    return -item[1], item[0]
+    return html.section("Made from", html.folded("manifest.json", html.listing(manifest)))

@@ -60,10 +60,8 @@ def sheet(title: str, legend: Sequence[LegendEntry], rows: Sequence[Sequence[Pan
         for panel in row:
             middle = left + panel.plot.width / 2.0
             if panel.heading:
-                parts.append(
-                    f'<text class="heading" text-anchor="middle" x="{middle:g}" y="{top + 13:g}">'
-                    f"{escape(panel.heading)}</text>"
-                )
+                at = f'text-anchor="middle" x="{middle:g}" y="{top + 13:g}"'
+                parts.append(f'<text class="heading" {at}>{escape(panel.heading)}</text>')
             parts.append(panel.plot.svg(panel.description, at=(left, top + heading)))
             left += panel.plot.width + GAP
         top += heading + max(panel.plot.height for panel in row) + GAP

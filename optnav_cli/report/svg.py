@@ -6,6 +6,7 @@ Series are named by the classes s1 (blue), s2 (orange), s3 (green), s4 (red), s5
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from html import escape
 
 import numpy as np
@@ -69,19 +70,15 @@ def mark(x: float, y: float, series: str, shape: str, radius: float = 3.2, title
     """
     name = f"<title>{escape(title)}</title>" if title else ""
     if shape == "circle":
-        return (
-            f'<circle class="mark {series}" cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}">'
-            f"{name}</circle>"
-        )
+        disc = f'cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}"'
+        return f'<circle class="mark {series}" {disc}>{name}</circle>'
     if shape == "dash":
         ends = f"M{x - 1.3 * radius:.1f} {y:.1f}h{2.6 * radius:.1f}"
         return f'<path class="mark stroke {series}" d="{ends}">{name}</path>'
     if shape == "cross":
         a = radius * math.sqrt(0.7)
-        path = (
-            f"M{x - a:.1f} {y - a:.1f}L{x + a:.1f} {y + a:.1f}"
-            f"M{x - a:.1f} {y + a:.1f}L{x + a:.1f} {y - a:.1f}"
-        )
+        path = f"M{x - a:.1f} {y - a:.1f}L{x + a:.1f} {y + a:.1f}"
+        path += f"M{x - a:.1f} {y + a:.1f}L{x + a:.1f} {y - a:.1f}"
         return f'<path class="mark stroke {series}" d="{path}">{name}</path>'
     corners = " ".join(f"{x + radius * u:.1f},{y + radius * v:.1f}" for u, v in _CORNERS[shape])
     return f'<polygon class="mark {series}" points="{corners}">{name}</polygon>'
@@ -138,9 +135,7 @@ class Plot:
         self.x, self.y = _opened(x.ends), _opened(y.ends)
         if equal:
             self._equalise()
-        self._axes = axes
-        self._x_axis, self._y_axis = x, y
-        self._labels = (x.label, y.label)
+        self._axes, self._x_axis, self._y_axis = axes, x, y
         self._ground: list[str] = []
         self._body: list[str] = []
 
@@ -159,23 +154,20 @@ class Plot:
 
     def px(self, x: ArrayLike) -> FloatArray:
         """Picture x of data x."""
-        low, high = self.x
-        scale = self.inner[0] / (high - low)
-        return self._left + (np.asarray(x, dtype=np.float64) - low) * scale
+        scale = self.inner[0] / (self.x[1] - self.x[0])
+        return self._left + (np.asarray(x, dtype=np.float64) - self.x[0]) * scale
 
     def py(self, y: ArrayLike) -> FloatArray:
         """Picture y of data y, which grows upwards."""
-        low, high = self.y
-        scale = self.inner[1] / (high - low)
-        return self.height - self._bottom - (np.asarray(y, dtype=np.float64) - low) * scale
+        scale = self.inner[1] / (self.y[1] - self.y[0])
+        return self.height - self._bottom - (np.asarray(y, np.float64) - self.y[0]) * scale
 
     def line(self, x: ArrayLike, y: ArrayLike, series: str, closed: bool = False) -> None:
         """A polyline, broken where a point is not finite (`closed` only when all are)."""
         points = np.column_stack([self.px(x), self.py(y)])
         finite = np.isfinite(points).all(axis=1)
         closed = closed and bool(finite.all())
-        gaps = np.flatnonzero(~finite)
-        for run in np.split(points, gaps):
+        for run in np.split(points, np.flatnonzero(~finite)):
             run = run[np.isfinite(run).all(axis=1)]
             if len(run) > 1:
                 kind = "polygon" if closed else "polyline"
@@ -184,12 +176,8 @@ class Plot:
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, series: str) -> None:
         """The area between two curves over the same x."""
         x, low, high = (np.asarray(v, dtype=np.float64) for v in (x, low, high))
-        outline = np.column_stack(
-            [
-                np.concatenate([self.px(x), self.px(x)[::-1]]),
-                np.concatenate([self.py(low), self.py(high)[::-1]]),
-            ]
-        )
+        across = np.concatenate([self.px(x), self.px(x)[::-1]])
+        outline = np.column_stack([across, np.concatenate([self.py(low), self.py(high)[::-1]])])
         self._body.append(f'<polygon class="band {series}" points="{_points(outline)}"/>')
 
     def dots(
@@ -202,16 +190,13 @@ class Plot:
         colours: Sequence[str] | None = None,
     ) -> None:
         """Dots; `titles` appear under the pointer, `colours` (CSS) replace the series'."""
-        places = np.column_stack([self.px(x), self.py(y)])
-        for index, (cx, cy) in enumerate(places):
+        for index, (cx, cy) in enumerate(np.column_stack([self.px(x), self.py(y)])):
             if not (math.isfinite(cx) and math.isfinite(cy)):
                 continue
             style = f' style="fill:{colours[index]}"' if colours else ""
             name = f"<title>{escape(titles[index])}</title>" if titles else ""
-            self._body.append(
-                f'<circle class="dot {series}" cx="{cx:.1f}" cy="{cy:.1f}" r="{radius:g}"{style}>'
-                f"{name}</circle>"
-            )
+            disc = f'cx="{cx:.1f}" cy="{cy:.1f}" r="{radius:g}"{style}'
+            self._body.append(f'<circle class="dot {series}" {disc}>{name}</circle>')
 
     def marks(
         self,
@@ -282,12 +267,11 @@ class Plot:
 
         at  left and top of its place in a larger drawing
         """
-        clip = f"c{abs(hash_of(description + self._labels[0] + self._labels[1])):x}"
+        clip = f"c{hash_of(description + self._x_axis.label + self._y_axis.label):x}"
         inner, left, top = self.inner, self._left, self._top
         wide = ' class="wide"' if self.width > HALF else ""
-        place = ""
-        if at is not None:
-            place = f'x="{at[0]:g}" y="{at[1]:g}" width="{self.width}" height="{self.height}" '
+        size = f'width="{self.width}" height="{self.height}"'
+        place = f'x="{at[0]:g}" y="{at[1]:g}" {size} ' if at else ""
         parts = [
             f'<svg {place}viewBox="0 0 {self.width} {self.height}" role="img"{wide} '
             f'aria-label="{escape(description, quote=True)}">',
@@ -302,9 +286,9 @@ class Plot:
             if left
             else "",
             f'<text class="label" text-anchor="middle" x="{left + inner[0] / 2:.0f}" '
-            f'y="{self.height - 6}">{escape(self._labels[0])}</text>',
+            f'y="{self.height - 6}">{escape(self._x_axis.label)}</text>',
             f'<text class="label" text-anchor="middle" transform="translate(13 '
-            f'{top + inner[1] / 2:.0f}) rotate(-90)">{escape(self._labels[1])}</text>',
+            f'{top + inner[1] / 2:.0f}) rotate(-90)">{escape(self._y_axis.label)}</text>',
             "</svg>",
         ]
         return Markup("\n".join(parts))
@@ -314,17 +298,13 @@ class Plot:
         for place, words in _numbers(self._x_axis, self.x, max(3, self.inner[0] // 70)):
             x = float(self.px(place))
             yield f'<line class="grid" x1="{x:.1f}" y1="{self._top}" x2="{x:.1f}" y2="{bottom}"/>'
-            yield (
-                f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 15}">'
-                f"{words}</text>"
-            )
+            foot = f'text-anchor="middle" x="{x:.1f}" y="{bottom + 15}"'
+            yield f'<text class="tick" {foot}>{words}</text>'
         for place, words in _numbers(self._y_axis, self.y, max(4, self.inner[1] // 45)):
             y = float(self.py(place))
             yield f'<line class="grid" x1="{self._left}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}"/>'
-            yield (
-                f'<text class="tick" text-anchor="end" x="{self._left - 5}" y="{y + 4:.1f}">'
-                f"{words}</text>"
-            )
+            side = f'text-anchor="end" x="{self._left - 5}" y="{y + 4:.1f}"'
+            yield f'<text class="tick" {side}>{words}</text>'
 
 
 def _numbers(axis: PlotAxis, ends: tuple[float, float], count: int) -> list[tuple[float, str]]:
@@ -349,10 +329,7 @@ def span(values: ArrayLike, margin: float = 0.05) -> tuple[float, float]:
 
 def hash_of(words: str) -> int:
     """A number that is the same in every process, unlike `hash`."""
-    number = 0
-    for byte in words.encode():
-        number = (number * 131 + byte) & 0xFFFFFFFF
-    return number
+    return reduce(lambda number, byte: (number * 131 + byte) & 0xFFFFFFFF, words.encode(), 0)
 
 
 def _opened(ends: tuple[float, float]) -> tuple[float, float]:

@@ -7,6 +7,7 @@ caps in stereographic projection, because there an equal-area map is sheared bey
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,6 +97,7 @@ class GroundMap:
         return plot
 
     def _graticule(self, plot: Plot) -> None:
+        """Lines with their numbers where they enter the map, unless another number is near."""
         km_per_deg = np.radians(self.radius_m) / 1e3
         reach = max(plot.x[1] - plot.x[0], plot.y[1] - plot.y[0]) / 2.0 / km_per_deg
         step = next((s for s in STEPS_DEG if s >= reach / 2.5), STEPS_DEG[-1])
@@ -105,32 +107,24 @@ class GroundMap:
         narrowing = max(np.cos(np.radians(min(abs(lat0) + reach, 89.0))), 0.05)
         lon_step = next((s for s in STEPS_DEG if s >= reach / 2.5 / narrowing), 30.0)
         half = min(2 * reach / narrowing, 180.0)
-        lons = (
-            np.arange(np.floor((lon0 - half) / lon_step), (lon0 + half) / lon_step + 1) * lon_step
-        )
+        first_lon, last_lon = np.floor((lon0 - half) / lon_step), (lon0 + half) / lon_step
+        lons = np.arange(first_lon, last_lon + 1) * lon_step
         along = np.linspace(-1.0, 1.0, 61)
-        taken: list[FloatArray] = []
-        for lat in lats:
-            x, y = self.places(np.full(61, lat), lon0 + half * along)
-            plot.line(x, y, "faint thin")
-            self._name(plot, (x, y), float(lat), taken)
         reachable = np.clip(lat0 + 2 * reach * along, -89.9, 89.9)
-        for lon in np.unique(wrap_longitude_deg(lons)):
-            x, y = self.places(reachable, np.full(61, lon))
+        lines = [(lat, np.full(61, lat), lon0 + half * along) for lat in lats]
+        wrapped = np.unique(wrap_longitude_deg(lons))
+        lines += [(lon, reachable, np.full(61, lon)) for lon in wrapped]
+        taken: list[FloatArray] = []
+        for value, lat, lon in lines:
+            x, y = self.places(lat, lon)
             plot.line(x, y, "faint thin")
-            self._name(plot, (x, y), float(lon), taken)
-
-    def _name(
-        self, plot: Plot, line: tuple[FloatArray, FloatArray], value: float, taken: list[FloatArray]
-    ) -> None:
-        """Write a graticule line's number where the line enters the map, unless another is near."""
-        place = _entry(plot, *line)
-        if place is None:
-            return
-        at = np.array([float(plot.px(place[0])), float(plot.py(place[1]))])
-        if all(np.linalg.norm(at - other) > LABEL_ROOM_PX for other in taken):
-            taken.append(at)
-            plot.text(*place, number_text(round(value, 3)) + DEGREE, "place")
+            place = _entry(plot, x, y)
+            if place is None:
+                continue
+            at = np.array([float(plot.px(place[0])), float(plot.py(place[1]))])
+            if all(np.linalg.norm(at - other) > LABEL_ROOM_PX for other in taken):
+                taken.append(at)
+                plot.text(*place, number_text(round(float(value), 3)) + DEGREE, "place")
 
 
 def _entry(plot: Plot, x: FloatArray, y: FloatArray) -> tuple[float, float] | None:
@@ -214,14 +208,9 @@ def corners_deg(grid: CellGrid, ids: IntArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _region(ground: GroundMap, x: FloatArray, y: FloatArray, width: int, height: int) -> MapView:
-    return MapView(
-        "the region, north up" if abs(ground.centre_deg[0]) < 89.0 else "the pole",
-        False,
-        lambda: ground.plot(x, y, width, height),
-        ground.latlon,
-        ground.places,
-        None,
-    )
+    name = "the region, north up" if abs(ground.centre_deg[0]) < 89.0 else "the pole"
+    plot = partial(ground.plot, x, y, width, height)
+    return MapView(name, False, plot, ground.latlon, ground.places, None)
 
 
 def _whole() -> MapView:
@@ -242,16 +231,14 @@ def _whole() -> MapView:
         ends = (-x, x), (-y, y)
         drawing = Plot(*ends, width=WIDE, height=height, axes=False, margins=WIDE_MARGINS)
         parallel, meridian = np.linspace(-180.0, 180.0, 3), np.linspace(-90.0, 90.0, 61)
-        for lat in range(-60, 90, 30):
-            drawing.line(*places(np.full(3, float(lat)), parallel), "graticule")
-        for lon in range(-150, 180, 30):
-            drawing.line(*places(meridian, np.full(61, float(lon))), "graticule")
-        for lat in (-60, -30, 30, 60):
-            x, y = places(float(lat), 0.0)
-            drawing.text(float(x) + 0.02, float(y) + 0.02, _degrees(lat), "halo")
-        for lon in range(-150, 180, 30):
-            x, y = places(0.0, float(lon))
-            drawing.text(float(x) + 0.02, float(y) + 0.02, _degrees(lon), "halo")
+        lats, lons = np.arange(-60.0, 90.0, 30.0), np.arange(-150.0, 180.0, 30.0)
+        for lat in lats:
+            drawing.line(*places(np.full(3, lat), parallel), "graticule")
+        for lon in lons:
+            drawing.line(*places(meridian, np.full(61, lon)), "graticule")
+        for lat, lon in [(lat, 0.0) for lat in lats if lat] + [(0.0, lon) for lon in lons]:
+            x, y = places(lat, lon)
+            drawing.text(float(x) + 0.02, float(y) + 0.02, _degrees(lat or lon), "halo")
         drawing.line(outline[0], outline[1], "rim")
         return drawing
 

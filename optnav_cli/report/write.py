@@ -20,7 +20,14 @@ def write_report(source: Path, output: Path) -> None:
     Raises DataError for a source that is neither, OutputError for a place that cannot be used.
     """
     if output.suffix.lower() == ".svg":
-        _write_picture(source, output)
+        if not source.is_dir():
+            raise DataError(
+                f"{source}: only the errors of a run are drawn as SVG; name an .html file"
+            )
+        run = read_run(source)
+        if not any(solution.solved for solution in run.solutions):
+            raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
+        write_sheet(error_sheet(run), output)
         return
     if source.is_dir():
         text = run_page(source)
@@ -31,12 +38,3 @@ def write_report(source: Path, output: Path) -> None:
         raise DataError(f"{source}: there is no such run or catalog; check the path")
     with replacing_file(output, starts_with(BEGINNING.encode())) as path:
         path.write_text(text, encoding="utf-8")
-
-
-def _write_picture(source: Path, output: Path) -> None:
-    if not source.is_dir():
-        raise DataError(f"{source}: only the errors of a run are drawn as SVG; name an .html file")
-    run = read_run(source)
-    if not any(solution.solved for solution in run.solutions):
-        raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
-    write_sheet(error_sheet(run), output)

@@ -66,15 +66,12 @@ def navigate_folder(
     with open_catalogs(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
         points = open_field(catalogs, folder.body)
         ground = whole_relief(catalogs, relief, folder.body)
-        inertial = folder.settings.attitude == "camera_from_inertial"
-        inputs = NavigationInputs(
-            points, folder.motion, ground, settings, MATCHERS[matcher], inertial
-        )
+        inertial, match = folder.settings.attitude == "camera_from_inertial", MATCHERS[matcher]
+        inputs = NavigationInputs(points, folder.motion, ground, settings, match, inertial)
         copy_inputs(pictures, folder.settings, place)
         solutions = _navigate_frames(folder, inputs, place, progress)
         write_solutions(place / SOLUTION, solutions, folder.attitude)
-        matches = [match for row in solutions for match in row.evidence.matches]
-        write_matches(place / MATCHES, matches)
+        write_matches(place / MATCHES, (m for row in solutions for m in row.evidence.matches))
         for (_, point_id), reason in points.damaged.items():
             log.warning("control point %d is left out: %s", point_id, reason)
         solved = sum(solution.solved for solution in solutions)
@@ -199,24 +196,12 @@ def _navigate_frames(
             camera, evidence = folder.cameras.get(frame.camera), row.evidence
             recording.add_frame(row, evidence.matches, camera, picture, evidence.outline)
             if camera is not None and picture is not None:
-                outlines = _patch_outlines(row, camera, inputs.points)
-                marks = evidence.outline
-                write_overlay(
-                    place / OVERLAYS, picture, row, evidence.matches, outlines, marks=marks
-                )
+                outlines, marks = _patch_outlines(row, camera, inputs.points), evidence.outline
+                overlays = place / OVERLAYS
+                write_overlay(overlays, picture, row, evidence.matches, outlines, marks=marks)
             log.log(logging.DEBUG if row.solved else logging.WARNING, "%s", describe(row))
             bar.advance()
     return [solutions[number] for number in sorted(solutions)]
-
-
-def _drawn_sizes(
-    points: ControlPointField, index: int, level: int, camera: Camera, position_m: FloatArray
-) -> list[float]:
-    """Half sides of the matched patch and of the coarser ones that do not swamp the picture."""
-    distance = float(np.linalg.norm(points.xyz_m[index] - position_m))
-    across = distance / camera.focal_length_px * camera.width_px
-    sizes = points.half_sizes_m(index, level)
-    return [s for s in sizes if 2.0 * s <= MAX_OUTLINE * across]
 
 
 def _patch_outlines(
@@ -231,13 +216,14 @@ def _patch_outlines(
         reference = points.reference(index)
         if reference is None:
             continue
+        distance = float(np.linalg.norm(points.xyz_m[index] - fix.position_m))
+        most = MAX_OUTLINE * (distance / camera.focal_length_px * camera.width_px)
+        sizes = [s for s in points.half_sizes_m(index, match.level) if 2.0 * s <= most]
+        projection = reference.projection
+        height = float(projection.height_of(reference.point.xyz_m))
+        pose = fix.position_m, fix.camera_from_body
         outlines[match.catalog, match.cp_id] = patch_outlines(
-            reference.projection,
-            float(reference.projection.height_of(reference.point.xyz_m)),
-            _drawn_sizes(points, index, match.level, camera, fix.position_m),
-            camera,
-            fix.position_m,
-            fix.camera_from_body,
+            projection, height, sizes, camera, *pose
         )
     return outlines
 

@@ -30,6 +30,7 @@ def simulate_folder(
         origin = {"name": path.name, "sha256": hash_file(path)}
     else:
         origin = {"sha256": hashlib.sha256(scenario_copy(scenario)).hexdigest()}
+    terrain = [*(Path(dem.path).name for dem in scenario.dem), Path(scenario.globe.path).name]
     with replacing_folder(pictures, KIND) as place:
         simulate(scenario, place, progress, workers)
         write_manifest(
@@ -37,12 +38,6 @@ def simulate_folder(
             KIND,
             command="simulate",
             options={},
-            inputs={
-                "scenario": origin,
-                "terrain": [
-                    *(Path(dem.path).name for dem in scenario.dem),
-                    Path(scenario.globe.path).name,
-                ],
-            },
+            inputs={"scenario": origin, "terrain": terrain},
             started=started,
         )

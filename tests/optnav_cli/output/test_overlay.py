@@ -9,9 +9,14 @@ from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks
-from optnav_cli.output.canvas import DISC, FOUND, PREDICTED, REJECTED, RESIDUAL, eight_bits
+from optnav_cli.output.canvas import eight_bits
 from optnav_cli.output.overlay import (
+    DISC,
+    FOUND,
     MAX_PX,
+    PREDICTED,
+    REJECTED,
+    RESIDUAL,
     draw_overlay,
     overlay_path,
     patch_outlines,
