@@ -141,10 +141,7 @@ def _weighted(jacobian: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def solve(
-    models: Sequence[Model[S]],
-    start: S,
-    move: Callable[[S, FloatArray], S],
-    iteration: Iteration,
+    models: Sequence[Model[S]], start: S, move: Callable[[S, FloatArray], S], iteration: Iteration
 ) -> Estimate[S]:
     """The state that fits all models best, by Gauss-Newton.
 

@@ -156,12 +156,7 @@ def resect_robustly(
         covariance = covariance + considered(gain, errors.reshape(-1, errors.shape[-1]))
     pixels, _ = predict(camera, found.state, sightings.points_body_m)
     return Resection(
-        found.state,
-        covariance,
-        found.degrees_of_freedom,
-        used,
-        factor,
-        sightings.pixels - pixels,
+        found.state, covariance, found.degrees_of_freedom, used, factor, sightings.pixels - pixels
     )
 
 

@@ -25,15 +25,7 @@ from catalog.geometry.vectors import squared_distance
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.arc import GATE
-from optnav_cli.fix import (
-    Evidence,
-    Fix,
-    Method,
-    NoFix,
-    PositionPrior,
-    Solution,
-    UnsolvedFrameError,
-)
+from optnav_cli.fix import Evidence, Fix, Method, NoFix, PositionPrior, Solution, UnsolvedFrameError
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.control_points import method as control_points

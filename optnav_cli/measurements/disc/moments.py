@@ -187,11 +187,7 @@ def _light(
 
 
 def _moments(
-    light: FloatArray,
-    x: IntArray,
-    y: IntArray,
-    noise: float,
-    sky_sigma: float,
+    light: FloatArray, x: IntArray, y: IntArray, noise: float, sky_sigma: float
 ) -> DiscMoments:
     """Moments of pixels (n,) above the sky, with the errors of noise and of the sky's level."""
     total = float(light.sum())

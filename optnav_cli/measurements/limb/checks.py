@@ -6,12 +6,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.limb.candidates import (
-    BORDER_PX,
-    MIN_BLOB_PIXELS,
-    Candidates,
-    rays_of,
-)
+from optnav_cli.measurements.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates, rays_of
 from optnav_cli.measurements.limb.cone import Cone, find_cone, stretched_rays
 from optnav_cli.measurements.segmentation import Blobs, Levels
 from optnav_cli.reasons import ReasonCode

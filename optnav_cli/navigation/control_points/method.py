@@ -226,10 +226,7 @@ def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
 
 
 def _evidence(
-    frame: FrameContext,
-    view: ExpectedPoints,
-    matches: list[PointMatch],
-    solution: Resection | None,
+    frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], solution: Resection | None
 ) -> Evidence:
     """The points tried, with what the solution made of them; None: there is no solution."""
     place = {k: i for i, k in enumerate(accepted(matches))}
