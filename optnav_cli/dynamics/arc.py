@@ -8,7 +8,6 @@ that of a circular orbit in size, which a prediction some seconds ahead can bear
 
 from dataclasses import dataclass
 from operator import add
-from typing import Protocol
 
 import numpy as np
 from scipy.stats import chi2
@@ -16,8 +15,9 @@ from scipy.stats import chi2
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
+from optnav_cli.dynamics.integrator import OrbitMotion
 from optnav_cli.estimation.least_squares import Iteration, VectorPrior, solve
-from optnav_cli.estimation.models.fixes import FixesModel, OrbitModel
+from optnav_cli.estimation.models.fixes import FixesModel
 from optnav_cli.fix import PositionPrior
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -34,18 +34,6 @@ MAX_GAP_RAD = 1.0
 EXCESS_M_S = 1000.0
 # A prediction with a larger share of the distance as its sigma says nothing of use.
 MAX_SHARE = 0.005
-
-
-class ArcModel(OrbitModel, Protocol):
-    """What the arc needs of the motion without thrust."""
-
-    def circular_speed(self, position_m: FloatArray) -> float:
-        """Of a circular orbit through a place, m/s."""
-        ...
-
-    def radian_s(self, position_m: FloatArray) -> float:
-        """How long the motion there takes for one radian, s."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +64,7 @@ class OrbitArc:
     wrong, and a new one begins with the two.
     """
 
-    def __init__(self, model: ArcModel) -> None:
+    def __init__(self, model: OrbitMotion) -> None:
         self._model = model
         self._fixes: list[TimedPosition] = []
         self._doubted: TimedPosition | None = None
@@ -102,9 +90,8 @@ class OrbitArc:
         widest = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
         if not widest < MAX_SHARE * float(np.linalg.norm(position)):
             return None
-        count = len(self._fixes)
-        source = f"arc of {count} fixes" if count > 1 else "arc of one fix"
-        return PositionPrior(position, spread, source)
+        count = f"{len(self._fixes)} fixes" if len(self._fixes) > 1 else "one fix"
+        return PositionPrior(position, spread, f"arc of {count}")
 
     def add(self, fix: TimedPosition, *, confirmed: bool = False) -> ArcDisagreement | None:
         """Add a fix not before the last; how it disagrees where it does not lie on the arc.

@@ -48,7 +48,6 @@ class Model(Protocol[S_contra]):
 
     def linearise(self, state: S_contra) -> Linearisation:
         """The measurements at a state. Raises NoSolutionError where they cannot be predicted."""
-        ...
 
 
 class VectorPrior:

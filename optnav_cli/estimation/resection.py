@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from catalog.arrays import BoolArray, FloatArray
@@ -70,14 +69,12 @@ def resect(
     sightings: Sightings,
     start: Pose,
     attitude_sigma_rad: float | None,
-    *,
-    measured_attitude: Rotation | None = None,
 ) -> Estimate[Pose]:
     """Solve for the pose that explains the sightings best.
 
     start               first guess; its position is never a measurement
     attitude_sigma_rad  0: the attitude is exact; None: free; else the sigma per axis of
-                        `measured_attitude` (camera_from_body; the start's when not given)
+                        the start's camera_from_body
 
     Raises NoSolutionError for too few sightings, degenerate geometry or no convergence.
     """
@@ -90,8 +87,7 @@ def resect(
         )
     models: list[Model[Pose]] = [PointsModel(camera, sightings, unknowns)]
     if attitude_sigma_rad:
-        attitude = start.camera_from_body if measured_attitude is None else measured_attitude
-        models.append(AttitudeModel(attitude, attitude_sigma_rad))
+        models.append(AttitudeModel(start.camera_from_body, attitude_sigma_rad))
     return solve(models, start, Pose.moved, ITERATION)
 
 
@@ -123,7 +119,9 @@ def resect_robustly(
     gate = float(chi2.ppf(gate_probability, 2))
     squares_of = PointsModel(camera, sightings, 6).squares
     sigma = attitude_sigma_rad
-    if sigma is not None and sigma * _reach_px(sightings) < _smallest_sigma_px(sightings):
+    reach_px = np.linalg.norm(sightings.pixels - sightings.pixels.mean(axis=0), axis=1).max()
+    least_px = np.sqrt(np.linalg.eigvalsh(sightings.covariances_px2)[:, 0].min())
+    if sigma is not None and sigma * reach_px < least_px:
         # A roll of arc seconds moves no point out of the gate, and three unknowns are quicker.
         sigma = 0.0
     agreeing = consensus(
@@ -158,13 +156,3 @@ def resect_robustly(
     return Resection(
         found.state, covariance, found.degrees_of_freedom, used, factor, sightings.pixels - pixels
     )
-
-
-def _reach_px(sightings: Sightings) -> float:
-    """How far the sightings lie from their middle at most."""
-    away = sightings.pixels - sightings.pixels.mean(axis=0)
-    return float(np.linalg.norm(away, axis=1).max())
-
-
-def _smallest_sigma_px(sightings: Sightings) -> float:
-    return float(np.sqrt(np.linalg.eigvalsh(sightings.covariances_px2)[:, 0].min()))

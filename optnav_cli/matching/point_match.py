@@ -27,7 +27,6 @@ CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
 MARGIN_NODES = 8
 
-
 OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
 

@@ -16,11 +16,9 @@ class OrbitModel(Protocol):
         self, state: FloatArray, from_s: float, to_s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """States (n, 6) and transitions (n, 6, 6) at other times."""
-        ...
 
     def noise(self, state: FloatArray, seconds: float) -> FloatArray:
         """Covariance (6, 6) that unmodelled forces add in a time."""
-        ...
 
 
 class FixesModel:

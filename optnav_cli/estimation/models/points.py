@@ -24,7 +24,6 @@ class ProjectingCamera(Protocol):
 
     def project_with_jacobian(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (n, 2) of camera-frame points (n, 3), and d pixel / d point (n, 2, 3)."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.limb.cone import Cone, PixelRays, agreeing, distances, pixel_rays
+from optnav_cli.measurements.limb.cone import Cone, PixelRays, agreeing, distances
 from optnav_cli.measurements.segmentation import Blobs, Levels
 
 RUN_PX = 3  # dark pixels before a rise and bright ones after it
@@ -215,11 +215,6 @@ def on_limb(
     kept = np.sort(index[order[first]])
     chosen = candidates.subset(kept)
     return chosen, PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
-
-
-def rays_of(camera: Camera, candidates: Candidates, stretch: FloatArray) -> PixelRays:
-    """Rays of candidates, stretched, with their derivatives."""
-    return pixel_rays(camera, candidates.pixels, stretch)
 
 
 def bounded_by_sky(

@@ -6,8 +6,8 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates, rays_of
-from optnav_cli.measurements.limb.cone import Cone, find_cone, stretched_rays
+from optnav_cli.measurements.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates
+from optnav_cli.measurements.limb.cone import Cone, find_cone, pixel_rays, stretched_rays
 from optnav_cli.measurements.segmentation import Blobs, Levels
 from optnav_cli.reasons import ReasonCode
 
@@ -140,7 +140,7 @@ def check_others(
     relief: float,
 ) -> None:
     """Raises NoSolutionError for a second body, or for more light outside the limb than a rod's."""
-    where = rays_of(camera, candidates, cone.stretch)
+    where = pixel_rays(camera, candidates.pixels, cone.stretch)
     pixel = np.linalg.norm(where.by_x, axis=1)
     beyond = cone.depth(where.rays) < -(10.0 * pixel + relief * np.tan(cone.angle))
     outside = candidates.subset(beyond)
@@ -161,7 +161,7 @@ def check_others(
 
 
 def _check_second(camera: Camera, outside: Candidates, cone: Cone, relief: float) -> None:
-    where = rays_of(camera, outside, cone.stretch)
+    where = pixel_rays(camera, outside.pixels, cone.stretch)
     second = find_cone(where, outside.gradient, cone.stretch, relief)
     if second is None:
         return

@@ -20,7 +20,6 @@ from optnav_cli.measurements.limb.candidates import (
     find_candidates,
     is_sunlit,
     on_limb,
-    rays_of,
     sharpness,
 )
 from optnav_cli.measurements.limb.checks import (
@@ -114,7 +113,7 @@ def find_limb(
     cone, lit = _first_cone(
         picture, camera, candidates, levels.threshold, sun_camera, space, relief
     )
-    where = rays_of(camera, lit, space)
+    where = pixel_rays(camera, lit.pixels, space)
     limb, where = on_limb(lit, where, cone, relief)
     pixel = float(np.median(np.linalg.norm(where.by_x, axis=1))) if len(limb) else 0.0
     arc = arc_deg(cone, where.rays, 3.0, pixel)
@@ -126,31 +125,28 @@ def find_limb(
     limb, where = _thinned(cone, limb, where)
     profiles, places, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)
     shape = common_shape(profiles, levels, full)
-    edges = locate_edges(profiles, shape, levels, full)
+    depth, sigma = locate_edges(profiles, shape, levels, full)
     distance, inward = distances(cone, where)
     if sun_camera is not None and float(np.median(bend)) * MAX_BENT_LIMB_PX > 1.0:
         bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, levels)
     else:
         # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)
         bias = 0.5 * shape.blur_px**2 * bend
-    depth = edges.depth - bias
+    depth = depth - bias
     pixels = limb.pixels + (depth - distance)[:, None] * inward
-    good = np.isfinite(depth) & np.isfinite(edges.sigma)
+    good = np.isfinite(depth) & np.isfinite(sigma)
     if good.sum() < MIN_POINTS:
         raise NoSolutionError(
             f"only {int(good.sum())} limb points have an edge that stands out of the noise; "
             f"{MIN_POINTS} are needed",
             ReasonCode.NOISY_LIMB,
         )
-    pixels, inward, sigma = pixels[good], inward[good], edges.sigma[good]
+    pixels, sigma = pixels[good], sigma[good]
     where = pixel_rays(camera, pixels, space)
     cone = fit_cone(where, np.ones(len(pixels), dtype=bool), cone) or cone
     _, inward = distances(cone, where)
     order = np.argsort(azimuths(cone, where.rays), kind="stable")
-    label = int(blobs.label[0])
-    rim = np.concatenate(
-        [blobs.labels[0], blobs.labels[-1], blobs.labels[:, 0], blobs.labels[:, -1]]
-    )
+    body = blobs.labels == blobs.label[0]
     return LimbPoints(
         pixels=pixels[order],
         sigma_px=sigma[order],
@@ -161,7 +157,7 @@ def find_limb(
         cone_angle=cone.angle,
         arc_deg=arc_deg(cone, where.rays, 3.0, pixel),
         lit_pixels=int(blobs.area[0]),
-        cut_by_frame=bool((rim == label).any()),
+        cut_by_frame=bool(body[[0, -1]].any() or body[:, [0, -1]].any()),
     )
 
 
@@ -183,7 +179,7 @@ def _first_cone(
     relief: float,
 ) -> tuple[Cone, Candidates]:
     """A first cone, and the candidates that may be lit limb."""
-    where = rays_of(camera, candidates, space)
+    where = pixel_rays(camera, candidates.pixels, space)
     if sun_camera is None:
         kept = sharpness(picture, candidates) > SHARP_SHARE
     else:

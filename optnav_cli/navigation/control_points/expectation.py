@@ -4,7 +4,7 @@ A point is expected when it lies in front of the camera and whole inside the fra
 seen edge-on and is not hidden behind the terrain about it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -190,19 +190,13 @@ def select_evenly(view: ExpectedPoints, count: int) -> ExpectedPoints:
     if len(view) <= count:
         return view
     chosen = [int(np.argmin(np.linalg.norm(view.pixels - view.pixels.mean(axis=0), axis=1)))]
-    gap = np.linalg.norm(view.pixels - view.pixels[chosen[0]], axis=1)
+    gap = np.full(len(view), np.inf)
     while len(chosen) < count:
-        nearest = int(np.argmax(gap))
-        chosen.append(nearest)
-        gap = np.minimum(gap, np.linalg.norm(view.pixels - view.pixels[nearest], axis=1))
+        last = view.pixels[chosen[-1]]
+        gap = np.minimum(gap, np.linalg.norm(view.pixels - last, axis=1))
+        chosen.append(int(np.argmax(gap)))
     keep = np.sort(np.array(chosen))
-    return ExpectedPoints(
-        view.index[keep],
-        view.pixels[keep],
-        view.metres_per_pixel[keep],
-        view.sun_elevation_deg[keep],
-        view.emission_deg[keep],
-    )
+    return ExpectedPoints(*(getattr(view, column.name)[keep] for column in fields(view)))
 
 
 def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
@@ -245,8 +239,7 @@ def _inside(pixels: FloatArray, camera: Camera, room_px: FloatArray) -> BoolArra
 def _horizontals(verticals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """East and north unit vectors (n, 3) of verticals (n, 3)."""
     lat, lon, _ = latlon_from_xyz(verticals)
-    zero = np.zeros_like(lat)
-    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
+    east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lat)], axis=1)
     north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
     return east, north
 

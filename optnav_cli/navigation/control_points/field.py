@@ -29,11 +29,9 @@ class PointStore(Protocol):
 
     def point(self, point_id: int) -> ControlPoint:
         """A point with its certificate."""
-        ...
 
     def patches(self, point_id: int) -> tuple[Patch, ...]:
         """The levels of a point, finest first; DataError when they are damaged."""
-        ...
 
 
 @dataclass(frozen=True)

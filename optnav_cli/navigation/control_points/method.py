@@ -6,10 +6,11 @@ pose before the next pass searches finer.
 """
 
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from catalog.arrays import FloatArray
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
@@ -68,9 +69,7 @@ class _Pass:
     @property
     def used(self) -> list[int]:
         """Which of the points the solution keeps."""
-        return [
-            k for k, used in zip(accepted(self.matches), self.solution.used, strict=True) if used
-        ]
+        return list(compress(accepted(self.matches), self.solution.used))
 
 
 def navigate(
@@ -125,10 +124,13 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
     limits = frame.settings.solve
     if before is None:
         pose = Pose(prior.position_m, frame.observation.camera_from_body)
-        covariance, most = _prior_covariance(frame, prior), limits.max_first_pass_points
+        sigma = frame.settings.attitude_sigma_rad(frame.observation.attitude_sigma_rad)
+        covariance = block_diag(prior.covariance_m2, sigma**2 * np.eye(3))
+        most = limits.max_first_pass_points
     else:
-        pose = before.solution.pose
-        covariance, most = _full_covariance(before.solution), limits.max_points
+        pose, most = before.solution.pose, limits.max_points
+        solved = before.solution.covariance
+        covariance = np.pad(solved, (0, 6 - len(solved)))
     view = select_evenly(expected(frame, pose, whole=before is not None), most)
     if len(view) == 0:
         tried = NO_POINTS if before is None else before.evidence
@@ -143,37 +145,13 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
         evidence = _evidence(frame, view, matches, None)
         raise UnsolvedFrameError(reason.worded(text), evidence) from error
-    resection = solution
-    position, covariance_m2 = resection.pose.position_m, resection.position_covariance_m2
+    position, covariance_m2 = solution.pose.position_m, solution.position_covariance_m2
     reason = rejection_of_place(position, covariance_m2, prior)
     if reason:
         raise UnsolvedFrameError(reason, _evidence(frame, view, matches, None))
-    step = position - pose.position_m
-    return _Pass(
-        view,
-        matches,
-        solution,
-        _evidence(frame, view, matches, solution),
-        float(np.sqrt(squared_distance(step, covariance_m2))),
-        at_finest,
-        searched,
-    )
-
-
-def _prior_covariance(frame: FrameContext, prior: PositionPrior) -> FloatArray:
-    sigma = frame.observation.attitude_sigma_rad
-    if sigma is None:
-        sigma = float(np.radians(frame.settings.solve.free_attitude_deg))
-    full = np.diag([0.0] * 3 + [sigma**2] * 3)
-    full[:3, :3] = prior.covariance_m2
-    return full
-
-
-def _full_covariance(solution: Resection) -> FloatArray:
-    solved = solution.covariance
-    full = np.zeros((6, 6))
-    full[: len(solved), : len(solved)] = solved
-    return full
+    moved = float(np.sqrt(squared_distance(position - pose.position_m, covariance_m2)))
+    evidence = _evidence(frame, view, matches, solution)
+    return _Pass(view, matches, solution, evidence, moved, at_finest, searched)
 
 
 def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Reason:
@@ -197,11 +175,8 @@ def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Re
 def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings: float) -> float:
     """Powers of ten against chance for the points that a pass uses."""
     whole = [k for k in last.used if last.matches[k].part is None]
-    cut = [
-        (match.score or 0.0, match.part)
-        for match in (last.matches[k] for k in last.used)
-        if match.part is not None
-    ]
+    used = [last.matches[k] for k in last.used]
+    cut = [(match.score or 0.0, match.part) for match in used if match.part is not None]
     decades = 0.0
     if whole:
         template = min(_template_side(frame, last, k) for k in whole)

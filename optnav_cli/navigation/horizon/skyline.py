@@ -83,15 +83,12 @@ class BodySkyline(Protocol):
 
         Raises NoSolutionError when too little of the limb is lit.
         """
-        ...
 
     def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
-        ...
 
     def check(self, last: Followed) -> None:
         """Raises NoSolutionError when the limb is not this skyline or does not settle on it."""
-        ...
 
 
 def usable_rays(
