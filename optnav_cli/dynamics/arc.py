@@ -16,8 +16,13 @@ from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.dynamics.integrator import OrbitMotion
-from optnav_cli.estimation.least_squares import Iteration, VectorPrior, solve
-from optnav_cli.estimation.models.fixes import FixesModel
+from optnav_cli.estimation.least_squares import (
+    Iteration,
+    Linearisation,
+    VectorPrior,
+    linearised,
+    solve,
+)
 from optnav_cli.fix import PositionPrior
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -54,6 +59,26 @@ class ArcDisagreement:
 
     words: str
     new_arc: bool
+
+
+class FixesModel:
+    """Positions at several times as measurements of an orbit's state (6,) at the last of them.
+
+    What the orbit leaves out widens an old position by the time since.
+    """
+
+    def __init__(self, orbit: OrbitMotion, fixes: list[TimedPosition]) -> None:
+        self._orbit, self._times = orbit, np.array([fix.tdb_s for fix in fixes])
+        self._positions = np.stack([fix.position_m for fix in fixes])
+        self._covariances = np.stack([fix.covariance_m2 for fix in fixes])
+
+    def linearise(self, state: FloatArray) -> Linearisation:
+        """The positions on the orbit of a state (6,)."""
+        last = float(self._times[-1])
+        states, transitions = self._orbit.propagate(state, last, self._times)
+        drift = [self._orbit.noise(state, time - last)[:3, :3] for time in self._times]
+        weights = np.linalg.inv(self._covariances + drift).astype(np.float64)
+        return linearised(self._positions - states[:, :3], transitions[:, :3], weights)
 
 
 class OrbitArc:
@@ -137,13 +162,8 @@ class OrbitArc:
         last = self._fixes[-1]
         speed = float(np.hypot(self._model.circular_speed(last.position_m), EXCESS_M_S))
         state = np.concatenate([last.position_m, self._first_velocity(speed)])
-        fixes = FixesModel(
-            self._model,
-            np.array([fix.tdb_s for fix in self._fixes]),
-            [fix.position_m for fix in self._fixes],
-            [fix.covariance_m2 for fix in self._fixes],
-        )
         velocity = VectorPrior(3, np.zeros(3), np.full(3, speed), 6)
+        fixes = FixesModel(self._model, self._fixes)
         found = solve([fixes, velocity], state, add, ITERATION)
         # three measurements a fix and three of the velocity's size, six unknowns
         if found.cost > chi2.isf(GATE_PROBABILITY, found.degrees_of_freedom):

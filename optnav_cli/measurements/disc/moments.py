@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.ndimage import sum_labels
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
 from catalog.bodies.body import Body
@@ -104,9 +105,7 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
             ReasonCode.NO_BODY,
         )
     kept = kept[:50]  # the largest: the brightest spot of a picture is among them
-    light = np.array(
-        [_light(picture, blobs.labels, blobs.box[k], int(blobs.label[k]), levels.sky) for k in kept]
-    )
+    light = sum_labels(picture - levels.sky, blobs.labels, blobs.label[kept])
     first = int(np.argmax(light))
     rival = float(np.sort(light)[-2]) if len(light) > 1 else 0.0
     if rival > RIVAL_SHARE * light[first]:
@@ -174,14 +173,6 @@ def _background(
     hidden = ROUNDING_VARIANCE if scatter < UNDITHERED else 0.0
     error = float(np.sqrt(scatter**2 / calm.size + hidden))
     return float(calm.mean()), float(np.sqrt(max(scatter**2, ROUNDING_VARIANCE))), error
-
-
-def _light(
-    picture: Float32Array, labels: Int32Array, box: IntArray, label: int, sky: float
-) -> float:
-    left, top, wide, high = (int(value) for value in box)
-    part = np.s_[top : top + high, left : left + wide]
-    return float((picture[part][labels[part] == label] - sky).sum())
 
 
 def _moments(

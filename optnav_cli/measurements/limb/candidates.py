@@ -107,18 +107,15 @@ def _gradients(picture: Float32Array, places: FloatArray, gradients: FloatArray)
 def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Candidates:
     """Rises of a picture (h, w) through a threshold that gain least_rise within four pixels."""
     picture = np.ascontiguousarray(picture, dtype=np.float32)
-    places, directions = [], []
+    found = []
     for row_step in (0, 1):
-        room = np.empty((MAX_CANDIDATES, 2))
-        ways = np.empty(MAX_CANDIDATES, dtype=np.int64)
+        room, ways = np.empty((MAX_CANDIDATES, 2)), np.empty(MAX_CANDIDATES, dtype=np.int64)
         count = _rises(picture, threshold, least_rise, row_step, room, ways)
-        places.append(room[:count])
-        directions.append(ways[:count])
-    pixels = np.concatenate(places)
+        found.append((room[:count], ways[:count]))
+    pixels, directions = (np.concatenate(parts) for parts in zip(*found, strict=True))
     gradient = np.empty_like(pixels)
     _gradients(picture, pixels, gradient)
-    scan = np.array(_STEPS, dtype=np.float64)[np.concatenate(directions)]
-    return Candidates(pixels, scan, gradient)
+    return Candidates(pixels, np.array(_STEPS, dtype=np.float64)[directions], gradient)
 
 
 MIN_BLOB_PIXELS = 25  # a star, even a bright one through a wide blur, is smaller

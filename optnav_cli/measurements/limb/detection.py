@@ -14,6 +14,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc.fit import MAX_BENT_LIMB_PX, edge_bias_px
+from optnav_cli.measurements.limb import checks
 from optnav_cli.measurements.limb.candidates import (
     Candidates,
     bounded_by_sky,
@@ -21,15 +22,6 @@ from optnav_cli.measurements.limb.candidates import (
     is_sunlit,
     on_limb,
     sharpness,
-)
-from optnav_cli.measurements.limb.checks import (
-    arc_deg,
-    azimuths,
-    check_arc,
-    check_blobs,
-    check_hidden,
-    check_others,
-    check_sharp,
 )
 from optnav_cli.measurements.limb.cone import (
     Cone,
@@ -108,7 +100,7 @@ def find_limb(
     space = _space(stretch)
     levels = measure_levels(picture)
     blobs = lit_blobs(picture, levels.threshold)
-    check_blobs(picture, blobs, levels, full)
+    checks.check_blobs(picture, blobs, levels, full)
     candidates = find_candidates(picture, camera, levels, blobs)
     cone, lit = _first_cone(
         picture, camera, candidates, levels.threshold, sun_camera, space, relief
@@ -116,11 +108,11 @@ def find_limb(
     where = pixel_rays(camera, lit.pixels, space)
     limb, where = on_limb(lit, where, cone, relief)
     pixel = float(np.median(np.linalg.norm(where.by_x, axis=1))) if len(limb) else 0.0
-    arc = arc_deg(cone, where.rays, 3.0, pixel)
-    check_arc(arc, len(limb))
-    check_sharp(sharpness(picture, limb))
-    check_others(picture, camera, candidates, cone, levels, relief)
-    check_hidden(camera, cone, where.rays, sun_camera)
+    arc = checks.arc_deg(cone, where.rays, 3.0, pixel)
+    checks.check_arc(arc, len(limb))
+    checks.check_sharp(sharpness(picture, limb))
+    checks.check_others(picture, camera, candidates, cone, levels, relief)
+    checks.check_hidden(camera, cone, where.rays, sun_camera)
 
     limb, where = _thinned(cone, limb, where)
     profiles, places, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)
@@ -145,7 +137,7 @@ def find_limb(
     where = pixel_rays(camera, pixels, space)
     cone = fit_cone(where, np.ones(len(pixels), dtype=bool), cone) or cone
     _, inward = distances(cone, where)
-    order = np.argsort(azimuths(cone, where.rays), kind="stable")
+    order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
     body = blobs.labels == blobs.label[0]
     return LimbPoints(
         pixels=pixels[order],
@@ -155,7 +147,7 @@ def find_limb(
         blur_px=shape.blur_px,
         cone_axis_camera=cone.axis_camera(),
         cone_angle=cone.angle,
-        arc_deg=arc_deg(cone, where.rays, 3.0, pixel),
+        arc_deg=checks.arc_deg(cone, where.rays, 3.0, pixel),
         lit_pixels=int(blobs.area[0]),
         cut_by_frame=bool(body[[0, -1]].any() or body[:, [0, -1]].any()),
     )
@@ -212,6 +204,6 @@ def _thinned(cone: Cone, limb: Candidates, where: PixelRays) -> tuple[Candidates
     """At most MAX_POINTS, evenly in azimuth."""
     if len(limb) <= MAX_POINTS:
         return limb, where
-    order = np.argsort(azimuths(cone, where.rays), kind="stable")
+    order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
     some = order[np.linspace(0, len(order) - 1, MAX_POINTS).astype(np.int64)]
     return limb.subset(some), PixelRays(where.rays[some], where.by_x[some], where.by_y[some])

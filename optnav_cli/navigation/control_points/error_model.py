@@ -170,15 +170,16 @@ def own_covariances_px2(points: MatchedPoints) -> FloatArray:
     up = unit(places)
     sigma = OWN_HEIGHT_NODES * points.postings_m
     sigma = sigma / _cos_emission(_lines_of_sight(pixel_per_metre, up), up)
-    rise: FloatArray = np.einsum("nij,nj->ni", pixel_per_metre, up) * sigma[:, None]
+    rise = np.einsum("nij,nj->ni", pixel_per_metre, up) * sigma[:, None]
     # along the ground in every direction, by its mean scale in the picture
     level = np.eye(3) - up[:, :, None] * up[:, None, :]
     flat = pixel_per_metre @ level
     area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
     sigmas = own_sigma_m(points.postings_m, points.finest_postings_m, points.sun_elevation_deg)
-    variance = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
+    variance: FloatArray = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
     variance = variance * np.sqrt(np.maximum(area, 0.0))
-    return rise[:, :, None] * rise[:, None, :] + variance[:, None, None] * np.eye(2)
+    covariances: FloatArray = rise[:, :, None] * rise[:, None, :]
+    return covariances + variance[:, None, None] * np.eye(2)
 
 
 def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:

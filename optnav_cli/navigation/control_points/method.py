@@ -19,17 +19,7 @@ from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, PositionPrior, UnsolvedFrameError
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
-from optnav_cli.navigation.control_points.acceptance import (
-    MAX_PART_FACTOR,
-    MAX_VARIANCE_FACTOR,
-    MIN_DECADES,
-    MIN_NEAR_DECADES,
-    NEAR_POSTINGS,
-    decades_of_parts,
-    log10_false_alarms,
-    rejection_of_matches,
-    rejection_of_place,
-)
+from optnav_cli.navigation.control_points import acceptance
 from optnav_cli.navigation.control_points.error_model import footprints, own_shares
 from optnav_cli.navigation.control_points.expectation import (
     ExpectedPoints,
@@ -146,7 +136,7 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         evidence = _evidence(frame, view, matches, None)
         raise UnsolvedFrameError(reason.worded(text), evidence) from error
     position, covariance_m2 = solution.pose.position_m, solution.position_covariance_m2
-    reason = rejection_of_place(position, covariance_m2, prior)
+    reason = acceptance.rejection_of_place(position, covariance_m2, prior)
     if reason:
         raise UnsolvedFrameError(reason, _evidence(frame, view, matches, None))
     moved = float(np.sqrt(squared_distance(position - pose.position_m, covariance_m2)))
@@ -162,13 +152,13 @@ def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Re
     searched = sum(match.score is not None for match in last.matches)
     decades = _decades(frame, last, searched, searched_postings)
     parts = all(last.matches[k].part is not None for k in last.used)
-    near = parts and searched_postings <= NEAR_POSTINGS
-    return rejection_of_matches(
+    near = parts and searched_postings <= acceptance.NEAR_POSTINGS
+    return acceptance.rejection_of_matches(
         last.solution,
         decades,
         searched,
-        MIN_NEAR_DECADES if near else MIN_DECADES,
-        MAX_PART_FACTOR if parts else MAX_VARIANCE_FACTOR,
+        acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_DECADES,
+        acceptance.MAX_PART_FACTOR if parts else acceptance.MAX_VARIANCE_FACTOR,
     )
 
 
@@ -181,12 +171,14 @@ def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings:
     if whole:
         template = min(_template_side(frame, last, k) for k in whole)
         scores = [last.matches[k].score or 0.0 for k in whole]
-        decades += log10_false_alarms(scores, searched - len(cut), template)
+        decades += acceptance.log10_false_alarms(scores, searched - len(cut), template)
     if cut:
         strengths = [score * np.sqrt(part.samples) for score, part in cut]
         size_px = frame.camera.width_px, frame.camera.height_px
         shares = own_shares(footprints([part for _, part in cut], size_px))
-        decades += decades_of_parts(strengths, shares, searched - len(whole), searched_postings)
+        decades += acceptance.decades_of_parts(
+            strengths, shares, searched - len(whole), searched_postings
+        )
     return decades
 
 

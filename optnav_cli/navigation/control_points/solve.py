@@ -15,14 +15,7 @@ from optnav_cli.matching.search_plan import (
     plan_distortion,
     search_room,
 )
-from optnav_cli.navigation.control_points.error_model import (
-    MatchedPoints,
-    common_errors_px,
-    footprints,
-    ground_correlation,
-    overlap_correlation,
-    own_covariances_px2,
-)
+from optnav_cli.navigation.control_points import error_model
 from optnav_cli.navigation.control_points.expectation import ExpectedPoints, FrameContext
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -112,14 +105,14 @@ def solve(
         samples = view.metres_per_pixel[kept]
         triples = zip(levels.tolist(), samples.tolist(), finest.tolist(), strict=True)
         nodes = [frame.template_nodes(*three) for three in triples]
-        error_correlation = ground_correlation(places, levels * nodes)
+        error_correlation = error_model.ground_correlation(places, levels * nodes)
         if parts:
             size_px = frame.camera.width_px, frame.camera.height_px
-            error_correlation[np.ix_(list(parts), list(parts))] = overlap_correlation(
-                footprints(list(parts.values()), size_px)
+            error_correlation[np.ix_(list(parts), list(parts))] = error_model.overlap_correlation(
+                error_model.footprints(list(parts.values()), size_px)
             )
         _, jacobian = predict(frame.camera, pose, places)
-        errors = MatchedPoints(
+        errors = error_model.MatchedPoints(
             places,
             -jacobian[:, :, :3],  # a point that moves one way looks as if the camera moved
             np.array([matches[k].score or 0.0 for k in kept]),
@@ -128,9 +121,9 @@ def solve(
             finest,
             np.where(levels < finest, finest, 0.0),
         )
-        covariances = sightings.covariances_px2 + own_covariances_px2(errors)
+        covariances = sightings.covariances_px2 + error_model.own_covariances_px2(errors)
         sightings = replace(sightings, covariances_px2=covariances)
-        common = common_errors_px(errors, frame.sun_body)
+        common = error_model.common_errors_px(errors, frame.sun_body)
     free = observation.attitude_sigma_rad is None
     attitude = pose.camera_from_body if free else observation.camera_from_body
     return resect_robustly(

@@ -19,6 +19,7 @@ from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
 from optnav_cli.measurements.disc.size import radius_posterior
+from optnav_cli.navigation.horizon.limb_rays import attitude_covariance
 from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -87,21 +88,33 @@ def navigate(
     radius = float((weights * radii).sum())
     noise = disc.centre_covariance + (shape_sigma * radius) ** 2 * np.eye(2)
     across = _across(camera, disc.centre) * distance
-    square = np.eye(3) - np.outer(position, position) / distance**2
-    covariance += across @ noise @ across.T + square * (distance * view.attitude_sigma_rad) ** 2
+    covariance += across @ noise @ across.T
     share = float(np.sqrt(position @ covariance @ position)) / distance**2
-    fix = Fix(
-        Method.BRIGHTNESS_CENTRE,
-        body_from_camera @ position,
-        body_from_camera @ covariance @ body_from_camera.T,
-        camera_from_body,
-        view.attitude_sigma_rad,
-        Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels))),
-        Reason(
-            ReasonCode.SMALL_DISC, f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %"
-        ),
-    )
+    evidence = Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels)))
+    text = f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %"
+    fix = disc_fix(Method.BRIGHTNESS_CENTRE, view, position, covariance, evidence, text)
     return fix, size.width_sigmas
+
+
+def disc_fix(
+    method: Method,
+    view: CameraView,
+    position: FloatArray,
+    covariance: FloatArray,
+    evidence: Evidence,
+    text: str,
+) -> Fix:
+    """A fix by a small disc from position (3,) and covariance (3, 3), m, in camera axes.
+
+    The attitude's error, which turns the position about the body, is not in the covariance yet.
+    """
+    covariance = covariance + attitude_covariance(position, view.attitude_sigma_rad)
+    turn = view.camera_from_body.inv().as_matrix()
+    place, spread = turn @ position, turn @ covariance @ turn.T
+    reason = Reason(ReasonCode.SMALL_DISC, text)
+    return Fix(
+        method, place, spread, view.camera_from_body, view.attitude_sigma_rad, evidence, reason
+    )
 
 
 def _tangent(

@@ -110,8 +110,9 @@ def arc_deg(azimuths: FloatArray) -> float:
     return float(np.unique(np.mod(bins, count)).size * (360.0 / count))
 
 
-def require_arc(arc: float) -> float:
-    """The same arc, in degrees. Raises NoSolutionError for less than a position wants."""
+def require_arc(azimuths: FloatArray) -> float:
+    """`arc_deg` of the points. Raises NoSolutionError for less than a position wants."""
+    arc = arc_deg(azimuths)
     if arc < MIN_ARC_DEG:
         raise NoSolutionError(
             f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "

@@ -19,7 +19,6 @@ from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.measurements.limb.detection import LimbPoints
 from optnav_cli.navigation.horizon.limb_rays import (
     LimbRays,
-    arc_deg,
     attitude_covariance,
     edge_errors,
     limb_rays_of,
@@ -79,7 +78,7 @@ def navigate(
         fit, rays, azimuths = last.fit.estimate, last.fit.rays, last.fit.azimuths
         position, covariance = with_limb_errors(skyline, last.fit)
     used = fit.used
-    arc = require_arc(arc_deg(azimuths[used]))
+    arc = require_arc(azimuths[used])
     in_pixels = fit.measured.residuals[used] / rays.pixel_angle[used]
     residuals = np.full(len(points), np.nan)
     residuals[rays.numbers[used]] = in_pixels

@@ -12,13 +12,7 @@ import numpy as np
 from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.estimation.consider import with_shared_errors
 from optnav_cli.estimation.least_squares import Estimate
-from optnav_cli.navigation.horizon.limb_rays import (
-    LimbRays,
-    arc_deg,
-    edge_errors,
-    in_sectors,
-    require_arc,
-)
+from optnav_cli.navigation.horizon.limb_rays import LimbRays, edge_errors, in_sectors, require_arc
 
 # Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
 # side of shadows.
@@ -97,7 +91,7 @@ def usable_rays(
     """Which rays (n,) the Sun lights well enough, and these. Raises NoSolutionError for few."""
     usable = lit & (sun_sine > MIN_SUN_SINE)
     kept = rays.subset(usable)
-    require_arc(arc_deg(kept.azimuths(position)))
+    require_arc(kept.azimuths(position))
     return usable, kept
 
 
