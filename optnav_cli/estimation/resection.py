@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from catalog.arrays import BoolArray, FloatArray
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.consider import considered, correlated
 from optnav_cli.estimation.least_squares import Estimate, Iteration, Model, solve
@@ -124,23 +124,18 @@ def resect_robustly(
     if sigma is not None and sigma * reach_px < least_px:
         # A roll of arc seconds moves no point out of the gate, and three unknowns are quicker.
         sigma = 0.0
-    agreeing = consensus(
-        len(sightings),
-        fewest,
-        lambda sample: resect(camera, sightings.subset(sample), start, sigma).state,
-        squares_of,
-        gate,
-    )
+
+    def solved(some: IntArray | BoolArray, sigma_rad: float | None) -> Estimate[Pose]:
+        return resect(camera, sightings.subset(some), start, sigma_rad)
+
+    count = len(sightings)
+    agreeing = consensus(count, fewest, lambda some: solved(some, sigma).state, squares_of, gate)
     if agreeing.sum() < fewest:
         raise NoSolutionError(
             f"no {fewest} matches agree on a position", ReasonCode.POINTS_DISAGREE
         )
     found, used, factor = gated(
-        agreeing,
-        fewest,
-        lambda mask: resect(camera, sightings.subset(mask), start, attitude_sigma_rad),
-        squares_of,
-        gate,
+        agreeing, fewest, lambda mask: solved(mask, attitude_sigma_rad), squares_of, gate
     )
     covariance = rescaled(found, factor)
     gain = found.measured.gain(covariance / factor)

@@ -103,12 +103,8 @@ def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     numbers = np.arange(1, len(stats))
     order = numbers[np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")]
-    return Blobs(
-        np.asarray(labels, dtype=np.int32),
-        order,
-        stats[order, cv2.CC_STAT_AREA].astype(np.int64),
-        stats[order, :4].astype(np.int64),
-    )
+    sizes = stats[order].astype(np.int64)
+    return Blobs(np.asarray(labels, np.int32), order, sizes[:, cv2.CC_STAT_AREA], sizes[:, :4])
 
 
 def without_blobs(

@@ -155,16 +155,11 @@ class Navigator:
 
     def _outline(self, observation: Observation) -> Fix:
         """The fix by the body's outline. Raises NoSolutionError."""
-        return outline.navigate(
-            observation.picture,
-            observation.camera,
-            observation.camera_from_body,
-            self._inputs.settings.attitude_sigma_rad(observation.attitude_sigma_rad),
-            observation.sun_body,
-            self._inputs.motion.body,
-            self._inputs.relief,
-            other_body(self._inputs.motion, observation.tdb_s),
-        )
+        inputs, turn, sun = self._inputs, observation.camera_from_body, observation.sun_body
+        sigma = inputs.settings.attitude_sigma_rad(observation.attitude_sigma_rad)
+        body, other = inputs.motion.body, other_body(inputs.motion, observation.tdb_s)
+        picture, camera = observation.picture, observation.camera
+        return outline.navigate(picture, camera, turn, sigma, sun, body, inputs.relief, other)
 
     def _by_points(self, observation: Observation, prior: PositionPrior) -> Solution:
         """The row that control points give from a prior."""

@@ -201,11 +201,9 @@ def fit_disc(
     blur, blur_sigma = camera.known_blur_px or (BLUR_PX, BLUR_SIGMA_PX)
     expected = np.array([blur, 0.0, 0.0])
     prior = VectorPrior(3, expected, np.array([blur_sigma, MIXTURE_SIGMA, MIXTURE_SIGMA]), 6)
+    start = np.concatenate([start, expected])
     fit = solve(
-        [model, prior],
-        np.concatenate([start, expected]),
-        lambda state, step: state + np.clip(step, -MAX_MOVE, MAX_MOVE),
-        ITERATION,
+        [model, prior], start, lambda at, step: at + np.clip(step, -MAX_MOVE, MAX_MOVE), ITERATION
     )
     misfit = float(np.sqrt(np.mean(fit.measured.residuals**2)))
     spread = max(misfit, 1.0) ** 2 * fit.covariance[:3, :3]

@@ -182,16 +182,11 @@ class _Fitter:
     def run(self, shape: EdgeShape) -> FloatArray:
         """Normalised residuals (n, m) after fitting every profile with a common shape."""
         second, third = shape.mixture
-        laws = self.profiles.laws
+        seen, laws = self.profiles, self.profiles.laws
         law = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
+        common = np.array([shape.blur_px, self.sky, shape.variance, shape.gain, self.saturation])
         self.result, residual = _fit(
-            self.profiles.values,
-            self.profiles.depth,
-            self.profiles.start,
-            law,
-            power_table(),
-            np.array([shape.blur_px, self.sky, shape.variance, shape.gain, self.saturation]),
-            self.state,
+            seen.values, seen.depth, seen.start, law, power_table(), common, self.state
         )
         return residual
 

@@ -176,13 +176,9 @@ def expected_in_view(
             corner, _ = camera.project_with_jacobian(centres + offset @ camera_from_body.T)
             inside &= _inside(corner, camera, room)
     chosen = index[inside]
-    return ExpectedPoints(
-        chosen,
-        pixels[inside],
-        metres_per_pixel[inside],
-        np.degrees(np.arcsin(np.clip(sin_sun[chosen], -1.0, 1.0))),
-        np.degrees(np.arccos(np.clip(cos_emission[chosen], -1.0, 1.0))),
-    )
+    sun_deg = np.degrees(np.arcsin(np.clip(sin_sun[chosen], -1.0, 1.0)))
+    emission_deg = np.degrees(np.arccos(np.clip(cos_emission[chosen], -1.0, 1.0)))
+    return ExpectedPoints(chosen, pixels[inside], metres_per_pixel[inside], sun_deg, emission_deg)
 
 
 def select_evenly(view: ExpectedPoints, count: int) -> ExpectedPoints:

@@ -83,22 +83,15 @@ def navigate(
     last = passes[-1]
     reason = _rejection(frame, last, passes[0].searched_postings)
     if reason:
-        refused = [
+        refused = tuple(
             replace(row, used=False, reason=reason.text, reason_code=reason.code)
             for row in last.evidence.matches
-        ]
-        raise UnsolvedFrameError(
-            reason, replace(last.evidence, n_used=0, residual_rms_px=None, matches=tuple(refused))
         )
-    resection = last.solution
-    return Fix(
-        Method.CONTROL_POINTS,
-        resection.pose.position_m,
-        resection.position_covariance_m2,
-        resection.pose.camera_from_body,
-        resection.attitude_sigma_rad,
-        last.evidence,
-    )
+        tried = replace(last.evidence, n_used=0, residual_rms_px=None, matches=refused)
+        raise UnsolvedFrameError(reason, tried)
+    pose, turn = last.solution.pose, last.solution.pose.camera_from_body
+    covariance, sigma = last.solution.position_covariance_m2, last.solution.attitude_sigma_rad
+    return Fix(Method.CONTROL_POINTS, pose.position_m, covariance, turn, sigma, last.evidence)
 
 
 def _is_settled(passes: list[_Pass]) -> bool:
@@ -153,13 +146,9 @@ def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Re
     decades = _decades(frame, last, searched, searched_postings)
     parts = all(last.matches[k].part is not None for k in last.used)
     near = parts and searched_postings <= acceptance.NEAR_POSTINGS
-    return acceptance.rejection_of_matches(
-        last.solution,
-        decades,
-        searched,
-        acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_DECADES,
-        acceptance.MAX_PART_FACTOR if parts else acceptance.MAX_VARIANCE_FACTOR,
-    )
+    least = acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_DECADES
+    most = acceptance.MAX_PART_FACTOR if parts else acceptance.MAX_VARIANCE_FACTOR
+    return acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
 
 
 def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings: float) -> float:
@@ -228,10 +217,5 @@ def _evidence(
             )
         )
     residuals = [row.residual_px for row in rows if row.used and row.residual_px is not None]
-    return Evidence(
-        n_predicted=len(matches),
-        n_matched=len(place),
-        n_used=len(residuals),
-        residual_rms_px=float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None,
-        matches=tuple(rows),
-    )
+    rms = float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None
+    return Evidence(len(matches), len(place), len(residuals), rms, matches=tuple(rows))

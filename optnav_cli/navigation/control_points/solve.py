@@ -50,8 +50,7 @@ def match_all(
     roll_sigma = float(np.sqrt(covariance[5, 5]))
     ranges = np.linalg.norm(points.xyz_m[view.index] - pose.position_m, axis=1)
     gates = MatchGates(settings.match.min_score, settings.match.rival_ratio, MIN_STRENGTH)
-    matches = []
-    at_finest = True
+    matches, at_finest = [], True
     for k, index in enumerate(view.index):
         reference = points.reference(int(index))
         if reference is None:
@@ -60,13 +59,8 @@ def match_all(
         sample = float(view.metres_per_pixel[k])
         postings = points.postings_m(int(index))
         finest = frame.finest_level(postings, sample)
-        level, room = search_room(
-            postings,
-            finest,
-            float(uncertainty[k]),
-            settings.match.search_sigmas,
-            settings.match.max_search_nodes,
-        )
+        spread, sigmas = float(uncertainty[k]), settings.match.search_sigmas
+        level, room = search_room(postings, finest, spread, sigmas, settings.match.max_search_nodes)
         at_finest = at_finest and level == finest
         posting = float(postings[level])
         template = frame.template_nodes(posting, sample, float(known[k]))
@@ -74,11 +68,10 @@ def match_all(
         distortion = plan_distortion(template, roll_sigma, scale_sigma, DISTORTION_SIGMAS)
         blur = blur_nodes(posting, float(known[k]))
         plan = SearchPlan(level, template, room, sample, distortion, blur)
-        matches.append(
-            match_point(
-                reference, plan, frame.picture, camera, pose, frame.sun_body, frame.matcher, gates
-            )
+        match = match_point(
+            reference, plan, frame.picture, camera, pose, frame.sun_body, frame.matcher, gates
         )
+        matches.append(match)
     return matches, at_finest, searched_postings
 
 

@@ -99,14 +99,8 @@ class ShapeSkyline:
             raise NoSolutionError(
                 "the limb leads to a position inside the body", ReasonCode.INSIDE_BODY
             )
-        return SkylineFit(
-            fit,
-            kept,
-            azimuths,
-            line.sun_sine[usable],
-            float(np.median(ranges)),
-            scatter(fit.measured.residuals / sigmas),
-        )
+        distance, misfit = float(np.median(ranges)), scatter(fit.measured.residuals / sigmas)
+        return SkylineFit(fit, kept, azimuths, line.sun_sine[usable], distance, misfit)
 
     def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""

@@ -47,17 +47,10 @@ def detect_limb(
 
 def solve(picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None) -> Fix:
     """A position from the one body of a picture: by its limb, else by its middle of light."""
+    camera, turn, sun = view.camera, view.camera_from_body, view.sun_body
     try:
-        limb = detect_limb(picture, view.camera, view.camera_from_body, view.sun_body, body)
-        fix = horizon.navigate(
-            limb,
-            view.camera,
-            view.camera_from_body,
-            view.attitude_sigma_rad,
-            view.sun_body,
-            body,
-            relief,
-        )
+        limb = detect_limb(picture, camera, turn, sun, body)
+        fix = horizon.navigate(limb, camera, turn, view.attitude_sigma_rad, sun, body, relief)
     except NoSolutionError as no_limb:
         doubt = _rejection_of_sun(picture, view, body)
         if doubt:
