@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import Ephemeris, Neighbour
-from catalog.geometry.vectors import angle_between
+from catalog.geometry.vectors import angle_between, unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.segmentation import Blobs
 
@@ -109,9 +109,8 @@ def must_be_seen(view: CameraView, disc: PredictedDisc, before: PredictedDisc) -
         return False
     per_px = _rad_per_px(view.camera, disc.towards)
     reach_px = (disc.angle + SIGMAS * disc.sigma) / per_px
-    if 2.0 * disc.angle / per_px < MIN_DIAMETER_PX:
-        return False
-    return _inside(view.camera, disc.towards, reach_px + MARGIN_PX)
+    large = 2.0 * disc.angle / per_px >= MIN_DIAMETER_PX
+    return large and _inside(view.camera, disc.towards, reach_px + MARGIN_PX)
 
 
 def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
@@ -126,8 +125,7 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
         rays = rays[np.isfinite(rays).all(axis=1)]
         if not len(rays):
             continue
-        middle = rays.mean(axis=0)
-        middle /= np.linalg.norm(middle)
+        middle = unit(rays.mean(axis=0))
         extent = float(np.linalg.norm(np.cross(rays, middle), axis=1).max())
         found.append(Spot(label, middle, extent, _rad_per_px(camera, middle)))
     return found

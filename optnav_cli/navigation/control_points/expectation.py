@@ -5,6 +5,7 @@ seen edge-on and is not hidden behind the terrain about it.
 """
 
 from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import numpy as np
 
@@ -170,11 +171,10 @@ def expected_in_view(
     beyond = candidates.beyond_px
     room = np.zeros(len(index)) if beyond is None else beyond[index]
     inside = _inside(pixels, camera, room) & np.isfinite(metres_per_pixel)
-    for sx in (-1.0, 1.0):
-        for sy in (-1.0, 1.0):
-            offset = candidates.half_width_m[index, None] * (sx * east + sy * north)
-            corner, _ = camera.project_with_jacobian(centres + offset @ camera_from_body.T)
-            inside &= _inside(corner, camera, room)
+    for sx, sy in product((-1.0, 1.0), repeat=2):
+        offset = candidates.half_width_m[index, None] * (sx * east + sy * north)
+        corner, _ = camera.project_with_jacobian(centres + offset @ camera_from_body.T)
+        inside &= _inside(corner, camera, room)
     chosen = index[inside]
     sun_deg = np.degrees(np.arcsin(np.clip(sin_sun[chosen], -1.0, 1.0)))
     emission_deg = np.degrees(np.arccos(np.clip(cos_emission[chosen], -1.0, 1.0)))
@@ -205,10 +205,8 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
     candidates = CandidatePoints(points.xyz_m, np.zeros(len(points)), verticals=points.verticals)
     seen = expected_in_view(candidates, frame.camera, pose, pose.position_m / distance, any_light)
     if len(seen) == 0:
-        return Reason(
-            ReasonCode.NO_POINTS_IN_VIEW,
-            "no control point of the catalog in the frame at the prior pose",
-        )
+        text = "no control point of the catalog in the frame at the prior pose"
+        return Reason(ReasonCode.NO_POINTS_IN_VIEW, text)
     sun_sines = points.verticals[seen.index] @ frame.sun_body
     lit = np.degrees(np.arcsin(np.clip(sun_sines, -1.0, 1.0)))
     if ((lit >= limits.sun_min_deg) & (lit <= limits.sun_max_deg)).any():
@@ -244,9 +242,8 @@ def _above_skyline(up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArra
     east, north = _horizontals(up)
     distance = np.linalg.norm(to_camera, axis=1)
     elevation = np.degrees(np.arcsin(np.einsum("ni,ni->n", up, to_camera) / distance))
-    azimuth = np.degrees(
-        np.arctan2(np.einsum("ni,ni->n", east, to_camera), np.einsum("ni,ni->n", north, to_camera))
-    )
+    x, y = (np.einsum("ni,ni->n", axis, to_camera) for axis in (north, east))
+    azimuth = np.degrees(np.arctan2(y, x))
     bins = skyline_deg.shape[1]
     nearest = np.rint(azimuth / (360.0 / bins)).astype(int) % bins
     above: BoolArray = elevation > skyline_deg[np.arange(len(up)), nearest]

@@ -118,11 +118,11 @@ def solve(
         sightings = replace(sightings, covariances_px2=covariances)
         common = error_model.common_errors_px(errors, frame.sun_body)
     free = observation.attitude_sigma_rad is None
-    attitude = pose.camera_from_body if free else observation.camera_from_body
+    start = pose if free else Pose(pose.position_m, observation.camera_from_body)
     return resect_robustly(
         frame.camera,
         sightings,
-        Pose(pose.position_m, attitude),
+        start,
         observation.attitude_sigma_rad,
         common_errors_px=common,
         error_correlation=error_correlation,

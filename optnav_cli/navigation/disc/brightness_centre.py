@@ -64,9 +64,8 @@ def navigate(
         shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA / lit**SHADOW_POWER
     seen = np.vstack([axes, -towards]) @ body_from_camera.T
     moments = light_moments(body, relief, seen, sun_body, phase)
-    size = radius_posterior(
-        disc, pixel_from_angle / scale, moments, shape_sigma, camera.known_blur_px
-    )
+    pixel_from_disc = pixel_from_angle / scale
+    size = radius_posterior(disc, pixel_from_disc, moments, shape_sigma, camera.known_blur_px)
     weights, radii = size.weights, size.radii_px
     if size.misfit_sigmas > MAX_MISFIT:
         raise NoSolutionError(
@@ -76,7 +75,7 @@ def navigate(
             ReasonCode.WRONG_LIGHT,
         )
     # every radius and law puts the centre elsewhere, and the body at another range
-    offsets = np.array([m.offset for m in moments]) @ (pixel_from_angle / scale).T
+    offsets = np.array([m.offset for m in moments]) @ pixel_from_disc.T
     pixels = disc.centre - offsets[:, None] * radii[:, None]
     rays = camera.unproject(pixels)
     distances = float(np.mean(body.radii_m)) / np.sin(np.arctan(radii / scale))
@@ -87,7 +86,10 @@ def navigate(
     distance = float(np.linalg.norm(position))
     radius = float((weights * radii).sum())
     noise = disc.centre_covariance + (shape_sigma * radius) ** 2 * np.eye(2)
-    across = _across(camera, disc.centre) * distance
+    # change (3, 2) of the unit ray by the pixel
+    steps = 0.5 * np.eye(2)
+    change = (camera.unproject(disc.centre + steps) - camera.unproject(disc.centre - steps)).T
+    across = change * distance
     covariance += across @ noise @ across.T
     share = float(np.sqrt(position @ covariance @ position)) / distance**2
     evidence = Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels)))
@@ -133,9 +135,3 @@ def _tangent(
     moved = camera.project(towards + steps) - camera.project(towards - steps)
     matrix = moved.T / (2.0 * SMALL_ANGLE)
     return matrix, float(np.sqrt(abs(np.linalg.det(matrix)))), axes
-
-
-def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
-    """Change (3, 2) of the unit ray by the pixel."""
-    steps = 0.5 * np.eye(2)
-    return (camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T

@@ -69,8 +69,8 @@ def navigate(picture: Picture, view: CameraView, body: Body, limb: LimbPoints) -
     # the figure moves the fitted centre and radius; shadows on its ground do more as the lit share
     # shrinks
     shape_px = SHAPE_SIGMA * fit.radius_px / max(lit, 0.1)
-    covariance = fit.covariance + (shape_px**2 + DRAWING_SIGMA_PX**2) * np.eye(3)
-    covariance = change @ covariance @ change.T
+    spread = fit.covariance + (shape_px**2 + DRAWING_SIGMA_PX**2) * np.eye(3)
+    covariance = change @ spread @ change.T
     marks = OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb)))
     evidence = Evidence(n_limb=len(limb), arc_deg=limb.arc_deg, outline=marks)
     text = f"disc of {2.0 * fit.radius_px:.1f} px fitted whole"

@@ -118,10 +118,8 @@ def with_limb_errors(skyline: BodySkyline, fit: SkylineFit) -> tuple[FloatArray,
 
     The attitude's error is not in it.
     """
-    errors = [
-        edge_errors(fit.rays, fit.azimuths, fit.sun_sine),
-        np.full((len(fit.rays), 1), skyline.crest_sigma_m / fit.distance_m),
-    ]
+    crests = np.full((len(fit.rays), 1), skyline.crest_sigma_m / fit.distance_m)
+    errors = [edge_errors(fit.rays, fit.azimuths, fit.sun_sine), crests]
     if skyline.sector_sigma_m > 0.0:
         errors.append(in_sectors(fit.azimuths) * (skyline.sector_sigma_m / fit.distance_m))
     return with_shared_errors(fit.estimate, np.concatenate(errors, axis=1))
