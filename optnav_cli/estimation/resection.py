@@ -20,16 +20,11 @@ from optnav_cli.estimation.models.points import (
 from optnav_cli.estimation.robust import consensus, gated, rescaled
 from optnav_cli.reasons import Reason, ReasonCode
 
-ITERATION = Iteration(
-    max_steps=30,
-    settled_sigmas=1e-4,
-    undetermined=Reason(
-        ReasonCode.DEGENERATE, "the control points do not fix all unknowns (degenerate geometry)"
-    ),
-    unsettled=Reason(ReasonCode.NOT_SETTLED, "the position did not settle in 30 iterations"),
-    each_unknown=True,
-    damped=True,
+_OPEN = Reason(
+    ReasonCode.DEGENERATE, "the control points do not fix all unknowns (degenerate geometry)"
 )
+_UNSETTLED = Reason(ReasonCode.NOT_SETTLED, "the position did not settle in 30 iterations")
+ITERATION = Iteration(30, 1e-4, _OPEN, _UNSETTLED, each_unknown=True, damped=True)
 
 
 @dataclass(frozen=True)
@@ -81,10 +76,8 @@ def resect(
     unknowns = 3 if attitude_sigma_rad == 0.0 else 6
     count = 2 * len(sightings) + (3 if attitude_sigma_rad else 0)
     if count < unknowns or len(sightings) < 2:
-        raise NoSolutionError(
-            f"{len(sightings)} control points are too few for {unknowns} unknowns",
-            ReasonCode.FEW_POINTS,
-        )
+        text = f"{len(sightings)} control points are too few for {unknowns} unknowns"
+        raise NoSolutionError(text, ReasonCode.FEW_POINTS)
     models: list[Model[Pose]] = [PointsModel(camera, sightings, unknowns)]
     if attitude_sigma_rad:
         models.append(AttitudeModel(start.camera_from_body, attitude_sigma_rad))

@@ -180,10 +180,8 @@ class Navigator:
         radius = self._inputs.motion.body.radius_m
         across = 2.0 * radius / max(self._pixel_m(observation, prior), 1e-9)
         if across < SMALL_DISC_PX:
-            return Reason(
-                ReasonCode.DISTANT_BODY,
-                f"the body is {across:.0f} px across: its limb tells more than control points",
-            )
+            text = f"the body is {across:.0f} px across: its limb tells more than control points"
+            return Reason(ReasonCode.DISTANT_BODY, text)
         return self._too_coarse(observation, prior)
 
     def _too_coarse(self, observation: Observation, prior: PositionPrior) -> Reason:
@@ -289,10 +287,8 @@ def _disagreement_remark(points: Fix, outline: Fix) -> Reason:
     if square < GATE:
         return NO_REASON
     away = float(np.linalg.norm(offset)) / 1e3
-    return Reason(
-        ReasonCode.METHODS_DISAGREE,
-        f"the {outline.method.label} lies {away:.1f} km ({np.sqrt(square):.0f} sigmas) off",
-    )
+    text = f"the {outline.method.label} lies {away:.1f} km ({np.sqrt(square):.0f} sigmas) off"
+    return Reason(ReasonCode.METHODS_DISAGREE, text)
 
 
 def _missed_points(evidence: Evidence) -> int:

@@ -98,13 +98,11 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
     """
     levels = measure_levels(picture)
     blobs = lit_blobs(picture, levels.threshold)
-    kept = np.flatnonzero(blobs.area >= MIN_PIXELS)
+    # the largest: the brightest spot of a picture is among them
+    kept = np.flatnonzero(blobs.area >= MIN_PIXELS)[:50]
     if len(kept) == 0:
-        raise NoSolutionError(
-            f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise",
-            ReasonCode.NO_BODY,
-        )
-    kept = kept[:50]  # the largest: the brightest spot of a picture is among them
+        text = f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise"
+        raise NoSolutionError(text, ReasonCode.NO_BODY)
     light = sum_labels(picture - levels.sky, blobs.labels, blobs.label[kept])
     first = int(np.argmax(light))
     rival = float(np.sort(light)[-2]) if len(light) > 1 else 0.0

@@ -95,14 +95,13 @@ def check_sharp(sharpness: FloatArray) -> None:
 
 def check_hidden(
     camera: Camera, cone: Cone, rays: FloatArray, sun_camera: FloatArray | None
-) -> float:
-    """Share of the lit limb inside the picture that was found; 1 where the Sun is not known.
+) -> None:
+    """Raises NoSolutionError when half of the lit limb inside the picture was not found.
 
-    Raises NoSolutionError when about half of it is missing: something covers it, or the cone or
-    the Sun is wrong.
+    Something covers it, or the cone or the Sun is wrong.
     """
     if sun_camera is None:
-        return 1.0
+        return
     angle = np.arange(AZIMUTHS) * (2.0 * np.pi / AZIMUTHS)
     u, v = perpendicular_basis(cone.axis)
     outward = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
@@ -120,7 +119,7 @@ def check_hidden(
     for shift in range(-reach, reach + 1):
         seen[(cell + shift) % AZIMUTHS] = True
     if expected.sum() < MIN_EXPECTED:
-        return 1.0
+        return
     share = float((seen & expected).sum() / expected.sum())
     if share < MIN_SEEN_SHARE:
         raise NoSolutionError(
@@ -128,7 +127,6 @@ def check_hidden(
             "something covers the rest, or the Sun is not where attitude and time put it",
             ReasonCode.COVERED_LIMB,
         )
-    return share
 
 
 def check_others(

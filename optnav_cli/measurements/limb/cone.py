@@ -165,7 +165,10 @@ def find_cone(
     some = generator.permutation(n)[:MAX_SCORED]
     samples = generator.integers(0, len(some), (PROPOSALS, 3))
     drawn = PixelRays(*(part[some] for part in where))
-    score, s = _consensus(samples, *drawn, unit[some], relief, _flattest(relief))
+    # squared length of s = axis / cos(angle) at the lowest height; infinite without relief
+    sine = 1.0 / (1.0 + MIN_HEIGHT_RELIEFS * relief)
+    max_s2 = 1.0 / (1.0 - sine * sine) if relief > 0.0 else np.inf
+    score, s = _consensus(samples, *drawn, unit[some], relief, max_s2)
     if score <= 0.0:
         return None
     cone = _cone(s, stretch)
@@ -182,12 +185,6 @@ def find_cone(
             break
         agrees = again
     return cone, agrees
-
-
-def _flattest(relief: float) -> float:
-    """Squared length of s = axis / cos(angle) at the lowest height; infinite without relief."""
-    sine = 1.0 / (1.0 + MIN_HEIGHT_RELIEFS * relief)
-    return 1.0 / (1.0 - sine * sine) if relief > 0.0 else np.inf
 
 
 def agreeing(cone: Cone, where: PixelRays, gradient: FloatArray, relief: float) -> BoolArray:

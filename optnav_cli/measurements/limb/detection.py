@@ -193,10 +193,8 @@ def _first_cone(
     where = PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
     found = find_cone(where, lit.gradient, space, relief)
     if found is None or found[1].sum() < MIN_POINTS:
-        raise NoSolutionError(
-            f"no limb in view: no curve joins the {len(lit)} edges of the picture",
-            ReasonCode.NO_LIMB,
-        )
+        text = f"no limb in view: no curve joins the {len(lit)} edges of the picture"
+        raise NoSolutionError(text, ReasonCode.NO_LIMB)
     return found[0], lit
 
 

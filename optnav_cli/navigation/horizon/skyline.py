@@ -4,8 +4,7 @@ The skyline is predicted from the position so far and the position fitted to it,
 still. What is not in the model (crests in shadow, ground below its cells) loses its weight.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,8 +22,7 @@ SETTLING_PASSES = 4
 MAX_MOVE_SHARE = 0.8
 
 
-@dataclass(frozen=True, eq=False)
-class SkylineFit:
+class SkylineFit(NamedTuple):
     """A fit to the skyline as it is predicted from one position.
 
     rays        that were used, before robust weights
@@ -42,8 +40,7 @@ class SkylineFit:
     misfit: float
 
 
-@dataclass(frozen=True, eq=False)
-class Followed:
+class Followed(NamedTuple):
     """The last of the passes over a skyline.
 
     passes   how many were made;  moved_m  by the last of them
