@@ -8,7 +8,6 @@ that of a circular orbit in size, which a prediction some seconds ahead can bear
 
 from dataclasses import dataclass
 from operator import add
-from typing import Protocol
 
 import numpy as np
 from scipy.stats import chi2
@@ -16,8 +15,14 @@ from scipy.stats import chi2
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
-from optnav_cli.estimation.least_squares import Iteration, VectorPrior, solve
-from optnav_cli.estimation.models.fixes import FixesModel, OrbitModel
+from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.estimation.least_squares import (
+    Iteration,
+    Linearisation,
+    VectorPrior,
+    linearised,
+    solve,
+)
 from optnav_cli.fix import PositionPrior
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -34,18 +39,6 @@ MAX_GAP_RAD = 1.0
 EXCESS_M_S = 1000.0
 # A prediction with a larger share of the distance as its sigma says nothing of use.
 MAX_SHARE = 0.005
-
-
-class ArcModel(OrbitModel, Protocol):
-    """What the arc needs of the motion without thrust."""
-
-    def circular_speed(self, position_m: FloatArray) -> float:
-        """Of a circular orbit through a place, m/s."""
-        ...
-
-    def radian_s(self, position_m: FloatArray) -> float:
-        """How long the motion there takes for one radian, s."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +61,26 @@ class ArcDisagreement:
     new_arc: bool
 
 
+class FixesModel:
+    """Positions at several times as measurements of an orbit's state (6,) at the last of them.
+
+    What the orbit leaves out widens an old position by the time since.
+    """
+
+    def __init__(self, orbit: OrbitMotion, fixes: list[TimedPosition]) -> None:
+        self._orbit, self._times = orbit, np.array([fix.tdb_s for fix in fixes])
+        self._positions = np.stack([fix.position_m for fix in fixes])
+        self._covariances = np.stack([fix.covariance_m2 for fix in fixes])
+
+    def linearise(self, state: FloatArray) -> Linearisation:
+        """The positions on the orbit of a state (6,)."""
+        last = float(self._times[-1])
+        states, transitions = self._orbit.propagate(state, last, self._times)
+        drift = [self._orbit.noise(state, time - last)[:3, :3] for time in self._times]
+        weights = np.linalg.inv(self._covariances + drift).astype(np.float64)
+        return linearised(self._positions - states[:, :3], transitions[:, :3], weights)
+
+
 class OrbitArc:
     """The arc through the last fixes, in the order of time.
 
@@ -76,7 +89,7 @@ class OrbitArc:
     wrong, and a new one begins with the two.
     """
 
-    def __init__(self, model: ArcModel) -> None:
+    def __init__(self, model: OrbitMotion) -> None:
         self._model = model
         self._fixes: list[TimedPosition] = []
         self._doubted: TimedPosition | None = None
@@ -102,9 +115,8 @@ class OrbitArc:
         widest = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
         if not widest < MAX_SHARE * float(np.linalg.norm(position)):
             return None
-        count = len(self._fixes)
-        source = f"arc of {count} fixes" if count > 1 else "arc of one fix"
-        return PositionPrior(position, spread, source)
+        count = f"{len(self._fixes)} fixes" if len(self._fixes) > 1 else "one fix"
+        return PositionPrior(position, spread, f"arc of {count}")
 
     def add(self, fix: TimedPosition, *, confirmed: bool = False) -> ArcDisagreement | None:
         """Add a fix not before the last; how it disagrees where it does not lie on the arc.
@@ -150,13 +162,8 @@ class OrbitArc:
         last = self._fixes[-1]
         speed = float(np.hypot(self._model.circular_speed(last.position_m), EXCESS_M_S))
         state = np.concatenate([last.position_m, self._first_velocity(speed)])
-        fixes = FixesModel(
-            self._model,
-            np.array([fix.tdb_s for fix in self._fixes]),
-            [fix.position_m for fix in self._fixes],
-            [fix.covariance_m2 for fix in self._fixes],
-        )
         velocity = VectorPrior(3, np.zeros(3), np.full(3, speed), 6)
+        fixes = FixesModel(self._model, self._fixes)
         found = solve([fixes, velocity], state, add, ITERATION)
         # three measurements a fix and three of the velocity's size, six unknowns
         if found.cost > chi2.isf(GATE_PROBABILITY, found.degrees_of_freedom):

@@ -52,9 +52,8 @@ class Forces:
         body = motion.body
         self.motion = motion
         self.gm = body.gm_m3_s2
-        known = body.gravity is not None
         self._field = body.gravity or even_field(body)
-        self._degrees = DEGREES if known else np.append(2.0, DEGREES)
+        self._degrees = np.append(2.0, DEGREES) if body.gravity is None else DEGREES
         self._radius_m = self._field.radius_km * 1e3
         j2, c22 = self._field.j2, self._field.c22
         # V = GM R^2 x'Ax / r^5 holds both terms: x and y of the equator, z of the pole
@@ -95,8 +94,7 @@ class Forces:
         share = share * (self._radius_m / max(distance, self._radius_m)) ** (2.0 * n)
         sigma = self.gm / distance**2 * float(np.sqrt(share.sum() / 3.0))
         degree = float((share * n).sum() / share.sum())
-        speed = np.sqrt(self.gm / distance)
-        return Unmodelled(sigma, distance / (float(speed) * degree))
+        return Unmodelled(sigma, distance / (float(np.sqrt(self.gm / distance)) * degree))
 
     def tide_error_m_s2(self, position_m: FloatArray) -> float:
         """Of a planet's tide: what is wrong with it for hours, 1 sigma an axis; 0 without one."""
@@ -118,8 +116,7 @@ class Forces:
 def even_field(body: Body) -> GravityField:
     """The field of a body's ellipsoid at even density, and Kaula's rule for a body so heavy."""
     x, y, z = body.radii_m
-    radius = body.radius_m
-    gravity = body.gm_m3_s2 / radius**2
+    radius, gravity = body.radius_m, body.gm_m3_s2 / body.radius_m**2
     return GravityField(
         j2=(x**2 + y**2 - 2.0 * z**2) / (10.0 * radius**2),
         c22=(x**2 - y**2) / (20.0 * radius**2),

@@ -34,9 +34,8 @@ class OrbitMotion:
         for side in (since > 0.0, since < 0.0):
             if side.any():
                 times, place = np.unique(since[side], return_inverse=True)
-                backward = times[0] < 0.0
-                path = self._path(state, from_s, times[::-1] if backward else times)
-                path = path[:, ::-1] if backward else path
+                order = slice(None, None, -1 if times[0] < 0.0 else 1)
+                path = self._path(state, from_s, times[order])[:, order]
                 states[side] = path[:6].T[place]
                 transitions[side] = path[6:].T.reshape(-1, 6, 6)[place]
         return states, transitions

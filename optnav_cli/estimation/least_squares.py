@@ -48,7 +48,6 @@ class Model(Protocol[S_contra]):
 
     def linearise(self, state: S_contra) -> Linearisation:
         """The measurements at a state. Raises NoSolutionError where they cannot be predicted."""
-        ...
 
 
 class VectorPrior:
@@ -141,10 +140,7 @@ def _weighted(jacobian: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def solve(
-    models: Sequence[Model[S]],
-    start: S,
-    move: Callable[[S, FloatArray], S],
-    iteration: Iteration,
+    models: Sequence[Model[S]], start: S, move: Callable[[S, FloatArray], S], iteration: Iteration
 ) -> Estimate[S]:
     """The state that fits all models best, by Gauss-Newton.
 

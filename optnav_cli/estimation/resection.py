@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from catalog.arrays import BoolArray, FloatArray
+from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.consider import considered, correlated
 from optnav_cli.estimation.least_squares import Estimate, Iteration, Model, solve
@@ -21,16 +20,11 @@ from optnav_cli.estimation.models.points import (
 from optnav_cli.estimation.robust import consensus, gated, rescaled
 from optnav_cli.reasons import Reason, ReasonCode
 
-ITERATION = Iteration(
-    max_steps=30,
-    settled_sigmas=1e-4,
-    undetermined=Reason(
-        ReasonCode.DEGENERATE, "the control points do not fix all unknowns (degenerate geometry)"
-    ),
-    unsettled=Reason(ReasonCode.NOT_SETTLED, "the position did not settle in 30 iterations"),
-    each_unknown=True,
-    damped=True,
+_OPEN = Reason(
+    ReasonCode.DEGENERATE, "the control points do not fix all unknowns (degenerate geometry)"
 )
+_UNSETTLED = Reason(ReasonCode.NOT_SETTLED, "the position did not settle in 30 iterations")
+ITERATION = Iteration(30, 1e-4, _OPEN, _UNSETTLED, each_unknown=True, damped=True)
 
 
 @dataclass(frozen=True)
@@ -70,28 +64,23 @@ def resect(
     sightings: Sightings,
     start: Pose,
     attitude_sigma_rad: float | None,
-    *,
-    measured_attitude: Rotation | None = None,
 ) -> Estimate[Pose]:
     """Solve for the pose that explains the sightings best.
 
     start               first guess; its position is never a measurement
     attitude_sigma_rad  0: the attitude is exact; None: free; else the sigma per axis of
-                        `measured_attitude` (camera_from_body; the start's when not given)
+                        the start's camera_from_body
 
     Raises NoSolutionError for too few sightings, degenerate geometry or no convergence.
     """
     unknowns = 3 if attitude_sigma_rad == 0.0 else 6
     count = 2 * len(sightings) + (3 if attitude_sigma_rad else 0)
     if count < unknowns or len(sightings) < 2:
-        raise NoSolutionError(
-            f"{len(sightings)} control points are too few for {unknowns} unknowns",
-            ReasonCode.FEW_POINTS,
-        )
+        text = f"{len(sightings)} control points are too few for {unknowns} unknowns"
+        raise NoSolutionError(text, ReasonCode.FEW_POINTS)
     models: list[Model[Pose]] = [PointsModel(camera, sightings, unknowns)]
     if attitude_sigma_rad:
-        attitude = start.camera_from_body if measured_attitude is None else measured_attitude
-        models.append(AttitudeModel(attitude, attitude_sigma_rad))
+        models.append(AttitudeModel(start.camera_from_body, attitude_sigma_rad))
     return solve(models, start, Pose.moved, ITERATION)
 
 
@@ -123,26 +112,23 @@ def resect_robustly(
     gate = float(chi2.ppf(gate_probability, 2))
     squares_of = PointsModel(camera, sightings, 6).squares
     sigma = attitude_sigma_rad
-    if sigma is not None and sigma * _reach_px(sightings) < _smallest_sigma_px(sightings):
+    reach_px = np.linalg.norm(sightings.pixels - sightings.pixels.mean(axis=0), axis=1).max()
+    least_px = np.sqrt(np.linalg.eigvalsh(sightings.covariances_px2)[:, 0].min())
+    if sigma is not None and sigma * reach_px < least_px:
         # A roll of arc seconds moves no point out of the gate, and three unknowns are quicker.
         sigma = 0.0
-    agreeing = consensus(
-        len(sightings),
-        fewest,
-        lambda sample: resect(camera, sightings.subset(sample), start, sigma).state,
-        squares_of,
-        gate,
-    )
+
+    def solved(some: IntArray | BoolArray, sigma_rad: float | None) -> Estimate[Pose]:
+        return resect(camera, sightings.subset(some), start, sigma_rad)
+
+    count = len(sightings)
+    agreeing = consensus(count, fewest, lambda some: solved(some, sigma).state, squares_of, gate)
     if agreeing.sum() < fewest:
         raise NoSolutionError(
             f"no {fewest} matches agree on a position", ReasonCode.POINTS_DISAGREE
         )
     found, used, factor = gated(
-        agreeing,
-        fewest,
-        lambda mask: resect(camera, sightings.subset(mask), start, attitude_sigma_rad),
-        squares_of,
-        gate,
+        agreeing, fewest, lambda mask: solved(mask, attitude_sigma_rad), squares_of, gate
     )
     covariance = rescaled(found, factor)
     gain = found.measured.gain(covariance / factor)
@@ -156,20 +142,5 @@ def resect_robustly(
         covariance = covariance + considered(gain, errors.reshape(-1, errors.shape[-1]))
     pixels, _ = predict(camera, found.state, sightings.points_body_m)
     return Resection(
-        found.state,
-        covariance,
-        found.degrees_of_freedom,
-        used,
-        factor,
-        sightings.pixels - pixels,
+        found.state, covariance, found.degrees_of_freedom, used, factor, sightings.pixels - pixels
     )
-
-
-def _reach_px(sightings: Sightings) -> float:
-    """How far the sightings lie from their middle at most."""
-    away = sightings.pixels - sightings.pixels.mean(axis=0)
-    return float(np.linalg.norm(away, axis=1).max())
-
-
-def _smallest_sigma_px(sightings: Sightings) -> float:
-    return float(np.sqrt(np.linalg.eigvalsh(sightings.covariances_px2)[:, 0].min()))

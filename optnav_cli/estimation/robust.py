@@ -133,9 +133,8 @@ def gated(
 
 def variance_factor(squares: FloatArray, degrees_of_freedom: int) -> float:
     """Variance of unit weight, pulled toward the stated one for lack of redundancy."""
-    freedom = max(degrees_of_freedom, 0)
     total = float(squares.sum()) + STATED_DEGREES_OF_FREEDOM
-    return total / (freedom + STATED_DEGREES_OF_FREEDOM)
+    return total / (max(degrees_of_freedom, 0) + STATED_DEGREES_OF_FREEDOM)
 
 
 def rescaled(estimate: Estimate[S], factor: float) -> FloatArray:

@@ -28,7 +28,9 @@ class PicturePyramid:
         pixels_per_node  picture pixels that one node of the map grid spans
         """
         height, width = self.shape
-        factor = self._factor(pixels_per_node)
+        # A block of up to one node; cubic interpolation between blocks does the rest.
+        smallest_side = max(1, min(self.shape) // 8)
+        factor = int(min(max(1.0, np.floor(pixels_per_node + 0.25)), smallest_side))
         level = self._level(factor)
         with np.errstate(invalid="ignore"):
             x, y = pixels[..., 0], pixels[..., 1]
@@ -41,21 +43,13 @@ class PicturePyramid:
         col = np.where(inside, (x - shift) / factor, np.nan)
         rows, cols = level.shape
         # the last rows and columns that fill no whole block take the nearest block's value
-        row = np.minimum(row, rows - 0.5)
-        col = np.minimum(col, cols - 0.5)
-        return sample_bicubic(level, row, col)
-
-    def _factor(self, pixels_per_node: float) -> int:
-        # A block of up to one node; cubic interpolation between blocks does the rest.
-        smallest_side = max(1, min(self.shape) // 8)
-        return int(min(max(1.0, np.floor(pixels_per_node + 0.25)), smallest_side))
+        return sample_bicubic(level, np.minimum(row, rows - 0.5), np.minimum(col, cols - 0.5))
 
     def _level(self, factor: int) -> Float32Array:
         if factor not in self._levels:
             picture = self._levels[1]
             rows, cols = picture.shape[0] // factor, picture.shape[1] // factor
             whole = picture[: rows * factor, : cols * factor]
-            self._levels[factor] = np.asarray(
-                cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32
-            )
+            level = cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA)
+            self._levels[factor] = np.asarray(level, dtype=np.float32)
         return self._levels[factor]

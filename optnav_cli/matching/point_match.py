@@ -27,7 +27,6 @@ CHANCE_NODES_PER_SAMPLE = 6.0
 # Rendered beyond the template on every side, so that the high-pass does not end at its border.
 MARGIN_NODES = 8
 
-
 OUTSIDE = Reason(ReasonCode.OUTSIDE_FRAME, "outside the frame")
 
 
@@ -96,11 +95,10 @@ def match_point(
     sun_body (3,) unit vector, body frame
     """
     level, search_nodes, blur_nodes = plan.level, plan.search_nodes, plan.blur_nodes
+    margin, step = MARGIN_NODES, thinning(blur_nodes)
     if blur_nodes:
-        margin = int(np.ceil(MARGIN_NODES * thinning(blur_nodes)))
-        search_nodes = max(search_nodes, int(np.ceil(MIN_ROOM * thinning(blur_nodes))))
-    else:
-        margin = MARGIN_NODES
+        margin = int(np.ceil(MARGIN_NODES * step))
+        search_nodes = max(search_nodes, int(np.ceil(MIN_ROOM * step)))
     posting = reference.patches[level].posting_m
     template = reference.render(level, plan.template_nodes + 2 * margin, sun_body, pose.position_m)
     refusal = _rejection_of_template(cropped(template, margin) if blur_nodes else template)
@@ -115,7 +113,6 @@ def match_point(
     shown = np.isfinite(cropped(window, border))
     if shown.mean() < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
         return PointMatch(level, OUTSIDE)
-    step = thinning(blur_nodes)
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
@@ -124,15 +121,13 @@ def match_point(
     if plan.distortion == NO_DISTORTION:
         match = matcher(template, window, MARGIN_NODES)
     else:
-        match = match_similarity(
-            template, window, plan.distortion.rolls, plan.distortion.scales, matcher, MARGIN_NODES
-        ).match
+        rolls, scales = plan.distortion.rolls, plan.distortion.scales
+        match = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES).match
     samples = 0.0
     if blur_nodes:
         samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)
-        match = match._replace(
-            dx=match.dx * step, dy=match.dy * step, covariance=match.covariance * step**2
-        )
+        spread = match.covariance * step**2
+        match = match._replace(dx=match.dx * step, dy=match.dy * step, covariance=spread)
     shift, jacobian = _displacement(pixels, match, plan.template_nodes)
     expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, camera_from_body)
     place = expected + shift

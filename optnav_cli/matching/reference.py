@@ -41,8 +41,7 @@ class Reference:
 
         NaN where no level has data.
         """
-        posting = self.patches[level].posting_m
-        own = self.patches[level].heights_m
+        posting, own = self.patches[level].posting_m, self.patches[level].heights_m
         window = np.full((size, size), np.nan, dtype=np.float32)
         margin = (own.shape[0] - size) // 2
         if (own.shape[0] - size) % 2 == 0 and margin >= 0:
@@ -64,8 +63,7 @@ class Reference:
         what is looked for, as high above the ellipsoid as the patch's border is.
         """
         x, y = node_grid(size, self.patches[level].posting_m)
-        heights = self.heights(level, size)
-        projection = self.projection
+        heights, projection = self.heights(level, size), self.projection
         if isinstance(projection, TangentPlane) and self.planes_on_m is not None:
             heights = _carried_on(heights, projection, x, y, self.planes_on_m)
         return projection.points(x, y, heights)
@@ -82,16 +80,14 @@ class Reference:
         camera_position_m  (3,) body frame
         """
         body_from_local = self.projection.body_from_local
-        foot = np.array(self.projection.foot_m)
-        outer = tuple((p.heights_m, p.posting_m) for p in self.patches[level + 1 :])
         return render_map(
             self.heights(level, size),
             self.patches[level].posting_m,
             sun_body @ body_from_local,
-            camera_local=(camera_position_m - foot) @ body_from_local,
+            camera_local=(camera_position_m - np.array(self.projection.foot_m)) @ body_from_local,
             law="lunar_lambert",
             radius_m=self.projection.radius_m,
-            outer=outer,
+            outer=tuple((p.heights_m, p.posting_m) for p in self.patches[level + 1 :]),
         )
 
 

@@ -96,8 +96,7 @@ def plan_distortion(
     roll_sigma (rad) and scale_sigma (relative) are what the pose leaves open, 1 sigma.
     """
     step = 2.0 * RIM_NODES / template_nodes
-    rolls = _steps(sigmas * roll_sigma, step)
-    scales = _steps(sigmas * scale_sigma, step)
+    rolls, scales = _steps(sigmas * roll_sigma, step), _steps(sigmas * scale_sigma, step)
     if len(rolls) == len(scales) == 1:
         return NO_DISTORTION
     return Distortion(rolls, tuple(1.0 + s for s in scales))

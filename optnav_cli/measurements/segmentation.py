@@ -72,7 +72,9 @@ def measure_levels(picture: Float32Array) -> Levels:
     sky_mean = float(np.quantile(mean, SKY_QUANTILE))
     # neighbouring blocks of the same level are sky too; the scatter inside the blocks shows it
     sample = picture[::2, ::2]
-    near = sample[np.abs(sample - sky_mean) <= max(4.0 * _spread(sample, sky_mean), 1.0)]
+    below = sample[sample <= sky_mean]  # its scatter no bright thing widens
+    spread = float(np.sqrt(np.mean((below - sky_mean) ** 2))) if below.size else 0.0
+    near = sample[np.abs(sample - sky_mean) <= max(4.0 * spread, 1.0)]
     sky = float(near.mean()) if near.size else sky_mean
     variance = float(near.var()) if near.size else 0.0
     noise = float(np.sqrt(max(variance, ROUNDING_VARIANCE)))
@@ -103,12 +105,8 @@ def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     numbers = np.arange(1, len(stats))
     order = numbers[np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")]
-    return Blobs(
-        np.asarray(labels, dtype=np.int32),
-        order,
-        stats[order, cv2.CC_STAT_AREA].astype(np.int64),
-        stats[order, :4].astype(np.int64),
-    )
+    sizes = stats[order].astype(np.int64)
+    return Blobs(np.asarray(labels, np.int32), order, sizes[:, cv2.CC_STAT_AREA], sizes[:, :4])
 
 
 def without_blobs(
@@ -118,11 +116,3 @@ def without_blobs(
     mask = np.isin(blobs.labels, labels).astype(np.uint8)
     wide = cv2.dilate(mask, np.ones((2 * HALO_PX + 1, 2 * HALO_PX + 1), dtype=np.uint8))
     return np.where(wide > 0, np.float32(sky), picture)
-
-
-def _spread(sample: Float32Array, level: float) -> float:
-    """Scatter below a level, which no bright thing widens."""
-    below = sample[sample <= level]
-    if below.size == 0:
-        return 0.0
-    return float(np.sqrt(np.mean((below - level) ** 2)))

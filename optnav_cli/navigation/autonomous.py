@@ -25,15 +25,7 @@ from catalog.geometry.vectors import squared_distance
 from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.arc import GATE
-from optnav_cli.fix import (
-    Evidence,
-    Fix,
-    Method,
-    NoFix,
-    PositionPrior,
-    Solution,
-    UnsolvedFrameError,
-)
+from optnav_cli.fix import Evidence, Fix, Method, NoFix, PositionPrior, Solution, UnsolvedFrameError
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.control_points import method as control_points
@@ -105,9 +97,7 @@ class Navigator:
         if prior is None or self._out_of_reach(observation, prior):
             return NO_REASON
         row = self._by_points(observation, prior)
-        if not row.solved:
-            return NO_REASON
-        return self._accept_points(observation, row, confirmed=True)
+        return self._accept_points(observation, row, confirmed=True) if row.solved else NO_REASON
 
     def _from_outline(self, observation: Observation) -> Solution | Reason:
         """The outline, and control points from it where they may give more."""
@@ -123,13 +113,11 @@ class Navigator:
         points = self._by_points(observation, prior)
         limb, tried = fix.evidence, points.evidence
         if points.fix is not None:
-            evidence = replace(
-                tried, n_limb=limb.n_limb, arc_deg=limb.arc_deg, outline=limb.outline
-            )
-            both = replace(points, outcome=replace(points.fix, evidence=evidence))
-            return self._accept_points(
-                observation, both.with_remark(_disagreement_remark(points.fix, fix)), confirmed=True
-            )
+            n, arc, marks = limb.n_limb, limb.arc_deg, limb.outline
+            evidence = replace(tried, n_limb=n, arc_deg=arc, outline=marks)
+            both = replace(points.fix, evidence=evidence)
+            row = replace(points, outcome=both).with_remark(_disagreement_remark(points.fix, fix))
+            return self._accept_points(observation, row, confirmed=True)
         why = points.outcome.reason
         missed = _missed_points(tried)
         if missed < MIN_MISSED_POINTS:
@@ -150,9 +138,8 @@ class Navigator:
     def _from_arc(self, observation: Observation, why_no_outline: Reason) -> Solution:
         """Control points from where other frames place the camera, or no fix at all."""
         row = Solution(observation.file, observation.utc, NoFix(why_no_outline))
-        prior = self._history.at_same_time(observation.tdb_s) or self._history.predict(
-            observation.tdb_s
-        )
+        time = observation.tdb_s
+        prior = self._history.at_same_time(time) or self._history.predict(time)
         if prior is None:
             text = f"no prior: {why_no_outline}; and no frame before leads here"
             row = replace(row, outcome=NoFix(Reason(ReasonCode.NO_PRIOR, text)))
@@ -168,19 +155,11 @@ class Navigator:
 
     def _outline(self, observation: Observation) -> Fix:
         """The fix by the body's outline. Raises NoSolutionError."""
-        sigma = observation.attitude_sigma_rad
-        if sigma is None:
-            sigma = float(np.radians(self._inputs.settings.solve.free_attitude_deg))
-        return outline.navigate(
-            observation.picture,
-            observation.camera,
-            observation.camera_from_body,
-            sigma,
-            observation.sun_body,
-            self._inputs.motion.body,
-            self._inputs.relief,
-            other_body(self._inputs.motion, observation.tdb_s),
-        )
+        inputs, turn, sun = self._inputs, observation.camera_from_body, observation.sun_body
+        sigma = inputs.settings.attitude_sigma_rad(observation.attitude_sigma_rad)
+        body, other = inputs.motion.body, other_body(inputs.motion, observation.tdb_s)
+        picture, camera = observation.picture, observation.camera
+        return outline.navigate(picture, camera, turn, sigma, sun, body, inputs.relief, other)
 
     def _by_points(self, observation: Observation, prior: PositionPrior) -> Solution:
         """The row that control points give from a prior."""
@@ -201,10 +180,8 @@ class Navigator:
         radius = self._inputs.motion.body.radius_m
         across = 2.0 * radius / max(self._pixel_m(observation, prior), 1e-9)
         if across < SMALL_DISC_PX:
-            return Reason(
-                ReasonCode.DISTANT_BODY,
-                f"the body is {across:.0f} px across: its limb tells more than control points",
-            )
+            text = f"the body is {across:.0f} px across: its limb tells more than control points"
+            return Reason(ReasonCode.DISTANT_BODY, text)
         return self._too_coarse(observation, prior)
 
     def _too_coarse(self, observation: Observation, prior: PositionPrior) -> Reason:
@@ -279,9 +256,8 @@ class Navigator:
             f"{row.reason}; the picture fits the inverse rotation: wanted the quaternion of "
             f"{wanted}"
         )
-        return replace(
-            row, outcome=replace(row.outcome, reason=Reason(ReasonCode.WRONG_ATTITUDE, text))
-        )
+        reason = Reason(ReasonCode.WRONG_ATTITUDE, text)
+        return replace(row, outcome=replace(row.outcome, reason=reason))
 
     def _inverse_solves(self, observation: Observation, prior: PositionPrior | None) -> bool:
         """Whether the picture fits the inverse of the rotation that the file states."""
@@ -289,9 +265,8 @@ class Navigator:
         if self._inputs.inertial:
             body_from_space = self._inputs.motion.body_from_inertial(observation.tdb_s)
         stated = observation.camera_from_body.as_matrix() @ body_from_space
-        inverse = replace(
-            observation, camera_from_body=Rotation.from_matrix(stated.T @ body_from_space.T)
-        )
+        turn = Rotation.from_matrix(stated.T @ body_from_space.T)
+        inverse = replace(observation, camera_from_body=turn)
         if prior is not None:
             return self._by_points(inverse, prior).solved
         try:
@@ -312,10 +287,8 @@ def _disagreement_remark(points: Fix, outline: Fix) -> Reason:
     if square < GATE:
         return NO_REASON
     away = float(np.linalg.norm(offset)) / 1e3
-    return Reason(
-        ReasonCode.METHODS_DISAGREE,
-        f"the {outline.method.label} lies {away:.1f} km ({np.sqrt(square):.0f} sigmas) off",
-    )
+    text = f"the {outline.method.label} lies {away:.1f} km ({np.sqrt(square):.0f} sigmas) off"
+    return Reason(ReasonCode.METHODS_DISAGREE, text)
 
 
 def _missed_points(evidence: Evidence) -> int:

@@ -40,11 +40,8 @@ class History:
         if found is None:
             return None
         body_from_inertial = self._motion.body_from_inertial(tdb_s)
-        return PositionPrior(
-            body_from_inertial @ found.position_m,
-            body_from_inertial @ found.covariance_m2 @ body_from_inertial.T,
-            found.source,
-        )
+        covariance = body_from_inertial @ found.covariance_m2 @ body_from_inertial.T
+        return PositionPrior(body_from_inertial @ found.position_m, covariance, found.source)
 
     def add_fix(self, tdb_s: float, fix: Fix, *, confirmed: bool) -> ArcDisagreement | None:
         """Add a fix to the arc; how it disagrees where it does not lie where the arc leads.
@@ -52,11 +49,8 @@ class History:
         confirmed  two methods agree on the fix, so that it is the arc that no longer holds
         """
         inertial_from_body = self._motion.body_from_inertial(tdb_s).T
-        inertial = TimedPosition(
-            tdb_s,
-            inertial_from_body @ fix.position_m,
-            inertial_from_body @ fix.covariance_m2 @ inertial_from_body.T,
-        )
+        covariance = inertial_from_body @ fix.covariance_m2 @ inertial_from_body.T
+        inertial = TimedPosition(tdb_s, inertial_from_body @ fix.position_m, covariance)
         return self._arc.add(inertial, confirmed=confirmed)
 
     def exceeds_max_speed(self, tdb_s: float, fix: Fix) -> str:
@@ -86,8 +80,7 @@ class History:
         predicted = self.predict(tdb_s)
         if predicted is not None:
             offset = fix.position_m - predicted.position_m
-            covariance = fix.covariance_m2 + predicted.covariance_m2
-            if squared_distance(offset, covariance) >= GATE:
+            if squared_distance(offset, fix.covariance_m2 + predicted.covariance_m2) >= GATE:
                 return False
         return not self.exceeds_max_speed(tdb_s, fix)
 

@@ -5,7 +5,7 @@ attitude separate them: a disc taken for the Moon gives a position, and from the
 one direction and one size. Light time and aberration move it by 20" and 2 km, which is left out.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import Ephemeris, Neighbour
-from catalog.geometry.vectors import angle_between
+from catalog.geometry.vectors import angle_between, unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.segmentation import Blobs
 
@@ -31,8 +31,7 @@ MAX_PIXELS = 4000  # of a spot that are looked at
 NEAR_RADII = 5.0
 
 
-@dataclass(frozen=True, eq=False)
-class OtherBody:
+class OtherBody(NamedTuple):
     """A neighbour at a time: its centre (3,) from the body's, body frame, m, and its radius."""
 
     name: str
@@ -40,8 +39,7 @@ class OtherBody:
     radius_m: float
 
 
-@dataclass(frozen=True, eq=False)
-class CameraView:
+class CameraView(NamedTuple):
     """A camera at a time: where it may look, and what it is lit by.
 
     attitude_sigma_rad  1 sigma an axis;  sun_body (3,) unit vector, body frame
@@ -53,8 +51,7 @@ class CameraView:
     sun_body: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class PredictedDisc:
+class PredictedDisc(NamedTuple):
     """A disc as a position predicts it.
 
     towards  (3,) unit vector to its centre, camera frame
@@ -68,8 +65,7 @@ class PredictedDisc:
     phase: float
 
 
-@dataclass(frozen=True, eq=False)
-class Spot:
+class Spot(NamedTuple):
     """A lit area: unit vector (3,) to its middle, camera frame, and its farthest pixel, rad."""
 
     label: int
@@ -109,9 +105,8 @@ def must_be_seen(view: CameraView, disc: PredictedDisc, before: PredictedDisc) -
         return False
     per_px = _rad_per_px(view.camera, disc.towards)
     reach_px = (disc.angle + SIGMAS * disc.sigma) / per_px
-    if 2.0 * disc.angle / per_px < MIN_DIAMETER_PX:
-        return False
-    return _inside(view.camera, disc.towards, reach_px + MARGIN_PX)
+    large = 2.0 * disc.angle / per_px >= MIN_DIAMETER_PX
+    return large and _inside(view.camera, disc.towards, reach_px + MARGIN_PX)
 
 
 def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
@@ -126,8 +121,7 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
         rays = rays[np.isfinite(rays).all(axis=1)]
         if not len(rays):
             continue
-        middle = rays.mean(axis=0)
-        middle /= np.linalg.norm(middle)
+        middle = unit(rays.mean(axis=0))
         extent = float(np.linalg.norm(np.cross(rays, middle), axis=1).max())
         found.append(Spot(label, middle, extent, _rad_per_px(camera, middle)))
     return found

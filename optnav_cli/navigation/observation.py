@@ -51,14 +51,5 @@ def observation_of(frame: Frame, camera: Camera, picture: Picture) -> Observatio
     prior = None
     if frame.position_m is not None and frame.position_sigma_m is not None:
         prior = PositionPrior.isotropic(frame.position_m, frame.position_sigma_m, FROM_FILE)
-    return Observation(
-        frame.file,
-        frame.utc,
-        frame.tdb_s,
-        camera,
-        picture,
-        frame.camera_from_body,
-        frame.attitude_sigma_rad,
-        frame.sun_body,
-        prior,
-    )
+    turn, sigma, sun = frame.camera_from_body, frame.attitude_sigma_rad, frame.sun_body
+    return Observation(frame.file, frame.utc, frame.tdb_s, camera, picture, turn, sigma, sun, prior)

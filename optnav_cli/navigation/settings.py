@@ -1,5 +1,6 @@
 """What a user can set about navigation; every key has a default that works."""
 
+from math import radians
 from pathlib import Path
 from typing import Annotated
 
@@ -53,6 +54,10 @@ class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     match: MatchSettings = MatchSettings()
     solve: SolveSettings = SolveSettings()
     spice: SpiceSettings = SpiceSettings()
+
+    def attitude_sigma_rad(self, stated: float | None) -> float:
+        """1 sigma an axis of an attitude: the stated one, or that of a free one's first guess."""
+        return radians(self.solve.free_attitude_deg) if stated is None else stated
 
 
 def load_settings(path: Path) -> NavigateSettings:

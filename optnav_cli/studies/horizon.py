@@ -29,7 +29,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.navigation.horizon import method as horizon
 from optnav_cli.navigation.neighbour import CameraView, other_body
-from optnav_cli.navigation.outline.method import mask_neighbour
+from optnav_cli.navigation.outline.method import outline_of
 from optnav_cli.navigation.outline.one_body import detect_limb
 from optnav_cli.studies.flights import (
     FIGURES,
@@ -188,7 +188,7 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
                 if row.far and frame.tdb_s is not None:
                     view = CameraView(camera, turned, sigma if star_sensor else 0.0, sun)
                     other = other_body(folder.motion, frame.tdb_s)
-                    picture = mask_neighbour(loaded, view, folder.body, relief, other)
+                    _, picture = outline_of(loaded, view, folder.body, relief, other)
                 begin = time.process_time()
                 limb = detect_limb(picture, camera, turned, sun, folder.body)
             except NoSolutionError as error:

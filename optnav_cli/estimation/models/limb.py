@@ -67,13 +67,7 @@ class LimbModel:
     def linearise(self, state: FloatArray) -> Linearisation:
         """The angles from a position (3,). Raises NoSolutionError for one inside the body."""
         found = _equations(
-            self._stretched,
-            self._lengths,
-            self._stated,
-            self._radii,
-            self._sizes,
-            state,
-            self._cut,
+            self._stretched, self._lengths, self._stated, self._radii, self._sizes, state, self._cut
         )
         if not found[2] < np.inf:
             raise _UNSETTLED.error()

@@ -24,7 +24,6 @@ class ProjectingCamera(Protocol):
 
     def project_with_jacobian(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (n, 2) of camera-frame points (n, 3), and d pixel / d point (n, 2, 3)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -93,10 +92,8 @@ class PointsModel:
         pixels, jacobian = predict(self._camera, state, self._sightings.points_body_m)
         residuals = self._sightings.pixels - pixels
         if not np.isfinite(residuals).all():
-            raise NoSolutionError(
-                "a control point left the camera's view during the iteration",
-                ReasonCode.NOT_SETTLED,
-            )
+            text = "a control point left the camera's view during the iteration"
+            raise NoSolutionError(text, ReasonCode.NOT_SETTLED)
         return linearised(residuals, jacobian[:, :, : self._unknowns], self._information)
 
     def squares(self, pose: Pose) -> FloatArray:
@@ -111,8 +108,7 @@ class AttitudeModel:
     """A measured attitude (camera_from_body) with one sigma an axis, rad."""
 
     def __init__(self, camera_from_body: Rotation, sigma_rad: float) -> None:
-        self._measured = camera_from_body
-        self._weights = np.full(3, sigma_rad**-2)
+        self._measured, self._weights = camera_from_body, np.full(3, sigma_rad**-2)
 
     def linearise(self, state: Pose) -> Linearisation:
         """The measured turn, seen from the present attitude, in the camera frame."""

@@ -24,14 +24,8 @@ from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 ROUNDS = 6  # of weights and solution; later ones change a thousandth of a sigma
 # Of weights that are given: the step that they make is the only one.
-ONE_STEP = Iteration(
-    1,
-    np.inf,
-    undetermined=Reason(
-        ReasonCode.DEGENERATE, "the limb points leave a direction of the position open"
-    ),
-    unsettled=NO_REASON,
-)
+_OPEN = Reason(ReasonCode.DEGENERATE, "the limb points leave a direction of the position open")
+ONE_STEP = Iteration(1, np.inf, undetermined=_OPEN, unsettled=NO_REASON)
 
 
 class SilhouetteModel:

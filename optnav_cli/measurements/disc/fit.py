@@ -61,7 +61,7 @@ def edge_bias_px(
     x, y = places[..., 0] - corner[0], places[..., 1] - corner[1]
     lit = drawn[drawn > 0.2 * drawn.max()]
     values = levels.sky + drawn[y, x] * ((levels.bright - levels.sky) / float(np.median(lit)))
-    return locate_edges(replace(profiles, values=values), shape, levels, np.inf).depth
+    return locate_edges(replace(profiles, values=values), shape, levels, np.inf)[0]
 
 
 def draw_disc(
@@ -81,9 +81,8 @@ def draw_disc(
     pixels = np.stack(np.meshgrid(x, y), axis=-1)
     rays = stretched_rays(camera, pixels, cone.stretch)
     depth = cone.depth(rays)
-    turn = stretched_rays(
-        camera, np.array([[x.mean(), y.mean()], [x.mean() + 1.0, y.mean()]]), cone.stretch
-    )
+    beside = np.array([[x.mean(), y.mean()], [x.mean() + 1.0, y.mean()]])
+    turn = stretched_rays(camera, beside, cone.stretch)
     rad_per_fine = float(np.linalg.norm(turn[1] - turn[0])) / FINE
     covered = np.clip(0.5 + depth / rad_per_fine, 0.0, 1.0)
     near = covered > 0.0
@@ -101,9 +100,8 @@ def draw_disc(
     second, third = shape.mixture
     laws = three_laws(mu0, mu, cos_phase, -float(cone.axis_camera() @ sun_camera))
     mixed = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
-    light = np.where(mu0 > 0.0, mixed, 0.0)
     fine = np.zeros(covered.shape)
-    fine[near] = light * covered[near]
+    fine[near] = np.where(mu0 > 0.0, mixed, 0.0) * covered[near]
     blur = np.sqrt(max(shape.blur_px**2 - PIXEL_VARIANCE, 0.05)) * FINE
     blurred = cv2.GaussianBlur(fine, (0, 0), blur)
     whole = cv2.resize(blurred, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA)
@@ -163,12 +161,8 @@ class DiscModel:
         light = np.maximum(brightness * model, 0.0)
         bright = float(np.median(light[light > 0.3 * light.max()])) if light.max() > 0.0 else 1.0
         sigma = np.sqrt(self._noise**2 + SHOT * bright * light + (TEXTURE * light) ** 2)
-        jacobian = (
-            np.stack(
-                [brightness * (self._drawn(state + s) - model) / s.sum() for s in np.diag(STEPS)], 1
-            )
-            / sigma[:, None]
-        )
+        columns = [brightness * (self._drawn(state + s) - model) / s.sum() for s in np.diag(STEPS)]
+        jacobian = np.stack(columns, axis=1) / sigma[:, None]
         residuals = (self._seen - brightness * model) / sigma
         # what brightness and level explain is taken out of residuals and Jacobian: the normal
         # equations of all eight unknowns, solved for these two
@@ -207,11 +201,9 @@ def fit_disc(
     blur, blur_sigma = camera.known_blur_px or (BLUR_PX, BLUR_SIGMA_PX)
     expected = np.array([blur, 0.0, 0.0])
     prior = VectorPrior(3, expected, np.array([blur_sigma, MIXTURE_SIGMA, MIXTURE_SIGMA]), 6)
+    start = np.concatenate([start, expected])
     fit = solve(
-        [model, prior],
-        np.concatenate([start, expected]),
-        lambda state, step: state + np.clip(step, -MAX_MOVE, MAX_MOVE),
-        ITERATION,
+        [model, prior], start, lambda at, step: at + np.clip(step, -MAX_MOVE, MAX_MOVE), ITERATION
     )
     misfit = float(np.sqrt(np.mean(fit.measured.residuals**2)))
     spread = max(misfit, 1.0) ** 2 * fit.covariance[:3, :3]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.ndimage import sum_labels
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
 from catalog.bodies.body import Body
@@ -57,20 +58,19 @@ class DiscMoments:
     second_covariance: FloatArray
 
 
-@dataclass(frozen=True)
-class SphereMoments:
-    """Light of a sphere of radius 1, x toward the Sun in the picture.
+@dataclass(frozen=True, eq=False)
+class LightMoments:
+    """Light of a body in units of its mean half axis; x toward the Sun in the picture, y beside it.
 
-    offset         middle of light from the centre, along x
-    along, across  second moments about it
+    offset (2,)   middle of light from the centre
+    second (2, 2) second moments about it
     """
 
-    offset: float
-    along: float
-    across: float
+    offset: FloatArray
+    second: FloatArray
 
 
-def sphere_moments(phase: float) -> list[SphereMoments]:
+def sphere_moments(phase: float) -> list[LightMoments]:
     """Moments of an illuminated sphere for each of LAWS, at a phase angle, rad."""
     # nodes on the lit half: x and y of the disc, brightness is even in y
     u = (np.arange(2 * SPHERE_NODES) + 0.5) / SPHERE_NODES - 1.0
@@ -85,7 +85,8 @@ def sphere_moments(phase: float) -> list[SphereMoments]:
         light = law(mu0, mu, np.cos(phase))
         light = light / light.sum()
         offset = float(light @ x)
-        found.append(SphereMoments(offset, float(light @ x**2) - offset**2, float(light @ y**2)))
+        second = np.diag([float(light @ x**2) - offset**2, float(light @ y**2)])
+        found.append(LightMoments(np.array([offset, 0.0]), second))
     return found
 
 
@@ -97,16 +98,12 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
     """
     levels = measure_levels(picture)
     blobs = lit_blobs(picture, levels.threshold)
-    kept = np.flatnonzero(blobs.area >= MIN_PIXELS)
+    # the largest: the brightest spot of a picture is among them
+    kept = np.flatnonzero(blobs.area >= MIN_PIXELS)[:50]
     if len(kept) == 0:
-        raise NoSolutionError(
-            f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise",
-            ReasonCode.NO_BODY,
-        )
-    kept = kept[:50]  # the largest: the brightest spot of a picture is among them
-    light = np.array(
-        [_light(picture, blobs.labels, blobs.box[k], int(blobs.label[k]), levels.sky) for k in kept]
-    )
+        text = f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise"
+        raise NoSolutionError(text, ReasonCode.NO_BODY)
+    light = sum_labels(picture - levels.sky, blobs.labels, blobs.label[kept])
     first = int(np.argmax(light))
     rival = float(np.sort(light)[-2]) if len(light) > 1 else 0.0
     if rival > RIVAL_SHARE * light[first]:
@@ -131,11 +128,9 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
         raise NoSolutionError(
             "the frame cuts the disc: its middle of light is not the body's", ReasonCode.CUT_DISC
         )
-    x0, x1 = int(cx - reach), int(cx + reach) + 2
-    y0, y1 = int(cy - reach), int(cy + reach) + 2
-    window = picture[y0:y1, x0:x1].astype(np.float64)
-    labels = blobs.labels[y0:y1, x0:x1]
-    x, y = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    part = np.s_[int(cy - reach) : int(cy + reach) + 2, int(cx - reach) : int(cx + reach) + 2]
+    window, labels = picture[part].astype(np.float64), blobs.labels[part]
+    y, x = np.mgrid[part]
     own = (labels == 0) | (labels == blobs.label[chosen])
     use = own & (np.hypot(x - cx, y - cy) <= reach)
     if saturation is not None:
@@ -178,20 +173,8 @@ def _background(
     return float(calm.mean()), float(np.sqrt(max(scatter**2, ROUNDING_VARIANCE))), error
 
 
-def _light(
-    picture: Float32Array, labels: Int32Array, box: IntArray, label: int, sky: float
-) -> float:
-    left, top, wide, high = (int(value) for value in box)
-    part = np.s_[top : top + high, left : left + wide]
-    return float((picture[part][labels[part] == label] - sky).sum())
-
-
 def _moments(
-    light: FloatArray,
-    x: IntArray,
-    y: IntArray,
-    noise: float,
-    sky_sigma: float,
+    light: FloatArray, x: IntArray, y: IntArray, noise: float, sky_sigma: float
 ) -> DiscMoments:
     """Moments of pixels (n,) above the sky, with the errors of noise and of the sky's level."""
     total = float(light.sum())
@@ -203,11 +186,11 @@ def _moments(
     centre = light @ places / total
     away = places - centre
     products = np.stack([away[:, 0] ** 2, away[:, 1] ** 2, away[:, 0] * away[:, 1]], axis=1)
-    second = light @ products / total
     lit = float(light[light > LIT_SHARE * light.max()].mean())
     variance = noise**2 + np.maximum(light, 0.0) * lit / ASSUMED_SNR**2
     spread = (variance[:, None] * away).T @ away / total**2
     # what a count more in one pixel changes the second moments by
+    second = light @ products / total
     change = (products - second) / total
     covariance = (variance[:, None] * change).T @ change
     lifted = sky_sigma * change.sum(axis=0)
@@ -222,18 +205,6 @@ STEPS = 60  # from pole to pole: moments are right to 0.2 %
 ROUND = 0.01
 # Of the radius, along a ray from the ground: a cell's own bend hides nothing, nor less than a step.
 FIRST_STEP, MIN_STEP = 0.05, 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class LightMoments:
-    """Light of a body in units of its mean half axis; x toward the Sun in the picture, y beside it.
-
-    offset (2,)   middle of light from the centre
-    second (2, 2) second moments about it
-    """
-
-    offset: FloatArray
-    second: FloatArray
 
 
 def is_round(body: Body) -> bool:
@@ -255,10 +226,7 @@ def light_moments(
     sun_body   (3,) unit vector;  phase  rad, between Sun and camera
     """
     if is_round(body):
-        return [
-            LightMoments(np.array([s.offset, 0.0]), np.diag([s.along, s.across]))
-            for s in sphere_moments(phase)
-        ]
+        return sphere_moments(phase)
     middles, across = _ground(body, relief)
     areas = np.linalg.norm(across, axis=1)
     normals = across / areas[:, None]

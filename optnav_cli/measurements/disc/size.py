@@ -11,10 +11,8 @@ import numpy as np
 from catalog.arrays import FloatArray
 from optnav_cli.measurements.disc.moments import DiscMoments, LightMoments
 
-MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX = (
-    0.3,
-    30.0,
-)  # radii; equal steps of the logarithm are equally likely
+# Of radii, of which equal steps of the logarithm are equally likely.
+MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX = 0.3, 30.0
 RADII = 200  # first over all of them, then over the likely ones
 UNLIKELY = 1e-6  # of the likeliest
 # Sigma of the blur, the pixel's own width included: that of common optics, for a camera
@@ -61,63 +59,43 @@ def radius_posterior(
     turn = np.array(
         [[a * a, b * b, 2 * a * b], [c * c, d * d, 2 * c * d], [a * c, b * d, a * d + b * c]]
     )
-    weighing = _Weighing(
-        turn @ disc.second,
-        turn @ disc.second_covariance @ turn.T,
-        turn @ np.array([1.0, 1.0, 0.0]),
-        moments,
-        shape_sigma,
-        known_blur_px or (BLUR_PX, BLUR_SIGMA_PX),
-    )
-    radii = np.geomspace(MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX, RADII)
-    logs, squares = weighing.of(radii)
-    point = float(logs[:, 0].max())
-    likely = np.flatnonzero((logs > logs.max() + np.log(UNLIKELY)).any(axis=0))
-    low, high = max(int(likely[0]) - 1, 0), min(int(likely[-1]) + 1, RADII - 1)
-    radii = np.geomspace(radii[low], radii[high], RADII)
-    logs, squares = weighing.of(radii)
-    best = float(logs.max())
-    weights = np.exp(logs - best)
-    weights /= weights.sum()
-    return DiscSize(
-        radii, weights, float(np.sqrt(2.0 * max(best - point, 0.0))), float(np.sqrt(squares.min()))
-    )
+    second, noise = turn @ disc.second, turn @ disc.second_covariance @ turn.T
+    round_blur = turn @ np.array([1.0, 1.0, 0.0])
+    middle, sigma = known_blur_px or (BLUR_PX, BLUR_SIGMA_PX)
+    reach = BLUR_REACH * sigma
+    blurs = np.linspace(max(middle - reach, 0.0), middle + reach, BLUR_STEPS)
 
-
-@dataclass(frozen=True, eq=False)
-class _Weighing:
-    """Second moments (3,) found, xx, yy, xy, their covariance, and those of a round blur of 1."""
-
-    second: FloatArray
-    noise: FloatArray
-    round_blur: FloatArray
-    moments: list[LightMoments]
-    shape_sigma: float
-    blur_prior: tuple[float, float]
-
-    def of(self, radii: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Logarithms of how likely radii are, and the squared misfits at the best blur.
-
-        Both (laws, radii).
-        """
-        middle, sigma = self.blur_prior
-        reach = BLUR_REACH * sigma
-        blurs = np.linspace(max(middle - reach, 0.0), middle + reach, BLUR_STEPS)
+    def weigh(radii: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Logarithms (laws, n) of how likely radii are, and squared misfits at the best blur."""
         blur_misfit = ((blurs - middle) / sigma) ** 2
         area = radii[:, None] ** 2
-        logs = np.empty((len(self.moments), len(radii)))
+        logs = np.empty((len(moments), len(radii)))
         squares = np.empty(logs.shape)
-        for k, light in enumerate(self.moments):
+        for k, light in enumerate(moments):
             along, beside = light.second[0, 0], light.second[1, 1]
             shape = np.array([along, beside, light.second[0, 1]])
             # a shape that is not the known one changes its moments by twice its share, and its
             # shadows by half as much again
-            off = 3.0 * self.shape_sigma * np.array([along, beside, 0.5 * np.sqrt(along * beside)])
-            covariance = self.noise + (area**2)[..., None] * np.diag(off**2)
-            miss = self.second - area[..., None] * shape - blurs[:, None] ** 2 * self.round_blur
+            off = 3.0 * shape_sigma * np.array([along, beside, 0.5 * np.sqrt(along * beside)])
+            covariance = noise + (area**2)[..., None] * np.diag(off**2)
+            miss = second - area[..., None] * shape - blurs[:, None] ** 2 * round_blur
             inverse = np.linalg.inv(covariance)
             total = np.einsum("rbi,rij,rbj->rb", miss, inverse, miss) + blur_misfit
             squares[k] = total.min(axis=1)
             each = -0.5 * (total + np.log(np.linalg.det(covariance))[:, None])
             logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(LAW_PRIOR[k])
         return logs, squares
+
+    radii = np.geomspace(MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX, RADII)
+    logs, _ = weigh(radii)
+    point = float(logs[:, 0].max())
+    likely = np.flatnonzero((logs > logs.max() + np.log(UNLIKELY)).any(axis=0))
+    low, high = max(int(likely[0]) - 1, 0), min(int(likely[-1]) + 1, RADII - 1)
+    radii = np.geomspace(radii[low], radii[high], RADII)
+    logs, squares = weigh(radii)
+    best = float(logs.max())
+    weights = np.exp(logs - best)
+    weights /= weights.sum()
+    return DiscSize(
+        radii, weights, float(np.sqrt(2.0 * max(best - point, 0.0))), float(np.sqrt(squares.min()))
+    )

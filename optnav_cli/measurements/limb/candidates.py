@@ -11,7 +11,7 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.limb.cone import Cone, PixelRays, agreeing, distances, pixel_rays
+from optnav_cli.measurements.limb.cone import Cone, PixelRays, agreeing, distances
 from optnav_cli.measurements.segmentation import Blobs, Levels
 
 RUN_PX = 3  # dark pixels before a rise and bright ones after it
@@ -107,18 +107,15 @@ def _gradients(picture: Float32Array, places: FloatArray, gradients: FloatArray)
 def scan_edges(picture: Float32Array, threshold: float, least_rise: float) -> Candidates:
     """Rises of a picture (h, w) through a threshold that gain least_rise within four pixels."""
     picture = np.ascontiguousarray(picture, dtype=np.float32)
-    places, directions = [], []
+    found = []
     for row_step in (0, 1):
-        room = np.empty((MAX_CANDIDATES, 2))
-        ways = np.empty(MAX_CANDIDATES, dtype=np.int64)
+        room, ways = np.empty((MAX_CANDIDATES, 2)), np.empty(MAX_CANDIDATES, dtype=np.int64)
         count = _rises(picture, threshold, least_rise, row_step, room, ways)
-        places.append(room[:count])
-        directions.append(ways[:count])
-    pixels = np.concatenate(places)
+        found.append((room[:count], ways[:count]))
+    pixels, directions = (np.concatenate(parts) for parts in zip(*found, strict=True))
     gradient = np.empty_like(pixels)
     _gradients(picture, pixels, gradient)
-    scan = np.array(_STEPS, dtype=np.float64)[np.concatenate(directions)]
-    return Candidates(pixels, scan, gradient)
+    return Candidates(pixels, np.array(_STEPS, dtype=np.float64)[directions], gradient)
 
 
 MIN_BLOB_PIXELS = 25  # a star, even a bright one through a wide blur, is smaller
@@ -215,11 +212,6 @@ def on_limb(
     kept = np.sort(index[order[first]])
     chosen = candidates.subset(kept)
     return chosen, PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
-
-
-def rays_of(camera: Camera, candidates: Candidates, stretch: FloatArray) -> PixelRays:
-    """Rays of candidates, stretched, with their derivatives."""
-    return pixel_rays(camera, candidates.pixels, stretch)
 
 
 def bounded_by_sky(

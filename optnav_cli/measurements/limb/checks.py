@@ -6,13 +6,8 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.measurements.limb.candidates import (
-    BORDER_PX,
-    MIN_BLOB_PIXELS,
-    Candidates,
-    rays_of,
-)
-from optnav_cli.measurements.limb.cone import Cone, find_cone, stretched_rays
+from optnav_cli.measurements.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates
+from optnav_cli.measurements.limb.cone import Cone, find_cone, pixel_rays, stretched_rays
 from optnav_cli.measurements.segmentation import Blobs, Levels
 from optnav_cli.reasons import ReasonCode
 
@@ -100,14 +95,13 @@ def check_sharp(sharpness: FloatArray) -> None:
 
 def check_hidden(
     camera: Camera, cone: Cone, rays: FloatArray, sun_camera: FloatArray | None
-) -> float:
-    """Share of the lit limb inside the picture that was found; 1 where the Sun is not known.
+) -> None:
+    """Raises NoSolutionError when half of the lit limb inside the picture was not found.
 
-    Raises NoSolutionError when about half of it is missing: something covers it, or the cone or
-    the Sun is wrong.
+    Something covers it, or the cone or the Sun is wrong.
     """
     if sun_camera is None:
-        return 1.0
+        return
     angle = np.arange(AZIMUTHS) * (2.0 * np.pi / AZIMUTHS)
     u, v = perpendicular_basis(cone.axis)
     outward = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
@@ -125,7 +119,7 @@ def check_hidden(
     for shift in range(-reach, reach + 1):
         seen[(cell + shift) % AZIMUTHS] = True
     if expected.sum() < MIN_EXPECTED:
-        return 1.0
+        return
     share = float((seen & expected).sum() / expected.sum())
     if share < MIN_SEEN_SHARE:
         raise NoSolutionError(
@@ -133,7 +127,6 @@ def check_hidden(
             "something covers the rest, or the Sun is not where attitude and time put it",
             ReasonCode.COVERED_LIMB,
         )
-    return share
 
 
 def check_others(
@@ -145,7 +138,7 @@ def check_others(
     relief: float,
 ) -> None:
     """Raises NoSolutionError for a second body, or for more light outside the limb than a rod's."""
-    where = rays_of(camera, candidates, cone.stretch)
+    where = pixel_rays(camera, candidates.pixels, cone.stretch)
     pixel = np.linalg.norm(where.by_x, axis=1)
     beyond = cone.depth(where.rays) < -(10.0 * pixel + relief * np.tan(cone.angle))
     outside = candidates.subset(beyond)
@@ -166,7 +159,7 @@ def check_others(
 
 
 def _check_second(camera: Camera, outside: Candidates, cone: Cone, relief: float) -> None:
-    where = rays_of(camera, outside, cone.stretch)
+    where = pixel_rays(camera, outside.pixels, cone.stretch)
     second = find_cone(where, outside.gradient, cone.stretch, relief)
     if second is None:
         return

@@ -8,6 +8,7 @@ direction of the rise, is fitted to them. Distances are in pixels, along the pic
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,8 +53,7 @@ class Cone:
         return depth
 
 
-@dataclass(frozen=True, eq=False)
-class PixelRays:
+class PixelRays(NamedTuple):
     """Rays of pixels in the stretched space, and how they turn with the pixel.
 
     rays        (n, 3)  unit vectors; NaN where the lens sees nothing
@@ -164,15 +164,11 @@ def find_cone(
     unit = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
     some = generator.permutation(n)[:MAX_SCORED]
     samples = generator.integers(0, len(some), (PROPOSALS, 3))
-    score, s = _consensus(
-        samples,
-        where.rays[some],
-        where.by_x[some],
-        where.by_y[some],
-        unit[some],
-        relief,
-        _flattest(relief),
-    )
+    drawn = PixelRays(*(part[some] for part in where))
+    # squared length of s = axis / cos(angle) at the lowest height; infinite without relief
+    sine = 1.0 / (1.0 + MIN_HEIGHT_RELIEFS * relief)
+    max_s2 = 1.0 / (1.0 - sine * sine) if relief > 0.0 else np.inf
+    score, s = _consensus(samples, *drawn, unit[some], relief, max_s2)
     if score <= 0.0:
         return None
     cone = _cone(s, stretch)
@@ -189,12 +185,6 @@ def find_cone(
             break
         agrees = again
     return cone, agrees
-
-
-def _flattest(relief: float) -> float:
-    """Squared length of s = axis / cos(angle) at the lowest height; infinite without relief."""
-    sine = 1.0 / (1.0 + MIN_HEIGHT_RELIEFS * relief)
-    return 1.0 / (1.0 - sine * sine) if relief > 0.0 else np.inf
 
 
 def agreeing(cone: Cone, where: PixelRays, gradient: FloatArray, relief: float) -> BoolArray:

@@ -14,23 +14,14 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc.fit import MAX_BENT_LIMB_PX, edge_bias_px
+from optnav_cli.measurements.limb import checks
 from optnav_cli.measurements.limb.candidates import (
     Candidates,
     bounded_by_sky,
     find_candidates,
     is_sunlit,
     on_limb,
-    rays_of,
     sharpness,
-)
-from optnav_cli.measurements.limb.checks import (
-    arc_deg,
-    azimuths,
-    check_arc,
-    check_blobs,
-    check_hidden,
-    check_others,
-    check_sharp,
 )
 from optnav_cli.measurements.limb.cone import (
     Cone,
@@ -109,48 +100,45 @@ def find_limb(
     space = _space(stretch)
     levels = measure_levels(picture)
     blobs = lit_blobs(picture, levels.threshold)
-    check_blobs(picture, blobs, levels, full)
+    checks.check_blobs(picture, blobs, levels, full)
     candidates = find_candidates(picture, camera, levels, blobs)
     cone, lit = _first_cone(
         picture, camera, candidates, levels.threshold, sun_camera, space, relief
     )
-    where = rays_of(camera, lit, space)
+    where = pixel_rays(camera, lit.pixels, space)
     limb, where = on_limb(lit, where, cone, relief)
     pixel = float(np.median(np.linalg.norm(where.by_x, axis=1))) if len(limb) else 0.0
-    arc = arc_deg(cone, where.rays, 3.0, pixel)
-    check_arc(arc, len(limb))
-    check_sharp(sharpness(picture, limb))
-    check_others(picture, camera, candidates, cone, levels, relief)
-    check_hidden(camera, cone, where.rays, sun_camera)
+    arc = checks.arc_deg(cone, where.rays, 3.0, pixel)
+    checks.check_arc(arc, len(limb))
+    checks.check_sharp(sharpness(picture, limb))
+    checks.check_others(picture, camera, candidates, cone, levels, relief)
+    checks.check_hidden(camera, cone, where.rays, sun_camera)
 
     limb, where = _thinned(cone, limb, where)
     profiles, places, bend = profiles_across(picture, camera, limb, where, cone, sun_camera)
     shape = common_shape(profiles, levels, full)
-    edges = locate_edges(profiles, shape, levels, full)
+    depth, sigma = locate_edges(profiles, shape, levels, full)
     distance, inward = distances(cone, where)
     if sun_camera is not None and float(np.median(bend)) * MAX_BENT_LIMB_PX > 1.0:
         bias = edge_bias_px(profiles, places, camera, cone, sun_camera, shape, levels)
     else:
         # a convex limb's blur moves its half level inward by sigma^2 / (2 radius)
         bias = 0.5 * shape.blur_px**2 * bend
-    depth = edges.depth - bias
+    depth = depth - bias
     pixels = limb.pixels + (depth - distance)[:, None] * inward
-    good = np.isfinite(depth) & np.isfinite(edges.sigma)
+    good = np.isfinite(depth) & np.isfinite(sigma)
     if good.sum() < MIN_POINTS:
         raise NoSolutionError(
             f"only {int(good.sum())} limb points have an edge that stands out of the noise; "
             f"{MIN_POINTS} are needed",
             ReasonCode.NOISY_LIMB,
         )
-    pixels, inward, sigma = pixels[good], inward[good], edges.sigma[good]
+    pixels, sigma = pixels[good], sigma[good]
     where = pixel_rays(camera, pixels, space)
     cone = fit_cone(where, np.ones(len(pixels), dtype=bool), cone) or cone
     _, inward = distances(cone, where)
-    order = np.argsort(azimuths(cone, where.rays), kind="stable")
-    label = int(blobs.label[0])
-    rim = np.concatenate(
-        [blobs.labels[0], blobs.labels[-1], blobs.labels[:, 0], blobs.labels[:, -1]]
-    )
+    order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
+    body = blobs.labels == blobs.label[0]
     return LimbPoints(
         pixels=pixels[order],
         sigma_px=sigma[order],
@@ -159,9 +147,9 @@ def find_limb(
         blur_px=shape.blur_px,
         cone_axis_camera=cone.axis_camera(),
         cone_angle=cone.angle,
-        arc_deg=arc_deg(cone, where.rays, 3.0, pixel),
+        arc_deg=checks.arc_deg(cone, where.rays, 3.0, pixel),
         lit_pixels=int(blobs.area[0]),
-        cut_by_frame=bool((rim == label).any()),
+        cut_by_frame=bool(body[[0, -1]].any() or body[:, [0, -1]].any()),
     )
 
 
@@ -183,7 +171,7 @@ def _first_cone(
     relief: float,
 ) -> tuple[Cone, Candidates]:
     """A first cone, and the candidates that may be lit limb."""
-    where = rays_of(camera, candidates, space)
+    where = pixel_rays(camera, candidates.pixels, space)
     if sun_camera is None:
         kept = sharpness(picture, candidates) > SHARP_SHARE
     else:
@@ -205,10 +193,8 @@ def _first_cone(
     where = PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
     found = find_cone(where, lit.gradient, space, relief)
     if found is None or found[1].sum() < MIN_POINTS:
-        raise NoSolutionError(
-            f"no limb in view: no curve joins the {len(lit)} edges of the picture",
-            ReasonCode.NO_LIMB,
-        )
+        text = f"no limb in view: no curve joins the {len(lit)} edges of the picture"
+        raise NoSolutionError(text, ReasonCode.NO_LIMB)
     return found[0], lit
 
 
@@ -216,6 +202,6 @@ def _thinned(cone: Cone, limb: Candidates, where: PixelRays) -> tuple[Candidates
     """At most MAX_POINTS, evenly in azimuth."""
     if len(limb) <= MAX_POINTS:
         return limb, where
-    order = np.argsort(azimuths(cone, where.rays), kind="stable")
+    order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
     some = order[np.linspace(0, len(order) - 1, MAX_POINTS).astype(np.int64)]
     return limb.subset(some), PixelRays(where.rays[some], where.by_x[some], where.by_y[some])

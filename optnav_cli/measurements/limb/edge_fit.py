@@ -26,7 +26,6 @@ from optnav_cli.reasons import ReasonCode
 BEFORE_PX, AFTER_PX = 7, 8
 MAX_DEPTH_PX, MAX_DEPTH_SHARE = 6.0, 0.35
 
-
 ITERATIONS = 12
 SETTLED_PX = 2e-4
 MAX_EDGE_SHIFT_PX = 4.0  # of an edge from where its threshold was crossed
@@ -84,18 +83,6 @@ class EdgeShape:
     variance: float
     gain: float
     common_sigma_px: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class LimbEdges:
-    """Where the edges lie.
-
-    depth       (n,)  inside the fitted cone's curve, px; NaN where no edge fits
-    sigma       (n,)  its 1-sigma error, px
-    """
-
-    depth: FloatArray
-    sigma: FloatArray
 
 
 @kernel
@@ -195,16 +182,11 @@ class _Fitter:
     def run(self, shape: EdgeShape) -> FloatArray:
         """Normalised residuals (n, m) after fitting every profile with a common shape."""
         second, third = shape.mixture
-        laws = self.profiles.laws
+        seen, laws = self.profiles, self.profiles.laws
         law = (1.0 - second - third) * laws[0] + second * laws[1] + third * laws[2]
+        common = np.array([shape.blur_px, self.sky, shape.variance, shape.gain, self.saturation])
         self.result, residual = _fit(
-            self.profiles.values,
-            self.profiles.depth,
-            self.profiles.start,
-            law,
-            power_table(),
-            np.array([shape.blur_px, self.sky, shape.variance, shape.gain, self.saturation]),
-            self.state,
+            seen.values, seen.depth, seen.start, law, power_table(), common, self.state
         )
         return residual
 
@@ -231,8 +213,11 @@ def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeS
 
 def locate_edges(
     profiles: Profiles, shape: EdgeShape, levels: Levels, saturation: float
-) -> LimbEdges:
-    """Place every edge of the profiles, with what the picture's edges have in common."""
+) -> tuple[FloatArray, FloatArray]:
+    """Depth (n,) of every edge inside the fitted cone's curve, px, and its 1-sigma error (n,), px.
+
+    Both NaN where no edge fits.
+    """
     fitter = _Fitter(profiles, levels.sky, saturation)
     fitter.run(shape)
     spread, total, freedom = fitter.result.T
@@ -240,7 +225,7 @@ def locate_edges(
     mean = float(total[good].sum()) / max(float(freedom[good].sum()), 1.0)
     factor = (total + LOCAL_FREEDOM * mean) / (freedom + LOCAL_FREEDOM)
     depth = np.where(good, fitter.state[:, 2], np.nan)
-    return LimbEdges(depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2))
+    return depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2)
 
 
 def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:

@@ -111,8 +111,4 @@ def three_laws(
     mu0, mu = np.maximum(mu0, MIN_COSINE), np.sqrt(mu**2 + SLOPE_SINE**2)
     mirror = math.sqrt(max(0.5 * (1.0 + cos_mid_phase), 1e-4))
     standard = float(hapke.reflectance(mirror, mirror, cos_mid_phase))
-    return [
-        hapke.reflectance(mu0, mu, cos_phase) / standard,
-        2.0 * mu0 / (mu0 + mu),
-        mu0 / mirror,
-    ]
+    return [hapke.reflectance(mu0, mu, cos_phase) / standard, 2.0 * mu0 / (mu0 + mu), mu0 / mirror]

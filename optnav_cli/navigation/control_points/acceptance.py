@@ -97,10 +97,8 @@ def rejection_of_matches(
     """
     used = int(solution.used.sum())
     if solution.degrees_of_freedom < 1:
-        return Reason(
-            ReasonCode.FEW_POINTS,
-            f"{used} control points leave no check on a free attitude; at least 4 are needed",
-        )
+        text = f"{used} control points leave no check on a free attitude; at least 4 are needed"
+        return Reason(ReasonCode.FEW_POINTS, text)
     if solution.variance_factor > max_factor:
         return Reason(
             ReasonCode.POINTS_DISAGREE,

@@ -151,15 +151,17 @@ class MatchedPoints:
     unresolved_posting_m: FloatArray
 
 
-def own_sigma_m(posting_m: float, finest_posting_m: float, sun_elevation_deg: float) -> float:
-    """One-sigma ground error per axis, m, of a point's own that its peak does not show.
+def own_sigma_m(
+    posting_m: ArrayLike, finest_posting_m: ArrayLike, sun_elevation_deg: ArrayLike
+) -> FloatArray:
+    """One-sigma ground errors per axis, m, of points' own that their peaks do not show.
 
     posting_m  of the level that was matched; sun_elevation_deg at the point
     """
-    elevation = max(np.radians(sun_elevation_deg), MIN_SUN)
-    shadow = OWN_SHADOW_M / np.tan(min(elevation, np.pi / 2.0)) ** 2
-    own = (OWN_M + shadow) * float(_scale(finest_posting_m))
-    return float(np.hypot(OWN_LEVEL_NODES * posting_m, own))
+    elevation = np.clip(np.radians(sun_elevation_deg), MIN_SUN, np.pi / 2.0)
+    own = (OWN_M + OWN_SHADOW_M / np.tan(elevation) ** 2) * _scale(finest_posting_m)
+    sigmas: FloatArray = np.hypot(np.multiply(OWN_LEVEL_NODES, posting_m), own)
+    return sigmas
 
 
 def own_covariances_px2(points: MatchedPoints) -> FloatArray:
@@ -173,15 +175,11 @@ def own_covariances_px2(points: MatchedPoints) -> FloatArray:
     level = np.eye(3) - up[:, :, None] * up[:, None, :]
     flat = pixel_per_metre @ level
     area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
-    triples = zip(
-        points.postings_m, points.finest_postings_m, points.sun_elevation_deg, strict=True
-    )
-    sigmas = np.array([own_sigma_m(*(float(v) for v in three)) for three in triples])
-    variance = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
+    sigmas = own_sigma_m(points.postings_m, points.finest_postings_m, points.sun_elevation_deg)
+    variance: FloatArray = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
     variance = variance * np.sqrt(np.maximum(area, 0.0))
     covariances: FloatArray = rise[:, :, None] * rise[:, None, :]
-    covariances = covariances + variance[:, None, None] * np.eye(2)
-    return covariances
+    return covariances + variance[:, None, None] * np.eye(2)
 
 
 def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
@@ -212,18 +210,17 @@ def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
     region = _scale(finest_postings)[:, None] / float(np.hypot(1.0, reach / REGION_M))
     one = np.ones((len(places), 1))
     fields = [
-        one * along * (region * SHADOW_M / np.tan(elevation)),
-        one * along * (region * shift),
-        one * across * (region * shift),
+        along * (region * SHADOW_M / np.tan(elevation)),
+        along * (region * shift),
+        across * (region * shift),
         outward,
+        *(outward * ((outward @ axis) / max(reach, 1.0))[:, None] for axis in (along, across)),
     ]
-    for axis in (along, across):
-        fields.append(outward * ((outward @ axis) / max(reach, 1.0))[:, None])
     *shifts, stretch, one_way, other_way = [
         np.einsum("nij,nj->ni", pixel_per_metre, f) for f in fields
     ]
     moved = [*shifts, stretch * (region * STRETCH_M / max(reach, 1.0))]
-    moved.append(_of_size(stretch, STRETCH_PX))
+    moved += [_of_size(stretch, STRETCH_PX)]
     moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
     averaged, distance = postings - finest_postings, float(np.linalg.norm(middle))
     finest = (unresolved == 0.0) & (averaged == 0.0)
@@ -251,8 +248,7 @@ def _lines_of_sight(pixel_per_metre: FloatArray, up: FloatArray) -> FloatArray:
     """Unit vectors (n, 3) from the points to the camera: a step along them moves no pixel."""
     sight: FloatArray = np.cross(pixel_per_metre[:, 0], pixel_per_metre[:, 1])
     sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-30)
-    sight = sight * np.where(np.einsum("ni,ni->n", sight, up) < 0.0, -1.0, 1.0)[:, None]
-    return sight
+    return sight * np.where(np.einsum("ni,ni->n", sight, up) < 0.0, -1.0, 1.0)[:, None]
 
 
 def _cos_emission(sight: FloatArray, up: FloatArray) -> FloatArray:
@@ -263,8 +259,7 @@ def _cos_emission(sight: FloatArray, up: FloatArray) -> FloatArray:
 def _of_size(field_px: FloatArray, rms_px: float) -> FloatArray:
     """A field scaled to an rms length."""
     size = float(np.sqrt((field_px**2).sum(axis=1).mean()))
-    scaled: FloatArray = field_px * (rms_px / max(size, 1e-9))
-    return scaled
+    return field_px * (rms_px / max(size, 1e-9))
 
 
 def _scale(finest_posting_m: ArrayLike) -> FloatArray:

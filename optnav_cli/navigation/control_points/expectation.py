@@ -4,7 +4,8 @@ A point is expected when it lies in front of the camera and whole inside the fra
 seen edge-on and is not hidden behind the terrain about it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import numpy as np
 
@@ -170,19 +171,14 @@ def expected_in_view(
     beyond = candidates.beyond_px
     room = np.zeros(len(index)) if beyond is None else beyond[index]
     inside = _inside(pixels, camera, room) & np.isfinite(metres_per_pixel)
-    for sx in (-1.0, 1.0):
-        for sy in (-1.0, 1.0):
-            offset = candidates.half_width_m[index, None] * (sx * east + sy * north)
-            corner, _ = camera.project_with_jacobian(centres + offset @ camera_from_body.T)
-            inside &= _inside(corner, camera, room)
+    for sx, sy in product((-1.0, 1.0), repeat=2):
+        offset = candidates.half_width_m[index, None] * (sx * east + sy * north)
+        corner, _ = camera.project_with_jacobian(centres + offset @ camera_from_body.T)
+        inside &= _inside(corner, camera, room)
     chosen = index[inside]
-    return ExpectedPoints(
-        chosen,
-        pixels[inside],
-        metres_per_pixel[inside],
-        np.degrees(np.arcsin(np.clip(sin_sun[chosen], -1.0, 1.0))),
-        np.degrees(np.arccos(np.clip(cos_emission[chosen], -1.0, 1.0))),
-    )
+    sun_deg = np.degrees(np.arcsin(np.clip(sin_sun[chosen], -1.0, 1.0)))
+    emission_deg = np.degrees(np.arccos(np.clip(cos_emission[chosen], -1.0, 1.0)))
+    return ExpectedPoints(chosen, pixels[inside], metres_per_pixel[inside], sun_deg, emission_deg)
 
 
 def select_evenly(view: ExpectedPoints, count: int) -> ExpectedPoints:
@@ -190,19 +186,13 @@ def select_evenly(view: ExpectedPoints, count: int) -> ExpectedPoints:
     if len(view) <= count:
         return view
     chosen = [int(np.argmin(np.linalg.norm(view.pixels - view.pixels.mean(axis=0), axis=1)))]
-    gap = np.linalg.norm(view.pixels - view.pixels[chosen[0]], axis=1)
+    gap = np.full(len(view), np.inf)
     while len(chosen) < count:
-        nearest = int(np.argmax(gap))
-        chosen.append(nearest)
-        gap = np.minimum(gap, np.linalg.norm(view.pixels - view.pixels[nearest], axis=1))
+        last = view.pixels[chosen[-1]]
+        gap = np.minimum(gap, np.linalg.norm(view.pixels - last, axis=1))
+        chosen.append(int(np.argmax(gap)))
     keep = np.sort(np.array(chosen))
-    return ExpectedPoints(
-        view.index[keep],
-        view.pixels[keep],
-        view.metres_per_pixel[keep],
-        view.sun_elevation_deg[keep],
-        view.emission_deg[keep],
-    )
+    return ExpectedPoints(*(getattr(view, column.name)[keep] for column in fields(view)))
 
 
 def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
@@ -215,10 +205,8 @@ def why_nothing_in_view(frame: FrameContext, pose: Pose) -> Reason:
     candidates = CandidatePoints(points.xyz_m, np.zeros(len(points)), verticals=points.verticals)
     seen = expected_in_view(candidates, frame.camera, pose, pose.position_m / distance, any_light)
     if len(seen) == 0:
-        return Reason(
-            ReasonCode.NO_POINTS_IN_VIEW,
-            "no control point of the catalog in the frame at the prior pose",
-        )
+        text = "no control point of the catalog in the frame at the prior pose"
+        return Reason(ReasonCode.NO_POINTS_IN_VIEW, text)
     sun_sines = points.verticals[seen.index] @ frame.sun_body
     lit = np.degrees(np.arcsin(np.clip(sun_sines, -1.0, 1.0)))
     if ((lit >= limits.sun_min_deg) & (lit <= limits.sun_max_deg)).any():
@@ -245,8 +233,7 @@ def _inside(pixels: FloatArray, camera: Camera, room_px: FloatArray) -> BoolArra
 def _horizontals(verticals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """East and north unit vectors (n, 3) of verticals (n, 3)."""
     lat, lon, _ = latlon_from_xyz(verticals)
-    zero = np.zeros_like(lat)
-    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
+    east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lat)], axis=1)
     north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
     return east, north
 
@@ -255,9 +242,8 @@ def _above_skyline(up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArra
     east, north = _horizontals(up)
     distance = np.linalg.norm(to_camera, axis=1)
     elevation = np.degrees(np.arcsin(np.einsum("ni,ni->n", up, to_camera) / distance))
-    azimuth = np.degrees(
-        np.arctan2(np.einsum("ni,ni->n", east, to_camera), np.einsum("ni,ni->n", north, to_camera))
-    )
+    x, y = (np.einsum("ni,ni->n", axis, to_camera) for axis in (north, east))
+    azimuth = np.degrees(np.arctan2(y, x))
     bins = skyline_deg.shape[1]
     nearest = np.rint(azimuth / (360.0 / bins)).astype(int) % bins
     above: BoolArray = elevation > skyline_deg[np.arange(len(up)), nearest]

@@ -29,11 +29,9 @@ class PointStore(Protocol):
 
     def point(self, point_id: int) -> ControlPoint:
         """A point with its certificate."""
-        ...
 
     def patches(self, point_id: int) -> tuple[Patch, ...]:
         """The levels of a point, finest first; DataError when they are damaged."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -106,9 +104,8 @@ class ControlPointField:
         self.radius_m = kept[0].radius_m
         self.damaged: dict[tuple[str, int], str] = {}
         self._references: Cache[int, Reference] = Cache(MAX_REFERENCES)
-        self._lowest_m = [
-            float(np.linalg.norm(layer.xyz_m, axis=1).min(initial=np.inf)) for layer in kept
-        ]
+        ranges = (np.linalg.norm(layer.xyz_m, axis=1) for layer in kept)
+        self._lowest_m = [float(each.min(initial=np.inf)) for each in ranges]
         across = np.linalg.norm(unit(self.xyz_m) - self.verticals, axis=1)
         # how far normals lean from the radius, a superset's margin for what is seen
         self._lean_deg = float(np.degrees(2.0 * np.arcsin(across.max(initial=0.0) / 2.0)))

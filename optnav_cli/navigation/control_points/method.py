@@ -6,10 +6,11 @@ pose before the next pass searches finer.
 """
 
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from catalog.arrays import FloatArray
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
@@ -18,17 +19,7 @@ from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, PositionPrior, UnsolvedFrameError
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
-from optnav_cli.navigation.control_points.acceptance import (
-    MAX_PART_FACTOR,
-    MAX_VARIANCE_FACTOR,
-    MIN_DECADES,
-    MIN_NEAR_DECADES,
-    NEAR_POSTINGS,
-    decades_of_parts,
-    log10_false_alarms,
-    rejection_of_matches,
-    rejection_of_place,
-)
+from optnav_cli.navigation.control_points import acceptance
 from optnav_cli.navigation.control_points.error_model import footprints, own_shares
 from optnav_cli.navigation.control_points.expectation import (
     ExpectedPoints,
@@ -68,9 +59,7 @@ class _Pass:
     @property
     def used(self) -> list[int]:
         """Which of the points the solution keeps."""
-        return [
-            k for k, used in zip(accepted(self.matches), self.solution.used, strict=True) if used
-        ]
+        return list(compress(accepted(self.matches), self.solution.used))
 
 
 def navigate(
@@ -94,22 +83,15 @@ def navigate(
     last = passes[-1]
     reason = _rejection(frame, last, passes[0].searched_postings)
     if reason:
-        refused = [
+        refused = tuple(
             replace(row, used=False, reason=reason.text, reason_code=reason.code)
             for row in last.evidence.matches
-        ]
-        raise UnsolvedFrameError(
-            reason, replace(last.evidence, n_used=0, residual_rms_px=None, matches=tuple(refused))
         )
-    resection = last.solution
-    return Fix(
-        Method.CONTROL_POINTS,
-        resection.pose.position_m,
-        resection.position_covariance_m2,
-        resection.pose.camera_from_body,
-        resection.attitude_sigma_rad,
-        last.evidence,
-    )
+        tried = replace(last.evidence, n_used=0, residual_rms_px=None, matches=refused)
+        raise UnsolvedFrameError(reason, tried)
+    pose, turn = last.solution.pose, last.solution.pose.camera_from_body
+    covariance, sigma = last.solution.position_covariance_m2, last.solution.attitude_sigma_rad
+    return Fix(Method.CONTROL_POINTS, pose.position_m, covariance, turn, sigma, last.evidence)
 
 
 def _is_settled(passes: list[_Pass]) -> bool:
@@ -125,10 +107,13 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
     limits = frame.settings.solve
     if before is None:
         pose = Pose(prior.position_m, frame.observation.camera_from_body)
-        covariance, most = _prior_covariance(frame, prior), limits.max_first_pass_points
+        sigma = frame.settings.attitude_sigma_rad(frame.observation.attitude_sigma_rad)
+        covariance = block_diag(prior.covariance_m2, sigma**2 * np.eye(3))
+        most = limits.max_first_pass_points
     else:
-        pose = before.solution.pose
-        covariance, most = _full_covariance(before.solution), limits.max_points
+        pose, most = before.solution.pose, limits.max_points
+        solved = before.solution.covariance
+        covariance = np.pad(solved, (0, 6 - len(solved)))
     view = select_evenly(expected(frame, pose, whole=before is not None), most)
     if len(view) == 0:
         tried = NO_POINTS if before is None else before.evidence
@@ -143,37 +128,13 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
         evidence = _evidence(frame, view, matches, None)
         raise UnsolvedFrameError(reason.worded(text), evidence) from error
-    resection = solution
-    position, covariance_m2 = resection.pose.position_m, resection.position_covariance_m2
-    reason = rejection_of_place(position, covariance_m2, prior)
+    position, covariance_m2 = solution.pose.position_m, solution.position_covariance_m2
+    reason = acceptance.rejection_of_place(position, covariance_m2, prior)
     if reason:
         raise UnsolvedFrameError(reason, _evidence(frame, view, matches, None))
-    step = position - pose.position_m
-    return _Pass(
-        view,
-        matches,
-        solution,
-        _evidence(frame, view, matches, solution),
-        float(np.sqrt(squared_distance(step, covariance_m2))),
-        at_finest,
-        searched,
-    )
-
-
-def _prior_covariance(frame: FrameContext, prior: PositionPrior) -> FloatArray:
-    sigma = frame.observation.attitude_sigma_rad
-    if sigma is None:
-        sigma = float(np.radians(frame.settings.solve.free_attitude_deg))
-    full = np.diag([0.0] * 3 + [sigma**2] * 3)
-    full[:3, :3] = prior.covariance_m2
-    return full
-
-
-def _full_covariance(solution: Resection) -> FloatArray:
-    solved = solution.covariance
-    full = np.zeros((6, 6))
-    full[: len(solved), : len(solved)] = solved
-    return full
+    moved = float(np.sqrt(squared_distance(position - pose.position_m, covariance_m2)))
+    evidence = _evidence(frame, view, matches, solution)
+    return _Pass(view, matches, solution, evidence, moved, at_finest, searched)
 
 
 def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Reason:
@@ -184,34 +145,29 @@ def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Re
     searched = sum(match.score is not None for match in last.matches)
     decades = _decades(frame, last, searched, searched_postings)
     parts = all(last.matches[k].part is not None for k in last.used)
-    near = parts and searched_postings <= NEAR_POSTINGS
-    return rejection_of_matches(
-        last.solution,
-        decades,
-        searched,
-        MIN_NEAR_DECADES if near else MIN_DECADES,
-        MAX_PART_FACTOR if parts else MAX_VARIANCE_FACTOR,
-    )
+    near = parts and searched_postings <= acceptance.NEAR_POSTINGS
+    least = acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_DECADES
+    most = acceptance.MAX_PART_FACTOR if parts else acceptance.MAX_VARIANCE_FACTOR
+    return acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
 
 
 def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings: float) -> float:
     """Powers of ten against chance for the points that a pass uses."""
     whole = [k for k in last.used if last.matches[k].part is None]
-    cut = [
-        (match.score or 0.0, match.part)
-        for match in (last.matches[k] for k in last.used)
-        if match.part is not None
-    ]
+    used = [last.matches[k] for k in last.used]
+    cut = [(match.score or 0.0, match.part) for match in used if match.part is not None]
     decades = 0.0
     if whole:
         template = min(_template_side(frame, last, k) for k in whole)
         scores = [last.matches[k].score or 0.0 for k in whole]
-        decades += log10_false_alarms(scores, searched - len(cut), template)
+        decades += acceptance.log10_false_alarms(scores, searched - len(cut), template)
     if cut:
         strengths = [score * np.sqrt(part.samples) for score, part in cut]
         size_px = frame.camera.width_px, frame.camera.height_px
         shares = own_shares(footprints([part for _, part in cut], size_px))
-        decades += decades_of_parts(strengths, shares, searched - len(whole), searched_postings)
+        decades += acceptance.decades_of_parts(
+            strengths, shares, searched - len(whole), searched_postings
+        )
     return decades
 
 
@@ -226,10 +182,7 @@ def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
 
 
 def _evidence(
-    frame: FrameContext,
-    view: ExpectedPoints,
-    matches: list[PointMatch],
-    solution: Resection | None,
+    frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], solution: Resection | None
 ) -> Evidence:
     """The points tried, with what the solution made of them; None: there is no solution."""
     place = {k: i for i, k in enumerate(accepted(matches))}
@@ -264,10 +217,5 @@ def _evidence(
             )
         )
     residuals = [row.residual_px for row in rows if row.used and row.residual_px is not None]
-    return Evidence(
-        n_predicted=len(matches),
-        n_matched=len(place),
-        n_used=len(residuals),
-        residual_rms_px=float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None,
-        matches=tuple(rows),
-    )
+    rms = float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None
+    return Evidence(len(matches), len(place), len(residuals), rms, matches=tuple(rows))

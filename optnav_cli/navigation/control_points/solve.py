@@ -15,14 +15,7 @@ from optnav_cli.matching.search_plan import (
     plan_distortion,
     search_room,
 )
-from optnav_cli.navigation.control_points.error_model import (
-    MatchedPoints,
-    common_errors_px,
-    footprints,
-    ground_correlation,
-    overlap_correlation,
-    own_covariances_px2,
-)
+from optnav_cli.navigation.control_points import error_model
 from optnav_cli.navigation.control_points.expectation import ExpectedPoints, FrameContext
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -57,8 +50,7 @@ def match_all(
     roll_sigma = float(np.sqrt(covariance[5, 5]))
     ranges = np.linalg.norm(points.xyz_m[view.index] - pose.position_m, axis=1)
     gates = MatchGates(settings.match.min_score, settings.match.rival_ratio, MIN_STRENGTH)
-    matches = []
-    at_finest = True
+    matches, at_finest = [], True
     for k, index in enumerate(view.index):
         reference = points.reference(int(index))
         if reference is None:
@@ -67,13 +59,8 @@ def match_all(
         sample = float(view.metres_per_pixel[k])
         postings = points.postings_m(int(index))
         finest = frame.finest_level(postings, sample)
-        level, room = search_room(
-            postings,
-            finest,
-            float(uncertainty[k]),
-            settings.match.search_sigmas,
-            settings.match.max_search_nodes,
-        )
+        spread, sigmas = float(uncertainty[k]), settings.match.search_sigmas
+        level, room = search_room(postings, finest, spread, sigmas, settings.match.max_search_nodes)
         at_finest = at_finest and level == finest
         posting = float(postings[level])
         template = frame.template_nodes(posting, sample, float(known[k]))
@@ -81,11 +68,10 @@ def match_all(
         distortion = plan_distortion(template, roll_sigma, scale_sigma, DISTORTION_SIGMAS)
         blur = blur_nodes(posting, float(known[k]))
         plan = SearchPlan(level, template, room, sample, distortion, blur)
-        matches.append(
-            match_point(
-                reference, plan, frame.picture, camera, pose, frame.sun_body, frame.matcher, gates
-            )
+        match = match_point(
+            reference, plan, frame.picture, camera, pose, frame.sun_body, frame.matcher, gates
         )
+        matches.append(match)
     return matches, at_finest, searched_postings
 
 
@@ -112,14 +98,14 @@ def solve(
         samples = view.metres_per_pixel[kept]
         triples = zip(levels.tolist(), samples.tolist(), finest.tolist(), strict=True)
         nodes = [frame.template_nodes(*three) for three in triples]
-        error_correlation = ground_correlation(places, levels * nodes)
+        error_correlation = error_model.ground_correlation(places, levels * nodes)
         if parts:
             size_px = frame.camera.width_px, frame.camera.height_px
-            error_correlation[np.ix_(list(parts), list(parts))] = overlap_correlation(
-                footprints(list(parts.values()), size_px)
+            error_correlation[np.ix_(list(parts), list(parts))] = error_model.overlap_correlation(
+                error_model.footprints(list(parts.values()), size_px)
             )
         _, jacobian = predict(frame.camera, pose, places)
-        errors = MatchedPoints(
+        errors = error_model.MatchedPoints(
             places,
             -jacobian[:, :, :3],  # a point that moves one way looks as if the camera moved
             np.array([matches[k].score or 0.0 for k in kept]),
@@ -128,15 +114,15 @@ def solve(
             finest,
             np.where(levels < finest, finest, 0.0),
         )
-        covariances = sightings.covariances_px2 + own_covariances_px2(errors)
+        covariances = sightings.covariances_px2 + error_model.own_covariances_px2(errors)
         sightings = replace(sightings, covariances_px2=covariances)
-        common = common_errors_px(errors, frame.sun_body)
+        common = error_model.common_errors_px(errors, frame.sun_body)
     free = observation.attitude_sigma_rad is None
-    attitude = pose.camera_from_body if free else observation.camera_from_body
+    start = pose if free else Pose(pose.position_m, observation.camera_from_body)
     return resect_robustly(
         frame.camera,
         sightings,
-        Pose(pose.position_m, attitude),
+        start,
         observation.attitude_sigma_rad,
         common_errors_px=common,
         error_correlation=error_correlation,

@@ -19,6 +19,7 @@ from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
 from optnav_cli.measurements.disc.size import radius_posterior
+from optnav_cli.navigation.horizon.limb_rays import attitude_covariance
 from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -63,9 +64,8 @@ def navigate(
         shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA / lit**SHADOW_POWER
     seen = np.vstack([axes, -towards]) @ body_from_camera.T
     moments = light_moments(body, relief, seen, sun_body, phase)
-    size = radius_posterior(
-        disc, pixel_from_angle / scale, moments, shape_sigma, camera.known_blur_px
-    )
+    pixel_from_disc = pixel_from_angle / scale
+    size = radius_posterior(disc, pixel_from_disc, moments, shape_sigma, camera.known_blur_px)
     weights, radii = size.weights, size.radii_px
     if size.misfit_sigmas > MAX_MISFIT:
         raise NoSolutionError(
@@ -75,7 +75,7 @@ def navigate(
             ReasonCode.WRONG_LIGHT,
         )
     # every radius and law puts the centre elsewhere, and the body at another range
-    offsets = np.array([m.offset for m in moments]) @ (pixel_from_angle / scale).T
+    offsets = np.array([m.offset for m in moments]) @ pixel_from_disc.T
     pixels = disc.centre - offsets[:, None] * radii[:, None]
     rays = camera.unproject(pixels)
     distances = float(np.mean(body.radii_m)) / np.sin(np.arctan(radii / scale))
@@ -86,22 +86,37 @@ def navigate(
     distance = float(np.linalg.norm(position))
     radius = float((weights * radii).sum())
     noise = disc.centre_covariance + (shape_sigma * radius) ** 2 * np.eye(2)
-    across = _across(camera, disc.centre) * distance
-    square = np.eye(3) - np.outer(position, position) / distance**2
-    covariance += across @ noise @ across.T + square * (distance * view.attitude_sigma_rad) ** 2
+    # change (3, 2) of the unit ray by the pixel
+    steps = 0.5 * np.eye(2)
+    change = (camera.unproject(disc.centre + steps) - camera.unproject(disc.centre - steps)).T
+    across = change * distance
+    covariance += across @ noise @ across.T
     share = float(np.sqrt(position @ covariance @ position)) / distance**2
-    fix = Fix(
-        Method.BRIGHTNESS_CENTRE,
-        body_from_camera @ position,
-        body_from_camera @ covariance @ body_from_camera.T,
-        camera_from_body,
-        view.attitude_sigma_rad,
-        Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels))),
-        Reason(
-            ReasonCode.SMALL_DISC, f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %"
-        ),
-    )
+    evidence = Evidence(outline=OutlineMarks.of_disc(np.einsum("kn,kni->i", weights, pixels)))
+    text = f"disc of {2.0 * radius:.1f} px, range to {100.0 * share:.0f} %"
+    fix = disc_fix(Method.BRIGHTNESS_CENTRE, view, position, covariance, evidence, text)
     return fix, size.width_sigmas
+
+
+def disc_fix(
+    method: Method,
+    view: CameraView,
+    position: FloatArray,
+    covariance: FloatArray,
+    evidence: Evidence,
+    text: str,
+) -> Fix:
+    """A fix by a small disc from position (3,) and covariance (3, 3), m, in camera axes.
+
+    The attitude's error, which turns the position about the body, is not in the covariance yet.
+    """
+    covariance = covariance + attitude_covariance(position, view.attitude_sigma_rad)
+    turn = view.camera_from_body.inv().as_matrix()
+    place, spread = turn @ position, turn @ covariance @ turn.T
+    reason = Reason(ReasonCode.SMALL_DISC, text)
+    return Fix(
+        method, place, spread, view.camera_from_body, view.attitude_sigma_rad, evidence, reason
+    )
 
 
 def _tangent(
@@ -120,9 +135,3 @@ def _tangent(
     moved = camera.project(towards + steps) - camera.project(towards - steps)
     matrix = moved.T / (2.0 * SMALL_ANGLE)
     return matrix, float(np.sqrt(abs(np.linalg.det(matrix)))), axes
-
-
-def _across(camera: Camera, pixel: FloatArray) -> FloatArray:
-    """Change (3, 2) of the unit ray by the pixel."""
-    steps = 0.5 * np.eye(2)
-    return (camera.unproject(pixel + steps) - camera.unproject(pixel - steps)).T

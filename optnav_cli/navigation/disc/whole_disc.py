@@ -16,9 +16,9 @@ from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.measurements.disc.moments import MAX_SMALL_DISC_PX
 from optnav_cli.measurements.limb.detection import LimbPoints
-from optnav_cli.navigation.disc.brightness_centre import SHAPE_SIGMA
+from optnav_cli.navigation.disc.brightness_centre import SHAPE_SIGMA, disc_fix
 from optnav_cli.navigation.neighbour import CameraView
-from optnav_cli.reasons import Reason, ReasonCode
+from optnav_cli.reasons import ReasonCode
 
 DRAWING_SIGMA_PX = 0.01  # what drawing leaves
 # Of 100 drawn discs the misfit was 0.7-1.1 under their own Sun, and over 1.25 or without a solution
@@ -42,9 +42,8 @@ def navigate(picture: Picture, view: CameraView, body: Body, limb: LimbPoints) -
     Returns None where the light leaves a doubt about a sphere under this Sun: the limb is better.
     Raises NoSolutionError for a disc whose light is not that of a sphere under this Sun.
     """
-    camera, camera_from_body = view.camera, view.camera_from_body
+    camera, sun = view.camera, view.camera_from_body.apply(view.sun_body)
     per_px = rad_per_px(camera, limb.cone_axis_camera)
-    sun = camera_from_body.apply(view.sun_body)
     fit = fit_disc(
         picture.values, camera, limb.cone_axis_camera, limb.cone_angle, sun, picture.saturation
     )
@@ -66,26 +65,13 @@ def navigate(picture: Picture, view: CameraView, body: Body, limb: LimbPoints) -
     steps = STEP_PX * np.eye(3)
     change = np.stack([place(state + s) - place(state - s) for s in steps], axis=1) / (2 * STEP_PX)
     position = place(state)
-    distance = float(np.linalg.norm(position))
-    lit = 0.5 * (1.0 + float(position @ sun) / distance)
+    lit = 0.5 * (1.0 + float(position @ sun) / float(np.linalg.norm(position)))
     # the figure moves the fitted centre and radius; shadows on its ground do more as the lit share
     # shrinks
     shape_px = SHAPE_SIGMA * fit.radius_px / max(lit, 0.1)
-    covariance = fit.covariance + (shape_px**2 + DRAWING_SIGMA_PX**2) * np.eye(3)
-    covariance = change @ covariance @ change.T
-    square = np.eye(3) - np.outer(position, position) / distance**2
-    covariance += square * (distance * view.attitude_sigma_rad) ** 2
-    body_from_camera = camera_from_body.inv().as_matrix()
-    return Fix(
-        Method.HORIZON_SPHERE,
-        body_from_camera @ position,
-        body_from_camera @ covariance @ body_from_camera.T,
-        camera_from_body,
-        view.attitude_sigma_rad,
-        Evidence(
-            n_limb=len(limb),
-            arc_deg=limb.arc_deg,
-            outline=OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb))),
-        ),
-        Reason(ReasonCode.SMALL_DISC, f"disc of {2.0 * fit.radius_px:.1f} px fitted whole"),
-    )
+    spread = fit.covariance + (shape_px**2 + DRAWING_SIGMA_PX**2) * np.eye(3)
+    covariance = change @ spread @ change.T
+    marks = OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb)))
+    evidence = Evidence(n_limb=len(limb), arc_deg=limb.arc_deg, outline=marks)
+    text = f"disc of {2.0 * fit.radius_px:.1f} px fitted whole"
+    return disc_fix(Method.HORIZON_SPHERE, view, position, covariance, evidence, text)

@@ -88,14 +88,9 @@ def limb_rays_of(points: LimbPoints, camera: Camera, camera_from_body: Rotation)
             "the lens has no ray for any of the limb points", ReasonCode.BAD_PICTURE
         )
     angle = np.linalg.norm(np.cross(rays[seen], nearby[seen]), axis=1)
-    return LimbRays(
-        camera_from_body.apply(rays[seen], inverse=True),
-        angle,
-        points.sigma_px[seen],
-        points.blur_px * float(np.median(angle)),
-        points.common_sigma_px,
-        np.flatnonzero(seen),
-    )
+    turned = camera_from_body.apply(rays[seen], inverse=True)
+    own, blur = points.sigma_px[seen], points.blur_px * float(np.median(angle))
+    return LimbRays(turned, angle, own, blur, points.common_sigma_px, np.flatnonzero(seen))
 
 
 def arc_deg(azimuths: FloatArray) -> float:
@@ -110,8 +105,9 @@ def arc_deg(azimuths: FloatArray) -> float:
     return float(np.unique(np.mod(bins, count)).size * (360.0 / count))
 
 
-def require_arc(arc: float) -> float:
-    """The same arc, in degrees. Raises NoSolutionError for less than a position wants."""
+def require_arc(azimuths: FloatArray) -> float:
+    """`arc_deg` of the points. Raises NoSolutionError for less than a position wants."""
+    arc = arc_deg(azimuths)
     if arc < MIN_ARC_DEG:
         raise NoSolutionError(
             f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "

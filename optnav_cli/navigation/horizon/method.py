@@ -19,7 +19,6 @@ from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.measurements.limb.detection import LimbPoints
 from optnav_cli.navigation.horizon.limb_rays import (
     LimbRays,
-    arc_deg,
     attitude_covariance,
     edge_errors,
     limb_rays_of,
@@ -79,25 +78,18 @@ def navigate(
         fit, rays, azimuths = last.fit.estimate, last.fit.rays, last.fit.azimuths
         position, covariance = with_limb_errors(skyline, last.fit)
     used = fit.used
-    arc = require_arc(arc_deg(azimuths[used]))
+    arc = require_arc(azimuths[used])
     in_pixels = fit.measured.residuals[used] / rays.pixel_angle[used]
     residuals = np.full(len(points), np.nan)
     residuals[rays.numbers[used]] = in_pixels
+    rms = float(np.sqrt(np.mean(in_pixels**2)))
+    marks = OutlineMarks(points.pixels, points.inward, residuals)
+    evidence = Evidence(residual_rms_px=rms, n_limb=int(used.sum()), arc_deg=arc, outline=marks)
+    covariance = covariance + attitude_covariance(position, attitude_sigma_rad)
     short = Reason(ReasonCode.SHORT_ARC, f"short arc of limb, {arc:.0f} deg")
-    return Fix(
-        Method.HORIZON_SPHERE if relief is None else Method.HORIZON,
-        position,
-        covariance + attitude_covariance(position, attitude_sigma_rad),
-        camera_from_body,
-        attitude_sigma_rad,
-        Evidence(
-            residual_rms_px=float(np.sqrt(np.mean(in_pixels**2))),
-            n_limb=int(used.sum()),
-            arc_deg=arc,
-            outline=OutlineMarks(points.pixels, points.inward, residuals),
-        ),
-        short if arc < SHORT_ARC_DEG else NO_REASON,
-    )
+    remark = short if arc < SHORT_ARC_DEG else NO_REASON
+    method = Method.HORIZON_SPHERE if relief is None else Method.HORIZON
+    return Fix(method, position, covariance, camera_from_body, attitude_sigma_rad, evidence, remark)
 
 
 def _on_ellipsoid(

@@ -5,7 +5,6 @@ biweight, whose width follows the scatter: wide while the position is kilometres
 end.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -44,20 +43,6 @@ MIN_CUT_PX = 0.2
 MAX_MISFIT = 1.8
 
 
-@dataclass(frozen=True, eq=False)
-class SkylineSizes:
-    """The skyline at each ray.
-
-    sizes     (n,) radius of the sphere that a ray on the skyline would touch, in reference radii
-    lit       (n,) whether the Sun reaches the crest
-    sun_sine  (n,) sine of the Sun's elevation over the sphere at the crest; 1 where not known
-    """
-
-    sizes: FloatArray
-    lit: BoolArray
-    sun_sine: FloatArray
-
-
 class ReliefSkyline:
     """A relief made ready for skylines, and how well these are known; see `BodySkyline`.
 
@@ -76,23 +61,18 @@ class ReliefSkyline:
 
     def fit(self, rays: LimbRays, position: FloatArray, sun: FloatArray | None) -> SkylineFit:
         """As `BodySkyline.fit`: a fit to the skyline without its outliers."""
-        line = self.sizes_at(position, rays, sun)
-        usable, kept = usable_rays(rays, position, line.lit, line.sun_sine)
-        sizes, radii = line.sizes[usable], np.full(3, self.limb.radius_m)
+        sizes, lit, sun_sine = self.sizes_at(position, rays, sun)
+        usable, kept = usable_rays(rays, position, lit, sun_sine)
+        sizes, radii = sizes[usable], np.full(3, self.limb.radius_m)
         sigmas = np.hypot(kept.own_sigmas(), self.crest_noise_m / self._distance(position))
         least = MIN_CUT_PX * float(np.median(kept.pixel_angle))
         fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=position)
         for _ in range(2):
             cut = max(TUKEY * scatter(fit.measured.residuals), least)
             fit = fit_limb(kept.rays, sigmas, radii, scales=sizes, start_m=fit.state, cut=cut)
-        return SkylineFit(
-            fit,
-            kept,
-            kept.azimuths(fit.state),
-            line.sun_sine[usable],
-            self._distance(fit.state),
-            scatter(fit.measured.residuals / sigmas),
-        )
+        azimuths, distance = kept.azimuths(fit.state), self._distance(fit.state)
+        misfit = scatter(fit.measured.residuals / sigmas)
+        return SkylineFit(fit, kept, azimuths, sun_sine[usable], distance, misfit)
 
     def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
@@ -121,10 +101,13 @@ class ReliefSkyline:
 
     def sizes_at(
         self, position: FloatArray, rays: LimbRays, sun_body: FloatArray | None
-    ) -> SkylineSizes:
-        """The skyline from a position (3,), m, at the azimuths of the rays.
+    ) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """The skyline from a position (3,), m, at the azimuth of each ray.
 
         sun_body (3,) towards the Sun, any length; None: all is taken as lit
+        Returns, each (n,): the radius of the sphere that a ray on the skyline would touch, in
+        reference radii; whether the Sun reaches the crest; the sine of the Sun's elevation over
+        the sphere there, 1 where not known.
         """
         ground = self.limb
         distance = float(np.linalg.norm(position))
@@ -154,11 +137,8 @@ class ReliefSkyline:
             crests = (line.radius_m + SHADOW_CLEARANCE_M)[:, None] * out
             sun_sine[wanted] = out @ (sun_body / np.linalg.norm(sun_body))
             lit[wanted] = ground.sunlit(crests, sun_body)
-        return SkylineSizes(
-            distance * np.sin(off_nadir) / ground.radius_m,
-            lit[left] & lit[(left + 1) % count],
-            sun_sine[left],
-        )
+        sizes = distance * np.sin(off_nadir) / ground.radius_m
+        return sizes, lit[left] & lit[(left + 1) % count], sun_sine[left]
 
 
 @lru_cache(maxsize=2)

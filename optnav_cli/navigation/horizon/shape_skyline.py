@@ -96,17 +96,10 @@ class ShapeSkyline:
             position, line.offsets[usable], line.rates[usable], sigmas, azimuths, least_cut
         )
         if float(np.linalg.norm(fit.state)) <= self.limb.radius_m:
-            raise NoSolutionError(
-                "the limb leads to a position inside the body", ReasonCode.INSIDE_BODY
-            )
-        return SkylineFit(
-            fit,
-            kept,
-            azimuths,
-            line.sun_sine[usable],
-            float(np.median(ranges)),
-            scatter(fit.measured.residuals / sigmas),
-        )
+            text = "the limb leads to a position inside the body"
+            raise NoSolutionError(text, ReasonCode.INSIDE_BODY)
+        distance, misfit = float(np.median(ranges)), scatter(fit.measured.residuals / sigmas)
+        return SkylineFit(fit, kept, azimuths, line.sun_sine[usable], distance, misfit)
 
     def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""

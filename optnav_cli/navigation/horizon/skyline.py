@@ -4,21 +4,14 @@ The skyline is predicted from the position so far and the position fitted to it,
 still. What is not in the model (crests in shadow, ground below its cells) loses its weight.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.estimation.consider import with_shared_errors
 from optnav_cli.estimation.least_squares import Estimate
-from optnav_cli.navigation.horizon.limb_rays import (
-    LimbRays,
-    arc_deg,
-    edge_errors,
-    in_sectors,
-    require_arc,
-)
+from optnav_cli.navigation.horizon.limb_rays import LimbRays, edge_errors, in_sectors, require_arc
 
 # Below 3 deg of Sun edges stray by tenths of a pixel, and outward: what is seen there is the far
 # side of shadows.
@@ -29,8 +22,7 @@ SETTLING_PASSES = 4
 MAX_MOVE_SHARE = 0.8
 
 
-@dataclass(frozen=True, eq=False)
-class SkylineFit:
+class SkylineFit(NamedTuple):
     """A fit to the skyline as it is predicted from one position.
 
     rays        that were used, before robust weights
@@ -48,8 +40,7 @@ class SkylineFit:
     misfit: float
 
 
-@dataclass(frozen=True, eq=False)
-class Followed:
+class Followed(NamedTuple):
     """The last of the passes over a skyline.
 
     passes   how many were made;  moved_m  by the last of them
@@ -83,15 +74,12 @@ class BodySkyline(Protocol):
 
         Raises NoSolutionError when too little of the limb is lit.
         """
-        ...
 
     def stands_still(self, step: FloatArray, estimate: Estimate[FloatArray]) -> bool:
         """Whether a step (3,), m, is too small for another pass."""
-        ...
 
     def check(self, last: Followed) -> None:
         """Raises NoSolutionError when the limb is not this skyline or does not settle on it."""
-        ...
 
 
 def usable_rays(
@@ -100,7 +88,7 @@ def usable_rays(
     """Which rays (n,) the Sun lights well enough, and these. Raises NoSolutionError for few."""
     usable = lit & (sun_sine > MIN_SUN_SINE)
     kept = rays.subset(usable)
-    require_arc(arc_deg(kept.azimuths(position)))
+    require_arc(kept.azimuths(position))
     return usable, kept
 
 
@@ -127,10 +115,8 @@ def with_limb_errors(skyline: BodySkyline, fit: SkylineFit) -> tuple[FloatArray,
 
     The attitude's error is not in it.
     """
-    errors = [
-        edge_errors(fit.rays, fit.azimuths, fit.sun_sine),
-        np.full((len(fit.rays), 1), skyline.crest_sigma_m / fit.distance_m),
-    ]
+    crests = np.full((len(fit.rays), 1), skyline.crest_sigma_m / fit.distance_m)
+    errors = [edge_errors(fit.rays, fit.azimuths, fit.sun_sine), crests]
     if skyline.sector_sigma_m > 0.0:
         errors.append(in_sectors(fit.azimuths) * (skyline.sector_sigma_m / fit.distance_m))
     return with_shared_errors(fit.estimate, np.concatenate(errors, axis=1))

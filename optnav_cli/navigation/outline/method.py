@@ -4,7 +4,7 @@ Each disc is taken for the body in turn, and the one stands whose position puts 
 where the picture shows it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,20 +17,8 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.segmentation import Blobs, lit_blobs, measure_levels, without_blobs
-from optnav_cli.navigation.neighbour import (
-    SPOT_BLUR_PX,
-    CameraView,
-    OtherBody,
-    PredictedDisc,
-    Spot,
-    is_lit,
-    is_more_likely_neighbour,
-    is_seen,
-    is_within,
-    must_be_seen,
-    predicted,
-    spots_of,
-)
+from optnav_cli.navigation import neighbour
+from optnav_cli.navigation.neighbour import CameraView, OtherBody, PredictedDisc, Spot
 from optnav_cli.navigation.outline.one_body import NEAR_ANGLE, solve
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
@@ -60,38 +48,20 @@ def navigate(
     Raises NoSolutionError with what the picture shows instead.
     """
     view = CameraView(camera, camera_from_body, attitude_sigma_rad, sun_body)
-    return _choose(picture, view, body, relief, other).outline
+    return outline_of(picture, view, body, relief, other)[0]
 
 
-def mask_neighbour(
+def outline_of(
     picture: Picture,
     view: CameraView,
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody | None,
-) -> Picture:
-    """The picture that `navigate` solves: with sky in place of the neighbour where it shows both.
+) -> tuple[Fix, Picture]:
+    """The position, and the picture that gives it: with sky in place of the neighbour if it shows.
 
     Raises NoSolutionError as `navigate` does.
     """
-    return _choose(picture, view, body, relief, other).picture
-
-
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """An outline and the picture, of one body, that it was found in."""
-
-    outline: Fix
-    picture: Picture
-
-
-def _choose(
-    picture: Picture,
-    view: CameraView,
-    body: Body,
-    relief: GlobalRelief | None,
-    other: OtherBody | None,
-) -> _Choice:
     alone, reason = None, NO_REASON
     try:
         alone = solve(picture, view, body, relief)
@@ -101,7 +71,7 @@ def _choose(
         return _one_of_two(picture, view, body, relief, other, alone, reason)
     if alone is None:
         raise reason.error()
-    return _Choice(alone, picture)
+    return alone, picture
 
 
 def _one_of_two(
@@ -112,7 +82,7 @@ def _one_of_two(
     other: OtherBody,
     alone: Fix | None,
     reason: Reason,
-) -> _Choice:
+) -> tuple[Fix, Picture]:
     """The outline that another body in the picture confirms, or does not contradict.
 
     alone, reason  what the picture gives without asking which body it is
@@ -123,22 +93,19 @@ def _one_of_two(
     except NoSolutionError:
         raise reason.error() from None
     blobs = lit_blobs(picture.values, levels.threshold)
-    spots = spots_of(view.camera, blobs, np.flatnonzero(blobs.area >= MIN_SPOT_PIXELS)[:MAX_SPOTS])
+    large = np.flatnonzero(blobs.area >= MIN_SPOT_PIXELS)[:MAX_SPOTS]
+    spots = neighbour.spots_of(view.camera, blobs, large)
     if alone is not None:
         # lit peaks beyond the terminator are the body's own
         own = _disc(view, body, alone)
-        spots = [spot for spot in spots if spot.extent > own.angle or not is_within(spot, own)]
+        spots = [s for s in spots if s.extent > own.angle or not neighbour.is_within(s, own)]
     if len(spots) > 1:
         agreed = _agreed(picture, view, body, relief, other, blobs, spots, levels.sky)
         if len(agreed) == 1:
-            found = agreed[0].outline
-            remark = Reason(
-                ReasonCode.NEIGHBOUR_IN_VIEW,
-                f"{names[0]} is in the picture too, where this position puts it",
-            )
-            return replace(
-                agreed[0], outline=replace(found, reason=found.reason.followed_by(remark))
-            )
+            found, masked = agreed[0]
+            text = f"{names[0]} is in the picture too, where this position puts it"
+            remark = Reason(ReasonCode.NEIGHBOUR_IN_VIEW, text)
+            return replace(found, reason=found.reason.followed_by(remark)), masked
         if agreed:
             raise NoSolutionError(
                 f"two bodies in the picture: either may be {names[1]}, for each puts {names[0]} "
@@ -148,20 +115,22 @@ def _one_of_two(
     if alone is None:
         raise reason.error()
     expected = _other_disc(view, other, alone)
-    if must_be_seen(view, expected, _disc(view, body, alone)) and not is_lit(expected, spots):
+    seen = neighbour.must_be_seen(view, expected, _disc(view, body, alone))
+    if seen and not neighbour.is_lit(expected, spots):
         x, y = view.camera.project(expected.towards)
         raise NoSolutionError(
             f"if the disc were {names[1]}, {names[0]} should be seen about ({x:.0f}, {y:.0f}) and "
             "is not: another body, or attitude, time or focal length are wrong",
             ReasonCode.OTHER_BODY,
         )
-    if is_more_likely_neighbour(view, other, alone.position_m, _sigma(alone), body.radius_m):
+    place, sigma = alone.position_m, _sigma(alone)
+    if neighbour.is_more_likely_neighbour(view, other, place, sigma, body.radius_m):
         raise NoSolutionError(
             f"the disc is where {names[0]} stands as seen from near {names[1]}, and of its size: "
             f"it is {names[0]}, or cannot be told from it",
             ReasonCode.OTHER_BODY,
         )
-    return _Choice(alone, picture)
+    return alone, picture
 
 
 def _agreed(
@@ -173,7 +142,7 @@ def _agreed(
     blobs: Blobs,
     spots: list[Spot],
     sky: float,
-) -> list[_Choice]:
+) -> list[tuple[Fix, Picture]]:
     """The outline of each spot taken for the body that puts the other body where a spot is."""
     agreed = []
     for spot in spots[:MAX_BODIES]:
@@ -189,8 +158,8 @@ def _agreed(
         if np.linalg.norm(found.position_m) > FARTHEST * np.linalg.norm(other.centre_m):
             continue
         seen = _other_disc(view, other, found)
-        if seen.sigma < MAX_SIGMA and any(is_seen(seen, one) for one in rest):
-            agreed.append(_Choice(found, masked))
+        if seen.sigma < MAX_SIGMA and any(neighbour.is_seen(seen, one) for one in rest):
+            agreed.append((found, masked))
     return agreed
 
 
@@ -200,10 +169,9 @@ def _may_be(view: CameraView, body: Body, other: OtherBody, spot: Spot, rest: li
         return True
     towards = view.camera_from_body.inv().apply(spot.towards)
     distance = body.radius_m / np.sin(spot.extent)
-    blur = SPOT_BLUR_PX * spot.rad_per_px / spot.extent
-    seen = predicted(
-        view, other.centre_m, other.radius_m, -distance * towards, (ROUGH_SHARE + blur) * distance
-    )
+    blur = neighbour.SPOT_BLUR_PX * spot.rad_per_px / spot.extent
+    place, sigma_m = -distance * towards, (ROUGH_SHARE + blur) * distance
+    seen = neighbour.predicted(view, other.centre_m, other.radius_m, place, sigma_m)
     reach = seen.angle + seen.sigma
     return any(
         float(seen.towards @ one.towards) > np.cos(min(reach + one.extent, np.pi)) for one in rest
@@ -215,8 +183,9 @@ def _sigma(found: Fix) -> float:
 
 
 def _disc(view: CameraView, body: Body, found: Fix) -> PredictedDisc:
-    return predicted(view, np.zeros(3), body.radius_m, found.position_m, 0.0)
+    return neighbour.predicted(view, np.zeros(3), body.radius_m, found.position_m, 0.0)
 
 
 def _other_disc(view: CameraView, other: OtherBody, found: Fix) -> PredictedDisc:
-    return predicted(view, other.centre_m, other.radius_m, found.position_m, _sigma(found))
+    position, sigma = found.position_m, _sigma(found)
+    return neighbour.predicted(view, other.centre_m, other.radius_m, position, sigma)

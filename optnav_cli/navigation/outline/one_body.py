@@ -47,22 +47,15 @@ def detect_limb(
 
 def solve(picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None) -> Fix:
     """A position from the one body of a picture: by its limb, else by its middle of light."""
+    camera, turn, sun = view.camera, view.camera_from_body, view.sun_body
     try:
-        limb = detect_limb(picture, view.camera, view.camera_from_body, view.sun_body, body)
-        fix = horizon.navigate(
-            limb,
-            view.camera,
-            view.camera_from_body,
-            view.attitude_sigma_rad,
-            view.sun_body,
-            body,
-            relief,
-        )
+        limb = detect_limb(picture, camera, turn, sun, body)
+        fix = horizon.navigate(limb, camera, turn, view.attitude_sigma_rad, sun, body, relief)
     except NoSolutionError as no_limb:
         doubt = _rejection_of_sun(picture, view, body)
         if doubt:
             raise NoSolutionError(f"{doubt}; {no_limb}", ReasonCode.WRONG_LIGHT) from None
-        return _by_centre(picture, view, body, relief, Reason.of(no_limb))
+        return _by_centre(Reason.of(no_limb), picture, view, body, relief)
     small = _by_disc(picture, view, body, relief, limb)
     if small is not None:
         return small
@@ -86,7 +79,7 @@ def _by_disc(
     if relief is None or is_round(body) or radius_px > KNOWN_SHAPE_PX:
         return None
     with suppress(NoSolutionError):
-        return _by_centre(picture, view, body, relief, NO_REASON)
+        return _by_centre(NO_REASON, picture, view, body, relief)
     return None
 
 
@@ -102,7 +95,7 @@ def _rejection_of_sun(picture: Picture, view: CameraView, body: Body) -> str:
 
 
 def _by_centre(
-    picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None, no_limb: Reason
+    no_limb: Reason, picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None
 ) -> Fix:
     """A position from the middle of light of a small disc."""
     try:

@@ -33,6 +33,15 @@ def sun_at_phase(centre: FloatArray, phase_deg: float, roll_deg: float) -> Float
     return np.asarray(back * np.cos(phase) + across * np.sin(phase))
 
 
+def placed(
+    camera: Camera, radius_px: float, phase_deg: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """A disc's centre (3,), m, about the picture's middle, and the Sun's unit vector (3,)."""
+    axis = np.append(rng.uniform(-3.0, 3.0, 2) / camera.focal_length_px, 1.0)
+    centre = disc_distance(camera, radius_px) * axis / np.linalg.norm(axis)
+    return centre, sun_at_phase(centre, phase_deg, rng.uniform(0.0, 360.0))
+
+
 def blurred_disc(
     camera: Camera, centre: FloatArray, sun: FloatArray, law: str, psf_sigma_px: float
 ) -> FloatArray:

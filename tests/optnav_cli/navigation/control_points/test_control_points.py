@@ -55,6 +55,11 @@ def solve(world, field, picture, pose, sun, *, seed=1, sigma=0.0, attitude=None,
     return navigate(observation, prior, field, options["settings"], options["matcher"])
 
 
+def turned(pose, degrees):
+    """The attitude of a pose after a rotation vector in camera axes."""
+    return Rotation.from_rotvec(np.radians(degrees)) * pose.camera_from_body
+
+
 def mahalanobis(fix, truth):
     error = fix.position_m - truth.position_m
     return float(np.sqrt(error @ np.linalg.solve(fix.covariance_m2, error)))
@@ -93,32 +98,17 @@ def test_with_ten_arc_seconds_of_attitude_noise_the_truth_lies_inside_four_sigma
 def test_a_poorly_known_roll_does_not_break_the_consensus(rough_world, field_of, scene):
     """0.3 degrees of roll move the picture's rim by 1.9 px: far beyond a match's own error."""
     picture, pose, sun = scene
-    turn = Rotation.from_rotvec(np.radians([0.02, -0.03, 0.3]))
-    fix = solve(
-        rough_world,
-        field_of(rough_world),
-        picture,
-        pose,
-        sun,
-        sigma=np.radians(0.2),
-        attitude=turn * pose.camera_from_body,
-    )
+    attitude = turned(pose, [0.02, -0.03, 0.3])
+    field, sigma = field_of(rough_world), np.radians(0.2)
+    fix = solve(rough_world, field, picture, pose, sun, sigma=sigma, attitude=attitude)
     assert mahalanobis(fix, pose) < 4.0
     assert sum(point.used for point in fix.evidence.matches) >= 0.9 * len(fix.evidence.matches)
 
 
 def test_with_a_free_attitude_position_and_attitude_are_found(rough_world, field_of, scene):
     picture, pose, sun = scene
-    turn = Rotation.from_rotvec(np.radians([0.15, -0.2, 0.2]))
-    fix = solve(
-        rough_world,
-        field_of(rough_world),
-        picture,
-        pose,
-        sun,
-        sigma=None,
-        attitude=turn * pose.camera_from_body,
-    )
+    attitude, field = turned(pose, [0.15, -0.2, 0.2]), field_of(rough_world)
+    fix = solve(rough_world, field, picture, pose, sun, sigma=None, attitude=attitude)
     assert mahalanobis(fix, pose) < 4.0
     off = (fix.camera_from_body * pose.camera_from_body.inv()).magnitude()
     assert off < 4.0 * np.sqrt(3.0) * fix.attitude_sigma_rad

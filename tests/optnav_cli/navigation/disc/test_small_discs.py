@@ -15,10 +15,9 @@ from optnav_cli.navigation.outline import method as outline
 from tests.optnav_cli.measurements.disc.drawn_discs import (
     FINE,
     blurred_disc,
-    disc_distance,
     expose,
     far_camera,
-    sun_at_phase,
+    placed,
 )
 
 BODY = load_body("moon")
@@ -31,9 +30,7 @@ def calibrated(size_px, psf=PSF):
 
 
 def drawn(camera, radius_px, phase_deg, rng, psf=PSF):
-    axis = np.append(rng.uniform(-3.0, 3.0, 2) / camera.focal_length_px, 1.0)
-    centre = disc_distance(camera, radius_px) * axis / np.linalg.norm(axis)
-    sun = sun_at_phase(centre, phase_deg, rng.uniform(0.0, 360.0))
+    centre, sun = placed(camera, radius_px, phase_deg, rng)
     counts = expose(blurred_disc(camera, centre, sun, "hapke", psf), 50.0, rng)
     return Picture(counts, 255.0), centre, sun
 
