@@ -23,7 +23,7 @@ from catalog.control_point import ControlPoint
 from catalog.geometry.cells import CellGrid
 from catalog.progress import Progress, Stage
 from optnav_cli.studies.selection import SUNS, Z95, free_grounds, tycho_context
-from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 ALL = 24  # candidates: the spacing between them leaves no room for more
 ALL_SPACED = 0.08  # of a cell between candidates
@@ -39,28 +39,6 @@ class Policy:
     name: str
     render: RenderSettings
     check: CheckSettings
-
-
-@dataclass(frozen=True)
-class EconomyRow:
-    """One policy on one size of cell.
-
-    milliseconds    of one core a cell, for render and check
-    usable          share of cells with a usable point
-    rate            of recognition in new trials
-    against         difference to the build's own rate, and half of its 95 % interval
-    same            share of cells in which the build takes the same place
-    """
-
-    policy: str
-    cell_deg: float
-    cells: int
-    trials: int
-    milliseconds: tuple[float, float]
-    usable: float
-    rate: float
-    against: tuple[float, float]
-    same: float
 
 
 def policies() -> tuple[Policy, ...]:
@@ -86,18 +64,23 @@ def policies() -> tuple[Policy, ...]:
 
 def run(
     progress: Progress, cells_deg: Sequence[float] = (1.0, 0.5), trials: int = 24, seed: int = 1
-) -> list[EconomyRow]:
+) -> list[tuple[Cell, ...]]:
     """All policies on cells of each size; `trials` new trials a place, at least."""
     with tycho_context() as context:
         sizes = [replace(context, grid=CellGrid(cell_deg)) for cell_deg in cells_deg]
         return [row for size in sizes for row in one_size(size, progress, trials, seed)]
 
 
-def one_size(context: StageContext, progress: Progress, trials: int, seed: int) -> list[EconomyRow]:
-    """All policies on the cells of a context that lie on the terrain."""
+def one_size(
+    context: StageContext, progress: Progress, trials: int, seed: int
+) -> list[tuple[Cell, ...]]:
+    """A row a policy on the cells of a context that lie on the terrain; times of one core a cell.
+
+    Against the build's own rate: the mean difference and half of its 95 % interval.
+    """
     cells = list(free_grounds(context))
     known: dict[tuple[float, float], float] = {}
-    rows: list[EconomyRow] = []
+    rows: list[tuple[Cell, ...]] = []
     own_rates, own_places = np.empty(0), []
     name = f"economy {context.grid.step_deg:g} deg"
     with progress.stage(name, 2 * len(cells) * len(policies()), "cell") as bar:
@@ -110,19 +93,13 @@ def one_size(context: StageContext, progress: Progress, trials: int, seed: int) 
                 own_rates, own_places = rates, places
             gain = rates - own_rates
             half = Z95 * float(gain.std(ddof=1)) / np.sqrt(gain.size)
-            rows.append(
-                EconomyRow(
-                    policy.name,
-                    context.grid.step_deg,
-                    len(cells),
-                    _rounds(trials) * SUNS,
-                    (spent[0] / len(cells) * 1e3, spent[1] / len(cells) * 1e3),
-                    sum(record.usable for record in records) / len(records),
-                    float(rates.mean()),
-                    (float(gain.mean()), half),
-                    float(np.mean([a == b for a, b in zip(places, own_places, strict=True)])),
-                )
-            )
+            against = (100.0 * float(gain.mean()), 100.0 * half) if rows else (None, None)
+            usable = sum(record.usable for record in records) / len(records)
+            same = float(np.mean([a == b for a, b in zip(places, own_places, strict=True)]))
+            start = (context.grid.step_deg, len(cells), _rounds(trials) * SUNS, policy.name)
+            times = (seconds / len(cells) * 1e3 for seconds in spent)
+            shares = (100.0 * usable, 100.0 * float(rates.mean()))
+            rows.append((*start, *times, *shares, *against, 100.0 * same))
     return rows
 
 
@@ -182,13 +159,6 @@ COLUMNS = columns(
 )
 
 
-def report(rows: Sequence[EconomyRow]) -> StudyReport:
+def report(rows: Sequence[tuple[Cell, ...]]) -> StudyReport:
     """All policies by size of cell."""
-    lines = []
-    for row in rows:
-        start = (row.cell_deg, row.cells, row.trials, row.policy, *row.milliseconds)
-        own = row.policy == rows[0].policy
-        against = (None, None) if own else (100.0 * row.against[0], 100.0 * row.against[1])
-        shares = (100.0 * row.usable, 100.0 * row.rate)
-        lines.append((*start, *shares, *against, 100.0 * row.same))
-    return StudyReport((StudyTable("", COLUMNS, tuple(lines)),))
+    return StudyReport((StudyTable("", COLUMNS, tuple(rows)),))
