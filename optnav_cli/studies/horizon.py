@@ -36,6 +36,8 @@ from optnav_cli.studies.flights import (
     GLOBE,
     SEED,
     STAR_SENSOR_ARCSEC,
+    Case,
+    not_solved,
     rows_named,
     shipped_pictures,
 )
@@ -48,7 +50,7 @@ NEES = (0.7, 1.4)
 
 
 @dataclass(frozen=True)
-class HorizonCase:
+class HorizonCase(Case):
     """One line of the table, a scenario, and what is asked of the terrain-aware horizon.
 
     ssp_m, ssp_star_m  rms over the ground with exact attitude and with the star sensor's
@@ -57,7 +59,6 @@ class HorizonCase:
     Nothing is asked of a crescent but that no solution is wrong by 5 of its own sigmas.
     """
 
-    name: str
     scenario: str
     ssp_m: float | None = None
     ssp_star_m: float | None = None
@@ -161,15 +162,10 @@ def run(
 
 def measure(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> HorizonResult:
     """Solve every picture of a folder in four ways and compare with its truth.csv."""
-    found: dict[tuple[bool, bool], list[LimbFix]] = {
-        (terrain, star): [] for terrain in (False, True) for star in (False, True)
-    }
-    for frame in _frames(row, folder, relief):
-        found[frame.terrain, frame.star_sensor].append(frame)
-    figures = {case: figures_of(frames) for case, frames in found.items()}
-    return HorizonResult(
-        row, figures[False, False], figures[True, False], figures[False, True], figures[True, True]
-    )
+    every = list(_frames(row, folder, relief))
+    ways = ((False, False), (True, False), (False, True), (True, True))
+    own = ([f for f in every if (f.terrain, f.star_sensor) == way] for way in ways)
+    return HorizonResult(row, *map(figures_of, own))
 
 
 def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]:
@@ -184,9 +180,10 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
         camera = folder.cameras[frame.camera]
         picture = loaded = load_picture(folder.path / frame.file, camera)
         for star_sensor, turned in ((False, attitude), (True, slip * attitude)):
+            off = sigma if star_sensor else 0.0
             try:
                 if row.far and frame.tdb_s is not None:
-                    view = CameraView(camera, turned, sigma if star_sensor else 0.0, sun)
+                    view = CameraView(camera, turned, off, sun)
                     other = other_body(folder.motion, frame.tdb_s)
                     picture = mask_neighbour(loaded, view, folder.body, relief, other)
                 begin = time.process_time()
@@ -196,18 +193,10 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
                     yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
                 continue
             finding = time.process_time() - begin
-            for terrain in (False, True):
+            for terrain, over in ((False, None), (True, relief)):
                 begin = time.process_time()
                 try:
-                    fix = horizon.navigate(
-                        limb,
-                        camera,
-                        turned,
-                        sigma if star_sensor else 0.0,
-                        sun,
-                        folder.body,
-                        relief if terrain else None,
-                    )
+                    fix = horizon.navigate(limb, camera, turned, off, sun, folder.body, over)
                 except NoSolutionError as error:
                     yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
                     continue
@@ -289,9 +278,7 @@ def report(results: Sequence[HorizonResult]) -> StudyReport:
             tables.append(StudyTable("", (*heads, *COMMON_COLUMNS), rows))
     notes = []
     for result in results:
-        for reason in sorted(set(result.terrain.reasons)):
-            count = result.terrain.reasons.count(reason)
-            notes.append(f"{result.row.name}: {count} not solved: {reason}")
+        notes += not_solved(result.row.name, result.terrain.reasons)
     notes.append(
         f"wanted besides: max {MAX_SSP_M:.0f} m, {BETTER:.0f} times better than the sphere, "
         f"NEES {NEES[0]}-{NEES[1]}, worst below 5 σ"
