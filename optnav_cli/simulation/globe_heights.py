@@ -6,8 +6,8 @@ too, what no catalog has.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -38,7 +38,7 @@ def spline_coefficients(heights: Float32Array) -> FloatArray:
 
 @kernel
 def _weight(t: float) -> float:
-    """The cubic B-"""
+    """The cubic B-spline, from its middle."""
     t = abs(t)
     if t < 1.0:
         return 2.0 / 3.0 - t * t + 0.5 * t * t * t
@@ -142,8 +142,7 @@ class GlobeHeights:
         return self._means[level]
 
 
-@dataclass(frozen=True)
-class Cap:
+class Cap(NamedTuple):
     """Latitudes and longitudes (rad) that a flight may see; east - west is at most a turn."""
 
     west: float

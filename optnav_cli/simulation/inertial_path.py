@@ -117,7 +117,8 @@ def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list
     Raises ConfigError for a path that meets the body.
     """
     found: list[Epoch] = []
-    seeds = scenario.detail.seeds
+    stated = scenario.attitude.relative_to == "body"
+    seed = next(iter(scenario.detail.seeds), None)
     for number, (tdb_s, state) in enumerate(zip(*states, strict=True)):
         body_from_inertial = motion.body_from_inertial(float(tdb_s))
         position, velocity = (body_from_inertial @ v for v in (state[:3], state[3:]))
@@ -128,18 +129,8 @@ def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list
             if np.linalg.norm(level) > 1e-6 * np.linalg.norm(ahead):
                 break
         _check_height(motion.body, position)
-        found.append(
-            Epoch(
-                number=number,
-                pass_index=0,
-                tdb_s=float(tdb_s),
-                position_m=position,
-                forward=level / np.linalg.norm(level),
-                sun_body=motion.sun_body(float(tdb_s)),
-                reported_sun=scenario.attitude.relative_to == "body",
-                ground_seed=seeds[0] if seeds else None,
-            )
-        )
+        forward, sun = level / np.linalg.norm(level), motion.sun_body(float(tdb_s))
+        found.append(Epoch(number, 0, float(tdb_s), position, forward, sun, stated, seed))
     return found
 
 

@@ -6,7 +6,7 @@ runs smoothly into what lies below: the next model, in the end the globe.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -23,7 +23,7 @@ from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays
+from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays, every_px
 from optnav_cli.simulation.globe_heights import (
     SPLINE_MARGIN,
     WideGround,
@@ -113,7 +113,8 @@ class TruthTerrain:
         out = np.empty((rows, cols), np.float32)
         for tile_row in range(top // TILE, (top + rows - 1) // TILE + 1):
             for tile_col in range(left // TILE, (left + cols - 1) // TILE + 1):
-                tile = self._tile(seed, factor, tile_row, tile_col)
+                key = (seed, factor, tile_row, tile_col)
+                tile = self._tiles.get(key, partial(self._tile, *key))
                 r, c = tile_row * TILE - top, tile_col * TILE - left
                 a, b, d, e = max(r, 0), max(c, 0), min(r + TILE, rows), min(c + TILE, cols)
                 out[a:d, b:e] = tile[a - r : d - r, b - c : e - c]
@@ -151,12 +152,6 @@ class TruthTerrain:
         return west, south, max(west, east), max(south, north)
 
     def _tile(self, seed: int | None, factor: int, tile_row: int, tile_col: int) -> Float32Array:
-        key = (seed, factor, tile_row, tile_col)
-        return self._tiles.get(key, lambda: self._made_tile(*key))
-
-    def _made_tile(
-        self, seed: int | None, factor: int, tile_row: int, tile_col: int
-    ) -> Float32Array:
         step_lat, step_lon = self._steps(factor)
         lat = -(tile_row * TILE + np.arange(TILE, dtype=np.float64)) * step_lat
         lon = (tile_col * TILE + np.arange(TILE, dtype=np.float64)) * step_lon
@@ -299,10 +294,8 @@ class RegionGround:
         radius = body.radius_m
         height = float(np.linalg.norm(position)) - radius
         gsd = max(height, 1.0) * camera.angular_resolution
-        rows, cols = camera.shape
-        r = np.unique(np.append(np.arange(0, rows, PROBE_PX), rows))
-        c = np.unique(np.append(np.arange(0, cols, PROBE_PX), cols))
-        rays = self._corners(camera)[r][:, c] @ exposure.camera_from_body.as_matrix()
+        probes = every_px(self._corners(camera), PROBE_PX)
+        rays = probes @ exposure.camera_from_body.as_matrix()
         along = distance_to_sphere(position, rays, radius)
         cosine = rays.reshape(-1, 3) @ (-position / np.linalg.norm(position))
         if not np.isfinite(along).all() or np.nanmin(cosine) < np.cos(NARROW):

@@ -122,7 +122,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         """
         epochs = self.epochs(motion)
         mounts = self.mounts()
-        mounted = [None, *(_mounted_from_first(mount) for mount in self.beside)]
+        mounted = [None, *(_turned(m.forward_deg, m.right_deg, m.roll_deg) for m in self.beside)]
         names = [mount.name.rpartition("/")[2].removesuffix(".toml") for mount in mounts]
         digits = max(4, len(str(len(epochs))))
         found: list[Exposure] = []
@@ -133,23 +133,19 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             prior = epoch.position_m + self.prior.position_sigma_m * noise
             for number, own_from_ship in enumerate(mounted):
                 which = f"_{names[number]}" if len(mounted) > 1 else ""
+                own = truth if own_from_ship is None else own_from_ship * truth
                 found.append(
                     Exposure(
+                        **vars(epoch),
                         index=len(found),
-                        pass_index=epoch.pass_index,
+                        camera=number,
                         file=f"frame_{epoch.number:0{digits}d}{which}.png",
                         utc=utc_from_tdb_s(epoch.tdb_s),
-                        tdb_s=epoch.tdb_s,
-                        position_m=epoch.position_m,
-                        camera_from_body=truth if own_from_ship is None else own_from_ship * truth,
-                        sun_body=epoch.sun_body,
-                        prior_m=prior if self.prior.given else None,
+                        camera_from_body=own,
                         reported_camera_from_body=(
                             stated if own_from_ship is None else own_from_ship * stated
                         ),
-                        ground_seed=epoch.ground_seed,
-                        camera=number,
-                        reported_sun=epoch.reported_sun,
+                        prior_m=prior if self.prior.given else None,
                     )
                 )
         return found
@@ -191,11 +187,6 @@ def _ship_attitude(scenario: ScenarioBase, epoch: Epoch) -> Rotation:
     right = pointing.right_deg + pointing.tilt_sigma_deg * noise[1]
     roll = pointing.roll_deg + pointing.roll_sigma_deg * noise[2]
     return _turned(ahead, right, roll) * level
-
-
-def _mounted_from_first(mount: MountedCamera) -> Rotation:
-    """A further camera from the first one."""
-    return _turned(mount.forward_deg, mount.right_deg, mount.roll_deg)
 
 
 def _turned(ahead_deg: float, right_deg: float, roll_deg: float) -> Rotation:

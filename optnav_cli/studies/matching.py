@@ -13,8 +13,9 @@ navigator makes of it: rolls and scales searched as it plans them, the view know
 taken out by resampling into the point's map projection, noise averaged one pyramid level up.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -36,7 +37,7 @@ from optnav_cli.studies.matching_trials import (
     references,
     trials_of,
 )
-from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns, rms
 
 CAMERA = "unk"
 MAX_ERROR_NODES = 3.0  # a match further from the truth is a wrong one, as `evaluate` counts
@@ -82,33 +83,18 @@ def summarise(trials: Iterable[Trial]) -> list[MatchingRow]:
     for trial in trials:
         key = (trial.axis, trial.value, trial.matcher, trial.aided)
         groups.setdefault(key, []).append(trial)
-    keys = [
-        (axis.name, value, name, aided)
-        for axis in AXES
-        for name in MATCHERS
-        for aided in (False, True)
-        for value in axis.values
-    ]
-    return [_row(*key, groups[key]) for key in keys if key in groups]
-
-
-def _row(
-    axis: str, value: float, matcher: str, aided: bool, trials: Sequence[Trial]
-) -> MatchingRow:
-    errors = np.array([np.inf if t.error_nodes is None else t.error_nodes for t in trials])
-    accepted = np.array([trial.accepted for trial in trials])
-    good = errors <= MAX_ERROR_NODES
-    return MatchingRow(
-        axis,
-        value,
-        matcher,
-        aided,
-        len(trials),
-        float(good.mean()),
-        float((good & accepted).mean()),
-        float((~good & accepted).mean()),
-        float(np.sqrt(np.mean(errors[good] ** 2))) if good.any() else float("nan"),
-    )
+    rows = []
+    for axis, name, aided in product(AXES, MATCHERS, (False, True)):
+        keys = ((axis.name, value, name, aided) for value in axis.values)
+        for key in filter(groups.__contains__, keys):
+            own = groups[key]
+            errors = np.array([np.inf if t.error_nodes is None else t.error_nodes for t in own])
+            accepted = np.array([trial.accepted for trial in own])
+            good = errors <= MAX_ERROR_NODES
+            taken, wrong = float((good & accepted).mean()), float((~good & accepted).mean())
+            shares = (float(good.mean()), taken, wrong)
+            rows.append(MatchingRow(*key, len(own), *shares, rms(errors[good])))
+    return rows
 
 
 def tolerance(rows: Sequence[MatchingRow]) -> tuple[float, bool]:
@@ -143,19 +129,9 @@ def report(rows: Sequence[MatchingRow]) -> StudyReport:
         lines = []
         for name, aided, chosen in curves(rows, axis):
             aid = axis.aid if aided else "unaided"
-            lines += [
-                (
-                    name,
-                    aid,
-                    r.value,
-                    r.trials,
-                    100.0 * r.recognised,
-                    r.error_nodes,
-                    100.0 * r.accepted,
-                    100.0 * r.wrong,
-                )
-                for r in chosen
-            ]
+            for r in chosen:
+                start = (name, aid, r.value, r.trials, 100.0 * r.recognised, r.error_nodes)
+                lines.append((*start, 100.0 * r.accepted, 100.0 * r.wrong))
             stated = quantity(axis, axis.stated)
             tolerances.append((axis.name, name, aid, borne(axis, chosen), stated))
         heads = tuple(replace(c, unit=axis.unit) if c.name == "value" else c for c in COLUMNS)
@@ -173,12 +149,11 @@ def report(rows: Sequence[MatchingRow]) -> StudyReport:
 def curves(rows: Sequence[MatchingRow], axis: Axis) -> list[tuple[str, bool, list[MatchingRow]]]:
     """Matcher, aid and rows of each curve of an error."""
     found = []
-    for name in MATCHERS:
-        for aided in (False, True):
-            key = (axis.name, name, aided)
-            chosen = [row for row in rows if (row.axis, row.matcher, row.aided) == key]
-            if chosen:
-                found.append((name, aided, chosen))
+    for name, aided in product(MATCHERS, (False, True)):
+        key = (axis.name, name, aided)
+        chosen = [row for row in rows if (row.axis, row.matcher, row.aided) == key]
+        if chosen:
+            found.append((name, aided, chosen))
     return found
 
 
@@ -219,46 +194,41 @@ def picture(rows: Sequence[MatchingRow]) -> str:
 
 
 def _share(rows: Sequence[MatchingRow], axis: Axis) -> Panel:
-    plot = _plot(axis, (0.0, 105.0), "recognised, %", log_y=False)
+    plot = _plot(axis, PlotAxis((0.0, 105.0), "recognised, %"))
     plot.level(100.0 * RECOGNISED, "muted dashed")
-    _stated(plot, axis)
-    for name, aided, chosen in curves(rows, axis):
-        _curve(plot, axis, name, aided, chosen, [100.0 * row.recognised for row in chosen])
+    _draw(plot, rows, axis, lambda row: 100.0 * row.recognised)
     return Panel(f"{axis.name} (aided: {axis.aid})", plot, f"Share recognised against {axis.name}")
 
 
 def _error(rows: Sequence[MatchingRow], axis: Axis) -> Panel:
     low, high = np.log10(ERROR_NODES)
-    plot = _plot(axis, (float(low), float(high)), "error of the place, nodes", log_y=True)
-    _stated(plot, axis)
-    for name, aided, chosen in curves(rows, axis):
-        values = [float(np.log10(max(row.error_nodes, 1e-6))) for row in chosen]
-        _curve(plot, axis, name, aided, chosen, values)
+    plot = _plot(axis, PlotAxis((float(low), float(high)), "error of the place, nodes", True))
+    _draw(plot, rows, axis, lambda row: float(np.log10(max(row.error_nodes, 1e-6))))
     return Panel("", plot, f"Error of the place against {axis.name}, log scale")
 
 
-def _plot(axis: Axis, y: tuple[float, float], label: str, log_y: bool) -> Plot:
-    log = axis is NOISE
-    values = axis.values
-    ends = np.log10([min(values), max(values)]) if log else np.array([min(values), max(values)])
-    margin = 0.05 * (ends[1] - ends[0])
-    name = "SNR of a pixel" if log else f"error, {axis.unit}"
+def _plot(axis: Axis, y: PlotAxis) -> Plot:
+    low, high = _place(axis, min(axis.values)), _place(axis, max(axis.values))
+    margin = 0.05 * (high - low)
+    name = "SNR of a pixel" if axis is NOISE else f"error, {axis.unit}"
     if axis.name == "off nadir":
         name = "angle, °"
-    x_axis = PlotAxis((float(ends[0] - margin), float(ends[1] + margin)), name, log, values)
-    return Plot(x_axis, PlotAxis(y, label, log_y), width=WIDTH, height=HEIGHT)
+    x = PlotAxis((low - margin, high + margin), name, axis is NOISE, axis.values)
+    return Plot(x, y, width=WIDTH, height=HEIGHT)
 
 
-def _stated(plot: Plot, axis: Axis) -> None:
-    place = float(np.log10(axis.stated)) if axis is NOISE else axis.stated
-    plot.line((place, place), plot.y, "s4 dashed thin")
+def _place(axis: Axis, value: float) -> float:
+    """Along x, where noise has a log scale."""
+    return float(np.log10(value)) if axis is NOISE else value
 
 
-def _curve(
-    plot: Plot, axis: Axis, name: str, aided: bool, rows: Sequence[MatchingRow], y: Sequence[float]
+def _draw(
+    plot: Plot, rows: Sequence[MatchingRow], axis: Axis, y: Callable[[MatchingRow], float]
 ) -> None:
-    x = np.array([row.value for row in rows])
-    x = np.log10(x) if axis is NOISE else x
-    series, shape = SIGNS[name]
-    plot.line(x, y, f"{series} dashed" if aided else series)
-    plot.marks(x, y, f"{series} hollow" if aided else series, shape)
+    """The tolerance that the source states, and every curve of an error."""
+    plot.line((_place(axis, axis.stated),) * 2, plot.y, "s4 dashed thin")
+    for name, aided, chosen in curves(rows, axis):
+        across, up = [_place(axis, row.value) for row in chosen], [y(row) for row in chosen]
+        series, shape = SIGNS[name]
+        plot.line(across, up, f"{series} dashed" if aided else series)
+        plot.marks(across, up, f"{series} hollow" if aided else series, shape)

@@ -30,15 +30,16 @@ from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import NO_DISTORTION, Distortion, SearchPlan, plan_distortion
 from optnav_cli.navigation.settings import MatchSettings
+from optnav_cli.simulation.exposure import corner_rays
 from optnav_cli.simulation.region_ground import WHOLE, TruthTerrain
-from optnav_cli.simulation.sections import SensorSettings
+from optnav_cli.simulation.sections import DetailSettings, SensorSettings, relief_below
 from optnav_cli.simulation.sensor import expose
 
 DEM, GLOBE = "data/tycho_gld100_256ppd.tif", "data/moon_gld100_4ppd.tif"
 MIDDLE_DEG = (-43.0, -11.0)  # of the terrain model
 # The seen ground has nodes of half the catalog's, with what a scenario adds by itself.
 POSTING_M, FINER = 118.45, 2
-MIN_M, SLOPE_DEG, SATURATION = 30.0, 3.0, 0.05
+DETAIL = DetailSettings(smallest_m=30.0, rms_slope_deg=3.0, saturation=0.05)
 SUN_ELEVATIONS_DEG = (25.0, 15.0, 35.0, 20.0, 30.0, 40.0)
 MATCHERS: dict[str, Matcher] = {"NCC": match_ncc, "SURF-64": match_surf}
 TEMPLATE_NODES, SEARCH_NODES, SHIFT_NODES = 64, 8, 5.0
@@ -91,17 +92,9 @@ def draw_scenes(
     """
     lat, lon = np.radians(MIDDLE_DEG)
     local, middle = body_from_local(lat, lon), xyz_from_latlon(lat, lon, body.radius_m)
-    x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
-    corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
+    corners = corner_rays(camera)
     details: dict[int | None, SyntheticRelief | None] = {
-        number: SyntheticRelief(
-            number + 1,
-            POSTING_M,
-            body.radius_m,
-            smallest_m=MIN_M,
-            rms_slope_deg=SLOPE_DEG,
-            saturation=SATURATION,
-        )
+        number: relief_below(DETAIL, number + 1, POSTING_M, body.radius_m)
         for number in range(count)
     }
     terrain = TruthTerrain(
@@ -225,14 +218,14 @@ def trials_of(
     found += look.trials(SLANT, scene.off_nadir_deg, True, picture)
     if scene.off_nadir_deg > 0.0:
         return found
-    for value in SCALE.values:
-        wrong = Wrong(scale=value / 100.0)
-        found += look.trials(SCALE, value, False, picture, wrong=wrong)
-        found += look.trials(SCALE, value, True, picture, wrong=wrong, distortion=scale_search())
-    for value in ROLL.values:
-        wrong = Wrong(roll=float(np.radians(value)))
-        found += look.trials(ROLL, value, False, picture, wrong=wrong)
-        found += look.trials(ROLL, value, True, picture, wrong=wrong, distortion=roll_search())
+    # what the navigator searches when the largest error is as many of its sigmas
+    sigma = max(SCALE.values) / 100.0 / SEARCH_SIGMAS
+    scales = plan_distortion(TEMPLATE_NODES, 0.0, sigma, SEARCH_SIGMAS)
+    cases = [(SCALE, value, Wrong(scale=value / 100.0), scales) for value in SCALE.values]
+    cases += [(ROLL, v, Wrong(roll=float(np.radians(v))), roll_search()) for v in ROLL.values]
+    for axis, value, wrong, searched in cases:
+        found += look.trials(axis, value, False, picture, wrong=wrong)
+        found += look.trials(axis, value, True, picture, wrong=wrong, distortion=searched)
     for value in NOISE.values:
         picture = look.picture(value)
         found += look.trials(NOISE, value, False, picture)
@@ -240,14 +233,8 @@ def trials_of(
     return found
 
 
-def scale_search() -> Distortion:
-    """What the navigator searches when the largest error of the study is two of its sigmas."""
-    sigma = max(SCALE.values) / 100.0 / SEARCH_SIGMAS
-    return plan_distortion(TEMPLATE_NODES, 0.0, sigma, SEARCH_SIGMAS)
-
-
 def roll_search() -> Distortion:
-    """The same for rolls."""
+    """The navigator's search when the study's largest roll is as many of its sigmas."""
     sigma = float(np.radians(max(ROLL.values))) / SEARCH_SIGMAS
     return plan_distortion(TEMPLATE_NODES, sigma, 0.0, SEARCH_SIGMAS)
 
@@ -316,21 +303,12 @@ class Look:
         place, pose = point.point.xyz_m, self.scene.pose
         distance = float(np.linalg.norm(stated.position_m - place))
         sample = distance / self.camera.focal_length_px
-        match = match_point(
-            point,
-            SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion),
-            picture,
-            self.camera,
-            stated,
-            self.scene.sun_body,
-            matcher,
-            self.gates,
-        )
+        plan = SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion)
+        sun, camera = self.scene.sun_body, self.camera
+        match = match_point(point, plan, picture, camera, stated, sun, matcher, self.gates)
         if match.pixel is None:
             return None, False
-        truth = self.camera.project_from_body(
-            place, pose.position_m, pose.camera_from_body.as_matrix()
-        )
+        truth = camera.project_from_body(place, pose.position_m, pose.camera_from_body.as_matrix())
         off = float(np.linalg.norm(match.pixel - truth)) * sample / point.patches[0].posting_m
         return off, not match.reason
 
