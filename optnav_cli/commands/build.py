@@ -8,6 +8,7 @@ import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import (
+    PATH,
     bbox_option,
     output_option,
     path_argument,
@@ -32,7 +33,7 @@ CATALOG_HELP = "The catalog file (GeoPackage); an earlier catalog is replaced."
 @click.option(
     "--check",
     metavar="CATALOG",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Compare the new catalog with this one; exit code 5 if its content differs.",
 )
 @pass_progress

@@ -7,9 +7,8 @@ navigator leaves out or has in error: the planet's flattening, the body's true p
 of its field. The Sun's tide between the two, 1e-7 of the planet's, is left out.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -122,8 +121,7 @@ def approach_states(scenario: Approach, motion: Ephemeris) -> States:
     return times, (flown[:6] - flown[6:]).T
 
 
-@dataclass(frozen=True, eq=False)
-class Masses:
+class Masses(NamedTuple):
     """Point masses (n, 3), m, body frame, and what each pulls with (n,), m^3/s^2."""
 
     places_m: FloatArray

@@ -12,7 +12,6 @@ import numpy as np
 from msgspec import Meta
 
 from catalog.arrays import FloatArray
-from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
@@ -128,7 +127,12 @@ def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list
             level = ahead - (ahead @ up) * up
             if np.linalg.norm(level) > 1e-6 * np.linalg.norm(ahead):
                 break
-        _check_height(motion.body, position)
+        height = float(np.linalg.norm(position)) - motion.body.radius_m
+        if height < motion.body.plausible_heights_m[1]:
+            raise ConfigError(
+                f"the path comes down to {height / 1e3:.1f} km over the reference sphere of "
+                f"{motion.body.name}, where mountains are; raise it"
+            )
         forward, sun = level / np.linalg.norm(level), motion.sun_body(float(tdb_s))
         found.append(Epoch(number, 0, float(tdb_s), position, forward, sun, stated, seed))
     return found
@@ -220,15 +224,6 @@ def _on_conic(gm: float, low: float, speed: float, anomaly: float) -> tuple[Floa
     r = momentum**2 / gm / (1.0 + eccentricity * c)
     place = r * np.array([c, s, 0.0])
     return place, gm / momentum * np.array([-s, eccentricity + c, 0.0])
-
-
-def _check_height(body: Body, position: FloatArray) -> None:
-    height = float(np.linalg.norm(position)) - body.radius_m
-    if height < body.plausible_heights_m[1]:
-        raise ConfigError(
-            f"the path comes down to {height / 1e3:.1f} km over the reference sphere of "
-            f"{body.name}, where mountains are; raise it"
-        )
 
 
 def _about_z(angle: float) -> FloatArray:

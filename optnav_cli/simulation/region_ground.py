@@ -88,13 +88,6 @@ class TruthTerrain:
         """The ground of a seed outside the terrain models, all round the body."""
         return self._wide.of(seed)
 
-    def factor_for(self, gsd_m: float) -> int:
-        """How many times finer than the terrain model the ground of a picture is: 4 or 2.
-
-        Nodes at two thirds of a pixel are enough; relief below them is averaged.
-        """
-        return 4 if self.posting_m / 2.0 > gsd_m / 1.5 else 2
-
     def window(self, seed: int | None, factor: int, box: Box) -> Ground:
         """The fine ground over a box, as far as the first terrain model reaches.
 
@@ -273,7 +266,8 @@ class RegionGround:
         shared: Box = WHOLE
         for exposure in flight:
             box, gsd = self._footprint(camera, exposure)
-            factor = self._terrain.factor_for(gsd)
+            # times finer than the terrain model: nodes at two thirds of a pixel are enough
+            factor = 4 if self._terrain.posting_m / 2.0 > gsd / 1.5 else 2
             last = group[-1] if group else None
             joined = _around(shared, box) if last else box
             if (

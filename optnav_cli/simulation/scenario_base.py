@@ -18,20 +18,8 @@ from catalog.errors import ConfigError
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
 from optnav_cli.frames.run_settings import SpiceSettings
+from optnav_cli.simulation import sections
 from optnav_cli.simulation.exposure import ATTITUDE, POINTING, PRIOR, Epoch, Exposure
-from optnav_cli.simulation.sections import (
-    AttitudeSettings,
-    DetailSettings,
-    GlareSettings,
-    GlobeSettings,
-    MainCamera,
-    MountedCamera,
-    PointingSettings,
-    PriorSettings,
-    SensorSettings,
-    SkySettings,
-    StructureSettings,
-)
 
 
 @dataclass(frozen=True)
@@ -52,21 +40,21 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     body    a name of configs/bodies, or the path of a body file, from the scenario's folder
     """
 
-    camera: MainCamera
-    beside: tuple[MountedCamera, ...] = ()
+    camera: sections.MainCamera
+    beside: tuple[sections.MountedCamera, ...] = ()
     dem: tuple[DemSettings, ...] = (DemSettings("tycho_gld100_256ppd.tif"),)
     body: str = "moon"
     seed: int = 1
-    globe: GlobeSettings = GlobeSettings()
-    detail: DetailSettings = DetailSettings()
-    pointing: PointingSettings = PointingSettings()
-    sensor: SensorSettings = SensorSettings()
-    prior: PriorSettings = PriorSettings()
-    attitude: AttitudeSettings = AttitudeSettings()
+    globe: sections.GlobeSettings = sections.GlobeSettings()
+    detail: sections.DetailSettings = sections.DetailSettings()
+    pointing: sections.PointingSettings = sections.PointingSettings()
+    sensor: sections.SensorSettings = sections.SensorSettings()
+    prior: sections.PriorSettings = sections.PriorSettings()
+    attitude: sections.AttitudeSettings = sections.AttitudeSettings()
     spice: SpiceSettings = SpiceSettings()
-    sky: SkySettings = SkySettings()
-    glare: GlareSettings = GlareSettings()
-    structure: tuple[StructureSettings, ...] = ()
+    sky: sections.SkySettings = sections.SkySettings()
+    glare: sections.GlareSettings = sections.GlareSettings()
+    structure: tuple[sections.StructureSettings, ...] = ()
 
     @property
     def shape(self) -> MeshSettings | None:
@@ -109,7 +97,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             dem=tuple(dems),
             globe=msgspec.structs.replace(self.globe, path=names.terrain(self.globe.path)),
             body=names.body(self.body),
-            camera=MainCamera(names.camera(self.camera.name)),
+            camera=sections.MainCamera(names.camera(self.camera.name)),
             beside=tuple(mounts),
             spice=SpiceSettings(tuple(map(names.kernel, self.spice.kernels))),
         )
@@ -128,7 +116,9 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         found: list[Exposure] = []
         for epoch in epochs:
             truth = _ship_attitude(self, epoch)
-            stated = _attitude_error(self, epoch.number) * truth
+            sigma = np.radians(self.attitude.sigma_arcsec / 3600.0)
+            slip = np.random.default_rng([self.seed, ATTITUDE, epoch.number]).normal(size=3)
+            stated = Rotation.from_rotvec(sigma * slip) * truth
             noise = np.random.default_rng([self.seed, PRIOR, epoch.number]).normal(size=3)
             prior = epoch.position_m + self.prior.position_sigma_m * noise
             for number, own_from_ship in enumerate(mounted):
@@ -150,9 +140,9 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                 )
         return found
 
-    def mounts(self) -> tuple[MountedCamera, ...]:
+    def mounts(self) -> tuple[sections.MountedCamera, ...]:
         """All cameras, the first one as [pointing] turns the ship."""
-        return (MountedCamera(self.camera.name), *self.beside)
+        return (sections.MountedCamera(self.camera.name), *self.beside)
 
 
 class ShapeScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -192,9 +182,3 @@ def _ship_attitude(scenario: ScenarioBase, epoch: Epoch) -> Rotation:
 def _turned(ahead_deg: float, right_deg: float, roll_deg: float) -> Rotation:
     # the boresight turned forward about x, to the right about y, then the camera about it
     return Rotation.from_euler("xyz", [ahead_deg, right_deg, roll_deg], degrees=True).inv()
-
-
-def _attitude_error(scenario: ScenarioBase, number: int) -> Rotation:
-    sigma = np.radians(scenario.attitude.sigma_arcsec / 3600.0)
-    noise = np.random.default_rng([scenario.seed, ATTITUDE, number]).normal(size=3)
-    return Rotation.from_rotvec(sigma * noise)

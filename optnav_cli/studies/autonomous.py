@@ -25,24 +25,13 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.evaluation.figures import FrameError, figures_of
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import Truth, read_truth
-from optnav_cli.studies.flights import (
-    FIGURES,
-    GLOBE,
-    Case,
-    built_catalog,
-    frames_table,
-    limit_with_star_sensor,
-    navigated,
-    shipped_pictures,
-    sigmas_off,
-    with_star_sensor,
-)
+from optnav_cli.studies import flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, tally
 
 WIDE, NARROW = "shnk", "unk"
 # What the loop must see of the ground about Tycho from 400 km: 20 deg of arc about the flights.
 SURROUNDINGS_DEG = (-50.0, -66.0, 28.0, -20.0)
-SURROUNDINGS = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{GLOBE}"\n'
+SURROUNDINGS = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{flights.GLOBE}"\n'
 AZIMUTHS = 720
 ENOUGH_ARC_DEG = 140.0
 MIN_SOLVED = 0.95
@@ -50,7 +39,7 @@ MAX_SIGMAS = 5.0
 
 
 @dataclass(frozen=True)
-class LoopCase(Case):
+class LoopCase(flights.Case):
     """One line of the table: a scenario, whose camera counts, and the figures to reach, m.
 
     star_sensor  whether horizontal_m is for exact attitudes, so that the star sensor's part is
@@ -75,7 +64,7 @@ class LoopResult:
     def limit_m(self) -> float:
         """What the horizontal error may be; the star sensor adds its part in quadrature."""
         limit = self.row.horizontal_m
-        return limit_with_star_sensor(limit, self.frames) if self.row.star_sensor else limit
+        return flights.limit_with_star_sensor(limit, self.frames) if self.row.star_sensor else limit
 
 
 class ShareResult(NamedTuple):
@@ -111,16 +100,19 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
     rows    only rows and scenarios whose name contains this
     Raises ConfigError where the shared data are not named.
     """
-    relief = path_of(GLOBE, Path.cwd())
+    relief = path_of(flights.GLOBE, Path.cwd())
     output.mkdir(parents=True, exist_ok=True)
     tycho = output / "tycho.gpkg"
     build.run(resource("configs/catalogs/tycho.toml"), output=tycho, progress=progress)
     around = output / "surroundings.toml"
-    catalogs = [tycho, built_catalog(around, SURROUNDINGS, progress, SURROUNDINGS_DEG)]
+    catalogs = [tycho, flights.built_catalog(around, SURROUNDINGS, progress, SURROUNDINGS_DEG)]
 
     def fly(name: str) -> ShareResult:
-        pictures = _without_priors(shipped_pictures(output, name, frames, progress))
-        errors = navigated(pictures, catalogs, output / "runs" / name, progress, relief)
+        pictures = flights.shipped_pictures(output, name, frames, progress)
+        # scenarios that are flown without a prior state a star sensor's attitudes themselves
+        if any(frame.position_m is not None for frame in read_folder(pictures).frames):
+            pictures = flights.with_star_sensor(pictures, priors=False)
+        errors = flights.navigated(pictures, catalogs, output / "runs" / name, progress, relief)
         return ShareResult(name, errors, _lit_arcs_deg(pictures))
 
     results = LoopResults([], [])
@@ -131,10 +123,10 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
         every = flown[row.scenario].frames
         own = tuple(frame for frame in every if frame.camera == row.camera)
         results.rows.append(LoopResult(row, own))
-        write_figures(output / FIGURES, results)
+        write_figures(output / flights.FIGURES, results)
     for name in (s for s in SHARES if rows in s):
         results.shares.append(fly(name))
-        write_figures(output / FIGURES, results)
+        write_figures(output / flights.FIGURES, results)
     if not any(results):
         raise NothingToDoError(f"no row of the study is called '{rows}'")
     return results
@@ -175,17 +167,6 @@ def _lit_arcs_deg(pictures: Path) -> tuple[float, ...]:
     )
 
 
-def _without_priors(pictures: Path) -> Path:
-    """The same pictures without a prior, attitudes off as a star sensor's are.
-
-    Scenarios that are flown without a prior state such attitudes themselves.
-    """
-    frames = read_folder(pictures).frames
-    if all(frame.position_m is None for frame in frames):
-        return pictures
-    return with_star_sensor(pictures, priors=False)
-
-
 ROW_COLUMNS = columns(
     "case; solved; frames; horizontal, rms [m] .1f; horizontal_limit_m = asked ≤ [m] .0f; "
     "height, rms [m] .1f; height_limit_m = asked ≤ [m] .0f; NEES .2f; worst [σ] .1f"
@@ -209,7 +190,7 @@ def report(results: LoopResults) -> StudyReport:
         tables.append(StudyTable("", SHARE_COLUMNS, tuple(shares)))
     every = [frame for row in results.rows for frame in row.frames]
     every += [frame for share in results.shares for frame in share.frames]
-    wrong = sum(sigmas_off(frame) > MAX_SIGMAS for frame in every)
+    wrong = sum(flights.sigmas_off(frame) > MAX_SIGMAS for frame in every)
     notes.append(
         f"wrong by more than {MAX_SIGMAS:.0f} of their own sigmas: {wrong} of {len(every)}"
     )
@@ -224,7 +205,7 @@ def _row_cells(result: LoopResult) -> tuple[Cell, ...]:
         return (*start, None, limits[0], None, limits[1], None, None)
     f = figures_of(result.frames)
     errors = (f.horizontal_rms_m, limits[0], f.height_rms_m, limits[1])
-    return (*start, *errors, f.nees, max(sigmas_off(frame) for frame in solved))
+    return (*start, *errors, f.nees, max(flights.sigmas_off(frame) for frame in solved))
 
 
 def _share_cells(name: str, shares: Sequence[ShareResult]) -> tuple[Cell, ...]:
@@ -233,14 +214,14 @@ def _share_cells(name: str, shares: Sequence[ShareResult]) -> tuple[Cell, ...]:
     for wide in (True, False):
         group = [frame for frame, arc in pairs if (arc >= ENOUGH_ARC_DEG) is wide]
         counts += [sum(frame.nees is not None for frame in group), len(group)]
-    worst = max((sigmas_off(frame) for frame, _ in pairs), default=0.0)
+    worst = max((flights.sigmas_off(frame) for frame, _ in pairs), default=0.0)
     methods = [frame.solution.method for frame, _ in pairs if frame.nees is not None]
     return (name, *counts, worst, tally(methods))
 
 
 def write_figures(path: Path, results: LoopResults) -> None:
     """The tables, and every frame of them with its arc of lit limb."""
-    single = frames_table(
+    single = flights.frames_table(
         {r.row.name: r.frames for r in results.rows}
         | {share.scenario: share.frames for share in results.shares}
     )

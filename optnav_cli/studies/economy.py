@@ -21,9 +21,11 @@ from catalog.build.context import StageContext
 from catalog.build.trials import outcomes_at
 from catalog.control_point import ControlPoint
 from catalog.geometry.cells import CellGrid
-from catalog.progress import Progress, Stage
+from catalog.progress import Progress
 from optnav_cli.studies.selection import SUNS, Z95, free_grounds, tycho_context
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
+
+Place = tuple[float, float]  # latitude and longitude, deg
 
 ALL = 24  # candidates: the spacing between them leaves no room for more
 ALL_SPACED = 0.08  # of a cell between candidates
@@ -79,7 +81,7 @@ def one_size(
     Against the build's own rate: the mean difference and half of its 95 % interval.
     """
     cells = list(free_grounds(context))
-    known: dict[tuple[float, float], float] = {}
+    known: dict[Place, float] = {}
     rows: list[tuple[Cell, ...]] = []
     own_rates, own_places = np.empty(0), []
     name = f"economy {context.grid.step_deg:g} deg"
@@ -88,7 +90,11 @@ def one_size(
             records, spent = _built(context, policy, cells)
             bar.advance(len(cells), policy.name)
             places = [(record.lat_deg, record.lon_deg) for record in records]
-            rates = np.array([_rate(context, place, trials, seed, known, bar) for place in places])
+            for place in places:
+                if place not in known:
+                    known[place] = _rate(context, place, trials, seed)
+                bar.advance()
+            rates = np.array([known[place] for place in places])
             if not rows:
                 own_rates, own_places = rates, places
             gain = rates - own_rates
@@ -96,7 +102,7 @@ def one_size(
             against = (100.0 * float(gain.mean()), 100.0 * half) if rows else (None, None)
             usable = sum(record.usable for record in records) / len(records)
             same = float(np.mean([a == b for a, b in zip(places, own_places, strict=True)]))
-            start = (context.grid.step_deg, len(cells), _rounds(trials) * SUNS, policy.name)
+            start = (context.grid.step_deg, len(cells), -(-trials // SUNS) * SUNS, policy.name)
             times = (seconds / len(cells) * 1e3 for seconds in spent)
             shares = (100.0 * usable, 100.0 * float(rates.mean()))
             rows.append((*start, *times, *shares, *against, 100.0 * same))
@@ -119,36 +125,16 @@ def _built(
     return records, (rendered - started, time.process_time() - selected_at)
 
 
-def _rounds(trials: int) -> int:
-    return -(-trials // SUNS)
-
-
-def _rate(
-    context: StageContext,
-    place: tuple[float, float],
-    trials: int,
-    seed: int,
-    known: dict[tuple[float, float], float],
-    bar: Stage,
-) -> float:
+def _rate(context: StageContext, place: Place, trials: int, seed: int) -> float:
     """Recognition rate of a place in trials that no policy has seen, the same for each policy."""
-    bar.advance()
-    if place not in known:
-        patches = context.patches(*place)
-        limit = context.config.check.max_error_nodes
-        successes = 0
-        for turn in range(_rounds(trials)):
-            outcomes = outcomes_at(
-                context,
-                patches,
-                *place,
-                seed=[SEED_OF_TRIALS + seed, turn, round((place[0] + 90.0) * 1e6)],
-                relief_seed=turn,
-                trials=SUNS,
-            )
-            successes += sum(o.accepted and o.distance <= limit for o in outcomes)
-        known[place] = successes / (_rounds(trials) * SUNS)
-    return known[place]
+    patches, limit = context.patches(*place), context.config.check.max_error_nodes
+    own = round((place[0] + 90.0) * 1e6)
+    successes = 0
+    for turn in range(-(-trials // SUNS)):
+        seeds = [SEED_OF_TRIALS + seed, turn, own]
+        found = outcomes_at(context, patches, *place, seed=seeds, relief_seed=turn, trials=SUNS)
+        successes += sum(o.accepted and o.distance <= limit for o in found)
+    return successes / (-(-trials // SUNS) * SUNS)
 
 
 COLUMNS = columns(

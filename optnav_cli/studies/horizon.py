@@ -31,16 +31,7 @@ from optnav_cli.navigation.horizon import method as horizon
 from optnav_cli.navigation.neighbour import CameraView, other_body
 from optnav_cli.navigation.outline.method import mask_neighbour
 from optnav_cli.navigation.outline.one_body import detect_limb
-from optnav_cli.studies.flights import (
-    FIGURES,
-    GLOBE,
-    SEED,
-    STAR_SENSOR_ARCSEC,
-    Case,
-    not_solved,
-    rows_named,
-    shipped_pictures,
-)
+from optnav_cli.studies import flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 DIRECTION_ARCSEC, DIRECTION_STAR_ARCSEC = 5.0, 20.0  # what far rows ask for
@@ -50,7 +41,7 @@ NEES = (0.7, 1.4)
 
 
 @dataclass(frozen=True)
-class HorizonCase(Case):
+class HorizonCase(flights.Case):
     """One line of the table, a scenario, and what is asked of the terrain-aware horizon.
 
     ssp_m, ssp_star_m  rms over the ground with exact attitude and with the star sensor's
@@ -82,7 +73,6 @@ class LimbFix:
     seconds                  of the processor, edges included
     """
 
-    file: str
     terrain: bool
     star_sensor: bool
     ssp_m: float = np.nan
@@ -90,7 +80,6 @@ class LimbFix:
     range_share: float = np.nan
     direction_arcsec: float = np.nan
     nees: float = np.nan
-    arc_deg: float = np.nan
     seconds: float = np.nan
     reason: str = ""
 
@@ -149,14 +138,14 @@ def run(
     rows    only rows whose name contains this
     Raises ConfigError where the shared data are not named.
     """
-    globe = path_of(GLOBE, Path.cwd())
-    chosen = rows_named(ROWS, rows)
+    globe = path_of(flights.GLOBE, Path.cwd())
+    chosen = flights.rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
     results: list[HorizonResult] = []
     for row in chosen:
-        folder = read_folder(shipped_pictures(output, row.scenario, frames, progress))
+        folder = read_folder(flights.shipped_pictures(output, row.scenario, frames, progress))
         results.append(measure(row, folder, load_relief(str(globe), folder.body)))
-        StudyReport((*report(results).tables, _ways(results))).write(output / FIGURES)
+        StudyReport((*report(results).tables, _ways(results))).write(output / flights.FIGURES)
     return results
 
 
@@ -169,8 +158,8 @@ def measure(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> HorizonRe
 
 
 def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]:
-    rng = np.random.default_rng(SEED)
-    sigma = STAR_SENSOR_ARCSEC * ARCSEC
+    rng = np.random.default_rng(flights.SEED)
+    sigma = flights.STAR_SENSOR_ARCSEC * ARCSEC
     truths = {t.file: t for t in read_truth(folder.path / "truth.csv", folder.attitude)}
     for frame in folder.frames:
         slip = Rotation.from_rotvec(rng.normal(0.0, sigma, 3))
@@ -190,7 +179,7 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
                 limb = detect_limb(picture, camera, turned, sun, folder.body)
             except NoSolutionError as error:
                 for terrain in (False, True):
-                    yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
+                    yield LimbFix(terrain, star_sensor, reason=str(error))
                 continue
             finding = time.process_time() - begin
             for terrain, over in ((False, None), (True, relief)):
@@ -198,17 +187,16 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
                 try:
                     fix = horizon.navigate(limb, camera, turned, off, sun, folder.body, over)
                 except NoSolutionError as error:
-                    yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
+                    yield LimbFix(terrain, star_sensor, reason=str(error))
                     continue
                 seconds = finding + time.process_time() - begin
                 truth = truths[frame.file].position_m
-                yield _compared(frame.file, terrain, star_sensor, fix, truth, folder.body, seconds)
+                yield _compared(terrain, star_sensor, fix, truth, folder.body, seconds)
 
 
 def _compared(
-    file: str, terrain: bool, star_sensor: bool, fix: Fix, truth: FloatArray,
-    body: Body, seconds: float,
-) -> LimbFix:  # fmt: skip
+    terrain: bool, star_sensor: bool, fix: Fix, truth: FloatArray, body: Body, seconds: float
+) -> LimbFix:
     """A fix against the true position (3,)."""
     error = fix.position_m - truth
     distance = float(np.linalg.norm(truth))
@@ -217,7 +205,6 @@ def _compared(
     below = fix.position_m / np.linalg.norm(fix.position_m)
     over = float(np.arctan2(np.linalg.norm(np.cross(below, up)), below @ up))
     return LimbFix(
-        file,
         terrain,
         star_sensor,
         ssp_m=over * body.radius_m,
@@ -225,7 +212,6 @@ def _compared(
         range_share=height / distance,
         direction_arcsec=over / ARCSEC,
         nees=float(error @ np.linalg.solve(fix.covariance_m2, error)) / 3.0,
-        arc_deg=fix.evidence.arc_deg or 0.0,
         seconds=seconds,
     )
 
@@ -278,7 +264,7 @@ def report(results: Sequence[HorizonResult]) -> StudyReport:
             tables.append(StudyTable("", (*heads, *COMMON_COLUMNS), rows))
     notes = []
     for result in results:
-        notes += not_solved(result.row.name, result.terrain.reasons)
+        notes += flights.not_solved(result.row.name, result.terrain.reasons)
     notes.append(
         f"wanted besides: max {MAX_SSP_M:.0f} m, {BETTER:.0f} times better than the sphere, "
         f"NEES {NEES[0]}-{NEES[1]}, worst below 5 σ"

@@ -209,7 +209,12 @@ def trials_of(
     scene: StudyPicture, points: Sequence[Reference], camera: Camera, seed: int
 ) -> list[Trial]:
     """What one picture is good for: its slant, and every other error when it has none."""
-    seen = [point for point in points if _whole(point, scene.pose, camera)]
+    # points whose search window lies in the frame, whatever the errors do to it
+    seen = [
+        point
+        for point in points
+        if camera.contains(_pixel(point, scene.pose, camera), FRAME_MARGIN_PX)
+    ]
     rng = np.random.default_rng([seed, scene.number, round(scene.off_nadir_deg)])
     look = Look(scene, seen, camera, rng)
     found: list[Trial] = []
@@ -270,16 +275,24 @@ class Look:
         distortion: Distortion = NO_DISTORTION,
     ) -> Iterator[Trial]:
         """Every point by every matcher from a pose that is wrong, by either sign in turn."""
+        camera, pose, sun = self.camera, self.scene.pose, self.scene.sun_body
         for number, point in enumerate(self.points):
             error = wrong.other_way() if number % 2 else wrong
-            stated = wrong_pose(self.scene.pose, point.point.xyz_m, error)
+            stated = wrong_pose(pose, point.point.xyz_m, error)
             shift = self.rng.uniform(-SHIFT_NODES, SHIFT_NODES, 2) * point.patches[0].posting_m
             east, north, _ = point.projection.body_from_local.T
             place = stated.position_m + shift[0] * east + shift[1] * north
             stated = Pose(place, stated.camera_from_body)
+            distance = float(np.linalg.norm(stated.position_m - point.point.xyz_m))
+            sample = distance / camera.focal_length_px
+            plan = SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion)
+            held = self._slant(point) if axis is SLANT else value
             for name, matcher in MATCHERS.items():
-                off, accepted = self._error(point, stated, picture, level, matcher, distortion)
-                held = self._slant(point) if axis is SLANT else value
+                match = match_point(point, plan, picture, camera, stated, sun, matcher, self.gates)
+                off, accepted = None, False
+                if match.pixel is not None:
+                    off_px = float(np.linalg.norm(match.pixel - _pixel(point, pose, camera)))
+                    off, accepted = off_px * sample / point.patches[0].posting_m, not match.reason
                 yield Trial(axis.name, held, name, aided, off, accepted)
 
     def _slant(self, point: Reference) -> float:
@@ -290,32 +303,8 @@ class Look:
         angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
         return min(SLANT.values, key=lambda value: abs(value - angle))
 
-    def _error(
-        self,
-        point: Reference,
-        stated: Pose,
-        picture: PicturePyramid,
-        level: int,
-        matcher: Matcher,
-        distortion: Distortion,
-    ) -> tuple[float | None, bool]:
-        """Distance from the truth, finest nodes, and whether the gates pass the match."""
-        place, pose = point.point.xyz_m, self.scene.pose
-        distance = float(np.linalg.norm(stated.position_m - place))
-        sample = distance / self.camera.focal_length_px
-        plan = SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion)
-        sun, camera = self.scene.sun_body, self.camera
-        match = match_point(point, plan, picture, camera, stated, sun, matcher, self.gates)
-        if match.pixel is None:
-            return None, False
-        truth = camera.project_from_body(place, pose.position_m, pose.camera_from_body.as_matrix())
-        off = float(np.linalg.norm(match.pixel - truth)) * sample / point.patches[0].posting_m
-        return off, not match.reason
 
-
-def _whole(point: Reference, pose: Pose, camera: Camera) -> bool:
-    """Whether a point's search window lies in the frame, whatever the errors do to it."""
-    pixel = camera.project_from_body(
-        point.point.xyz_m, pose.position_m, pose.camera_from_body.as_matrix()
-    )
-    return bool(camera.contains(pixel, FRAME_MARGIN_PX))
+def _pixel(point: Reference, pose: Pose, camera: Camera) -> FloatArray:
+    """Where a point is seen from a pose."""
+    attitude = pose.camera_from_body.as_matrix()
+    return camera.project_from_body(point.point.xyz_m, pose.position_m, attitude)

@@ -16,21 +16,12 @@ from optnav_cli.evaluation.evaluation import Evaluation, pool
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.flights import (
-    FIGURES,
-    Case,
-    built_catalog,
-    frames_table,
-    limit_with_star_sensor,
-    rows_named,
-    shipped_pictures,
-    with_star_sensor,
-)
+from optnav_cli.studies import flights
 from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 
 @dataclass(frozen=True)
-class FlightCase(Case):
+class FlightCase(flights.Case):
     """One line of the table: scenarios pooled, the catalog's cell, and the figures to reach."""
 
     scenarios: tuple[str, ...]
@@ -73,19 +64,21 @@ def run(
     frames  pictures of a scenario, its own number when None
     rows    only rows whose name contains this
     """
-    chosen = rows_named(ROWS, rows)
+    chosen = flights.rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
     results: list[FlightResult] = []
     tycho = resource("configs/catalogs/tycho.toml").read_text(encoding="utf-8")
     for row in chosen:
         config = output / f"tycho-{row.cell_deg:g}deg.toml"
-        catalog = built_catalog(config, f"{tycho}\n[grid]\ncell_deg = {row.cell_deg}\n", progress)
+        catalog = flights.built_catalog(
+            config, f"{tycho}\n[grid]\ncell_deg = {row.cell_deg}\n", progress
+        )
         for star_sensor in (False, True):
             parts = []
             for name in row.scenarios:
-                pictures = shipped_pictures(output, name, frames, progress)
+                pictures = flights.shipped_pictures(output, name, frames, progress)
                 if star_sensor:
-                    pictures = with_star_sensor(pictures)
+                    pictures = flights.with_star_sensor(pictures)
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
                 navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", place, progress)
@@ -93,10 +86,10 @@ def run(
             evaluation = pool(parts)
             limit = row.horizontal_m
             if star_sensor:
-                limit = limit_with_star_sensor(limit, evaluation.frames)
+                limit = flights.limit_with_star_sensor(limit, evaluation.frames)
             results.append(FlightResult(row, star_sensor, evaluation, limit))
-            single = frames_table({r.case: r.evaluation.frames for r in results})
-            StudyReport((*report(results).tables, single)).write(output / FIGURES)
+            single = flights.frames_table({r.case: r.evaluation.frames for r in results})
+            StudyReport((*report(results).tables, single)).write(output / flights.FIGURES)
     return results
 
 

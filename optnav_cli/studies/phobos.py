@@ -19,17 +19,7 @@ from catalog.config import resource
 from catalog.jobs.usage import Account
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError, figures_of
-from optnav_cli.studies.flights import (
-    FIGURES,
-    Case,
-    frames_table,
-    navigated,
-    not_solved,
-    rows_named,
-    shipped_pictures,
-    sigmas_off,
-    with_star_sensor,
-)
+from optnav_cli.studies import flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms, tally
 
 WIDE, NARROW = "tsnn_shtk", "tsnn_utk"
@@ -39,7 +29,7 @@ NEES = (0.7, 1.4)
 
 
 @dataclass(frozen=True)
-class PhobosCase(Case):
+class PhobosCase(flights.Case):
     """One line of the table, the pictures of a scenario by one camera.
 
     prior        whether a position is stated
@@ -92,7 +82,7 @@ def run(
     frames  pictures of a scenario a camera, its own number when None
     rows    only rows whose name contains this
     """
-    chosen = rows_named(ROWS, rows)
+    chosen = flights.rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
     catalog = output / "phobos.gpkg"
     config = resource("configs/catalogs/phobos.toml")
@@ -100,19 +90,19 @@ def run(
     results = PhobosResults(account, [])
     runs: dict[str, tuple[FrameError, ...]] = {}
     for row in chosen:
-        folder = shipped_pictures(output, row.scenario, frames, progress)
+        folder = flights.shipped_pictures(output, row.scenario, frames, progress)
         if not row.flown:
-            folder = with_star_sensor(folder, priors=row.prior)
+            folder = flights.with_star_sensor(folder, priors=row.prior)
         name = folder.name
         if name not in runs:
-            runs[name] = navigated(folder, [catalog], output / "runs" / name, progress)
+            runs[name] = flights.navigated(folder, [catalog], output / "runs" / name, progress)
         own = [frame for frame in runs[name] if frame.camera == row.camera]
         nearest, farthest = row.distance_km
         own = [frame for frame in own if nearest <= frame.distance_m / 1e3 < farthest]
         results.rows.append((row, own))
-        single = frames_table({case.name: frames for case, frames in results.rows})
+        single = flights.frames_table({case.name: frames for case, frames in results.rows})
         so_far = report(results)
-        StudyReport((*so_far.tables, single), so_far.notes).write(output / FIGURES)
+        StudyReport((*so_far.tables, single), so_far.notes).write(output / flights.FIGURES)
     return results
 
 
@@ -129,7 +119,7 @@ def report(results: PhobosResults) -> StudyReport:
     for row, frames in results.rows:
         # what the first method tried says; the others' words follow in solution.csv
         reasons = [f.solution.reason.partition(";")[0] for f in frames if f.nees is None]
-        notes += not_solved(row.name, reasons)
+        notes += flights.not_solved(row.name, reasons)
     rows = tuple(_cells(row, frames) for row, frames in results.rows)
     return StudyReport((StudyTable("", COLUMNS, rows),), tuple(notes))
 
@@ -153,5 +143,5 @@ def _cells(row: PhobosCase, frames: Sequence[FrameError]) -> tuple[Cell, ...]:
     f = figures_of(frames)
     shares = [float(f.error_rnb_m[0]) / f.distance_m for f in solved if f.error_rnb_m is not None]
     errors = (f.horizontal_rms_m, row.across_m, f.horizontal_max_m, f.height_rms_m)
-    end = (f.nees, max(map(sigmas_off, solved)), tally([f.solution.method for f in solved]))
+    end = (f.nees, max(map(flights.sigmas_off, solved)), tally([f.solution.method for f in solved]))
     return (*start, *errors, 100.0 * rms(shares), asked, *end)

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -32,8 +33,7 @@ NEAR = 0.15  # of the resolution (one turn in the span): a line so near is the n
 PADDING = 4
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One line: its angle (3,), deg by powers of time, and that angle's name, if it has one."""
 
     angle: FloatArray
