@@ -155,9 +155,8 @@ class _Pull:
         orbit = self._motion.body.orbit
         if orbit is None:
             return np.zeros(6)
-        now, before, after = (
-            -self._motion.position_m(orbit.around, tdb_s + dt) for dt in (0.0, -APART_S, APART_S)
-        )
+        times = (tdb_s + dt for dt in (0.0, -APART_S, APART_S))
+        now, before, after = (-self._motion.position_m(orbit.around, t) for t in times)
         return np.concatenate([now, (after - before) / (2.0 * APART_S)])
 
     def of_body(self, tdb_s: float, offset_m: FloatArray) -> FloatArray:

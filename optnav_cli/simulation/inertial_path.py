@@ -146,9 +146,8 @@ def flight_states(flight: FlightSettings, motion: Ephemeris, seed: int) -> State
     start = utc_to_tdb_s(flight.start_utc)
     times = start + flight.spacing_s * np.arange(flight.frames, dtype=np.float64)
     frame = path_frame(motion, start, flight.inclination_deg, flight.node_deg, flight.lowest_at_deg)
-    place, velocity = _on_conic(
-        body.gm_m3_s2, low, speed, np.radians(flight.start_at_deg - flight.lowest_at_deg)
-    )
+    anomaly = np.radians(flight.start_at_deg - flight.lowest_at_deg)
+    place, velocity = _on_conic(body.gm_m3_s2, low, speed, anomaly)
     state = np.concatenate([frame @ place, frame @ velocity])
     orbit = OrbitMotion(Forces(motion))
     if not flight.rough_gravity:

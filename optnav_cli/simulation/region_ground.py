@@ -23,14 +23,8 @@ from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
+from optnav_cli.simulation import globe_heights
 from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays, every_px
-from optnav_cli.simulation.globe_heights import (
-    SPLINE_MARGIN,
-    WideGround,
-    read_globe,
-    sample_spline,
-    spline_coefficients,
-)
 from optnav_cli.simulation.scenario_base import ScenarioBase
 from optnav_cli.simulation.sections import relief_below
 
@@ -81,8 +75,10 @@ class TruthTerrain:
         self._tiles: Cache[tuple[int | None, int, int, int], Float32Array] = Cache(KEPT_TILES)
         self._windows: Cache[tuple[int | None, int, Box], Ground] = Cache(KEPT_WINDOWS)
         seam = 0.5 * (self.box[0] + self.box[2]) + np.pi
-        heights = read_globe(globe, body)
-        self._wide = WideGround(heights, body.radius_m, seam, globe_details, cameras_m)
+        heights = globe_heights.read_globe(globe, body)
+        self._wide = globe_heights.WideGround(
+            heights, body.radius_m, seam, globe_details, cameras_m
+        )
 
     def wide(self, seed: int | None) -> Ground:
         """The ground of a seed outside the terrain models, all round the body."""
@@ -188,7 +184,7 @@ class TruthTerrain:
             period = source.shape[1]
             col = col[:1, :1] + np.mod(col - col[:1, :1] + 0.5 * period, period) - 0.5 * period
         rows, cols = source.shape
-        margin = SPLINE_MARGIN
+        margin = globe_heights.SPLINE_MARGIN
         top = max(int(np.nanmin(row)) - margin, 0)
         bottom = min(int(np.nanmax(row)) + margin + 1, rows)
         left, right = int(np.nanmin(col)) - margin, int(np.nanmax(col)) + margin + 1
@@ -206,7 +202,7 @@ class TruthTerrain:
         if holes.any():
             found = sample_bicubic(heights, y, x)
         else:
-            found = sample_spline(spline_coefficients(heights), y, x)
+            found = globe_heights.sample_spline(globe_heights.spline_coefficients(heights), y, x)
         found[~inside] = np.nan
         return found
 

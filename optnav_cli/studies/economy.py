@@ -29,7 +29,6 @@ Place = tuple[float, float]  # latitude and longitude, deg
 
 ALL = 24  # candidates: the spacing between them leaves no room for more
 ALL_SPACED = 0.08  # of a cell between candidates
-ALL_LEVELS, ALL_ELEVATIONS, ALL_AZIMUTHS = 2, 4, 8
 FEW = 4
 SEED_OF_TRIALS = 20_000  # far from the seeds of the build's own trials
 
@@ -46,21 +45,16 @@ class Policy:
 def policies() -> tuple[Policy, ...]:
     """The build's own first; then slower and quicker ones."""
     own, tests = RenderSettings(), CheckSettings()
-    every = msgspec.structs.replace(
-        own,
-        candidates=ALL,
-        separation_cell=ALL_SPACED,
-        levels=ALL_LEVELS,
-        sun_elevations=ALL_ELEVATIONS,
-        sun_azimuths=ALL_AZIMUTHS,
+    every = RenderSettings(
+        candidates=ALL, separation_cell=ALL_SPACED, levels=2, sun_elevations=4, sun_azimuths=8
     )
     # a place that is always recognised ends the search: a later one can only tie with it
-    tried = msgspec.structs.replace(tests, places=ALL, good_recognition=1.0)
+    tried = CheckSettings(places=ALL, good_recognition=1.0)
     return (
         Policy("build", own, tests),
         Policy("all Suns", every, tests),
         Policy("all tried", every, tried),
-        Policy("fewer", msgspec.structs.replace(own, candidates=FEW), tests),
+        Policy("fewer", RenderSettings(candidates=FEW), tests),
     )
 
 

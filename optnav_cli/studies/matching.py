@@ -21,22 +21,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from catalog.bodies.body import load_body
 from catalog.progress import Progress
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from optnav_cli.studies.matching_trials import (
-    AXES,
-    MATCHERS,
-    NOISE,
-    SLANT,
-    Axis,
-    Trial,
-    draw_scenes,
-    references,
-    trials_of,
-)
+from optnav_cli.studies import matching_trials
 from optnav_cli.studies.tables import StudyReport, StudyTable, columns, rms
 
 CAMERA = "unk"
@@ -67,24 +56,24 @@ class MatchingRow:
 
 def run(progress: Progress, scenes: int = 2, seed: int = 1) -> list[MatchingRow]:
     """All errors, on as many grounds under as many Suns as there are `scenes`."""
-    body, camera = load_body("moon"), preset_camera(CAMERA)
-    trials: list[Trial] = []
+    camera = preset_camera(CAMERA)
+    trials: list[matching_trials.Trial] = []
     with TemporaryDirectory(prefix="optnav-") as folder:
-        points = references(Path(folder), progress)
+        points = matching_trials.references(Path(folder), progress)
     range_m = points[0].patches[0].posting_m * camera.focal_length_px
-    for scene in draw_scenes(body, camera, range_m, scenes, SLANT.values, progress):
-        trials += trials_of(scene, points, camera, seed)
+    for scene in matching_trials.draw_scenes(camera, range_m, scenes, progress):
+        trials += matching_trials.trials_of(scene, points, camera, seed)
     return summarise(trials)
 
 
-def summarise(trials: Iterable[Trial]) -> list[MatchingRow]:
+def summarise(trials: Iterable[matching_trials.Trial]) -> list[MatchingRow]:
     """Shares and errors, in the order of the axes."""
-    groups: dict[tuple[str, float, str, bool], list[Trial]] = {}
+    groups: dict[tuple[str, float, str, bool], list[matching_trials.Trial]] = {}
     for trial in trials:
         key = (trial.axis, trial.value, trial.matcher, trial.aided)
         groups.setdefault(key, []).append(trial)
     rows = []
-    for axis, name, aided in product(AXES, MATCHERS, (False, True)):
+    for axis, name, aided in product(matching_trials.AXES, matching_trials.MATCHERS, (False, True)):
         keys = ((axis.name, value, name, aided) for value in axis.values)
         for key in filter(groups.__contains__, keys):
             own = groups[key]
@@ -125,7 +114,7 @@ BORNE_COLUMNS = columns(
 def report(rows: Sequence[MatchingRow]) -> StudyReport:
     """A table for every error, and what is borne at RECOGNISED."""
     tables, tolerances = [], []
-    for axis in AXES:
+    for axis in matching_trials.AXES:
         lines = []
         for name, aided, chosen in curves(rows, axis):
             aid = axis.aid if aided else "unaided"
@@ -146,10 +135,12 @@ def report(rows: Sequence[MatchingRow]) -> StudyReport:
     return StudyReport(tuple(tables), notes)
 
 
-def curves(rows: Sequence[MatchingRow], axis: Axis) -> list[tuple[str, bool, list[MatchingRow]]]:
+def curves(
+    rows: Sequence[MatchingRow], axis: matching_trials.Axis
+) -> list[tuple[str, bool, list[MatchingRow]]]:
     """Matcher, aid and rows of each curve of an error."""
     found = []
-    for name, aided in product(MATCHERS, (False, True)):
+    for name, aided in product(matching_trials.MATCHERS, (False, True)):
         key = (axis.name, name, aided)
         chosen = [row for row in rows if (row.axis, row.matcher, row.aided) == key]
         if chosen:
@@ -157,19 +148,19 @@ def curves(rows: Sequence[MatchingRow], axis: Axis) -> list[tuple[str, bool, lis
     return found
 
 
-def quantity(axis: Axis, value: float) -> str:
+def quantity(axis: matching_trials.Axis, value: float) -> str:
     """A value with its unit: SNR 10, 10 %, 25°."""
-    if axis is NOISE:
+    if axis is matching_trials.NOISE:
         return f"SNR {value:.2g}"
     return f"{value:.3g}{axis.unit if axis.unit == '°' else ' ' + axis.unit}"
 
 
-def borne(axis: Axis, rows: Sequence[MatchingRow]) -> str:
+def borne(axis: matching_trials.Axis, rows: Sequence[MatchingRow]) -> str:
     """The tolerance in words; a mark where the share never falls so low, or is never so high."""
     if rows[0].recognised < RECOGNISED:
         return "never"
     value, falls = tolerance(rows)
-    sign = "" if falls else ("< " if axis is NOISE else "> ")
+    sign = "" if falls else ("< " if axis is matching_trials.NOISE else "> ")
     return sign + quantity(axis, value)
 
 
@@ -189,41 +180,47 @@ def picture(rows: Sequence[MatchingRow]) -> str:
     return sheet(
         "What matching bears: control points recognised, and the error of their places",
         legend,
-        [[_share(rows, axis) for axis in AXES], [_error(rows, axis) for axis in AXES]],
+        [
+            [_share(rows, axis) for axis in matching_trials.AXES],
+            [_error(rows, axis) for axis in matching_trials.AXES],
+        ],
     )
 
 
-def _share(rows: Sequence[MatchingRow], axis: Axis) -> Panel:
+def _share(rows: Sequence[MatchingRow], axis: matching_trials.Axis) -> Panel:
     plot = _plot(axis, PlotAxis((0.0, 105.0), "recognised, %"))
     plot.level(100.0 * RECOGNISED, "muted dashed")
     _draw(plot, rows, axis, lambda row: 100.0 * row.recognised)
     return Panel(f"{axis.name} (aided: {axis.aid})", plot, f"Share recognised against {axis.name}")
 
 
-def _error(rows: Sequence[MatchingRow], axis: Axis) -> Panel:
+def _error(rows: Sequence[MatchingRow], axis: matching_trials.Axis) -> Panel:
     low, high = np.log10(ERROR_NODES)
     plot = _plot(axis, PlotAxis((float(low), float(high)), "error of the place, nodes", True))
     _draw(plot, rows, axis, lambda row: float(np.log10(max(row.error_nodes, 1e-6))))
     return Panel("", plot, f"Error of the place against {axis.name}, log scale")
 
 
-def _plot(axis: Axis, y: PlotAxis) -> Plot:
+def _plot(axis: matching_trials.Axis, y: PlotAxis) -> Plot:
     low, high = _place(axis, min(axis.values)), _place(axis, max(axis.values))
     margin = 0.05 * (high - low)
-    name = "SNR of a pixel" if axis is NOISE else f"error, {axis.unit}"
+    name = "SNR of a pixel" if axis is matching_trials.NOISE else f"error, {axis.unit}"
     if axis.name == "off nadir":
         name = "angle, °"
-    x = PlotAxis((low - margin, high + margin), name, axis is NOISE, axis.values)
+    x = PlotAxis((low - margin, high + margin), name, axis is matching_trials.NOISE, axis.values)
     return Plot(x, y, width=WIDTH, height=HEIGHT)
 
 
-def _place(axis: Axis, value: float) -> float:
+def _place(axis: matching_trials.Axis, value: float) -> float:
     """Along x, where noise has a log scale."""
-    return float(np.log10(value)) if axis is NOISE else value
+    return float(np.log10(value)) if axis is matching_trials.NOISE else value
 
 
 def _draw(
-    plot: Plot, rows: Sequence[MatchingRow], axis: Axis, y: Callable[[MatchingRow], float]
+    plot: Plot,
+    rows: Sequence[MatchingRow],
+    axis: matching_trials.Axis,
+    y: Callable[[MatchingRow], float],
 ) -> None:
     """The tolerance that the source states, and every curve of an error."""
     plot.line((_place(axis, axis.stated),) * 2, plot.y, "s4 dashed thin")

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.bodies.body import Body
+from catalog.bodies.body import load_body
 from catalog.build import build
 from catalog.config import resource
 from catalog.correlation.ncc import match_ncc
@@ -42,6 +42,7 @@ POSTING_M, FINER = 118.45, 2
 DETAIL = DetailSettings(smallest_m=30.0, rms_slope_deg=3.0, saturation=0.05)
 SUN_ELEVATIONS_DEG = (25.0, 15.0, 35.0, 20.0, 30.0, 40.0)
 MATCHERS: dict[str, Matcher] = {"NCC": match_ncc, "SURF-64": match_surf}
+GATES = MatchGates(MatchSettings().min_score, MatchSettings().rival_ratio)
 TEMPLATE_NODES, SEARCH_NODES, SHIFT_NODES = 64, 8, 5.0
 FRAME_MARGIN_PX = 80.0  # half a search window, stretched and turned as the worst prior does
 # Of the pictures whose error is not their noise.
@@ -78,18 +79,13 @@ def references(work: Path, progress: Progress) -> list[Reference]:
 
 
 def draw_scenes(
-    body: Body,
-    camera: Camera,
-    range_m: float,
-    count: int,
-    off_nadir_deg: Sequence[float],
-    progress: Progress,
+    camera: Camera, range_m: float, count: int, progress: Progress
 ) -> Iterator[StudyPicture]:
-    """Pictures of the terrain's middle; `count` Suns and grounds, each from all angles.
+    """Pictures of the terrain's middle; `count` Suns and grounds, each from all angles off nadir.
 
-    range_m        from the camera to the ground in the middle
-    off_nadir_deg  between the local vertical there and the way to the camera
+    range_m  from the camera to the ground in the middle
     """
+    body, angles = load_body("moon"), SLANT.values
     lat, lon = np.radians(MIDDLE_DEG)
     local, middle = body_from_local(lat, lon), xyz_from_latlon(lat, lon, body.radius_m)
     corners = corner_rays(camera)
@@ -100,11 +96,11 @@ def draw_scenes(
     terrain = TruthTerrain(
         body, (DemSettings(str(resource(DEM))),), DemSettings(str(resource(GLOBE))), details
     )
-    with progress.stage("look", count * len(off_nadir_deg), "picture") as bar:
+    with progress.stage("look", count * len(angles), "picture") as bar:
         for number in range(count):
             sun = local @ _sun_local(number)
             ground = LitGround(terrain.window(number, FINER, WHOLE), terrain.wide(number), sun)
-            for angle in off_nadir_deg:
+            for angle in angles:
                 pose = _pose(local, middle, range_m, angle if number % 2 else -angle)
                 rays = corners @ pose.camera_from_body.as_matrix()
                 radiance = ground.picture(pose.position_m, rays)
@@ -244,19 +240,14 @@ def roll_search() -> Distortion:
     return plan_distortion(TEMPLATE_NODES, sigma, 0.0, SEARCH_SIGMAS)
 
 
+@dataclass(frozen=True, eq=False)
 class Look:
     """Looks for points in pictures of one scene."""
 
-    def __init__(
-        self,
-        scene: StudyPicture,
-        points: Sequence[Reference],
-        camera: Camera,
-        rng: np.random.Generator,
-    ) -> None:
-        self.scene, self.points, self.camera, self.rng = scene, points, camera, rng
-        settings = MatchSettings()
-        self.gates = MatchGates(settings.min_score, settings.rival_ratio)
+    scene: StudyPicture
+    points: Sequence[Reference]
+    camera: Camera
+    rng: np.random.Generator
 
     def picture(self, snr: float) -> PicturePyramid:
         """The scene blurred, noisy and in 8 bits."""
@@ -288,7 +279,7 @@ class Look:
             plan = SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion)
             held = self._slant(point) if axis is SLANT else value
             for name, matcher in MATCHERS.items():
-                match = match_point(point, plan, picture, camera, stated, sun, matcher, self.gates)
+                match = match_point(point, plan, picture, camera, stated, sun, matcher, GATES)
                 off, accepted = None, False
                 if match.pixel is not None:
                     off_px = float(np.linalg.norm(match.pixel - _pixel(point, pose, camera)))

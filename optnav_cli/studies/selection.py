@@ -106,7 +106,9 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
             corner = _one_sun_harris(context, grounds, turn, CORNER_NODES)
             harris = _one_sun_harris(context, grounds, turn)
             for cell, ground in grounds.items():
-                drawn = _random(ground, [seed, cell, turn])
+                free = np.argwhere(ground.inside & ground.whole)
+                row, col = free[np.random.default_rng([seed, cell, turn]).integers(len(free))]
+                drawn = (float(ground.lat[row, col]), float(ground.lon[row, col]))
                 places = (drawn, corner[cell], harris[cell], chosen[cell])
                 for results, place in zip(outcomes.values(), places, strict=True):
                     results += _trials(context, place, [seed, cell, turn])
@@ -131,12 +133,6 @@ def free_grounds(context: StageContext) -> dict[int, CellGround]:
             if (ground.inside & ground.whole).sum() >= MIN_FREE * ground.inside.sum():
                 grounds[cell] = ground
     return grounds
-
-
-def _random(ground: CellGround, seed: Sequence[int]) -> tuple[float, float]:
-    places = np.argwhere(ground.inside & ground.whole)
-    row, col = places[np.random.default_rng(seed).integers(len(places))]
-    return float(ground.lat[row, col]), float(ground.lon[row, col])
 
 
 def _one_sun_harris(
