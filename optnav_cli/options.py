@@ -12,6 +12,7 @@ import click
 
 F = TypeVar("F", bound=Callable[..., Any])
 BoundingBox = tuple[float, float, float, float]
+PATH = click.Path(path_type=Path)
 
 _NEGATIVE = re.compile(r"-\.?\d")
 
@@ -64,14 +65,12 @@ latitude, longitude = _within(-90, 90), _within(-180, 360)
 
 def path_argument(name: str) -> Callable[[F], F]:
     """A path given as an argument; whether it exists is checked where it is opened."""
-    return click.argument(name, type=click.Path(path_type=Path))
+    return click.argument(name, type=PATH)
 
 
 def output_option(text: str, *, required: bool = True) -> Callable[[F], F]:
     """`-o PATH`: where the result goes."""
-    return click.option(
-        "-o", "--output", type=click.Path(path_type=Path), required=required, help=text
-    )
+    return click.option("-o", "--output", type=PATH, required=required, help=text)
 
 
 workers_option = click.option(
@@ -101,7 +100,7 @@ def work_option(*, required: bool) -> Callable[[F], F]:
     """`--work DIR`: the workspace of a build, from which a stopped one goes on."""
     return click.option(
         "--work",
-        type=click.Path(path_type=Path),
+        type=PATH,
         required=required,
         help="Folder for what the stages hand on; a stopped run goes on from it."
         + ("" if required else " By default OUTPUT.work."),

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import (
-    BoundingBox,
+    PATH,
     bbox_option,
     output_option,
     path_argument,
@@ -33,19 +33,12 @@ CATALOG_HELP = "The catalog file (GeoPackage); an earlier catalog is replaced."
 @click.option(
     "--check",
     metavar="CATALOG",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Compare the new catalog with this one; exit code 5 if its content differs.",
 )
 @pass_progress
 def build(
-    progress: ConsoleProgress,
-    config: Path,
-    output: Path,
-    work: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    bbox: BoundingBox | None,
-    check: Path | None,
+    progress: ConsoleProgress, /, config: Path, output: Path, check: Path | None, **options: Any
 ) -> None:
     """Build a control-point catalog from the terrain models that CONFIG names.
 
@@ -72,15 +65,7 @@ def build(
     announce_compilation()
     if check is not None:
         require_reference(check, output)  # before hours of work
-    report = run(
-        config,
-        work,
-        output=output,
-        workers=workers,
-        scheduler=scheduler,
-        bbox=bbox,
-        progress=progress,
-    )
+    report = run(config, output=output, progress=progress, **options)
     _tell_catalog(output, report)
     if check is not None:
         compare_and_tell(check, output, progress)
@@ -95,31 +80,15 @@ def _stage(
     """
 
     def call(
-        progress: ConsoleProgress,
-        /,
-        config: Path,
-        work: Path,
-        workers: int | None,
-        bbox: BoundingBox | None,
-        scheduler: str | None = None,
-        output: Path | None = None,
+        progress: ConsoleProgress, /, config: Path, output: Path | None = None, **options: Any
     ) -> None:
         from catalog.build.build import run
 
         announce_compilation()
-        report = run(
-            config,
-            work,
-            stages=(name,),
-            output=output,
-            workers=workers,
-            scheduler=scheduler,
-            bbox=bbox,
-            progress=progress,
-        )
+        report = run(config, stages=(name,), output=output, progress=progress, **options)
         if output is None:
             _tell_account(report)
-            click.echo(f"{work}: {name} is done for {report.account.cells} cells")
+            click.echo(f"{options['work']}: {name} is done for {report.account.cells} cells")
         else:
             _tell_catalog(output, report)
 

@@ -225,23 +225,17 @@ def catalog_export(catalog: Path, output: Path, point_id: int | None, level: int
       optnav catalog export tycho.gpkg --point 6420 -o patch.glb
     """
     from catalog.errors import UsageError
-    from catalog.inspect.export import (
-        PATCH_ENDINGS,
-        RELIEF_ENDINGS,
-        export,
-        export_patch,
-        export_relief,
-    )
+    from catalog.inspect import export as layers
     from catalog.store.reader import Catalog
 
     with Catalog.open(catalog) as opened:
-        if output.suffix.lower() in RELIEF_ENDINGS:
-            rows = export_relief(opened, output)
+        if output.suffix.lower() in layers.RELIEF_ENDINGS:
+            rows = layers.export_relief(opened, output)
             click.echo(f"{output}: {rows} x {2 * rows} cells")
-        elif output.suffix.lower() in PATCH_ENDINGS:
+        elif output.suffix.lower() in layers.PATCH_ENDINGS:
             if point_id is None:
                 raise UsageError(f"{output}: a solid is of one patch; name its point with --point")
-            triangles = export_patch(opened, point_id, level, output)
+            triangles = layers.export_patch(opened, point_id, level, output)
             click.echo(f"{output}: {triangles} triangles")
         else:
-            click.echo(f"{output}: {export(opened, output)} points")
+            click.echo(f"{output}: {layers.export(opened, output)} points")

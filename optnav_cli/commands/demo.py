@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.options import workers_option
+from optnav_cli.options import PATH, workers_option
 
 KIND = "demo"
 
@@ -15,7 +15,7 @@ KIND = "demo"
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=PATH,
     default="optnav-demo",
     show_default=True,
     help="Folder for the results; an earlier demo in it is replaced.",

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.options import matcher_option, output_option, path_argument
+from optnav_cli.options import PATH, matcher_option, output_option, path_argument
 
 LIMIT = click.FloatRange(min=0.0, min_open=True)
 
@@ -36,21 +36,19 @@ def simulate(progress: ConsoleProgress, scenario: Path, output: Path) -> None:
 @click.option(
     "--catalog",
     "catalogs",
-    type=click.Path(path_type=Path),
+    type=PATH,
     required=True,
     multiple=True,
     help="A control-point catalog to navigate with. Of several, the first has priority where it "
     "has points.",
 )
 @click.option(
-    "--config",
-    type=click.Path(path_type=Path),
-    help="Settings; `optnav config template navigate` prints the defaults.",
+    "--config", type=PATH, help="Settings; `optnav config template navigate` prints the defaults."
 )
 @matcher_option
 @click.option(
     "--relief",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="A terrain model of the whole body for the horizon; by default the relief that a catalog "
     "carries.",
 )
@@ -92,10 +90,7 @@ def navigate(
 @click.command("evaluate", short_help="Compare a run's positions with the truth.")
 @path_argument("run")
 @click.option(
-    "--truth",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="The truth.csv beside the simulated pictures.",
+    "--truth", type=PATH, required=True, help="The truth.csv beside the simulated pictures."
 )
 @click.option(
     "--max-horizontal-m", type=LIMIT, help="Exit code 5 if the rms along and across is larger."

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.options import LazyGroup
+from optnav_cli.options import PATH, LazyGroup
 from optnav_cli.studies.registry import STUDIES, Study
 
 
@@ -63,7 +63,7 @@ def _command(study: Study) -> click.Command:
 
 
 def _file(text: str, *names: str) -> click.Option:
-    return click.Option(names, type=click.Path(path_type=Path), help=text)
+    return click.Option(names, type=PATH, help=text)
 
 
 for _study in STUDIES:

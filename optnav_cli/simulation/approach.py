@@ -7,9 +7,8 @@ navigator leaves out or has in error: the planet's flattening, the body's true p
 of its field. The Sun's tide between the two, 1e-7 of the planet's, is left out.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -122,8 +121,7 @@ def approach_states(scenario: Approach, motion: Ephemeris) -> States:
     return times, (flown[:6] - flown[6:]).T
 
 
-@dataclass(frozen=True, eq=False)
-class Masses:
+class Masses(NamedTuple):
     """Point masses (n, 3), m, body frame, and what each pulls with (n,), m^3/s^2."""
 
     places_m: FloatArray
@@ -157,9 +155,8 @@ class _Pull:
         orbit = self._motion.body.orbit
         if orbit is None:
             return np.zeros(6)
-        now, before, after = (
-            -self._motion.position_m(orbit.around, tdb_s + dt) for dt in (0.0, -APART_S, APART_S)
-        )
+        times = (tdb_s + dt for dt in (0.0, -APART_S, APART_S))
+        now, before, after = (-self._motion.position_m(orbit.around, t) for t in times)
         return np.concatenate([now, (after - before) / (2.0 * APART_S)])
 
     def of_body(self, tdb_s: float, offset_m: FloatArray) -> FloatArray:

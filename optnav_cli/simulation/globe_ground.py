@@ -23,7 +23,7 @@ from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays
+from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays, every_px
 from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
 from optnav_cli.simulation.sections import DetailSettings, relief_below
 
@@ -189,23 +189,17 @@ class GlobeGround:
         kept  windows to keep, one a camera. Raises ConfigError or DataError for the model
         """
         heights = GlobeHeights(read_globe(model, body), body.radius_m)
-        reliefs: dict[int | None, SyntheticRelief | None] = {
-            seed: relief_below(detail, seed, heights.posting_m, body.radius_m)
-            for seed in detail.seeds
-        }
-        return cls(
-            heights,
-            {
-                seed: GlobeTerrain(heights, relief, kept)
-                for seed, relief in (reliefs or {None: None}).items()
-            },
-        )
+        grounds: dict[int | None, GlobeTerrain] = {}
+        for seed in detail.seeds:
+            relief = relief_below(detail, seed, heights.posting_m, body.radius_m)
+            grounds[seed] = GlobeTerrain(heights, relief, kept)
+        return cls(heights, grounds or {None: GlobeTerrain(heights, None, kept)})
 
     def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width) of a picture, sky 0."""
         body_from_camera = exposure.camera_from_body.inv().as_matrix()
         corners = self._corners(camera)
-        view = self._view(camera, exposure.position_m, corners, body_from_camera)
+        view = self._view(camera, exposure.position_m, body_from_camera)
         if view is None:
             return np.zeros(camera.shape, np.float32)
         ground = self._grounds[exposure.ground_seed]
@@ -215,17 +209,11 @@ class GlobeGround:
         return scene.picture(grid_from_body @ exposure.position_m, rays, limb_samples=LIMB_SAMPLES)
 
     def _view(
-        self,
-        camera: Camera,
-        position: FloatArray,
-        corners: FloatArray,
-        body_from_camera: FloatArray,
+        self, camera: Camera, position: FloatArray, body_from_camera: FloatArray
     ) -> GroundView | None:
         """The ground that a picture shows, None when it shows only sky."""
-        rows, cols = camera.shape
-        r = np.unique(np.append(np.arange(0, rows, PROBE_PX), rows))
-        c = np.unique(np.append(np.arange(0, cols, PROBE_PX), cols))
-        rays = (corners[r][:, c] @ body_from_camera.T).reshape(-1, 3)
+        probes = every_px(self._corners(camera), PROBE_PX)
+        rays = (probes @ body_from_camera.T).reshape(-1, 3)
         distance = float(np.linalg.norm(position))
         seen = _seen(self._heights, position, rays, PROBE_PX * camera.angular_resolution)
         if seen is None:
@@ -342,9 +330,8 @@ def _box(seen: FloatArray) -> tuple[float, float, float, float] | None:
     """The rounded box around directions in a level frame, None when it would reach too far."""
     lat = np.arcsin(np.clip(seen[:, 2], -1.0, 1.0))
     lon = np.arctan2(seen[:, 1], seen[:, 0])
-    edges = np.array([lon.min(), lat.min(), lon.max(), lat.max()]) + MARGIN * np.array(
-        [-1.0, -1.0, 1.0, 1.0]
-    )
+    edges = np.array([lon.min(), lat.min(), lon.max(), lat.max()])
+    edges += MARGIN * np.array([-1.0, -1.0, 1.0, 1.0])
     if np.abs(edges).max() + 0.5 * CENTRES > MAX_LEVEL:
         return None
     low, high = np.floor(edges[:2] / ROUND) * ROUND, np.ceil(edges[2:] / ROUND) * ROUND

@@ -6,8 +6,9 @@ too, what no catalog has.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -38,7 +39,7 @@ def spline_coefficients(heights: Float32Array) -> FloatArray:
 
 @kernel
 def _weight(t: float) -> float:
-    """The cubic B-"""
+    """The cubic B-spline, from its middle."""
     t = abs(t)
     if t < 1.0:
         return 2.0 / 3.0 - t * t + 0.5 * t * t * t
@@ -142,8 +143,7 @@ class GlobeHeights:
         return self._means[level]
 
 
-@dataclass(frozen=True)
-class Cap:
+class Cap(NamedTuple):
     """Latitudes and longitudes (rad) that a flight may see; east - west is at most a turn."""
 
     west: float
@@ -199,20 +199,20 @@ class WideGround:
         if details and len(cameras_m):
             lowest, highest = radius_m + float(heights.min()), radius_m + float(heights.max())
             self._seen = seen_from(cameras_m, lowest, highest)
-        self._bare: Ground | None = None
-        self._fine: Ground | None = None
         self._rough: Cache[int | None, Ground] = Cache(1)
 
     def of(self, seed: int | None) -> Ground:
         """The ground of a seed; the last one is kept."""
         if seed not in self._details:
-            if self._bare is None:
-                self._bare = whole_sphere(self._heights, self._radius_m, self._seam)
             return self._bare
         return self._rough.get(seed, lambda: self._roughened(self._details[seed]))
 
+    @cached_property
+    def _bare(self) -> Ground:
+        return whole_sphere(self._heights, self._radius_m, self._seam)
+
     def _roughened(self, detail: SyntheticRelief) -> Ground:
-        fine = self._finer()
+        fine = self._fine
         heights, step = fine.heights.copy(), fine.step_lat
         # the rows beyond the poles, a pole's own neighbours twice, stay smooth
         top = max(2, int((fine.north - self._seen.north) / step))
@@ -232,10 +232,9 @@ class WideGround:
         right = left + int(np.ceil((self._seen.east - self._seen.west) / fine.step_lon)) + 2
         return (left, right) if right <= columns - 4 else (0, columns)
 
-    def _finer(self) -> Ground:
+    @cached_property
+    def _fine(self) -> Ground:
         """The smooth globe at a finer posting, laid out as `whole_sphere` does."""
-        if self._fine is not None:
-            return self._fine
         rows = FINER * self._heights.shape[0]
         step = np.pi / rows
         shift = np.floor(np.mod(self._seam, ALL_ROUND) / step)
@@ -247,5 +246,4 @@ class WideGround:
             lat = north - step * np.arange(top, min(top + CHUNK, len(heights)), dtype=np.float64)
             places = np.meshgrid(lat, lon, indexing="ij")
             heights[top : top + CHUNK] = splines.sample(0, *places)
-        self._fine = make_ground(heights, north, west, step, step, self._radius_m)
-        return self._fine
+        return make_ground(heights, north, west, step, step, self._radius_m)

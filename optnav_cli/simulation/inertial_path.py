@@ -12,7 +12,6 @@ import numpy as np
 from msgspec import Meta
 
 from catalog.arrays import FloatArray
-from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
@@ -117,7 +116,8 @@ def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list
     Raises ConfigError for a path that meets the body.
     """
     found: list[Epoch] = []
-    seeds = scenario.detail.seeds
+    stated = scenario.attitude.relative_to == "body"
+    seed = next(iter(scenario.detail.seeds), None)
     for number, (tdb_s, state) in enumerate(zip(*states, strict=True)):
         body_from_inertial = motion.body_from_inertial(float(tdb_s))
         position, velocity = (body_from_inertial @ v for v in (state[:3], state[3:]))
@@ -127,19 +127,14 @@ def epochs_of(scenario: ScenarioBase, motion: Ephemeris, states: States) -> list
             level = ahead - (ahead @ up) * up
             if np.linalg.norm(level) > 1e-6 * np.linalg.norm(ahead):
                 break
-        _check_height(motion.body, position)
-        found.append(
-            Epoch(
-                number=number,
-                pass_index=0,
-                tdb_s=float(tdb_s),
-                position_m=position,
-                forward=level / np.linalg.norm(level),
-                sun_body=motion.sun_body(float(tdb_s)),
-                reported_sun=scenario.attitude.relative_to == "body",
-                ground_seed=seeds[0] if seeds else None,
+        height = float(np.linalg.norm(position)) - motion.body.radius_m
+        if height < motion.body.plausible_heights_m[1]:
+            raise ConfigError(
+                f"the path comes down to {height / 1e3:.1f} km over the reference sphere of "
+                f"{motion.body.name}, where mountains are; raise it"
             )
-        )
+        forward, sun = level / np.linalg.norm(level), motion.sun_body(float(tdb_s))
+        found.append(Epoch(number, 0, float(tdb_s), position, forward, sun, stated, seed))
     return found
 
 
@@ -151,9 +146,8 @@ def flight_states(flight: FlightSettings, motion: Ephemeris, seed: int) -> State
     start = utc_to_tdb_s(flight.start_utc)
     times = start + flight.spacing_s * np.arange(flight.frames, dtype=np.float64)
     frame = path_frame(motion, start, flight.inclination_deg, flight.node_deg, flight.lowest_at_deg)
-    place, velocity = _on_conic(
-        body.gm_m3_s2, low, speed, np.radians(flight.start_at_deg - flight.lowest_at_deg)
-    )
+    anomaly = np.radians(flight.start_at_deg - flight.lowest_at_deg)
+    place, velocity = _on_conic(body.gm_m3_s2, low, speed, anomaly)
     state = np.concatenate([frame @ place, frame @ velocity])
     orbit = OrbitMotion(Forces(motion))
     if not flight.rough_gravity:
@@ -229,15 +223,6 @@ def _on_conic(gm: float, low: float, speed: float, anomaly: float) -> tuple[Floa
     r = momentum**2 / gm / (1.0 + eccentricity * c)
     place = r * np.array([c, s, 0.0])
     return place, gm / momentum * np.array([-s, eccentricity + c, 0.0])
-
-
-def _check_height(body: Body, position: FloatArray) -> None:
-    height = float(np.linalg.norm(position)) - body.radius_m
-    if height < body.plausible_heights_m[1]:
-        raise ConfigError(
-            f"the path comes down to {height / 1e3:.1f} km over the reference sphere of "
-            f"{body.name}, where mountains are; raise it"
-        )
 
 
 def _about_z(angle: float) -> FloatArray:

@@ -94,19 +94,10 @@ class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             ground = seeds[number * len(seeds) // orbit.passes] if seeds else None
             for step in range(orbit.frames):
                 after = (step - (orbit.frames - 1) / 2.0) * orbit.spacing_s
-                angle = rate * after
-                found.append(
-                    Epoch(
-                        number=len(found),
-                        pass_index=number,
-                        tdb_s=start + number * orbit.pass_interval_s + step * orbit.spacing_s,
-                        position_m=radius * (np.cos(angle) * up + np.sin(angle) * ahead),
-                        forward=np.cos(angle) * ahead - np.sin(angle) * up,
-                        sun_body=sun,
-                        reported_sun=True,
-                        ground_seed=ground,
-                    )
-                )
+                c, s = np.cos(rate * after), np.sin(rate * after)
+                place, forward = radius * (c * up + s * ahead), c * ahead - s * up
+                tdb_s = start + number * orbit.pass_interval_s + step * orbit.spacing_s
+                found.append(Epoch(len(found), number, tdb_s, place, forward, sun, True, ground))
         return found
 
 

@@ -14,6 +14,7 @@ from optnav_cli.simulation.passes import GOLDEN
 from optnav_cli.simulation.scenario_base import ShapeScenario
 from optnav_cli.simulation.sections import Count, NotNegative, Phase, Positive
 
+NORTH = np.array([0.0, 0.0, 1.0])
 MAX_TRIES = 1000  # places and Suns drawn for one picture
 
 
@@ -78,18 +79,10 @@ class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=
             up, sun = _place_and_sun(
                 float(low + (high - low) * share), np.radians(settings.subsolar_latitude_deg), rng
             )
-            found.append(
-                Epoch(
-                    number=number,
-                    pass_index=number,
-                    tdb_s=start + number * settings.interval_s,
-                    position_m=distances[number] * up,
-                    forward=_square_to(up, np.array([0.0, 0.0, 1.0])),
-                    sun_body=sun,
-                    reported_sun=True,
-                    ground_seed=seeds[number * len(seeds) // settings.frames] if seeds else None,
-                )
-            )
+            forward, tdb_s = _square_to(up, NORTH), start + number * settings.interval_s
+            seed = seeds[number * len(seeds) // settings.frames] if seeds else None
+            position_m = distances[number] * up
+            found.append(Epoch(number, number, tdb_s, position_m, forward, sun, True, seed))
         return found
 
 

@@ -6,7 +6,7 @@ runs smoothly into what lies below: the next model, in the end the globe.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -23,14 +23,8 @@ from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
-from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays
-from optnav_cli.simulation.globe_heights import (
-    SPLINE_MARGIN,
-    WideGround,
-    read_globe,
-    sample_spline,
-    spline_coefficients,
-)
+from optnav_cli.simulation import globe_heights
+from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays, every_px
 from optnav_cli.simulation.scenario_base import ScenarioBase
 from optnav_cli.simulation.sections import relief_below
 
@@ -81,19 +75,14 @@ class TruthTerrain:
         self._tiles: Cache[tuple[int | None, int, int, int], Float32Array] = Cache(KEPT_TILES)
         self._windows: Cache[tuple[int | None, int, Box], Ground] = Cache(KEPT_WINDOWS)
         seam = 0.5 * (self.box[0] + self.box[2]) + np.pi
-        heights = read_globe(globe, body)
-        self._wide = WideGround(heights, body.radius_m, seam, globe_details, cameras_m)
+        heights = globe_heights.read_globe(globe, body)
+        self._wide = globe_heights.WideGround(
+            heights, body.radius_m, seam, globe_details, cameras_m
+        )
 
     def wide(self, seed: int | None) -> Ground:
         """The ground of a seed outside the terrain models, all round the body."""
         return self._wide.of(seed)
-
-    def factor_for(self, gsd_m: float) -> int:
-        """How many times finer than the terrain model the ground of a picture is: 4 or 2.
-
-        Nodes at two thirds of a pixel are enough; relief below them is averaged.
-        """
-        return 4 if self.posting_m / 2.0 > gsd_m / 1.5 else 2
 
     def window(self, seed: int | None, factor: int, box: Box) -> Ground:
         """The fine ground over a box, as far as the first terrain model reaches.
@@ -113,7 +102,8 @@ class TruthTerrain:
         out = np.empty((rows, cols), np.float32)
         for tile_row in range(top // TILE, (top + rows - 1) // TILE + 1):
             for tile_col in range(left // TILE, (left + cols - 1) // TILE + 1):
-                tile = self._tile(seed, factor, tile_row, tile_col)
+                key = (seed, factor, tile_row, tile_col)
+                tile = self._tiles.get(key, partial(self._tile, *key))
                 r, c = tile_row * TILE - top, tile_col * TILE - left
                 a, b, d, e = max(r, 0), max(c, 0), min(r + TILE, rows), min(c + TILE, cols)
                 out[a:d, b:e] = tile[a - r : d - r, b - c : e - c]
@@ -151,12 +141,6 @@ class TruthTerrain:
         return west, south, max(west, east), max(south, north)
 
     def _tile(self, seed: int | None, factor: int, tile_row: int, tile_col: int) -> Float32Array:
-        key = (seed, factor, tile_row, tile_col)
-        return self._tiles.get(key, lambda: self._made_tile(*key))
-
-    def _made_tile(
-        self, seed: int | None, factor: int, tile_row: int, tile_col: int
-    ) -> Float32Array:
         step_lat, step_lon = self._steps(factor)
         lat = -(tile_row * TILE + np.arange(TILE, dtype=np.float64)) * step_lat
         lon = (tile_col * TILE + np.arange(TILE, dtype=np.float64)) * step_lon
@@ -200,7 +184,7 @@ class TruthTerrain:
             period = source.shape[1]
             col = col[:1, :1] + np.mod(col - col[:1, :1] + 0.5 * period, period) - 0.5 * period
         rows, cols = source.shape
-        margin = SPLINE_MARGIN
+        margin = globe_heights.SPLINE_MARGIN
         top = max(int(np.nanmin(row)) - margin, 0)
         bottom = min(int(np.nanmax(row)) + margin + 1, rows)
         left, right = int(np.nanmin(col)) - margin, int(np.nanmax(col)) + margin + 1
@@ -218,7 +202,7 @@ class TruthTerrain:
         if holes.any():
             found = sample_bicubic(heights, y, x)
         else:
-            found = sample_spline(spline_coefficients(heights), y, x)
+            found = globe_heights.sample_spline(globe_heights.spline_coefficients(heights), y, x)
         found[~inside] = np.nan
         return found
 
@@ -278,7 +262,8 @@ class RegionGround:
         shared: Box = WHOLE
         for exposure in flight:
             box, gsd = self._footprint(camera, exposure)
-            factor = self._terrain.factor_for(gsd)
+            # times finer than the terrain model: nodes at two thirds of a pixel are enough
+            factor = 4 if self._terrain.posting_m / 2.0 > gsd / 1.5 else 2
             last = group[-1] if group else None
             joined = _around(shared, box) if last else box
             if (
@@ -299,10 +284,8 @@ class RegionGround:
         radius = body.radius_m
         height = float(np.linalg.norm(position)) - radius
         gsd = max(height, 1.0) * camera.angular_resolution
-        rows, cols = camera.shape
-        r = np.unique(np.append(np.arange(0, rows, PROBE_PX), rows))
-        c = np.unique(np.append(np.arange(0, cols, PROBE_PX), cols))
-        rays = self._corners(camera)[r][:, c] @ exposure.camera_from_body.as_matrix()
+        probes = every_px(self._corners(camera), PROBE_PX)
+        rays = probes @ exposure.camera_from_body.as_matrix()
         along = distance_to_sphere(position, rays, radius)
         cosine = rays.reshape(-1, 3) @ (-position / np.linalg.norm(position))
         if not np.isfinite(along).all() or np.nanmin(cosine) < np.cos(NARROW):

@@ -71,7 +71,9 @@ def simulate(
     name: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
     settings = RunSettings(body=scenario.body, attitude=name)
     frames = [_frame(e, scenario, cameras[e.camera].name) for e in flight]
-    calibrated = [_calibrated(camera, scenario) for camera in cameras]
+    # cameras as their calibration knows them: of a known blur, that of these pictures
+    psf = scenario.sensor.psf_sigma_px
+    calibrated = [c if c.psf_sigma_px is None else replace(c, psf_sigma_px=psf) for c in cameras]
     write_folder(folder, settings, calibrated, frames, motion)
     truths = [Truth(e.file, e.utc, e.tdb_s, e.position_m, e.camera_from_body) for e in flight]
     write_truth(folder / "truth.csv", FileAttitude(name, body, motion), truths)
@@ -92,6 +94,8 @@ def truth_ground(
 
 def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str) -> Frame:
     attitude = scenario.attitude
+    # a prior without error is still a prior; the search needs some room
+    sigma_m = None if exposure.prior_m is None else max(scenario.prior.position_sigma_m, 1.0)
     return Frame(
         file=exposure.file,
         utc=exposure.utc,
@@ -100,19 +104,9 @@ def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str) -> Frame:
         camera_from_body=exposure.reported_camera_from_body,
         attitude_sigma_rad=None if attitude.free else attitude.sigma_arcsec * ARCSEC,
         position_m=exposure.prior_m,
-        # a prior without error is still a prior; the search needs some room
-        position_sigma_m=(
-            None if exposure.prior_m is None else max(scenario.prior.position_sigma_m, 1.0)
-        ),
+        position_sigma_m=sigma_m,
         sun_body=exposure.sun_body if exposure.reported_sun else None,
     )
-
-
-def _calibrated(camera: Camera, scenario: ScenarioBase) -> Camera:
-    """The camera as its calibration knows it: of a known blur, that of these pictures."""
-    if camera.psf_sigma_px is None:
-        return camera
-    return replace(camera, psf_sigma_px=scenario.sensor.psf_sigma_px)
 
 
 def _write_png(path: Path, counts: Counts) -> None:

@@ -1,6 +1,7 @@
 """Scenario files: what is flown over, with which cameras, in which light. One TOML file."""
 
 import tomllib
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -52,12 +53,9 @@ def load_scenario(path: str | Path) -> ScenarioBase:
     def kernel(name: str) -> str:
         return name if name.startswith(SHARED) else str(base / name)
 
-    def terrain(name: str) -> str:
-        return _data_file(name, base, path)
-
     dems = tuple(sorted(scenario.dem, key=lambda dem: dem.priority))
     return msgspec.structs.replace(scenario, dem=dems).with_files(
-        FileNames(terrain, shape, camera, body=camera, kernel=kernel)
+        FileNames(partial(_data_file, base, path), shape, camera, body=camera, kernel=kernel)
     )
 
 
@@ -97,7 +95,7 @@ def _kind(path: Path) -> type[ScenarioBase]:
     return next((kind for section, kind in KINDS.items() if section in data), Scenario)
 
 
-def _data_file(name: str, base: Path, where: Path) -> str:
+def _data_file(base: Path, where: Path, name: str) -> str:
     # its folder need not be there to read the scenario; opening the model asks for it
     if name.startswith(SHARED):
         return name

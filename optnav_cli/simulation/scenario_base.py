@@ -18,20 +18,8 @@ from catalog.errors import ConfigError
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
 from optnav_cli.frames.run_settings import SpiceSettings
+from optnav_cli.simulation import sections
 from optnav_cli.simulation.exposure import ATTITUDE, POINTING, PRIOR, Epoch, Exposure
-from optnav_cli.simulation.sections import (
-    AttitudeSettings,
-    DetailSettings,
-    GlareSettings,
-    GlobeSettings,
-    MainCamera,
-    MountedCamera,
-    PointingSettings,
-    PriorSettings,
-    SensorSettings,
-    SkySettings,
-    StructureSettings,
-)
 
 
 @dataclass(frozen=True)
@@ -52,21 +40,21 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     body    a name of configs/bodies, or the path of a body file, from the scenario's folder
     """
 
-    camera: MainCamera
-    beside: tuple[MountedCamera, ...] = ()
+    camera: sections.MainCamera
+    beside: tuple[sections.MountedCamera, ...] = ()
     dem: tuple[DemSettings, ...] = (DemSettings("tycho_gld100_256ppd.tif"),)
     body: str = "moon"
     seed: int = 1
-    globe: GlobeSettings = GlobeSettings()
-    detail: DetailSettings = DetailSettings()
-    pointing: PointingSettings = PointingSettings()
-    sensor: SensorSettings = SensorSettings()
-    prior: PriorSettings = PriorSettings()
-    attitude: AttitudeSettings = AttitudeSettings()
+    globe: sections.GlobeSettings = sections.GlobeSettings()
+    detail: sections.DetailSettings = sections.DetailSettings()
+    pointing: sections.PointingSettings = sections.PointingSettings()
+    sensor: sections.SensorSettings = sections.SensorSettings()
+    prior: sections.PriorSettings = sections.PriorSettings()
+    attitude: sections.AttitudeSettings = sections.AttitudeSettings()
     spice: SpiceSettings = SpiceSettings()
-    sky: SkySettings = SkySettings()
-    glare: GlareSettings = GlareSettings()
-    structure: tuple[StructureSettings, ...] = ()
+    sky: sections.SkySettings = sections.SkySettings()
+    glare: sections.GlareSettings = sections.GlareSettings()
+    structure: tuple[sections.StructureSettings, ...] = ()
 
     @property
     def shape(self) -> MeshSettings | None:
@@ -109,7 +97,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             dem=tuple(dems),
             globe=msgspec.structs.replace(self.globe, path=names.terrain(self.globe.path)),
             body=names.body(self.body),
-            camera=MainCamera(names.camera(self.camera.name)),
+            camera=sections.MainCamera(names.camera(self.camera.name)),
             beside=tuple(mounts),
             spice=SpiceSettings(tuple(map(names.kernel, self.spice.kernels))),
         )
@@ -122,41 +110,39 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         """
         epochs = self.epochs(motion)
         mounts = self.mounts()
-        mounted = [None, *(_mounted_from_first(mount) for mount in self.beside)]
+        mounted = [None, *(_turned(m.forward_deg, m.right_deg, m.roll_deg) for m in self.beside)]
         names = [mount.name.rpartition("/")[2].removesuffix(".toml") for mount in mounts]
         digits = max(4, len(str(len(epochs))))
         found: list[Exposure] = []
         for epoch in epochs:
             truth = _ship_attitude(self, epoch)
-            stated = _attitude_error(self, epoch.number) * truth
+            sigma = np.radians(self.attitude.sigma_arcsec / 3600.0)
+            slip = np.random.default_rng([self.seed, ATTITUDE, epoch.number]).normal(size=3)
+            stated = Rotation.from_rotvec(sigma * slip) * truth
             noise = np.random.default_rng([self.seed, PRIOR, epoch.number]).normal(size=3)
             prior = epoch.position_m + self.prior.position_sigma_m * noise
             for number, own_from_ship in enumerate(mounted):
                 which = f"_{names[number]}" if len(mounted) > 1 else ""
+                own = truth if own_from_ship is None else own_from_ship * truth
                 found.append(
                     Exposure(
+                        **vars(epoch),
                         index=len(found),
-                        pass_index=epoch.pass_index,
+                        camera=number,
                         file=f"frame_{epoch.number:0{digits}d}{which}.png",
                         utc=utc_from_tdb_s(epoch.tdb_s),
-                        tdb_s=epoch.tdb_s,
-                        position_m=epoch.position_m,
-                        camera_from_body=truth if own_from_ship is None else own_from_ship * truth,
-                        sun_body=epoch.sun_body,
-                        prior_m=prior if self.prior.given else None,
+                        camera_from_body=own,
                         reported_camera_from_body=(
                             stated if own_from_ship is None else own_from_ship * stated
                         ),
-                        ground_seed=epoch.ground_seed,
-                        camera=number,
-                        reported_sun=epoch.reported_sun,
+                        prior_m=prior if self.prior.given else None,
                     )
                 )
         return found
 
-    def mounts(self) -> tuple[MountedCamera, ...]:
+    def mounts(self) -> tuple[sections.MountedCamera, ...]:
         """All cameras, the first one as [pointing] turns the ship."""
-        return (MountedCamera(self.camera.name), *self.beside)
+        return (sections.MountedCamera(self.camera.name), *self.beside)
 
 
 class ShapeScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -193,17 +179,6 @@ def _ship_attitude(scenario: ScenarioBase, epoch: Epoch) -> Rotation:
     return _turned(ahead, right, roll) * level
 
 
-def _mounted_from_first(mount: MountedCamera) -> Rotation:
-    """A further camera from the first one."""
-    return _turned(mount.forward_deg, mount.right_deg, mount.roll_deg)
-
-
 def _turned(ahead_deg: float, right_deg: float, roll_deg: float) -> Rotation:
     # the boresight turned forward about x, to the right about y, then the camera about it
     return Rotation.from_euler("xyz", [ahead_deg, right_deg, roll_deg], degrees=True).inv()
-
-
-def _attitude_error(scenario: ScenarioBase, number: int) -> Rotation:
-    sigma = np.radians(scenario.attitude.sigma_arcsec / 3600.0)
-    noise = np.random.default_rng([scenario.seed, ATTITUDE, number]).normal(size=3)
-    return Rotation.from_rotvec(sigma * noise)

@@ -160,11 +160,6 @@ def relief_below(
     settings: DetailSettings | GlobeDetailSettings, seed: int, posting_m: float, radius_m: float
 ) -> SyntheticRelief:
     """The seeded relief that a section adds below the posting of a model."""
-    return SyntheticRelief(
-        seed,
-        posting_m,
-        radius_m,
-        smallest_m=min(settings.smallest_m, posting_m),
-        rms_slope_deg=settings.rms_slope_deg,
-        saturation=settings.saturation,
-    )
+    smallest_m, slope_deg = min(settings.smallest_m, posting_m), settings.rms_slope_deg
+    share = settings.saturation
+    return SyntheticRelief(seed, posting_m, radius_m, smallest_m, slope_deg, saturation=share)

@@ -12,9 +12,8 @@ from optnav_cli.simulation.sections import SensorSettings
 
 Counts = ByteArray | UInt16Array
 
-BRIGHT_SHARE = (
-    0.99  # of the lit pixels stay below the exposure's level; a point of opposition may saturate
-)
+# Of the lit pixels stay below the exposure's level; a point of opposition may saturate.
+BRIGHT_SHARE = 0.99
 LIT_SHARE = 0.1  # a pixel is lit above this share of the bright level
 BIAS_SHARE = 0.01  # counts of a dark pixel over full scale: noise must be able to go below the mean
 
@@ -49,9 +48,7 @@ def expose(
     besides = besides or Besides()
     full = 2**settings.bits - 1
     kind = np.uint8 if settings.bits <= 8 else np.uint16
-    sharp = radiance
-    if besides.cover is not None:
-        sharp = radiance * (1.0 - besides.cover)
+    sharp = radiance if besides.cover is None else radiance * (1.0 - besides.cover)
     signal = _blurred(sharp, settings)
     positive = signal[signal > 0.0]
     if positive.size:

@@ -1,7 +1,7 @@
 """All that a camera's pictures show besides the body, as a scenario says."""
 
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from catalog.config import resource
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.scenario_base import ScenarioBase
-from optnav_cli.simulation.sections import GlareSettings, SensorSettings, StructureSettings
+from optnav_cli.simulation.sections import GlareSettings, StructureSettings
 from optnav_cli.simulation.sensor import Besides, Counts, add_hot_pixels
 
 FINER = 4  # sub-pixels a side that outlines are drawn on
@@ -45,9 +45,7 @@ def structure_cover(
             cv2.fillPoly(drawn, [corners], color=1)
         share = drawn.reshape(rows, FINER, cols, FINER).mean(axis=(1, 3), dtype=np.float32)
         rng = np.random.default_rng([seed, number])
-        coarse = rng.normal(
-            size=(max(3, int(rows / UNEVEN_PX) + 2), max(3, int(cols / UNEVEN_PX) + 2))
-        )
+        coarse = rng.normal(size=[max(3, int(n / UNEVEN_PX) + 2) for n in (rows, cols)])
         uneven = cv2.resize(coarse.astype(np.float32), (cols, rows), interpolation=cv2.INTER_CUBIC)
         own = np.maximum(part.brightness * (1.0 + UNEVEN * uneven), 0.0)
         brightness = np.where(share > 0.0, own, brightness).astype(np.float32)
@@ -77,8 +75,7 @@ EARTH_RADIANCE = 0.3  # radiance factor at zero incidence: Bond albedo 0.3, Lamb
 EARTH_SAMPLES = 6  # rays a side of a pixel
 
 
-@dataclass(frozen=True)
-class Stars:
+class Stars(NamedTuple):
     """directions (n, 3) unit vectors, ICRF, epoch J1991.25; magnitudes (n,) V."""
 
     directions: FloatArray
@@ -96,21 +93,18 @@ def bright_stars() -> Stars:
 
 
 def star_light(
-    exposure: Exposure,
-    camera: Camera,
-    motion: Ephemeris,
-    to_magnitude: float,
-    sensor: SensorSettings,
+    exposure: Exposure, camera: Camera, motion: Ephemeris, scenario: ScenarioBase
 ) -> Float32Array:
     """Electrons (rows, cols) of the stars in view, as the lens blurs them.
 
-    to_magnitude  the star whose brightest pixel is STAR_SIGMAS of the dark noise, on the mean over
-                  places in a pixel
+    The brightest pixel of a star of stars_to_magnitude is STAR_SIGMAS of the dark noise, on the
+    mean over places in a pixel.
     The body hides stars as a sphere; the terrain on its limb only where it is lit.
     Aberration, 20 arc seconds at the Moon's speed about the Sun, is left out: less than half a
     pixel of a navigation camera. So is proper motion: 10 arc seconds a year at most.
     """
-    stars = bright_stars()
+    stars, sensor = bright_stars(), scenario.sensor
+    to_magnitude = scenario.sky.stars_to_magnitude
     out = np.zeros(camera.shape, np.float32)
     directions = stars.directions @ motion.body_from_inertial(exposure.tdb_s).T
     chosen = stars.magnitudes <= to_magnitude + 2.0
@@ -192,10 +186,8 @@ def _rim(axis: FloatArray, half_angle: float) -> FloatArray:
     across /= np.linalg.norm(across)
     other = np.cross(axis, across)
     turn = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)[:, None]
-    rim = np.cos(half_angle) * axis + np.sin(half_angle) * (
-        np.cos(turn) * across + np.sin(turn) * other
-    )
-    return np.concatenate([rim, axis[None]])
+    around = np.cos(turn) * across + np.sin(turn) * other
+    return np.vstack([np.cos(half_angle) * axis + np.sin(half_angle) * around, axis])
 
 
 HOT, STRUCTURE = 23, 29  # streams of random numbers, apart from those of noise and trajectory
@@ -207,9 +199,8 @@ class Surroundings:
     def __init__(self, scenario: ScenarioBase, camera: Camera, motion: Ephemeris) -> None:
         self._scenario, self._camera, self._motion = scenario, camera, motion
         seed = scenario.seed * 1000 + STRUCTURE
-        self._cover = (
-            structure_cover(scenario.structure, camera, seed) if scenario.structure else None
-        )
+        parts = scenario.structure
+        self._cover = structure_cover(parts, camera, seed) if parts else None
         self._rays = None
         if scenario.glare.strength > 0.0:
             x, y = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
@@ -227,9 +218,7 @@ class Surroundings:
         if self._rays is not None:
             veil = glare_veil(exposure, self._rays, self._scenario.glare)
         if sky.stars_to_magnitude > 0.0:
-            stars = star_light(
-                exposure, self._camera, self._motion, sky.stars_to_magnitude, self._scenario.sensor
-            )
+            stars = star_light(exposure, self._camera, self._motion, self._scenario)
         if self._cover is None and veil is None and stars is None:
             return None
         cover, brightness = self._cover or (None, None)

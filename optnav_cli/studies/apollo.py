@@ -3,13 +3,11 @@
 The picture's pose in its ISIS cube is a first guess, 1-2 km off; position and attitude are solved.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from catalog.arrays import FloatArray
 from catalog.build import build
 from catalog.config import resource
 from catalog.geometry.rotations import rnb_axes
@@ -18,34 +16,17 @@ from optnav_cli.frames.isis_cube import apollo_frame, read_cube_pose, write_apol
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 PICTURE = "data/apollo15/AS15-M-0297_SML.png"
 CUBE = "data/apollo15/AS15-M-0297_crop.cub"
 
 
-@dataclass(frozen=True)
-class ApolloResult:
-    """What came of the real frame.
+def run(output: Path, progress: Progress, matcher: str = "ncc") -> tuple[Cell, ...]:
+    """Build the catalog, make the picture folder, navigate it; all files go into `output`.
 
-    correction_rnb_m, sigma_rnb_m  (3,) solved position less the cube's, R, N, B
-    turn_deg                       (3,) solved attitude against the cube's, camera axes x, y, z
-    residual_px, residual_m        rms a coordinate, in the picture and on the ground
+    Returns the table's only row: the residual is the rms of a coordinate.
     """
-
-    predicted: int
-    recognised: int
-    residual_px: float
-    residual_m: float
-    correction_rnb_m: FloatArray
-    sigma_rnb_m: FloatArray
-    turn_deg: FloatArray
-    matcher: str
-    run: Path
-
-
-def run(output: Path, progress: Progress, matcher: str = "ncc") -> ApolloResult:
-    """Build the catalog, make the picture folder, navigate it; all files go into `output`."""
     output.mkdir(parents=True, exist_ok=True)
     catalog = output / "farside.gpkg"
     pictures, place = output / "pictures", output / f"run-{matcher}"
@@ -53,13 +34,8 @@ def run(output: Path, progress: Progress, matcher: str = "ncc") -> ApolloResult:
     picture, cube = resource(PICTURE), resource(CUBE)
     write_apollo_folder(picture, cube, pictures)
     navigate_folder(pictures, [catalog], NavigateSettings(), matcher, place, progress)
-    return _result(place, cube, picture.name, matcher)
-
-
-def _result(place: Path, cube: Path, picture: str, matcher: str) -> ApolloResult:
     found = read_run(place)
-    solution = found.solutions[0]
-    label = apollo_frame(cube, picture)
+    solution, label = found.solutions[0], apollo_frame(cube, picture.name)
     if (
         solution.position_m is None
         or solution.covariance_m2 is None
@@ -70,21 +46,18 @@ def _result(place: Path, cube: Path, picture: str, matcher: str) -> ApolloResult
         raise ValueError(f"{place}: the frame is not solved: {solution.reason}")
     axes = rnb_axes(solution.position_m, read_cube_pose(cube).velocity_m_s)
     turn: Rotation = solution.camera_from_body * label.camera_from_body.inv()
-    camera = found.cameras[picture]
     used = [m for m in found.matches if m.used]
     distances = [np.linalg.norm(m.cp_position_m - solution.position_m) for m in used]
-    residual = solution.residual_rms_px or 0.0
-    return ApolloResult(
-        predicted=solution.n_predicted or 0,
-        recognised=solution.n_used or 0,
-        residual_px=residual,
-        residual_m=residual * float(np.mean(distances)) / camera.focal_length_px,
-        correction_rnb_m=axes @ (solution.position_m - label.position_m),
-        sigma_rnb_m=np.sqrt(np.diag(axes @ solution.covariance_m2 @ axes.T)),
-        turn_deg=np.degrees(turn.as_rotvec()),
-        matcher=matcher,
-        run=place,
+    residual_px = solution.residual_rms_px or 0.0
+    focal_px = found.cameras[picture.name].focal_length_px
+    errors = (
+        [residual_px, residual_px * float(np.mean(distances)) / focal_px],
+        axes @ (solution.position_m - label.position_m),
+        np.sqrt(np.diag(axes @ solution.covariance_m2 @ axes.T)),
+        np.degrees(turn.as_rotvec()),
     )
+    counts = (solution.n_used or 0, solution.n_predicted or 0)
+    return (matcher, *counts, *map(float, np.concatenate(errors)))
 
 
 COLUMNS = columns(
@@ -96,10 +69,7 @@ COLUMNS = columns(
 )
 
 
-def report(result: ApolloResult) -> StudyReport:
+def report(row: tuple[Cell, ...]) -> StudyReport:
     """The figures of the frame; camera axes x, y, z."""
-    counts = (result.matcher, result.recognised, result.predicted)
-    solved = (result.correction_rnb_m, result.sigma_rnb_m, result.turn_deg)
-    errors = np.concatenate([[result.residual_px, result.residual_m], *solved])
     title = "AS15-M-0297 over GLD100 at 474 m, attitude free"
-    return StudyReport((StudyTable(title, COLUMNS, ((*counts, *map(float, errors)),)),))
+    return StudyReport((StudyTable(title, COLUMNS, (row,)),))

@@ -21,7 +21,7 @@ from catalog.progress import Progress
 from optnav_cli.estimation.models.limb import fit_limb, linear_position
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns, rms
 
 RADIUS_M = 1_737_400.0
 STEP_DEG = 0.01
@@ -91,30 +91,16 @@ def one_arc(
                     found[name].append(fit_limb(rays, DELTA_RAD, radii).state)
             except NoSolutionError:
                 continue
-    return [
-        _row(name, arc_deg, interval_deg, chi, np.array(places).reshape(-1, 3), len(errors))
-        for name, places in found.items()
-    ]
-
-
-def _row(
-    fit: str, arc_deg: float, interval_deg: float, chi: float, places: FloatArray, trials: int
-) -> ArcRow:
-    """The camera truly stands on +z."""
-    if len(places) == 0:
-        return ArcRow(fit, arc_deg, interval_deg, np.nan, np.nan, np.nan, 1.0)
-    off = np.arctan2(np.hypot(places[:, 0], places[:, 1]), places[:, 2]) / DELTA_RAD
-    radius = np.arcsin(RADIUS_M / np.linalg.norm(places, axis=1)) - chi
-    radius = radius / DELTA_RAD
-    return ArcRow(
-        fit,
-        arc_deg,
-        interval_deg,
-        float(np.sqrt(np.mean(off**2))),
-        float(np.sqrt(np.mean(radius**2))),
-        float(radius.mean()),
-        1.0 - len(places) / trials,
-    )
+    rows = []
+    for name in FITS:
+        places = np.array(found[name]).reshape(-1, 3)
+        # the camera truly stands on +z
+        off = np.arctan2(np.hypot(places[:, 0], places[:, 1]), places[:, 2]) / DELTA_RAD
+        radius = (np.arcsin(RADIUS_M / np.linalg.norm(places, axis=1)) - chi) / DELTA_RAD
+        bias = float(radius.mean()) if len(radius) else np.nan
+        unsolved = 1.0 - len(places) / len(errors)
+        rows.append(ArcRow(name, arc_deg, interval_deg, rms(off), rms(radius), bias, unsolved))
+    return rows
 
 
 def limb_errors(rng: np.random.Generator, interval_deg: float, count: int) -> list[FloatArray]:
@@ -160,14 +146,12 @@ def picture(rows: Sequence[ArcRow]) -> str:
     ]
     legend.append(LegendEntry("muted dashed", "error of one point", ""))
     legend.append(LegendEntry("s1 dashed", f"linear fit, {COMPARED_DEG:g}°", ""))
-    panels = [
-        _panel(own, "direction to the centre", "direction"),
-        _panel(own, "angular radius", "radius"),
-    ]
-    for panel, quantity in zip(panels, ("direction", "radius"), strict=True):
-        linear = [r for r in rows if r.fit == "linear" and r.interval_deg == COMPARED_DEG]
+    linear = [r for r in rows if r.fit == "linear" and r.interval_deg == COMPARED_DEG]
+    panels = []
+    for name, quantity in (("direction to the centre", "direction"), ("angular radius", "radius")):
+        panels.append(_panel(own, name, quantity))
         x, y = [r.arc_deg for r in linear], [getattr(r, quantity) for r in linear]
-        panel.plot.line(x, np.log10(y), "s1 dashed")
+        panels[-1].plot.line(x, np.log10(y), "s1 dashed")
     return sheet("Errors of a horizon by its arc in view, in sigmas of a point", legend, [panels])
 
 

@@ -9,9 +9,9 @@ sigmas.
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,27 +22,16 @@ from catalog.errors import NothingToDoError
 from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
-from optnav_cli.evaluation.evaluation import pool
 from optnav_cli.evaluation.figures import FrameError, figures_of
-from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import Truth, read_truth
-from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.flights import (
-    FIGURES,
-    GLOBE,
-    frames_table,
-    limit_with_star_sensor,
-    shipped_pictures,
-    sigmas_off,
-    with_star_sensor,
-)
+from optnav_cli.studies import flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, tally
 
 WIDE, NARROW = "shnk", "unk"
 # What the loop must see of the ground about Tycho from 400 km: 20 deg of arc about the flights.
 SURROUNDINGS_DEG = (-50.0, -66.0, 28.0, -20.0)
+SURROUNDINGS = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{flights.GLOBE}"\n'
 AZIMUTHS = 720
 ENOUGH_ARC_DEG = 140.0
 MIN_SOLVED = 0.95
@@ -50,14 +39,13 @@ MAX_SIGMAS = 5.0
 
 
 @dataclass(frozen=True)
-class LoopCase:
+class LoopCase(flights.Case):
     """One line of the table: a scenario, whose camera counts, and the figures to reach, m.
 
     star_sensor  whether horizontal_m is for exact attitudes, so that the star sensor's part is
                  added in quadrature
     """
 
-    name: str
     scenario: str
     camera: str
     horizontal_m: float
@@ -76,11 +64,10 @@ class LoopResult:
     def limit_m(self) -> float:
         """What the horizontal error may be; the star sensor adds its part in quadrature."""
         limit = self.row.horizontal_m
-        return limit_with_star_sensor(limit, self.frames) if self.row.star_sensor else limit
+        return flights.limit_with_star_sensor(limit, self.frames) if self.row.star_sensor else limit
 
 
-@dataclass(frozen=True, eq=False)
-class ShareResult:
+class ShareResult(NamedTuple):
     """The frames of a scenario and the arc of lit limb that each truly shows, deg."""
 
     scenario: str
@@ -88,12 +75,11 @@ class ShareResult:
     arcs_deg: tuple[float, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class LoopResults:
+class LoopResults(NamedTuple):
     """Both tables."""
 
-    rows: tuple[LoopResult, ...]
-    shares: tuple[ShareResult, ...]
+    rows: list[LoopResult]
+    shares: list[ShareResult]
 
 
 ROWS = (
@@ -114,30 +100,36 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
     rows    only rows and scenarios whose name contains this
     Raises ConfigError where the shared data are not named.
     """
-    relief = path_of(GLOBE, Path.cwd())
+    relief = path_of(flights.GLOBE, Path.cwd())
     output.mkdir(parents=True, exist_ok=True)
-    catalogs = [
-        _catalog(output, "tycho", resource("configs/catalogs/tycho.toml"), None, progress),
-        _surroundings(output, progress),
-    ]
-    found: list[LoopResult] = []
-    flown: dict[str, list[FrameError]] = {}
+    tycho = output / "tycho.gpkg"
+    build.run(resource("configs/catalogs/tycho.toml"), output=tycho, progress=progress)
+    around = output / "surroundings.toml"
+    catalogs = [tycho, flights.built_catalog(around, SURROUNDINGS, progress, SURROUNDINGS_DEG)]
+
+    def fly(name: str) -> ShareResult:
+        pictures = flights.shipped_pictures(output, name, frames, progress)
+        # scenarios that are flown without a prior state a star sensor's attitudes themselves
+        if any(frame.position_m is not None for frame in read_folder(pictures).frames):
+            pictures = flights.with_star_sensor(pictures, priors=False)
+        errors = flights.navigated(pictures, catalogs, output / "runs" / name, progress, relief)
+        return ShareResult(name, errors, _lit_arcs_deg(pictures))
+
+    results = LoopResults([], [])
+    flown: dict[str, ShareResult] = {}
     for row in (r for r in ROWS if rows in r.name):
         if row.scenario not in flown:
-            flown[row.scenario], _ = _flown(
-                output, row.scenario, frames, catalogs, relief, progress
-            )
-        own = tuple(frame for frame in flown[row.scenario] if frame.camera == row.camera)
-        found.append(LoopResult(row, own))
-        write_figures(output / FIGURES, LoopResults(tuple(found), ()))
-    shares: list[ShareResult] = []
+            flown[row.scenario] = fly(row.scenario)
+        every = flown[row.scenario].frames
+        own = tuple(frame for frame in every if frame.camera == row.camera)
+        results.rows.append(LoopResult(row, own))
+        write_figures(output / flights.FIGURES, results)
     for name in (s for s in SHARES if rows in s):
-        errors, arcs = _flown(output, name, frames, catalogs, relief, progress)
-        shares.append(ShareResult(name, tuple(errors), tuple(arcs)))
-        write_figures(output / FIGURES, LoopResults(tuple(found), tuple(shares)))
-    if not found and not shares:
+        results.shares.append(fly(name))
+        write_figures(output / flights.FIGURES, results)
+    if not any(results):
         raise NothingToDoError(f"no row of the study is called '{rows}'")
-    return LoopResults(tuple(found), tuple(shares))
+    return results
 
 
 def lit_arc_deg(camera: Camera, truth: Truth, sun_body: FloatArray, radius_m: float) -> float:
@@ -161,65 +153,18 @@ def lit_arc_deg(camera: Camera, truth: Truth, sun_body: FloatArray, radius_m: fl
     return float((inside & (normal @ sun_body > 0.0)).mean()) * 360.0
 
 
-def _flown(
-    output: Path,
-    name: str,
-    frames: int | None,
-    catalogs: Sequence[Path],
-    relief: Path,
-    progress: Progress,
-) -> tuple[list[FrameError], list[float]]:
-    """A scenario's frames against their truth, and the arcs of lit limb in them."""
-    pictures = _without_priors(shipped_pictures(output, name, frames, progress))
-    place = output / "runs" / name
-    place.parent.mkdir(exist_ok=True)
-    # without a solution the run is written all the same, and that is a figure too
-    with suppress(NothingToDoError):
-        navigate_folder(pictures, catalogs, NavigateSettings(), "ncc", place, progress, relief)
-    truth_path = pictures / "truth.csv"
-    errors = list(pool([evaluate_run(place, truth_path)]).frames)
+def _lit_arcs_deg(pictures: Path) -> tuple[float, ...]:
+    """Azimuths of lit limb that the pictures of a folder truly show."""
     folder = read_folder(pictures)
-    truths = {t.file: t for t in read_truth(truth_path, folder.attitude)}
-    arcs = []
-    for frame in folder.frames:
-        if frame.sun_body is None:
-            arcs.append(0.0)
-            continue
-        camera = folder.cameras[frame.camera]
-        arcs.append(lit_arc_deg(camera, truths[frame.file], frame.sun_body, folder.body.radius_m))
-    return errors, arcs
-
-
-def _without_priors(pictures: Path) -> Path:
-    """The same pictures without a prior, attitudes off as a star sensor's are.
-
-    Scenarios that are flown without a prior state such attitudes themselves.
-    """
-    frames = read_folder(pictures).frames
-    if all(frame.position_m is None for frame in frames):
-        return pictures
-    return with_star_sensor(pictures, priors=False)
-
-
-def _surroundings(output: Path, progress: Progress) -> Path:
-    """The catalog of the 948 m ground about Tycho."""
-    config = output / "surroundings.toml"
-    text = f'[body]\nname = "moon"\n\n[[dem]]\npath = "{GLOBE}"\n'
-    if not (config.is_file() and config.read_text(encoding="utf-8") == text):
-        config.write_text(text, encoding="utf-8")
-    return _catalog(output, "surroundings", config, SURROUNDINGS_DEG, progress)
-
-
-def _catalog(
-    output: Path,
-    name: str,
-    config: Path,
-    bbox: tuple[float, float, float, float] | None,
-    progress: Progress,
-) -> Path:
-    place = output / f"{name}.gpkg"
-    build.run(config, output=place, bbox=bbox, progress=progress)
-    return place
+    truths = {t.file: t for t in read_truth(pictures / "truth.csv", folder.attitude)}
+    return tuple(
+        0.0
+        if frame.sun_body is None
+        else lit_arc_deg(
+            folder.cameras[frame.camera], truths[frame.file], frame.sun_body, folder.body.radius_m
+        )
+        for frame in folder.frames
+    )
 
 
 ROW_COLUMNS = columns(
@@ -245,7 +190,7 @@ def report(results: LoopResults) -> StudyReport:
         tables.append(StudyTable("", SHARE_COLUMNS, tuple(shares)))
     every = [frame for row in results.rows for frame in row.frames]
     every += [frame for share in results.shares for frame in share.frames]
-    wrong = sum(sigmas_off(frame) > MAX_SIGMAS for frame in every)
+    wrong = sum(flights.sigmas_off(frame) > MAX_SIGMAS for frame in every)
     notes.append(
         f"wrong by more than {MAX_SIGMAS:.0f} of their own sigmas: {wrong} of {len(every)}"
     )
@@ -260,7 +205,7 @@ def _row_cells(result: LoopResult) -> tuple[Cell, ...]:
         return (*start, None, limits[0], None, limits[1], None, None)
     f = figures_of(result.frames)
     errors = (f.horizontal_rms_m, limits[0], f.height_rms_m, limits[1])
-    return (*start, *errors, f.nees, max(sigmas_off(frame) for frame in solved))
+    return (*start, *errors, f.nees, max(flights.sigmas_off(frame) for frame in solved))
 
 
 def _share_cells(name: str, shares: Sequence[ShareResult]) -> tuple[Cell, ...]:
@@ -269,14 +214,14 @@ def _share_cells(name: str, shares: Sequence[ShareResult]) -> tuple[Cell, ...]:
     for wide in (True, False):
         group = [frame for frame, arc in pairs if (arc >= ENOUGH_ARC_DEG) is wide]
         counts += [sum(frame.nees is not None for frame in group), len(group)]
-    worst = max((sigmas_off(frame) for frame, _ in pairs), default=0.0)
+    worst = max((flights.sigmas_off(frame) for frame, _ in pairs), default=0.0)
     methods = [frame.solution.method for frame, _ in pairs if frame.nees is not None]
     return (name, *counts, worst, tally(methods))
 
 
 def write_figures(path: Path, results: LoopResults) -> None:
     """The tables, and every frame of them with its arc of lit limb."""
-    single = frames_table(
+    single = flights.frames_table(
         {r.row.name: r.frames for r in results.rows}
         | {share.scenario: share.frames for share in results.shares}
     )

@@ -37,7 +37,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.outline import method as outline
-from optnav_cli.simulation.exposure import Exposure, TruthGround
+from optnav_cli.simulation.exposure import Epoch, Exposure, TruthGround
 from optnav_cli.simulation.globe_ground import GlobeGround
 from optnav_cli.simulation.mesh_ground import MeshGround
 from optnav_cli.simulation.scenario import load_scenario
@@ -119,39 +119,20 @@ class DiscScene:
         radius = float(np.mean(self.body.radii_m))
         angle = 0.5 * diameter_px * _rad_per_px(camera, middle)
         position = radius / np.sin(angle) * up
-        camera_from_body = Rotation.align_vectors(middle[None], -up[None])[0]
-        roll = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi) * middle)
-        camera_from_body = roll * camera_from_body
+        level = Rotation.align_vectors(middle[None], -up[None])[0]
+        attitude = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * np.pi) * middle) * level
+        epoch = Epoch(0, 0, 0.0, position, aside, sun, False, ground)
         exposure = Exposure(
-            index=0,
-            pass_index=0,
-            file="",
-            utc="",
-            tdb_s=0.0,
-            position_m=position,
-            camera_from_body=camera_from_body,
-            sun_body=sun,
-            prior_m=None,
-            reported_camera_from_body=camera_from_body,
-            ground_seed=ground,
+            **vars(epoch), camera_from_body=attitude, reported_camera_from_body=attitude
         )
         radiance = self._ground.radiance(_finer(camera), exposure)
         blurred = cv2.GaussianBlur(radiance, (0, 0), psf * FINE)
-        light = np.asarray(
-            cv2.resize(blurred, (side, side), interpolation=cv2.INTER_AREA), dtype=np.float32
-        )
+        light = cv2.resize(blurred, (side, side), interpolation=cv2.INTER_AREA)
         bits = int(rng.choice(BITS))
         sensor = SensorSettings(psf_sigma_px=0.0, snr=float(rng.uniform(*SNR)), bits=bits)
-        counts = expose(light, sensor, rng).astype(np.float32)
-        return DrawnDisc(
-            Picture(counts, FULL[bits]),
-            camera,
-            position,
-            camera_from_body,
-            sun,
-            diameter_px,
-            float(np.degrees(phase)),
-        )
+        counts = expose(light.astype(np.float32), sensor, rng).astype(np.float32)
+        picture, phase_deg = Picture(counts, FULL[bits]), float(np.degrees(phase))
+        return DrawnDisc(picture, camera, position, attitude, sun, diameter_px, phase_deg)
 
 
 def _relief(model: MeshSettings, body: Body) -> GlobalRelief:
@@ -269,11 +250,8 @@ def report(results: Sequence[DiscResult]) -> StudyReport:
     """One line a body, knowledge of the blur and bin of diameter."""
     rows = []
     for shape, blur_known, (low, high) in product(SHAPES, (True, False), pairwise(EDGES_PX)):
-        own = [
-            r
-            for r in results
-            if (r.shape, r.blur_known) == (shape, blur_known) and low <= r.diameter_px < high
-        ]
+        own = [r for r in results if (r.shape, r.blur_known) == (shape, blur_known)]
+        own = [r for r in own if low <= r.diameter_px < high]
         name = f"{shape}, {low:g}-{high:g} px" + ("" if blur_known else ", blur unknown")
         rows.append(_cells(name, own))
     reasons = Counter(r.reason.rpartition("; ")[2][:90] for r in results if not r.method)

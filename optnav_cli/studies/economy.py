@@ -21,13 +21,14 @@ from catalog.build.context import StageContext
 from catalog.build.trials import outcomes_at
 from catalog.control_point import ControlPoint
 from catalog.geometry.cells import CellGrid
-from catalog.progress import Progress, Stage
+from catalog.progress import Progress
 from optnav_cli.studies.selection import SUNS, Z95, free_grounds, tycho_context
-from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
+
+Place = tuple[float, float]  # latitude and longitude, deg
 
 ALL = 24  # candidates: the spacing between them leaves no room for more
 ALL_SPACED = 0.08  # of a cell between candidates
-ALL_LEVELS, ALL_ELEVATIONS, ALL_AZIMUTHS = 2, 4, 8
 FEW = 4
 SEED_OF_TRIALS = 20_000  # far from the seeds of the build's own trials
 
@@ -41,63 +42,41 @@ class Policy:
     check: CheckSettings
 
 
-@dataclass(frozen=True)
-class EconomyRow:
-    """One policy on one size of cell.
-
-    milliseconds    of one core a cell, for render and check
-    usable          share of cells with a usable point
-    rate            of recognition in new trials
-    against         difference to the build's own rate, and half of its 95 % interval
-    same            share of cells in which the build takes the same place
-    """
-
-    policy: str
-    cell_deg: float
-    cells: int
-    trials: int
-    milliseconds: tuple[float, float]
-    usable: float
-    rate: float
-    against: tuple[float, float]
-    same: float
-
-
 def policies() -> tuple[Policy, ...]:
     """The build's own first; then slower and quicker ones."""
     own, tests = RenderSettings(), CheckSettings()
-    every = msgspec.structs.replace(
-        own,
-        candidates=ALL,
-        separation_cell=ALL_SPACED,
-        levels=ALL_LEVELS,
-        sun_elevations=ALL_ELEVATIONS,
-        sun_azimuths=ALL_AZIMUTHS,
+    every = RenderSettings(
+        candidates=ALL, separation_cell=ALL_SPACED, levels=2, sun_elevations=4, sun_azimuths=8
     )
     # a place that is always recognised ends the search: a later one can only tie with it
-    tried = msgspec.structs.replace(tests, places=ALL, good_recognition=1.0)
+    tried = CheckSettings(places=ALL, good_recognition=1.0)
     return (
         Policy("build", own, tests),
         Policy("all Suns", every, tests),
         Policy("all tried", every, tried),
-        Policy("fewer", msgspec.structs.replace(own, candidates=FEW), tests),
+        Policy("fewer", RenderSettings(candidates=FEW), tests),
     )
 
 
 def run(
     progress: Progress, cells_deg: Sequence[float] = (1.0, 0.5), trials: int = 24, seed: int = 1
-) -> list[EconomyRow]:
+) -> list[tuple[Cell, ...]]:
     """All policies on cells of each size; `trials` new trials a place, at least."""
     with tycho_context() as context:
         sizes = [replace(context, grid=CellGrid(cell_deg)) for cell_deg in cells_deg]
         return [row for size in sizes for row in one_size(size, progress, trials, seed)]
 
 
-def one_size(context: StageContext, progress: Progress, trials: int, seed: int) -> list[EconomyRow]:
-    """All policies on the cells of a context that lie on the terrain."""
+def one_size(
+    context: StageContext, progress: Progress, trials: int, seed: int
+) -> list[tuple[Cell, ...]]:
+    """A row a policy on the cells of a context that lie on the terrain; times of one core a cell.
+
+    Against the build's own rate: the mean difference and half of its 95 % interval.
+    """
     cells = list(free_grounds(context))
-    known: dict[tuple[float, float], float] = {}
-    rows: list[EconomyRow] = []
+    known: dict[Place, float] = {}
+    rows: list[tuple[Cell, ...]] = []
     own_rates, own_places = np.empty(0), []
     name = f"economy {context.grid.step_deg:g} deg"
     with progress.stage(name, 2 * len(cells) * len(policies()), "cell") as bar:
@@ -105,24 +84,22 @@ def one_size(context: StageContext, progress: Progress, trials: int, seed: int) 
             records, spent = _built(context, policy, cells)
             bar.advance(len(cells), policy.name)
             places = [(record.lat_deg, record.lon_deg) for record in records]
-            rates = np.array([_rate(context, place, trials, seed, known, bar) for place in places])
+            for place in places:
+                if place not in known:
+                    known[place] = _rate(context, place, trials, seed)
+                bar.advance()
+            rates = np.array([known[place] for place in places])
             if not rows:
                 own_rates, own_places = rates, places
             gain = rates - own_rates
             half = Z95 * float(gain.std(ddof=1)) / np.sqrt(gain.size)
-            rows.append(
-                EconomyRow(
-                    policy.name,
-                    context.grid.step_deg,
-                    len(cells),
-                    _rounds(trials) * SUNS,
-                    (spent[0] / len(cells) * 1e3, spent[1] / len(cells) * 1e3),
-                    sum(record.usable for record in records) / len(records),
-                    float(rates.mean()),
-                    (float(gain.mean()), half),
-                    float(np.mean([a == b for a, b in zip(places, own_places, strict=True)])),
-                )
-            )
+            against = (100.0 * float(gain.mean()), 100.0 * half) if rows else (None, None)
+            usable = sum(record.usable for record in records) / len(records)
+            same = float(np.mean([a == b for a, b in zip(places, own_places, strict=True)]))
+            start = (context.grid.step_deg, len(cells), -(-trials // SUNS) * SUNS, policy.name)
+            times = (seconds / len(cells) * 1e3 for seconds in spent)
+            shares = (100.0 * usable, 100.0 * float(rates.mean()))
+            rows.append((*start, *times, *shares, *against, 100.0 * same))
     return rows
 
 
@@ -142,36 +119,16 @@ def _built(
     return records, (rendered - started, time.process_time() - selected_at)
 
 
-def _rounds(trials: int) -> int:
-    return -(-trials // SUNS)
-
-
-def _rate(
-    context: StageContext,
-    place: tuple[float, float],
-    trials: int,
-    seed: int,
-    known: dict[tuple[float, float], float],
-    bar: Stage,
-) -> float:
+def _rate(context: StageContext, place: Place, trials: int, seed: int) -> float:
     """Recognition rate of a place in trials that no policy has seen, the same for each policy."""
-    bar.advance()
-    if place not in known:
-        patches = context.patches(*place)
-        limit = context.config.check.max_error_nodes
-        successes = 0
-        for turn in range(_rounds(trials)):
-            outcomes = outcomes_at(
-                context,
-                patches,
-                *place,
-                seed=[SEED_OF_TRIALS + seed, turn, round((place[0] + 90.0) * 1e6)],
-                relief_seed=turn,
-                trials=SUNS,
-            )
-            successes += sum(o.accepted and o.distance <= limit for o in outcomes)
-        known[place] = successes / (_rounds(trials) * SUNS)
-    return known[place]
+    patches, limit = context.patches(*place), context.config.check.max_error_nodes
+    own = round((place[0] + 90.0) * 1e6)
+    successes = 0
+    for turn in range(-(-trials // SUNS)):
+        seeds = [SEED_OF_TRIALS + seed, turn, own]
+        found = outcomes_at(context, patches, *place, seed=seeds, relief_seed=turn, trials=SUNS)
+        successes += sum(o.accepted and o.distance <= limit for o in found)
+    return successes / (-(-trials // SUNS) * SUNS)
 
 
 COLUMNS = columns(
@@ -182,13 +139,6 @@ COLUMNS = columns(
 )
 
 
-def report(rows: Sequence[EconomyRow]) -> StudyReport:
+def report(rows: Sequence[tuple[Cell, ...]]) -> StudyReport:
     """All policies by size of cell."""
-    lines = []
-    for row in rows:
-        start = (row.cell_deg, row.cells, row.trials, row.policy, *row.milliseconds)
-        own = row.policy == rows[0].policy
-        against = (None, None) if own else (100.0 * row.against[0], 100.0 * row.against[1])
-        shares = (100.0 * row.usable, 100.0 * row.rate)
-        lines.append((*start, *shares, *against, 100.0 * row.same))
-    return StudyReport((StudyTable("", COLUMNS, tuple(lines)),))
+    return StudyReport((StudyTable("", COLUMNS, tuple(rows)),))

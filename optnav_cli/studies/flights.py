@@ -6,19 +6,25 @@ attitudes, those of a star sensor and flights without a prior.
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from catalog.build import build
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError
+from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
+from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.options import BoundingBox
+from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.studies.tables import Cell, StudyTable, columns
@@ -31,14 +37,14 @@ SEED = 10
 FIGURES = "figures.json"  # a flight study's tables, with those of single frames, in its folder
 
 
-class Named(Protocol):
+@dataclass(frozen=True)
+class Case:
     """A row of a study."""
 
-    @property
-    def name(self) -> str: ...
+    name: str
 
 
-R = TypeVar("R", bound=Named)
+R = TypeVar("R", bound=Case)
 
 
 def rows_named(rows: Sequence[R], part: str) -> list[R]:
@@ -63,6 +69,33 @@ def shipped_pictures(output: Path, name: str, frames: int | None, progress: Prog
     if not (mark.is_file() and mark.read_bytes() == scenario_copy(scenario)):
         simulate_folder(scenario, place, progress)
     return place
+
+
+def navigated(
+    pictures: Path,
+    catalogs: Sequence[Path],
+    place: Path,
+    progress: Progress,
+    relief: Path | None = None,
+) -> tuple[FrameError, ...]:
+    """Navigate pictures into a run folder and compare every frame with its truth."""
+    place.parent.mkdir(exist_ok=True)
+    # without a solution the run is written all the same, and that is a figure too
+    with suppress(NothingToDoError):
+        navigate_folder(pictures, catalogs, NavigateSettings(), "ncc", place, progress, relief)
+    return tuple(evaluate_run(place, pictures / "truth.csv").frames)
+
+
+def built_catalog(
+    config: Path, text: str, progress: Progress, bbox: BoundingBox | None = None
+) -> Path:
+    """The catalog beside a build configuration that is written with this text."""
+    # left alone when it is right, so that rows can run side by side in one folder
+    if not (config.is_file() and config.read_text(encoding="utf-8") == text):
+        config.write_text(text, encoding="utf-8")
+    catalog = config.with_suffix(".gpkg")
+    build.run(config, output=catalog, bbox=bbox, progress=progress)
+    return catalog
 
 
 def with_star_sensor(pictures: Path, *, priors: bool = True) -> Path:
@@ -101,6 +134,11 @@ def limit_with_star_sensor(limit_m: float, frames: Sequence[FrameError]) -> floa
 def sigmas_off(frame: FrameError) -> float:
     """How far a solved frame is off in its own sigmas; 0 for an unsolved one."""
     return 0.0 if frame.nees is None else float(np.sqrt(frame.nees))
+
+
+def not_solved(case: str, reasons: Sequence[str]) -> list[str]:
+    """How many frames of a case were not solved, by reason."""
+    return [f"{case}: {reasons.count(why)} not solved: {why}" for why in sorted(set(reasons))]
 
 
 FRAME_COLUMNS = columns(

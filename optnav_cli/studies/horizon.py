@@ -31,14 +31,7 @@ from optnav_cli.navigation.horizon import method as horizon
 from optnav_cli.navigation.neighbour import CameraView, other_body
 from optnav_cli.navigation.outline.method import outline_of
 from optnav_cli.navigation.outline.one_body import detect_limb
-from optnav_cli.studies.flights import (
-    FIGURES,
-    GLOBE,
-    SEED,
-    STAR_SENSOR_ARCSEC,
-    rows_named,
-    shipped_pictures,
-)
+from optnav_cli.studies import flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
 DIRECTION_ARCSEC, DIRECTION_STAR_ARCSEC = 5.0, 20.0  # what far rows ask for
@@ -48,7 +41,7 @@ NEES = (0.7, 1.4)
 
 
 @dataclass(frozen=True)
-class HorizonCase:
+class HorizonCase(flights.Case):
     """One line of the table, a scenario, and what is asked of the terrain-aware horizon.
 
     ssp_m, ssp_star_m  rms over the ground with exact attitude and with the star sensor's
@@ -57,7 +50,6 @@ class HorizonCase:
     Nothing is asked of a crescent but that no solution is wrong by 5 of its own sigmas.
     """
 
-    name: str
     scenario: str
     ssp_m: float | None = None
     ssp_star_m: float | None = None
@@ -81,7 +73,6 @@ class LimbFix:
     seconds                  of the processor, edges included
     """
 
-    file: str
     terrain: bool
     star_sensor: bool
     ssp_m: float = np.nan
@@ -89,7 +80,6 @@ class LimbFix:
     range_share: float = np.nan
     direction_arcsec: float = np.nan
     nees: float = np.nan
-    arc_deg: float = np.nan
     seconds: float = np.nan
     reason: str = ""
 
@@ -148,33 +138,28 @@ def run(
     rows    only rows whose name contains this
     Raises ConfigError where the shared data are not named.
     """
-    globe = path_of(GLOBE, Path.cwd())
-    chosen = rows_named(ROWS, rows)
+    globe = path_of(flights.GLOBE, Path.cwd())
+    chosen = flights.rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
     results: list[HorizonResult] = []
     for row in chosen:
-        folder = read_folder(shipped_pictures(output, row.scenario, frames, progress))
+        folder = read_folder(flights.shipped_pictures(output, row.scenario, frames, progress))
         results.append(measure(row, folder, load_relief(str(globe), folder.body)))
-        StudyReport((*report(results).tables, _ways(results))).write(output / FIGURES)
+        StudyReport((*report(results).tables, _ways(results))).write(output / flights.FIGURES)
     return results
 
 
 def measure(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> HorizonResult:
     """Solve every picture of a folder in four ways and compare with its truth.csv."""
-    found: dict[tuple[bool, bool], list[LimbFix]] = {
-        (terrain, star): [] for terrain in (False, True) for star in (False, True)
-    }
-    for frame in _frames(row, folder, relief):
-        found[frame.terrain, frame.star_sensor].append(frame)
-    figures = {case: figures_of(frames) for case, frames in found.items()}
-    return HorizonResult(
-        row, figures[False, False], figures[True, False], figures[False, True], figures[True, True]
-    )
+    every = list(_frames(row, folder, relief))
+    ways = ((False, False), (True, False), (False, True), (True, True))
+    own = ([f for f in every if (f.terrain, f.star_sensor) == way] for way in ways)
+    return HorizonResult(row, *map(figures_of, own))
 
 
 def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[LimbFix]:
-    rng = np.random.default_rng(SEED)
-    sigma = STAR_SENSOR_ARCSEC * ARCSEC
+    rng = np.random.default_rng(flights.SEED)
+    sigma = flights.STAR_SENSOR_ARCSEC * ARCSEC
     truths = {t.file: t for t in read_truth(folder.path / "truth.csv", folder.attitude)}
     for frame in folder.frames:
         slip = Rotation.from_rotvec(rng.normal(0.0, sigma, 3))
@@ -184,42 +169,34 @@ def _frames(row: HorizonCase, folder: Folder, relief: GlobalRelief) -> Iterator[
         camera = folder.cameras[frame.camera]
         picture = loaded = load_picture(folder.path / frame.file, camera)
         for star_sensor, turned in ((False, attitude), (True, slip * attitude)):
+            off = sigma if star_sensor else 0.0
             try:
                 if row.far and frame.tdb_s is not None:
-                    view = CameraView(camera, turned, sigma if star_sensor else 0.0, sun)
+                    view = CameraView(camera, turned, off, sun)
                     other = other_body(folder.motion, frame.tdb_s)
                     _, picture = outline_of(loaded, view, folder.body, relief, other)
                 begin = time.process_time()
                 limb = detect_limb(picture, camera, turned, sun, folder.body)
             except NoSolutionError as error:
                 for terrain in (False, True):
-                    yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
+                    yield LimbFix(terrain, star_sensor, reason=str(error))
                 continue
             finding = time.process_time() - begin
-            for terrain in (False, True):
+            for terrain, over in ((False, None), (True, relief)):
                 begin = time.process_time()
                 try:
-                    fix = horizon.navigate(
-                        limb,
-                        camera,
-                        turned,
-                        sigma if star_sensor else 0.0,
-                        sun,
-                        folder.body,
-                        relief if terrain else None,
-                    )
+                    fix = horizon.navigate(limb, camera, turned, off, sun, folder.body, over)
                 except NoSolutionError as error:
-                    yield LimbFix(frame.file, terrain, star_sensor, reason=str(error))
+                    yield LimbFix(terrain, star_sensor, reason=str(error))
                     continue
                 seconds = finding + time.process_time() - begin
                 truth = truths[frame.file].position_m
-                yield _compared(frame.file, terrain, star_sensor, fix, truth, folder.body, seconds)
+                yield _compared(terrain, star_sensor, fix, truth, folder.body, seconds)
 
 
 def _compared(
-    file: str, terrain: bool, star_sensor: bool, fix: Fix, truth: FloatArray,
-    body: Body, seconds: float,
-) -> LimbFix:  # fmt: skip
+    terrain: bool, star_sensor: bool, fix: Fix, truth: FloatArray, body: Body, seconds: float
+) -> LimbFix:
     """A fix against the true position (3,)."""
     error = fix.position_m - truth
     distance = float(np.linalg.norm(truth))
@@ -228,7 +205,6 @@ def _compared(
     below = fix.position_m / np.linalg.norm(fix.position_m)
     over = float(np.arctan2(np.linalg.norm(np.cross(below, up)), below @ up))
     return LimbFix(
-        file,
         terrain,
         star_sensor,
         ssp_m=over * body.radius_m,
@@ -236,7 +212,6 @@ def _compared(
         range_share=height / distance,
         direction_arcsec=over / ARCSEC,
         nees=float(error @ np.linalg.solve(fix.covariance_m2, error)) / 3.0,
-        arc_deg=fix.evidence.arc_deg or 0.0,
         seconds=seconds,
     )
 
@@ -289,9 +264,7 @@ def report(results: Sequence[HorizonResult]) -> StudyReport:
             tables.append(StudyTable("", (*heads, *COMMON_COLUMNS), rows))
     notes = []
     for result in results:
-        for reason in sorted(set(result.terrain.reasons)):
-            count = result.terrain.reasons.count(reason)
-            notes.append(f"{result.row.name}: {count} not solved: {reason}")
+        notes += flights.not_solved(result.row.name, result.terrain.reasons)
     notes.append(
         f"wanted besides: max {MAX_SSP_M:.0f} m, {BETTER:.0f} times better than the sphere, "
         f"NEES {NEES[0]}-{NEES[1]}, worst below 5 σ"

@@ -13,30 +13,20 @@ navigator makes of it: rolls and scales searched as it plans them, the view know
 taken out by resampling into the point's map projection, noise averaged one pyramid level up.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from catalog.bodies.body import load_body
 from catalog.progress import Progress
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from optnav_cli.studies.matching_trials import (
-    AXES,
-    MATCHERS,
-    NOISE,
-    SLANT,
-    Axis,
-    Trial,
-    draw_scenes,
-    references,
-    trials_of,
-)
-from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+from optnav_cli.studies import matching_trials
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns, rms
 
 CAMERA = "unk"
 MAX_ERROR_NODES = 3.0  # a match further from the truth is a wrong one, as `evaluate` counts
@@ -66,49 +56,34 @@ class MatchingRow:
 
 def run(progress: Progress, scenes: int = 2, seed: int = 1) -> list[MatchingRow]:
     """All errors, on as many grounds under as many Suns as there are `scenes`."""
-    body, camera = load_body("moon"), preset_camera(CAMERA)
-    trials: list[Trial] = []
+    camera = preset_camera(CAMERA)
+    trials: list[matching_trials.Trial] = []
     with TemporaryDirectory(prefix="optnav-") as folder:
-        points = references(Path(folder), progress)
+        points = matching_trials.references(Path(folder), progress)
     range_m = points[0].patches[0].posting_m * camera.focal_length_px
-    for scene in draw_scenes(body, camera, range_m, scenes, SLANT.values, progress):
-        trials += trials_of(scene, points, camera, seed)
+    for scene in matching_trials.draw_scenes(camera, range_m, scenes, progress):
+        trials += matching_trials.trials_of(scene, points, camera, seed)
     return summarise(trials)
 
 
-def summarise(trials: Iterable[Trial]) -> list[MatchingRow]:
+def summarise(trials: Iterable[matching_trials.Trial]) -> list[MatchingRow]:
     """Shares and errors, in the order of the axes."""
-    groups: dict[tuple[str, float, str, bool], list[Trial]] = {}
+    groups: dict[tuple[str, float, str, bool], list[matching_trials.Trial]] = {}
     for trial in trials:
         key = (trial.axis, trial.value, trial.matcher, trial.aided)
         groups.setdefault(key, []).append(trial)
-    keys = [
-        (axis.name, value, name, aided)
-        for axis in AXES
-        for name in MATCHERS
-        for aided in (False, True)
-        for value in axis.values
-    ]
-    return [_row(*key, groups[key]) for key in keys if key in groups]
-
-
-def _row(
-    axis: str, value: float, matcher: str, aided: bool, trials: Sequence[Trial]
-) -> MatchingRow:
-    errors = np.array([np.inf if t.error_nodes is None else t.error_nodes for t in trials])
-    accepted = np.array([trial.accepted for trial in trials])
-    good = errors <= MAX_ERROR_NODES
-    return MatchingRow(
-        axis,
-        value,
-        matcher,
-        aided,
-        len(trials),
-        float(good.mean()),
-        float((good & accepted).mean()),
-        float((~good & accepted).mean()),
-        float(np.sqrt(np.mean(errors[good] ** 2))) if good.any() else float("nan"),
-    )
+    rows = []
+    for axis, name, aided in product(matching_trials.AXES, matching_trials.MATCHERS, (False, True)):
+        keys = ((axis.name, value, name, aided) for value in axis.values)
+        for key in filter(groups.__contains__, keys):
+            own = groups[key]
+            errors = np.array([np.inf if t.error_nodes is None else t.error_nodes for t in own])
+            accepted = np.array([trial.accepted for trial in own])
+            good = errors <= MAX_ERROR_NODES
+            taken, wrong = float((good & accepted).mean()), float((~good & accepted).mean())
+            shares = (float(good.mean()), taken, wrong)
+            rows.append(MatchingRow(*key, len(own), *shares, rms(errors[good])))
+    return rows
 
 
 def tolerance(rows: Sequence[MatchingRow]) -> tuple[float, bool]:
@@ -139,23 +114,13 @@ BORNE_COLUMNS = columns(
 def report(rows: Sequence[MatchingRow]) -> StudyReport:
     """A table for every error, and what is borne at RECOGNISED."""
     tables, tolerances = [], []
-    for axis in AXES:
+    for axis in matching_trials.AXES:
         lines = []
         for name, aided, chosen in curves(rows, axis):
             aid = axis.aid if aided else "unaided"
-            lines += [
-                (
-                    name,
-                    aid,
-                    r.value,
-                    r.trials,
-                    100.0 * r.recognised,
-                    r.error_nodes,
-                    100.0 * r.accepted,
-                    100.0 * r.wrong,
-                )
-                for r in chosen
-            ]
+            for r in chosen:
+                start = (name, aid, r.value, r.trials, 100.0 * r.recognised, r.error_nodes)
+                lines.append((*start, 100.0 * r.accepted, 100.0 * r.wrong))
             stated = quantity(axis, axis.stated)
             tolerances.append((axis.name, name, aid, borne(axis, chosen), stated))
         heads = tuple(replace(c, unit=axis.unit) if c.name == "value" else c for c in COLUMNS)
@@ -170,31 +135,32 @@ def report(rows: Sequence[MatchingRow]) -> StudyReport:
     return StudyReport(tuple(tables), notes)
 
 
-def curves(rows: Sequence[MatchingRow], axis: Axis) -> list[tuple[str, bool, list[MatchingRow]]]:
+def curves(
+    rows: Sequence[MatchingRow], axis: matching_trials.Axis
+) -> list[tuple[str, bool, list[MatchingRow]]]:
     """Matcher, aid and rows of each curve of an error."""
     found = []
-    for name in MATCHERS:
-        for aided in (False, True):
-            key = (axis.name, name, aided)
-            chosen = [row for row in rows if (row.axis, row.matcher, row.aided) == key]
-            if chosen:
-                found.append((name, aided, chosen))
+    for name, aided in product(matching_trials.MATCHERS, (False, True)):
+        key = (axis.name, name, aided)
+        chosen = [row for row in rows if (row.axis, row.matcher, row.aided) == key]
+        if chosen:
+            found.append((name, aided, chosen))
     return found
 
 
-def quantity(axis: Axis, value: float) -> str:
+def quantity(axis: matching_trials.Axis, value: float) -> str:
     """A value with its unit: SNR 10, 10 %, 25°."""
-    if axis is NOISE:
+    if axis is matching_trials.NOISE:
         return f"SNR {value:.2g}"
     return f"{value:.3g}{axis.unit if axis.unit == '°' else ' ' + axis.unit}"
 
 
-def borne(axis: Axis, rows: Sequence[MatchingRow]) -> str:
+def borne(axis: matching_trials.Axis, rows: Sequence[MatchingRow]) -> str:
     """The tolerance in words; a mark where the share never falls so low, or is never so high."""
     if rows[0].recognised < RECOGNISED:
         return "never"
     value, falls = tolerance(rows)
-    sign = "" if falls else ("< " if axis is NOISE else "> ")
+    sign = "" if falls else ("< " if axis is matching_trials.NOISE else "> ")
     return sign + quantity(axis, value)
 
 
@@ -214,51 +180,52 @@ def picture(rows: Sequence[MatchingRow]) -> str:
     return sheet(
         "What matching bears: control points recognised, and the error of their places",
         legend,
-        [[_share(rows, axis) for axis in AXES], [_error(rows, axis) for axis in AXES]],
+        [
+            [_share(rows, axis) for axis in matching_trials.AXES],
+            [_error(rows, axis) for axis in matching_trials.AXES],
+        ],
     )
 
 
-def _share(rows: Sequence[MatchingRow], axis: Axis) -> Panel:
-    plot = _plot(axis, (0.0, 105.0), "recognised, %", log_y=False)
+def _share(rows: Sequence[MatchingRow], axis: matching_trials.Axis) -> Panel:
+    plot = _plot(axis, PlotAxis((0.0, 105.0), "recognised, %"))
     plot.level(100.0 * RECOGNISED, "muted dashed")
-    _stated(plot, axis)
-    for name, aided, chosen in curves(rows, axis):
-        _curve(plot, axis, name, aided, chosen, [100.0 * row.recognised for row in chosen])
+    _draw(plot, rows, axis, lambda row: 100.0 * row.recognised)
     return Panel(f"{axis.name} (aided: {axis.aid})", plot, f"Share recognised against {axis.name}")
 
 
-def _error(rows: Sequence[MatchingRow], axis: Axis) -> Panel:
+def _error(rows: Sequence[MatchingRow], axis: matching_trials.Axis) -> Panel:
     low, high = np.log10(ERROR_NODES)
-    plot = _plot(axis, (float(low), float(high)), "error of the place, nodes", log_y=True)
-    _stated(plot, axis)
-    for name, aided, chosen in curves(rows, axis):
-        values = [float(np.log10(max(row.error_nodes, 1e-6))) for row in chosen]
-        _curve(plot, axis, name, aided, chosen, values)
+    plot = _plot(axis, PlotAxis((float(low), float(high)), "error of the place, nodes", True))
+    _draw(plot, rows, axis, lambda row: float(np.log10(max(row.error_nodes, 1e-6))))
     return Panel("", plot, f"Error of the place against {axis.name}, log scale")
 
 
-def _plot(axis: Axis, y: tuple[float, float], label: str, log_y: bool) -> Plot:
-    log = axis is NOISE
-    values = axis.values
-    ends = np.log10([min(values), max(values)]) if log else np.array([min(values), max(values)])
-    margin = 0.05 * (ends[1] - ends[0])
-    name = "SNR of a pixel" if log else f"error, {axis.unit}"
+def _plot(axis: matching_trials.Axis, y: PlotAxis) -> Plot:
+    low, high = _place(axis, min(axis.values)), _place(axis, max(axis.values))
+    margin = 0.05 * (high - low)
+    name = "SNR of a pixel" if axis is matching_trials.NOISE else f"error, {axis.unit}"
     if axis.name == "off nadir":
         name = "angle, °"
-    x_axis = PlotAxis((float(ends[0] - margin), float(ends[1] + margin)), name, log, values)
-    return Plot(x_axis, PlotAxis(y, label, log_y), width=WIDTH, height=HEIGHT)
+    x = PlotAxis((low - margin, high + margin), name, axis is matching_trials.NOISE, axis.values)
+    return Plot(x, y, width=WIDTH, height=HEIGHT)
 
 
-def _stated(plot: Plot, axis: Axis) -> None:
-    place = float(np.log10(axis.stated)) if axis is NOISE else axis.stated
-    plot.line((place, place), plot.y, "s4 dashed thin")
+def _place(axis: matching_trials.Axis, value: float) -> float:
+    """Along x, where noise has a log scale."""
+    return float(np.log10(value)) if axis is matching_trials.NOISE else value
 
 
-def _curve(
-    plot: Plot, axis: Axis, name: str, aided: bool, rows: Sequence[MatchingRow], y: Sequence[float]
+def _draw(
+    plot: Plot,
+    rows: Sequence[MatchingRow],
+    axis: matching_trials.Axis,
+    y: Callable[[MatchingRow], float],
 ) -> None:
-    x = np.array([row.value for row in rows])
-    x = np.log10(x) if axis is NOISE else x
-    series, shape = SIGNS[name]
-    plot.line(x, y, f"{series} dashed" if aided else series)
-    plot.marks(x, y, f"{series} hollow" if aided else series, shape)
+    """The tolerance that the source states, and every curve of an error."""
+    plot.line((_place(axis, axis.stated),) * 2, plot.y, "s4 dashed thin")
+    for name, aided, chosen in curves(rows, axis):
+        across, up = [_place(axis, row.value) for row in chosen], [y(row) for row in chosen]
+        series, shape = SIGNS[name]
+        plot.line(across, up, f"{series} dashed" if aided else series)
+        plot.marks(across, up, f"{series} hollow" if aided else series, shape)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.bodies.body import Body
+from catalog.bodies.body import load_body
 from catalog.build import build
 from catalog.config import resource
 from catalog.correlation.ncc import match_ncc
@@ -30,17 +30,19 @@ from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import NO_DISTORTION, Distortion, SearchPlan, plan_distortion
 from optnav_cli.navigation.settings import MatchSettings
+from optnav_cli.simulation.exposure import corner_rays
 from optnav_cli.simulation.region_ground import WHOLE, TruthTerrain
-from optnav_cli.simulation.sections import SensorSettings
+from optnav_cli.simulation.sections import DetailSettings, SensorSettings, relief_below
 from optnav_cli.simulation.sensor import expose
 
 DEM, GLOBE = "data/tycho_gld100_256ppd.tif", "data/moon_gld100_4ppd.tif"
 MIDDLE_DEG = (-43.0, -11.0)  # of the terrain model
 # The seen ground has nodes of half the catalog's, with what a scenario adds by itself.
 POSTING_M, FINER = 118.45, 2
-MIN_M, SLOPE_DEG, SATURATION = 30.0, 3.0, 0.05
+DETAIL = DetailSettings(smallest_m=30.0, rms_slope_deg=3.0, saturation=0.05)
 SUN_ELEVATIONS_DEG = (25.0, 15.0, 35.0, 20.0, 30.0, 40.0)
 MATCHERS: dict[str, Matcher] = {"NCC": match_ncc, "SURF-64": match_surf}
+GATES = MatchGates(MatchSettings().min_score, MatchSettings().rival_ratio)
 TEMPLATE_NODES, SEARCH_NODES, SHIFT_NODES = 64, 8, 5.0
 FRAME_MARGIN_PX = 80.0  # half a search window, stretched and turned as the worst prior does
 # Of the pictures whose error is not their noise.
@@ -77,41 +79,28 @@ def references(work: Path, progress: Progress) -> list[Reference]:
 
 
 def draw_scenes(
-    body: Body,
-    camera: Camera,
-    range_m: float,
-    count: int,
-    off_nadir_deg: Sequence[float],
-    progress: Progress,
+    camera: Camera, range_m: float, count: int, progress: Progress
 ) -> Iterator[StudyPicture]:
-    """Pictures of the terrain's middle; `count` Suns and grounds, each from all angles.
+    """Pictures of the terrain's middle; `count` Suns and grounds, each from all angles off nadir.
 
-    range_m        from the camera to the ground in the middle
-    off_nadir_deg  between the local vertical there and the way to the camera
+    range_m  from the camera to the ground in the middle
     """
+    body, angles = load_body("moon"), SLANT.values
     lat, lon = np.radians(MIDDLE_DEG)
     local, middle = body_from_local(lat, lon), xyz_from_latlon(lat, lon, body.radius_m)
-    x, y = np.meshgrid(np.arange(camera.width_px + 1), np.arange(camera.height_px + 1))
-    corners = camera.unproject(np.stack([x, y], axis=-1) - 0.5)
+    corners = corner_rays(camera)
     details: dict[int | None, SyntheticRelief | None] = {
-        number: SyntheticRelief(
-            number + 1,
-            POSTING_M,
-            body.radius_m,
-            smallest_m=MIN_M,
-            rms_slope_deg=SLOPE_DEG,
-            saturation=SATURATION,
-        )
+        number: relief_below(DETAIL, number + 1, POSTING_M, body.radius_m)
         for number in range(count)
     }
     terrain = TruthTerrain(
         body, (DemSettings(str(resource(DEM))),), DemSettings(str(resource(GLOBE))), details
     )
-    with progress.stage("look", count * len(off_nadir_deg), "picture") as bar:
+    with progress.stage("look", count * len(angles), "picture") as bar:
         for number in range(count):
             sun = local @ _sun_local(number)
             ground = LitGround(terrain.window(number, FINER, WHOLE), terrain.wide(number), sun)
-            for angle in off_nadir_deg:
+            for angle in angles:
                 pose = _pose(local, middle, range_m, angle if number % 2 else -angle)
                 rays = corners @ pose.camera_from_body.as_matrix()
                 radiance = ground.picture(pose.position_m, rays)
@@ -216,7 +205,12 @@ def trials_of(
     scene: StudyPicture, points: Sequence[Reference], camera: Camera, seed: int
 ) -> list[Trial]:
     """What one picture is good for: its slant, and every other error when it has none."""
-    seen = [point for point in points if _whole(point, scene.pose, camera)]
+    # points whose search window lies in the frame, whatever the errors do to it
+    seen = [
+        point
+        for point in points
+        if camera.contains(_pixel(point, scene.pose, camera), FRAME_MARGIN_PX)
+    ]
     rng = np.random.default_rng([seed, scene.number, round(scene.off_nadir_deg)])
     look = Look(scene, seen, camera, rng)
     found: list[Trial] = []
@@ -225,14 +219,14 @@ def trials_of(
     found += look.trials(SLANT, scene.off_nadir_deg, True, picture)
     if scene.off_nadir_deg > 0.0:
         return found
-    for value in SCALE.values:
-        wrong = Wrong(scale=value / 100.0)
-        found += look.trials(SCALE, value, False, picture, wrong=wrong)
-        found += look.trials(SCALE, value, True, picture, wrong=wrong, distortion=scale_search())
-    for value in ROLL.values:
-        wrong = Wrong(roll=float(np.radians(value)))
-        found += look.trials(ROLL, value, False, picture, wrong=wrong)
-        found += look.trials(ROLL, value, True, picture, wrong=wrong, distortion=roll_search())
+    # what the navigator searches when the largest error is as many of its sigmas
+    sigma = max(SCALE.values) / 100.0 / SEARCH_SIGMAS
+    scales = plan_distortion(TEMPLATE_NODES, 0.0, sigma, SEARCH_SIGMAS)
+    cases = [(SCALE, value, Wrong(scale=value / 100.0), scales) for value in SCALE.values]
+    cases += [(ROLL, v, Wrong(roll=float(np.radians(v))), roll_search()) for v in ROLL.values]
+    for axis, value, wrong, searched in cases:
+        found += look.trials(axis, value, False, picture, wrong=wrong)
+        found += look.trials(axis, value, True, picture, wrong=wrong, distortion=searched)
     for value in NOISE.values:
         picture = look.picture(value)
         found += look.trials(NOISE, value, False, picture)
@@ -240,31 +234,20 @@ def trials_of(
     return found
 
 
-def scale_search() -> Distortion:
-    """What the navigator searches when the largest error of the study is two of its sigmas."""
-    sigma = max(SCALE.values) / 100.0 / SEARCH_SIGMAS
-    return plan_distortion(TEMPLATE_NODES, 0.0, sigma, SEARCH_SIGMAS)
-
-
 def roll_search() -> Distortion:
-    """The same for rolls."""
+    """The navigator's search when the study's largest roll is as many of its sigmas."""
     sigma = float(np.radians(max(ROLL.values))) / SEARCH_SIGMAS
     return plan_distortion(TEMPLATE_NODES, sigma, 0.0, SEARCH_SIGMAS)
 
 
+@dataclass(frozen=True, eq=False)
 class Look:
     """Looks for points in pictures of one scene."""
 
-    def __init__(
-        self,
-        scene: StudyPicture,
-        points: Sequence[Reference],
-        camera: Camera,
-        rng: np.random.Generator,
-    ) -> None:
-        self.scene, self.points, self.camera, self.rng = scene, points, camera, rng
-        settings = MatchSettings()
-        self.gates = MatchGates(settings.min_score, settings.rival_ratio)
+    scene: StudyPicture
+    points: Sequence[Reference]
+    camera: Camera
+    rng: np.random.Generator
 
     def picture(self, snr: float) -> PicturePyramid:
         """The scene blurred, noisy and in 8 bits."""
@@ -283,16 +266,24 @@ class Look:
         distortion: Distortion = NO_DISTORTION,
     ) -> Iterator[Trial]:
         """Every point by every matcher from a pose that is wrong, by either sign in turn."""
+        camera, pose, sun = self.camera, self.scene.pose, self.scene.sun_body
         for number, point in enumerate(self.points):
             error = wrong.other_way() if number % 2 else wrong
-            stated = wrong_pose(self.scene.pose, point.point.xyz_m, error)
+            stated = wrong_pose(pose, point.point.xyz_m, error)
             shift = self.rng.uniform(-SHIFT_NODES, SHIFT_NODES, 2) * point.patches[0].posting_m
             east, north, _ = point.projection.body_from_local.T
             place = stated.position_m + shift[0] * east + shift[1] * north
             stated = Pose(place, stated.camera_from_body)
+            distance = float(np.linalg.norm(stated.position_m - point.point.xyz_m))
+            sample = distance / camera.focal_length_px
+            plan = SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion)
+            held = self._slant(point) if axis is SLANT else value
             for name, matcher in MATCHERS.items():
-                off, accepted = self._error(point, stated, picture, level, matcher, distortion)
-                held = self._slant(point) if axis is SLANT else value
+                match = match_point(point, plan, picture, camera, stated, sun, matcher, GATES)
+                off, accepted = None, False
+                if match.pixel is not None:
+                    off_px = float(np.linalg.norm(match.pixel - _pixel(point, pose, camera)))
+                    off, accepted = off_px * sample / point.patches[0].posting_m, not match.reason
                 yield Trial(axis.name, held, name, aided, off, accepted)
 
     def _slant(self, point: Reference) -> float:
@@ -303,41 +294,8 @@ class Look:
         angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
         return min(SLANT.values, key=lambda value: abs(value - angle))
 
-    def _error(
-        self,
-        point: Reference,
-        stated: Pose,
-        picture: PicturePyramid,
-        level: int,
-        matcher: Matcher,
-        distortion: Distortion,
-    ) -> tuple[float | None, bool]:
-        """Distance from the truth, finest nodes, and whether the gates pass the match."""
-        place, pose = point.point.xyz_m, self.scene.pose
-        distance = float(np.linalg.norm(stated.position_m - place))
-        sample = distance / self.camera.focal_length_px
-        match = match_point(
-            point,
-            SearchPlan(level, TEMPLATE_NODES, SEARCH_NODES, sample, distortion),
-            picture,
-            self.camera,
-            stated,
-            self.scene.sun_body,
-            matcher,
-            self.gates,
-        )
-        if match.pixel is None:
-            return None, False
-        truth = self.camera.project_from_body(
-            place, pose.position_m, pose.camera_from_body.as_matrix()
-        )
-        off = float(np.linalg.norm(match.pixel - truth)) * sample / point.patches[0].posting_m
-        return off, not match.reason
 
-
-def _whole(point: Reference, pose: Pose, camera: Camera) -> bool:
-    """Whether a point's search window lies in the frame, whatever the errors do to it."""
-    pixel = camera.project_from_body(
-        point.point.xyz_m, pose.position_m, pose.camera_from_body.as_matrix()
-    )
-    return bool(camera.contains(pixel, FRAME_MARGIN_PX))
+def _pixel(point: Reference, pose: Pose, camera: Camera) -> FloatArray:
+    """Where a point is seen from a pose."""
+    attitude = pose.camera_from_body.as_matrix()
+    return camera.project_from_body(point.point.xyz_m, pose.position_m, attitude)

@@ -10,30 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from catalog.build import build
 from catalog.config import resource
 from catalog.progress import Progress
 from optnav_cli.evaluation.evaluation import Evaluation, pool
-from optnav_cli.evaluation.figures import Figures
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.flights import (
-    FIGURES,
-    frames_table,
-    limit_with_star_sensor,
-    rows_named,
-    shipped_pictures,
-    with_star_sensor,
-)
+from optnav_cli.studies import flights
 from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
 
 @dataclass(frozen=True)
-class FlightCase:
+class FlightCase(flights.Case):
     """One line of the table: scenarios pooled, the catalog's cell, and the figures to reach."""
 
-    name: str
     scenarios: tuple[str, ...]
     cell_deg: float
     horizontal_m: float
@@ -57,7 +47,6 @@ class FlightResult:
     row: FlightCase
     star_sensor: bool
     evaluation: Evaluation
-    figures: Figures
     limit_m: float
 
     @property
@@ -75,17 +64,21 @@ def run(
     frames  pictures of a scenario, its own number when None
     rows    only rows whose name contains this
     """
-    chosen = rows_named(ROWS, rows)
+    chosen = flights.rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
     results: list[FlightResult] = []
+    tycho = resource("configs/catalogs/tycho.toml").read_text(encoding="utf-8")
     for row in chosen:
-        catalog = _catalog(output, row.cell_deg, progress)
+        config = output / f"tycho-{row.cell_deg:g}deg.toml"
+        catalog = flights.built_catalog(
+            config, f"{tycho}\n[grid]\ncell_deg = {row.cell_deg}\n", progress
+        )
         for star_sensor in (False, True):
             parts = []
             for name in row.scenarios:
-                pictures = shipped_pictures(output, name, frames, progress)
+                pictures = flights.shipped_pictures(output, name, frames, progress)
                 if star_sensor:
-                    pictures = with_star_sensor(pictures)
+                    pictures = flights.with_star_sensor(pictures)
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
                 navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", place, progress)
@@ -93,10 +86,10 @@ def run(
             evaluation = pool(parts)
             limit = row.horizontal_m
             if star_sensor:
-                limit = limit_with_star_sensor(limit, evaluation.frames)
-            results.append(FlightResult(row, star_sensor, evaluation, evaluation.figures(), limit))
-            single = frames_table({r.case: r.evaluation.frames for r in results})
-            StudyReport((*report(results).tables, single)).write(output / FIGURES)
+                limit = flights.limit_with_star_sensor(limit, evaluation.frames)
+            results.append(FlightResult(row, star_sensor, evaluation, limit))
+            single = flights.frames_table({r.case: r.evaluation.frames for r in results})
+            StudyReport((*report(results).tables, single)).write(output / flights.FIGURES)
     return results
 
 
@@ -110,32 +103,17 @@ COLUMNS = columns(
 def report(results: Sequence[FlightResult]) -> StudyReport:
     """The table, one line a row, and the counts over all rows."""
     rows = []
-    for result in results:
-        f = result.figures
+    figures = [result.evaluation.figures() for result in results]
+    for result, f in zip(results, figures, strict=True):
         errors = (f.horizontal_rms_m, result.limit_m, f.height_rms_m, result.row.height_m, f.nees)
         used = 100.0 * f.n_used / f.n_predicted
         counts = (100.0 * min(f.inside_3_sigma), used, f.n_wrong, f.n_checked)
         rows.append((result.case, f.solved, f.frames, *errors, *counts))
-    wrong = sum(r.figures.n_wrong for r in results)
-    checked = sum(r.figures.n_checked for r in results)
-    used = sum(r.figures.n_used for r in results)
-    predicted = sum(r.figures.n_predicted for r in results)
+    counted = [(f.n_wrong, f.n_checked, f.n_used, f.n_predicted) for f in figures]
+    wrong, checked, used, predicted = map(sum, zip(*counted))
     notes = (
         f"recognised {used} of {predicted} ({100.0 * used / predicted:.2f} %)",
         f"wrong matches kept {wrong} of {checked} ({100.0 * wrong / checked:.3f} %)",
         "relative to the terrain model's own frame; GLD100 itself is about 50 m from LOLA",
     )
     return StudyReport((StudyTable("", COLUMNS, tuple(rows)),), notes)
-
-
-def _catalog(output: Path, cell_deg: float, progress: Progress) -> Path:
-    """The catalog of the bundled Tycho terrain at a cell size."""
-    config = output / f"tycho-{cell_deg:g}deg.toml"
-    text = resource("configs/catalogs/tycho.toml").read_text(encoding="utf-8")
-    text += f"\n[grid]\ncell_deg = {cell_deg}\n"
-    # left alone when it is right, so that rows can run side by side in one folder
-    if not (config.is_file() and config.read_text(encoding="utf-8") == text):
-        config.write_text(text, encoding="utf-8")
-    catalog = config.with_suffix(".gpkg")
-    build.run(config, output=catalog, progress=progress)
-    return catalog

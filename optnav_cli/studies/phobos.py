@@ -7,29 +7,19 @@ is solved by what it shows, but those named so, whose positions are stated to 10
 is one flight, whose frames have those before them.
 """
 
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from catalog.build import build
 from catalog.config import resource
-from catalog.errors import NothingToDoError
 from catalog.jobs.usage import Account
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError, figures_of
-from optnav_cli.evaluation.files import evaluate_run
-from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.studies.flights import (
-    FIGURES,
-    frames_table,
-    rows_named,
-    shipped_pictures,
-    sigmas_off,
-    with_star_sensor,
-)
+from optnav_cli.studies import flights
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms, tally
 
 WIDE, NARROW = "tsnn_shtk", "tsnn_utk"
@@ -39,7 +29,7 @@ NEES = (0.7, 1.4)
 
 
 @dataclass(frozen=True)
-class PhobosCase:
+class PhobosCase(flights.Case):
     """One line of the table, the pictures of a scenario by one camera.
 
     prior        whether a position is stated
@@ -48,7 +38,6 @@ class PhobosCase:
     across_m     asked of the error across the line of sight, rms;  range_share along it
     """
 
-    name: str
     scenario: str
     camera: str = WIDE
     prior: bool = False
@@ -77,20 +66,11 @@ ROWS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class PhobosResult:
-    """The frames of a row."""
-
-    row: PhobosCase
-    frames: tuple[FrameError, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class PhobosResults:
-    """The table; the account is that of this run's build, whose stages may have been kept."""
+class PhobosResults(NamedTuple):
+    """Frames by row; the account is that of this run's build, whose stages may have been kept."""
 
     account: Account
-    rows: tuple[PhobosResult, ...]
+    rows: list[tuple[PhobosCase, list[FrameError]]]
 
 
 def run(
@@ -102,40 +82,28 @@ def run(
     frames  pictures of a scenario a camera, its own number when None
     rows    only rows whose name contains this
     """
-    chosen = rows_named(ROWS, rows)
+    chosen = flights.rows_named(ROWS, rows)
     output.mkdir(parents=True, exist_ok=True)
     catalog = output / "phobos.gpkg"
     config = resource("configs/catalogs/phobos.toml")
     account = build.run(config, output=catalog, progress=progress).account
-    found: list[PhobosResult] = []
+    results = PhobosResults(account, [])
     runs: dict[str, tuple[FrameError, ...]] = {}
     for row in chosen:
-        folder = shipped_pictures(output, row.scenario, frames, progress)
+        folder = flights.shipped_pictures(output, row.scenario, frames, progress)
         if not row.flown:
-            folder = with_star_sensor(folder, priors=row.prior)
+            folder = flights.with_star_sensor(folder, priors=row.prior)
         name = folder.name
         if name not in runs:
-            runs[name] = _navigated(folder, catalog, output / "runs" / name, progress)
-        found.append(PhobosResult(row, tuple(error for error in runs[name] if _is_of(row, error))))
-        single = frames_table({result.row.name: result.frames for result in found})
-        so_far = report(PhobosResults(account, tuple(found)))
-        StudyReport((*so_far.tables, single), so_far.notes).write(output / FIGURES)
-    return PhobosResults(account, tuple(found))
-
-
-def _navigated(
-    pictures: Path, catalog: Path, place: Path, progress: Progress
-) -> tuple[FrameError, ...]:
-    place.parent.mkdir(exist_ok=True)
-    # without a solution the run is written all the same, and that is a figure too
-    with suppress(NothingToDoError):
-        navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", place, progress)
-    return tuple(evaluate_run(place, pictures / "truth.csv").frames)
-
-
-def _is_of(row: PhobosCase, frame: FrameError) -> bool:
-    nearest, farthest = row.distance_km
-    return frame.camera == row.camera and nearest <= frame.distance_m / 1e3 < farthest
+            runs[name] = flights.navigated(folder, [catalog], output / "runs" / name, progress)
+        own = [frame for frame in runs[name] if frame.camera == row.camera]
+        nearest, farthest = row.distance_km
+        own = [frame for frame in own if nearest <= frame.distance_m / 1e3 < farthest]
+        results.rows.append((row, own))
+        single = flights.frames_table({case.name: frames for case, frames in results.rows})
+        so_far = report(results)
+        StudyReport((*so_far.tables, single), so_far.notes).write(output / flights.FIGURES)
+    return results
 
 
 COLUMNS = columns(
@@ -148,14 +116,12 @@ COLUMNS = columns(
 def report(results: PhobosResults) -> StudyReport:
     """The table, the build's line, and why frames were not solved."""
     notes = [_build_line(results.account), f"wanted besides: NEES {NEES[0]}-{NEES[1]}"]
-    for result in results.rows:
+    for row, frames in results.rows:
         # what the first method tried says; the others' words follow in solution.csv
-        reasons = [f.solution.reason.partition(";")[0] for f in result.frames if f.nees is None]
-        notes += [
-            f"{result.row.name}: {reasons.count(reason)} not solved: {reason}"
-            for reason in sorted(set(reasons))
-        ]
-    return StudyReport((StudyTable("", COLUMNS, tuple(map(_cells, results.rows))),), tuple(notes))
+        reasons = [f.solution.reason.partition(";")[0] for f in frames if f.nees is None]
+        notes += flights.not_solved(row.name, reasons)
+    rows = tuple(_cells(row, frames) for row, frames in results.rows)
+    return StudyReport((StudyTable("", COLUMNS, rows),), tuple(notes))
 
 
 def _build_line(account: Account) -> str:
@@ -168,18 +134,14 @@ def _build_line(account: Account) -> str:
     )
 
 
-def _cells(result: PhobosResult) -> tuple[Cell, ...]:
-    row = result.row
-    solved = [frame for frame in result.frames if frame.error_rnb_m is not None]
-    start = (row.name, len(solved), len(result.frames))
+def _cells(row: PhobosCase, frames: Sequence[FrameError]) -> tuple[Cell, ...]:
+    solved = [frame for frame in frames if frame.error_rnb_m is not None]
+    start = (row.name, len(solved), len(frames))
     asked = None if row.range_share is None else 100.0 * row.range_share
     if not solved:
         return (*start, None, row.across_m, None, None, None, asked, None, None, "none solved")
-    f = figures_of(result.frames)
+    f = figures_of(frames)
     shares = [float(f.error_rnb_m[0]) / f.distance_m for f in solved if f.error_rnb_m is not None]
     errors = (f.horizontal_rms_m, row.across_m, f.horizontal_max_m, f.height_rms_m)
-    worst, methods = (
-        max(map(sigmas_off, solved)),
-        tally([frame.solution.method for frame in solved]),
-    )
-    return (*start, *errors, 100.0 * rms(shares), asked, f.nees, worst, methods)
+    end = (f.nees, max(map(flights.sigmas_off, solved)), tally([f.solution.method for f in solved]))
+    return (*start, *errors, 100.0 * rms(shares), asked, *end)

@@ -11,7 +11,7 @@ own border, which moves a peak by 0.15 nodes even between equal pictures, more t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -43,8 +43,7 @@ MIN_PHASE_DEG = 20.0
 MIN_LIT = 0.5  # templates mostly in shadow are not matched
 
 
-@dataclass(frozen=True)
-class PhotometryRow:
+class PhotometryRow(NamedTuple):
     """One simple law against Hapke's at one emission angle, over Suns and views.
 
     correlation  of the high-passed pictures: mean and least
@@ -63,20 +62,12 @@ def run(progress: Progress) -> list[PhotometryRow]:
     rows = []
     with progress.stage("photometry", len(EMISSIONS_DEG), "angle") as bar:
         for emission in EMISSIONS_DEG:
-            results: dict[str, list[tuple[float, float]]] = {law: [] for law in SIMPLE_LAWS}
-            for sun, view in _geometries(emission):
-                for law, numbers in compare(ground, radius, sun, view).items():
-                    results[law].append(numbers)
+            results = [compare(ground, radius, *pair) for pair in _geometries(emission)]
             for law in SIMPLE_LAWS:
-                correlation, shift = np.array(results[law]).T
-                rows.append(
-                    PhotometryRow(
-                        law,
-                        emission,
-                        (float(correlation.mean()), float(correlation.min())),
-                        (float(shift.mean()), float(shift.max())),
-                    )
-                )
+                correlation, shift = np.array([result[law] for result in results]).T
+                seen = (float(correlation.mean()), float(correlation.min()))
+                moved = (float(shift.mean()), float(shift.max()))
+                rows.append(PhotometryRow(law, emission, seen, moved))
             bar.advance()
     return rows
 
@@ -105,9 +96,8 @@ def compare(
     sharp = high_pass(hapke)
     result = {}
     for law in SIMPLE_LAWS:
-        simple = high_pass(
-            render_map(ground, POSTING_M, sun, radius_m=radius_m, view_local=view, law=law)
-        )
+        drawn = render_map(ground, POSTING_M, sun, radius_m=radius_m, view_local=view, law=law)
+        simple = high_pass(drawn)
         correlation = float(np.corrcoef(sharp.ravel(), simple.ravel())[0, 1])
         result[law] = correlation, _rms_shift(sharp, simple, hapke > 0.0)
     return result

@@ -39,9 +39,9 @@ class Study:
         return getattr(import_module(f"optnav_cli.studies.{self.name}"), name)
 
 
-def _option(name: str, type_: Any, default: Any, text: str, **more: Any) -> click.Option:
-    shown = default not in (None, "")
-    return click.Option([name], type=type_, default=default, show_default=shown, help=text, **more)
+def _option(names: str, type_: Any, default: Any, text: str, **more: Any) -> click.Option:
+    more |= {"default": default, "show_default": default not in (None, "")}
+    return click.Option(names.split(), type=type_, help=text, **more)
 
 
 def _trials(least: int, default: int, text: str) -> click.Option:
@@ -52,25 +52,20 @@ def _seed(text: str = "Of trials.") -> click.Option:
     return _option("--seed", click.IntRange(min=0), 1, text)
 
 
-def _folder(default: str, text: str) -> click.Option:
-    return click.Option(
-        ["-o", "--output"],
-        type=click.Path(path_type=Path),
-        default=default,
-        show_default=True,
-        help=text,
-    )
+def _output(default: str | None, text: str) -> click.Option:
+    return _option("-o --output", click.Path(path_type=Path), default, text)
 
 
 def _flights(name: str, files: str, row: str) -> tuple[click.Option, ...]:
     """The options of a study that flies scenarios: its folder, and less than all of it."""
     return (
-        _folder(f"optnav-{name}", f"Folder for {files}; what is in it is used again."),
+        _output(f"optnav-{name}", f"Folder for {files}; what is in it is used again."),
         _option("--frames", click.IntRange(min=1), None, "Pictures of each case; all if left."),
         _option("--rows", str, "", f"Only rows whose name contains this, such as '{row}'."),
     )
 
 
+_MATCHERS = click.Choice(["ncc", "surf"])
 _RUNS = "catalogs, pictures, runs and figures.json"
 
 STUDIES = (
@@ -83,13 +78,8 @@ STUDIES = (
         in the frame's ISIS cube with its sigma.""",
         "-o apollo",
         (
-            _folder("optnav-apollo", "Folder for the catalog, the pictures and the run."),
-            _option(
-                "--matcher",
-                click.Choice(["ncc", "surf"]),
-                "ncc",
-                "How a control point is recognised.",
-            ),
+            _output("optnav-apollo", "Folder for the catalog, the pictures and the run."),
+            _option("--matcher", _MATCHERS, "ncc", "How a control point is recognised."),
         ),
     ),
     Study(
@@ -103,10 +93,7 @@ STUDIES = (
         (
             _trials(5, 100, "Limbs of each interval."),
             _option(
-                "--height-km",
-                click.FloatRange(min=1.0, max=1e6),
-                200.0,
-                "From which the Moon is seen.",
+                "--height-km", click.FloatRange(1.0, 1e6), 200.0, "From which the Moon is seen."
             ),
             _seed("Of errors."),
         ),
@@ -131,11 +118,7 @@ STUDIES = (
         "--discs 5",
         (
             _option("--discs", click.IntRange(min=1), 30, "Discs of each size and body."),
-            click.Option(
-                ["-o", "--output"],
-                type=click.Path(path_type=Path),
-                help="JSON file for every disc's errors.",
-            ),
+            _output(None, "JSON file for every disc's errors."),
         ),
         compiles=False,
     ),
@@ -150,13 +133,12 @@ STUDIES = (
         "--cell-deg 0.5 --trials 40",
         (
             _trials(4, 24, "New recognition trials of each place, at least."),
-            click.Option(
-                ["--cell-deg", "cells_deg"],
-                type=click.FloatRange(min=0.2, max=2.0),
+            _option(
+                "--cell-deg cells_deg",
+                click.FloatRange(0.2, 2.0),
+                (1.0, 0.5),
+                "Side of the cells; may be given several times.",
                 multiple=True,
-                default=(1.0, 0.5),
-                show_default=True,
-                help="Side of the cells; may be given several times.",
             ),
             _seed(),
         ),
@@ -184,7 +166,7 @@ STUDIES = (
         (
             _option(
                 "--scenes",
-                click.IntRange(min=1, max=24),
+                click.IntRange(1, 24),
                 2,
                 "Grounds and Suns that the pictures are made of.",
             ),
@@ -245,9 +227,7 @@ STUDIES = (
             click.Argument(["kernels"], nargs=-1, required=True, type=click.Path(path_type=Path)),
             _option("--body", str, "moon", "Whose rotation."),
             _option("--years", (float, float), (1900.0, 2051.0), "First and last year of the fit."),
-            _option(
-                "--terms", click.IntRange(min=1, max=400), 120, "How many trigonometric terms."
-            ),
+            _option("--terms", click.IntRange(1, 400), 120, "How many trigonometric terms."),
         ),
         compiles=False,
         prints="format_toml",

@@ -24,7 +24,7 @@ from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.estimation.resection import resect
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
-from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns, rms
 
 HEIGHT_M = 200e3
 RADIUS_M = 1_737_400.0
@@ -34,6 +34,7 @@ ANGLES_DEG = (5.0, 10.0, 20.0, 40.0, 80.0)
 MIDDLE_ANGLE_DEG = 40.0  # at which the picture shows errors against the number of points
 SERIES = ("s4", "s1", "s2", "s3", "s5")  # by number of points
 SHAPES = ("down", "circle", "triangle", "square", "diamond")
+CAMERA = Camera("ideal", "pinhole", 8000, 8000, 4000.0, (3999.5, 3999.5))
 # straight down: camera x east, y south, z into the ground
 CAMERA_FROM_LOCAL = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -47,8 +48,6 @@ class ResectionRow:
     free_attitude: bool
     horizontal: float
     height: float
-    normalised: float
-    trials: int
 
 
 def run(progress: Progress, trials: int = 300, seed: int = 1) -> list[ResectionRow]:
@@ -68,36 +67,25 @@ def one_geometry(
 ) -> ResectionRow:
     """Rms errors over `trials` random draws of points and noise."""
     rng = np.random.default_rng([seed, count, int(angle_deg), int(free_attitude)])
-    camera = _ideal_camera()
     truth = Pose(np.array([0.0, 0.0, HEIGHT_M]), Rotation.from_matrix(CAMERA_FROM_LOCAL))
-    errors, normalised = [], []
+    errors = []
     for _ in range(trials):
         points = _ring_and_inside(rng, count, angle_deg)
-        pixels, jacobian = predict(camera, truth, points)
+        pixels, jacobian = predict(CAMERA, truth, points)
         # the points' error on the ground, as it shows in the picture
         pixel_per_metre = -jacobian[:, :, :3]
         covariance = pixel_per_metre @ np.swapaxes(pixel_per_metre, 1, 2) * POINT_SIGMA_M**2
         shift = rng.normal(0.0, POINT_SIGMA_M, (count, 3))
-        seen = Sightings(
-            points, pixels + np.einsum("nij,nj->ni", pixel_per_metre, shift), covariance
-        )
+        pixels += np.einsum("nij,nj->ni", pixel_per_metre, shift)
+        seen = Sightings(points, pixels, covariance)
         try:
-            solution = resect(camera, seen, truth, None if free_attitude else 0.0)
+            solution = resect(CAMERA, seen, truth, None if free_attitude else 0.0)
         except NoSolutionError:
             continue
-        error = solution.state.position_m - truth.position_m
-        errors.append(error)
-        normalised.append(error @ np.linalg.solve(solution.covariance[:3, :3], error) / 3.0)
+        errors.append(solution.state.position_m - truth.position_m)
     found = np.array(errors) / POINT_SIGMA_M
-    return ResectionRow(
-        count,
-        angle_deg,
-        free_attitude,
-        float(np.sqrt((found[:, :2] ** 2).sum(axis=1).mean() / 2.0)),
-        float(np.sqrt((found[:, 2] ** 2).mean())),
-        float(np.mean(normalised)),
-        len(found),
-    )
+    horizontal = float(np.sqrt((found[:, :2] ** 2).sum(axis=1).mean() / 2.0))
+    return ResectionRow(count, angle_deg, free_attitude, horizontal, rms(found[:, 2]))
 
 
 def report(rows: Sequence[ResectionRow]) -> StudyReport:
@@ -142,13 +130,8 @@ def picture(rows: list[ResectionRow]) -> str:
         chosen = [row for row in rows if row.free_attitude == free]
         attitude = "attitude free" if free else "attitude known"
         reach = (0.05, 1000.0) if free else (0.05, 100.0)
-        panels.append(
-            [
-                _against_angle(chosen, "horizontal", attitude, reach),
-                _against_angle(chosen, "height", attitude, reach),
-                _against_number(chosen, attitude, reach),
-            ]
-        )
+        row = [_against_angle(chosen, name, attitude, reach) for name in ("horizontal", "height")]
+        panels.append([*row, _against_number(chosen, attitude, reach)])
     return sheet("Error of a position from control points, in sigmas of a point", legend, panels)
 
 
@@ -158,35 +141,26 @@ def _against_angle(
     plot = _plot(ANGLES_DEG, reach, "intersection angle, °")
     for series, shape, count in zip(SERIES, SHAPES, COUNTS, strict=True):
         points = [row for row in rows if row.count == count]
-        _curve(
-            plot,
-            [row.angle_deg for row in points],
-            [getattr(row, component) for row in points],
-            series,
-            shape,
-        )
+        angles, errors = [r.angle_deg for r in points], [getattr(r, component) for r in points]
+        _curve(plot, angles, errors, series, shape)
     name = "horizontal, a component" if component == "horizontal" else "height"
-    return Panel(
-        f"{name}, {attitude}", plot, f"Error {component} against angle, {attitude}, log scales"
-    )
+    text = f"Error {component} against angle, {attitude}, log scales"
+    return Panel(f"{name}, {attitude}", plot, text)
 
 
 def _against_number(rows: list[ResectionRow], attitude: str, reach: tuple[float, float]) -> Panel:
     plot = _plot(COUNTS, reach, f"points, {MIDDLE_ANGLE_DEG:g}° between the outermost")
     points = [row for row in rows if row.angle_deg == MIDDLE_ANGLE_DEG]
     numbers = [float(row.count) for row in points]
-    for values, shape, words in (
-        ([row.height for row in points], "square", "height"),
-        ([row.horizontal for row in points], "circle", "horizontal"),
-    ):
+    for shape, words in (("square", "height"), ("circle", "horizontal")):
+        values = [getattr(row, words) for row in points]
         _curve(plot, numbers, values, "muted", shape)
         # the larger of the two carries its name above, so that no line runs through it
         above = words == ("horizontal" if "free" in attitude else "height")
         lift = 0.15 if above else -0.45
         plot.text(np.log10(numbers[0]), np.log10(values[0]) + lift, words)
-    return Panel(
-        f"against the number, {attitude}", plot, f"Errors against number, {attitude}, log scales"
-    )
+    text = f"Errors against number, {attitude}, log scales"
+    return Panel(f"against the number, {attitude}", plot, text)
 
 
 def _plot(x: Sequence[float], reach: tuple[float, float], label: str) -> Plot:
@@ -202,17 +176,6 @@ def _plot(x: Sequence[float], reach: tuple[float, float], label: str) -> Plot:
 def _curve(plot: Plot, x: Sequence[float], y: Sequence[float], series: str, shape: str) -> None:
     plot.line(np.log10(x), np.log10(y), series)
     plot.marks(np.log10(x), np.log10(y), series, shape)
-
-
-def _ideal_camera() -> Camera:
-    return Camera(
-        name="ideal",
-        model="pinhole",
-        width_px=8000,
-        height_px=8000,
-        focal_length_px=4000.0,
-        principal_point_px=(3999.5, 3999.5),
-    )
 
 
 def _ring_and_inside(rng: np.random.Generator, count: int, angle_deg: float) -> FloatArray:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -32,8 +33,7 @@ NEAR = 0.15  # of the resolution (one turn in the span): a line so near is the n
 PADDING = 4
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One line: its angle (3,), deg by powers of time, and that angle's name, if it has one."""
 
     angle: FloatArray
@@ -103,12 +103,8 @@ class LineFit:
             return -float(np.sum(np.abs(wave @ left) ** 2))
 
         lowest = max(rate - reach, 0.05 * self._resolution)
-        found = minimize_scalar(
-            power,
-            bounds=(lowest, rate + reach),
-            method="bounded",
-            options={"xatol": 1e-3 * self._resolution},
-        )
+        ends, options = (lowest, rate + reach), {"xatol": 1e-3 * self._resolution}
+        found = minimize_scalar(power, bounds=ends, method="bounded", options=options)
         return float(found.x)
 
     def _named(self, rate: float) -> Line:
@@ -195,19 +191,14 @@ def run(
     axes_m = np.sqrt(np.mean(left_m**2, axis=0))
     shift = np.linalg.norm(left_m, axis=1)
     decades = 10 * np.floor((2000.0 + checks / (365.25 * DAY_S)) / 10.0).astype(int)
-    return RotationFit(
-        turning,
-        spice.name,
-        # of the worst axis, rounded up
-        msgspec.structs.replace(correction, error_m=float(np.ceil(axes_m.max() * 10.0) / 10.0)),
-        fit.lines,
-        _rms_and_largest(
-            np.linalg.norm(turns(spice, published, checks), axis=1) * turning.radius_m
-        ),
-        axes_m,
-        _rms_and_largest(shift),
-        [(int(d), *_rms_and_largest(shift[decades == d])) for d in np.unique(decades)],
+    worst_m = float(np.ceil(axes_m.max() * 10.0) / 10.0)  # of an axis, rounded up
+    correction = msgspec.structs.replace(correction, error_m=worst_m)
+    before = _rms_and_largest(
+        np.linalg.norm(turns(spice, published, checks), axis=1) * turning.radius_m
     )
+    after = _rms_and_largest(shift)
+    by_decade = [(int(d), *_rms_and_largest(shift[decades == d])) for d in np.unique(decades)]
+    return RotationFit(turning, spice.name, correction, fit.lines, before, axes_m, after, by_decade)
 
 
 def turns(spice: SpiceEphemeris, body: Body, times: FloatArray) -> FloatArray:
@@ -238,11 +229,8 @@ def _correction(fit: LineFit, years: tuple[float, float]) -> RotationCorrection:
 def _lunar_combinations() -> dict[tuple[int, ...], FloatArray]:
     """Angles (3,), deg by powers of centuries, of the combinations that lines are named after."""
     multiples = product(range(-MAX_MULTIPLE, MAX_MULTIPLE + 1), repeat=5)
-    angles = {
-        m: np.array(m) @ DELAUNAY_ARCSEC / 3600.0
-        for m in multiples
-        if 0 < sum(map(abs, m)) <= MAX_ORDER
-    }
+    chosen = (m for m in multiples if 0 < sum(map(abs, m)) <= MAX_ORDER)
+    angles = {m: np.array(m) @ DELAUNAY_ARCSEC / 3600.0 for m in chosen}
     return {m: angle for m, angle in angles.items() if angle[1] > 0.0}
 
 

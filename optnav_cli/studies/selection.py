@@ -64,14 +64,11 @@ class Strategy:
 
 @dataclass(frozen=True)
 class SelectionRow:
-    """All strategies at one posting, and what chosen points gain over the others (95 %)."""
+    """All strategies at one posting, the chosen points last."""
 
     posting_m: float
     cells: int
     strategies: tuple[Strategy, ...]
-    over_random: Interval
-    over_harris: Interval
-    over_corner: Interval
 
 
 def run(progress: Progress, trials: int = 1000, seed: int = 1) -> list[SelectionRow]:
@@ -109,7 +106,9 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
             corner = _one_sun_harris(context, grounds, turn, CORNER_NODES)
             harris = _one_sun_harris(context, grounds, turn)
             for cell, ground in grounds.items():
-                drawn = _random(ground, [seed, cell, turn])
+                free = np.argwhere(ground.inside & ground.whole)
+                row, col = free[np.random.default_rng([seed, cell, turn]).integers(len(free))]
+                drawn = (float(ground.lat[row, col]), float(ground.lon[row, col]))
                 places = (drawn, corner[cell], harris[cell], chosen[cell])
                 for results, place in zip(outcomes.values(), places, strict=True):
                     results += _trials(context, place, [seed, cell, turn])
@@ -118,15 +117,7 @@ def one_posting(context: StageContext, progress: Progress, trials: int, seed: in
     strategies = tuple(
         summarise(name, results, limit, context.posting_m) for name, results in outcomes.items()
     )
-    random, corners, harris_points, best = strategies
-    return SelectionRow(
-        context.posting_m,
-        len(grounds),
-        strategies,
-        difference(best, random),
-        difference(best, harris_points),
-        difference(best, corners),
-    )
+    return SelectionRow(context.posting_m, len(grounds), strategies)
 
 
 def free_grounds(context: StageContext) -> dict[int, CellGround]:
@@ -136,20 +127,12 @@ def free_grounds(context: StageContext) -> dict[int, CellGround]:
         lat, lon = np.radians(context.grid.centre_deg(cell))
         if context.mosaic.covers(lat, lon, 8.0 * context.posting_m).all():
             ground = cell_ground(context, cell)
-            if ground is not None and _mostly_free(ground):
+            if ground is None:
+                continue
+            # whether there is a choice: cells on the terrain's edge leave the same places to all
+            if (ground.inside & ground.whole).sum() >= MIN_FREE * ground.inside.sum():
                 grounds[cell] = ground
     return grounds
-
-
-def _mostly_free(ground: CellGround) -> bool:
-    """Whether there is a choice: cells on the terrain's edge leave the same few places to all."""
-    return bool((ground.inside & ground.whole).sum() >= MIN_FREE * ground.inside.sum())
-
-
-def _random(ground: CellGround, seed: Sequence[int]) -> tuple[float, float]:
-    places = np.argwhere(ground.inside & ground.whole)
-    row, col = places[np.random.default_rng(seed).integers(len(places))]
-    return float(ground.lat[row, col]), float(ground.lon[row, col])
 
 
 def _one_sun_harris(
@@ -163,12 +146,8 @@ def _one_sun_harris(
     cells, places, scores = [], [], []
     for cell, ground in grounds.items():
         suns = suns_of(settings, np.degrees(ground.projection.lat))
-        picture = render_map(
-            ground.heights,
-            context.posting_m,
-            suns[turn % len(suns)],
-            radius_m=context.body.radius_m,
-        )
+        sun, radius_m = suns[turn % len(suns)], context.body.radius_m
+        picture = render_map(ground.heights, context.posting_m, sun, radius_m=radius_m)
         filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
         response = cv2.cornerHarris(filled, window or ground.window, 3, HARRIS_K)
         nodes = np.arange(ground.lat.shape[0]) * ground.step + ground.window // 2
@@ -189,16 +168,9 @@ def _trials(
     context: StageContext, place: tuple[float, float], seed: Sequence[int]
 ) -> list[Outcome]:
     """A round of trials at a place, under the circumstances of the check stage."""
-    return list(
-        outcomes_at(
-            context,
-            context.patches(*place),
-            *place,
-            seed=[*seed, len(seed)],
-            relief_seed=3 + sum(seed),  # neighbouring rounds see other relief
-            trials=SUNS,
-        )
-    )
+    patches, relief = context.patches(*place), 3 + sum(seed)  # neighbouring rounds see other relief
+    own = [*seed, len(seed)]
+    return list(outcomes_at(context, patches, *place, seed=own, relief_seed=relief, trials=SUNS))
 
 
 def summarise(
@@ -211,15 +183,9 @@ def summarise(
     mean = float(squares.mean()) if squares.size else float("nan")
     half = Z95 * float(squares.std()) / np.sqrt(max(squares.size, 1))
     ends = (mean, max(mean - half, 0.0), mean + half)
-    error = tuple(float(np.sqrt(value)) * posting_m for value in ends)
-    return Strategy(
-        name,
-        len(outcomes),
-        sum(good),
-        wilson(sum(good), len(outcomes)),
-        (error[0], error[1], error[2]),
-        sum(wrong) / max(len(outcomes), 1),
-    )
+    error, low, high = (float(np.sqrt(value)) * posting_m for value in ends)
+    rate, wrong_share = wilson(sum(good), len(outcomes)), sum(wrong) / max(len(outcomes), 1)
+    return Strategy(name, len(outcomes), sum(good), rate, (error, low, high), wrong_share)
 
 
 def wilson(successes: int, trials: int) -> Interval:
@@ -264,12 +230,9 @@ def report(rows: Sequence[SelectionRow]) -> StudyReport:
         for one in row.strategies:
             start = (row.posting_m, row.cells, one.name, one.trials)
             lines.append((*start, *_percent(one.rate), *one.error_m, 100.0 * one.wrong))
-        for over, gain in (
-            ("random", row.over_random),
-            ("one-Sun corner", row.over_corner),
-            ("one-Sun Harris", row.over_harris),
-        ):
-            gains.append((row.posting_m, over, *_percent(gain)))
+        *others, chosen = row.strategies
+        for other in others:
+            gains.append((row.posting_m, other.name, *_percent(difference(chosen, other))))
     tables = (
         StudyTable("strategies, 95 % intervals", COLUMNS, tuple(lines)),
         StudyTable("gain of recognition, 95 % intervals", GAIN_COLUMNS, tuple(gains)),
@@ -278,5 +241,5 @@ def report(rows: Sequence[SelectionRow]) -> StudyReport:
 
 
 def _percent(interval: Interval) -> Interval:
-    value, low, high = interval
-    return 100.0 * value, 100.0 * low, 100.0 * high
+    value, low, high = (100.0 * end for end in interval)
+    return value, low, high

@@ -7,8 +7,9 @@ version, commit and day. The same arguments give the same tables but for times o
 import json
 import re
 import subprocess
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 import catalog
+from catalog.arrays import FloatArray
 from catalog.errors import DataError
 
 Cell = str | int | float | None
@@ -143,13 +145,8 @@ class StudyReport:
         """The same with its origin: arguments, and the program and day of now."""
         given = {name: _plain(value) for name, value in arguments.items() if name != "output"}
         today = datetime.now(UTC).date().isoformat()
-        return replace(
-            self,
-            study=study,
-            arguments=given,
-            version=catalog.__version__,
-            commit=checkout_commit(),
-            date=today,
+        return StudyReport(
+            self.tables, self.notes, study, given, catalog.__version__, checkout_commit(), today
         )
 
     def write(self, path: Path) -> None:
@@ -184,15 +181,10 @@ class StudyReport:
             tables = content.pop("tables", None)
             if tables is None:
                 tables = [{key: content.pop(key) for key in ("title", "columns", "rows")}]
-            made = (
-                StudyTable(
-                    t["title"],
-                    tuple(StudyColumn(**c) for c in t["columns"]),
-                    tuple(map(tuple, t["rows"])),
-                )
-                for t in tables
-            )
-            return cls(tuple(made), tuple(content.pop("notes")), **content)
+            heads = (tuple(StudyColumn(**column) for column in t["columns"]) for t in tables)
+            rows = (tuple(map(tuple, t["rows"])) for t in tables)
+            made = tuple(map(StudyTable, (t["title"] for t in tables), heads, rows))
+            return cls(made, tuple(content.pop("notes")), **content)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise DataError(f"not the stored figures of a study: {error}") from None
 
@@ -219,11 +211,11 @@ def _plain(value: Any) -> Any:
 
 def tally(words: Sequence[str]) -> str:
     """How often each word occurs: "2 horizon, 1 control points"."""
-    counts = {word: list(words).count(word) for word in sorted(set(words))}
-    return ", ".join(f"{count} {word.replace('_', ' ')}" for word, count in counts.items())
+    counts = sorted(Counter(words).items())
+    return ", ".join(f"{count} {word.replace('_', ' ')}" for word, count in counts)
 
 
-def rms(values: Sequence[float]) -> float:
+def rms(values: Sequence[float] | FloatArray) -> float:
     """Root of the mean square, NaN of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 

@@ -62,7 +62,8 @@ def _pictures(work: Path) -> dict[str, ByteArray]:
     seen, run = work / "fisheye", work / "fisheye-run"
     simulate_folder(HERE / "fisheye.toml", seen, progress)
     navigate_folder(seen, [tycho], NavigateSettings(), "ncc", run, progress)
-    flown = apollo.run(work / "apollo", progress).run
+    apollo.run(work / "apollo", progress)
+    flown = work / "apollo" / "run-ncc"
     config = resource("configs/catalogs/tycho.toml")
     phobos = work / "phobos.gpkg"
     build = ["build", str(resource("configs/catalogs/phobos.toml")), "-o", str(phobos)]

@@ -96,7 +96,7 @@ def test_a_rough_globe_has_no_seam_and_goes_to_the_poles(heights, details):
     ground = WideGround(heights, RADIUS_M, SEAM, details).of(1).heights
     np.testing.assert_allclose(ground[2:-2, :4], ground[2:-2, -4:], atol=1e-2)
     assert abs(np.diff(ground[2:40], axis=1)).max() < 3000.0
-    change = abs(ground - WideGround(heights, RADIUS_M, SEAM, details)._finer().heights)
+    change = abs(ground - WideGround(heights, RADIUS_M, SEAM, details)._fine.heights)
     assert change[4:12].mean() > 5.0
     assert change[-12:-4].mean() > 5.0
 
@@ -132,7 +132,7 @@ def test_what_a_flight_cannot_see_stays_smooth(heights, details):
     camera = xyz_from_latlon(np.radians(-43.0), np.radians(-11.0), RADIUS_M + 100e3)
     globe = WideGround(heights, RADIUS_M, SEAM, details, [camera])
     whole = WideGround(heights, RADIUS_M, SEAM, details).of(1)
-    seen, smooth = globe.of(1), globe._finer()
+    seen, smooth = globe.of(1), globe._fine
     lat, lon = places(seen, np.arange(len(seen.heights)), np.arange(seen.heights.shape[1]))
     away = np.arccos(
         np.clip(xyz_from_latlon(lat, lon, 1.0) @ camera / np.linalg.norm(camera), -1, 1)

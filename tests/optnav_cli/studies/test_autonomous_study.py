@@ -81,11 +81,11 @@ def test_the_star_sensor_adds_its_part_to_a_limit_in_quadrature() -> None:
 def test_the_tables_say_what_is_solved_asked_and_wrong(tmp_path: Path) -> None:
     good, wrong = found([3.0, 6.0, 8.0]), found([0.0, 60.0, 0.0])
     row = LoopResult(ROWS[2], (good, wrong, missed()))
-    shares = (
+    shares = [
         ShareResult(SHARES[0], (good, missed()), (150.0, 160.0)),
         ShareResult(SHARES[1], (good, good), (139.0, 141.0)),
-    )
-    results = LoopResults((row,), shares)
+    ]
+    results = LoopResults([row], shares)
     cases, arcs = (table for table in report(results).tables)
     assert cases.column("case") == ["wide camera, 400 km"]
     assert (cases.column("solved"), cases.column("frames")) == ([2], [3])

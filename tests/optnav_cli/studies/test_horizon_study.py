@@ -14,8 +14,8 @@ from optnav_cli.studies.horizon import ROWS, HorizonResult, LimbFix, figures_of,
 
 def frame(ssp_m, nees, **values):
     return LimbFix(
-        "a.png", True, False, ssp_m=ssp_m, height_m=-10.0, range_share=1e-4,
-        direction_arcsec=3.0, nees=nees, arc_deg=300.0, seconds=0.2, **values,
+        True, False, ssp_m=ssp_m, height_m=-10.0, range_share=1e-4,
+        direction_arcsec=3.0, nees=nees, seconds=0.2, **values,
     )  # fmt: skip
 
 
@@ -29,7 +29,7 @@ def test_every_row_has_a_scenario_with_enough_pictures(row):
 
 
 def test_unsolved_frames_count_but_have_no_errors():
-    frames = [frame(30.0, 1.0), frame(40.0, 3.0), LimbFix("b.png", True, False, reason="dark")]
+    frames = [frame(30.0, 1.0), frame(40.0, 3.0), LimbFix(True, False, reason="dark")]
     figures = figures_of(frames)
     assert (figures.frames, figures.solved) == (3, 2)
     assert figures.ssp_rms_m == pytest.approx(np.sqrt(1250.0))
@@ -42,7 +42,7 @@ def test_unsolved_frames_count_but_have_no_errors():
 def test_the_table_names_what_is_asked_and_why_frames_failed():
     solved = figures_of([frame(30.0, 1.0)])
     poor = figures_of([frame(600.0, 1.0)])
-    none = figures_of([LimbFix("b.png", True, False, reason="no lit limb")])
+    none = figures_of([LimbFix(True, False, reason="no lit limb")])
     near = HorizonResult(ROWS[0], poor, solved, poor, solved)
     far = HorizonResult(ROWS[-1], poor, solved, poor, solved)
     dark = replace(near, terrain=none)

@@ -14,7 +14,7 @@ from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.portraits import Portraits
 from optnav_cli.simulation.scenario import load_scenario
-from optnav_cli.studies.phobos import ROWS, PhobosCase, PhobosResult, PhobosResults, report, run
+from optnav_cli.studies.phobos import ROWS, PhobosCase, PhobosResults, report, run
 from tests.optnav_cli.rows import solved, unsolved
 
 UTC = "2026-01-01T00:00:00Z"
@@ -55,12 +55,12 @@ def test_every_row_has_a_scenario_with_its_camera_and_prior(row: PhobosCase) -> 
 
 
 def test_the_table_says_what_is_found_asked_and_missed() -> None:
-    frames = (
+    frames = [
         found([-100.0, 6.0, 8.0], 50.0, 100e3),
         found([100.0, 0.0, 10.0], 50.0, 100e3),
         missed("no limb in view; and no frame before leads here"),
-    )
-    found_report = report(PhobosResults(ACCOUNT, (PhobosResult(ROWS[3], frames),)))
+    ]
+    found_report = report(PhobosResults(ACCOUNT, [(ROWS[3], frames)]))
     (table,) = found_report.tables
     shown = {c.name: c.shown(cell) for c, cell in zip(table.columns, table.rows[0], strict=True)}
     assert "266 of 412 points usable, 90 s (≤ 180)" in found_report.notes[0]
@@ -74,7 +74,7 @@ def test_the_table_says_what_is_found_asked_and_missed() -> None:
 
 
 def test_a_row_without_solutions_says_so() -> None:
-    text = report(PhobosResults(ACCOUNT, (PhobosResult(ROWS[-1], (missed("dark"),)),))).to_text()
+    text = report(PhobosResults(ACCOUNT, [(ROWS[-1], [missed("dark")])])).to_text()
     assert "none solved" in text
     assert "1 not solved: dark" in text
 

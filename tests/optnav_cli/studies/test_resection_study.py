@@ -34,7 +34,7 @@ def test_a_free_attitude_costs_four_times_at_80_and_over_ten_at_40_degrees(angle
 
 def test_the_picture_has_a_curve_for_every_number_of_points():
     rows = [
-        ResectionRow(n, angle, free, 0.5, 2.0, 1.0, 10)
+        ResectionRow(n, angle, free, 0.5, 2.0)
         for n, angle, free in itertools.product(COUNTS, ANGLES_DEG, (False, True))
         if n >= 4 or not free
     ]

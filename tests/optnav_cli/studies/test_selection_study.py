@@ -41,8 +41,7 @@ def test_only_accepted_places_near_the_truth_are_recognised():
 def test_the_table_names_strategies_gains_and_intervals():
     one = summarise("chosen", outcomes(90, 10), 1.5, 118.0)
     other = summarise("random", outcomes(70, 30), 1.5, 118.0)
-    gain = difference(one, other)
-    strategies, gains = report([SelectionRow(118.0, 7, (other, one), gain, gain, gain)]).tables
+    strategies, gains = report([SelectionRow(118.0, 7, (other, one))]).tables
     assert [row[:3] for row in strategies.rows] == [(118.0, 7, "random"), (118.0, 7, "chosen")]
     assert dict(zip(gains.column("over"), gains.column("gain")))["random"] == pytest.approx(20.0)
 
