@@ -25,7 +25,6 @@ from catalog.bodies.epochs import DAY_S
 from catalog.geometry.kernel import kernel
 from catalog.geometry.rotations import ARCSEC
 
-Axes = tuple[float, float, float]
 Series = tuple[FloatArray, FloatArray, FloatArray]  # slow part, angles and amplitudes of terms
 
 CENTURY_S = 36525.0 * DAY_S
