@@ -120,7 +120,9 @@ def shade(
 
 
 @kernel
-def shade_node(ground: Ground, i: int, j: int, light: Light) -> float:
+def shade_node(
+    ground: Ground, i: int, j: int, sun: FloatArray, camera: FloatArray, surface: HapkeParameters
+) -> float:
     """Radiance factor of a node in full sunlight."""
     h = ground.heights
     rows, cols = h.shape
@@ -129,6 +131,7 @@ def shade_node(ground: Ground, i: int, j: int, light: Light) -> float:
     south_rate = (h[b, j] - h[a, j]) / (b - a)
     east_rate = (h[i, d] - h[i, c]) / (d - c)
     lat, lon = ground.north - i * ground.step_lat, ground.west + j * ground.step_lon
+    light = Light(sun, camera, surface)
     return shade(ground, lat, lon, float(h[i, j]), south_rate, east_rate, light)
 
 
@@ -161,7 +164,13 @@ def light_blocks(
 
 @parallel_kernel
 def shade_blocks(
-    ground: Ground, light: Light, wanted: ByteArray, lit: ByteArray, out: Float32Array
+    ground: Ground,
+    sun: FloatArray,
+    camera: FloatArray,
+    surface: HapkeParameters,
+    wanted: ByteArray,
+    lit: ByteArray,
+    out: Float32Array,
 ) -> None:
     """Radiance factors of the nodes in wanted blocks (1), cast shadows included, into `out`."""
     rows, cols = ground.heights.shape
@@ -173,5 +182,6 @@ def shade_blocks(
                 for j in range(bj * BLOCK, min((bj + 1) * BLOCK, cols)):
                     value = 0.0
                     if lit[i, j] > 0:
-                        value = shade_node(ground, i, j, light) * lit[i, j] / 255.0
+                        value = shade_node(ground, i, j, sun, camera, surface) * lit[i, j]
+                        value /= 255.0
                     out[i, j] = np.float32(value)

@@ -50,13 +50,13 @@ class View(NamedTuple):
 class Shading(NamedTuple):
     """Brightness of the grounds of a picture.
 
-    light     the Sun, the camera and the surface
+    sun       (3,) unit vector, body frame
     fine      (rows, cols) radiance factors of the fine ground's nodes, NaN where not computed
     wide_lit  lit shares of the wide ground's nodes, 0..255
     missing   receives 1 in the fine ground's blocks that a ray met and that are not computed
     """
 
-    light: Light
+    sun: FloatArray
     fine: Float32Array
     wide_lit: ByteArray
     missing: ByteArray
@@ -107,7 +107,6 @@ class Scene:
         shape = corners.shape[0] - 1, corners.shape[1] - 1
         distance, row, col = (np.zeros(shape, np.float32) for _ in range(3))
         view, aside = View(origin, corners), (samples, limb_samples)
-        light = Light(self.sun, origin, self.surface)
         hits = Hits(np.zeros(shape, np.uint8), distance, row, col)
         first_hits(self.fine, self.wide, view, hits)
 
@@ -118,20 +117,23 @@ class Scene:
         shaded = np.full(self.fine.heights.shape, np.nan, np.float32)
         out = np.full(shape, np.nan, np.float32)
         while True:
-            # blocks that an earlier picture lit stay lit
-            self._fine_wanted[(wanted == 1) & (self._fine_wanted == 0)] = 1
-            grounds = self.fine, self.between, self._around
-            light_blocks(*grounds, self.sun, self._fine_wanted, self._fine_lit)
-            shade_blocks(self.fine, light, wanted, self._fine_lit, shaded)
+            self._shade(wanted, origin, shaded)
             missing = np.zeros_like(wanted)
-            shading = Shading(light, shaded, self._wide_lit, missing)
-            mean_radiance(self.fine, self.wide, view, hits, shading, aside, out)
+            shading = Shading(self.sun, shaded, self._wide_lit, missing)
+            mean_radiance(self.fine, self.wide, self.surface, view, hits, shading, aside, out)
             # between the middles of pixels a few rays find ground that these did not see
             if not missing.any():
                 return out
             done = wanted.astype(bool)
             add_with_neighbours(missing, wanted)
             wanted[done] = 0
+
+    def _shade(self, wanted: ByteArray, origin: FloatArray, shaded: Float32Array) -> None:
+        # blocks that an earlier picture lit stay lit
+        self._fine_wanted[(wanted == 1) & (self._fine_wanted == 0)] = 1
+        grounds = self.fine, self.between, self._around
+        light_blocks(*grounds, self.sun, self._fine_wanted, self._fine_lit)
+        shade_blocks(self.fine, self.sun, origin, self.surface, wanted, self._fine_lit, shaded)
 
 
 def _masks(ground: Ground) -> tuple[ByteArray, ByteArray]:
@@ -214,7 +216,15 @@ def add_with_neighbours(seen: ByteArray, wanted: ByteArray) -> None:
 
 
 @kernel
-def _wide_radiance(wide: Ground, row: float, col: float, lit: ByteArray, light: Light) -> float:
+def _wide_radiance(
+    wide: Ground,
+    row: float,
+    col: float,
+    lit: ByteArray,
+    sun: FloatArray,
+    camera: FloatArray,
+    surface: HapkeParameters,
+) -> float:
     h = wide.heights
     r, c = min(int(row), h.shape[0] - 2), min(int(col), h.shape[1] - 2)
     y, x = row - r, col - c
@@ -226,7 +236,10 @@ def _wide_radiance(wide: Ground, row: float, col: float, lit: ByteArray, light: 
     east_rate = bicubic_at(h, row, col + 0.5) - bicubic_at(h, row, col - 0.5)
     lat, lon = wide.north - row * wide.step_lat, wide.west + col * wide.step_lon
     height = bicubic_at(h, row, col)
-    return float(shade(wide, lat, lon, height, south_rate, east_rate, light) * (free / 255.0))
+    light = Light(sun, camera, surface)
+    value: float = shade(wide, lat, lon, height, south_rate, east_rate, light)
+    value *= free / 255.0
+    return value
 
 
 @kernel
@@ -271,6 +284,7 @@ def _smooth_at(kind: ByteArray, row: Float32Array, col: Float32Array, i: int, j:
 def mean_radiance(
     fine: Ground,
     wide: Ground,
+    surface: HapkeParameters,
     view: View,
     hits: Hits,
     shading: Shading,
@@ -283,7 +297,7 @@ def mean_radiance(
     A pixel that sees a node without brightness stays NaN; the node's block is marked as missing.
     """
     kind, distance, row, col = hits.kind, hits.distance, hits.row, hits.col
-    light, shaded, wide_lit, missing = shading
+    sun, shaded, wide_lit, missing = shading.sun, shading.fine, shading.wide_lit, shading.missing
     origin, corners = view.origin, view.corners
     posting = fine.step_lat * fine.radius_m
     for i in numba.prange(kind.shape[0]):
@@ -312,5 +326,5 @@ def mean_radiance(
                             missing[int(r) // BLOCK, int(c) // BLOCK] = 1
                         total += value
                     elif k == WIDE:
-                        total += _wide_radiance(wide, r, c, wide_lit, light)
+                        total += _wide_radiance(wide, r, c, wide_lit, sun, origin, surface)
             out[i, j] = np.float32(total / (n * n))

@@ -83,10 +83,7 @@ def means_over_footprints(
         wide = min(column_scale[i] * columns_wide, widest)
         along = samples_across(wide, MAX_COLUMNS)
         if down == 1 and along == 1:
-            # bilinear beside holes and borders, NaN outside
-            inside = 1.0 <= row < window.shape[0] - 2.0 and 1.0 <= col < window.shape[1] - 2.0
-            value = _cubic(window, row, col) if inside else np.nan
-            out[i] = value if value == value else bicubic_at(window, row, col)
+            out[i] = _single(window, row, col)
             continue
         if not (row == row and col == col):  # a place that the raster's projection cannot show
             out[i] = np.nan
@@ -120,6 +117,16 @@ def means_over_footprints(
 def samples_across(wide: float, most: int) -> int:
     """Samples over a footprint some pixels wide."""
     return int(min(max(1.0, np.floor(wide + 0.5)), most))
+
+
+@kernel
+def _single(window: Float32Array, row: float, col: float) -> float:
+    """One cubic sample; bilinear beside holes and borders, NaN outside."""
+    if 1.0 <= row < window.shape[0] - 2.0 and 1.0 <= col < window.shape[1] - 2.0:
+        value = _cubic(window, row, col)
+        if value == value:
+            return value
+    return bicubic_at(window, row, col)
 
 
 @kernel
