@@ -121,12 +121,20 @@ def shortlists(context: StageContext, cells: Sequence[int]) -> dict[int, Shortli
             for group in _groups(zone, spans):
                 found.update(_swept(context, mosaic, zone, group))
     for cell in asked.tolist():
-        ground = None if cell in found else cell_ground(context, cell)
-        if ground is not None:
-            peaks = strongest_of(context, cell, ground)
-            places = np.array([(ground.lat[peak], ground.lon[peak]) for peak in peaks])
-            found[cell] = Shortlist(places, ground.complete)
+        alone = None if cell in found else _alone(context, cell)
+        if alone is not None:
+            found[cell] = alone
     return {cell: found[cell] for cell in asked.tolist() if cell in found}
+
+
+def _alone(context: StageContext, cell: int) -> Shortlist | None:
+    """The shortlist from a cell's own map grid."""
+    ground = cell_ground(context, cell)
+    if ground is None:
+        return None
+    peaks = strongest_of(context, cell, ground)
+    places = np.array([(ground.lat[peak], ground.lon[peak]) for peak in peaks])
+    return Shortlist(places, ground.complete)
 
 
 def _zone_of(context: StageContext, bands: IntArray) -> IntArray:
