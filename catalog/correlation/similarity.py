@@ -8,14 +8,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import (
-    Filtered,
-    cropped,
-    filtered,
-    high_pass,
-    match_in,
-    match_ncc,
-)
+from catalog.correlation.ncc import Filtered, cropped, filtered, high_pass, match_in, match_ncc
 from catalog.correlation.peak import Match
 
 
@@ -120,13 +113,9 @@ def _window_contrast(image: Filtered, size: int) -> Float32Array:
     """Root of summed squared differences to the mean of square windows; infinite without any."""
     count = image.values.shape[0] - size + 1
     mean, square = (
-        box(
-            image.values,
-            cv2.CV_64F,
-            (size, size),
-            anchor=(0, 0),
-            borderType=cv2.BORDER_CONSTANT,
-        )[:count, :count]
+        box(image.values, cv2.CV_64F, (size, size), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[
+            :count, :count
+        ]
         for box in (cv2.boxFilter, cv2.sqrBoxFilter)
     )
     variance = square - mean * mean

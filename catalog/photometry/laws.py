@@ -97,11 +97,7 @@ def _reflectance_flat(cosines: FloatArray, law: SurfaceLaw) -> FloatArray:
 
 
 def _reflectance(
-    number: int,
-    mu0: ArrayLike,
-    mu: ArrayLike,
-    cos_phase: ArrayLike,
-    albedo: float = NORMAL_ALBEDO,
+    number: int, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike, albedo: float = NORMAL_ALBEDO
 ) -> FloatArray:
     """Radiance factor by a simple law; zero where mu0 <= 0 or mu <= 0.
 

@@ -60,10 +60,7 @@ class Resection:
 
 
 def resect(
-    camera: ProjectingCamera,
-    sightings: Sightings,
-    start: Pose,
-    attitude_sigma_rad: float | None,
+    camera: ProjectingCamera, sightings: Sightings, start: Pose, attitude_sigma_rad: float | None
 ) -> Estimate[Pose]:
     """Solve for the pose that explains the sightings best.
 
