@@ -1,7 +1,6 @@
 """What a long piece of work tells about how far it is; who shows it is decided elsewhere."""
 
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 
@@ -29,16 +28,13 @@ class Progress(Protocol):
 
 
 class _SilentStage:
-    def advance(self, n: int = 1, note: str = "") -> None:
-        return None
+    def advance(self, n: int = 1, note: str = "") -> None: ...
 
-    def keep(self, n: int) -> None:
-        return None
+    def keep(self, n: int) -> None: ...
 
 
 class SilentProgress:
     """Shows nothing; for library callers, workers and tests."""
 
-    @contextmanager
-    def stage(self, name: str, total: int, unit: str) -> Iterator[Stage]:
-        yield _SilentStage()
+    def stage(self, name: str, total: int, unit: str) -> AbstractContextManager[Stage]:
+        return nullcontext(_SilentStage())

@@ -29,8 +29,9 @@ class Method(StrEnum):
 
     @property
     def label(self) -> str:
-        """The name in a sentence."""
-        return self.value.replace("_", " ")
+        """The name for people."""
+        smooth = self is Method.HORIZON_SPHERE
+        return "horizon of a smooth body" if smooth else self.value.replace("_", " ")
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,27 +11,21 @@ from scipy.stats import chi2
 from catalog.arrays import FloatArray
 from catalog.errors import DifferenceError, NothingToDoError
 from optnav_cli.evaluation.motion import Forward
-from optnav_cli.fix import Solution
+from optnav_cli.fix import Method, Solution
 
-METHODS = {
-    "brightness_centre": "brightness centre",
-    "horizon_sphere": "horizon, smooth body",
-    "horizon": "horizon",
-    "control_points": "control points",
-}
+FROM_AFAR = tuple(reversed(Method))  # as an approaching craft uses them
 STATED_SIGMAS = 3.0
 CONFIDENCE = 0.95
 
 
 def method_words(method: str) -> str:
     """A method's name for people; a name that is not known stays as it is."""
-    return METHODS.get(method, method.replace("_", " ") or "unnamed")
+    return Method(method).label if method in FROM_AFAR else method or "unnamed"
 
 
 def method_rank(method: str) -> tuple[int, str]:
     """By which methods are ordered: from afar to near, unknown ones last."""
-    names = list(METHODS)
-    return (names.index(method) if method in names else len(names), method)
+    return (FROM_AFAR.index(Method(method)) if method in FROM_AFAR else len(FROM_AFAR), method)
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,12 +86,7 @@ SOLUTION = CsvTable(
         _number("height_m", "height above the body's reference sphere", "m", "z.4f"),
         *(PREDICTED, MATCHED, USED),
         _number("residual_rms_px", "rms of the residuals, a coordinate", "px", "z.5f"),
-        _text(
-            "prior",
-            "where the search for control points began: frames.csv, a method, a camera "
-            "of the same time, an orbit arc",
-            empty=True,
-        ),
+        _text("prior", "where the search began: frames.csv, a method, camera or arc", empty=True),
         _count("n_limb", "limb points that the solution rests on"),
         _number("arc_deg", "of the limb that they cover, about the nadir", "deg", "z.2f"),
         *(REASON, REASON_CODE),
@@ -131,12 +126,7 @@ EVALUATION = CsvTable(
         _number("range_sigma_percent", "its stated sigma", "%", "z.6f"),
         _number("direction_error_arcsec", "error of the direction to the centre", "arcsec", "z.4f"),
         _number("direction_sigma_arcsec", "its stated rms", "arcsec", "z.4f"),
-        _number(
-            "normalised_error_squared",
-            "error squared over the stated covariance; 3 expected",
-            "",
-            "z.6f",
-        ),
+        _number("normalised_error_squared", "over its covariance; 3 is expected", "", "z.6f"),
         _number("attitude_error_arcsec", "angle of the attitude's error", "arcsec", "z.4f"),
         *(PREDICTED, MATCHED, USED),
         _count("n_wrong", "of these, more than 3 px from the truth"),
