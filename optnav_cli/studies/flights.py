@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.build import build
+from catalog.build.ingest import Bbox
 from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.geometry.rotations import ARCSEC
@@ -23,7 +24,6 @@ from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.options import BoundingBox
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
@@ -86,9 +86,7 @@ def navigated(
     return tuple(evaluate_run(place, pictures / "truth.csv").frames)
 
 
-def built_catalog(
-    config: Path, text: str, progress: Progress, bbox: BoundingBox | None = None
-) -> Path:
+def built_catalog(config: Path, text: str, progress: Progress, bbox: Bbox | None = None) -> Path:
     """The catalog beside a build configuration that is written with this text."""
     # left alone when it is right, so that rows can run side by side in one folder
     if not (config.is_file() and config.read_text(encoding="utf-8") == text):

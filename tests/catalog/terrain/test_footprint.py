@@ -192,14 +192,14 @@ def test_polar_cells_cost_less_than_thrice_the_others(shared_data, tmp_path, moo
 
     def cost(lat_deg: float) -> float:
         projection = Stereographic(np.radians(lat_deg), 0.2, moon.radius_m)
-        spent = []
-        for _ in range(7):
-            started = time.process_time()
-            mosaic.local_grid(projection, mosaic.posting_m, 160)
-            spent.append(time.process_time() - started)
-        return min(spent)
+        started = time.process_time()
+        mosaic.local_grid(projection, mosaic.posting_m, 160)
+        return time.process_time() - started
 
-    usual = cost(-40.0)
-    assert usual < 1.5e-3
-    assert max(cost(lat_deg) for lat_deg in (-65.0, -76.0, -83.0)) < 3.0 * usual
-    assert max(cost(lat_deg) for lat_deg in (-87.0, -89.5, 90.0)) < 4.5 * usual
+    usual, high, polar = -40.0, (-65.0, -76.0, -83.0), (-87.0, -89.5, 90.0)
+    # in turns, so that all of them meet the same load of the machine
+    rounds = [[cost(lat) for lat in (usual, *high, *polar)] for _ in range(30)]
+    least = dict(zip((usual, *high, *polar), np.min(rounds, axis=0), strict=True))
+    assert least[usual] < 1.5e-3
+    assert max(least[lat] for lat in high) < 3.0 * least[usual]
+    assert max(least[lat] for lat in polar) < 4.5 * least[usual]
