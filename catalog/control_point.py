@@ -47,7 +47,7 @@ class Patch:
 class ControlPoint:
     """One control point with its certificate; patches are loaded apart.
 
-    localisation_px      predicted 1-sigma match error, nodes of the finest level, worst direction
+    localisation_nodes   predicted 1-sigma match error, nodes of the finest level, worst direction
     hessian_eigenvalue   smallest eigenvalue, worst Sun azimuth, of the summed products of second
                          differences of height/posting over the finest template (dimensionless)
     recognition_rate     share of passed recognition trials, of `trials`
@@ -62,7 +62,7 @@ class ControlPoint:
     lat_deg: float
     lon_deg: float
     radius_m: float
-    localisation_px: float
+    localisation_nodes: float
     hessian_eigenvalue: float
     recognition_rate: float
     trials: int

@@ -66,7 +66,7 @@ class Certificate:
         fine = [np.isnan(patch.heights_m).mean() for patch in patches[: cell_map.FINE_LEVELS]]
         if max(fine) > cell_map.MAX_MISSING:
             flags |= Flag.NO_DATA
-        if not place.localisation_px <= settings.max_localisation_px:
+        if not place.localisation_nodes <= settings.max_localisation_nodes:
             flags |= Flag.FLAT
         if self.spacing < 1.0:
             flags |= Flag.CROWDED
@@ -222,7 +222,7 @@ def _point(context: StageContext, found: Certificate) -> ControlPoint:
         lat_deg=place.lat_deg,
         lon_deg=place.lon_deg,
         radius_m=context.body.radius_m + height_m,
-        localisation_px=place.localisation_px,
+        localisation_nodes=place.localisation_nodes,
         hessian_eigenvalue=place.hessian_eigenvalue,
         recognition_rate=found.recognition_rate,
         trials=found.trials,

@@ -99,7 +99,7 @@ class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[check].
 
     places               of a cell that are tried at most
-    max_localisation_px  predicted error above which a place is called flat
+    max_localisation_nodes            predicted error above which a place is called flat
     search_km            where a rival may stand at the coarsest level
     min_margin           least uniqueness margin over all levels
     max_shadowed         share of Suns under which foreign shadows may reach the patch
@@ -116,7 +116,7 @@ class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     places: Annotated[int, msgspec.Meta(ge=1)] = 3
-    max_localisation_px: Positive = 3.0
+    max_localisation_nodes: Positive = 3.0
     search_km: Positive = 10.0
     min_margin: Share = 0.05
     max_shadowed: Share = 0.75

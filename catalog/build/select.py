@@ -15,12 +15,12 @@ from catalog.selection.spacing import choose_spaced
 class Place(msgspec.Struct, frozen=True):
     """A candidate that may become a cell's point.
 
-    localisation_px  predicted 1-sigma error: the percentile over Suns, worst over levels, nodes
+    localisation_nodes  predicted 1-sigma error: the percentile over Suns, worst over levels, nodes
     """
 
     lat_deg: float
     lon_deg: float
-    localisation_px: float
+    localisation_nodes: float
     hessian_eigenvalue: float
     missing: float
 
@@ -47,7 +47,7 @@ def select(context: StageContext, records: Sequence[RenderedCell]) -> list[Selec
         np.array([place.lat_deg for place in places]),
         np.array([place.lon_deg for place in places]),
         # places with holes in their fine patches come after all others
-        np.array([place.localisation_px + 1e6 * (place.missing > MAX_MISSING) for place in places]),
+        np.array([p.localisation_nodes + 1e6 * (p.missing > MAX_MISSING) for p in places]),
         settings.spacing_cell * context.grid.step_deg,
     )
     return [
@@ -68,7 +68,7 @@ def _places(record: RenderedCell, percentile: float) -> list[Place]:
         Place(
             lat_deg=candidate.lat_deg,
             lon_deg=candidate.lon_deg,
-            localisation_px=error,
+            localisation_nodes=error,
             hessian_eigenvalue=candidate.hessian_eigenvalue,
             missing=max(candidate.missing),
         )

@@ -27,7 +27,7 @@ from catalog.jobs.workers import Workers
 from catalog.jobs.workspace import Workspace
 from catalog.progress import Progress
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
-from catalog.store.manifest import PLAIN_VERSION, PLANES_VERSION, CatalogMeta, PlanesMeta
+from catalog.store.manifest import CatalogMeta, PlanesMeta
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
@@ -110,7 +110,6 @@ def write(
         posting_m=context.posting_m,
         height_step_m=context.config.write.steps_m(context.postings_m)[0],
         planes=planes,
-        format_version=PLAIN_VERSION if planes is None else PLANES_VERSION,
         sources=dict(extras.sources),
         config=extras.config_text,
         software=f"optnav {catalog.__version__}",

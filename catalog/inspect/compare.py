@@ -26,7 +26,7 @@ from catalog.store.reader import Catalog
 CONTENT = ("body", "radius_m", "cell_deg", "levels", "size", "posting_m", "height_step_m")
 OF_THE_MOMENT = ("software", "created_utc")
 NOTHING = "none"
-SCORES = ("localisation_px", "hessian_eigenvalue", "recognition_rate", "trials")
+SCORES = ("localisation_nodes", "hessian_eigenvalue", "recognition_rate", "trials")
 LISTS = ("uniqueness", "shadow_limit_deg")  # shown by their largest difference
 CERTIFICATE = SCORES + LISTS
 

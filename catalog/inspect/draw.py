@@ -94,7 +94,7 @@ def _head(picture: ByteArray, pyramid: Pyramid) -> None:
     tried = f"recognised in {point.recognition_rate:.0%} of {point.trials} trials"
     second = (
         f"{tried if point.trials else 'never tried'}   "
-        f"localisation {point.localisation_px:.3f} px   north up   "
+        f"localisation {point.localisation_nodes:.3f} nodes   north up   "
         f"Sun azimuth {SUN_AZIMUTH_DEG:.0f}, elevation {SUN_ELEVATION_DEG:.0f} deg"
     )
     _write(picture, first, GAP_PX, 24, 0.55)

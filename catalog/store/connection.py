@@ -19,7 +19,7 @@ from urllib.parse import quote
 
 from catalog.errors import DataError
 from catalog.store.manifest import COUNTER_DIGITS, OPEN_SEAL, SEAL, CatalogMeta, meta_from_rows
-from catalog.store.schema import META, PAGE_SIZE, POINT_COLUMNS, POINTS
+from catalog.store.schema import FORMER_POINT_COLUMNS, META, PAGE_SIZE, POINT_COLUMNS, POINTS
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 SIDECARS = ("-wal", "-shm", "-journal")
@@ -113,7 +113,8 @@ def is_points_file(path: Path) -> bool:
             meta = db.execute(f"SELECT name FROM pragma_table_info('{META}')").fetchall()
     except sqlite3.Error:
         return False
-    return tuple(name for (name,) in points) == POINT_COLUMNS and not meta
+    columns = tuple(name for (name,) in points)
+    return columns in (POINT_COLUMNS, FORMER_POINT_COLUMNS) and not meta
 
 
 def live_log(path: Path) -> Path | None:

@@ -17,10 +17,7 @@ from catalog.errors import DataError
 from catalog.geometry.projection import FLAT_RADIUS_M, MapProjection
 
 FORMAT = "optnav catalog"
-FORMAT_VERSION = 3  # that this program reads up to
-# A catalog without a relief is written as format 1, to the byte as before there were reliefs.
-# Patches in planes are format 3: a program that took them for a sphere's would go astray.
-PLAIN_VERSION, RELIEF_VERSION, PLANES_VERSION = 1, 2, 3
+FORMAT_VERSION = 4  # that is written; this program reads up to it
 PROJECTION = "oblique stereographic on the sphere of radius_m, centred on the point, k0 = 1"
 PLANES = (
     "the plane that touches the ellipsoid of semi-axes radii_m below the point: x east, y north, "
@@ -104,7 +101,7 @@ class CatalogMeta:
     count: int = 0
     usable: int = 0
     digest: str = ""
-    format_version: int = PLAIN_VERSION
+    format_version: int = FORMAT_VERSION
     relief: ReliefMeta | None = None
     planes: PlanesMeta | None = None
     seal: str = field(default="", compare=False)

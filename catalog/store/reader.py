@@ -25,10 +25,10 @@ from catalog.store.schema import (
     HEIGHT_LAYER,
     PATCH_COLUMNS,
     PATCHES,
-    POINT_COLUMNS,
     POINTS,
     RECORDS,
     patch_key,
+    select_points,
     srs_of,
 )
 from catalog.terrain.relief.relief import GlobalRelief
@@ -241,7 +241,7 @@ def feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -
     srs_id = srs_of(meta.body, meta.radius_m)[0]
     good: dict[int, Record] = {}
     try:
-        for row in db.execute(f"SELECT {', '.join(POINT_COLUMNS)} FROM {POINTS} ORDER BY id"):
+        for row in db.execute(f"{select_points(meta)} ORDER BY id"):
             try:
                 record = record_from_row(row, meta.levels, meta.point_sources, srs_id)
             except DataError as error:

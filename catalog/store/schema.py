@@ -69,7 +69,7 @@ CREATE TABLE {POINTS} (
   id INTEGER PRIMARY KEY NOT NULL, {GEOMETRY} POINT NOT NULL,
   lat_deg DOUBLE NOT NULL, lon_deg DOUBLE NOT NULL, radius_m DOUBLE,
   usable BOOLEAN NOT NULL, flags INTEGER NOT NULL, reasons TEXT NOT NULL,
-  localisation_px DOUBLE, hessian_eigenvalue DOUBLE, recognition_rate DOUBLE,
+  localisation_nodes DOUBLE, hessian_eigenvalue DOUBLE, recognition_rate DOUBLE,
   trials INTEGER NOT NULL, uniqueness_min DOUBLE, uniqueness TEXT NOT NULL,
   shadow_limit_max_deg DOUBLE, shadow_limit_deg TEXT NOT NULL,
   source TEXT NOT NULL, levels INTEGER NOT NULL, checksum INTEGER NOT NULL);
@@ -97,6 +97,17 @@ def _columns(statement: str) -> tuple[str, ...]:
 
 POINT_COLUMNS, PATCH_COLUMNS = _columns(_POINT_TABLE), _columns(_PATCH_TABLE)
 RELIEF_COLUMNS = _columns(RELIEF_TABLE)
+# Up to format 3 the error, in nodes as now, stood under the name of another unit.
+FORMER_POINT_COLUMNS = tuple(
+    "localisation_px" if name == "localisation_nodes" else name for name in POINT_COLUMNS
+)
+
+
+def select_points(meta: CatalogMeta) -> str:
+    """The start of a query for the feature layer: rows in the order of POINT_COLUMNS."""
+    columns = POINT_COLUMNS if meta.format_version > 3 else FORMER_POINT_COLUMNS
+    return f"SELECT {', '.join(columns)} FROM {POINTS}"
+
 
 # The triggers that the extension gpkg_rtree_index wants, so that programs which edit a copy of
 # the layer keep its index; they call functions that only GIS programs have.

@@ -25,11 +25,11 @@ from catalog.store.schema import (
     APPLICATION_ID,
     HEIGHT_LAYER,
     PATCHES,
-    POINT_COLUMNS,
     POINTS,
     RELIEF,
     RTREE,
     patch_key,
+    select_points,
     service_rows,
     srs_of,
 )
@@ -133,12 +133,12 @@ def _features(
 ) -> None:
     """The feature layer and its R-tree must say the same as the packed points."""
     srs_id = srs_of(meta.body, meta.radius_m)[0]
-    columns = ", ".join(POINT_COLUMNS)
+    select = f"{select_points(meta)} WHERE id = ?"
     for record in records:
         number = int(record["id"])
         place = f"{POINTS} {number}"
         try:
-            row = db.execute(f"SELECT {columns} FROM {POINTS} WHERE id = ?", (number,)).fetchone()
+            row = db.execute(select, (number,)).fetchone()
             if row is None:
                 found.add(place, "is missing")
                 continue

@@ -14,7 +14,7 @@ from catalog.files import replacing_file
 from catalog.geometry.cells import CellGrid
 from catalog.store.connection import SIDECARS, is_catalog_file, put_seal
 from catalog.store.index import CELL_SLACK_DEG
-from catalog.store.manifest import RELIEF_VERSION, CatalogMeta, rows_from_meta
+from catalog.store.manifest import CatalogMeta, rows_from_meta
 from catalog.store.patches import PreparedPoint, catalog_digest, point_digest
 from catalog.store.records import (
     Record,
@@ -73,8 +73,7 @@ def write_catalog(
             create_tables(db)
             if relief is not None:
                 db.execute(RELIEF_TABLE)
-                version = max(meta.format_version, RELIEF_VERSION)
-                meta = replace(meta, relief=relief.meta, format_version=version)
+                meta = replace(meta, relief=relief.meta)
             meta = _fill(db, meta, points, relief.rows if relief is not None else ())
             db.execute("COMMIT")
         put_seal(partial)

@@ -192,7 +192,7 @@ def _arranged(drawings: Sequence[Markup], whole: bool) -> Markup:
 
 def titles_of(catalog: Catalog, kinds: IntArray) -> list[str]:
     """What the pointer shows of each point; kinds (n,) as of `first_reasons`."""
-    scores = catalog.records["localisation_px"]
+    scores = catalog.records["localisation_nodes"]
     return [
         f"{point}: {POINT_WORDS[kind]}, predicted error {score:.2f} nodes"
         for point, kind, score in zip(catalog.ids.tolist(), kinds.tolist(), scores, strict=True)

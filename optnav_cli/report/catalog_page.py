@@ -73,7 +73,7 @@ def quantities(catalog: Catalog) -> list[Quantity]:
             "Localisation", "predicted match error, nodes",
             "Predicted match error, 1 sigma in the worst direction, in nodes of the finest level; "
             "less is better.",
-            _finite(records["localisation_px"]), False, ".3g", log=True,
+            _finite(records["localisation_nodes"]), False, ".3g", log=True,
         ),
         Quantity(
             "Recognition", "recognised share of the trials",
@@ -133,7 +133,7 @@ def _main_numbers(catalog: Catalog) -> Markup:
         values.append((f"{count / len(catalog):.1%}", "of the points usable"))
     values += [(f"{meta.cell_deg:g}°", "cell"), (f"{meta.posting_m:.4g} m", "finest posting")]
     for column, name, form in (
-        ("localisation_px", "predicted match error, nodes (median)", "{:.2f}"),
+        ("localisation_nodes", "predicted match error, nodes (median)", "{:.2f}"),
         ("recognition_rate", "recognised in trials (mean)", "{:.1%}"),
     ):
         scores = catalog.records[column][usable]
@@ -243,7 +243,7 @@ def _extreme(values: Float32Array, pick: np.ufunc) -> FloatArray:
 
 def gallery(catalog: Catalog) -> Markup:
     """Chosen points with all their levels; "" for a catalog without points."""
-    scores = np.asarray(catalog.records["localisation_px"], np.float64)
+    scores = np.asarray(catalog.records["localisation_nodes"], np.float64)
     rows = np.flatnonzero(catalog.usable & np.isfinite(scores))
     order = rows[np.argsort(scores[rows], kind="stable")]
     best = order[:SHOWN]
@@ -270,7 +270,7 @@ def gallery(catalog: Catalog) -> Markup:
 def _point(catalog: Catalog, row: int) -> Markup:
     record, point = catalog.records[row], int(catalog.ids[row])
     tried, rate = int(record["trials"]), 100.0 * record["recognition_rate"]
-    error = float(record["localisation_px"])
+    error = float(record["localisation_nodes"])
     words = [
         f"Point {point} at {catalog.lat_deg[row]:.3f}°, {catalog.lon_deg[row]:.3f}°",
         f"predicted error {error:.2f} nodes" if np.isfinite(error) else "error not known",

@@ -41,7 +41,7 @@ def make_point(rng: np.random.Generator, cell: int, grid: CellGrid, levels: int)
         lat_deg=rng.uniform(south, north),
         lon_deg=rng.uniform(west, east),
         radius_m=RADIUS_M + rng.normal(0.0, 2000.0),
-        localisation_px=rng.uniform(0.02, 0.5),
+        localisation_nodes=rng.uniform(0.02, 0.5),
         hessian_eigenvalue=float(10.0 ** rng.uniform(-3.0, 2.0)),
         recognition_rate=int(rng.integers(6)) / 5.0,
         trials=5,

@@ -198,7 +198,7 @@ def test_windows_line_ends_a_mark_and_names_with_blanks_are_read(
 def test_a_build_without_a_usable_point_is_written_with_its_reasons(
     world: Path, optnav: Optnav
 ) -> None:
-    config = f"{CONFIG.format(dem='dem.tif')}[check]\nmax_localisation_px = 0.001\n"
+    config = f"{CONFIG.format(dem='dem.tif')}[check]\nmax_localisation_nodes = 0.001\n"
     (world / "moon.toml").write_text(config)
     said = optnav("-q", "build", world / "moon.toml", "-o", world / "new.gpkg",
                   "--workers", 1, *BOX)  # fmt: skip

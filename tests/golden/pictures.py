@@ -56,13 +56,12 @@ def catalog_map(catalog_path: Path, config: Path, work: Path) -> ByteArray:
         for cell in catalog.ids:
             bounds = catalog.grid.bounds_deg(int(cell))
             sketch.line(image, place(*_border(bounds)), (130, 110, 70))
-        limits = np.quantile(catalog.records["localisation_px"][catalog.usable], (0.25, 0.5, 0.75))
+        errors = catalog.records["localisation_nodes"][catalog.usable]
+        limits = np.quantile(errors, (0.25, 0.5, 0.75))
         places = place(catalog.lat_deg, catalog.lon_deg)
         for at in places[~catalog.usable]:
             sketch.cross(image, at, 4.0, REFUSED)
-        for at, error in zip(
-            places[catalog.usable], catalog.records["localisation_px"][catalog.usable], strict=True
-        ):
+        for at, error in zip(places[catalog.usable], errors, strict=True):
             sketch.dot(image, at, 5.0, CLASSES[int(np.searchsorted(limits, error))])
         legend = _map_legend(catalog, limits)
     ground.close()

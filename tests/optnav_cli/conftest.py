@@ -111,7 +111,7 @@ class RoughWorld:
             lat_deg=lat_deg,
             lon_deg=lon_deg,
             radius_m=RADIUS_M + height,
-            localisation_px=0.1,
+            localisation_nodes=0.1,
             hessian_eigenvalue=2.0,
             recognition_rate=1.0,
             trials=5,

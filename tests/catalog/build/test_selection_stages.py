@@ -176,7 +176,7 @@ def test_the_predicted_error_is_a_percentile_that_numpy_finds_too(context, perce
             np.percentile(c.error_px, percentile, axis=1, method="higher").max()
             for c in record.candidates
         ]
-        assert [place.localisation_px for place in found.places] == sorted(wanted)
+        assert [place.localisation_nodes for place in found.places] == sorted(wanted)
 
 
 def test_places_of_other_cells_keep_their_distance(context, selected):
@@ -257,7 +257,7 @@ def test_a_place_in_foreign_shadow_meets_trials_only_when_it_is_kept(mosaic, sel
 
 def test_a_check_that_none_can_pass_leaves_points_with_their_flags_up(mosaic, selected):
     for settings, flag in (
-        (CheckSettings(max_localisation_px=1e-6), Flag.FLAT),
+        (CheckSettings(max_localisation_nodes=1e-6), Flag.FLAT),
         (CheckSettings(min_margin=1.0, places=1), Flag.NOT_UNIQUE),
         (CheckSettings(min_score=1.0, places=1, trials=5), Flag.NOT_RECOGNISED),
     ):

@@ -162,7 +162,7 @@ def test_use_reasons_certificates_and_terrain_models_are_told(
                         c,
                         recognition_rate=c.recognition_rate / 2.0 + 0.1,
                         uniqueness=(*c.uniqueness[:-1], c.uniqueness[-1] + 0.25),
-                        localisation_px=float("nan"),
+                        localisation_nodes=float("nan"),
                         source=other,
                         radius_m=c.radius_m - 2.5,
                     ),
@@ -177,7 +177,7 @@ def test_use_reasons_certificates_and_terrain_models_are_told(
     assert "newly usable: 1 point" in told
     assert "other terrain model: 1 point" in told
     assert f"  {c.id}: {c.source} -> {other}" in told
-    assert "localisation_px: 1 point, 1 known in one only" in told
+    assert "localisation_nodes: 1 point, 1 known in one only" in told
     assert "uniqueness: 1 point, median 0.25, max 0.25" in told
     assert f"  {c.id}: -2.500 m" in told
     assert any(line.startswith("recognition_rate: 1 point") for line in told)

@@ -2,7 +2,9 @@
 
 import csv
 import shutil
+import sqlite3
 import subprocess
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,6 +87,16 @@ def test_gdal_s_own_programs_read_points_at_the_poles_and_180_degrees(
     rows = list(csv.DictReader(table.splitlines()))
     assert [(float(row["Y"]), float(row["X"])) for row in rows] == list(EDGES)
     assert [float(row["radius_m"]) for row in rows] == radii
+
+
+def test_a_layer_of_a_former_version_is_replaced(catalog: Catalog, tmp_path: Path) -> None:
+    path = tmp_path / "points.gpkg"
+    export(catalog, path)
+    first = path.read_bytes()
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("ALTER TABLE control_points RENAME localisation_nodes TO localisation_px")
+    export(catalog, path)
+    assert path.read_bytes() == first
 
 
 def test_geojson_of_another_body_has_its_sphere(world: Any, tmp_path: Path) -> None:

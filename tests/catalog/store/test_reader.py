@@ -1,9 +1,11 @@
 """Opening a catalog and looking points up."""
 
+import hashlib
 import logging
 import pickle
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import pytest
 from catalog.errors import DataError
 from catalog.geometry.latlon import angular_distance
 from catalog.store.reader import Catalog
+from catalog.store.verify import verify
 from catalog.store.writer import Written
 
 
@@ -171,9 +174,34 @@ def test_an_edited_manifest_is_told(catalog_copy: Path) -> None:
 
 def test_a_newer_format_is_told(catalog_copy: Path) -> None:
     """Whatever its checksum covers: a newer format may sum its manifest up in another way."""
-    change(catalog_copy, "UPDATE optnav_meta SET value = '4' WHERE key = 'format_version'")
-    with pytest.raises(DataError, match=r"format 4.*install a newer optnav"):
+    change(catalog_copy, "UPDATE optnav_meta SET value = '5' WHERE key = 'format_version'")
+    with pytest.raises(DataError, match=r"format 5.*install a newer optnav"):
         Catalog.open(catalog_copy)
+
+
+@pytest.mark.parametrize("version", ["1", "3"])
+def test_a_catalog_of_a_former_format_reads_the_same(
+    written: Written, catalog_copy: Path, version: str
+) -> None:
+    """The feature layer called the localisation error, in nodes, `localisation_px` then."""
+    column = "localisation_nodes TO localisation_px"
+    change(catalog_copy, f"ALTER TABLE control_points RENAME COLUMN {column}")
+    change(catalog_copy, f"UPDATE optnav_meta SET value = {version} WHERE key = 'format_version'")
+    with closing(sqlite3.connect(catalog_copy)) as db:
+        rows = dict(db.execute("SELECT key, value FROM optnav_meta"))
+    covered = sorted(set(rows) - {"checksum", "seal"})
+    text = "".join(f"{key}\n{rows[key]}\n" for key in covered)
+    checksum = hashlib.sha256(text.encode()).hexdigest()
+    change(catalog_copy, f"UPDATE optnav_meta SET value = '{checksum}' WHERE key = 'checksum'")
+    change(catalog_copy, "DELETE FROM optnav_meta WHERE key = 'seal'")
+    with Catalog.open(written.path) as new, Catalog.open(catalog_copy, strict=True) as old:
+        assert list(old.points()) == list(new.points())
+        assert old.digest == new.digest
+        found = verify(catalog_copy)
+        assert (found.problems, found.computed) == ([], new.digest)
+        change(catalog_copy, "DELETE FROM optnav_records")  # now from the feature layer
+    with Catalog.open(written.path) as new, Catalog.open(catalog_copy) as old:
+        assert list(old.points()) == list(new.points())
 
 
 def test_reading_leaves_the_folder_as_it_was(catalog_copy: Path) -> None:

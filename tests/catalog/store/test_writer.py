@@ -43,7 +43,7 @@ def test_unknown_numbers_come_back_as_unknown(make: Callable[..., Any], tmp_path
         radius_m=float("nan"),
         usable=False,
         recognition_rate=float("nan"),
-        localisation_px=float("inf"),
+        localisation_nodes=float("inf"),
         uniqueness=(float("nan"),) * 3,
         shadow_limit_deg=(),
     )
@@ -52,7 +52,7 @@ def test_unknown_numbers_come_back_as_unknown(make: Callable[..., Any], tmp_path
     with Catalog.open(path) as catalog:
         back = catalog.point(point.id)
     assert np.isnan(back.radius_m)
-    assert np.isnan([back.recognition_rate, back.localisation_px, *back.uniqueness]).all()
+    assert np.isnan([back.recognition_rate, back.localisation_nodes, *back.uniqueness]).all()
     assert np.isnan(back.shadow_limit_deg).all()
 
 
@@ -108,7 +108,7 @@ def test_differences_in_the_last_bits_do_not_change_the_digest(
     world: Any, written: Written, tmp_path: Path
 ) -> None:
     points = [
-        (replace(point, localisation_px=point.localisation_px * (1 + 1e-13)), patches)
+        (replace(point, localisation_nodes=point.localisation_nodes * (1 + 1e-13)), patches)
         for point, patches in world.points
     ]
     assert write_points(tmp_path / "x.gpkg", world.meta, points).digest == written.digest

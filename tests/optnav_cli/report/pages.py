@@ -91,7 +91,7 @@ def a_catalog(path, count=40, lat=(-48.0, -38.0), lon=(-17.0, -5.0), step_deg=0.
             lat_deg=float(places[index, 0]),
             lon_deg=float(places[index, 1]),
             radius_m=radius_m,
-            localisation_px=float(rng.uniform(0.1, 0.5)),
+            localisation_nodes=float(rng.uniform(0.1, 0.5)),
             hessian_eigenvalue=float(rng.uniform(0.1, 3.0)),
             recognition_rate=float(rng.integers(3, 6)) / 5.0,
             trials=5,

@@ -93,7 +93,7 @@ def test_a_catalog_without_any_point_says_so(tmp_path):
 def test_what_no_point_knows_is_told_as_missing(tmp_path):
     def unknown(point, number):
         return replace(
-            point, localisation_px=np.nan, trials=0, recognition_rate=0.0, uniqueness=(),
+            point, localisation_nodes=np.nan, trials=0, recognition_rate=0.0, uniqueness=(),
             shadow_limit_deg=(),
         )  # fmt: skip
 
@@ -146,7 +146,7 @@ def test_several_sources_are_mapped_and_counted(tmp_path):
 def test_a_damaged_patch_is_named_and_the_rest_is_shown(tmp_path):
     path = a_catalog(tmp_path / "c.gpkg")
     with Catalog.open(path) as catalog:
-        scores = np.where(catalog.usable, catalog.records["localisation_px"], np.inf)
+        scores = np.where(catalog.usable, catalog.records["localisation_nodes"], np.inf)
         best = int(catalog.ids[scores.argmin()])
     with sqlite3.connect(path) as db:
         db.execute("UPDATE optnav_patches SET data = x'00' WHERE point_id = ?", (best,))
@@ -214,7 +214,7 @@ def test_a_page_about_all_cells_of_one_degree_stays_small_and_quick(tmp_path):
         centres = np.array([grid.centre_deg(cell) for cell in range(count)])
         records["id"], records["levels"] = np.arange(count), 0
         records["lat_deg"], records["lon_deg"] = centres.T
-        records["localisation_px"] = np.random.default_rng(3).uniform(0.1, 0.5, count)
+        records["localisation_nodes"] = np.random.default_rng(3).uniform(0.1, 0.5, count)
         whole = Catalog(path, catalog._db, replace(catalog.meta, count=count), records)
         started = time.process_time()
         text = catalog_page(whole)
