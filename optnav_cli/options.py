@@ -73,6 +73,9 @@ def output_option(text: str, *, required: bool = True) -> Callable[[F], F]:
     return click.option("-o", "--output", type=PATH, required=required, help=text)
 
 
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON document instead, for programs."
+)
 workers_option = click.option(
     "--workers", type=click.IntRange(min=1), help="Processes to work with; all cores by default."
 )

@@ -10,6 +10,7 @@ from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.control_point import Flag
 from catalog.files import replacing_file, starts_with
 from catalog.inspect.compare import CERTIFICATE, LISTS, SCORES, ComparedCatalog, Comparison
+from catalog.inspect.summary import Document
 from catalog.store.records import Record, reasons_text
 from catalog.tables import CsvColumn, CsvTable
 
@@ -18,22 +19,58 @@ SHOWN = 10  # lines a kind; the table (`difference_table`) has all
 
 def summary(found: Comparison) -> str:
     """What differs, in one line; "" for nothing."""
+    words = {
+        "only_in_first": f"points only in {found.first.path.name}",
+        "only_in_second": f"points only in {found.second.path.name}",
+        "usable": "usable or no longer",
+    }
+    return ", ".join(
+        f"{words.get(what, what.replace('_', ' '))}: {number}"
+        for what, number in counts(found).items()
+        if number
+    )
+
+
+def counts(found: Comparison) -> dict[str, int]:
+    """How many settings differ, and how many points in what."""
     moved, usable = found.moved_m > 0.0, found.field_changed("usable")
     reasons = found.field_changed("flags") & ~usable
     certificate = np.any([found.field_changed(name) for name in CERTIFICATE], axis=0)
-    counts = (
-        ("settings", len(found.settings)),
-        (f"points only in {found.first.path.name}", len(found.first.only)),
-        (f"points only in {found.second.path.name}", len(found.second.only)),
-        ("moved", moved.sum()),
-        ("usable or no longer", usable.sum()),
-        ("other reasons", reasons.sum()),
-        ("other radius in place", (found.field_changed("radius_m") & ~moved).sum()),
-        ("other heights in place", (found.patches & ~moved).sum()),
-        ("other certificate", certificate.sum()),
-        ("other terrain model", found.field_changed("source").sum()),
-    )
-    return ", ".join(f"{what}: {number}" for what, number in counts if number)
+    return {
+        "settings": len(found.settings),
+        "only_in_first": len(found.first.only),
+        "only_in_second": len(found.second.only),
+        "moved": int(moved.sum()),
+        "usable": int(usable.sum()),
+        "other_reasons": int(reasons.sum()),
+        "other_radius_in_place": int((found.field_changed("radius_m") & ~moved).sum()),
+        "other_heights_in_place": int((found.patches & ~moved).sum()),
+        "other_certificate": int(certificate.sum()),
+        "other_terrain_model": int(found.field_changed("source").sum()),
+    }
+
+
+def comparison_document(found: Comparison) -> Document:
+    """The differences as plain values; each point that differs has the columns of the table."""
+    sides = {"first": found.first, "second": found.second}
+    return {
+        "same": found.same,
+        **{
+            name: {
+                "catalog": str(side.path),
+                "points": side.meta.count,
+                "usable": side.meta.usable,
+                "digest": side.meta.digest,
+            }
+            for name, side in sides.items()
+        },
+        "comparable": found.comparable,
+        "counts": counts(found),
+        "settings": [change._asdict() for change in found.settings],
+        "not_content": [change._asdict() for change in found.provenance],
+        "relief": found.relief and found.relief._asdict(),
+        "points": [dict.fromkeys(DIFFERENCES.names) | row for row in _sorted_rows(found)],
+    }
 
 
 def lines(found: Comparison) -> Iterator[str]:
@@ -212,15 +249,18 @@ def write_table(found: Comparison, path: Path) -> int:
 
     Raises OutputError for a place that cannot be written or an existing file that is no such table.
     """
-    rows = sorted(_rows(found), key=lambda row: int(str(row["id"])))
     with replacing_file(path, starts_with(",".join(DIFFERENCES.names[:6]).encode())) as new:
-        return DIFFERENCES.write(new, rows)
+        return DIFFERENCES.write(new, _sorted_rows(found))
 
 
-def _rows(found: Comparison) -> Iterator[dict[str, object]]:
+def _sorted_rows(found: Comparison) -> list[Document]:
+    return sorted(_rows(found), key=lambda row: int(row["id"]))
+
+
+def _rows(found: Comparison) -> Iterator[Document]:
     for suffix, side in (("first", found.first), ("second", found.second)):
         for record in side.only:
-            row: dict[str, object] = {"id": int(record["id"]), "change": f"only in {suffix}"}
+            row: Document = {"id": int(record["id"]), "change": f"only in {suffix}"}
             yield row | _columns(side, record, suffix)
     lists = {name: found.field_change(name) for name in LISTS}
     for number, (before, after) in enumerate(zip(found.before, found.after)):
@@ -238,9 +278,9 @@ def _rows(found: Comparison) -> Iterator[dict[str, object]]:
         yield row | _columns(found.second, after, "second")
 
 
-def _columns(side: ComparedCatalog, record: Record, suffix: str) -> dict[str, object]:
+def _columns(side: ComparedCatalog, record: Record, suffix: str) -> Document:
     """What one catalog says about a point."""
-    columns: dict[str, object] = {
+    columns: Document = {
         "usable": int(record["usable"]),
         "reasons": reasons_text(Flag(int(record["flags"]))),
         "source": side.meta.point_sources[int(record["source"])],

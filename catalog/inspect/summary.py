@@ -1,4 +1,8 @@
-"""What a catalog holds, in a few lines."""
+"""What a catalog holds, as a document for programs and in a few lines for people."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +12,9 @@ from catalog.geometry.latlon import angular_distance
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
 from catalog.store.records import reasons_text
+from catalog.store.verify import Verification
+
+Document = dict[str, Any]  # plain values by name, units in the names
 
 
 def rejected_by_reason(catalog: Catalog) -> dict[str, int]:
@@ -17,8 +24,8 @@ def rejected_by_reason(catalog: Catalog) -> dict[str, int]:
     return {reason: number for reason, number in counts.items() if number}
 
 
-def extent_deg(catalog: Catalog) -> tuple[float, float, float, float] | None:
-    """West, south, east, north of the points, None without any; west > east across ±180°."""
+def extent_deg(catalog: Catalog) -> Document | None:
+    """The box that holds the points, None without any; west > east across ±180°."""
     if len(catalog) == 0:
         return None
     lon = np.sort(catalog.lon_deg)
@@ -26,100 +33,187 @@ def extent_deg(catalog: Catalog) -> tuple[float, float, float, float] | None:
     widest = int(np.argmax(gaps))
     # the points fill everything but the widest gap between two neighbours
     west, east = float(lon[(widest + 1) % len(lon)]), float(lon[widest])
-    return west, float(catalog.lat_deg.min()), east, float(catalog.lat_deg.max())
-
-
-def describe(catalog: Catalog) -> dict[str, str]:
-    """Name and value of everything that `optnav catalog info` prints, in its order."""
-    meta = catalog.meta
-    postings = (f"{meta.posting_m * 2**level:.6g}" for level in range(meta.levels))
-    rejected = rejected_by_reason(catalog)
-    usable = int(np.count_nonzero(catalog.usable))
-    lines = {
-        "catalog": str(catalog.path),
-        "format": f"{meta.format_version}",
-        "body": meta.body,
-        "radius_m": f"{meta.radius_m:.12g}",
-        **_planes(meta),
-        "cell_deg": f"{meta.cell_deg:.9g}",
-        "cells_on_body": str(catalog.grid.total),
-        "points": str(len(catalog)),
-        "usable": str(usable),
-        "rejected": str(len(catalog) - usable),
-        **{f"rejected_{why.replace(' ', '_')}": str(number) for why, number in rejected.items()},
+    return {
+        "west_deg": west,
+        "south_deg": float(catalog.lat_deg.min()),
+        "east_deg": east,
+        "north_deg": float(catalog.lat_deg.max()),
     }
-    box = extent_deg(catalog)
-    if box is not None:
-        lines["extent_deg"] = "west {:.4f}, south {:.4f}, east {:.4f}, north {:.4f}".format(*box)
-    lines |= {
-        "levels": str(meta.levels),
-        "size": str(meta.size),
-        "posting_m": ", ".join(postings),
-        "height_step_m": f"{meta.height_step_m:.9g}",
-        "recognition_rate_usable": _median(catalog.records["recognition_rate"][catalog.usable]),
-        "localisation_nodes_usable": _median(catalog.records["localisation_nodes"][catalog.usable]),
-        "relief": _relief(catalog),
+
+
+def catalog_document(catalog: Catalog) -> Document:
+    """What a catalog holds: plain values, under names that say their units."""
+    meta = catalog.meta
+    usable = int(np.count_nonzero(catalog.usable))
+    return {
+        "catalog": str(catalog.path),
+        "format": meta.format_version,
+        "body": meta.body,
+        "radius_m": meta.radius_m,
+        "planes": _planes(meta),
+        "cell_deg": meta.cell_deg,
+        "cells_on_body": catalog.grid.total,
+        "points": len(catalog),
+        "usable": usable,
+        "rejected": len(catalog) - usable,
+        "rejected_by_reason": rejected_by_reason(catalog),
+        "extent": extent_deg(catalog),
+        "levels": meta.levels,
+        "size": meta.size,
+        "posting_m": [meta.posting_m * 2**level for level in range(meta.levels)],
+        "height_step_m": meta.height_step_m,
+        "recognition_rate_usable": _spread(catalog.records["recognition_rate"][catalog.usable]),
+        "localisation_nodes_usable": _spread(catalog.records["localisation_nodes"][catalog.usable]),
+        "relief": _relief(meta),
         "software": meta.software,
         "created_utc": meta.created_utc,
-        "size_bytes": str(catalog.path.stat().st_size),
-        **{f"source {name}": content for name, content in meta.sources.items()},
+        "size_bytes": catalog.path.stat().st_size,
+        "sources": dict(meta.sources),
         "digest": meta.digest,
     }
+
+
+def describe(document: Document) -> dict[str, str]:
+    """Name and value of everything that `optnav catalog info` prints, in its order."""
+    lines: dict[str, str] = {}
+    for name, value in document.items():
+        if name in _WORDS:
+            lines |= _WORDS[name](value)
+        elif isinstance(value, list):
+            lines[name] = ", ".join(f"{number:.6g}" for number in value)
+        else:
+            lines[name] = f"{value:.12g}" if isinstance(value, float) else str(value)
     return lines
 
 
-def _planes(meta: CatalogMeta) -> dict[str, str]:
+def _planes(meta: CatalogMeta) -> Document | None:
     """What patches in tangent planes touch, and how fine the shape model under them is."""
     if meta.planes is None:
-        return {}
-    radii = ", ".join(f"{radius:.12g}" for radius in meta.planes.radii_m)
+        return None
     posting = meta.planes.model_posting_m
-    finer = ", finer patches are oversampled" if meta.posting_m < posting else ""
     return {
-        "patches": f"in planes that touch the ellipsoid of {radii} m",
-        "model_posting_m": f"{posting:.6g}{finer}",
+        "radii_m": list(meta.planes.radii_m),
+        "model_posting_m": posting,
+        "oversampled": meta.posting_m < posting,
     }
 
 
-def _relief(catalog: Catalog) -> str:
+def _relief(meta: CatalogMeta) -> Document | None:
     """Cells, their size on the ground and the origin of the relief of the whole body."""
-    meta = catalog.meta
     if meta.relief is None:
-        return "none"
+        return None
     rows = meta.relief.rows
-    side = np.pi * meta.radius_m / rows
-    return f"{rows} x {2 * rows} cells of {side:.6g} m, from {meta.relief.source}"
+    side = float(np.pi) * meta.radius_m / rows
+    return {"rows": rows, "columns": 2 * rows, "cell_m": side, "source": meta.relief.source}
 
 
-def _median(values: FloatArray) -> str:
+def _spread(values: FloatArray) -> Document | None:
     known = values[np.isfinite(values)]
     if known.size == 0:
-        return "unknown"
-    low, middle, high = np.percentile(known, [10.0, 50.0, 90.0])
-    return f"median {middle:.3f}, 10 % below {low:.3f}, 90 % below {high:.3f}"
+        return None
+    low, middle, high = (float(value) for value in np.percentile(known, [10.0, 50.0, 90.0]))
+    return {"median": middle, "percentile_10": low, "percentile_90": high}
 
 
-def describe_point(point: ControlPoint) -> dict[str, str]:
-    """Name and value of what is known about a point, in the order of printing."""
-    x, y, z = point.xyz_m
+def _planes_lines(planes: Document | None) -> dict[str, str]:
+    if planes is None:
+        return {}
+    radii = ", ".join(f"{radius:.12g}" for radius in planes["radii_m"])
+    finer = ", finer patches are oversampled" if planes["oversampled"] else ""
     return {
-        "id": str(point.id),
-        "lat_deg": f"{point.lat_deg:.7f}",
-        "lon_deg": f"{point.lon_deg:.7f}",
-        "radius_m": f"{point.radius_m:.3f}",
-        "xyz_m": f"{x:.2f} {y:.2f} {z:.2f}",
-        "usable": "yes" if point.usable else "no",
-        "reasons": reasons_text(point.flags) or "none",
-        "recognition_rate": f"{point.recognition_rate:.4g} ({point.trials} trials)",
-        "localisation_nodes": f"{point.localisation_nodes:.4g}",
-        "hessian_eigenvalue": f"{point.hessian_eigenvalue:.6g}",
-        "uniqueness": " ".join(f"{margin:.4g}" for margin in point.uniqueness),
-        "shadow_limit_deg": " ".join(f"{limit:.4g}" for limit in point.shadow_limit_deg),
+        "patches": f"in planes that touch the ellipsoid of {radii} m",
+        "model_posting_m": f"{planes['model_posting_m']:.6g}{finer}",
+    }
+
+
+def _spread_words(spread: Document | None) -> str:
+    words = "median {median:.3f}, 10 % below {percentile_10:.3f}, 90 % below {percentile_90:.3f}"
+    return words.format(**spread) if spread else "unknown"
+
+
+def _extent_words(extent: Document) -> str:
+    words = "west {west_deg:.4f}, south {south_deg:.4f}, east {east_deg:.4f}, north {north_deg:.4f}"
+    return words.format(**extent)
+
+
+def _relief_words(relief: Document | None) -> str:
+    words = "{rows} x {columns} cells of {cell_m:.6g} m, from {source}"
+    return words.format(**relief) if relief else "none"
+
+
+# entries of the document that are more than a value, as lines for people
+_WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
+    "planes": _planes_lines,
+    "rejected_by_reason": lambda counts: {
+        f"rejected_{why.replace(' ', '_')}": str(count) for why, count in counts.items()
+    },
+    "extent": lambda extent: {"extent_deg": _extent_words(extent)} if extent else {},
+    "recognition_rate_usable": lambda s: {"recognition_rate_usable": _spread_words(s)},
+    "localisation_nodes_usable": lambda s: {"localisation_nodes_usable": _spread_words(s)},
+    "relief": lambda relief: {"relief": _relief_words(relief)},
+    "sources": lambda sources: {f"source {name}": text for name, text in sources.items()},
+}
+
+
+def verification_document(found: Verification) -> Document:
+    """What `verify` found, as plain values."""
+    return {
+        "catalog": str(found.path),
+        "sound": found.sound,
+        "problems": [asdict(problem) for problem in found.problems],
+        "points": found.points,
+        "patches": found.patches,
+        "digest": found.computed or None,
+        "stated_digest": found.stated or None,
+        "seal": found.seal and found.seal.name.lower(),
+    }
+
+
+def point_document(point: ControlPoint) -> Document:
+    """What is known about a point: plain values, under names that say their units."""
+    x, y, z = (float(v) for v in point.xyz_m)
+    reasons = reasons_text(point.flags)
+    return {
+        "id": point.id,
+        "lat_deg": point.lat_deg,
+        "lon_deg": point.lon_deg,
+        "radius_m": point.radius_m,
+        "x_m": x,
+        "y_m": y,
+        "z_m": z,
+        "usable": point.usable,
+        "reasons": reasons.split(", ") if reasons else [],
+        "recognition_rate": point.recognition_rate,
+        "trials": point.trials,
+        "localisation_nodes": point.localisation_nodes,
+        "hessian_eigenvalue": point.hessian_eigenvalue,
+        "uniqueness": list(point.uniqueness),
+        "shadow_limit_deg": list(point.shadow_limit_deg),
         "source": point.source,
     }
 
 
-def distance_km(catalog: Catalog, point: ControlPoint, lat_deg: float, lon_deg: float) -> float:
+def describe_point(document: Document) -> dict[str, str]:
+    """Name and value of what is known about a point, in the order of printing."""
+    found = document
+    return {
+        "id": str(found["id"]),
+        "lat_deg": f"{found['lat_deg']:.7f}",
+        "lon_deg": f"{found['lon_deg']:.7f}",
+        "radius_m": f"{found['radius_m']:.3f}",
+        "xyz_m": " ".join(f"{found[name]:.2f}" for name in ("x_m", "y_m", "z_m")),
+        "usable": "yes" if found["usable"] else "no",
+        "reasons": ", ".join(found["reasons"]) or "none",
+        "recognition_rate": f"{found['recognition_rate']:.4g} ({found['trials']} trials)",
+        "localisation_nodes": f"{found['localisation_nodes']:.4g}",
+        "hessian_eigenvalue": f"{found['hessian_eigenvalue']:.6g}",
+        "uniqueness": " ".join(f"{margin:.4g}" for margin in found["uniqueness"]),
+        "shadow_limit_deg": " ".join(f"{limit:.4g}" for limit in found["shadow_limit_deg"]),
+        "source": found["source"],
+    }
+
+
+def distance_m(catalog: Catalog, point: ControlPoint, lat_deg: float, lon_deg: float) -> float:
     """Distance along the reference sphere from a place to a point."""
     angle = angular_distance(*np.radians([lat_deg, lon_deg, point.lat_deg, point.lon_deg]))
-    return float(angle) * catalog.meta.radius_m / 1000.0
+    return float(angle) * catalog.meta.radius_m

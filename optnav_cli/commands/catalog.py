@@ -1,6 +1,8 @@
 """`optnav catalog`: look at, compare, verify and export a catalog."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,11 +12,15 @@ from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progr
 from optnav_cli.options import (
     LazyGroup,
     NumberArguments,
+    json_option,
     latitude,
     longitude,
     output_option,
     path_argument,
 )
+
+if TYPE_CHECKING:
+    from catalog.store.verify import Verification
 
 
 @click.group(cls=LazyGroup, short_help="Look at, compare, verify, export.")
@@ -28,9 +34,18 @@ def command() -> None:
     """
 
 
+def answer(document: Mapping[str, Any], lines: Mapping[str, str], as_json: bool) -> None:
+    """Print a document for programs, or its lines for people."""
+    from optnav_cli.output.document import json_text
+
+    words = "\n".join(f"{key}: {value}" for key, value in lines.items())
+    click.echo(json_text(document) if as_json else words)
+
+
 @command.command("info", short_help="What a catalog holds.")
 @path_argument("catalog")
-def catalog_info(catalog: Path) -> None:
+@json_option
+def catalog_info(catalog: Path, as_json: bool) -> None:
     """Print what CATALOG holds, a `key: value` a line, its content digest among them.
 
     The digest is the one that the catalog states; `optnav catalog verify` tells whether it is true.
@@ -38,34 +53,45 @@ def catalog_info(catalog: Path) -> None:
     \b
     Example:
       optnav catalog info tycho.gpkg
+      optnav catalog info tycho.gpkg --json
     """
-    from catalog.inspect.summary import describe
+    from catalog.inspect.summary import catalog_document, describe
     from catalog.store.reader import Catalog
 
     with Catalog.open(catalog) as opened:
-        for key, value in describe(opened).items():
-            click.echo(f"{key}: {value}")
+        document = catalog_document(opened)
+    answer(document, describe(document), as_json)
 
 
 @command.command("nearest", cls=NumberArguments, short_help="The control point nearest to a place.")
 @path_argument("catalog")
 @click.argument("lat", type=float, callback=latitude)
 @click.argument("lon", type=float, callback=longitude)
-def catalog_nearest(catalog: Path, lat: float, lon: float) -> None:
+@json_option
+def catalog_nearest(catalog: Path, lat: float, lon: float, as_json: bool) -> None:
     """Print the control point of CATALOG nearest to LAT LON (degrees, east positive).
 
     \b
     Example:
       optnav catalog nearest tycho.gpkg -43.3 -11.2
     """
-    from catalog.inspect.summary import describe_point, distance_km
+    from catalog.inspect.summary import describe_point, distance_m, point_document
     from catalog.store.reader import Catalog
 
     with Catalog.open(catalog) as opened:
         point = opened.point(opened.nearest(lat, lon))
-        for key, value in describe_point(point).items():
-            click.echo(f"{key}: {value}")
-        click.echo(f"distance_km: {distance_km(opened, point, lat, lon):.3f}")
+        distance = distance_m(opened, point, lat, lon)
+    found = point_document(point)
+    answer(
+        {
+            "catalog": str(catalog),
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "points": [found | {"distance_m": distance}],
+        },
+        describe_point(found) | {"distance_km": f"{distance / 1e3:.3f}"},
+        as_json,
+    )
 
 
 @command.command(
@@ -76,7 +102,8 @@ def catalog_nearest(catalog: Path, lat: float, lon: float) -> None:
 @output_option(
     "The picture (PNG); CATALOG-ID.png or CATALOG.png in this folder by default.", required=False
 )
-def catalog_show(catalog: Path, point_id: int | None, output: Path | None) -> None:
+@json_option
+def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_json: bool) -> None:
     """Print what CATALOG says about control point ID and draw its levels.
 
     In the picture: heights by colour with relief shading, and below them the brightness by Hapke
@@ -91,12 +118,13 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None) -> No
       optnav catalog show phobos.gpkg -o phobos.png
     """
     from catalog.inspect.draw import check_png_place, draw_pyramid, write_png
-    from catalog.inspect.summary import describe_point
+    from catalog.inspect.summary import describe_point, point_document
     from catalog.store.reader import Catalog
 
     announce_compilation()
     place = output or Path(f"{catalog.stem}{'' if point_id is None else f'-{point_id}'}.png")
     check_png_place(place)
+    document: dict[str, Any] = {}
     with Catalog.open(catalog) as opened:
         if point_id is None:
             from optnav_cli.report.body_sides import sides_picture
@@ -104,19 +132,21 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None) -> No
             write_png(sides_picture(opened), place)
         else:
             pyramid = opened.pyramid(point_id)
-            for key, value in describe_point(pyramid.point).items():
-                click.echo(f"{key}: {value}")
+            document = point_document(pyramid.point)
             write_png(draw_pyramid(pyramid, opened.meta.map_radius_m), place)
-    click.echo(f"picture: {place}")
+    picture = {"picture": str(place)}
+    lines = describe_point(document) if document else {}
+    answer({"catalog": str(catalog)} | document | picture, lines | picture, as_json)
 
 
 @command.command("compare", short_help="What differs between two catalogs.")
 @path_argument("first")
 @path_argument("second")
 @output_option("A table (CSV) of every point that differs.", required=False)
+@json_option
 @pass_progress
 def catalog_compare(
-    progress: ConsoleProgress, first: Path, second: Path, output: Path | None
+    progress: ConsoleProgress, first: Path, second: Path, output: Path | None, as_json: bool
 ) -> None:
     """Compare the content of the catalogs FIRST and SECOND.
 
@@ -130,25 +160,31 @@ def catalog_compare(
       optnav catalog compare release.gpkg moon.gpkg -o differences.csv
     """
     announce_compilation()
-    compare_and_tell(first, second, progress, output)
+    compare_and_tell(first, second, progress, output, as_json)
 
 
 def compare_and_tell(
-    first: Path, second: Path, progress: Progress, table: Path | None = None
+    first: Path,
+    second: Path,
+    progress: Progress,
+    table: Path | None = None,
+    as_json: bool = False,
 ) -> None:
     """Print what differs. Raises DifferenceError when the content does."""
     from catalog.errors import DifferenceError
     from catalog.inspect.compare import compare
-    from catalog.inspect.differences import lines, summary, write_table
+    from catalog.inspect.differences import comparison_document, lines, summary, write_table
+    from optnav_cli.output.document import json_text
 
     found = compare(first, second, progress)
-    for line in lines(found):
-        click.echo(line)
-    if table is not None:
-        click.echo(f"table: {table}: {write_table(found, table)} points")
+    more = [] if table is None else [f"table: {table}: {write_table(found, table)} points"]
+    more += ["content: the same"] if found.same else []
+    if as_json:
+        click.echo(json_text(comparison_document(found)))
+    else:
+        click.echo("\n".join([*lines(found), *more]))
     if not found.same:
         raise DifferenceError(f"{second}: differs from {first}: {summary(found)}")
-    click.echo("content: the same")
 
 
 def require_reference(reference: Path, output: Path) -> None:
@@ -169,8 +205,9 @@ SHOWN = 50
 
 @command.command("verify", short_help="Read everything and check every checksum.")
 @path_argument("catalog")
+@json_option
 @pass_progress
-def catalog_verify(progress: ConsoleProgress, catalog: Path) -> None:
+def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> None:
     """Read all of CATALOG, check every checksum and compute its content digest anew.
 
     Prints what is damaged, by table, point and level, and ends with exit code 3 if anything is. A
@@ -179,24 +216,38 @@ def catalog_verify(progress: ConsoleProgress, catalog: Path) -> None:
     \b
     Example:
       optnav catalog verify tycho.gpkg
+      optnav catalog verify tycho.gpkg --json
     """
-    from catalog.store.verify import verify
+    from catalog.inspect.summary import verification_document
+    from catalog.store.verify import Verification, verify
+    from optnav_cli.output.document import json_text
 
     announce_compilation()
-    found = verify(catalog, progress)
-    for problem in found.problems[:SHOWN]:
-        click.echo(f"damaged: {problem}")
-    if len(found.problems) > SHOWN:
-        click.echo(f"damaged: and {len(found.problems) - SHOWN} more")
-    click.echo(f"points: {found.points}")
-    click.echo(f"patches: {found.patches}")
-    click.echo(f"digest: {found.computed or 'unknown'}")
-    if found.seal is not None:
-        click.echo(f"file: {found.seal.value}")
+    try:
+        found = verify(catalog, progress)
+    except DataError as error:
+        if as_json:  # a document whatever the file is
+            found = Verification(catalog)
+            found.add("file", error)
+            click.echo(json_text(verification_document(found)))
+        raise
+    if as_json:
+        click.echo(json_text(verification_document(found)))
+    else:
+        click.echo("\n".join(_verified_lines(found)))
     if not found.sound:
         raise DataError(
             f"{catalog}: is damaged ({len(found.problems)} findings); restore it or build it again"
         )
+
+
+def _verified_lines(found: "Verification") -> list[str]:
+    lines = [f"damaged: {problem}" for problem in found.problems[:SHOWN]]
+    if len(found.problems) > SHOWN:
+        lines.append(f"damaged: and {len(found.problems) - SHOWN} more")
+    lines += [f"points: {found.points}", f"patches: {found.patches}"]
+    lines.append(f"digest: {found.computed or 'unknown'}")
+    return lines if found.seal is None else [*lines, f"file: {found.seal.value}"]
 
 
 @command.command(

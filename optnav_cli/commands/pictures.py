@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.options import PATH, matcher_option, output_option, path_argument
+from optnav_cli.options import PATH, json_option, matcher_option, output_option, path_argument
 
 LIMIT = click.FloatRange(min=0.0, min_open=True)
 
@@ -96,8 +96,13 @@ def navigate(
     "--max-horizontal-m", type=LIMIT, help="Exit code 5 if the rms along and across is larger."
 )
 @click.option("--max-height-m", type=LIMIT, help="Exit code 5 if the rms of the height is larger.")
+@json_option
 def evaluate(
-    run: Path, truth: Path, max_horizontal_m: float | None, max_height_m: float | None
+    run: Path,
+    truth: Path,
+    max_horizontal_m: float | None,
+    max_height_m: float | None,
+    as_json: bool,
 ) -> None:
     """Compare the positions of RUN with the truth.
 
@@ -109,10 +114,19 @@ def evaluate(
       optnav evaluate run --truth pictures/truth.csv --max-horizontal-m 30
     """
     from optnav_cli.evaluation.figures import check_limits
-    from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
+    from optnav_cli.evaluation.files import (
+        evaluate_run,
+        format_table,
+        summary_of,
+        write_evaluation,
+    )
+    from optnav_cli.output.document import json_text
 
     evaluation = evaluate_run(run, truth)
-    click.echo(format_table(evaluation))
+    if as_json:
+        click.echo(json_text({"run": run, "truth": truth} | summary_of(evaluation)))
+    else:
+        click.echo(format_table(evaluation))
     write_evaluation(evaluation, run)
     check_limits(evaluation.figures(), max_horizontal_m, max_height_m)
 

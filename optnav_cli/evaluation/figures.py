@@ -209,6 +209,14 @@ def figures_of(frames: Sequence[FrameError]) -> Figures:
     )
 
 
+def none_solved(frames: Sequence[FrameError]) -> Figures:
+    """The figures of frames none of which is solved: nothing but their number and reasons."""
+    reasons = Counter(frame.solution.reason for frame in frames)
+    nan, spread = math.nan, Spread(math.nan, None, math.nan, math.nan)
+    errors = (spread, spread, spread, nan, nan, (nan, nan, nan), nan, (nan, nan), None, None)
+    return Figures(len(frames), 0, *errors, 0, 0, 0, 0, 0, 0, dict(sorted(reasons.items())))
+
+
 def check_limits(
     figures: Figures, max_horizontal_m: float | None = None, max_height_m: float | None = None
 ) -> None:

@@ -1,6 +1,5 @@
 """The evaluation of a run folder: read, printed as a table, written as evaluation.json and .csv."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -11,15 +10,22 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.errors import DataError
+from catalog.errors import DataError, NothingToDoError
 from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
-from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures, method_words
+from optnav_cli.evaluation.figures import (
+    Figures,
+    FrameError,
+    MethodFigures,
+    method_words,
+    none_solved,
+)
 from optnav_cli.evaluation.motion import directions_of_motion
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.output.document import json_text
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.output.tables import fixed
 
@@ -218,8 +224,8 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
 
     Raises NothingToDoError when no frame is solved, OutputError when the folder is not writable.
     """
-    summary = summary_of(evaluation)
-    text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    evaluation.figures()
+    text = json_text(summary_of(evaluation)) + "\n"
     with replacing_file(folder / EVALUATION_CSV, starts_with(b"file,utc,status,")) as path:
         EVALUATION.write(path, map(error_cells, evaluation.frames))
     with replacing_file(folder / EVALUATION_JSON, starts_with(b'{\n  "frames"')) as path:
@@ -227,8 +233,11 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
 
 
 def summary_of(evaluation: Evaluation) -> dict[str, Any]:
-    """The figures as plain JSON values, rounded as they are written."""
-    figures = evaluation.figures()
+    """The figures as plain JSON values, rounded as they are written; NaN where none is solved."""
+    try:
+        figures = evaluation.figures()
+    except NothingToDoError:
+        figures = none_solved(evaluation.frames)
 
     def arcsec(angle: float | None) -> float | None:
         return None if angle is None else round(angle / ARCSEC, 3)
@@ -236,7 +245,7 @@ def summary_of(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "frames": figures.frames,
         "solved": figures.solved,
-        "share_solved": round(figures.solved / figures.frames, 6),
+        "share_solved": round(figures.solved / max(figures.frames, 1), 6),
         **_spreads(figures),
         "horizontal_rms_m": round(figures.horizontal_rms_m, 3),
         "horizontal_max_m": round(figures.horizontal_max_m, 3),
