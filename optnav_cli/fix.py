@@ -49,6 +49,7 @@ class MatchRow:
     reason             why not; empty when used
     sun_elevation_deg  Sun above the point's horizon
     residual_px        (2,)  measured minus predicted after the solution
+    prior_px           (2,)  where the pose expected it from which the search began
     catalog            the catalog's file name
     reason_code        the code of `reason`
     """
@@ -65,6 +66,7 @@ class MatchRow:
     reason: str = ""
     sun_elevation_deg: float | None = None
     residual_px: FloatArray | None = None
+    prior_px: FloatArray | None = None
     catalog: str = ""
     reason_code: ReasonCode = ReasonCode.NONE
 
@@ -200,12 +202,14 @@ class Solution:
     outcome  the fix, or why there is none
     prior    where the search for control points began: "frames.csv", a method, a camera at the
              same time, an orbit arc; empty when there was none
+    prior_m  (3,) that position, body frame, m; not read back with a table
     """
 
     file: str
     utc: str
     outcome: Fix | NoFix
     prior: str = ""
+    prior_m: FloatArray | None = None
 
     @property
     def fix(self) -> Fix | None:

@@ -123,6 +123,22 @@ class Camera:
         lens.rays_of_pixels(*self._lens, rows, rays)
         return rays.reshape(*shape, 3)
 
+    def border(self, along: int) -> FloatArray:
+        """Pixels (4 * along, 2) around the frame from corner to corner.
+
+        A fisheye's lie on its image circle where that is nearer: no light falls beyond it.
+        """
+        side = np.linspace(0.0, 1.0, along, endpoint=False)
+        zero, one = np.zeros_like(side), np.ones_like(side)
+        x = np.concatenate([side, one, 1.0 - side, zero]) * self.width_px - 0.5
+        y = np.concatenate([zero, side, one, 1.0 - side]) * self.height_px - 0.5
+        middle = np.array(self.principal_point_px)
+        out = np.column_stack([x, y]) - middle
+        most = 0.999 * (self.image_circle_radius_px or np.inf)
+        reach = np.linalg.norm(out, axis=1, keepdims=True)
+        pixels: FloatArray = middle + out * np.minimum(most / reach, 1.0)
+        return pixels
+
     def contains(self, pixels: ArrayLike, margin_px: float = 0.0) -> BoolArray:
         """Whether pixels (..., 2) lie in the picture, at least margin_px inside its edge."""
         x, y = np.moveaxis(np.asarray(pixels, dtype=np.float64), -1, 0)

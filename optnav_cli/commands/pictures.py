@@ -133,8 +133,17 @@ def evaluate(
 
 @click.command("report", short_help="Make a page about a run or a catalog.")
 @path_argument("source")
-@output_option("The page, one HTML file with its pictures inside; or .svg, a run's errors alone.")
-def report(source: Path, output: Path) -> None:
+@output_option(
+    "The page, one HTML file with its pictures inside; or .svg, a run's errors alone.",
+    required=False,
+)
+@click.option(
+    "--foxglove-layout",
+    "layout",
+    type=PATH,
+    help="A layout in which Foxglove shows run.mcap of a run: import it there.",
+)
+def report(source: Path, output: Path | None, layout: Path | None) -> None:
     """Make a page about SOURCE, a run folder or a catalog.
 
     Of a run that was compared with the truth it shows the errors against time and height, by
@@ -145,8 +154,13 @@ def report(source: Path, output: Path) -> None:
       optnav report run -o report.html
       optnav report run -o errors.svg
       optnav report moon.gpkg -o catalog.html
+      optnav report run --foxglove-layout run.json
     """
-    from optnav_cli.report import write_report
+    from optnav_cli.report import write_layout, write_report
 
-    write_report(source, output)
-    click.echo(output)
+    if output is None and layout is None:
+        raise click.UsageError("nothing to make; name a page (-o) or a --foxglove-layout")
+    for place, write in ((output, write_report), (layout, write_layout)):
+        if place is not None:
+            write(source, place)
+            click.echo(place)

@@ -22,8 +22,10 @@ def _count(name: str, meaning: str, empty: bool = True) -> CsvColumn:
     return CsvColumn(name, meaning, "count", empty=empty)
 
 
-def _number(name: str, meaning: str, unit: str, form: str, empty: bool = True) -> CsvColumn:
-    return CsvColumn(name, meaning, "number", unit, form, empty)
+def _number(
+    name: str, meaning: str, unit: str, form: str, empty: bool = True, newer: bool = False
+) -> CsvColumn:
+    return CsvColumn(name, meaning, "number", unit, form, empty, newer)
 
 
 def _position(what: str, form: str, empty: bool = True) -> list[CsvColumn]:
@@ -35,8 +37,9 @@ def _quaternion(what: str, form: str, empty: bool = True) -> list[CsvColumn]:
     return [_number(name, f"{what}, {name[1]}", "", form, empty) for name in QUATERNION]
 
 
-def _pixel(name: str, meaning: str, empty: bool = True) -> list[CsvColumn]:
-    return [_number(f"{name}_{i}_px", f"{meaning}, {i}", "px", "z.4f", empty) for i in "xy"]
+def _pixel(name: str, meaning: str, empty: bool = True, newer: bool = False) -> list[CsvColumn]:
+    names = [(f"{name}_{i}_px", f"{meaning}, {i}") for i in "xy"]
+    return [_number(*words, "px", "z.4f", empty, newer) for words in names]
 
 
 FILE = _text("file", "name of the picture, relative to the picture folder")
@@ -111,6 +114,7 @@ MATCHES = CsvTable(
         CsvColumn("used", "whether the solution keeps it", "flag"),
         _text("reason", "why not", empty=True),
         REASON_CODE,
+        *_pixel("prior", "where the pose predicted it from which the search began", newer=True),
     )
 )
 

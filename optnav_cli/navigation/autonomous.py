@@ -173,7 +173,7 @@ class Navigator:
             outcome = NoFix(Reason.of(error), Method.CONTROL_POINTS, error.evidence)
         except NoSolutionError as error:
             outcome = NoFix(Reason.of(error), Method.CONTROL_POINTS)
-        return Solution(observation.file, observation.utc, outcome, prior.source)
+        return Solution(observation.file, observation.utc, outcome, prior.source, prior.position_m)
 
     def _out_of_reach(self, observation: Observation, prior: PositionPrior) -> Reason:
         """Why control points have nothing to add to an outline; empty when some may."""

@@ -1,4 +1,4 @@
-"""The well-known Foxglove messages that a recording holds, as JSON schemas.
+"""The Foxglove messages that a recording holds, as JSON schemas, and one message of our own.
 
 Names, fields and required fields are those of the published definitions
 (docs.foxglove.dev, "Foxglove schemas", JSON). Pixels of annotations count from the top left
@@ -12,6 +12,8 @@ Schema = dict[str, Any]
 
 INFO, WARNING = 2, 3  # of foxglove.LogLevel
 POINTS, LINE_STRIP = 1, 3  # of foxglove.PointsAnnotationType
+STRIP, SEGMENTS = 0, 2  # of foxglove.LineType
+DELETE_ALL = 1  # of foxglove.SceneEntityDeletionType
 _COUNT: Schema = {"type": "integer", "minimum": 0}
 _NANOSECONDS: Schema = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
 _KINDS: dict[str, Schema] = {
@@ -19,10 +21,16 @@ _KINDS: dict[str, Schema] = {
     "text": {"type": "string"},
     "base64": {"type": "string", "contentEncoding": "base64"},
     "count": _COUNT,
+    "flag": {"type": "boolean"},
     "time": {
         "type": "object",
         "title": "time",
         "properties": {"sec": _COUNT, "nsec": _NANOSECONDS},
+    },
+    "duration": {
+        "type": "object",
+        "title": "duration",
+        "properties": {"sec": {"type": "integer"}, "nsec": _NANOSECONDS},
     },
 }
 
@@ -35,6 +43,8 @@ def _choice(name: str, *values: str) -> None:
 
 _choice("LogLevel", "UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 _choice("PointsAnnotationType", "UNKNOWN", "POINTS", "LINE_LOOP", "LINE_STRIP", "LINE_LIST")
+_choice("LineType", "LINE_STRIP", "LINE_LOOP", "LINE_LIST")
+_choice("SceneEntityDeletionType", "MATCHING_ID", "ALL")
 # NAME: description: fields as NAME:KIND; KIND[] and KIND[N] are lists, of N items. Each message is
 # a kind of field for those after it.
 _MESSAGES = """
@@ -65,6 +75,30 @@ FrameTransform: The position and orientation of a child frame within a parent fr
   timestamp:time parent_frame_id:text child_frame_id:text translation:Vector3 rotation:Quaternion
 Log: A log message:
   timestamp:time level:LogLevel message:text name:text file:text line:count
+Point3: A point in 3D: x:number y:number z:number
+ArrowPrimitive: An arrow: pose:Pose shaft_length:number shaft_diameter:number head_length:number
+  head_diameter:number color:Color
+CubePrimitive: A cube or a box: pose:Pose size:Vector3 color:Color
+SpherePrimitive: A sphere or an ellipsoid: pose:Pose size:Vector3 color:Color
+CylinderPrimitive: A cylinder or a truncated cone:
+  pose:Pose size:Vector3 bottom_scale:number top_scale:number color:Color
+LinePrimitive: A series of points connected by lines:
+  type:LineType pose:Pose thickness:number scale_invariant:flag points:Point3[] color:Color
+  colors:Color[] indices:count[]
+TriangleListPrimitive: A set of triangles:
+  pose:Pose points:Point3[] color:Color colors:Color[] indices:count[]
+TextPrimitive: A text label: pose:Pose billboard:flag font_size:number scale_invariant:flag
+  color:Color text:text
+ModelPrimitive: A 3D model: pose:Pose scale:Vector3 color:Color override_color:flag url:text
+  media_type:text data:base64
+SceneEntity: A visual element in a 3D scene:
+  timestamp:time frame_id:text id:text lifetime:duration frame_locked:flag metadata:KeyValuePair[]
+  arrows:ArrowPrimitive[] cubes:CubePrimitive[] spheres:SpherePrimitive[]
+  cylinders:CylinderPrimitive[] lines:LinePrimitive[] triangles:TriangleListPrimitive[]
+  texts:TextPrimitive[] models:ModelPrimitive[]
+SceneEntityDeletion: Command to remove entities: timestamp:time type:SceneEntityDeletionType id:text
+SceneUpdate: An update to the entities displayed in a 3D scene:
+  deletions:SceneEntityDeletion[] entities:SceneEntity[]
 """
 for _text in re.split(r"\n(?=\w)", _MESSAGES.strip()):
     _name, _description, _fields = re.split(r":\s+", _text, maxsplit=2)
@@ -85,4 +119,24 @@ CAMERA_CALIBRATION = _KINDS["CameraCalibration"]
 CAMERA_CALIBRATION["required"] = []  # as it is published
 IMAGE_ANNOTATIONS = _KINDS["ImageAnnotations"]
 POSE_IN_FRAME, FRAME_TRANSFORM = _KINDS["PoseInFrame"], _KINDS["FrameTransform"]
-LOG = _KINDS["Log"]
+LOG, SCENE_UPDATE = _KINDS["Log"], _KINDS["SceneUpdate"]
+# What a frame's solution says, as numbers to plot; what is unknown is missing.
+SOLUTION_TEXTS = ("file", "camera", "status", "method", "prior", "reason", "reason_code")
+SOLUTION_COUNTS = ("n_predicted", "n_matched", "n_used", "n_limb")
+SOLUTION_NUMBERS = (
+    *("lat_deg", "lon_deg", "height_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_east_m"),
+    *("sigma_north_m", "sigma_up_m", "sigma_m", "attitude_sigma_arcsec", "residual_rms_px"),
+    *("arc_deg", "moved_from_prior_m"),
+)
+SOLUTION: Schema = {
+    "title": "optnav.Solution",
+    "description": "What is known of one frame",
+    "type": "object",
+    "properties": {
+        "timestamp": _KINDS["time"],
+        **dict.fromkeys(SOLUTION_TEXTS, _KINDS["text"]),
+        **dict.fromkeys(SOLUTION_COUNTS, _COUNT),
+        **dict.fromkeys(SOLUTION_NUMBERS, _KINDS["number"]),
+    },
+    "required": ["timestamp", *SOLUTION_TEXTS],
+}

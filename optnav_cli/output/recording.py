@@ -1,38 +1,51 @@
 """run.mcap: a run as time-stamped Foxglove messages in JSON, to be looked at in a robotics viewer.
 
-For each frame: the picture with its calibration, the predicted and the found control points, what
-is known of the body's outline, the camera's pose in the body frame, the transform body to camera,
-and one log line. Message times are the frames' UTC, so the same run gives the same bytes.
+The body once. For each frame, under /camera/NAME: the picture with its calibration, where control
+points were predicted and found, what is known of the body's outline, the pose by the solution and
+by the prior, the 3D scene, the solution in numbers; the transform body to camera and one log line.
+Message times are the frames' UTC, so the same run gives the same bytes.
 """
 
 import base64
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
-from catalog.geometry.rotations import quaternion_from_rotation
+from catalog.bodies.body import Body
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.rotations import ARCSEC, rnb_axes
+from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks, Solution
 from optnav_cli.output import foxglove
 from optnav_cli.output.canvas import eight_bits, encoded, resized, shrink_factor
+from optnav_cli.output.scene import (
+    FOUND,
+    PREDICTED,
+    PRIOR,
+    REJECTED,
+    Message,
+    Rgb,
+    Scene,
+    color,
+    pose_of,
+)
 
-Message = dict[str, Any]
+NO_CAMERA = "camera"  # the name of a camera that has no file
 MAX_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it
 JPEG_QUALITY = 80
 _TIME = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d):(\d\d)(?::(\d\d)(?:\.(\d*))?)?", re.ASCII)
-Rgb = tuple[float, float, float]
 MARK_PX, TEXT_PX = 14.0, 12.0  # for a picture of MAX_PX
 DISC_PX, POINT_PX, LINE_PX = 60.0, 3.0, 2.0
-PREDICTED, FOUND, REJECTED = (0.20, 0.75, 1.0), (0.25, 0.95, 0.35), (1.0, 0.35, 0.30)  # RGB
 DISC = (1.0, 0.85, 0.2)
 _CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 
@@ -40,9 +53,23 @@ _CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 class Recording:
     """Writes run.mcap frame by frame; a context manager that completes the file at its end."""
 
-    def __init__(self, path: Path, body: str) -> None:
-        """Begin a recording; `body` names the frame that positions refer to ("moon")."""
-        self._path, self._body = path, body
+    def __init__(
+        self,
+        path: Path,
+        body: Body,
+        relief: GlobalRelief | None = None,
+        cameras: Sequence[str] = (),
+        about: Mapping[str, str] | None = None,
+    ) -> None:
+        """Begin a recording.
+
+        body     whose frame positions refer to; its name is that frame's
+        relief   of the whole body, to be shown, where there is one
+        cameras  names of the run's cameras, in the order of their colours
+        about    what the run was made by and from: the file's metadata record
+        """
+        self._path, self._body, self._relief = path, body, relief
+        self._scene, self._about = Scene(body, cameras), dict(about or {})
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._sequence = 0
@@ -52,6 +79,8 @@ class Recording:
         self._file = self._path.open("wb")
         self._writer = Writer(self._file)
         self._writer.start(library="optnav")
+        if self._about:
+            self._writer.add_metadata("optnav", self._about)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -75,40 +104,56 @@ class Recording:
         marks    of the body's outline in it
         A frame whose time cannot be understood keeps the time of the frame before.
         """
-        self._last_ns = nanoseconds(solution.utc, self._last_ns)
+        # a leap second's readings come twice: time stands still rather than going back
+        self._last_ns = max(nanoseconds(solution.utc, self._last_ns), self._last_ns)
+        name, matches = camera.name if camera else NO_CAMERA, list(matches)
+        place = topic_of(name, "")
+        if not self._sequence:
+            self._write("/body", foxglove.SCENE_UPDATE, self._scene.body(self._stamp, self._relief))
         if camera is not None:
             factor = shrink_factor(camera.width_px, camera.height_px, MAX_PX)
-            place = f"/camera/{camera.name}"
             if picture is not None:
                 small = resized(eight_bits(picture), factor)
                 data = base64.b64encode(encoded(small, ".jpg", JPEG_QUALITY)).decode("ascii")
-                content: Message = {"frame_id": camera.name, "data": data, "format": "jpeg"}
-                self._write(f"{place}/image", foxglove.COMPRESSED_IMAGE, self._stamped(content))
+                content: Message = {"data": data, "format": "jpeg"}
+                content |= {"frame_id": self._frame_of(name)}
+                self._write(f"{place}image", foxglove.COMPRESSED_IMAGE, self._stamped(content))
             content = self._stamped(self._calibration(camera, factor))
-            self._write(f"{place}/calibration", foxglove.CAMERA_CALIBRATION, content)
+            self._write(f"{place}calibration", foxglove.CAMERA_CALIBRATION, content)
             size = factor * max(camera.width_px, camera.height_px) / MAX_PX
-            drawn = Annotations(self._stamped({}), factor, size)
+            drawn = Annotations(self._stamp, factor, size)
             drawn.add_matches(matches)
             if marks is not None:
                 drawn.add_outline(marks)
-            self._write(f"{place}/annotations", foxglove.IMAGE_ANNOTATIONS, drawn.message)
+            self._write(f"{place}annotations", foxglove.IMAGE_ANNOTATIONS, drawn.message)
         if solution.position_m is not None and solution.camera_from_body is not None:
-            position = dict(zip("xyz", map(float, solution.position_m), strict=True))
-            # the camera's axes seen from the body
-            quaternion = quaternion_from_rotation(solution.camera_from_body.inv())
-            qw, qx, qy, qz = (float(v) for v in quaternion)
-            orientation = {"x": qx, "y": qy, "z": qz, "w": qw}
-            pose = {"position": position, "orientation": orientation}
-            content = self._stamped({"frame_id": self._body, "pose": pose})
-            self._write("/pose", foxglove.POSE_IN_FRAME, content)
-            child = "camera" if camera is None else camera.name
-            content = {"parent_frame_id": self._body, "child_frame_id": child}
-            content |= {"translation": position, "rotation": orientation}
-            self._write("/tf", foxglove.FRAME_TRANSFORM, self._stamped(content))
+            self._add_pose(name, solution.position_m, solution.camera_from_body)
+            if solution.prior_m is not None:
+                pose = pose_of(solution.prior_m, solution.camera_from_body)
+                content = self._stamped({"frame_id": self._body.name, "pose": pose})
+                self._write(f"{place}predicted", foxglove.POSE_IN_FRAME, content)
+        scene = self._scene.camera(self._stamp, self._last_ns, name, solution, camera)
+        self._write(f"{place}scene", foxglove.SCENE_UPDATE, scene)
+        points = self._scene.points(self._stamp, solution, matches)
+        self._write(f"{place}control_points", foxglove.SCENE_UPDATE, points)
+        content = self._stamped(_numbers(solution, name, self._body))
+        self._write(f"{place}solution", foxglove.SOLUTION, content)
         level = foxglove.INFO if solution.solved else foxglove.WARNING
         content = {"level": level, "message": describe(solution), "name": "optnav"}
         content |= {"file": solution.file, "line": 0}
         self._write("/log", foxglove.LOG, self._stamped(content))
+
+    def _add_pose(self, name: str, position_m: FloatArray, camera_from_body: Rotation) -> None:
+        body, pose = self._body.name, pose_of(position_m, camera_from_body)
+        content = self._stamped({"frame_id": body, "pose": pose})
+        self._write(topic_of(name, "pose"), foxglove.POSE_IN_FRAME, content)
+        content = {"parent_frame_id": body, "child_frame_id": self._frame_of(name)}
+        content |= {"translation": pose["position"], "rotation": pose["orientation"]}
+        self._write("/tf", foxglove.FRAME_TRANSFORM, self._stamped(content))
+
+    def _frame_of(self, name: str) -> str:
+        """The frame of a camera; never that of the body."""
+        return name if name != self._body.name else f"{name} camera"
 
     def _write(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
         title = schema["title"]
@@ -129,9 +174,13 @@ class Recording:
         )
         self._sequence += 1
 
-    def _stamped(self, content: Message) -> Message:
+    @property
+    def _stamp(self) -> Message:
         seconds, nanoseconds = divmod(self._last_ns, 10**9)
-        return {"timestamp": {"sec": seconds, "nsec": nanoseconds}, **content}
+        return {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
+
+    def _stamped(self, content: Message) -> Message:
+        return {**self._stamp, **content}
 
     def _calibration(self, camera: Camera, factor: float) -> Message:
         # A scaled picture keeps its corners, and pixel centres stand half a pixel inside them.
@@ -140,7 +189,7 @@ class Recording:
         fisheye = camera.model != "pinhole"
         terms = camera.coefficients or (0.0,) * (4 if fisheye else 5)
         return {
-            "frame_id": camera.name,
+            "frame_id": self._frame_of(camera.name),
             "width": max(1, round(camera.width_px * factor)),
             "height": max(1, round(camera.height_px * factor)),
             "distortion_model": "kannala_brandt" if fisheye else "plumb_bob",
@@ -149,6 +198,38 @@ class Recording:
             "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             "P": [focal, 0.0, cx, 0.0, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         }
+
+
+def topic_of(camera: str, what: str) -> str:
+    """The topic of something of a camera."""
+    return f"/camera/{camera}/{what}"
+
+
+def _numbers(solution: Solution, camera: str, body: Body) -> Message:
+    """An optnav.Solution: what is unknown is left out."""
+    texts = {name: str(getattr(solution, name, "")) for name in foxglove.SOLUTION_TEXTS}
+    found: dict[str, float | None] = {
+        name: getattr(solution, name) for name in (*foxglove.SOLUTION_COUNTS, "residual_rms_px")
+    }
+    found["arc_deg"] = solution.arc_deg
+    if solution.attitude_sigma_rad is not None:
+        found["attitude_sigma_arcsec"] = solution.attitude_sigma_rad / ARCSEC
+    position, covariance = solution.position_m, solution.covariance_m2
+    if position is not None:
+        lat, lon, radius = (float(v) for v in latlon_from_xyz(position))
+        found |= {"lat_deg": float(np.degrees(lat)), "lon_deg": float(np.degrees(lon))}
+        found["height_m"] = radius - body.radius_m
+        if solution.prior_m is not None:
+            found["moved_from_prior_m"] = float(np.linalg.norm(position - solution.prior_m))
+        if covariance is not None:
+            polar = np.hypot(position[0], position[1]) < 1e-9 * radius  # any direction is north
+            axes = rnb_axes(position, (1.0, 0.0, 0.0) if polar else (0.0, 0.0, 1.0))
+            for names, turn in (("xyz", np.eye(3)), (("up", "north", "east"), axes)):
+                sigmas = np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0))
+                found |= {f"sigma_{n}_m": float(s) for n, s in zip(names, sigmas, strict=True)}
+            found["sigma_m"] = float(np.sqrt(np.trace(covariance) / 3.0))
+    known = {name: value for name, value in found.items() if value is not None}
+    return {**texts, "camera": camera, **{k: v for k, v in known.items() if np.isfinite(v)}}
 
 
 def describe(solution: Solution) -> str:
@@ -200,9 +281,11 @@ class Annotations:
         return {"circles": self._circles, "points": self._points, "texts": self._texts}
 
     def add_matches(self, matches: Iterable[MatchRow]) -> None:
-        """Where control points were predicted and found; what has no place is skipped."""
+        """Where points were expected, by the prior and at last, and found, as far as known."""
         for match in matches:
             marks = [(match.predicted_px, PREDICTED, 1.6 * MARK_PX)]
+            if match.prior_px is not None:
+                marks.insert(0, (match.prior_px, PRIOR, 0.7 * MARK_PX))
             if match.measured_px is not None:
                 marks.append((match.measured_px, FOUND if match.used else REJECTED, MARK_PX))
             for pixel, rgb, diameter in marks:
@@ -215,7 +298,7 @@ class Annotations:
                     "position": self._place(last + MARK_PX * self._size / self._factor),
                     "text": str(match.cp_id),
                     "font_size": TEXT_PX * self._size,
-                    "text_color": _color(rgb),
+                    "text_color": color(rgb),
                     "background_color": _CLEAR,
                     "metadata": [],
                 }
@@ -239,7 +322,7 @@ class Annotations:
             "diameter": diameter * self._size,
             "thickness": LINE_PX * self._size,
             "fill_color": _CLEAR,
-            "outline_color": _color(rgb),
+            "outline_color": color(rgb),
             "metadata": about,
         }
         self._circles.append(circle)
@@ -249,7 +332,7 @@ class Annotations:
             **self._stamp,
             "type": kind,
             "points": [self._place(pixel) for pixel in pixels],
-            "outline_color": _color(rgb),
+            "outline_color": color(rgb),
             "outline_colors": [],
             "fill_color": _CLEAR,
             "thickness": thickness * self._size,
@@ -260,10 +343,6 @@ class Annotations:
     def _place(self, pixel: FloatArray) -> Message:
         x, y = ((float(v) + 0.5) * self._factor for v in pixel)
         return {"x": x, "y": y}
-
-
-def _color(rgb: Rgb) -> Message:
-    return {**dict(zip("rgb", rgb, strict=True)), "a": 1.0}
 
 
 def _about(match: MatchRow) -> list[Message]:

@@ -131,7 +131,7 @@ def _match_cells(match: MatchRow) -> dict[str, object]:
     cells: dict[str, object] = {name: getattr(match, name) for name in SAME_IN_MATCH}
     cells["id"] = match.cp_id
     cells |= _place_cells(match.cp_position_m)
-    for name in ("predicted", "measured", "residual"):
+    for name in ("predicted", "measured", "residual", "prior"):
         pixel = getattr(match, f"{name}_px")
         if pixel is not None:
             cells |= zip(_pixel(name), pixel, strict=True)
@@ -158,6 +158,7 @@ def _match(row: CsvRow) -> MatchRow:
         reason=row["reason"],
         sun_elevation_deg=row.number("sun_elevation_deg"),
         residual_px=row.vector(_pixel("residual")),
+        prior_px=row.vector(_pixel("prior")),
         catalog=row["catalog"],
         reason_code=_reason_code(row),
     )

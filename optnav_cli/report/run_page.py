@@ -110,11 +110,7 @@ def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArr
     camera = run.cameras.get(solution.file)
     if camera is None or solution.position_m is None or solution.camera_from_body is None:
         return None
-    side = np.linspace(0.0, 1.0, BORDER_POINTS, endpoint=False)
-    zero, one = np.zeros_like(side), np.ones_like(side)
-    x = np.concatenate([side, one, 1.0 - side, zero]) * camera.width_px - 0.5
-    y = np.concatenate([zero, side, one, 1.0 - side]) * camera.height_px - 0.5
-    rays = camera.unproject(np.column_stack([x, y]))
+    rays = camera.unproject(camera.border(BORDER_POINTS))
     rays_body = rays @ solution.camera_from_body.as_matrix()
     distance = distance_to_sphere(solution.position_m, rays_body, run.attitude.body.radius_m)
     lat, lon, _ = latlon_from_xyz(solution.position_m + distance[:, None] * rays_body)

@@ -2,7 +2,7 @@
 
 import logging
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,7 +29,7 @@ from optnav_cli.frames.picture import load_picture
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.manifest import hash_files, versions, write_manifest
 from optnav_cli.output.overlay import patch_outlines, write_overlay
 from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.run_folder import MATCHES, OVERLAYS, RECORDING, SOLUTION, copy_inputs
@@ -69,7 +69,16 @@ def navigate_folder(
         inertial, match = folder.settings.attitude == "camera_from_inertial", MATCHERS[matcher]
         inputs = NavigationInputs(points, folder.motion, ground, settings, match, inertial)
         copy_inputs(pictures, folder.settings, place)
-        solutions = _navigate_frames(folder, inputs, place, progress)
+        about = {
+            "optnav": versions()["optnav"],
+            "command": "navigate",
+            "matcher": matcher,
+            "body": folder.body.name,
+            "relief": Path(ground.source).name if ground else "",
+            "motion": folder.motion.name,
+            **{f"catalog {catalog.path.name}": catalog.digest for catalog in catalogs},
+        }
+        solutions = _navigate_frames(folder, inputs, place, about, progress)
         write_solutions(place / SOLUTION, solutions, folder.attitude)
         write_matches(place / MATCHES, (m for row in solutions for m in row.evidence.matches))
         for (_, point_id), reason in points.damaged.items():
@@ -180,14 +189,20 @@ def solve_frame(
 
 
 def _navigate_frames(
-    folder: Folder, inputs: NavigationInputs, place: Path, progress: Progress
+    folder: Folder,
+    inputs: NavigationInputs,
+    place: Path,
+    about: Mapping[str, str],
+    progress: Progress,
 ) -> list[Solution]:
     """Rows in the order of frames.csv; the frames are navigated in the order of time."""
     solutions: dict[int, Solution] = {}
     navigator = Navigator(inputs)
     with (
         progress.stage("navigate", len(folder.frames), "frame") as bar,
-        Recording(place / RECORDING, folder.body.name) as recording,
+        Recording(
+            place / RECORDING, folder.body, inputs.relief, sorted(folder.cameras), about
+        ) as recording,
     ):
         for number in in_order(folder):
             frame = folder.frames[number]

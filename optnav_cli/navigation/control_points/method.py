@@ -126,14 +126,14 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
     except NoSolutionError as error:
         reason = Reason.of(error)
         text = f"{reason} ({len(accepted(matches))} of {len(view)} matched)"
-        evidence = _evidence(frame, view, matches, None)
+        evidence = _evidence(frame, prior, view, matches, None)
         raise UnsolvedFrameError(reason.worded(text), evidence) from error
     position, covariance_m2 = solution.pose.position_m, solution.position_covariance_m2
     reason = acceptance.rejection_of_place(position, covariance_m2, prior)
     if reason:
-        raise UnsolvedFrameError(reason, _evidence(frame, view, matches, None))
+        raise UnsolvedFrameError(reason, _evidence(frame, prior, view, matches, None))
     moved = float(np.sqrt(squared_distance(position - pose.position_m, covariance_m2)))
-    evidence = _evidence(frame, view, matches, solution)
+    evidence = _evidence(frame, prior, view, matches, solution)
     return _Pass(view, matches, solution, evidence, moved, at_finest, searched)
 
 
@@ -182,9 +182,16 @@ def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
 
 
 def _evidence(
-    frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], solution: Resection | None
+    frame: FrameContext,
+    prior: PositionPrior,
+    view: ExpectedPoints,
+    matches: list[PointMatch],
+    solution: Resection | None,
 ) -> Evidence:
     """The points tried, with what the solution made of them; None: there is no solution."""
+    turn = frame.observation.camera_from_body.as_matrix()
+    places = frame.points.xyz_m[view.index]
+    from_prior = frame.camera.project_from_body(places, prior.position_m, turn)
     place = {k: i for i, k in enumerate(accepted(matches))}
     rows = []
     for k, match in enumerate(matches):
@@ -212,6 +219,7 @@ def _evidence(
                 reason=reason.text,
                 sun_elevation_deg=float(view.sun_elevation_deg[k]),
                 residual_px=residual,
+                prior_px=from_prior[k] if np.isfinite(from_prior[k]).all() else None,
                 catalog=catalog,
                 reason_code=reason.code,
             )

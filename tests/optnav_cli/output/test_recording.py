@@ -2,6 +2,7 @@
 
 import base64
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
+from catalog.bodies.body import load_body
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks
 from optnav_cli.output.recording import Recording, nanoseconds
 from tests.optnav_cli.rows import solved, unsolved
 
+MOON = load_body("moon")
 UTC = "2023-08-17T05:23:10.250Z"
 NS = 1692249790_250000000  # date -u -d 2023-08-17T05:23:10 +%s
 UNK = Camera("unk", "pinhole", 640, 480, 900.0, (319.5, 239.5))
@@ -33,6 +36,20 @@ REQUIRED = {
         "rotation",
     },
     "foxglove.Log": {"timestamp", "level", "message", "name", "file", "line"},
+    "foxglove.SceneUpdate": {"deletions", "entities"},
+    "optnav.Solution": {
+        *("timestamp", "file", "camera", "status", "method", "prior", "reason", "reason_code"),
+    },
+}
+TOPICS = {
+    *("/body", "/tf", "/log"),
+    *(
+        f"/camera/{name}/{what}"
+        for name in ("unk", "shnk")
+        for what in ("image", "calibration", "annotations", "scene", "control_points", "solution")
+    ),
+    *("/camera/unk/pose", "/camera/unk/predicted"),
+    *(f"/camera/camera/{what}" for what in ("scene", "control_points", "solution")),
 }
 
 
@@ -42,8 +59,9 @@ def conforms(value, schema, where="message"):
         assert value in [option["const"] for option in schema["oneOf"]], where
         return
     types = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
+    types["boolean"] = bool
     assert isinstance(value, types[schema["type"]]), where
-    assert not isinstance(value, bool), where
+    assert isinstance(value, bool) == (schema["type"] == "boolean"), where
     if schema["type"] == "object":
         assert set(schema.get("required", ())) <= set(value), where
         assert set(value) <= set(schema["properties"]), where
@@ -64,15 +82,17 @@ def a_pose(seed=2):
 
 def a_frame(file="a.png", utc=UTC):
     position, attitude = a_pose()
-    return solved(
+    row = solved(
         file, utc, "control_points", position, np.diag([9.0, 16.0, 25.0]), attitude, 0.0,
         n_predicted=3, n_matched=2, n_used=1, residual_rms_px=0.2,
     )  # fmt: skip
+    return replace(row, prior="frames.csv", prior_m=position + [300.0, 0.0, 400.0])
 
 
 MATCHES = [
     MatchRow(
-        "a.png", 7, 0, np.ones(3), np.array([10.0, 20.0]), np.array([11.0, 20.5]), 0.9, 0.2, True
+        "a.png", 7, 0, np.ones(3), np.array([10.0, 20.0]), np.array([11.0, 20.5]), 0.9, 0.2, True,
+        prior_px=np.array([13.0, 24.0]),
     ),
     MatchRow(
         "a.png", 8, 1, np.ones(3), np.array([30.0, 40.0]), np.array([70.0, 80.0]), 0.7, 0.6,
@@ -94,7 +114,7 @@ def read(path):
 def recorded(tmp_path):
     path = tmp_path / "run.mcap"
     picture = np.arange(480 * 640, dtype=np.float32).reshape(480, 640)
-    with Recording(path, "moon") as recording:
+    with Recording(path, MOON) as recording:
         recording.add_frame(a_frame(), MATCHES, UNK, picture)
         recording.add_frame(
             unsolved("b.png", "2023-08-17T05:24:10Z", "picture is black"), (), FISHEYE,
@@ -114,6 +134,58 @@ def test_every_message_follows_its_schema_and_its_schema_the_published_one(recor
         conforms(content, body, schema.name)
 
 
+def test_each_topic_is_there_its_times_never_go_back_and_nothing_is_no_number(recorded):
+    assert {channel.topic for _, channel, *_ in recorded} == TOPICS
+    for topic in TOPICS:
+        times = [m.log_time for _, channel, m, _ in recorded if channel.topic == topic]
+        assert times == sorted(times)
+    for _, _, message, _ in recorded:
+        json.loads(message.data, parse_constant=pytest.fail)
+
+
+def test_frames_stand_in_one_tree_that_begins_at_the_body(recorded):
+    parents = {
+        content["child_frame_id"]: content["parent_frame_id"]
+        for schema, _, _, content in recorded
+        if schema.name == "foxglove.FrameTransform"
+    }
+    assert parents == {"unk": "moon"}
+    entities = [e for s, _, _, c in recorded if "SceneUpdate" in s.name for e in c["entities"]]
+    assert {entity["frame_id"] for entity in entities} == {"moon"}
+
+
+def test_a_camera_called_like_the_body_has_a_frame_of_its_own(tmp_path):
+    camera = replace(UNK, name="moon")
+    with Recording(tmp_path / "run.mcap", MOON) as recording:
+        recording.add_frame(a_frame(), (), camera, np.zeros((480, 640), np.float32))
+    messages = read(tmp_path / "run.mcap")
+    (transform,) = [c for s, _, _, c in messages if s.name == "foxglove.FrameTransform"]
+    assert (transform["parent_frame_id"], transform["child_frame_id"]) == ("moon", "moon camera")
+    (image,) = [c for s, _, _, c in messages if s.name == "foxglove.CompressedImage"]
+    assert image["frame_id"] == "moon camera"
+
+
+def test_a_solution_is_recorded_in_numbers_and_without_what_is_unknown(recorded):
+    first, second, _ = [c for s, _, _, c in recorded if s.name == "optnav.Solution"]
+    assert [first[f"sigma_{axis}_m"] for axis in "xyz"] == [3.0, 4.0, 5.0]
+    local = [first[f"sigma_{axis}_m"] ** 2 for axis in ("up", "north", "east")]
+    assert sum(local) == pytest.approx(50.0)
+    assert first["sigma_m"] == pytest.approx(np.sqrt(50.0 / 3.0))
+    assert first["moved_from_prior_m"] == pytest.approx(500.0)
+    assert (first["n_used"], first["n_predicted"], first["residual_rms_px"]) == (1, 3, 0.2)
+    assert (second["status"], second["reason"]) == ("unsolved", "picture is black")
+    assert not any(key.startswith(("sigma", "n_", "lat")) for key in second)
+
+
+def test_a_metadata_record_says_what_the_run_was_made_from(tmp_path):
+    about = {"optnav": "0.2.0", "body": "moon", "catalog moon.gpkg": "abc"}
+    with Recording(tmp_path / "run.mcap", MOON, None, ("unk",), about) as recording:
+        recording.add_frame(a_frame(), (), UNK)
+    with (tmp_path / "run.mcap").open("rb") as file:
+        (record,) = make_reader(file).iter_metadata()
+    assert (record.name, record.metadata) == ("optnav", about)
+
+
 def test_messages_carry_the_frames_utc(recorded):
     minute = 60 * 10**9
     times = {m.log_time for _, _, m, _ in recorded}
@@ -126,7 +198,7 @@ def test_messages_carry_the_frames_utc(recorded):
 
 def test_the_pose_takes_camera_points_to_the_body(recorded):
     position, attitude = a_pose()
-    (pose,) = [c for s, _, _, c in recorded if s.name == "foxglove.PoseInFrame"]
+    pose, predicted = [c for s, _, _, c in recorded if s.name == "foxglove.PoseInFrame"]
     (transform,) = [c for s, _, _, c in recorded if s.name == "foxglove.FrameTransform"]
     q = pose["pose"]["orientation"]
     body_from_camera = Rotation.from_quat([q["x"], q["y"], q["z"], q["w"]])
@@ -134,7 +206,9 @@ def test_the_pose_takes_camera_points_to_the_body(recorded):
     np.testing.assert_allclose(
         body_from_camera.apply(boresight), attitude.inv().apply(boresight), atol=1e-12
     )
-    np.testing.assert_array_equal(list(pose["pose"]["position"].values()), position)
+    np.testing.assert_allclose(list(pose["pose"]["position"].values()), position, atol=1e-8)
+    expected = np.array(list(predicted["pose"]["position"].values()))
+    np.testing.assert_allclose(expected - position, [300.0, 0.0, 400.0], atol=1e-6)
     assert (pose["frame_id"], transform["parent_frame_id"]) == ("moon", "moon")
     assert transform["child_frame_id"] == "unk"
     assert transform["rotation"] == q
@@ -143,7 +217,8 @@ def test_the_pose_takes_camera_points_to_the_body(recorded):
 def test_marks_count_pixels_from_the_corner_and_skip_what_has_no_place(recorded):
     marks = next(c for s, _, _, c in recorded if s.name == "foxglove.ImageAnnotations")
     places = [(c["position"]["x"], c["position"]["y"]) for c in marks["circles"]]
-    assert places == [(10.5, 20.5), (11.5, 21.0), (30.5, 40.5), (70.5, 80.5)]
+    by_prior = (13.5, 24.5)
+    assert places == [by_prior, (10.5, 20.5), (11.5, 21.0), (30.5, 40.5), (70.5, 80.5)]
     assert [t["text"] for t in marks["texts"]] == ["7", "8"]
 
 
@@ -152,7 +227,7 @@ def test_the_outline_is_recorded_with_its_fit(tmp_path):
     down = np.tile([0.0, 1.0], (4, 1))
     limb = OutlineMarks(corners, down, np.array([0.5, 0.5, np.nan, 0.5]))
     disc = OutlineMarks.of_disc(np.array([30.0, 40.0]))
-    with Recording(tmp_path / "run.mcap", "moon") as recording:
+    with Recording(tmp_path / "run.mcap", MOON) as recording:
         for marks in (limb, disc):
             recording.add_frame(unsolved("b.png", UTC, ""), (), UNK, marks=marks)
     drawn = [c for s, _, _, c in read(tmp_path / "run.mcap") if "ImageAnnotations" in s.name]
@@ -198,7 +273,7 @@ def test_each_frame_has_a_log_line_and_an_unsolved_one_says_why(recorded):
 
 def test_the_same_run_gives_the_same_bytes(tmp_path):
     for name in ("one", "other"):
-        with Recording(tmp_path / name, "moon") as recording:
+        with Recording(tmp_path / name, MOON) as recording:
             recording.add_frame(a_frame(), MATCHES, UNK, np.ones((480, 640), np.float32))
     assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
 

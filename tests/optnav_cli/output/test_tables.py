@@ -156,6 +156,7 @@ def test_matches_come_back_as_they_were_written(tmp_path):
         "",
         23.5,
         np.array([0.25, -0.5]),
+        np.array([90.5, 31.25]),
     )
     lost = MatchRow(
         "a.png",
@@ -170,6 +171,8 @@ def test_matches_come_back_as_they_were_written(tmp_path):
     one, other = read_matches(tmp_path / "matches.csv")
     np.testing.assert_allclose(one.cp_position_m, found.cp_position_m, rtol=0.0, atol=1e-3)
     np.testing.assert_array_equal(one.residual_px, found.residual_px)
+    np.testing.assert_array_equal(one.prior_px, found.prior_px)
+    assert other.prior_px is None
     assert (one.cp_id, one.level, one.score, one.runner_up, one.used) == (7, 0, 0.91, 0.32, True)
     assert one.sun_elevation_deg == 23.5
     assert (other.measured_px, other.score, other.used) == (None, None, False)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
@@ -22,6 +23,7 @@ from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
+from optnav_cli.output.tables import read_matches
 from optnav_cli.runs.navigate_folder import navigate_folder, open_field
 from tests.catalog.store.written import write_points
 
@@ -184,6 +186,28 @@ def test_matches_are_written_for_the_frames_that_were_searched(mixed_run):
     assert not [row for row in rows if row["file"] == "missing.png"]
 
 
+def test_matches_say_where_the_prior_expected_them(mixed_run, rough_world, taken):
+    (solution, *_), run = mixed_run
+    turn = taken[1].camera_from_body.as_matrix()
+    prior = taken[1].position_m + [400.0, -700.0, 500.0]
+    np.testing.assert_allclose(solution.prior_m, prior)
+    used = [m for m in read_matches(run / "matches.csv") if m.file == "first.png" and m.used]
+    for match in used:
+        expected = rough_world.camera.project_from_body(match.cp_position_m, prior, turn)
+        np.testing.assert_allclose(match.prior_px, expected, atol=1e-3)
+        # 1 km of prior error at 100 km of height are some ten pixels, and the solution's are not
+        assert np.linalg.norm(match.measured_px - match.prior_px) > 3.0
+        assert np.linalg.norm(match.measured_px - match.predicted_px) < 1.0
+
+
+def test_the_recording_says_what_the_run_was_made_from(mixed_run):
+    with (mixed_run[1] / "run.mcap").open("rb") as file:
+        (record,) = make_reader(file).iter_metadata()
+    assert record.metadata["command"] == "navigate"
+    assert record.metadata["body"] == "moon"
+    assert sum(key.startswith("catalog ") for key in record.metadata) == 1
+
+
 def test_the_run_folder_is_whole(mixed_run):
     _, run = mixed_run
     for name in ("run.toml", "frames.csv", "manifest.json", "run.mcap", "cameras/cam.toml"):
@@ -195,7 +219,7 @@ def test_the_same_folder_gives_the_same_bytes(mixed, mixed_run, catalog_path, tm
     _, run = mixed_run
     again = tmp_path / "again"
     navigate_folder(mixed, [catalog_path], SETTINGS, "ncc", again, SilentProgress())
-    for name in ("solution.csv", "matches.csv"):
+    for name in ("solution.csv", "matches.csv", "run.mcap"):
         assert (again / name).read_bytes() == (run / name).read_bytes()
 
 

@@ -1,0 +1,168 @@
+"""The layout in which a run's recording is looked at in Foxglove, as its import reads it.
+
+Panels: the 3D scene, a picture with its annotations for each camera, plots of what solutions state,
+the log. Their names and settings are those that Foxglove exports ("configById", "layout").
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from catalog.errors import DataError, UsageError
+from catalog.files import replacing_file, starts_with
+from optnav_cli.output.recording import topic_of
+from optnav_cli.output.run_folder import RunFolder, read_run
+from optnav_cli.output.scene import CAMERA_COLOURS
+
+Panel = dict[str, Any]
+BEGINNING = b'{\n  "configById"'
+PLAIN_TOPIC = re.compile(r"[\w/-]+", re.ASCII)  # others stand in quotes in a message path
+AWAY = 4.0  # of the viewer from the body's centre, farthest camera's distances
+AXES_SHARE = 0.1  # length of a camera's axes, of the median height
+PLOTS = {
+    "sigmas": ("sigma, m", ("sigma_up_m", "sigma_north_m", "sigma_east_m")),
+    "points": ("control points", ("n_predicted", "n_matched", "n_used")),
+    "residuals": ("residual, px", ("residual_rms_px",)),
+}
+THREE, LOG = "3D!scene", "RosOut!log"
+
+
+def write_layout(source: Path, output: Path) -> None:
+    """Write the layout of a run folder; an older one there is replaced.
+
+    Raises UsageError for another ending than .json, DataError for a folder that is no run or one
+    without a camera, OutputError for a place that cannot be used.
+    """
+    if output.suffix.lower() != ".json":
+        raise UsageError(f"{output}: a layout for Foxglove is JSON; let its name end in .json")
+    run = read_run(source)
+    if not run.cameras:
+        raise DataError(f"{source}: holds no camera files, so there is nothing to lay out")
+    text = json.dumps(layout(run), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with replacing_file(output, starts_with(BEGINNING)) as path:
+        path.write_text(text, encoding="utf-8")
+
+
+def layout(run: RunFolder) -> Panel:
+    """The layout of a run with a camera."""
+    cameras = sorted({camera.name for camera in run.cameras.values()})
+    pictures = {f"Image!{number}": _picture(name) for number, name in enumerate(cameras)}
+    plots = {f"Plot!{name}": _plot(cameras, *PLOTS[name]) for name in PLOTS}
+    panels = {THREE: _scene(run, cameras), **pictures, **plots}
+    panels[LOG] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"}
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1.0},
+        "layout": _split(
+            _split(THREE, _stacked(list(pictures)), "row", 55),
+            _split(_stacked(list(plots), "row"), LOG, "row", 75),
+            "column",
+            62,
+        ),
+    }
+
+
+def _scene(run: RunFolder, cameras: list[str]) -> Panel:
+    radius = run.attitude.body.radius_m
+    distances = [np.linalg.norm(s.position_m) for s in run.solutions if s.position_m is not None]
+    farthest = max(float(max(distances, default=0.0)), radius)
+    height = max(float(np.median(distances)) - radius, 1e-3 * radius) if distances else radius
+    size = AXES_SHARE * min(height, 2.0 * radius)
+    topics: dict[str, Panel] = {"/body": {"visible": True}}
+    for number, name in enumerate(cameras):
+        rgb = CAMERA_COLOURS[number % len(CAMERA_COLOURS)]
+        colour = "#" + "".join(f"{round(255 * part):02x}" for part in rgb) + "ff"
+        pose = {"visible": True, "type": "axis", "axisScale": size, "color": colour}
+        topics[topic_of(name, "pose")] = pose
+        topics[topic_of(name, "predicted")] = {**pose, "axisScale": 0.6 * size}
+        topics |= {topic_of(name, what): {"visible": True} for what in ("scene", "control_points")}
+        # its own frustum is 1 m long; that of the scene shows fisheyes, too
+        topics[topic_of(name, "calibration")] = {"visible": False}
+        topics[topic_of(name, "image")] = {"visible": False}
+    view = {
+        "perspective": True,
+        "distance": AWAY * farthest,
+        "phi": 60.0,
+        "thetaOffset": 45.0,
+        "targetOffset": [0.0, 0.0, 0.0],
+        "target": [0.0, 0.0, 0.0],
+        "targetOrientation": [0.0, 0.0, 0.0, 1.0],
+        "fovy": 45.0,
+        "near": 1e-3 * radius,
+        "far": 10.0 * AWAY * farthest,
+        "logDepth": True,
+    }
+    return {
+        "cameraState": view,
+        "followMode": "follow-none",
+        "followTf": run.attitude.body.name,
+        "scene": {"transforms": {"visible": False}},
+        "transforms": {},
+        "topics": topics,
+        "layers": {},
+        "imageMode": {},
+    }
+
+
+def _picture(camera: str) -> Panel:
+    return {
+        "foxglovePanelTitle": camera,
+        "imageMode": {
+            "imageTopic": topic_of(camera, "image"),
+            "calibrationTopic": topic_of(camera, "calibration"),
+            "annotations": {topic_of(camera, "annotations"): {"visible": True}},
+            "synchronize": True,
+        },
+    }
+
+
+def _plot(cameras: list[str], label: str, fields: tuple[str, ...]) -> Panel:
+    paths = []
+    for camera in cameras:
+        topic = topic_of(camera, "solution")
+        topic = topic if PLAIN_TOPIC.fullmatch(topic) else json.dumps(topic, ensure_ascii=False)
+        paths += [
+            {
+                "value": f"{topic}.{field}",
+                "label": f"{field}, {camera}",
+                "enabled": True,
+                "timestampMethod": "headerStamp",
+                "showLine": True,
+                "lineSize": 1,
+            }
+            for field in fields
+        ]
+    return {
+        "foxglovePanelTitle": label,
+        "paths": paths,
+        "xAxisVal": "timestamp",
+        "yAxisLabel": label,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": True,
+        "isSynced": True,
+    }
+
+
+def _split(first: Any, second: Any, direction: str, percentage: float) -> Panel:
+    return {
+        "first": first,
+        "second": second,
+        "direction": direction,
+        "splitPercentage": percentage,
+    }
+
+
+def _stacked(panels: list[str], direction: str = "column") -> Any:
+    """Panels beside one another, each as large as the others."""
+    if len(panels) == 1:
+        return panels[0]
+    rest = _stacked(panels[1:], direction)
+    return _split(panels[0], rest, direction, 100.0 / len(panels))
