@@ -29,6 +29,7 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint
 from catalog.errors import DataError, OutputError
 from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
+from catalog.rasters import OWN, open_raster
 from catalog.store.connection import SIDECARS, is_points_file
 from catalog.store.reader import Catalog
 from catalog.store.records import reasons_text, unknown_as_none
@@ -289,7 +290,7 @@ def export_relief(catalog: Catalog, path: Path) -> int:
 
 def _is_our_relief(path: Path) -> bool:
     try:
-        with rasterio.open(path) as file:
+        with open_raster(path, OWN) as file:
             return str(file.tags().get("TIFFTAG_IMAGEDESCRIPTION", "")).startswith(RELIEF_NAME)
-    except RasterioError:
+    except DataError:
         return False

@@ -22,19 +22,19 @@ the tilt held the best position leaves 1.0 px rms, with the tilt mirrored 0.40, 
 
 import json
 import shutil
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
+from catalog.inputs import check_input
+from catalog.rasters import open_raster
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
@@ -108,18 +108,13 @@ def read_cube_label(path: str | Path) -> Label:
     Raises DataError for a file that is missing or no cube.
     """
     path = Path(path)
+    check_input(path)
     try:
-        path.open("rb").close()
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, driver="ISIS3") as cube:
-                # rasterio takes the text before the first colon for the name of a tag
-                ((start, rest),) = cube.tags(ns="json:ISIS3").items()
+        with open_raster(path, ("ISIS3",)) as cube:
+            # rasterio takes the text before the first colon for the name of a tag
+            ((start, rest),) = cube.tags(ns="json:ISIS3").items()
         label: Label = json.loads(f"{start}:{rest}")
-    except (RasterioError, ValueError):
+    except (DataError, RasterioError, ValueError, RecursionError):
         raise DataError(f"{path}: not an ISIS cube, or its label is damaged") from None
     return label
 

@@ -5,23 +5,25 @@ rest with zeros. With a PNG it does not fail, so the checksums of a PNG's chunks
 """
 
 import struct
-import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 
 from catalog.arrays import Float32Array
 from catalog.errors import DataError
+from catalog.inputs import check_input
+from catalog.rasters import PICTURES, open_raster, reading_rasters
 from optnav_cli.camera.camera import Camera
 
 # the highest value of the integer types pictures are taken with
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
+PIECE = 1 << 20  # bytes that are read at once
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -44,9 +46,7 @@ def load_picture(path: str | Path, camera: Camera) -> Picture:
     camera's pictures, in colour, or without content: all black, all white, all of one value.
     """
     path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: there is no such picture")
-    if path.stat().st_size == 0:
+    if check_input(path, "picture", "add it to the folder") == 0:
         raise DataError(f"{path}: the picture is an empty file")
     _check_png(path)
     values, kind = _read(path, camera)
@@ -58,41 +58,46 @@ def load_picture(path: str | Path, camera: Camera) -> Picture:
 def _check_png(path: Path) -> None:
     """Refuse a PNG that does not reach its end or holds a chunk with a wrong checksum."""
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as file:
+            if file.read(len(_PNG)) == _PNG:
+                _check_chunks(path, file)
     except OSError as error:
         raise DataError(f"{path}: the picture cannot be read: {error.strerror}") from None
-    if not raw.startswith(_PNG):
-        return
-    place, kind = len(_PNG), b""
+
+
+def _check_chunks(path: Path, file: BinaryIO) -> None:
+    kind = b""
     while kind != b"IEND":
-        if place + 12 > len(raw):
-            raise DataError(f"{path}: the picture is broken: it ends after {len(raw)} bytes")
-        length, kind = struct.unpack_from(">I4s", raw, place)
-        end = place + 8 + length
-        if end + 4 > len(raw):
-            raise DataError(f"{path}: the picture is broken: it ends after {len(raw)} bytes")
-        if zlib.crc32(raw[place + 4 : end]) != struct.unpack_from(">I", raw, end)[0]:
+        place = file.tell()
+        head = file.read(8)
+        length, kind = struct.unpack(">I4s", head) if len(head) == 8 else (0, b"")
+        checksum = zlib.crc32(kind)
+        while length and (piece := file.read(min(length, PIECE))):
+            checksum = zlib.crc32(piece, checksum)
+            length -= len(piece)
+        stated = file.read(4)
+        if length or len(stated) < 4:
+            raise DataError(f"{path}: the picture is broken: it ends after {file.tell()} bytes")
+        if checksum != struct.unpack(">I", stated)[0]:
             raise DataError(f"{path}: the picture is broken: wrong checksum at byte {place}")
-        place = end + 4
 
 
 def _read(path: Path, camera: Camera) -> tuple[NDArray[np.generic], str]:
     """The only band and the name of its type."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as dataset:
-                if dataset.count > 1 or dataset.colorinterp[0] == ColorInterp.palette:
-                    raise DataError(
-                        f"{path}: the picture is in colour or has {dataset.count} bands; "
-                        "wanted one grey band: convert it"
-                    )
-                if dataset.shape != camera.shape:
-                    raise DataError(
-                        f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
-                        f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
-                    )
-                return dataset.read(1), dataset.dtypes[0]
+        with open_raster(path, PICTURES) as dataset, reading_rasters(siblings=False):
+            if dataset.count > 1 or dataset.colorinterp[0] == ColorInterp.palette:
+                raise DataError(
+                    f"{path}: the picture is in colour or has {dataset.count} bands; "
+                    "wanted one grey band: convert it"
+                )
+            # before its pixels are decoded: a small file can hold a huge picture
+            if dataset.shape != camera.shape:
+                raise DataError(
+                    f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
+                    f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
+                )
+            return dataset.read(1), dataset.dtypes[0]
     except (RasterioError, OSError) as error:
         reason = str(error.__cause__ or error).splitlines()[0].replace(f"{path}: ", "")
         raise DataError(f"{path}: the picture is broken or of no known kind: {reason}") from None

@@ -4,7 +4,6 @@ import logging
 
 import cv2
 import numpy as np
-import rasterio
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
@@ -15,6 +14,7 @@ from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import Stereographic
+from catalog.rasters import OWN, open_raster
 from catalog.store.reader import Catalog
 
 log = logging.getLogger(__name__)
@@ -74,7 +74,7 @@ def shaded(heights_m: Float32Array, posting_m: float) -> ByteArray:
 
 
 def _moon_heights(lat_deg: FloatArray, lon_deg: FloatArray) -> Float32Array:
-    with rasterio.open(resource(MOON_FILE)) as source:
+    with open_raster(resource(MOON_FILE), OWN) as source:
         heights = source.read(1).astype(np.float32)
     rows, columns = heights.shape
     # a column more at either end, so that nothing is special at the seam

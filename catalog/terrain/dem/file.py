@@ -1,12 +1,14 @@
-"""Opening a terrain model file and finding where it lies, with a header's possible errors."""
+"""What the header of a terrain model file says, with its possible errors: units, place, body."""
 
 import os
-import warnings
+import re
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from pyproj.exceptions import ProjError
+from rasterio.errors import RasterioError
 
 from catalog.bodies.body import Body
 from catalog.config import resource
@@ -15,6 +17,15 @@ from catalog.terrain.dem.georeference import Georeference, georeference
 
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.
 RADIUS_TOLERANCE = 0.01
+MIN_POSTING_M = 1e-3
+MAX_CRS = 20_000  # letters
+_CRS = re.compile(
+    r"(EPSG|ESRI|OGC|IAU(_\d{4})?):\w+$|urn:ogc:def:crs:[\w.:-]+$|\+\w|"
+    r"(GEOG|GEOD|GEOC|PROJ|COMPD_|BOUND|COMPOUND)(CS|CRS)\s*\[",
+    re.I,
+)
+# what makes PROJ read a file
+_GRIDS = re.compile(r"grids|://|\bfile=|parameterfile|\+init|\+catalog|=pipeline", re.I)
 
 Units = Literal["m", "km", "dm", "cm"]
 STATED_UNITS: dict[Units, tuple[str, ...]] = {
@@ -61,34 +72,6 @@ def label_of(path: Path) -> Path:
     return path
 
 
-def open_raster(path: Path) -> Any:
-    """A rasterio dataset. Raises DataError for what is missing, empty or no raster."""
-    if not path.exists():
-        raise DataError(f"{path}: there is no such file; check `path` in its [[dem]] section")
-    if path.is_dir():
-        raise DataError(f"{path}: is a folder; name a raster file")
-    if path.stat().st_size == 0:
-        raise DataError(f"{path}: is empty; get the file again")
-    try:
-        with warnings.catch_warnings():
-            # a file without a place on the map gets an error of our own, with a remedy
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            return rasterio.open(path)
-    except RasterioIOError as error:
-        remedy = "wanted a raster that GDAL reads (GeoTIFF, PDS3, PDS4, ISIS cube, VRT)"
-        if path.suffix.lower() == ".img":
-            remedy = f"a PDS3 image needs its label {path.with_suffix('.LBL').name} beside it"
-        raise DataError(f"{path}: cannot be opened ({gdal_reason(error)}); {remedy}") from None
-
-
-def gdal_reason(error: BaseException) -> str:
-    """GDAL's own words, which rasterio keeps as the cause of its error."""
-    deepest: BaseException = error
-    while deepest.__cause__ is not None:
-        deepest = deepest.__cause__
-    return str(deepest).strip().rstrip(".")
-
-
 def file_units(path: Path, dataset: Any) -> Units:
     """Units that the band states, metres when it states none. Raises DataError for foreign ones."""
     stated = (dataset.units[0] or "").strip()
@@ -103,13 +86,24 @@ def file_units(path: Path, dataset: Any) -> Units:
     )
 
 
+def crs_of(text: str) -> Any:
+    """The coordinate system that a text states: a code, WKT or a PROJ string.
+
+    GDAL would also take the name of a file or a server. Raises ValueError.
+    """
+    stated = text.strip()
+    if not _CRS.match(stated) or _GRIDS.search(stated) or len(stated) > MAX_CRS:
+        raise ValueError('wanted a code as "IAU_2015:30100", WKT, or a PROJ string without files')
+    return rasterio.CRS.from_user_input(stated)
+
+
 def place_of(
     path: Path, crs_override: str | None, longitude: str, body: Body, dataset: Any
 ) -> Georeference:
     """The raster's georeference. Raises DataError for no CRS, another body or no geotransform."""
     remedy = 'set `crs` in its [[dem]] section, for example crs = "IAU_2015:30100"'
     try:
-        crs = rasterio.CRS.from_user_input(crs_override) if crs_override else dataset.crs
+        crs = crs_of(crs_override) if crs_override is not None else dataset.crs
     except (RasterioError, ValueError) as error:
         raise DataError(f"{path}: crs = '{crs_override}' is not known to PROJ ({error})") from None
     if not crs:
@@ -117,14 +111,28 @@ def place_of(
     if dataset.transform.is_identity:
         raise DataError(f"{path}: has no place on the map (no geotransform); georeference it")
     sign = -1.0 if longitude == "west" else 1.0
+    affine = (*dataset.transform,)[:6]
+    a, b, _, d, e, _ = affine
+    if not (np.isfinite(affine).all() and abs(a * e - b * d) > 1e-12 * max(a * a, e * e, b * b)):
+        raise DataError(
+            f"{path}: its pixels have no size by its geotransform ({', '.join(map(str, affine))}); "
+            "georeference it anew with gdal_translate -a_ullr"
+        )
     try:
-        affine = (*dataset.transform,)[:6]
+        if _GRIDS.search(crs.to_wkt()):
+            raise ValueError("it names a file of grid shifts")
         place = georeference(crs.to_wkt(), affine, dataset.shape, sign, body.radius_m)
         semi_major, semi_minor = place.ellipsoid_m
-    except (RasterioError, ValueError) as error:
+    except (RasterioError, ProjError, ValueError) as error:
         raise DataError(
             f"{path}: its coordinate system cannot be used ({error}); {remedy}"
         ) from None
+    if not MIN_POSTING_M < min(place.row_angle, place.column_angle) * body.radius_m < np.inf:
+        raise DataError(
+            f"{path}: its pixels are {place.column_angle * body.radius_m:.3g} x "
+            f"{place.row_angle * body.radius_m:.3g} m; wanted over {MIN_POSTING_M:g} m: "
+            "correct its geotransform"
+        )
     largest = max(body.radius_m, *body.radii_m)
     smallest = min(body.radius_m, *body.radii_m)
     slack = 1.0 + RADIUS_TOLERANCE

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-import rasterio
 from numpy.typing import ArrayLike, NDArray
 from rasterio.enums import ColorInterp
 from rasterio.errors import RasterioError
@@ -21,21 +20,18 @@ from rasterio.windows import Window
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError
+from catalog.rasters import TERRAIN, gdal_reason, open_raster, reading_rasters, reopen_raster
 from catalog.terrain.dem.conversion import Conversion
 from catalog.terrain.dem.file import (
     RADIUS_TOLERANCE,
     file_units,
-    gdal_reason,
     label_of,
-    open_raster,
     path_of,
     place_of,
 )
 from catalog.terrain.dem.georeference import Georeference, column_spans
 
 METRES = {"m": 1.0, "km": 1000.0, "dm": 0.1, "cm": 0.01}
-# GDAL keeps decoded blocks; its default is 5 % of the machine, which is no bound for a worker.
-GDAL_CACHE_BYTES = 96 << 20
 PROBES = 5  # windows a side that are read to distinguish radii from heights
 PROBE_SIZE = 32
 # A raster this wide whose heights span less than this is in kilometres, not in metres: the
@@ -59,7 +55,7 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scale, offset, nodata  override the file's own; height = value * scale + offset, in `units`
     units      of the scaled values; without it the file's own, else metres
     longitude  "west" for a map whose longitudes count westward
-    crs        for a file without one (or with a wrong one): anything PROJ reads
+    crs        for a file without one (or with a wrong one): a code, WKT or a PROJ string
     """
 
     path: str
@@ -97,7 +93,7 @@ class DemSource:
         body, or with values that cannot be heights; the whole file is read later, when averaged.
         """
         path = label_of(path_of(settings.path, base_dir))
-        dataset = open_raster(path)
+        dataset = open_raster(path, TERRAIN, "check `path` in its [[dem]] section")
         try:
             return cls._read_header(path, settings, body, dataset)
         except BaseException:
@@ -120,8 +116,11 @@ class DemSource:
         factor = METRES[units]
         scale = settings.scale if settings.scale is not None else float(dataset.scales[0])
         offset = settings.offset if settings.offset is not None else float(dataset.offsets[0])
-        if scale == 0.0:
-            raise DataError(f"{path}: scale is 0; set `scale` in its [[dem]] section")
+        if scale == 0.0 or not np.isfinite([scale * factor, offset * factor]).all():
+            raise DataError(
+                f"{path}: scale is {scale:g}, offset {offset:g}; set `scale` and `offset` in its "
+                "[[dem]] section"
+            )
         nodata = settings.nodata if settings.nodata is not None else dataset.nodata
         lowest = ISIS_LOWEST_VALID.get(dtype, -np.inf) if dataset.driver == "ISIS3" else -np.inf
         missing = np.nan if nodata is None else float(nodata)
@@ -237,8 +236,8 @@ class DemSource:
     @contextmanager
     def _reading(self) -> Iterator[Any]:
         if self._dataset is None:
-            self._dataset = open_raster(self.path)
-        with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES):
+            self._dataset = reopen_raster(self.path, TERRAIN)
+        with reading_rasters():
             yield self._dataset
 
     def reopen(self) -> "DemSource":

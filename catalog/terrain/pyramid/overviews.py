@@ -23,6 +23,7 @@ from catalog.arrays import BoolArray, Float32Array
 from catalog.errors import DataError, OutputError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
+from catalog.rasters import OWN, reopen_raster
 from catalog.terrain.dem.conversion import HEIGHTS, Conversion, is_height
 from catalog.terrain.dem.source import DemSettings, DemSource
 
@@ -165,7 +166,7 @@ def _cascade(
             raw = reader.read_raw(*window)
             reader.close()
         else:
-            with rasterio.open(path) as dataset:
+            with reopen_raster(path, OWN) as dataset:
                 row, col, height, width = window
                 raw = dataset.read(1, window=Window(col, row, width, height))
         part = extremes(raw, convert)

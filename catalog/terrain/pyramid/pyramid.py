@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
@@ -20,8 +19,9 @@ from catalog.bodies.body import Body
 from catalog.errors import DataError, OutputError
 from catalog.files import putting_folder
 from catalog.progress import Progress, SilentProgress
+from catalog.rasters import OWN, reading_rasters, reopen_raster
 from catalog.terrain.dem.conversion import HEIGHTS, Conversion
-from catalog.terrain.dem.source import GDAL_CACHE_BYTES, DemSettings, DemSource
+from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.overviews import (
     FORMAT,
     WHOLE_BLOCK,
@@ -90,11 +90,11 @@ class HeightPyramid:
             return self.source.read_raw(row, col, height, width), self.source.convert
         path = level_path(self.folder, level)
         try:
-            with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES):
+            with reading_rasters():
                 if level not in self._open:
-                    self._open[level] = rasterio.open(path)
+                    self._open[level] = reopen_raster(path, OWN)
                 raw = self._open[level].read(1, window=Window(col, row, width, height))
-        except RasterioError:
+        except (RasterioError, DataError):
             raise DataError(_torn(path, self.folder)) from None
         return raw, HEIGHTS if level else self.source.convert
 
