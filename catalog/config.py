@@ -20,6 +20,8 @@ from catalog.errors import ConfigError
 
 T = TypeVar("T")
 
+BUNDLED = "bundled:"  # a name that begins so is that of a file that ships with optnav
+
 _KINDS = {
     "str": "text",
     "int": "a whole number",
@@ -40,7 +42,11 @@ def load_toml(path: str | Path, type_: type[T]) -> T:
     Raises ConfigError, naming file, section and key, for a file that cannot be read, is not TOML
     or does not fit the type.
     """
-    path = Path(path)
+    return parse_toml(toml_text(Path(path)), type_, path)
+
+
+def toml_text(path: Path) -> str:
+    """The text of a TOML file. Raises ConfigError for a file that cannot be read as text."""
     try:
         raw = path.read_bytes()
     except FileNotFoundError:
@@ -50,13 +56,12 @@ def load_toml(path: str | Path, type_: type[T]) -> T:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     try:
-        text = raw.decode("utf-8-sig")
+        return raw.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ConfigError(
             f"{path}: line {line} is not UTF-8 text; wanted a TOML file, saved as UTF-8"
         ) from None
-    return parse_toml(text, type_, path)
 
 
 def parse_toml(text: str, type_: type[T], where: str | Path) -> T:
@@ -98,6 +103,16 @@ def resource(name: str) -> Path:
     there = sorted(p.name for f in folders if shipped for p in f.glob("*" + wanted.suffix))
     known = f"it has {', '.join(there)}" if there else "the installation may be incomplete"
     raise ConfigError(f"optnav ships no file {name!r}; {known}")
+
+
+def named_config(path: Path, kind: str) -> Path:
+    """A config file as people name it: "bundled:demo" is one that ships with optnav, of a kind.
+
+    Raises ConfigError, naming those that ship, for another one.
+    """
+    if not str(path).startswith(BUNDLED):
+        return path
+    return resource(f"configs/{kind}/{str(path).removeprefix(BUNDLED).removesuffix('.toml')}.toml")
 
 
 def nearest_name(name: str, known: list[str]) -> str | None:

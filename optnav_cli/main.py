@@ -52,7 +52,7 @@ COMMANDS = {
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
     "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),
     "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),
-    "config": Entry(f"{_HERE}.config", "Print a commented configuration to start from."),
+    "config": Entry(f"{_HERE}.config", "What ships with optnav; configurations to start from."),
     "study": Entry(f"{_HERE}.study", "Run an experiment behind the figures."),
 }
 

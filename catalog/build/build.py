@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import msgspec
 import catalog
 from catalog.bodies.body import Body, load_body
 from catalog.build import check, render, select, write
-from catalog.build.config import BuildConfig, load_build_config
+from catalog.build.config import BuildConfig, ConfigText
 from catalog.build.context import DemRecord, IngestRun
 from catalog.build.ingest import Bbox, MeshRecord
 from catalog.build.inputs import BuildInputs, prepare_inputs
@@ -51,7 +51,7 @@ class BuildReport:
 
 
 def run(
-    config_path: Path,
+    source: Path | ConfigText,
     work: Path | None = None,
     *,
     stages: Sequence[str] = STAGES,
@@ -63,6 +63,7 @@ def run(
 ) -> BuildReport:
     """Run stages of a build; results of earlier runs with the same settings are used.
 
+    source   a config file, or a config that stands in none
     work     the work folder; without it OUTPUT.work beside the output. It is kept.
     stages   some of STAGES, run in their order
     output   the catalog, for the write stage
@@ -83,19 +84,21 @@ def run(
         if output is None:
             raise UsageError("name a work folder with --work")
         work = output.with_name(output.name + ".work")
+    if isinstance(source, Path):
+        source = ConfigText.read(source)
     if scheduler is not None:
         check_address(scheduler)
         # workers elsewhere have another working folder
-        config_path, work = config_path.absolute(), work.absolute()
-    config = load_build_config(config_path)
+        source, work = replace(source, path=source.path.absolute()), work.absolute()
+    config = source.load()
     try:
-        body = load_body(config.body.name, config_path.parent)
+        body = load_body(config.body.name, source.path.parent)
     except ConfigError as error:
-        raise ConfigError(f"{config_path}: [body] name: {error}") from None
+        raise ConfigError(f"{source.path}: [body] name: {error}") from None
     workspace = Workspace(work)
     with workspace.locked():
         build = _Build(
-            workspace, config, config_path, body, workers, scheduler, progress or SilentProgress()
+            workspace, config, source, body, workers, scheduler, progress or SilentProgress()
         )
         try:
             return build.run(wanted, bbox, output)
@@ -110,20 +113,21 @@ class _Build:
         self,
         workspace: Workspace,
         config: BuildConfig,
-        config_path: Path,
+        source: ConfigText,
         body: Body,
         workers: int | None,
         scheduler: str | None,
         progress: Progress,
     ) -> None:
-        self.workspace, self.config, self.config_path = workspace, config, config_path
+        self.workspace, self.config, self.config_path = workspace, config, source.path
+        self.config_text = source.text
         self.body, self.progress = body, progress
         self.count = workers or available_cores()
         if scheduler is None:
             self.workers = workers_of(self.count)
         else:  # self.count threads read terrain models, here
             names = [dem.path for dem in config.dem] + [mesh.path for mesh in config.mesh]
-            named = [path_of(name, config_path.parent) for name in names]
+            named = [path_of(name, source.path.parent) for name in names]
             self.workers = cluster_workers(scheduler, [workspace.path(MARK), *named])
         self.account = Account(f"optnav {catalog.__version__}", self.workers.count)
 
@@ -239,9 +243,10 @@ class _Build:
                 "wanted finest patches that lie on them whole: "
                 "lower [pyramid] size or posting_m, or give more ground"
             )
-        config_text = self.config_path.read_text(encoding="utf-8-sig")
         relief = inputs.relief
-        key = stage_key(inputs.keys["write"], inputs.sources(), config_text, relief and relief.key)
+        key = stage_key(
+            inputs.keys["write"], inputs.sources(), self.config_text, relief and relief.key
+        )
         written = find_published(self.workspace, key, output)
         if written is not None:
             stage.kept = math.ceil(len(points) / write.CHUNK_POINTS)
@@ -253,7 +258,7 @@ class _Build:
                 inputs.context,
                 points,
                 output,
-                extras=CatalogExtras(inputs.sources(), config_text, prepared),
+                extras=CatalogExtras(inputs.sources(), self.config_text, prepared),
                 results=results,
                 workers=self.workers,
                 progress=self.progress,

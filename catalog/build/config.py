@@ -5,14 +5,18 @@ The ground is one or more [[dem]], or one [[mesh]].
 A section's settings are a struct of its own here; values that depend on each other are checked.
 """
 
+import json
+import os
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 
-from catalog.config import load_toml
+from catalog.bodies.body import is_body_file
+from catalog.config import BUNDLED, named_config, parse_toml, toml_text
 from catalog.errors import ConfigError
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
@@ -23,6 +27,8 @@ MAX_CELL_DEG = 20.0
 MAX_LEVELS = 10
 SIZES = (32, 256)
 MAX_CELLS = 50_000_000  # cell numbers and chunk lists must stay small
+# Endings by which a terrain model is known where it stands in place of a config.
+RASTERS = (".tif", ".tiff", ".lbl", ".img", ".cub", ".vrt", ".xml", ".jp2", ".asc")
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -196,12 +202,53 @@ class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     write: WriteSettings = msgspec.field(default_factory=WriteSettings)
 
 
+@dataclass(frozen=True)
+class ConfigText:
+    """A build config's text, and the place that messages name and paths in it start from."""
+
+    path: Path
+    text: str
+
+    @classmethod
+    def read(cls, path: Path) -> "ConfigText":
+        """A file, or "bundled:NAME" for one that ships with optnav. Raises ConfigError."""
+        path = named_config(path, "catalogs")
+        return cls(path, toml_text(path))
+
+    @classmethod
+    def of_rasters(cls, rasters: Sequence[Path], body: str) -> "ConfigText":
+        """The config that has nothing but terrain models, the one used first before the others.
+
+        Paths in it start from the folder of the first, so that it says the same wherever that is.
+        Raises ConfigError for a name that is not text.
+        """
+        base = rasters[0].parent
+
+        def named(path: str) -> str:
+            name = path if path.startswith(BUNDLED) else os.path.relpath(path, base)
+            return json.dumps(name, ensure_ascii=False)  # text of TOML is written alike
+
+        for name in (*map(str, rasters), body):
+            if not name.isprintable():
+                raise ConfigError(
+                    f"{name!r}: has characters in its name that no config can hold; rename it"
+                )
+        lines = ["[body]", f"name = {named(body) if is_body_file(body) else json.dumps(body)}"]
+        for priority, raster in enumerate(rasters, start=1):
+            lines += ["", "[[dem]]", f"path = {named(str(raster))}", f"priority = {priority}"]
+        return cls(rasters[0], "\n".join(lines) + "\n")
+
+    def load(self) -> BuildConfig:
+        """Check it. Raises ConfigError naming file, section and key."""
+        config = parse_toml(self.text, BuildConfig, self.path)
+        for problem in chain(_ground_problems(config), _size_problems(config)):
+            raise ConfigError(f"{self.path}: {problem}")
+        return config
+
+
 def load_build_config(path: Path) -> BuildConfig:
     """Read and check a build config. Raises ConfigError naming file, section and key."""
-    config = load_toml(path, BuildConfig)
-    for problem in chain(_ground_problems(config), _size_problems(config)):
-        raise ConfigError(f"{path}: {problem}")
-    return config
+    return ConfigText.read(path).load()
 
 
 def _ground_problems(config: BuildConfig) -> Iterator[str]:

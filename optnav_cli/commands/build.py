@@ -1,11 +1,12 @@
 """`optnav build`: a catalog from terrain models; each of its stages alone is a command, too."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from catalog.errors import UsageError
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import (
     PATH,
@@ -19,12 +20,18 @@ from optnav_cli.options import (
 
 if TYPE_CHECKING:
     from catalog.build.build import BuildReport
+    from catalog.build.config import ConfigText
 
 CATALOG_HELP = "The catalog file (GeoPackage); an earlier catalog is replaced."
 
 
 @click.command("build", short_help="Build a control-point catalog from terrain models.")
-@path_argument("config")
+@click.argument("config", type=PATH, nargs=-1, required=True)
+@click.option(
+    "--body",
+    metavar="NAME",
+    help="Which body terrain models in place of CONFIG show; moon by default.",
+)
 @output_option(CATALOG_HELP)
 @work_option(required=False)
 @workers_option
@@ -38,9 +45,19 @@ CATALOG_HELP = "The catalog file (GeoPackage); an earlier catalog is replaced."
 )
 @pass_progress
 def build(
-    progress: ConsoleProgress, /, config: Path, output: Path, check: Path | None, **options: Any
+    progress: ConsoleProgress,
+    /,
+    config: tuple[Path, ...],
+    body: str | None,
+    output: Path,
+    check: Path | None,
+    **options: Any,
 ) -> None:
     """Build a control-point catalog from the terrain models that CONFIG names.
+
+    Instead of CONFIG one or more terrain models (GeoTIFF, PDS, ISIS cube, VRT) may be given, the
+    first used before the others, with --body and the defaults of all settings; the catalog keeps
+    the config that says so. `bundled:NAME` is a config, or a model, that ships with optnav.
 
     All stages: ingest, render, select, check, write. A stopped build goes on where it was when the
     same command is given again. Ends with exit code 4 when no point is usable.
@@ -55,6 +72,7 @@ def build(
     \b
     Example:
       optnav build moon.toml -o moon.gpkg
+      optnav build dem.tif --body moon -o moon.gpkg
       optnav build moon.toml -o south.gpkg --bbox -180,-90,180,-60
       optnav build moon.toml -o moon.gpkg --check release.gpkg
       optnav build moon.toml -o moon.gpkg --scheduler tcp://head:8786
@@ -62,13 +80,41 @@ def build(
     from catalog.build.build import run
     from optnav_cli.commands.catalog import compare_and_tell, require_reference
 
+    source = _source(config, body)
     announce_compilation()
     if check is not None:
         require_reference(check, output)  # before hours of work
-    report = run(config, output=output, progress=progress, **options)
+    report = run(source, output=output, progress=progress, **options)
     _tell_catalog(output, report)
     if check is not None:
         compare_and_tell(check, output, progress)
+
+
+def _source(given: Sequence[Path], body: str | None) -> "Path | ConfigText":
+    """The config that is given, or that of the terrain models given. Raises UsageError."""
+    from catalog.build.config import RASTERS, ConfigText
+    from catalog.terrain.mesh.file import MESHES
+
+    rasters = [path for path in given if path.suffix.lower() in RASTERS]
+    if len(rasters) == len(given):
+        return ConfigText.of_rasters(rasters, body or "moon")
+    (config,) = [path for path in given if path not in rasters][:1]
+    if config.suffix.lower() in MESHES:
+        raise UsageError(
+            f"{config}: a shape model needs to be told its units; name it in the [[mesh]] section "
+            "of a config (`optnav config template build` prints one)"
+        )
+    if len(given) > 1:
+        raise UsageError(
+            f"{config}: is no terrain model by its name ({', '.join(RASTERS)}); give one config, "
+            "or terrain models alone"
+        )
+    if body is not None:
+        raise UsageError(
+            f"--body {body}: {config} is a config, which names its body itself as [body] name; "
+            "leave --body out"
+        )
+    return config
 
 
 def _stage(

@@ -1,29 +1,156 @@
-"""`optnav config`: configurations to start from."""
+"""`optnav config`: what ships with optnav, and configurations to start from."""
+
+import re
+from collections.abc import Iterator
+from itertools import takewhile
+from pathlib import Path
+from typing import NamedTuple
 
 import click
 
+from optnav_cli.options import json_option, output_option
 
-@click.group()
+
+class ShippedKind(NamedTuple):
+    """Files of one kind that ship with optnav.
+
+    files   their places among the resources, as a pattern beside one of them
+    name    how a config or command line names one, NAME being the file's own name
+    use     what takes it
+    """
+
+    files: tuple[str, str]
+    name: str
+    use: str
+
+
+KINDS = {
+    "cameras": ShippedKind(
+        ("configs/cameras/unk.toml", "*.toml"),
+        "NAME",
+        'a scenario: camera = { name = "NAME" }; a copy goes into cameras/ of a picture folder',
+    ),
+    "bodies": ShippedKind(
+        ("configs/bodies/moon.toml", "*.toml"),
+        "NAME",
+        'run.toml and scenarios: body = "NAME"; a build config: [body] name = "NAME"; '
+        "optnav build dem.tif --body NAME",
+    ),
+    "scenarios": ShippedKind(
+        ("configs/scenarios/demo.toml", "*.toml"),
+        "bundled:NAME",
+        "optnav simulate bundled:NAME -o pictures",
+    ),
+    "catalogs": ShippedKind(
+        ("configs/catalogs/tycho.toml", "*.toml"),
+        "bundled:NAME",
+        "optnav build bundled:NAME -o catalog.gpkg",
+    ),
+    "data": ShippedKind(
+        ("data/phobos_thomas.tab", "*.t[ai][bf]"),
+        "bundled:NAME",
+        'a build config, as [[dem]] (.tif) or [[mesh]] (.tab): path = "bundled:NAME"',
+    ),
+}
+
+
+@click.group(short_help="What ships with optnav; configurations to start from.")
 def command() -> None:
-    """Configurations to start from.
+    """What ships with optnav, and configurations to start from.
 
     \b
-    Example:
+    Examples:
+      optnav config list
       optnav config template build > moon.toml
     """
 
 
-@command.command(short_help="Print a valid, commented configuration.")
-@click.argument("kind", type=click.Choice(["build", "scenario", "navigate"]))
-def template(kind: str) -> None:
+@command.command("list", short_help="What ships with optnav, and how it is named.")
+@click.argument("kind", type=click.Choice([*KINDS]), required=False)
+@json_option
+def list_shipped(kind: str | None, as_json: bool) -> None:
+    """List the cameras, bodies, scenarios, catalogs and data that ship with optnav.
+
+    Each with its name, as configs and command lines take it, and what it is. KIND shows one kind.
+
+    \b
+    Example:
+      optnav config list
+      optnav config list cameras
+    """
+    from optnav_cli.output.document import json_text
+    from optnav_cli.output.wording import table_lines
+
+    found = {name: [*_shipped(name)] for name in ([kind] if kind else KINDS)}
+    if as_json:
+        click.echo(json_text(found))
+        return
+    lines = []
+    for name, entries in found.items():
+        lines += [f"{name}: {KINDS[name].use}"]
+        rows = [(f"  {entry['name']}", entry["description"]) for entry in entries]
+        lines += [*table_lines(rows, left=2), ""]
+    click.echo("\n".join(lines[:-1]))
+
+
+@command.command(short_help="Print a commented configuration, or make a picture folder.")
+@click.argument("kind", type=click.Choice(["build", "scenario", "navigate", "folder"]))
+@output_option("The picture folder; it must not be there, or be empty.", required=False)
+def template(kind: str, output: Path | None) -> None:
     """Print a valid, commented configuration with all settings and their defaults.
 
-    KIND is build (a catalog), scenario (pictures to simulate) or navigate.
+    KIND is build (a catalog), scenario (pictures to simulate) or navigate; or folder: a picture
+    folder with an example picture, whose files say what they hold, which -o names.
 
     \b
     Example:
       optnav config template build > moon.toml
+      optnav config template folder -o pictures
     """
     from catalog.config import resource
+    from catalog.errors import UsageError
 
-    click.echo(resource(f"configs/templates/{kind}.toml").read_text(encoding="utf-8"), nl=False)
+    if (kind == "folder") != (output is not None):
+        wanted = "name it with -o" if kind == "folder" else "leave -o out and send it on with >"
+        raise UsageError(f"optnav config template {kind}: {wanted}")
+    if output is None:
+        click.echo(resource(f"configs/templates/{kind}.toml").read_text(encoding="utf-8"), nl=False)
+        return
+    from optnav_cli.runs.template_folder import write_template_folder
+
+    write_template_folder(output)
+    click.echo(output)
+
+
+def _shipped(kind: str) -> Iterator[dict[str, str]]:
+    """Name, description, use and path of each file of a kind, by name."""
+    from catalog.config import resource
+
+    (beside, pattern), name, use = KINDS[kind]
+    for path in sorted(resource(beside).parent.glob(pattern)):
+        if path.suffix == ".toml":
+            stem, description = path.stem, first_sentence(path)
+            if '"shared:' in path.read_text(encoding="utf-8"):
+                description += " Needs OPTNAV_SHARED_DATA."
+        else:
+            stem, description = path.name, _data_description(path)
+        yield {
+            "name": name.replace("NAME", stem),
+            "description": description,
+            "use": use.replace("NAME", stem),
+            "path": str(path),
+        }
+
+
+def first_sentence(path: Path) -> str:
+    """What a config is: the first sentence of the comment at its head."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comment = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines)]
+    return re.split(r"(?<=\w)\. |: |; ", " ".join(comment))[0].rstrip(".") + "."
+
+
+def _data_description(path: Path) -> str:
+    """What a data file is: its line in the README beside it."""
+    text = path.with_name("README.md").read_text(encoding="utf-8")
+    found = re.search(rf"^\| `{re.escape(path.name)}` \| (.*?) \|", text, re.MULTILINE)
+    return found[1] if found else ""

@@ -17,17 +17,20 @@ LIMIT = click.FloatRange(min=0.0, min_open=True)
 def simulate(progress: ConsoleProgress, scenario: Path, output: Path) -> None:
     """Make a folder of pictures as a camera over the terrain of SCENARIO takes them.
 
-    The folder is what `optnav navigate` reads, with the truth in truth.csv beside it.
+    The folder is what `optnav navigate` reads, with the truth in truth.csv beside it. SCENARIO is a
+    file, or `bundled:NAME` for one that `optnav config list scenarios` shows.
 
     \b
     Example:
       optnav config template scenario > flight.toml
       optnav simulate flight.toml -o pictures
+      optnav simulate bundled:demo -o pictures
     """
+    from catalog.config import named_config
     from optnav_cli.runs.simulate_folder import simulate_folder
 
     announce_compilation()
-    simulate_folder(scenario, output, progress)
+    simulate_folder(named_config(scenario, "scenarios"), output, progress)
     click.echo(output)
 
 

@@ -1,4 +1,7 @@
-"""Numbers in words, and the account of a build as plain lines."""
+"""Numbers in words, tables, and the account of a build as plain lines."""
+
+from collections.abc import Sequence
+from itertools import zip_longest
 
 from catalog.jobs.usage import Account, Peak, StageAccount
 
@@ -39,16 +42,29 @@ def amount(count: float) -> str:
     return f"{count / 1e9:.2f} GB"
 
 
+def table_lines(rows: Sequence[Sequence[str]], left: int = 1, gap: str = "  ") -> list[str]:
+    """Rows as lines, each column as wide as its widest cell, so that none run together.
+
+    left  how many columns, the first ones, begin at their left; numbers end at their right
+    Rows may be shorter than others.
+    """
+    widths = [max(map(len, column)) for column in zip_longest(*rows, fillvalue="")]
+    return [
+        gap.join(
+            cell.ljust(width) if number < left else cell.rjust(width)
+            for number, (cell, width) in enumerate(zip(row, widths))
+        ).rstrip()
+        for row in rows
+    ]
+
+
 def account_lines(account: Account) -> list[str]:
     """Cells, points and reasons as far as they are known, then a row a stage."""
     lines = _outcome(account)
     rows = [COLUMNS, *(_row(stage, str(stage.done), str(stage.kept)) for stage in account.stages)]
     if len(account.stages) > 1:
         rows.append(_row(account.total(), "", ""))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for name, *cells in rows:
-        right = "  ".join(c.rjust(w) for c, w in zip(cells, widths[1:], strict=True))
-        lines.append(f"{name.ljust(widths[0])}  {right}")
+    lines += table_lines(rows)
     if any("≤" in cell for row in rows for cell in row):
         lines.append("≤: reached before, in the process's life; the stage itself took no more")
     return lines

@@ -8,9 +8,9 @@ import msgspec
 
 from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris, motion_of
-from catalog.config import load_toml, resource
+from catalog.config import BUNDLED, load_toml, resource
 from catalog.errors import ConfigError
-from catalog.terrain.dem.file import BUNDLED, SHARED, path_of
+from catalog.terrain.dem.file import SHARED, path_of
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.simulation.approach import Approach

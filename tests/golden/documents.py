@@ -6,12 +6,12 @@
 
 import re
 from collections.abc import Callable, Mapping
-from itertools import takewhile
 from pathlib import Path
 
 import click
 
 from catalog.tables import CsvTable
+from optnav_cli.commands.config import first_sentence
 from optnav_cli.frames import tables
 from optnav_cli.main import COMMANDS, cli
 from optnav_cli.reasons import ReasonCode
@@ -93,7 +93,7 @@ def subcommands(group: str) -> str:
 def configs(folder: str) -> str:
     """The shipped configs of a folder, each with the first sentence of its comment."""
     return _listed(
-        {path.name: _first_sentence(path) for path in sorted((CONFIGS / folder).glob("*.toml"))}
+        {path.name: first_sentence(path) for path in sorted((CONFIGS / folder).glob("*.toml"))}
     )
 
 
@@ -145,12 +145,6 @@ def _stored(path: Path, command: str) -> str:
 def _listed(texts: Mapping[str, str]) -> str:
     rows = (f"| `{name}` | {text} |" for name, text in texts.items())
     return "\n".join(["| | |", "|---|---|", *rows])
-
-
-def _first_sentence(path: Path) -> str:
-    lines = path.read_text(encoding="utf-8").splitlines()
-    comment = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines)]
-    return re.split(r"(?<=\w)\. |: |; ", " ".join(comment))[0].rstrip(".") + "."
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from pyproj.exceptions import ProjError
 from rasterio.errors import RasterioError
 
 from catalog.bodies.body import Body
-from catalog.config import resource
+from catalog.config import BUNDLED, resource
 from catalog.errors import ConfigError, DataError
 from catalog.terrain.dem.georeference import Georeference, georeference
 
@@ -35,8 +35,7 @@ STATED_UNITS: dict[Units, tuple[str, ...]] = {
     "cm": ("cm", "centimeter", "centimetre", "centimeters", "centimetres"),
 }
 
-BUNDLED = "bundled:"  # a path that begins so names a file of the package's own data
-SHARED = "shared:"  # one that begins so, a file in the folder that SHARED_FOLDER names
+SHARED = "shared:"  # a path that begins so is a file in the folder that SHARED_FOLDER names
 SHARED_FOLDER = "OPTNAV_SHARED_DATA"
 
 

@@ -183,6 +183,12 @@ def test_evaluate_holds_the_figures_of_its_table(ask: Asked, tmp_path: Path, mak
     assert list(passed) == list(document)
 
 
+def test_config_list_holds_every_kind(ask: Asked) -> None:
+    document, text = ask("config", "list")
+    assert all(entry["name"] in text for entries in document.values() for entry in entries)
+    ask.keys("config list", document)
+
+
 def test_evaluate_tells_of_a_run_without_a_solved_frame(
     tmp_path: Path, make_run: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
