@@ -9,11 +9,15 @@ BIN := .venv/bin
 READY := .venv/.ready
 OUT ?= optnav-demo
 ARGS ?=
+N ?= 500
+SEED ?= 1
+KINDS ?=
+CASE ?=
 # One process a core, a test file at a time, in the order of the folders, so that what the tests of
 # a file share is made once and the longest files do not come last.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test check lint types tests bench bench-global golden docs lock clean
+.PHONY: help setup demo test check lint types tests fuzz bench bench-global golden docs lock clean
 
 help: ## print this list
 	@echo "optnav: control-point catalogs from terrain, camera positions from pictures"
@@ -50,6 +54,9 @@ types: $(READY) ## types alone
 
 tests: $(READY) ## tests alone (ARGS="-k nearest -x" is handed to pytest; -n 0: one process)
 	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
+
+fuzz: $(READY) ## hostile inputs (N=500 SEED=1; one of them again: CASE=kind:seed; KINDS=config)
+	$(BIN)/python -m tests.fuzz -n $(N) --seed $(SEED) --kinds "$(KINDS)" --case "$(CASE)" $(ARGS)
 
 study-%: $(READY) ## one long experiment behind the figures, such as study-selection
 	$(BIN)/optnav study $* $(ARGS)

@@ -1,0 +1,220 @@
+"""What cases are made from: small whole inputs of every kind, made once by the commands themselves.
+
+Terrain models, shapes, configs of all kinds, a catalog of two points, one with relief and one of a
+small body, picture folders, runs, and older outputs. All are as small as the commands take them, so
+that a case costs milliseconds.
+"""
+
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rasterio
+import trimesh
+from rasterio.transform import Affine
+
+from optnav_cli.main import run
+
+MOON_DEG = "+proj=longlat +R=1737400 +no_defs"
+REGION_PER_DEG = 32.0
+DONE = "done"
+SIDE_PX = 64
+BOX = "10.4,20,11.3,21"  # one cell of the region
+CAMERA = (
+    f'name = "cam"\nmodel = "pinhole"\nwidth_px = {SIDE_PX}\nheight_px = {SIDE_PX}\n'
+    f"focal_length_px = 90.0\nprincipal_point_px = [{SIDE_PX / 2 - 0.5}, {SIDE_PX / 2 - 0.5}]\n"
+)
+LIMB_CAMERA = (
+    'name = "wide"\nmodel = "kannala_brandt"\nwidth_px = 128\nheight_px = 128\n'
+    "focal_length_px = 180.0\nprincipal_point_px = [63.5, 63.5]\n"
+    "coefficients = [0.0, 0.0, 0.0, 0.0]\npsf_sigma_px = 0.7\npsf_error_px = 0.1\n"
+)
+BODY = """name = "pebble"
+radius_km = 11.0
+radii_km = [12.65, 11.0, 9.35]
+gm_km3_s2 = 7.0e-4
+plausible_heights_km = [-4.0, 4.0]
+sun = "mars"
+[rotation]
+pole_ra_deg_by_century = [317.0, -0.1, 0.0]
+pole_dec_deg_by_century = [52.0, -0.06, 0.0]
+meridian_deg_by_day = [35.0, 1128.8, 0.0]
+[[rotation.terms]]
+angle_deg_by_century = [190.0, 15917.0, 0.0]
+ra_deg = -1.7
+"""
+BUILD = """[body]
+name = "moon"
+[[dem]]
+path = "dem.tif"
+[pyramid]
+levels = 2
+size = 48
+[check]
+trials = 2
+search_km = 4.0
+"""
+MESH_BUILD = """[body]
+name = "body.toml"
+[[mesh]]
+path = "body.obj"
+units = "km"
+[grid]
+cell_deg = 15.0
+[pyramid]
+levels = 1
+size = 48
+[render]
+candidates = 2
+sun_elevations = 1
+[check]
+trials = 1
+min_recognition = 0.0
+min_margin = 0.0
+max_shadowed = 1.0
+"""
+NAVIGATE = "[view]\nsun_max_deg = 80.0\n[match]\ntemplate_nodes = 32\nmax_search_nodes = 8\n"
+_SHARED = 'seed = 3\ncamera = {name = "cam.toml"}\nsensor = {snr = 80.0}\n'
+_GLOBE = _SHARED + 'dem = []\nglobe = {path = "globe.tif"}\ndetail = {seeds = []}\n'
+_SHAPE = (
+    _SHARED + 'body = "body.toml"\nmesh = {path = "body.obj", units = "km"}\n'
+    "detail = {seeds = [], smallest_m = 4000.0}\n"
+)
+SCENARIOS = {
+    "passes": _SHARED + 'dem = [{path = "dem.tif"}]\nglobe = {path = "globe.tif"}\n'
+    "detail = {seeds = []}\n[orbit]\naltitude_km = 100.0\nbox_deg = [10.8, 19.8, 11.2, 20.2]\n"
+    "passes = 1\nframes = 1\n[sun]\nelevation_deg = [20.0, 25.0]\n",
+    "far": _GLOBE + "prior = {given = false}\n[orbit]\naltitude_km = 40000.0\n"
+    "box_deg = [-180.0, -90.0, 180.0, 90.0]\npasses = 1\nframes = 2\n"
+    "[sun]\nelevation_deg = [40.0, 50.0]\n",
+    "limb": _GLOBE.replace("cam.toml", "wide.toml")
+    + "prior = {given = false}\n[orbit]\naltitude_km = 5000.0\n"
+    "box_deg = [-180.0, -90.0, 180.0, 90.0]\npasses = 1\nframes = 1\n"
+    "[sun]\nelevation_deg = [40.0, 50.0]\n",
+    "flight": _GLOBE + "[flight]\nlowest_km = 6000.0\nhighest_km = 6000.0\nframes = 1\n",
+    "transfer": _GLOBE + "[transfer]\nfrom_km = 9000.0\nto_km = 6000.0\nframes = 2\n",
+    "portraits": _SHAPE + "[portraits]\ndistance_km = [60.0, 60.0]\n",
+    "approach": _SHARED + 'body = "phobos"\nmesh = {path = "body.obj", units = "km"}\n'
+    "detail = {seeds = [], smallest_m = 4000.0}\n"
+    "[approach]\nfrom_km = 100.0\nto_km = 60.0\nspeed_m_s = 35.0\nframes = 2\n",
+}  # fmt: skip
+# in the order in which they are made: each needs those before it
+COMMANDS = (
+    ("build", "moon.toml", "-o", "moon.gpkg", "--workers", "1", "--bbox", "10,20,12,21"),
+    ("build", "relief.toml", "-o", "relief.gpkg", "--workers", "1", "--bbox", BOX),
+    ("build", "mesh.toml", "-o", "mesh.gpkg", "--workers", "1", "--bbox", "0,0,31,29"),
+    ("simulate", "far.toml", "-o", "pictures"),
+    ("navigate", "pictures", "--catalog", "moon.gpkg", "-o", "run"),
+    ("simulate", "passes.toml", "-o", "near"),
+    ("navigate", "near", "--catalog", "moon.gpkg", "-o", "near.run"),
+    ("simulate", "limb.toml", "-o", "limb"),
+    ("navigate", "limb", "--catalog", "relief.gpkg", "-o", "limb.run"),
+    ("evaluate", "run", "--truth", "pictures/truth.csv"),
+    ("report", "run", "-o", "old.html"),
+    ("report", "run", "-o", "old.svg"),
+    ("catalog", "show", "moon.gpkg", "-o", "old.png", "27858"),
+    ("catalog", "export", "moon.gpkg", "-o", "old.geojson"),
+    ("catalog", "export", "moon.gpkg", "-o", "old.csv"),
+    ("catalog", "export", "moon.gpkg", "-o", "points.gpkg"),
+    ("catalog", "export", "relief.gpkg", "-o", "old.tif"),
+    ("catalog", "export", "moon.gpkg", "--point", "27858", "-o", "old.glb"),
+    ("catalog", "export", "moon.gpkg", "--point", "27858", "-o", "old.obj"),
+)
+
+
+def make_materials(folder: Path) -> None:
+    """Fill the folder, unless an earlier call has."""
+    if (folder / DONE).exists():
+        return
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        _write_inputs()
+        for args in COMMANDS:
+            code = run(["-q", *args])
+            if code not in (0, 4):  # one frame with two points need not be solved
+                raise RuntimeError(f"the material of `optnav {' '.join(args)}` ended with {code}")
+        Path(DONE).touch()
+    finally:
+        os.chdir(before)
+
+
+def _write_inputs() -> None:
+    _write_dem(Path("dem.tif"))
+    _write_globe(Path("globe.tif"))
+    shape = trimesh.creation.icosphere(subdivisions=2, radius=11.0)
+    shape.vertices *= [1.15, 1.0, 0.85]
+    for ending in ("obj", "ply", "stl", "glb"):
+        shape.export(f"body.{ending}")
+    shape.export("body_text.ply", encoding="ascii")
+    shape.export("body_text.stl", file_type="stl_ascii")
+    Path("body.tab").write_text(_radii_table())
+    Path("body.plt").write_text(_plates(shape))
+    texts = {
+        "cam.toml": CAMERA,
+        "wide.toml": LIMB_CAMERA,
+        "body.toml": BODY,
+        "moon.toml": BUILD,
+        "relief.toml": BUILD + '[relief]\ndem = {path = "globe.tif"}\n',
+        "mesh.toml": MESH_BUILD,
+        "navigate.toml": NAVIGATE,
+        **{f"{name}.toml": text for name, text in SCENARIOS.items()},
+    }
+    for name, text in texts.items():
+        Path(name).write_text(text)
+
+
+def _write_dem(path: Path) -> None:
+    """A rough square of 6 degrees, 8-14 E and 17-23 N."""
+    rng = np.random.default_rng(5)
+    size = int(6 * REGION_PER_DEG)
+    heights = np.zeros((size, size), np.float32)
+    for step in (2, 4, 8, 16):
+        coarse = rng.normal(0.0, 24.0 * step, (size // step + 1,) * 2).astype(np.float32)
+        heights += cv2.resize(coarse, (size, size), interpolation=cv2.INTER_CUBIC)
+    affine = Affine(1 / REGION_PER_DEG, 0, 8.0, 0, -1 / REGION_PER_DEG, 23.0)
+    write_raster(path, heights, affine)
+
+
+def _write_globe(path: Path) -> None:
+    lat = np.radians(90.0 - (np.arange(60) + 0.5) * 3.0)[:, None]
+    lon = np.radians(-180.0 + (np.arange(120) + 0.5) * 3.0)[None, :]
+    x, y, z = np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)
+    heights = 3000.0 * np.sin(3.0 * x + 1.0) * np.cos(4.0 * y) + 1500.0 * z * np.sin(5.0 * x * y)
+    write_raster(path, heights.astype(np.float32), Affine(3.0, 0, -180.0, 0, -3.0, 90.0))
+
+
+def write_raster(path: Path, values, affine, **changes) -> None:  # type: ignore[no-untyped-def]
+    """A GeoTIFF of one band on the Moon's sphere, unless changed."""
+    rows, cols = values.shape
+    profile = {
+        "driver": "GTiff", "dtype": values.dtype.name, "count": 1, "width": cols, "height": rows,
+        "crs": MOON_DEG, "transform": affine,
+    } | changes  # fmt: skip
+    with rasterio.open(path, "w", **profile) as file:
+        for band in range(1, file.count + 1):
+            file.write(values.astype(file.dtypes[0]), band)
+
+
+def _radii_table(step_deg: int = 15) -> str:
+    """Latitude, longitude and radius of a triaxial ellipsoid, one place a line."""
+    lines = []
+    for lat_deg in range(-90, 91, step_deg):
+        for lon_deg in range(0, 361, step_deg):
+            lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+            way = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+            radius = 1.0 / np.linalg.norm(way / [12.65, 11.0, 9.35])
+            lines.append(f"{lat_deg:8.1f} {lon_deg:8.1f} {radius:10.5f}")
+    return "\n".join(lines) + "\n"
+
+
+def _plates(shape: trimesh.Trimesh) -> str:
+    """Numbers of vertices and plates, then both, counted from 1."""
+    lines = [f"{len(shape.vertices)} {len(shape.faces)}"]
+    lines += [f"{i} {x:.6f} {y:.6f} {z:.6f}" for i, (x, y, z) in enumerate(shape.vertices, 1)]
+    lines += [f"{i} {a} {b} {c}" for i, (a, b, c) in enumerate(shape.faces + 1, 1)]
+    return "\n".join(lines) + "\n"
