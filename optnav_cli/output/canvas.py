@@ -111,11 +111,16 @@ class Canvas:
         r = int(radius * 2**SUBPIXEL_BITS)
         cv2.circle(self.image, (x, y), r, colour, width, cv2.LINE_AA, SUBPIXEL_BITS)
 
-    def cross(self, pixel: FloatArray, arm: float, colour: Bgr) -> None:
+    def cross(self, pixel: FloatArray, arm: float, colour: Bgr, width: int = 2) -> None:
         """A slanted cross, arms in canvas pixels."""
         reach = arm / self.factor
         for dx, dy in ((reach, reach), (reach, -reach)):
-            self.line(np.array([pixel - (dx, dy), pixel + (dx, dy)]), colour, 2)
+            self.line(np.array([pixel - (dx, dy), pixel + (dx, dy)]), colour, width)
+
+    def diamond(self, pixel: FloatArray, reach: float, colour: Bgr) -> None:
+        """A hollow square on its corner, half its diagonal in canvas pixels."""
+        corners = np.array([(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)])
+        self.line(pixel + corners * (reach / self.factor), colour, 1, closed=True)
 
     def aim(self, pixel: FloatArray, reach: float, colour: Bgr) -> None:
         """Four strokes towards a frame pixel that leave it free, in canvas pixels."""

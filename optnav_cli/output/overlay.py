@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import ByteArray, FloatArray
@@ -25,7 +26,7 @@ from optnav_cli.output.canvas import (
 from optnav_cli.output.recording import describe
 
 # Blue, green, red. Distinct for people with colour-blindness, too, and in shape.
-PREDICTED, FOUND, REJECTED = (255, 190, 60), (90, 240, 110), (80, 90, 255)
+PREDICTED, FOUND, REJECTED, PRIOR = (255, 190, 60), (90, 240, 110), (80, 90, 255), (245, 140, 255)
 RESIDUAL, OUTLINE, DISC = (60, 220, 255), (210, 170, 80), (60, 220, 255)
 RESIDUALS_ENLARGED = 50.0
 AIM_PX = 26.0
@@ -35,6 +36,10 @@ MAX_INSET, INSET_SHARE = 0.25, 0.4  # of the picture's side: enlarged below, and
 Outlines = Mapping[tuple[str, int], Sequence[FloatArray]]
 MAX_PX = 1200
 FADING = 0.75  # of the patch outlines from level to level, so that the large ones stay behind
+MAX_OVERLAP = 1.0  # patches of a level are outlined that are no larger together than their field
+ROOMY_PX, MIN_SCALE = 30.0, 0.45  # marks nearer to each other than this are drawn smaller
+LABEL_PX = 11.0  # height of a label
+MAX_LINES = 3  # of the result in the strip below
 EDGE_POINTS = 5  # a patch's side is drawn through so many points, for fisheyes
 
 
@@ -96,15 +101,14 @@ def draw_overlay(
     factor = shrink_factor(picture.shape[1], picture.shape[0], longest_px)
     gray = eight_bits(picture)
     canvas = Canvas(dimmed(resized(gray, factor)), factor)
-    for match in matches:
-        for level, outline in enumerate((outlines or {}).get((match.catalog, match.cp_id), ())):
-            if match.used and np.isfinite(outline).all():
-                blue, green, red = (round(v * FADING**level) for v in OUTLINE)
-                canvas.line(outline, (blue, green, red), 1, closed=True)
+    used = [
+        (outlines or {}).get((match.catalog, match.cp_id), ()) for match in matches if match.used
+    ]
+    for level in range(max(map(len, used), default=0)):
+        _draw_patches(canvas, [patch[level] for patch in used if len(patch) > level], level)
     if marks is not None:
         draw_outline(canvas, marks)
-    for match in matches:
-        _draw_match(canvas, match)
+    _draw_matches(canvas, matches)
     if marks is not None:
         put_inset(canvas, gray, marks)
     return np.vstack([canvas.image, _legend(canvas.image.shape[1], solution, matches, marks)])
@@ -154,34 +158,84 @@ def patch_outlines(
     return [camera.project_from_body(border, position_m, matrix) for border in borders]
 
 
-def _draw_match(canvas: Canvas, match: MatchRow) -> None:
-    if not np.isfinite(match.predicted_px).all():
+def _draw_patches(canvas: Canvas, patches: Sequence[FloatArray], level: int) -> None:
+    """Outlines of a level's patches; none where they would cover the picture with a net."""
+    shown = [patch for patch in patches if np.isfinite(patch).all()]
+    if not shown:
         return
-    canvas.ring(match.predicted_px, 7.0, PREDICTED)
+    sides = np.ptp(np.stack(shown), axis=1)
+    field = np.ptp(np.concatenate(shown), axis=0)
+    if sides.prod(axis=1).sum() > MAX_OVERLAP * field.prod() and len(shown) > 1:
+        return
+    blue, green, red = (round(v * FADING**level) for v in OUTLINE)
+    for patch in shown:
+        canvas.line(patch, (blue, green, red), 1, closed=True)
+
+
+def _draw_matches(canvas: Canvas, matches: Sequence[MatchRow]) -> None:
+    """Each point's marks, the smaller the denser they stand, and its number where there is room."""
+    drawn = [match for match in matches if np.isfinite(match.predicted_px).all()]
+    if not drawn:
+        return
+    middles = np.array([m.predicted_px if m.measured_px is None else m.measured_px for m in drawn])
+    places = canvas.place(middles) / 2.0**SUBPIXEL_BITS
+    scale = 1.0
+    if len(drawn) > 1:
+        nearest, _ = cKDTree(places).query(places, k=2)
+        scale = float(np.clip(np.median(nearest[:, 1]) / ROOMY_PX, MIN_SCALE, 1.0))
+    for match in drawn:
+        _draw_match(canvas, match, scale)
+    half = 7.0 * scale
+    taken = np.column_stack([places - half, places + half])
+    height, width = canvas.image.shape[:2]
+    for number, match in enumerate(drawn):
+        if match.measured_px is None:
+            continue
+        words, (x, y) = str(match.cp_id), places[number]
+        long, away = text_width(words), half + 2.0
+        for left, foot in (
+            *((x + away, y - away + 3.0), (x + away, y + away + LABEL_PX - 3.0)),
+            *((x - away - long, y - away + 3.0), (x - away - long, y + away + LABEL_PX - 3.0)),
+        ):
+            box = np.array([left, foot - LABEL_PX, left + long, foot])
+            inside = box[0] >= 0.0 and box[1] >= 0.0 and box[2] < width and box[3] < height
+            apart = (box[:2] >= taken[:, 2:]) | (box[2:] <= taken[:, :2])
+            if inside and apart.any(axis=1).all():
+                canvas.text(words, left, foot, FOUND if match.used else REJECTED)
+                taken = np.vstack([taken, box])
+                break
+
+
+def _draw_match(canvas: Canvas, match: MatchRow, scale: float) -> None:
+    prior, width = match.prior_px, 2 if scale > 0.7 else 1
+    if prior is not None:
+        canvas.line(np.array([prior, match.predicted_px]), PRIOR, 1)
+        canvas.diamond(prior, 5.0 * scale, PRIOR)
+    canvas.ring(match.predicted_px, 7.0 * scale, PREDICTED, width)
     if match.measured_px is None:
         return
     mark = FOUND if match.used else REJECTED
-    canvas.cross(match.measured_px, 5.0, mark)
+    canvas.cross(match.measured_px, 5.0 * scale, mark, width)
     if match.used and match.residual_px is not None:
         tip = match.measured_px + RESIDUALS_ENLARGED * match.residual_px
-        canvas.line(np.array([match.measured_px, tip]), RESIDUAL, 2)
+        canvas.line(np.array([match.measured_px, tip]), RESIDUAL, width)
     elif not match.used:
         canvas.line(np.array([match.predicted_px, match.measured_px]), REJECTED, 1)
-    x, y = canvas.place(match.measured_px) / 2.0**SUBPIXEL_BITS
-    canvas.text(str(match.cp_id), x + 10.0, y - 8.0, mark)
 
 
 def _entries(
     matches: Sequence[MatchRow], marks: OutlineMarks | None
 ) -> list[tuple[str, tuple[int, int, int], str]]:
-    """Signs, colours and words of the legend; those of control points unless only a limb is."""
+    """Signs, colours and words of the legend, of what is drawn alone."""
     residual = ("-", RESIDUAL, f"residual x{RESIDUALS_ENLARGED:.0f}")
     items = []
-    if marks is None or matches:
+    if matches:
         found = sum(match.measured_px is not None for match in matches)
         used = sum(match.used for match in matches)
+        if any(match.prior_px is not None for match in matches):
+            items.append(("d", PRIOR, "predicted by the prior"))
         items += [
-            ("o", PREDICTED, f"predicted ({len(matches)})"),
+            ("o", PREDICTED, f"by the solution ({len(matches)})"),
             ("x", FOUND, f"found and used ({used})"),
             ("x", REJECTED, f"found, not used ({found - used})"),
         ]
@@ -194,7 +248,7 @@ def _entries(
             (".", REJECTED, f"limb points left out ({len(marks.used) - kept})"),
             ("-", PREDICTED, "fitted limb"),
         ]
-    return [*items, residual]
+    return [*items, residual] if items else []
 
 
 def _legend(
@@ -203,10 +257,14 @@ def _legend(
     items = _entries(matches, marks)
     widths = [text_width(words) + 44 for *_, words in items]
     rows = _rows_of(widths, width)
-    strip = Canvas(np.full((26 * (len(rows) + 1) + 6, width, 3), 24, dtype=np.uint8), 1.0)
-    strip.text(_shortened(describe(solution), width - 20), 10, 20, (235, 235, 235))
+    lines = _broken(describe(solution), width - 20)
+    top = 20.0 * len(lines) + 10.0
+    height = round(top) + 26 * (len(rows) if items else 0)
+    strip = Canvas(np.full((height, width, 3), 24, dtype=np.uint8), 1.0)
+    for number, line in enumerate(lines):
+        strip.text(line, 10, 20.0 * (number + 1), (235, 235, 235))
     for number, row in enumerate(rows):
-        x, y = 18.0, 26.0 * (number + 1) + 16.0
+        x, y = 18.0, top + 26.0 * number + 14.0
         for index in row:
             kind, colour, words = items[index]
             at = np.array([x, y - 4.0])
@@ -214,6 +272,8 @@ def _legend(
                 strip.ring(at, 6.0, colour)
             elif kind == ".":
                 strip.dot(at, colour)
+            elif kind == "d":
+                strip.diamond(at, 5.0, colour)
             elif kind == "x":
                 strip.cross(at, 5.0, colour)
             elif kind == "+":
@@ -238,8 +298,22 @@ def _rows_of(widths: Sequence[int], available: int) -> list[list[int]]:
     return rows
 
 
-def _shortened(words: str, available: int) -> str:
+def _broken(words: str, available: int) -> list[str]:
+    """Words in lines that fit; what is longer than all of them is cut."""
     words = words.encode("ascii", "replace").decode("ascii")  # the font has nothing else
-    while len(words) > 4 and text_width(words) > available:
-        words = words[:-4] + "..."
-    return words
+    lines = [""]
+    for word in words.split():
+        if lines[-1] and text_width(f"{lines[-1]} {word}") > available:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".lstrip()
+    if len(lines) > MAX_LINES:
+        lines = [*lines[: MAX_LINES - 1], " ".join(lines[MAX_LINES - 1 :])]
+    return [_shortened(line, available) for line in lines]
+
+
+def _shortened(words: str, available: int) -> str:
+    if text_width(words) <= available:
+        return words
+    while len(words) > 4 and text_width(f"{words}...") > available:
+        words = words[: -max(1, len(words) // 16)]
+    return f"{words}..."

@@ -1,5 +1,7 @@
 """Overlays: marks stand where the frame's pixels are, at every size."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,12 +11,14 @@ from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from catalog.geometry.projection import Stereographic
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks
-from optnav_cli.output.canvas import eight_bits
+from optnav_cli.output.canvas import Canvas, eight_bits, text_width
 from optnav_cli.output.overlay import (
     DISC,
     FOUND,
     MAX_PX,
+    OUTLINE,
     PREDICTED,
+    PRIOR,
     REJECTED,
     RESIDUAL,
     draw_overlay,
@@ -66,6 +70,75 @@ def test_marks_stand_where_the_frames_pixels_are(side):
     assert at(150, 450, PREDICTED) < 60
     assert at(150, 450, FOUND) > 100
     assert at(300, 500, PREDICTED) > 100
+
+
+def test_the_prior_s_prediction_is_drawn_beside_the_solution_s_and_named():
+    match = replace(a_match(100, 150, (0.2, 0.1)), prior_px=np.array([140.0, 180.0]))
+    blank = np.zeros((400, 400), np.uint8)
+    with_prior, without = (
+        draw_overlay(blank, unsolved("a.png", "", ""), [m])
+        for m in (match, replace(match, prior_px=None))
+    )
+    assert near(with_prior, 140, 180, PRIOR) < 60
+    assert near(with_prior, 120, 165, PRIOR, 2) < 60  # a line joins them
+    assert near(without, 140, 180, PRIOR) > 100
+    legends = [np.abs(image[400:].astype(int) - PRIOR).max(axis=-1).min() for image in
+               (with_prior, without)]  # fmt: skip
+    assert legends[0] < 40 < legends[1]
+
+
+def dense(gap, side=600):
+    """Points on a grid, found and used, with patches 80 px wide about them."""
+    places = np.stack(np.meshgrid(*[np.arange(100.0, 500.0, gap)] * 2), axis=-1).reshape(-1, 2)
+    matches = [replace(a_match(*xy, (0.0, 0.0)), cp_id=1000 + k) for k, xy in enumerate(places)]
+    square = 40.0 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    outlines = {("", m.cp_id): [m.predicted_px + square] for m in matches}
+    image = draw_overlay(np.zeros((side, side), np.uint8), unsolved("", "", ""), matches, outlines)
+    return places, image[:side]
+
+
+def test_marks_that_stand_densely_are_smaller_and_their_patches_are_no_net():
+    patches, green = [], []
+    for gap in (90.0, 20.0):
+        places, image = dense(gap)
+        patches.append((np.abs(image.astype(int) - OUTLINE).max(axis=-1) < 20).any())
+        x, y = places[0].astype(int)
+        mark = image[y - 9 : y + 10, x - 9 : x + 10]
+        green.append((mark.max(axis=-1) > 60).sum())
+    assert patches == [True, False]
+    assert green[1] < 0.6 * green[0]
+
+
+def test_numbers_of_points_stand_beside_marks_and_never_over_each_other(monkeypatch):
+    boxes = []
+    monkeypatch.setattr(
+        Canvas,
+        "text",
+        lambda _, words, x, y, __: boxes.append((words, x, y, x + text_width(words))),
+    )
+    places, _ = dense(60.0)
+    labels = [box for box in boxes if box[0].isdigit()]
+    assert len(places) / 2 < len(labels) <= len(places)
+    for k, (_, left, foot, right) in enumerate(labels):
+        for _, other_left, other_foot, other_right in labels[:k]:
+            assert right <= other_left or left >= other_right or abs(foot - other_foot) >= 11.0
+
+
+def test_a_frame_without_points_says_nothing_of_them(monkeypatch):
+    said = []
+    monkeypatch.setattr(Canvas, "text", lambda _, words, *__: said.append(words))
+    draw_overlay(np.zeros((600, 600), np.uint8), unsolved("a.png", "", "too little limb"), [])
+    assert said == ["a.png: unsolved: too little limb"]
+
+
+def test_a_long_reason_is_broken_into_lines(monkeypatch):
+    said = []
+    monkeypatch.setattr(Canvas, "text", lambda _, words, *__: said.append(words))
+    reason = "; ".join(f"reason number {k} of many" for k in range(12))
+    draw_overlay(np.zeros((600, 600), np.uint8), unsolved("a.png", "", reason), [])
+    assert len(said) == 3
+    assert all(text_width(line) <= 580 for line in said)
+    assert " ".join(said)[:60] == f"a.png: unsolved: {reason}"[:60]
 
 
 def a_limb(centre, radius, count, out=()):
