@@ -23,6 +23,7 @@ from catalog.store.records import checksum
 NO_DATA_COUNT = -32768
 MAX_COUNT = 32767
 MAX_SIZE = 4096  # nodes a side; refuses to allocate gigabytes for a damaged size
+MIN_STEP, MAX_HEIGHT = 1e-12, 1e9  # m: beyond these float32 heights lose their metres
 # The residuals are noise to a dictionary coder: level 19 saves 2 % for 90 times the work.
 ZSTD_LEVEL = 1
 
@@ -31,7 +32,7 @@ class _OfThread(threading.local):
     """Making one costs more than unpacking a patch, and threads must not share one."""
 
     def __init__(self) -> None:
-        self.decompressor = zstandard.ZstdDecompressor()
+        self.decompressor = zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIZE * MAX_SIZE)
 
 
 _of_thread = _OfThread()
@@ -52,6 +53,8 @@ class Encoded:
         if not (isinstance(size, int) and 0 < size < 2**31 and isinstance(data, bytes)):
             return None
         if not (isinstance(step, float) and isinstance(offset, float)):
+            return None
+        if not (MIN_STEP < step < MAX_HEIGHT and abs(offset) < MAX_HEIGHT):
             return None
         return cls(size, step, offset, data)
 
@@ -161,6 +164,9 @@ def _planes(data: bytes, size: int) -> ByteArray:
         raise DataError(f"a patch of {size} nodes a side; wanted 1..{MAX_SIZE}")
     expected = 2 * size * size
     try:
+        # a frame that states another size would be given as much memory as it asks for
+        if zstandard.frame_content_size(data) not in (-1, expected):
+            raise DataError(f"compressed heights state another size than {expected} bytes")
         raw = _of_thread.decompressor.decompress(data, max_output_size=expected)
     except zstandard.ZstdError as error:
         raise DataError(f"compressed heights cannot be unpacked: {error}") from None

@@ -18,12 +18,14 @@ from typing import BinaryIO
 from urllib.parse import quote
 
 from catalog.errors import DataError
+from catalog.inputs import check_input
 from catalog.store.manifest import COUNTER_DIGITS, OPEN_SEAL, SEAL, CatalogMeta, meta_from_rows
 from catalog.store.schema import FORMER_POINT_COLUMNS, META, PAGE_SIZE, POINT_COLUMNS, POINTS
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 SIDECARS = ("-wal", "-shm", "-journal")
 CACHE_KIB = 8192
+MAX_CELL_BYTES = 64 << 20  # of one value; rows of packed points and relief tiles have 1-2 MB
 # Where SQLite's header keeps its change counter, and the counter that its page count goes with.
 COUNTER, COUNTER_AGAIN = slice(24, 28), slice(92, 96)
 PAGES = slice(16, 18), slice(28, 32)  # their size and number
@@ -44,14 +46,10 @@ def connect(path: Path) -> sqlite3.Connection:
 
     Raises DataError for a file that is missing, cut short or no SQLite database.
     """
+    size = check_input(path)
     try:
-        size = path.stat().st_size
         with path.open("rb") as file:
             header = file.read(100)
-    except FileNotFoundError:
-        raise DataError(f"{path}: there is no such file; check the path") from None
-    except IsADirectoryError:
-        raise DataError(f"{path}: is a folder; name a catalog file") from None
     except OSError as error:
         raise DataError(
             f"{path}: cannot be read ({error.strerror}); check the path and its permissions"
@@ -68,7 +66,9 @@ def connect(path: Path) -> sqlite3.Connection:
     try:
         # SQLite serialises calls itself, so that threads may share a catalog
         db = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
+        db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CELL_BYTES)
         db.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
+        db.execute("PRAGMA trusted_schema = OFF")
     except sqlite3.Error as error:
         left = "restore it or build it again"
         if log is not None:
@@ -83,6 +83,7 @@ def connect(path: Path) -> sqlite3.Connection:
 def read_meta(db: sqlite3.Connection, path: Path) -> CatalogMeta:
     """The manifest. Raises DataError for another format, a newer version or damage."""
     try:
+        _check_tables(db)
         rows = dict(db.execute(f"SELECT key, value FROM {META}").fetchall())
     except (sqlite3.Error, ValueError) as error:
         if "no such table" in str(error):
@@ -94,6 +95,18 @@ def read_meta(db: sqlite3.Connection, path: Path) -> CatalogMeta:
             f"{path}: the catalog is damaged: {error}; restore it or build it again"
         ) from None
     return meta_from_rows(rows, str(path))
+
+
+def _check_tables(db: sqlite3.Connection) -> None:
+    """Refuse what is computed where a table should be: a view can be endless."""
+    computed = db.execute(
+        "SELECT name FROM sqlite_schema"
+        " WHERE (name LIKE 'optnav%' OR name LIKE 'gpkg%' OR name = ?) AND (type = 'view'"
+        " OR sql LIKE 'CREATE VIRTUAL%' OR sql LIKE '%GENERATED ALWAYS%' OR sql LIKE '% AS (%')",
+        (POINTS,),
+    ).fetchone()
+    if computed is not None:
+        raise sqlite3.DatabaseError(f"{computed[0]} is no plain table")
 
 
 def is_catalog_file(path: Path) -> bool:

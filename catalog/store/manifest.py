@@ -6,7 +6,8 @@ written as key, newline, value, newline (UTF-8).
 
 import hashlib
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -32,6 +33,19 @@ PLAIN_ROWS: dict[type, tuple[str, ...]] = {
     int: ("levels", "size", "count", "usable"),
     float: ("radius_m", "cell_deg", "posting_m", "height_step_m"),
 }
+# What the numbers can be: memory and searches are bounded by them. Builds stay well within.
+LIMITS: dict[str, tuple[float, float]] = {
+    "radius_m": (1.0, 1e9),
+    "cell_deg": (0.02, 90.0),
+    "posting_m": (1e-6, 1e9),
+    "height_step_m": (1e-9, 1e6),
+    "levels": (1, 16),
+    "size": (2, 2048),
+    "count": (0, 50_000_000),
+    "usable": (0, 50_000_000),
+}
+MAX_RELIEF_ROWS = 2880
+BODY_NAME = re.compile(r"[^\W_][\w .'()-]{0,79}")  # no path: a body's file is looked for by name
 
 
 @dataclass(frozen=True)
@@ -183,7 +197,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
     texts = {str(key): str(value) for key, value in rows.items()}
     version = texts.get("format_version", "")
     # a newer format may sum its manifest up in another way, so its number is read first
-    if version.isdigit() and int(version) > FORMAT_VERSION:
+    if re.fullmatch("[0-9]{1,9}", version) and int(version) > FORMAT_VERSION:
         raise DataError(
             f"{where}: is of catalog format {version}; this optnav reads up to {FORMAT_VERSION}; "
             "install a newer optnav"
@@ -198,10 +212,10 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
         plain: dict[str, Any] = {
             name: kind(texts[name]) for kind, names in PLAIN_ROWS.items() for name in names
         }
-        return CatalogMeta(
+        meta = CatalogMeta(
             **plain,
-            sources=json.loads(texts["sources"]),
-            point_sources=tuple(json.loads(texts["point_sources"])),
+            sources=decode(texts["sources"], type=dict[str, str]),
+            point_sources=decode(texts["point_sources"], type=tuple[str, ...]),
             relief=decode(texts.get("relief", "null"), type=ReliefMeta | None),
             planes=decode(texts.get("planes", "null"), type=PlanesMeta | None),
             seal=texts.get(SEAL, ""),
@@ -209,3 +223,27 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
         )
     except (KeyError, ValueError, msgspec.MsgspecError) as error:
         raise DataError(f"{where}: the manifest (table optnav_meta) lacks {error}") from None
+    for name, value in _out_of_range(meta):
+        raise DataError(
+            f"{where}: the manifest (table optnav_meta) says {name} = {value}, which no catalog "
+            "has; it was edited: restore it or build it again"
+        )
+    return meta
+
+
+def _out_of_range(meta: CatalogMeta) -> Iterator[tuple[str, object]]:
+    """Name and value of what is beyond what the format can hold: sizes bound memory."""
+    numbers: list[tuple[str, float, float, float]] = [
+        (name, getattr(meta, name), *limits) for name, limits in LIMITS.items()
+    ]
+    if meta.planes is not None:
+        radii = meta.planes.radii_m
+        numbers += [("planes radii_m", radius, *LIMITS["radius_m"]) for radius in radii]
+        numbers.append(("model_posting_m", meta.planes.model_posting_m, *LIMITS["posting_m"]))
+    if meta.relief is not None:
+        numbers.append(("relief rows", meta.relief.rows, 1, MAX_RELIEF_ROWS))
+    yield from ((name, n) for name, n, lowest, highest in numbers if not lowest <= n <= highest)
+    if meta.usable > meta.count:
+        yield "usable", meta.usable
+    if not BODY_NAME.fullmatch(meta.body):
+        yield "body", repr(meta.body[:80])

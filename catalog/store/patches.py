@@ -70,6 +70,18 @@ def prepare_point(
     return PreparedPoint(rounded, tuple(rows), patches_digest(contents))
 
 
+def check_patch(row: Sequence[object], level: int, meta: CatalogMeta) -> None:
+    """Raise DataError unless a row (as PATCH_COLUMNS) has the size and posting of its level."""
+    posting, size = row[4], row[5]
+    wanted = meta.posting_m * 2**level
+    known = isinstance(posting, float) and 0.1 * wanted < posting < 10.0 * wanted
+    if not known or size != meta.size:
+        raise DataError(
+            f"level {level} has {size} nodes a side, {posting} m apart; wanted {meta.size}, "
+            f"{wanted:g} m"
+        )
+
+
 def stored_patch_from_row(row: Sequence[object], point_id: int, level: int) -> StoredPatch:
     """A row (columns as PATCH_COLUMNS) as it is. Raises DataError unless its checksum fits."""
     *place, posting, size, step, offset, stored, data = row

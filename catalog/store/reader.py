@@ -18,8 +18,20 @@ from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
 from catalog.store.connection import connect, read_meta
 from catalog.store.index import CellIndex
 from catalog.store.manifest import CatalogMeta
-from catalog.store.patches import StoredPatch, patch_from_row, stored_patch_from_row
-from catalog.store.records import Record, checksum, point_from_record, record_from_row, record_type
+from catalog.store.patches import (
+    StoredPatch,
+    check_patch,
+    patch_from_row,
+    stored_patch_from_row,
+)
+from catalog.store.records import (
+    Record,
+    checksum,
+    impossible,
+    point_from_record,
+    record_from_row,
+    record_type,
+)
 from catalog.store.relief import read_relief
 from catalog.store.schema import (
     HEIGHT_LAYER,
@@ -202,6 +214,8 @@ class Catalog:
             rows = self._db.execute(SELECT_PATCHES, (first, first + 15)).fetchall()
             if len(rows) != stored:
                 raise DataError(f"{len(rows)} levels of {stored} are there")
+            for level, row in enumerate(rows):
+                check_patch(row, level, self.meta)
             return tuple(read(row, point_id, level) for level, row in enumerate(rows))
         except (sqlite3.Error, DataError) as error:
             raise DataError(
@@ -218,19 +232,22 @@ def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
     """The points from the packed table. Raises DataError when it is damaged."""
     layout = record_type(meta.levels)
     parts: list[bytes] = []
+    read = 0
     try:
-        rows = db.execute(f"SELECT id, count, checksum, data FROM {RECORDS} ORDER BY id").fetchall()
-    except sqlite3.Error as error:
+        rows = db.execute(f"SELECT id, count, checksum, data FROM {RECORDS} ORDER BY id")
+        for number, (key, count, stored, data) in enumerate(rows):
+            whole = key == number and isinstance(data, bytes) and stored == checksum(data)
+            if not whole or len(data) != count * layout.itemsize:
+                raise DataError(f"row {number} does not fit its checksum")
+            parts.append(data)
+            read += count
+            if read > meta.count:
+                break
+    except (sqlite3.Error, TypeError) as error:
         raise DataError(f"cannot be read: {error}") from None
-    for number, (key, count, stored, data) in enumerate(rows):
-        whole = key == number and isinstance(data, bytes) and stored == checksum(data)
-        if not whole or len(data) != count * layout.itemsize:
-            raise DataError(f"row {number} does not fit its checksum")
-        parts.append(data)
-    records = np.frombuffer(b"".join(parts), dtype=layout)
-    if len(records) != meta.count:
-        raise DataError(f"holds {len(records)} points of {meta.count}")
-    return records
+    if read != meta.count:
+        raise DataError(f"holds {read} points, or more, of {meta.count}")
+    return np.frombuffer(b"".join(parts), dtype=layout)
 
 
 def feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> RecordArray:
@@ -261,10 +278,17 @@ def read_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> R
     Raises DataError when they cannot be listed at all.
     """
     try:
-        return packed_records(db, meta)
+        records = packed_records(db, meta)
     except DataError as error:
         report(RECORDS, f"{error}; reading the feature layer instead")
-        return feature_records(db, meta, report)
+        records = feature_records(db, meta, report)
+    if (np.diff(records["id"]) <= 0).any():
+        raise DataError("the catalog is damaged: its points are not in order; build it again")
+    sources = len(meta.point_sources)
+    wrong = impossible(records, CellGrid(meta.cell_deg), meta.levels, sources, meta.radius_m)
+    for row, reason in wrong.items():
+        report(f"{POINTS} {records['id'][row]}", f"left out: {reason}")
+    return np.delete(records, list(wrong)) if wrong else records
 
 
 def _refuse(place: str, what: object) -> None:

@@ -14,8 +14,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from catalog.arrays import BoolArray, RecordArray
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag
 from catalog.errors import DataError
+from catalog.geometry.cells import CellGrid
 from catalog.store.schema import POINT_COLUMNS
 
 T = TypeVar("T")
@@ -36,6 +38,16 @@ SAME = {
     "hessian_eigenvalue": "<f8",
     "recognition_rate": "<f8",
     "trials": "<i4",
+}
+# A contact binary's neck is the nearest that ground comes to a body's centre.
+RADIUS_SHARES = (1e-3, 10.0)
+ROUNDING_DEG = 1e-6  # that a rounded place may lie outside of its cell
+CERTIFICATE_LIMITS = {
+    "localisation_nodes": (0.0, 1e30),
+    "hessian_eigenvalue": (-1e30, 1e30),
+    "recognition_rate": (0.0, 1.0),
+    "uniqueness": (-1e6, 1e6),
+    "shadow_limit_deg": (-90.0, 90.0),
 }
 _GEOMETRY = struct.Struct("<2sBBiBIdd")
 
@@ -94,6 +106,60 @@ def record_from_point(
     record["uniqueness"] = point.uniqueness or math.nan
     record["shadow_limit_deg"] = point.shadow_limit_deg or math.nan
     return record
+
+
+def impossible(
+    records: RecordArray, grid: CellGrid, levels: int, sources: int, radius_m: float
+) -> dict[int, str]:
+    """Which records (n,) no build can have made, by their row, and why.
+
+    grid, levels, sources, radius_m  of the catalog: cells, levels, texts of sources, sphere
+    """
+    # not "x > limit": NaN is wrong, too
+    placed = (np.abs(records["lat_deg"]) <= 90.0) & (np.abs(records["lon_deg"]) <= 180.0)
+    with np.errstate(all="ignore"):  # of numbers as they may stand there
+        near = records["radius_m"] / radius_m
+        celled = _in_cells(records, grid)
+    stored, source = records["levels"], records["source"]
+    counts = np.stack([records["trials"], records["flags"], records["usable"]])
+    faults = {
+        "its place is none": ~placed,
+        "its place is not in its cell": ~celled,
+        # a place without ground has no radius, and is no point to use
+        "its radius is not of the body": ~((near > RADIUS_SHARES[0]) & (near < RADIUS_SHARES[1]))
+        & ~(np.isnan(near) & (counts[2] == 0)),
+        "its number of levels is wrong": (stored < 0) | (stored > levels),
+        "its source is not in the manifest": (source < 0) | (source >= sources),
+        "its trials, flags or use are none": (counts < 0).any(axis=0) | (counts[2] > 1),
+        "its certificate is impossible": _wrong_certificates(records),
+    }
+    found: dict[int, str] = {}
+    for reason, wrong in faults.items():
+        for row in np.flatnonzero(wrong).tolist():
+            found.setdefault(row, reason)
+    return found
+
+
+def _in_cells(records: RecordArray, grid: CellGrid) -> BoolArray:
+    """Whether places lie in the cells that their numbers name, but for rounding."""
+    ids = records["id"]
+    known = (ids >= 0) & (ids < grid.total)
+    west, south, east, north = grid.bounds_of(np.where(known, ids, 0))
+    lat, lon = records["lat_deg"], records["lon_deg"]
+    inside = np.mod(lon - west, 360.0) <= east - west
+    away = np.where(inside, 0.0, np.minimum(np.mod(west - lon, 360.0), np.mod(lon - east, 360.0)))
+    away = np.maximum(away, np.maximum(south - lat, lat - north))
+    found: BoolArray = known & (away <= ROUNDING_DEG)
+    return found
+
+
+def _wrong_certificates(records: RecordArray) -> BoolArray:
+    """Numbers beyond any build's; unknown ones (NaN) are possible."""
+    wrong: BoolArray = np.zeros(len(records), dtype=bool)
+    for name, (lowest, highest) in CERTIFICATE_LIMITS.items():
+        beyond = (records[name] < lowest) | (records[name] > highest)
+        wrong |= beyond if beyond.ndim == 1 else beyond.any(axis=1)
+    return wrong
 
 
 def point_from_record(record: Record, sources: Sequence[str]) -> ControlPoint:
@@ -186,7 +252,7 @@ def record_from_row(
         )
         stored = _whole(cells["levels"])
         record = record_from_point(point, stored, sources.index(source), record_type(levels))
-    except (ValueError, TypeError, OverflowError) as error:
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise DataError(f"row of control_points cannot be read: {error}") from None
     # every column counts, those too that only repeat others for people's eyes
     if tuple(row) != feature_row(point, record, srs_id):

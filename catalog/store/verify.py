@@ -14,6 +14,7 @@ from catalog.store.connection import SealState, connect, live_log, read_meta, se
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import (
     catalog_digest,
+    check_patch,
     patches_digest,
     point_digest,
     stored_patch_from_row,
@@ -183,6 +184,7 @@ def _contents(
                 if row is None:
                     found.add(place, "is missing")
                     continue
+                check_patch(row, level, meta)
                 patch = stored_patch_from_row(row, number, level)
                 counts = decode_counts(patch.encoded.data, patch.encoded.size)
                 contents.append((patch.header, counts))

@@ -79,7 +79,8 @@ def test_another_body_gets_its_own_sphere(world: Any, tmp_path: Path) -> None:
     from dataclasses import replace
 
     meta = replace(world.meta, body="phobos", radius_m=11080.0)
-    written = type(world)(meta, world.points).write(tmp_path / "phobos.gpkg")
+    points = [(replace(point, radius_m=11000.0), patches) for point, patches in world.points]
+    written = type(world)(meta, points).write(tmp_path / "phobos.gpkg")
     crs = pyproj.CRS.from_user_input(pyogrio.read_info(written.path, layer="control_points")["crs"])
     assert crs.ellipsoid is not None
     assert crs.ellipsoid.semi_major_metre == 11080.0
