@@ -52,6 +52,7 @@ class ReasonCode(StrEnum):
     NOT_SETTLED = "not_settled", "the iteration does not settle on a position"
     INSIDE_BODY = "inside_body", "the position or its prior lies inside the body"
     DEGENERATE = "degenerate", "the measurements leave a direction of the position open"
+    NUMERICAL_FAILURE = "numerical_failure", "a computation failed, or memory did not suffice"
     # priors and control points
     NO_PRIOR = "no_prior", "neither file, outline nor earlier frames give a position to start from"
     NO_POINTS_IN_VIEW = "no_points_in_view", "the catalog has no point in the frame"

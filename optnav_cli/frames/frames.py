@@ -1,5 +1,6 @@
 """frames.csv: what is known beforehand about each picture of a folder."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -19,6 +20,11 @@ from optnav_cli.frames.tables import FRAMES, POSITION, QUATERNION, SUN
 
 # Unit vectors and quaternions are written with a few digits; further off, columns are mixed up.
 UNIT_TOLERANCE = 0.01
+# Bounds that no row needs to pass: 7 times the distance of the Sun; half a turn; and below that an
+# attitude is exact. Squares and inverses of numbers far beyond them overflow.
+MAX_DISTANCE_M = 1e12
+MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC = 1e-6, 180.0 * 3600.0
+MAX_NAME_BYTES = 255  # of a file or folder, on all common systems
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,16 +90,14 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
     try:
         if row.problem:
             raise DataError(row.problem)
-        path = PurePosixPath(file.replace("\\", "/"))
-        if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
-            raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
+        _check_name(file)
         if camera not in cameras:
             near = nearest_name(camera, cameras)
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(cameras)}"
             raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
         tdb_s = utc_to_tdb_s(utc)
         position, position_sigma = _position(row, attitude.body)
-        sigma = _sigma(row, "attitude_sigma_arcsec", ARCSEC)
+        sigma = _sigma(row, "attitude_sigma_arcsec", MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC)
         body_sigma = attitude.sigma_rad(tdb_s)
         written = _unit(row, QUATERNION, "the quaternion qw, qx, qy, qz")
         rotation = None if written is None else rotation_from_quaternion(*written)
@@ -106,7 +110,9 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
             camera=camera,
             tdb_s=tdb_s,
             camera_from_body=None if rotation is None else attitude.read(rotation, tdb_s),
-            attitude_sigma_rad=None if sigma is None else float(np.hypot(sigma, body_sigma)),
+            attitude_sigma_rad=None
+            if sigma is None
+            else float(np.hypot(sigma * ARCSEC, body_sigma)),
             body_sigma_rad=body_sigma,
             position_m=position,
             position_sigma_m=position_sigma,
@@ -116,10 +122,20 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
         return Frame(file=file, utc=utc, camera=camera, problem=str(error))
 
 
+def _check_name(file: str) -> None:
+    """Raise DataError for a name that no picture inside the folder can have."""
+    path = PurePosixPath(file.replace("\\", "/"))
+    longest = max((len(part.encode()) for part in path.parts), default=0)
+    if not 0 < longest <= MAX_NAME_BYTES or "\0" in file:
+        raise DataError(f"'{file[:40]}' is no name of a file; wanted 1 to {MAX_NAME_BYTES} bytes")
+    if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
+        raise DataError(f"picture '{file}' lies outside the folder; name one inside it")
+
+
 def _unit(row: CsvRow, columns: Sequence[str], what: str) -> FloatArray | None:
     """A vector (n,) of unit length, as far as its digits go; None where it is not given."""
     vector = row.vector(columns)
-    length = 1.0 if vector is None else float(np.linalg.norm(vector))
+    length = 1.0 if vector is None else math.hypot(*vector)  # numpy's warns of large numbers
     if length < 1e-12:
         raise DataError(f"{what} is zero; wanted a length of 1")
     if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -127,20 +143,22 @@ def _unit(row: CsvRow, columns: Sequence[str], what: str) -> FloatArray | None:
     return vector
 
 
-def _sigma(row: CsvRow, column: str, unit: float) -> float | None:
+def _sigma(row: CsvRow, column: str, least: float, most: float) -> float | None:
+    """A sigma, 0 or within bounds; None where it is not given."""
     value = row.number(column)
-    if value is None:
-        return None
-    if value < 0.0:
-        raise DataError(f"{column} is {row[column]}; wanted 0 or more")
-    return value * unit
+    if value is not None and value != 0.0 and not least <= value <= most:
+        zero = "0 to" if least == 0.0 else f"0, or {least:g} to"
+        raise DataError(f"{column} is {row[column]}; wanted {zero} {most:g}")
+    return value
 
 
 def _position(row: CsvRow, body: Body) -> tuple[FloatArray | None, float | None]:
-    sigma = _sigma(row, "position_sigma_m", 1.0)
+    sigma = _sigma(row, "position_sigma_m", 0.0, MAX_DISTANCE_M)
     position = row.vector(POSITION)
     if position is None:
         return None, None
+    if np.abs(position).max() > MAX_DISTANCE_M:
+        raise DataError(f"the prior position lies farther off than {MAX_DISTANCE_M:g} m")
     distance = float(np.linalg.norm(position))
     if distance < body.radius_m + body.plausible_heights_m[0]:
         raise DataError(

@@ -17,11 +17,15 @@ LIBRARIES = (*OF_THE_CATALOG, "msgspec", "mcap", "pyerfa")
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str | None]:
-    """SHA-256 of each named file of a folder, None for one that is not there, in name order."""
-    return {
-        name: hash_file(folder / name) if (folder / name).is_file() else None
-        for name in sorted(set(names))
-    }
+    """SHA-256 of each named file of a folder, None for one that cannot be read, in name order."""
+    hashes: dict[str, str | None] = {}
+    for name in sorted(set(names)):
+        try:
+            path = folder / name
+            hashes[name] = hash_file(path) if path.is_file() else None
+        except (DataError, OSError, ValueError):  # ValueError: a name that no file can have
+            hashes[name] = None
+    return hashes
 
 
 def versions() -> dict[str, str]:

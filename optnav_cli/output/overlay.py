@@ -1,5 +1,6 @@
 """overlays/*.png: a frame with what was expected, what was found, and by how much they differ."""
 
+import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from catalog.arrays import ByteArray, FloatArray
 from catalog.geometry.projection import MapProjection
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import MatchRow, OutlineMarks, Solution
+from optnav_cli.frames.frames import MAX_NAME_BYTES
 from optnav_cli.output.canvas import (
     SUBPIXEL_BITS,
     Canvas,
@@ -132,8 +134,16 @@ def write_overlay(
 
 
 def overlay_path(folder: Path, file: str) -> Path:
-    """Where a frame's overlay is: the picture's whole name, so that a.png and a.tif differ."""
-    return folder / (file.replace("/", "_").replace("\\", "_") + ".png")
+    """Where a frame's overlay is: the picture's whole name, so that a.png and a.tif differ.
+
+    A name too long for a file is cut, and told from others by its hash.
+    """
+    name = file.replace("/", "_").replace("\\", "_")
+    if len(name.encode()) > MAX_NAME_BYTES - len(".png"):
+        mark = hashlib.sha256(file.encode()).hexdigest()[:16]
+        name = name.encode()[: MAX_NAME_BYTES - len(f"-{mark}.png")].decode(errors="ignore")
+        name = f"{name}-{mark}"
+    return folder / f"{name}.png"
 
 
 def patch_outlines(

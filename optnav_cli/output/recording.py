@@ -72,6 +72,7 @@ class Recording:
         self._scene, self._about = Scene(body, cameras), dict(about or {})
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._made: list[tuple[str, foxglove.Schema, bytes]] = []
         self._sequence = 0
         self._last_ns = 0
 
@@ -106,6 +107,7 @@ class Recording:
         """
         # a leap second's readings come twice: time stands still rather than going back
         self._last_ns = max(nanoseconds(solution.utc, self._last_ns), self._last_ns)
+        self._made = []
         name, matches = camera.name if camera else NO_CAMERA, list(matches)
         place = topic_of(name, "")
         if not self._sequence:
@@ -142,6 +144,8 @@ class Recording:
         content = {"level": level, "message": describe(solution), "name": "optnav"}
         content |= {"file": solution.file, "line": 0}
         self._write("/log", foxglove.LOG, self._stamped(content))
+        for message in self._made:  # all or none: a frame that cannot be drawn leaves no half of it
+            self._put(*message)
 
     def _add_pose(self, name: str, position_m: FloatArray, camera_from_body: Rotation) -> None:
         body, pose = self._body.name, pose_of(position_m, camera_from_body)
@@ -156,6 +160,9 @@ class Recording:
         return name if name != self._body.name else f"{name} camera"
 
     def _write(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
+        self._made.append((topic, schema, json.dumps(content, allow_nan=False).encode()))
+
+    def _put(self, topic: str, schema: foxglove.Schema, data: bytes) -> None:
         title = schema["title"]
         if title not in self._schemas:
             self._schemas[title] = self._writer.register_schema(
@@ -170,7 +177,7 @@ class Recording:
             log_time=self._last_ns,
             publish_time=self._last_ns,
             sequence=self._sequence,
-            data=json.dumps(content, allow_nan=False).encode(),
+            data=data,
         )
         self._sequence += 1
 
@@ -258,7 +265,8 @@ def nanoseconds(utc: str, otherwise: int = 0) -> int:
     except ValueError:
         return otherwise
     seconds = int(start.timestamp()) + 3600 * int(hour) + 60 * int(minute) + int(second or 0)
-    return max(0, seconds * 10**9 + int(((fraction or "") + "0" * 9)[:9]))
+    # the file's times have 64 bits, which end in 2554
+    return min(max(0, seconds * 10**9 + int(((fraction or "") + "0" * 9)[:9])), 2**64 - 1)
 
 
 class Annotations:

@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+import cv2
 import msgspec
 import numpy as np
 
@@ -41,6 +42,10 @@ log = logging.getLogger(__name__)
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 # A patch that takes up more of the picture's width than this is not outlined.
 MAX_OUTLINE = 0.2
+# What numpy, scipy, OpenCV and the system raise for numbers that no check foresaw, little memory
+# or a file that fails: the fault of one frame, and the others go on. A ValueError may also be a bug
+# of ours, so its traceback goes to the details of the log.
+FRAME_FAULTS = (np.linalg.LinAlgError, ArithmeticError, ValueError, cv2.error, MemoryError, OSError)
 
 
 def navigate_folder(
@@ -84,7 +89,8 @@ def navigate_folder(
         for (_, point_id), reason in points.damaged.items():
             log.warning("control point %d is left out: %s", point_id, reason)
         solved = sum(solution.solved for solution in solutions)
-        names = [*(frame.file for frame in folder.frames), "run.toml", "frames.csv"]
+        usable = (frame.file for frame in folder.frames if frame.problem is None)
+        names = [*usable, "run.toml", "frames.csv"]
         write_manifest(
             place,
             "run",
@@ -178,14 +184,23 @@ def solve_frame(
     if camera is None:
         text = f"camera '{frame.camera}' is not known"
         return unsolved(ReasonCode.UNKNOWN_CAMERA, text), None
+    code, values = ReasonCode.BAD_PICTURE, None
     try:
         picture = load_picture(folder.picture_path(frame), camera)
+        code, values = ReasonCode.BAD_DATA, picture.values
+        return navigator.solve(frame, camera, picture), values
     except DataError as error:
-        return unsolved(ReasonCode.BAD_PICTURE, str(error)), None
-    try:
-        return navigator.solve(frame, camera, picture), picture.values
-    except DataError as error:
-        return unsolved(ReasonCode.BAD_DATA, str(error)), picture.values
+        return unsolved(code, str(error)), values
+    except FRAME_FAULTS as error:
+        text = failure(frame, "numerical failure", error)
+        return unsolved(ReasonCode.NUMERICAL_FAILURE, text), values
+
+
+def failure(frame: Frame, what: str, error: BaseException) -> str:
+    """What failed with a frame, in words; the traceback goes to the details of the log."""
+    log.debug("%s: %s", frame.file, what, exc_info=error)
+    lines = str(error).splitlines()
+    return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
 
 
 def _navigate_frames(
@@ -209,11 +224,16 @@ def _navigate_frames(
             row, picture = solve_frame(folder, frame, navigator)
             solutions[number] = row
             camera, evidence = folder.cameras.get(frame.camera), row.evidence
-            recording.add_frame(row, evidence.matches, camera, picture, evidence.outline)
-            if camera is not None and picture is not None:
-                outlines, marks = _patch_outlines(row, camera, inputs.points), evidence.outline
-                overlays = place / OVERLAYS
-                write_overlay(overlays, picture, row, evidence.matches, outlines, marks=marks)
+            try:
+                recording.add_frame(row, evidence.matches, camera, picture, evidence.outline)
+                if camera is not None and picture is not None:
+                    outlines, marks = _patch_outlines(row, camera, inputs.points), evidence.outline
+                    overlays = place / OVERLAYS
+                    write_overlay(overlays, picture, row, evidence.matches, outlines, marks=marks)
+            except FRAME_FAULTS as error:
+                if isinstance(error, OSError):  # of the output's place
+                    raise
+                log.warning("%s: %s", frame.file, failure(frame, "cannot be drawn", error))
             log.log(logging.DEBUG if row.solved else logging.WARNING, "%s", describe(row))
             bar.advance()
     return [solutions[number] for number in sorted(solutions)]

@@ -141,6 +141,15 @@ def test_a_long_reason_is_broken_into_lines(monkeypatch):
     assert " ".join(said)[:60] == f"a.png: unsolved: {reason}"[:60]
 
 
+def test_the_overlay_of_a_name_of_any_length_is_a_file_of_its_own(tmp_path):
+    names = ["a" * 251, "a" * 252, "a" * 251 + "b", "é" * 127, "sub/" + "a" * 252]
+    paths = {overlay_path(tmp_path, name) for name in names}
+    assert len(paths) == len(names)
+    for path in paths:
+        path.write_bytes(b"")
+    assert overlay_path(tmp_path, "a" * 251).name == "a" * 251 + ".png"
+
+
 def a_limb(centre, radius, count, out=()):
     """Marks of a circle's upper half, 0.2 px outside the fitted one but for points left out."""
     angle = np.linspace(-np.pi, 0.0, count)

@@ -278,6 +278,16 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "one").read_bytes() == (tmp_path / "other").read_bytes()
 
 
+def test_a_frame_that_cannot_be_written_leaves_nothing_and_the_next_ones_go_on(tmp_path):
+    broken = replace(a_frame("a.png"), prior_m=np.full(3, np.inf))
+    with Recording(tmp_path / "run.mcap", MOON) as recording:
+        with pytest.raises(ValueError, match="JSON"):
+            recording.add_frame(broken, MATCHES, UNK, np.ones((480, 640), np.float32))
+        recording.add_frame(a_frame("b.png"), MATCHES, UNK)
+    lines = [c["file"] for s, _, _, c in read(tmp_path / "run.mcap") if s.name == "foxglove.Log"]
+    assert lines == ["b.png"]
+
+
 @pytest.mark.parametrize(
     ("utc", "expected"),
     [
@@ -286,6 +296,7 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
         ("2016-12-31T23:59:60Z", 1483228800 * 10**9),
         ("1971-07-31T00:00Z", 49766400 * 10**9),
         ("2023-02-30T00:00:00Z", 77),
+        ("9999-12-31T00:00:00Z", 2**64 - 1),
         ("soon", 77),
     ],
 )

@@ -22,8 +22,11 @@ from catalog.store.reader import Catalog
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.navigation.control_points import method as control_points
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
+from optnav_cli.output import overlay
 from optnav_cli.output.tables import read_matches
+from optnav_cli.reasons import ReasonCode
 from optnav_cli.runs.navigate_folder import navigate_folder, open_field
 from tests.catalog.store.written import write_points
 
@@ -221,6 +224,80 @@ def test_the_same_folder_gives_the_same_bytes(mixed, mixed_run, catalog_path, tm
     navigate_folder(mixed, [catalog_path], SETTINGS, "ncc", again, SilentProgress())
     for name in ("solution.csv", "matches.csv", "run.mcap"):
         assert (again / name).read_bytes() == (run / name).read_bytes()
+
+
+FAULTS = {
+    "linalg.png": np.linalg.LinAlgError("Singular matrix"),
+    "overflow.png": OverflowError("cannot convert float infinity to integer"),
+    "value.png": ValueError("array must not contain infs or NaNs"),
+    "cv.png": cv2.error("Insufficient memory"),
+    "memory.png": MemoryError(),
+    "disk.png": OSError("Input/output error"),
+}
+
+
+def test_whatever_fails_in_a_frame_is_its_row_alone(
+    mixed, rough_world, taken, catalog_path, tmp_path, monkeypatch, caplog
+):
+    hostile = [
+        good_frame("huge.png", taken, position_m=np.full(3, 1e200)),
+        good_frame("late.png", taken, utc="9999-12-31T23:59:59Z", tdb_s=2.5e11),
+        good_frame("n" * 248 + ".png", taken),
+        good_frame("n" * 300 + ".png", taken),
+    ]
+    frames = [*hostile, *(good_frame(name, taken) for name in (*FAULTS, "last.png"))]
+    pictures = folder_with(tmp_path / "pictures", rough_world, frames)
+    for frame in frames:
+        if len(frame.file) < 256:
+            shutil.copy(mixed / "first.png", pictures / frame.file)
+    navigate = control_points.navigate
+
+    def failing(observation, *others):
+        if observation.file in FAULTS:
+            raise FAULTS[observation.file]
+        return navigate(observation, *others)
+
+    monkeypatch.setattr(control_points, "navigate", failing)
+    with caplog.at_level(logging.DEBUG):
+        solutions = navigate_folder(
+            pictures, [catalog_path], SETTINGS, "ncc", tmp_path / "run", SilentProgress()
+        )
+    rows = {row.file: row for row in solutions}
+    assert rows["last.png"].solved
+    assert rows["n" * 248 + ".png"].solved
+    assert rows["huge.png"].reason_code == ReasonCode.BAD_FRAME
+    assert rows["n" * 300 + ".png"].reason_code == ReasonCode.BAD_FRAME
+    for name, error in FAULTS.items():
+        assert (rows[name].status, rows[name].reason_code) == ("unsolved", "numerical_failure")
+        assert f"({type(error).__name__}" in rows[name].reason
+    assert "raise FAULTS" in caplog.text  # the traceback, among the details
+    shown = [path.name for path in (tmp_path / "run" / "overlays").iterdir()]
+    assert len(shown) == len(frames) - 2
+
+
+def test_a_frame_that_cannot_be_drawn_is_solved_all_the_same(
+    mixed, rough_world, taken, catalog_path, tmp_path, monkeypatch, caplog
+):
+    names = ("first.png", "last.png")
+    frames = [good_frame(name, taken) for name in names]
+    pictures = folder_with(tmp_path / "pictures", rough_world, frames)
+    for name in names:
+        shutil.copy(mixed / "first.png", pictures / name)
+    draw = overlay.draw_overlay
+
+    def failing(picture, solution, *others, **more):
+        if solution.file == "first.png":
+            raise cv2.error("no such colour")
+        return draw(picture, solution, *others, **more)
+
+    monkeypatch.setattr(overlay, "draw_overlay", failing)
+    solutions = navigate_folder(
+        pictures, [catalog_path], SETTINGS, "ncc", tmp_path / "run", SilentProgress()
+    )
+    assert [row.solved for row in solutions] == [True, True]
+    assert "first.png: cannot be drawn (error: no such colour)" in caplog.text
+    shown = [path.name for path in (tmp_path / "run" / "overlays").iterdir()]
+    assert shown == ["last.png.png"]
 
 
 def test_when_no_frame_is_solved_the_folder_is_written_and_then_said(
