@@ -31,9 +31,10 @@ from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
 from catalog.rasters import OWN, open_raster
 from catalog.store.connection import SIDECARS, is_points_file
+from catalog.store.geopackage import srs_of
 from catalog.store.reader import Catalog
 from catalog.store.records import reasons_text, unknown_as_none
-from catalog.store.schema import create_tables, insert_service_rows, srs_of
+from catalog.store.schema import create_tables, insert_service_rows
 from catalog.store.writer import insert_features
 from catalog.tables import CsvColumn, CsvTable
 

@@ -11,7 +11,6 @@ counter twice, so that one flipped bit never looks like such a visit.
 import hashlib
 import os
 import sqlite3
-from contextlib import closing
 from enum import Enum
 from pathlib import Path
 from typing import BinaryIO
@@ -19,6 +18,7 @@ from urllib.parse import quote
 
 from catalog.errors import DataError
 from catalog.inputs import check_input
+from catalog.store.geopackage import table_columns
 from catalog.store.manifest import COUNTER_DIGITS, OPEN_SEAL, SEAL, CatalogMeta, meta_from_rows
 from catalog.store.schema import FORMER_POINT_COLUMNS, META, PAGE_SIZE, POINT_COLUMNS, POINTS
 
@@ -119,15 +119,8 @@ def is_catalog_file(path: Path) -> bool:
 
 def is_points_file(path: Path) -> bool:
     """Whether a file is an exported layer of ours: our points without a catalog around them."""
-    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro&immutable=1"
-    try:
-        with closing(sqlite3.connect(uri, uri=True)) as db:
-            points = db.execute(f"SELECT name FROM pragma_table_info('{POINTS}')").fetchall()
-            meta = db.execute(f"SELECT name FROM pragma_table_info('{META}')").fetchall()
-    except sqlite3.Error:
-        return False
-    columns = tuple(name for (name,) in points)
-    return columns in (POINT_COLUMNS, FORMER_POINT_COLUMNS) and not meta
+    ours = table_columns(path, POINTS) in (POINT_COLUMNS, FORMER_POINT_COLUMNS)
+    return ours and not table_columns(path, META)
 
 
 def live_log(path: Path) -> Path | None:

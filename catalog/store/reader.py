@@ -16,6 +16,7 @@ from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
 from catalog.store.connection import connect, read_meta
+from catalog.store.geopackage import srs_of
 from catalog.store.index import CellIndex
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import (
@@ -41,7 +42,6 @@ from catalog.store.schema import (
     RECORDS,
     patch_key,
     select_points,
-    srs_of,
 )
 from catalog.terrain.relief.relief import GlobalRelief
 

@@ -7,7 +7,6 @@ change a catalog's content; what is not finite is stored as unknown (NaN).
 
 import json
 import math
-import struct
 import zlib
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -18,6 +17,7 @@ from catalog.arrays import BoolArray, RecordArray
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
+from catalog.store.geopackage import point_geometry
 from catalog.store.schema import POINT_COLUMNS
 
 T = TypeVar("T")
@@ -49,7 +49,6 @@ CERTIFICATE_LIMITS = {
     "uniqueness": (-1e6, 1e6),
     "shadow_limit_deg": (-90.0, 90.0),
 }
-_GEOMETRY = struct.Struct("<2sBBiBIdd")
 
 
 def record_type(levels: int) -> np.dtype[np.void]:
@@ -182,11 +181,6 @@ def unknown_as_none(value: float) -> float | None:
 def checksum(*parts: bytes) -> int:
     """CRC-32 of some bytes one after the other."""
     return zlib.crc32(b"".join(parts))
-
-
-def point_geometry(lon_deg: float, lat_deg: float, srs_id: int) -> bytes:
-    """GeoPackage geometry of a point: header without envelope, then little-endian WKB."""
-    return _GEOMETRY.pack(b"GP", 0, 1, srs_id, 1, 1, lon_deg, lat_deg)
 
 
 def reasons_text(flags: Flag) -> str:

@@ -11,6 +11,7 @@ from catalog.errors import DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.codec import decode_counts
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
+from catalog.store.geopackage import APPLICATION_ID, srs_of
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import (
     catalog_digest,
@@ -23,18 +24,17 @@ from catalog.store.reader import SELECT_PATCHES, read_records
 from catalog.store.records import record_from_row
 from catalog.store.relief import relief_digest, tile_places
 from catalog.store.schema import (
-    APPLICATION_ID,
     HEIGHT_LAYER,
     PATCHES,
+    POINT_LAYER,
     POINTS,
     RELIEF,
-    RTREE,
     patch_key,
     select_points,
     service_rows,
-    srs_of,
 )
 
+RTREE = POINT_LAYER.rtree
 # an R-tree keeps float32 corners, rounded outward
 RTREE_TOLERANCE_DEG = 4e-5
 MAX_INTEGRITY_LINES = 20

@@ -13,6 +13,7 @@ from catalog.control_point import ControlPoint
 from catalog.files import replacing_file
 from catalog.geometry.cells import CellGrid
 from catalog.store.connection import SIDECARS, is_catalog_file, put_seal
+from catalog.store.geopackage import Box, srs_of
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import CatalogMeta, rows_from_meta
 from catalog.store.patches import PreparedPoint, catalog_digest, point_digest
@@ -28,17 +29,13 @@ from catalog.store.relief import PreparedRelief, ReliefRow
 from catalog.store.schema import (
     META,
     PATCHES,
-    POINT_COLUMNS,
-    POINTS,
+    POINT_LAYER,
     RECORDS,
     RECORDS_A_ROW,
     RELIEF,
     RELIEF_TABLE,
-    RTREE,
     create_tables,
-    create_triggers,
     insert_service_rows,
-    srs_of,
 )
 
 
@@ -167,16 +164,13 @@ def _stored_points(
 
 def insert_features(
     db: sqlite3.Connection, meta: CatalogMeta, points: Iterable[tuple[ControlPoint, Record]]
-) -> tuple[float, float, float, float] | None:
-    """Fill the feature layer and its R-tree; returns west, south, east, north of the points."""
+) -> Box | None:
+    """Fill the feature layer and its R-tree; returns what the points span."""
     srs_id = srs_of(meta.body, meta.radius_m)[0]
-    insert = f"INSERT INTO {POINTS} VALUES ({', '.join('?' * len(POINT_COLUMNS))})"
-    places: list[tuple[int, float, float]] = []
-    for point, record in points:
-        db.execute(insert, feature_row(point, record, srs_id))
-        places.append((point.id, point.lon_deg, point.lat_deg))
-    tree = f"INSERT INTO {RTREE} VALUES (?,?,?,?,?)"
-    db.executemany(tree, [(number, x, x, y, y) for number, x, y in places])
-    create_triggers(db)
-    _, lon, lat = zip(*places) if places else ((), (), ())
-    return (min(lon), min(lat), max(lon), max(lat)) if places else None
+    return POINT_LAYER.fill(
+        db,
+        (
+            (feature_row(p, record, srs_id), (p.lon_deg, p.lat_deg, p.lon_deg, p.lat_deg))
+            for p, record in points
+        ),
+    )

@@ -186,6 +186,8 @@ def test_a_catalog_of_a_former_format_reads_the_same(
     """The feature layer called the localisation error, in nodes, `localisation_px` then."""
     column = "localisation_nodes TO localisation_px"
     change(catalog_copy, f"ALTER TABLE control_points RENAME COLUMN {column}")
+    change(catalog_copy, "DROP TABLE layer_styles")  # there were none
+    change(catalog_copy, "DELETE FROM gpkg_contents WHERE table_name = 'layer_styles'")
     change(catalog_copy, f"UPDATE optnav_meta SET value = {version} WHERE key = 'format_version'")
     with closing(sqlite3.connect(catalog_copy)) as db:
         rows = dict(db.execute("SELECT key, value FROM optnav_meta"))

@@ -21,8 +21,9 @@ from catalog.store.verify import Verification, verify
 from catalog.store.writer import Written
 
 FLIPS = 300
-STYLES = "CREATE TABLE layer_styles (id INTEGER PRIMARY KEY AUTOINCREMENT, styleQML TEXT)"
+PROJECTS = "CREATE TABLE qgis_projects (name TEXT PRIMARY KEY, metadata BLOB, content BLOB)"
 STYLE = "INSERT INTO layer_styles (styleQML) VALUES ('<qgis/>')"
+OWN_STYLE = "UPDATE layer_styles SET styleQML = '<qgis/>'"
 
 
 def assert_whole(path: Path, written: Written, seal: SealState = SealState.OPENED) -> None:
@@ -58,8 +59,8 @@ def visit(path: Path, journal: str) -> sqlite3.Connection:
     """What QGIS does to a GeoPackage that it opens; the file stays open."""
     db = sqlite3.connect(path)
     db.execute(f"PRAGMA journal_mode = {journal}")
-    db.execute(STYLES)
-    db.execute(STYLE)
+    for statement in (PROJECTS, STYLE, OWN_STYLE):
+        db.execute(statement)
     db.execute("UPDATE gpkg_contents SET last_change = '2030-01-01T00:00:00Z'")
     db.commit()
     return db
@@ -87,8 +88,8 @@ def test_looking_alone_leaves_every_byte(
 def test_styles_and_a_vacuum_by_gdal_are_no_damage(
     catalog_copy: Path, written: Written, ogrinfo: Any
 ) -> None:
-    ogrinfo(catalog_copy, "-sql", STYLES)
-    ogrinfo(catalog_copy, "-sql", STYLE)
+    for statement in (PROJECTS, STYLE, OWN_STYLE):
+        ogrinfo(catalog_copy, "-sql", statement)
     assert_whole(catalog_copy, written)
     ogrinfo(catalog_copy, "-sql", "VACUUM")
     assert_whole(catalog_copy, written)
@@ -124,7 +125,7 @@ import os, signal, sqlite3, sys
 db = sqlite3.connect(sys.argv[1], isolation_level=None)
 db.execute("PRAGMA journal_mode = " + sys.argv[2])
 db.execute("PRAGMA cache_size = 1")
-db.execute("CREATE TABLE layer_styles (id INTEGER PRIMARY KEY, styleQML TEXT)")
+db.execute("CREATE TABLE qgis_projects (name TEXT PRIMARY KEY, content BLOB)")
 db.execute("BEGIN")
 for _ in range(100):
     db.execute("INSERT INTO layer_styles (styleQML) VALUES (?)", ("x" * 60000,))

@@ -1,0 +1,257 @@
+"""A GeoPackage 1.3 (OGC 12-128r17): its own tables, and feature layers on a body's sphere.
+
+A layer has an R-tree, as the extension gpkg_rtree_index wants it, and a style in the table
+`layer_styles`, from which QGIS takes how a layer is drawn.
+"""
+
+import os
+import sqlite3
+import struct
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+from urllib.parse import quote
+
+from catalog.arrays import FloatArray
+
+APPLICATION_ID = 0x47504B47  # "GPKG"
+USER_VERSION = 10300
+UNDATED = "1970-01-01T00:00:00Z"
+
+MOON_SRS_ID = 30100  # IAU_2015:30100, Moon, sphere, planetocentric latitude
+MOON_RADIUS_M = 1737400.0
+CUSTOM_SRS_ID = 100001  # a number that no registry uses
+
+Box = tuple[float, float, float, float]  # west, south, east, north, deg
+Feature = tuple[tuple[object, ...], Box | None]  # a row of a layer, and what its geometry spans
+Kind = Literal["POINT", "MULTILINESTRING", "MULTIPOLYGON"]
+
+_POINT = struct.Struct("<2sBBiBIdd")
+_HEADER = struct.Struct("<2sBBiBII")  # of a collection: how many parts
+_LINE, _POLYGON = struct.Struct("<BII"), struct.Struct("<BIII")
+_PART_CODES = {"MULTILINESTRING": 2, "MULTIPOLYGON": 3}  # of well-known binary; a collection's + 3
+
+_SERVICE_TABLES = """
+CREATE TABLE gpkg_spatial_ref_sys (
+  srs_name TEXT NOT NULL, srs_id INTEGER NOT NULL PRIMARY KEY, organization TEXT NOT NULL,
+  organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL, description TEXT);
+CREATE TABLE gpkg_contents (
+  table_name TEXT NOT NULL PRIMARY KEY, data_type TEXT NOT NULL, identifier TEXT UNIQUE,
+  description TEXT DEFAULT '',
+  last_change DATETIME NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')),
+  min_x DOUBLE, min_y DOUBLE, max_x DOUBLE, max_y DOUBLE, srs_id INTEGER,
+  CONSTRAINT fk_gc_r_srs_id FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys(srs_id));
+CREATE TABLE gpkg_geometry_columns (
+  table_name TEXT NOT NULL, column_name TEXT NOT NULL, geometry_type_name TEXT NOT NULL,
+  srs_id INTEGER NOT NULL, z TINYINT NOT NULL, m TINYINT NOT NULL,
+  CONSTRAINT pk_geom_cols PRIMARY KEY (table_name, column_name),
+  CONSTRAINT uk_gc_table_name UNIQUE (table_name),
+  CONSTRAINT fk_gc_tn FOREIGN KEY (table_name) REFERENCES gpkg_contents(table_name),
+  CONSTRAINT fk_gc_srs FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys (srs_id));
+CREATE TABLE gpkg_extensions (
+  table_name TEXT, column_name TEXT, extension_name TEXT NOT NULL, definition TEXT NOT NULL,
+  scope TEXT NOT NULL, CONSTRAINT ge_tce UNIQUE (table_name, column_name, extension_name));
+CREATE TABLE layer_styles (
+  id INTEGER PRIMARY KEY NOT NULL, f_table_catalog TEXT(256), f_table_schema TEXT(256),
+  f_table_name TEXT(256), f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT,
+  styleSLD TEXT, useAsDefault BOOLEAN, description TEXT, owner TEXT(30), ui TEXT(30),
+  update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')));
+"""
+
+# So that programs which edit a copy of a layer keep its index; the functions are those that GIS
+# programs have.
+_TRIGGERS = """
+CREATE TRIGGER {tree}_insert AFTER INSERT ON {table} WHEN {full} BEGIN {row} END;
+CREATE TRIGGER {tree}_update1 AFTER UPDATE OF geom ON {table}
+  WHEN OLD.id = NEW.id AND {full} BEGIN {row} END;
+CREATE TRIGGER {tree}_update2 AFTER UPDATE OF geom ON {table}
+  WHEN OLD.id = NEW.id AND {empty} BEGIN {drop} END;
+CREATE TRIGGER {tree}_update3 AFTER UPDATE ON {table}
+  WHEN OLD.id != NEW.id AND {full} BEGIN {drop} {row} END;
+CREATE TRIGGER {tree}_update4 AFTER UPDATE ON {table}
+  WHEN OLD.id != NEW.id AND {empty}
+  BEGIN DELETE FROM {tree} WHERE id IN (OLD.id, NEW.id); END;
+CREATE TRIGGER {tree}_delete AFTER DELETE ON {table}
+  WHEN OLD.geom NOT NULL BEGIN {drop} END;
+"""
+
+
+@dataclass(frozen=True)
+class FeatureLayer:
+    """A feature layer; its first columns are `id` and `geom`.
+
+    columns  the others, as SQL declares them
+    style    how QGIS draws it (QML)
+    """
+
+    name: str
+    kind: Kind
+    description: str
+    columns: tuple[str, ...]
+    style: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all columns."""
+        return ("id", "geom", *(column.split()[0] for column in self.columns))
+
+    @property
+    def rtree(self) -> str:
+        """The table of its index."""
+        return f"rtree_{self.name}_geom"
+
+    def create(self, db: sqlite3.Connection) -> None:
+        """Make the empty table and its index."""
+        columns = ", ".join((f"geom {self.kind}", *self.columns))
+        db.execute(f"CREATE TABLE {self.name} (id INTEGER PRIMARY KEY NOT NULL, {columns})")
+        db.execute(f"CREATE VIRTUAL TABLE {self.rtree} USING rtree(id, minx, maxx, miny, maxy)")
+
+    def fill(self, db: sqlite3.Connection, features: Iterable[Feature]) -> Box | None:
+        """Insert features, in the order of their ids, and index them; returns what they span."""
+        insert = f"INSERT INTO {self.name} VALUES ({', '.join('?' * len(self.names))})"
+        boxes: list[Box] = []
+        places: list[tuple[object, ...]] = []
+        for row, box in features:
+            db.execute(insert, row)
+            if box is not None:
+                west, south, east, north = box
+                boxes.append(box)
+                places.append((row[0], west, east, south, north))
+        db.executemany(f"INSERT INTO {self.rtree} VALUES (?,?,?,?,?)", places)
+        for statement in filter(str.strip, self._triggers().split("END;\n")):
+            db.execute(statement + " END")
+        if not boxes:
+            return None
+        wests, souths, easts, norths = zip(*boxes)
+        return min(wests), min(souths), max(easts), max(norths)
+
+    def register(
+        self, db: sqlite3.Connection, srs_id: int, extent: Box | None, changed: str
+    ) -> None:
+        """Name the layer, and its style, in the GeoPackage's own tables."""
+        _insert(db, "gpkg_contents", [self._contents_row(srs_id, extent, changed)])
+        for table, rows in self.service_rows(srs_id).items():
+            _insert(db, table, rows)
+        named = "", "", self.name, "geom", self.name, self.style, "", 1, self.description, "", None
+        columns = "f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
+        columns += "styleQML, styleSLD, useAsDefault, description, owner, ui, update_time"
+        values = ", ".join("?" * (len(named) + 1))
+        db.execute(f"INSERT INTO layer_styles ({columns}) VALUES ({values})", (*named, changed))
+
+    def service_rows(self, srs_id: int) -> dict[str, list[tuple[object, ...]]]:
+        """Rows of the GeoPackage's own tables that do not depend on the features, by table."""
+        link = "http://www.geopackage.org/spec120/#extension_rtree"
+        return {
+            "gpkg_geometry_columns": [(self.name, "geom", self.kind, srs_id, 0, 0)],
+            "gpkg_extensions": [(self.name, "geom", "gpkg_rtree_index", link, "write-only")],
+        }
+
+    def _contents_row(self, srs_id: int, extent: Box | None, changed: str) -> tuple[object, ...]:
+        box = extent or (None,) * 4
+        return self.name, "features", self.name, self.description, changed, *box, srs_id
+
+    def _triggers(self) -> str:
+        return _TRIGGERS.format(
+            tree=self.rtree,
+            table=self.name,
+            row=f"INSERT OR REPLACE INTO {self.rtree} VALUES (NEW.id, ST_MinX(NEW.geom), "
+            "ST_MaxX(NEW.geom), ST_MinY(NEW.geom), ST_MaxY(NEW.geom));",
+            full="(NEW.geom NOTNULL AND NOT ST_IsEmpty(NEW.geom))",
+            empty="(NEW.geom ISNULL OR ST_IsEmpty(NEW.geom))",
+            drop=f"DELETE FROM {self.rtree} WHERE id = OLD.id;",
+        )
+
+
+def create_geopackage(db: sqlite3.Connection, page_size: int = 4096) -> None:
+    """Make a new file a GeoPackage without layers."""
+    db.execute(f"PRAGMA page_size = {page_size}")
+    db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    db.execute(f"PRAGMA user_version = {USER_VERSION}")
+    for statement in filter(str.strip, _SERVICE_TABLES.split(";\n")):
+        db.execute(statement)
+
+
+def describe_geopackage(
+    db: sqlite3.Connection, body: str, radius_m: float, changed: str, tables: Sequence[str] = ()
+) -> None:
+    """Fill in the coordinate systems and the tables without features, with their descriptions.
+
+    tables  "NAME: description"
+    """
+    _insert(db, "gpkg_spatial_ref_sys", system_rows(body, radius_m))
+    plain = [("layer_styles", "Styles of the layers, for QGIS")]
+    plain += [(name, text.strip()) for name, _, text in (table.partition(":") for table in tables)]
+    nowhere = (None,) * 5
+    rows = [(name, "attributes", name, text, changed, *nowhere) for name, text in plain]
+    _insert(db, "gpkg_contents", rows)
+
+
+def table_columns(path: Path, table: str) -> tuple[str, ...]:
+    """Columns of a table of a file; none where it has no such table, or is no SQLite database."""
+    uri = f"file:{quote(os.fsencode(path.absolute()))}?mode=ro&immutable=1"
+    try:
+        with closing(sqlite3.connect(uri, uri=True)) as db:
+            found = db.execute("SELECT name FROM pragma_table_info(?)", (table,)).fetchall()
+    except sqlite3.Error:
+        return ()
+    return tuple(column for (column,) in found)
+
+
+def srs_of(body: str, radius_m: float) -> tuple[int, str, str, int, str]:
+    """srs_id, name, organization, its code and WKT of planetocentric degrees on a body's sphere."""
+    radius = f"{radius_m:.12g}"
+    if body == "moon" and radius_m == MOON_RADIUS_M:
+        name, datum = "Moon (2015) - Sphere / Ocentric", "Moon (2015) - Sphere"
+        srs_id, organization, code = MOON_SRS_ID, "IAU_2015", MOON_SRS_ID
+    else:
+        datum = f"{body.capitalize()} - Sphere of {radius} m"
+        name = f"{datum} / Ocentric"
+        srs_id, organization, code = CUSTOM_SRS_ID, "NONE", CUSTOM_SRS_ID
+    wkt = (
+        f'GEOGCS["{name}",DATUM["{datum}",SPHEROID["{datum}",{radius},0]],'
+        'PRIMEM["Reference Meridian",0],UNIT["degree",0.0174532925199433,'
+        'AUTHORITY["EPSG","9122"]],AXIS["Longitude",EAST],AXIS["Latitude",NORTH]]'
+    )
+    return srs_id, name, organization, code, wkt
+
+
+def system_rows(body: str, radius_m: float) -> list[tuple[object, ...]]:
+    """Rows of gpkg_spatial_ref_sys: what every GeoPackage has, and the body's own."""
+    srs_id, name, organization, code, wkt = srs_of(body, radius_m)
+    wgs84 = (
+        'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+        'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+    )
+    # the specification wants the first three in every GeoPackage
+    return [
+        ("Undefined Cartesian", -1, "NONE", -1, "undefined", "undefined Cartesian system"),
+        ("Undefined geographic", 0, "NONE", 0, "undefined", "undefined geographic system"),
+        ("WGS 84 geodetic", 4326, "EPSG", 4326, wgs84, "Earth"),
+        (name, srs_id, organization, code, wkt, "planetocentric latitude, east longitude"),
+    ]
+
+
+def point_geometry(lon_deg: float, lat_deg: float, srs_id: int) -> bytes:
+    """GeoPackage geometry of a point: header without envelope, then little-endian WKB."""
+    return _POINT.pack(b"GP", 0, 1, srs_id, 1, 1, lon_deg, lat_deg)
+
+
+def parts_geometry(kind: Kind, parts: Sequence[FloatArray], srs_id: int) -> bytes | None:
+    """Geometry of lines or of polygons without holes from their (n, 2) lon, lat; None for none.
+
+    The rings of polygons are closed: their last point is the first.
+    """
+    if not parts:
+        return None
+    code = _PART_CODES[kind]
+    data = [_HEADER.pack(b"GP", 0, 1, srs_id, 1, code + 3, len(parts))]
+    for part in parts:
+        one = (1, code, len(part)) if code == 2 else (1, code, 1, len(part))
+        data += [(_LINE if code == 2 else _POLYGON).pack(*one), part.astype("<f8").tobytes()]
+    return b"".join(data)
+
+
+def _insert(db: sqlite3.Connection, table: str, rows: Sequence[tuple[object, ...]]) -> None:
+    db.executemany(f"INSERT INTO {table} VALUES ({', '.join('?' * len(rows[0]))})", rows)
