@@ -1,9 +1,8 @@
-"""A catalog for other programs: its points as a map layer, its relief, a patch as a solid.
+"""A catalog for other programs: its points as a map layer, a patch as a solid.
 
 A layer is GeoJSON, CSV or a plain GeoPackage. All three carry the body's coordinate system in the
 way that GDAL and QGIS read it back: GeoJSON in its (pre-RFC 7946) crs member, CSV in a .prj file
-beside it (and column types in a .csvt file), the GeoPackage in its own table. The relief is a
-GeoTIFF.
+beside it (and column types in a .csvt file), the GeoPackage in its own table.
 
 The top of a patch's solid is the ground, its sides go down the map's verticals, its bottom lies a
 fifth of its width below the lowest ground. Lengths are metres from the control point: OBJ has east,
@@ -19,17 +18,13 @@ from typing import Any
 
 import manifold3d
 import numpy as np
-import rasterio
 import trimesh
-from rasterio.errors import RasterioError
-from rasterio.transform import Affine
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint
+from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import DataError, OutputError
 from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
-from catalog.rasters import OWN, open_raster
 from catalog.store.connection import SIDECARS, is_points_file
 from catalog.store.geopackage import srs_of
 from catalog.store.reader import Catalog
@@ -40,9 +35,6 @@ from catalog.tables import CsvColumn, CsvTable
 
 # what begins a file that we wrote, and may therefore write again
 GEOJSON_START = '{"type":"FeatureCollection","name":"control_points","optnav":"catalog layer"'
-RELIEF_NAME = "optnav relief"  # begins a file of ours
-RELIEF_ENDINGS = (".tif", ".tiff")
-BANDS = ("mean height, m", "highest place, m")
 PATCH_NAME = "optnav patch"  # what stands near the beginning of a file that we wrote
 PATCH_ENDINGS = (".obj", ".glb")
 HEAD_BYTES = 4096
@@ -72,7 +64,7 @@ def export(catalog: Catalog, path: str | Path) -> int:
     if writer is None:
         raise OutputError(
             f"{path}: a layer is written as {', '.join(writers)}, the relief as .tif, a patch as "
-            ".obj or .glb; choose one of these endings"
+            ".tif, .obj or .glb; choose one of these endings"
         )
     if path.exists() and path.samefile(catalog.path):
         raise OutputError(f"{path}: is the catalog itself; name another file for the layer")
@@ -197,15 +189,20 @@ def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int
     return len(faces)
 
 
-def patch_solid(catalog: Catalog, point_id: int, level: int) -> tuple[FloatArray, IntArray]:
-    """Vertices (n, 3), m, east, north, up from the point, and outward triangles (m, 3)."""
+def patch_of(catalog: Catalog, point_id: int, level: int) -> tuple[ControlPoint, Patch]:
+    """A point and its patch of a level. Raises DataError for one that is not there."""
     point, patches = catalog.point(point_id), catalog.patches(point_id)
     if not 0 <= level < len(patches):
         raise DataError(
             f"{catalog.path}: control point {point_id} has {len(patches)} levels, from 0 on; "
             f"there is no level {level}"
         )
-    patch = patches[level]
+    return point, patches[level]
+
+
+def patch_solid(catalog: Catalog, point_id: int, level: int) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, east, north, up from the point, and outward triangles (m, 3)."""
+    point, patch = patch_of(catalog, point_id, level)
     holes = int(np.isnan(patch.heights_m).sum())
     if holes:
         raise DataError(
@@ -248,50 +245,3 @@ def _faces(size: int) -> IntArray:
 def _is_our_patch(path: Path) -> bool:
     with path.open("rb") as file:
         return PATCH_NAME.encode() in file.read(HEAD_BYTES)
-
-
-def export_relief(catalog: Catalog, path: Path) -> int:
-    """Write means and tops as the bands of a GeoTIFF on the body's sphere; returns its rows.
-
-    Raises DataError for a catalog without a relief or with a damaged one, OutputError for a place
-    that cannot be written or an existing file that is no such export.
-    """
-    relief = catalog.relief()
-    if relief is None:
-        raise DataError(
-            f"{catalog.path}: carries no relief; name a terrain model of the whole body as "
-            "[relief] dem of its build config and build it again"
-        )
-    rows = len(relief.heights)
-    step = 180.0 / rows
-    profile = {
-        "driver": "GTiff",
-        "height": rows,
-        "width": 2 * rows,
-        "count": len(BANDS),
-        "dtype": "float32",
-        "crs": rasterio.CRS.from_wkt(srs_of(catalog.meta.body, catalog.meta.radius_m)[4]),
-        "transform": Affine(step, 0.0, -180.0, 0.0, -step, 90.0),
-        "tiled": True,
-        "compress": "deflate",
-        "predictor": 3,
-    }
-    with replacing_file(path, _is_our_relief) as partial:
-        try:
-            with rasterio.open(partial, "w", **profile) as file:
-                file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{RELIEF_NAME}: {relief.source}")
-                file.units = ("m",) * len(BANDS)
-                for band, grid in enumerate((relief.heights, relief.max_heights), 1):
-                    file.write(grid, band)
-                    file.set_band_description(band, BANDS[band - 1])
-        except RasterioError as error:
-            raise OutputError(f"{path}: cannot be written ({error}); free some space") from None
-    return rows
-
-
-def _is_our_relief(path: Path) -> bool:
-    try:
-        with open_raster(path, OWN) as file:
-            return str(file.tags().get("TIFFTAG_IMAGEDESCRIPTION", "")).startswith(RELIEF_NAME)
-    except DataError:
-        return False

@@ -251,12 +251,12 @@ def _verified_lines(found: "Verification") -> list[str]:
 
 
 @command.command(
-    "export", short_help="Write the points or the relief as a layer, a patch as a solid."
+    "export", short_help="Write the points or the relief as a layer, a patch as a raster or solid."
 )
 @path_argument("catalog")
 @output_option(
-    "The layer: a name ending in .geojson, .csv or .gpkg; .tif for the relief; .obj or .glb for a "
-    "patch."
+    "The layer: a name ending in .geojson, .csv or .gpkg; .tif for the relief; with --point, .tif, "
+    ".obj or .glb for a patch."
 )
 @click.option("--point", "point_id", type=int, metavar="ID", help="The point of the patch.")
 @click.option(
@@ -267,23 +267,36 @@ def catalog_export(catalog: Path, output: Path, point_id: int | None, level: int
 
     A CSV gets a .prj and a .csvt file beside it, so that GIS programs know places and types.
     A .tif gets the relief of the whole body that CATALOG carries: its mean heights and its tops.
-    A .obj or .glb gets the ground of a patch of --point as a closed solid, metres from the point.
+
+    With --point, a .tif gets the heights of a patch in its own map projection, a pixel a node, and
+    a .obj or .glb its ground as a closed solid, metres from the point.
 
     \b
     Example:
       optnav catalog export tycho.gpkg -o points.geojson
       optnav catalog export tycho.gpkg -o relief.tif
-      optnav catalog export tycho.gpkg --point 6420 -o patch.glb
+      optnav catalog export tycho.gpkg --point 6420 -o patch.tif
+      optnav catalog export tycho.gpkg --point 6420 --level 2 -o patch.glb
     """
     from catalog.errors import UsageError
     from catalog.inspect import export as layers
+    from catalog.inspect import geotiff
     from catalog.store.reader import Catalog
 
+    ending = output.suffix.lower()
+    if point_id is not None and ending not in (*geotiff.ENDINGS, *layers.PATCH_ENDINGS):
+        raise UsageError(
+            f"{output}: a patch of --point is written as .tif, .obj or .glb; choose one of these "
+            "endings, or leave --point out for a layer of all points"
+        )
     with Catalog.open(catalog) as opened:
-        if output.suffix.lower() in layers.RELIEF_ENDINGS:
-            rows = layers.export_relief(opened, output)
+        if ending in geotiff.ENDINGS and point_id is not None:
+            side = geotiff.export_patch_heights(opened, point_id, level, output)
+            click.echo(f"{output}: {side} x {side} nodes")
+        elif ending in geotiff.ENDINGS:
+            rows = geotiff.export_relief(opened, output)
             click.echo(f"{output}: {rows} x {2 * rows} cells")
-        elif output.suffix.lower() in layers.PATCH_ENDINGS:
+        elif ending in layers.PATCH_ENDINGS:
             if point_id is None:
                 raise UsageError(f"{output}: a solid is of one patch; name its point with --point")
             triangles = layers.export_patch(opened, point_id, level, output)

@@ -130,6 +130,17 @@ def test_export_writes_a_layer(
     assert capsys.readouterr().out == f"{place}: {written.count} points\n"
 
 
+def test_export_writes_a_patch_and_refuses_one_as_a_layer(
+    written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = str(CellGrid(1.0).cell_of(*TYCHO))
+    words = ["catalog", "export", str(written.path), "--point", cell, "-o"]
+    assert run([*words, str(tmp_path / "patch.tif")]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'patch.tif'}: 64 x 64 nodes\n"
+    assert run([*words, str(tmp_path / "patch.csv")]) == 2
+    assert "leave --point out" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", [["info"], ["verify"], ["nearest", "1", "2"], ["show", "1"]])
 def test_what_is_no_catalog_is_told_by_each_command(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
