@@ -17,8 +17,11 @@ import msgspec
 from msgspec import inspect
 
 from catalog.errors import ConfigError
+from catalog.inputs import MAX_CONFIG_BYTES, read_input
 
 T = TypeVar("T")
+MAX_WHOLE = 2**53  # beyond it a whole number has no exact float
+MAX_DEPTH = 20
 
 BUNDLED = "bundled:"  # a name that begins so is that of a file that ships with optnav
 
@@ -47,14 +50,7 @@ def load_toml(path: str | Path, type_: type[T]) -> T:
 
 def toml_text(path: Path) -> str:
     """The text of a TOML file. Raises ConfigError for a file that cannot be read as text."""
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such file; check the path") from None
-    except IsADirectoryError:
-        raise ConfigError(f"{path}: is a folder; name a TOML file in it") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    raw = read_input(path, error=ConfigError, limit=MAX_CONFIG_BYTES)
     try:
         return raw.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
@@ -71,13 +67,15 @@ def parse_toml(text: str, type_: type[T], where: str | Path) -> T:
     """
     try:
         data = tomllib.loads(text.replace("\r\n", "\n"))
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        raise ConfigError(f"{where}: not valid TOML: lists in lists, too deep to read") from None
+    except ValueError as error:  # of a number with thousands of digits, too
         raise ConfigError(f"{where}: not valid TOML: {error}") from None
     info = inspect.type_info(type_)
+    for steps, problem in _never_valid(data, ()):
+        raise ConfigError(f"{where}: {_place(steps)} {problem}")
     for problem in _unknown_keys(info, data, (), info):
         raise ConfigError(f"{where}: {problem}")
-    for steps in _not_finite(data, ()):
-        raise ConfigError(f"{where}: {_place(steps)} must be a finite number")
     try:
         return msgspec.convert(data, type_)
     except msgspec.ValidationError as error:
@@ -188,15 +186,20 @@ def _all_settings(info: inspect.Type, steps: Steps) -> Iterator[Steps]:
             yield from _all_settings(field.type, (*steps, field.encode_name))
 
 
-def _not_finite(value: Any, steps: Steps) -> Iterator[Steps]:
+def _never_valid(value: Any, steps: Steps) -> Iterator[tuple[Steps, str]]:
+    """What no setting of any type can be: numbers that are none or too large, deep lists."""
     if isinstance(value, float) and not math.isfinite(value):
-        yield steps
+        yield steps, "must be a finite number"
+    elif isinstance(value, int) and abs(value) > MAX_WHOLE:
+        yield steps, f"must be a whole number of at most {MAX_WHOLE}"
+    elif len(steps) > MAX_DEPTH:
+        yield steps[:3], f"holds more than {MAX_DEPTH} lists or sections in each other"
     elif isinstance(value, dict):
         for key, child in value.items():
-            yield from _not_finite(child, (*steps, key))
+            yield from _never_valid(child, (*steps, key))
     elif isinstance(value, list):
         for number, child in enumerate(value):
-            yield from _not_finite(child, (*steps, number))
+            yield from _never_valid(child, (*steps, number))
 
 
 def _section(steps: Steps) -> str:

@@ -12,7 +12,7 @@ from catalog.errors import DataError, OptnavError
 
 MEGABYTE = 1 << 20
 MAX_TEXT_BYTES = 256 * MEGABYTE  # of a table or a label; a year of frames, one a second, is less
-MAX_CONFIG_BYTES = 16 * MEGABYTE
+MAX_CONFIG_BYTES = 4 * MEGABYTE
 
 
 def check_input(

@@ -13,8 +13,11 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.config import nearest_name
 from catalog.errors import DataError
+from catalog.inputs import read_input
 
 T = TypeVar("T")
+# A row takes some kB in memory: a picture a second fills these in six days.
+MAX_ROWS, MAX_COLUMNS = 500_000, 1000
 
 
 @dataclass(frozen=True)
@@ -192,17 +195,22 @@ class CsvTable:
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of each line that is not blank. Raises DataError."""
+    raw = read_input(path, remedy="make it, or check the path")
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise DataError(f"{path}: there is no such file") from None
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise DataError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from None
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
+    lines = []
     try:
-        lines = [(reader.line_num, [cell.strip() for cell in line]) for line in reader]
+        for line in reader:
+            cells = [cell.strip() for cell in line]
+            if any(cells):
+                lines.append((reader.line_num, cells))
+            if len(lines) > MAX_ROWS or len(cells) > MAX_COLUMNS:
+                raise DataError(
+                    f"{path}: has more than {MAX_ROWS:,} rows or {MAX_COLUMNS:,} columns; split it"
+                )
     except csv.Error as error:
         raise DataError(f"{path}: is not a CSV file: {error}") from None
-    return [(number, cells) for number, cells in lines if any(cells)]
+    return lines

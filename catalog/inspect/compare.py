@@ -175,7 +175,7 @@ def _config_values(text: str) -> dict[str, str]:
     """Values of a config under names as "config check.trials"; one line where it is no TOML."""
     try:
         return dict(_flat("config", tomllib.loads(text)))
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return {"config": " ".join(text.split())}
 
 

@@ -65,15 +65,14 @@ def read_frames(path: Path, attitude: FileAttitude, cameras: Iterable[str]) -> l
     rows, a row without a picture's name, or a name twice.
     """
     rows = FRAMES.rows(path)
-    names = [row["file"] for row in rows]
-    for index, name in enumerate(names):
+    first: dict[str, int] = {}
+    for number, row in enumerate(rows, 1):
+        name = row["file"]
         if not name:
+            raise DataError(f"{path}: row {number} names no picture in column 'file'; fill it in")
+        if first.setdefault(name, number) != number:
             raise DataError(
-                f"{path}: row {index + 1} names no picture in column 'file'; fill it in"
-            )
-        if name in names[:index]:
-            raise DataError(
-                f"{path}: '{name}' stands in rows {names.index(name) + 1} and {index + 1}; "
+                f"{path}: '{name}' stands in rows {first[name]} and {number}; "
                 "give each picture one row"
             )
     known = sorted(cameras)

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
@@ -11,6 +12,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow
+from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import POSITION, QUATERNION, TRUTH
 
@@ -62,6 +64,8 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
     position, quaternion = row.vector(POSITION), row.vector(QUATERNION)
     if position is None or quaternion is None:
         raise DataError("a position or quaternion is empty; fill it in")
+    if np.abs(position).max() > MAX_DISTANCE_M:
+        raise DataError(f"the position lies more than {MAX_DISTANCE_M:g} m from the body")
     tdb_s = utc_to_tdb_s(row["utc"])
     camera_from_body = attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
     return Truth(row["file"], row["utc"], tdb_s, position, camera_from_body)

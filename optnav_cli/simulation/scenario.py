@@ -8,7 +8,7 @@ import msgspec
 
 from catalog.bodies.body import Body
 from catalog.bodies.ephemeris import Ephemeris, motion_of
-from catalog.config import BUNDLED, load_toml, resource
+from catalog.config import BUNDLED, load_toml, resource, toml_text
 from catalog.errors import ConfigError
 from catalog.terrain.dem.file import SHARED, path_of
 from optnav_cli.camera.camera import Camera
@@ -89,8 +89,8 @@ def scenario_motion(scenario: ScenarioBase, body: Body) -> Ephemeris:
 
 def _kind(path: Path) -> type[ScenarioBase]:
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):
+        data = tomllib.loads(toml_text(path))
+    except (ValueError, RecursionError):
         return Scenario
     return next((kind for section, kind in KINDS.items() if section in data), Scenario)
 

@@ -1,5 +1,6 @@
 """Settings are read strictly: what is wrong is named by file, section and key."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -88,7 +89,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_not_taken_for_a_config(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is a folder; name a TOML file in it"):
+    with pytest.raises(ConfigError, match="is a folder; name a file"):
         load_toml(tmp_path, Config)
 
 
@@ -128,3 +129,31 @@ def test_a_missing_resource_names_what_is_there() -> None:
 )
 def test_the_nearest_name_is_the_one_meant(name: str, meant: str | None) -> None:
     assert nearest_name(name, ["edge_sigma_px", "sigma", "posting_m"]) == meant
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("posting_m = " + "9" * 5000, "not valid TOML"),
+        ("posting_m = 0x" + "f" * 5000, r"\[select\] posting_m must be a whole number of at most"),
+        ("posting_m = 1e400", "must be a finite number"),
+        ("posting_m = " + "[" * 2000 + "]" * 2000, "too deep"),
+        ("posting_m = " + "[" * 60 + "]" * 60, "lists or sections in each other"),
+        ("a." * 2000 + "b = 1", "lists or sections|too deep"),
+    ],
+)
+def test_numbers_and_lists_that_no_setting_can_be_are_refused(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_toml(f'[select]\n{text}\n[[dem]]\npath = "a.tif"\n', Config, "a.toml")
+
+
+def test_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "loop.toml").symlink_to("loop.toml")
+    (tmp_path / "large.toml").write_bytes(b"# \n" * 2_000_000)
+    wanted = {"pipe": "pipe or a device", "loop": "cannot be read", "large": "at most 4"}
+    for name, message in wanted.items():
+        with pytest.raises(ConfigError, match=message):
+            load_toml(tmp_path / f"{name}.toml", Config)
+    with pytest.raises(ConfigError, match="not a name"):
+        load_toml("a\0b.toml", Config)

@@ -1,6 +1,7 @@
 """CSV tables that are read, written and documented from one declaration of their columns."""
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -68,3 +69,23 @@ def test_the_columns_are_documented_from_their_declaration() -> None:
         "| `x_m` | m | place along x | yes |",
         "| `n` |  | points (count) | yes |",
     ]
+
+
+def test_tables_beyond_any_use_are_refused_before_memory_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("file,x_m,n,used\n" + "a.png,1,2,1\n" * 20)
+    monkeypatch.setattr("catalog.tables.MAX_ROWS", 10)
+    with pytest.raises(DataError, match="more than 10 rows"):
+        TABLE.rows(path)
+    path.write_text(",".join(f"c{n}" for n in range(2000)))
+    with pytest.raises(DataError, match="1,000 columns"):
+        TABLE.rows(path)
+    path.write_text("file,x_m,n,used\n" + "a" * 1_000_000 + ",1,2,1\n")
+    with pytest.raises(DataError, match="field larger than field limit"):
+        TABLE.rows(path)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(DataError, match="pipe or a device"):
+        TABLE.rows(path)
