@@ -61,7 +61,7 @@ class TruthTerrain:
         globe_details: Mapping[int | None, SyntheticRelief] = MappingProxyType({}),
         cameras_m: Sequence[FloatArray] = (),
     ) -> None:
-        self.body, self._details = body, details
+        self.body, self._details, self._around = body, details, globe_details
         self._sources = [DemSource.open(dem, Path.cwd(), body) for dem in dems]
         first = self._sources[0]
         inset = first.posting_m / body.radius_m
@@ -89,6 +89,8 @@ class TruthTerrain:
 
         Raises ConfigError when the box holds too much ground at this resolution.
         """
+        if factor == 1 and seed not in self._around:
+            seed = None  # without added relief all seeds have one ground
         return self._windows.get((seed, factor, box), lambda: self._window(seed, factor, box))
 
     def _window(self, seed: int | None, factor: int, box: Box) -> Ground:

@@ -72,12 +72,17 @@ def lit_share(
     end = _way_out(r, low, first)
     ray = Ray(x, y, z, dx, dy, dz)
     how, s, _, _, deepest = walk(first, ray, s, end, 0, full)
-    for ground in (second, third):
-        end = _way_out(r, low, ground)
-        if how != DARK and s < end:
-            s = max(s, ground.step_lat * ground.radius_m)
-            how, s, _, _, deep = walk(ground, ray, s, end, 2, full)
-            deepest = max(deepest, deep)
+    # one after the other: a loop over the grounds copies them, half as long again
+    end = _way_out(r, low, second)
+    if how != DARK and s < end:
+        s = max(s, second.step_lat * second.radius_m)
+        how, s, _, _, deep = walk(second, ray, s, end, 2, full)
+        deepest = max(deepest, deep)
+    end = _way_out(r, low, third)
+    if how != DARK and s < end:
+        s = max(s, third.step_lat * third.radius_m)
+        how, s, _, _, deep = walk(third, ray, s, end, 2, full)
+        deepest = max(deepest, deep)
     return max(0.0, 1.0 - deepest / full)
 
 

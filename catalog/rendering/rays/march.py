@@ -20,6 +20,8 @@ LEFT, HIT, DARK = 0, 1, 2  # how a walk ends: out of the grid or the range, on t
 ANCHOR_REACH = 0.006  # rad
 POLE_REACH = 0.05  # of the distance from the axis: places are off by 4e-5 of that distance
 MAX_STEPS = 20_000  # a grid's diagonal cell by cell; only a stop for what should not happen
+CROSSING_M = 0.01  # how well a crossing is found
+MAX_PARTS = 2.0**24  # of a step, whatever its length
 _NUDGE = 1e-3  # nodes that a step goes beyond a block's border
 SKY, FINE, WIDE = 0, 1, 2  # what a ray meets
 # Steeper slopes than this do not occur on a grid of kilometres (a 35 deg wall between two nodes);
@@ -129,7 +131,7 @@ def walk(
         if clearance < 0.0:
             if darkness <= 0.0:
                 over = next_row - row, next_col - col
-                way = _refine(ground, step, (row, col), over, (height, after))
+                way = refine(ground, step, (row, col), over, (height, after))
                 row, col = row + way * over[0], col + way * over[1]
                 return HIT, anchor + t + way * step, row, col, 0.0
             deepest = max(deepest, -clearance / (anchor + ahead))
@@ -141,7 +143,20 @@ def walk(
 
 
 @kernel
-def _refine(
+def _is_clear(
+    ground: Ground,
+    t: float,
+    place: tuple[float, float],
+    over: tuple[float, float],
+    heights: tuple[float, float],
+) -> bool:
+    """Whether a ray is above the ground at t in 0..1 of a step; see `refine`."""
+    ray = heights[0] + t * (heights[1] - heights[0])
+    return ray > bilinear(ground.heights, place[0] + t * over[0], place[1] + t * over[1])
+
+
+@kernel
+def refine(
     ground: Ground,
     step: float,
     place: tuple[float, float],
@@ -152,17 +167,33 @@ def _refine(
 
     step     m;  over  rows and columns of the step from `place` on;  heights  m, its two ends
     """
-    (row, col), (rows, cols), (height, after) = place, over, heights
+    parts = 2.0
+    while step >= CROSSING_M * parts and parts < MAX_PARTS:
+        parts *= 2.0
+    # Over a cell the clearance is quadratic in t, so its root names the part that bisection would
+    # end in. Where the step goes beyond the cell's border, that part may turn out to be another.
+    grid, (rows, cols) = ground.heights, over
+    r, c = int(place[0]), int(place[1])
+    y, x = place[0] - r, place[1] - c
+    south, east = grid[r + 1, c] - grid[r, c], grid[r, c + 1] - grid[r, c]
+    twist = grid[r + 1, c + 1] - grid[r + 1, c] - east
+    clear = heights[0] - grid[r, c] - y * south - x * (east + y * twist)
+    sink = heights[0] - heights[1] + rows * (south + x * twist) + cols * (east + y * twist)
+    root = 2.0 * clear / (sink + np.sqrt(max(sink * sink + 4.0 * twist * rows * cols * clear, 0.0)))
+    if 0.0 < root < 1.0:
+        low = np.floor(root * parts) / parts
+        high = low + 1.0 / parts
+        if _is_clear(ground, low, place, over, heights) and (
+            high == 1.0 or not _is_clear(ground, high, place, over, heights)
+        ):
+            return float(0.5 * (low + high))
     low, high = 0.0, 1.0
-    for _ in range(24):
+    while (high - low) * parts > 1.0:
         t = 0.5 * (low + high)
-        ray = height + t * (after - height)
-        if ray > bilinear(ground.heights, row + t * rows, col + t * cols):
+        if _is_clear(ground, t, place, over, heights):
             low = t
         else:
             high = t
-        if (high - low) * step < 0.01:
-            break
     return 0.5 * (low + high)
 
 

@@ -5,11 +5,12 @@ import pytest
 from scipy.ndimage import map_coordinates
 from scipy.optimize import brentq
 
+from catalog.geometry.grid import bilinear
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
 from catalog.photometry import hapke
 from catalog.rendering.rays.ground import Ground, make_ground, surroundings, whole_sphere
 from catalog.rendering.rays.light import lit_share
-from catalog.rendering.rays.march import FINE, SKY, WIDE, Ray, trace
+from catalog.rendering.rays.march import CROSSING_M, FINE, SKY, WIDE, Ray, refine, trace
 from catalog.rendering.rays.scene import Scene
 
 RADIUS_M = 1_737_400.0
@@ -92,6 +93,29 @@ def test_hits_are_the_first_crossings_of_a_dense_search(
             lambda t, d=ray: float(height_over(ground, origin + t * d)), s[first - 1], s[first]
         )
         assert found == pytest.approx(exact, abs=tolerance_m)
+
+
+def test_a_crossing_lies_where_bisection_finds_it():
+    ground = fine(hills())
+    rng = np.random.default_rng(5)
+    for step in (0.015, 3.0, 70.0, 4000.0):
+        for row, col in rng.uniform(20, SIZE - 20, (40, 2)):
+            # over the cell's border by as much as a walk goes
+            over = np.ceil(row) + 1e-3 - row, np.floor(col) - 1e-3 - col
+
+            def clearance(t, ray, row=row, col=col, over=over):
+                return ray(t) - bilinear(ground.heights, row + t * over[0], col + t * over[1])
+
+            above, below = rng.uniform(0.0, 0.5 * step, 2)
+            first = above - clearance(0.0, lambda _: 0.0)
+            last = -below - clearance(1.0, lambda _: 0.0)
+            low, high = 0.0, 1.0
+            while (high - low) * step >= CROSSING_M:
+                middle = 0.5 * (low + high)
+                clear = clearance(middle, lambda t, a=first, b=last: a + t * (b - a)) > 0.0
+                low, high = (middle, high) if clear else (low, middle)
+            found = refine(ground, step, (row, col), over, (first, last))
+            assert found == 0.5 * (low + high)
 
 
 def test_the_limb_of_a_bare_sphere_is_where_the_tangent_is():
