@@ -1,33 +1,35 @@
 """Writing files and folders: built beside their place, made durable, put there in one step.
 
-The output of a command grows in a hidden sibling (".NAME.optnav-new-..."), which the process locks.
-Only when it is complete and on the disk does it take the place that the user named, and never that
-of a file or folder of somebody else. A killed command leaves the old output whole; the next one
-removes what the killed one left behind.
+The output of a command grows in a hidden sibling (".NAME.optnav-new-..."). Only when it is complete
+and on the disk does it take the place that the user named, and never that of a file or folder of
+somebody else. A killed command leaves the old output whole; the next one removes what it left.
 
 In a work folder, which is optnav's own and locked as a whole, parts are named NAME.partial.
 """
 
 import ctypes
 import errno
-import fcntl
 import glob
 import hashlib
-import json
 import os
 import shutil
 import sqlite3
+import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
+
 from catalog.errors import DataError, OutputError
+from catalog.places import beside, claimed, kind_at, unusable
 
 MANIFEST = "manifest.json"
 MADE_BY = "optnav"
 NEW, OLD, PARTIAL = "optnav-new-", "optnav-old", ".partial"
+MAX_MANIFEST_BYTES = 1 << 26  # a hash a picture: half a million pictures
 PIECE = 1_000_000  # bytes that are read at once
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
@@ -51,22 +53,18 @@ def check_file(path: Path, ours: IsOurs) -> None:
 
     Nothing is touched; long work asks before it begins.
     """
-    if not path.name:
-        raise OutputError(f"{str(path)!r}: is not a name for a file; name one")
+    kind = kind_at(path)
+    if kind == stat.S_IFDIR:
+        raise OutputError(f"{path}: a folder is in the way of an output file; name another place")
     try:
-        if path.is_dir():
-            raise OutputError(
-                f"{path}: a folder is in the way of an output file; name another place"
-            )
-        if path.exists() and path.stat().st_size > 0 and not ours(path):
-            raise OutputError(
-                f"{path}: exists and was not made by optnav as such an output; move it away or "
-                "name another file"
-            )
+        foreign = kind == stat.S_IFREG and path.stat().st_size > 0 and not ours(path)
     except OSError as error:
+        raise unusable(path, error) from None
+    if foreign:
         raise OutputError(
-            f"{path}: cannot be written ({error.strerror}); name another place"
-        ) from None
+            f"{path}: exists and was not made by optnav as such an output; move it away or "
+            "name another file"
+        )
 
 
 @contextmanager
@@ -77,16 +75,18 @@ def replacing_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> It
     sidecars  endings of files beside `path` that belong to the old file and go with it
 
     A link stays, and the file it leads to is replaced.
-    Raises OutputError for a folder or a foreign file in the way, an unwritable place, a full disk
-    (of SQLite in the body, too).
+    Raises OutputError for a folder or anything foreign in the way, another process that writes
+    there, an unwritable place, a full disk (of SQLite in the body, too).
     """
     check_file(path, ours)
-    path = path.resolve()
-    with _writing(path), _new_folder(path) as folder:
+    with claimed(path) as path, _writing(path), _new_folder(path) as folder:
         yield folder / path.name
         _sync(folder / path.name)
+        check_file(path, ours)  # somebody may have come meanwhile
         for ending in sidecars:
-            path.with_name(path.name + ending).unlink(missing_ok=True)
+            sidecar = path.with_name(path.name + ending)
+            if sidecar.is_file():
+                sidecar.unlink()
         os.replace(folder / path.name, path)
         _sync(path.parent)
 
@@ -97,23 +97,34 @@ def write_output(path: Path, data: bytes, ours: IsOurs) -> None:
         new.write_bytes(data)
 
 
+class _ManifestHead(msgspec.Struct):
+    made_by: str
+    kind: str
+
+
 def made_by_optnav(folder: Path, kind: str) -> bool:
     """Whether a folder's manifest says that optnav made it, as this kind of output."""
+    path = folder / MANIFEST
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > MAX_MANIFEST_BYTES:
+            return False
+        head = msgspec.json.decode(path.read_bytes(), type=_ManifestHead)
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         return False
-    wanted = {"made_by": MADE_BY, "kind": kind}
-    return isinstance(manifest, dict) and wanted.items() <= manifest.items()
+    return (head.made_by, head.kind) == (MADE_BY, kind)
 
 
 def check_folder(path: Path, kind: str) -> None:
     """Raise OutputError unless `path` is free, an empty folder, or an output of this kind."""
-    if not path.exists():
-        return
-    if not path.is_dir():
+    found = kind_at(path)
+    if found == stat.S_IFREG:
         raise OutputError(f"{path}: a file is in the way of an output folder; name another place")
-    if any(path.iterdir()) and not made_by_optnav(path, kind):
+    try:
+        foreign = found != 0 and any(path.iterdir()) and not made_by_optnav(path, kind)
+    except OSError as error:
+        raise unusable(path, error) from None
+    if foreign:
         raise OutputError(
             f"{path}: the folder is not empty and holds no {kind} that optnav made, so it is left "
             "alone; name another place, or remove it yourself"
@@ -130,12 +141,8 @@ def replacing_folder(path: Path, kind: str) -> Iterator[Path]:
     Raises OutputError for a place that is taken, locked by another optnav or not writable, and
     for a disk that fills up; ValueError when the caller wrote no manifest.
     """
-    path = Path(path)
-    if not path.name:
-        raise OutputError(f"{path}: this is not a name for an output; name another place")
-    path = path.resolve()
     check_folder(path, kind)
-    with _writing(path), _new_folder(path) as new:
+    with claimed(path) as path, _writing(path), _new_folder(path) as new:
         yield new
         if not made_by_optnav(new, kind):
             raise ValueError(f"{path}: the {kind} was left without its manifest")
@@ -195,22 +202,6 @@ def hash_file(path: Path, piece_done: Callable[[], object] = lambda: None) -> st
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[int]:
-    """Hold a folder, or a lock file that is made where it is missing; gives its handle.
-
-    The lock goes with the process, so that a killed one leaves none behind.
-    Raises BlockingIOError when another process holds it, OSError when it cannot be opened.
-    """
-    flags = os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT
-    handle = os.open(path, flags, 0o644)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield handle
-    finally:
-        os.close(handle)
-
-
-@contextmanager
 def _writing(path: Path) -> Iterator[None]:
     """Turn the failures of a place into an OutputError; errors about other files pass through."""
     try:
@@ -232,38 +223,29 @@ def _writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """A hidden folder beside `path`, held by this process, that is gone afterwards."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """A hidden folder beside a claimed `path` that is gone afterwards."""
     _remove_leftovers(path)
-    new = Path(tempfile.mkdtemp(prefix=f".{path.name}.{NEW}", dir=path.parent))
+    new = Path(tempfile.mkdtemp(prefix=beside(path, NEW).name, dir=path.parent))
     try:
-        with locked(new):
-            mask = os.umask(0)
-            os.umask(mask)
-            new.chmod(0o777 & ~mask)  # mkdtemp makes it private
-            yield new
+        mask = os.umask(0)
+        os.umask(mask)
+        new.chmod(0o777 & ~mask)  # mkdtemp makes it private
+        yield new
     finally:
         shutil.rmtree(new, ignore_errors=True)
 
 
 def _remove_leftovers(path: Path) -> None:
     """Clean up after a killed command; give back an old output that it had moved aside."""
-    old = path.parent / f".{path.name}.{OLD}"
+    old = beside(path, OLD)
     if old.exists():
         if path.exists():
             shutil.rmtree(old)
         else:
             os.rename(old, path)
-    for leftover in sorted(path.parent.glob(f".{glob.escape(path.name)}.{NEW}*")):
-        try:
-            with locked(leftover):
-                shutil.rmtree(leftover)
-        except FileNotFoundError:  # its own process has just removed it
-            continue
-        except BlockingIOError:
-            raise OutputError(
-                f"{path}: another optnav is writing this output; wait for it or name another place"
-            ) from None
+    for leftover in path.parent.glob(f"{glob.escape(beside(path, NEW).name)}*"):
+        if leftover.is_dir() and not leftover.is_symlink():
+            shutil.rmtree(leftover)
 
 
 def _put_in_place(new: Path, path: Path) -> None:
@@ -273,7 +255,7 @@ def _put_in_place(new: Path, path: Path) -> None:
     elif not _exchange(new, path):
         # Two steps where the system cannot exchange: a kill between them leaves the old output
         # under its other name, and the next command gives it back.
-        old = path.parent / f".{path.name}.{OLD}"
+        old = beside(path, OLD)
         os.rename(path, old)
         os.rename(new, path)
         shutil.rmtree(old, ignore_errors=True)

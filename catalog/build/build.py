@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import Account, StageAccount
 from catalog.jobs.workers import available_cores, workers_of
 from catalog.jobs.workspace import MARK, Workspace, encode_records, stage_key
+from catalog.places import claimed
 from catalog.progress import Progress, SilentProgress
 from catalog.store.connection import is_catalog_file
 from catalog.store.patches import PreparedPoint
@@ -95,8 +96,11 @@ def run(
         body = load_body(config.body.name, source.path.parent)
     except ConfigError as error:
         raise ConfigError(f"{source.path}: [body] name: {error}") from None
-    workspace = Workspace(work)
-    with workspace.locked():
+    with ExitStack() as held:
+        if output is not None:
+            held.enter_context(claimed(output))
+        workspace = Workspace(work)
+        held.enter_context(workspace.locked())
         build = _Build(
             workspace, config, source, body, workers, scheduler, progress or SilentProgress()
         )

@@ -244,12 +244,15 @@ DIFFERENCES = CsvTable(
 )
 
 
+is_table = starts_with(",".join(DIFFERENCES.names[:6]).encode())
+
+
 def write_table(found: Comparison, path: Path) -> int:
     """Write every point that differs to a CSV file, in the order of ids; returns their number.
 
     Raises OutputError for a place that cannot be written or an existing file that is no such table.
     """
-    with replacing_file(path, starts_with(",".join(DIFFERENCES.names[:6]).encode())) as new:
+    with replacing_file(path, is_table) as new:
         return DIFFERENCES.write(new, _sorted_rows(found))
 
 

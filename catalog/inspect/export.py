@@ -23,7 +23,7 @@ import trimesh
 from catalog.arrays import FloatArray, IntArray
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import DataError, OutputError
-from catalog.files import replacing_file, starts_with, write_output
+from catalog.files import check_file, replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
 from catalog.store.connection import SIDECARS, is_points_file
 from catalog.store.geopackage import srs_of
@@ -150,10 +150,16 @@ def _write_csv(catalog: Catalog, path: Path) -> None:
     columns = ((column.name, kinds.get(column.kind, "Integer64")) for column in table.columns)
     types = ",".join(kinds.get(name, kind) for name, kind in columns)
     wkt = srs_of(catalog.meta.body, catalog.meta.radius_m)[4]
+    sides = {path.with_suffix(".csvt"): types, path.with_suffix(".prj"): wkt}
     with replacing_file(path, starts_with(",".join(table.names[:6]).encode())) as new:
+        # those beside a layer of ours are ours; a lone .prj may belong to another layer
+        again = path.is_file() and path.stat().st_size > 0
+        ours = (lambda _: True) if again else starts_with(wkt.encode(), types.encode())
+        for place in sides:
+            check_file(place, ours)
         table.write(new, map(point_properties, catalog.points()))
-        for suffix, text in ((".csvt", types), (".prj", wkt)):
-            write_output(path.with_suffix(suffix), f"{text}\n".encode(), lambda _: True)
+        for place, text in sides.items():
+            write_output(place, f"{text}\n".encode(), ours)
 
 
 def _write_geopackage(catalog: Catalog, path: Path) -> None:

@@ -24,7 +24,8 @@ import zstandard
 
 import catalog
 from catalog.errors import DataError, OutputError
-from catalog.files import PARTIAL, PIECE, hash_file, locked, put_file
+from catalog.files import PARTIAL, PIECE, hash_file, put_file
+from catalog.places import locked
 from catalog.progress import Progress
 
 T = TypeVar("T")

@@ -172,19 +172,24 @@ def compare_and_tell(
 ) -> None:
     """Print what differs. Raises DifferenceError when the content does."""
     from catalog.errors import DifferenceError
+    from catalog.files import check_file
+    from catalog.inspect import differences
     from catalog.inspect.compare import compare
-    from catalog.inspect.differences import comparison_document, lines, summary, write_table
     from optnav_cli.output.document import json_text
 
+    if table is not None:
+        check_file(table, differences.is_table)
     found = compare(first, second, progress)
-    more = [] if table is None else [f"table: {table}: {write_table(found, table)} points"]
+    more = (
+        [] if table is None else [f"table: {table}: {differences.write_table(found, table)} points"]
+    )
     more += ["content: the same"] if found.same else []
     if as_json:
-        click.echo(json_text(comparison_document(found)))
+        click.echo(json_text(differences.comparison_document(found)))
     else:
-        click.echo("\n".join([*lines(found), *more]))
+        click.echo("\n".join([*differences.lines(found), *more]))
     if not found.same:
-        raise DifferenceError(f"{second}: differs from {first}: {summary(found)}")
+        raise DifferenceError(f"{second}: differs from {first}: {differences.summary(found)}")
 
 
 def require_reference(reference: Path, output: Path) -> None:

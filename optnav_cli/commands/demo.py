@@ -36,6 +36,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from catalog.build import build
     from catalog.config import resource
     from catalog.files import check_folder
+    from catalog.places import claimed, make_folder
     from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
     from optnav_cli.navigation.settings import NavigateSettings
     from optnav_cli.output.manifest import write_manifest
@@ -49,18 +50,19 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     report = output / "report.html"
 
     check_folder(output, KIND)
-    output.mkdir(parents=True, exist_ok=True)
-    # First of all, so that the same command knows a demo that was stopped as its own.
-    inputs = {"config": config.name, "scenario": scenario.name}
-    write_manifest(
-        output, KIND, command="demo", options={}, inputs=inputs, started=datetime.now(UTC)
-    )
-    announce_compilation()
-    build.run(config, output=catalog, workers=workers, progress=progress)
-    simulate_folder(scenario, pictures, progress, workers)
-    navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", run, progress)
-    evaluation = evaluate_run(run, pictures / "truth.csv")
-    write_evaluation(evaluation, run)
-    write_report(run, report)
+    with claimed(output):
+        make_folder(output)
+        # First of all, so that the same command knows a demo that was stopped as its own.
+        inputs = {"config": config.name, "scenario": scenario.name}
+        write_manifest(
+            output, KIND, command="demo", options={}, inputs=inputs, started=datetime.now(UTC)
+        )
+        announce_compilation()
+        build.run(config, output=catalog, workers=workers, progress=progress)
+        simulate_folder(scenario, pictures, progress, workers)
+        navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", run, progress)
+        evaluation = evaluate_run(run, pictures / "truth.csv")
+        write_evaluation(evaluation, run)
+        write_report(run, report)
     click.echo(format_table(evaluation))
     click.echo(f"\nreport: {report}")

@@ -34,6 +34,13 @@ def _command(study: Study) -> click.Command:
         plot: Path | None = None,
         **options: Any,
     ) -> None:
+        from catalog.files import check_file, starts_with
+        from optnav_cli.report import sheet
+        from optnav_cli.studies import tables
+
+        for place, beginning in ((plot, sheet.BEGINNING.encode()), (json_file, tables.BEGINNING)):
+            if place is not None:
+                check_file(place, starts_with(beginning))  # before hours of work
         if study.compiles:
             announce_compilation()
         result = study.function("run")(progress=progress, **options)
@@ -42,9 +49,7 @@ def _command(study: Study) -> click.Command:
         if study.prints:
             click.echo(study.function(study.prints)(result))
         if plot is not None:
-            from optnav_cli.report.sheet import write_sheet
-
-            write_sheet(study.function("picture")(result), plot)
+            sheet.write_sheet(study.function("picture")(result), plot)
         if json_file is not None:
             report.signed(study.name, options).write(json_file)
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from catalog.errors import DataError
-from catalog.files import MADE_BY, MANIFEST, hash_file
+from catalog.files import MADE_BY, MANIFEST, MAX_MANIFEST_BYTES, hash_file, put_file
+from catalog.inputs import read_input
 from catalog.jobs.workspace import LIBRARIES as OF_THE_CATALOG
 
 FORMAT = 1
@@ -66,19 +67,17 @@ def write_manifest(
         "finished_utc": _utc(datetime.now(UTC)),
     }
     text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False, default=_plain)
-    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
+    # not every name of a file is text: what is none is written as "?"
+    put_file(folder / MANIFEST, f"{text}\n".encode("utf-8", "replace"))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest of an output. Raises DataError when there is none or it is damaged."""
     path = folder / MANIFEST
+    data = read_input(path, "manifest", "name an output of optnav", limit=MAX_MANIFEST_BYTES)
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(
-            f"{path}: cannot be read ({error.strerror}); this is not an output of optnav"
-        ) from error
-    except ValueError as error:
+        manifest = json.loads(data)
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: is damaged ({error}); make the output again") from error
     if not isinstance(manifest, dict) or manifest.get("made_by") != MADE_BY:
         raise DataError(f"{path}: was not written by optnav; name an output of optnav")

@@ -3,14 +3,13 @@
 from pathlib import Path
 
 from catalog.errors import DataError
-from catalog.files import replacing_file, starts_with
+from catalog.files import check_file, replacing_file, starts_with
 from catalog.store.reader import Catalog
 from optnav_cli.output.run_folder import read_run
+from optnav_cli.report import page, sheet
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
-from optnav_cli.report.page import BEGINNING
 from optnav_cli.report.run_page import run_page
-from optnav_cli.report.sheet import write_sheet
 
 
 def write_report(source: Path, output: Path) -> None:
@@ -19,7 +18,9 @@ def write_report(source: Path, output: Path) -> None:
     An output that ends in .svg gets the errors of a run as a picture.
     Raises DataError for a source that is neither, OutputError for a place that cannot be used.
     """
-    if output.suffix.lower() == ".svg":
+    svg = output.suffix.lower() == ".svg"
+    check_file(output, starts_with((sheet.BEGINNING if svg else page.BEGINNING).encode()))
+    if svg:
         if not source.is_dir():
             raise DataError(
                 f"{source}: only the errors of a run are drawn as SVG; name an .html file"
@@ -27,7 +28,7 @@ def write_report(source: Path, output: Path) -> None:
         run = read_run(source)
         if not any(solution.solved for solution in run.solutions):
             raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
-        write_sheet(error_sheet(run), output)
+        sheet.write_sheet(error_sheet(run), output)
         return
     if source.is_dir():
         text = run_page(source)
@@ -36,5 +37,5 @@ def write_report(source: Path, output: Path) -> None:
             text = catalog_page(catalog)
     else:
         raise DataError(f"{source}: there is no such run or catalog; check the path")
-    with replacing_file(output, starts_with(BEGINNING.encode())) as path:
+    with replacing_file(output, starts_with(page.BEGINNING.encode())) as path:
         path.write_text(text, encoding="utf-8")

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from catalog.build import build
 from catalog.config import resource
 from catalog.geometry.rotations import rnb_axes
+from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.frames.isis_cube import apollo_frame, read_cube_pose, write_apollo_folder
 from optnav_cli.navigation.settings import NavigateSettings
@@ -27,7 +28,7 @@ def run(output: Path, progress: Progress, matcher: str = "ncc") -> tuple[Cell, .
 
     Returns the table's only row: the residual is the rms of a coordinate.
     """
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     catalog = output / "farside.gpkg"
     pictures, place = output / "pictures", output / f"run-{matcher}"
     build.run(resource("configs/catalogs/farside.toml"), output=catalog, progress=progress)

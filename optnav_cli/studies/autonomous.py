@@ -19,6 +19,7 @@ from catalog.arrays import FloatArray
 from catalog.build import build
 from catalog.config import resource
 from catalog.errors import NothingToDoError
+from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
@@ -101,7 +102,7 @@ def run(output: Path, progress: Progress, frames: int | None = None, rows: str =
     Raises ConfigError where the shared data are not named.
     """
     relief = path_of(flights.GLOBE, Path.cwd())
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     tycho = output / "tycho.gpkg"
     build.run(resource("configs/catalogs/tycho.toml"), output=tycho, progress=progress)
     around = output / "surroundings.toml"

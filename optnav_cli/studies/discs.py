@@ -27,6 +27,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.config import resource
 from catalog.errors import NoSolutionError
+from catalog.files import check_file, starts_with, write_output
 from catalog.progress import Progress
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
@@ -190,8 +191,13 @@ class DiscResult:
     reason: str = ""
 
 
+is_disc_file = starts_with(b'[\n {\n  "shape"')
+
+
 def run(progress: Progress, discs: int, output: Path | None) -> list[DiscResult]:
     """Draw and solve `discs` discs a bin and body; output is a JSON file of all results."""
+    if output is not None:
+        check_file(output, is_disc_file)
     found: list[DiscResult] = []
     bins = list(pairwise(EDGES_PX))
     for which, shape in enumerate(SHAPES):
@@ -207,7 +213,7 @@ def run(progress: Progress, discs: int, output: Path | None) -> list[DiscResult]
                 bar.advance()
     if output is not None:
         text = json.dumps([asdict(result) for result in found], indent=1)
-        output.write_text(text + "\n", encoding="utf-8")
+        write_output(output, f"{text}\n".encode(), is_disc_file)
     return found
 
 

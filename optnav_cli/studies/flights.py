@@ -18,6 +18,7 @@ from catalog.build import build
 from catalog.build.ingest import Bbox
 from catalog.config import resource
 from catalog.errors import NothingToDoError
+from catalog.files import starts_with, write_output
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError
@@ -90,7 +91,7 @@ def built_catalog(config: Path, text: str, progress: Progress, bbox: Bbox | None
     """The catalog beside a build configuration that is written with this text."""
     # left alone when it is right, so that rows can run side by side in one folder
     if not (config.is_file() and config.read_text(encoding="utf-8") == text):
-        config.write_text(text, encoding="utf-8")
+        write_output(config, text.encode(), starts_with(text.encode()[:40]))
     catalog = config.with_suffix(".gpkg")
     build.run(config, output=catalog, bbox=bbox, progress=progress)
     return catalog

@@ -19,6 +19,7 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC
+from catalog.places import make_folder
 from catalog.progress import Progress
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.relief.relief import GlobalRelief
@@ -140,7 +141,7 @@ def run(
     """
     globe = path_of(flights.GLOBE, Path.cwd())
     chosen = flights.rows_named(ROWS, rows)
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     results: list[HorizonResult] = []
     for row in chosen:
         folder = read_folder(flights.shipped_pictures(output, row.scenario, frames, progress))

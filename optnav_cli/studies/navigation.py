@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from catalog.config import resource
+from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.evaluation.evaluation import Evaluation, pool
 from optnav_cli.evaluation.files import evaluate_run
@@ -65,7 +66,7 @@ def run(
     rows    only rows whose name contains this
     """
     chosen = flights.rows_named(ROWS, rows)
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     results: list[FlightResult] = []
     tycho = resource("configs/catalogs/tycho.toml").read_text(encoding="utf-8")
     for row in chosen:

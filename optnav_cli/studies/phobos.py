@@ -17,6 +17,7 @@ import numpy as np
 from catalog.build import build
 from catalog.config import resource
 from catalog.jobs.usage import Account
+from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError, figures_of
 from optnav_cli.studies import flights
@@ -83,7 +84,7 @@ def run(
     rows    only rows whose name contains this
     """
     chosen = flights.rows_named(ROWS, rows)
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     catalog = output / "phobos.gpkg"
     config = resource("configs/catalogs/phobos.toml")
     account = build.run(config, output=catalog, progress=progress).account

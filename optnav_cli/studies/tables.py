@@ -19,10 +19,12 @@ import numpy as np
 import catalog
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
+from catalog.files import starts_with, write_output
 
 Cell = str | int | float | None
 
 DIGITS = 6  # significant ones that a table keeps: more than it shows, fewer than machines differ in
+BEGINNING = b'{\n "study": "'
 INNERMOST = re.compile(r"[\[{]\n[^\[\]{}]*[\]}]")  # lists and objects that hold no further ones
 COLUMN = re.compile(r"(?:([\w.]+) = )?(.+?)(?: \[(.+?)\])?(?: (g|\+?\.\d[fg]))?")
 MAX_ACROSS = 10  # a table of one row and more columns than these is shown as a list
@@ -150,8 +152,8 @@ class StudyReport:
         )
 
     def write(self, path: Path) -> None:
-        """Write the JSON."""
-        path.write_text(self.to_json(), encoding="utf-8")
+        """Write the JSON; older figures there are replaced. Raises OutputError for all else."""
+        write_output(path, self.to_json().encode(), starts_with(BEGINNING))
 
     def to_text(self) -> str:
         """All tables and notes for a terminal."""

@@ -15,7 +15,6 @@ from catalog import files
 from catalog.errors import OutputError
 from catalog.files import (
     check_file,
-    locked,
     putting_folder,
     replacing_file,
     replacing_folder,
@@ -149,7 +148,7 @@ def test_a_killed_command_leaves_the_old_output_and_the_next_cleans_up(tmp_path)
             replacing_folder(target, "run").__enter__()
         writer.send_signal(signal.SIGKILL)
     assert (target / "word.txt").read_text() == "one"
-    assert len(names(tmp_path)) == 2
+    assert len(names(tmp_path)) == 3  # with the half output and the lock file
     with replacing_folder(target, "run") as new:
         fill(new, "two")
     assert names(tmp_path) == ["run"]
@@ -187,6 +186,69 @@ def test_a_file_is_replaced_when_it_is_ours_and_refused_when_it_is_not(tmp_path)
     assert names(tmp_path) == ["folder", "report.html"]
 
 
+def fill_while_a_letter_comes(target):
+    with replacing_file(target, starts_with(b"<!-- optnav")) as new:
+        new.write_text("<!-- optnav -->")
+        target.write_text("a letter")
+
+
+def test_a_foreign_file_that_comes_while_an_output_is_made_stays(tmp_path):
+    target = tmp_path / "report.html"
+    with pytest.raises(OutputError, match="not made by optnav"):
+        fill_while_a_letter_comes(target)
+    assert target.read_text() == "a letter"
+    assert names(tmp_path) == ["report.html"]
+
+
+def nested(path):
+    path.write_bytes(b'{"a":' + b"[" * 10**6 + b"]" * 10**6 + b',"made_by":"optnav","kind":"run"}')
+
+
+def huge(path):
+    path.write_text('{"made_by":"optnav","kind":"run"}')
+    os.truncate(path, 1 << 40)  # sparse
+
+
+def not_utf8(path):
+    path.write_bytes(b'{"made_by":"optnav","kind":"\xff"}')
+
+
+@pytest.mark.parametrize(
+    "manifest", [nested, huge, not_utf8, Path.mkdir, os.mkfifo], ids=lambda make: make.__name__
+)
+def test_a_folder_whose_manifest_is_none_is_not_ours(tmp_path, manifest):
+    """A pipe for a manifest must not be waited for either."""
+    target = tmp_path / "run"
+    target.mkdir()
+    manifest(target / "manifest.json")
+    with pytest.raises(OutputError, match="holds no run that optnav made"):
+        replacing_folder(target, "run").__enter__()
+    assert names(target) == ["manifest.json"]
+    assert names(tmp_path) == ["run"]
+
+
+@pytest.mark.parametrize("name", ["n" * 255, "ü" * 127, os.fsdecode(b"\xff\xfe run")])
+def test_any_name_that_the_disk_takes_can_be_an_output(tmp_path, name):
+    for word in ("one", "two"):
+        with replacing_folder(tmp_path / name, "run") as new:
+            fill(new, word)
+    assert (tmp_path / name / "word.txt").read_text() == "two"
+    file = tmp_path / "deep" / name
+    for word in ("one", "two"):
+        with replacing_file(file, starts_with(b"<!-- optnav")) as new:
+            new.write_text("<!-- optnav -->" + word)
+    assert file.read_text().endswith("two")
+    assert names(tmp_path) == sorted([name, "deep"])
+    assert names(file.parent) == [name]
+
+
+def test_side_files_that_are_no_files_stay(tmp_path):
+    (tmp_path / "c.db-wal").mkdir()
+    with replacing_file(tmp_path / "c.db", lambda _: True, ("-wal",)) as new:
+        new.write_bytes(b"new")
+    assert names(tmp_path) == ["c.db", "c.db-wal"]
+
+
 def test_a_place_is_asked_for_without_being_touched(tmp_path):
     ours = starts_with(b"<!-- optnav")
     check_file(tmp_path / "new.html", ours)
@@ -195,7 +257,7 @@ def test_a_place_is_asked_for_without_being_touched(tmp_path):
     (tmp_path / "letter.html").write_text("Dear")
     with pytest.raises(OutputError, match=r"letter.html: exists and was not made by optnav"):
         check_file(tmp_path / "letter.html", ours)
-    with pytest.raises(OutputError, match="is not a name for a file"):
+    with pytest.raises(OutputError, match="is not a name for an output"):
         check_file(Path("/"), ours)
     assert names(tmp_path) == ["empty.html", "letter.html"]
 
@@ -220,12 +282,3 @@ def test_a_folder_of_a_work_folder_is_there_whole_or_as_it_was(tmp_path):
         fail_halfway(new / "word.txt", RuntimeError)
     assert (target / "word.txt").read_text() == "two"
     assert names(tmp_path) == ["levels"]
-
-
-@pytest.mark.parametrize("kind", ["file", "folder"])
-def test_what_is_locked_is_not_locked_twice(tmp_path, kind):
-    place = tmp_path if kind == "folder" else tmp_path / "lock"
-    with locked(place), pytest.raises(BlockingIOError), locked(place):
-        pass
-    with locked(place):
-        pass

@@ -1,0 +1,153 @@
+"""Output places: what lies there already, and which process alone may write there.
+
+Only regular files and folders are ever replaced: no device, no pipe, no socket, no link to nothing.
+A process that writes to a place holds a lock file beside it (".NAME.optnav-lock"), which is gone
+afterwards; the lock of a killed process goes with it.
+"""
+
+import errno
+import fcntl
+import hashlib
+import os
+import stat
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from catalog.errors import OutputError
+
+LOCK = "optnav-lock"
+# Longer names do not fit into 255 bytes with what hidden siblings add; a hash stands for them then.
+MAX_NAME_BYTES = 200
+NOT_REPLACED = {
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+}
+
+_claims = threading.local()  # .places: what this thread may write to
+
+
+def kind_at(path: Path) -> int:
+    """What lies at a place, links followed: stat.S_IFREG, stat.S_IFDIR, or 0 for nothing.
+
+    Raises OutputError for anything else that lies there, a link to nothing, a name that is none.
+    """
+    if not path.name:
+        raise OutputError(f"{str(path)!r}: is not a name for an output; name one")
+    try:
+        kind = stat.S_IFMT(path.stat().st_mode)
+    except FileNotFoundError:
+        if path.is_symlink():
+            raise OutputError(
+                f"{path}: is a link to {os.readlink(path)}, which does not exist; remove the link "
+                "or name another place"
+            ) from None
+        return 0
+    except OSError as error:
+        raise unusable(path, error) from None
+    if kind in NOT_REPLACED:
+        raise OutputError(
+            f"{path}: is {NOT_REPLACED[kind]}, which no output replaces; name another place"
+        )
+    return kind
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder to put outputs into, unless it is there. Raises OutputError."""
+    if kind_at(path) == stat.S_IFREG:
+        raise OutputError(f"{path}: a file is in the way of an output folder; name another place")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unusable(path, error) from None
+
+
+def unusable(path: Path, error: OSError) -> OutputError:
+    """What to raise when an output place fails."""
+    return OutputError(f"{path}: cannot be written ({error.strerror}); name another place")
+
+
+def beside(path: Path, ending: str) -> Path:
+    """The hidden sibling of a place with an ending."""
+    name = path.name
+    if len(os.fsencode(name)) > MAX_NAME_BYTES:
+        name = hashlib.sha256(os.fsencode(name)).hexdigest()[:32]
+    return path.with_name(f".{name}.{ending}")
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[int]:
+    """Hold a lock file, made where it is missing; gives its handle.
+
+    The lock goes with the process, so that a killed one leaves none behind.
+    Raises BlockingIOError when another process holds it, OSError when it cannot be opened.
+    """
+    # neither through a link into a file of somebody else, nor waiting for the reader of a pipe
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    handle = os.open(path, flags, 0o644)
+    try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(errno.EEXIST, "no lock file, but a pipe or a device", path)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, path) from None
+        yield handle
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def claimed(path: Path) -> Iterator[Path]:
+    """Keep other processes from an output; gives its place, links followed.
+
+    `replacing_file` and `replacing_folder` claim their place; work that takes long claims it before
+    it begins, for a thread may claim again what it has. Folders above the place that are made here
+    and stay empty go afterwards.
+    Raises OutputError at once where another process writes, or nobody can.
+    """
+    with ExitStack() as stack:
+        try:
+            path = path.resolve()
+            places: set[Path] = _claims.__dict__.setdefault("places", set())
+            if path not in places:
+                for folder in [f for f in reversed(path.parents) if not f.exists()]:
+                    folder.mkdir(exist_ok=True)
+                    stack.callback(_remove_quietly, folder.rmdir)  # unless something is in it
+                stack.enter_context(_alone(path))
+                places.add(path)
+                stack.callback(places.remove, path)
+        except OSError as error:
+            raise unusable(path, error) from None
+        yield path
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock file beside a place."""
+    lock = beside(path, LOCK)
+    with ExitStack() as held:
+        try:
+            while not _is_open_at(held.enter_context(locked(lock)), lock):
+                held.close()  # its last holder removed it before we had it
+        except BlockingIOError:
+            raise OutputError(
+                f"{path}: another optnav is writing this output; wait for it or name another place"
+            ) from None
+        held.callback(_remove_quietly, lock.unlink)  # while it is held: nobody else's
+        yield
+
+
+def _is_open_at(handle: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), path.lstat())
+    except FileNotFoundError:
+        return False
+
+
+def _remove_quietly(remove: Callable[[], None]) -> None:
+    with suppress(OSError):
+        remove()
