@@ -4,6 +4,7 @@ Zhukov (2025), figures 4 and 5, shows the same: R, N, B over an orbit, and the e
 direction over a transfer, each method in its own colour.
 """
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from itertools import groupby
@@ -17,9 +18,9 @@ from catalog.errors import DataError
 from optnav_cli.evaluation.figures import method_rank, method_words
 from optnav_cli.evaluation.files import EVALUATION_CSV, ErrorRow, read_error_rows, stated_rows
 from optnav_cli.output.run_folder import RunFolder
-from optnav_cli.report.page import figure
+from optnav_cli.report.page import figure, side_by_side
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
-from optnav_cli.report.svg import Plot, PlotAxis, key_mark, span
+from optnav_cli.report.svg import MOST, NARROW, WIDE, Plot, PlotAxis, key_mark, span
 
 SIGNS = {
     "brightness_centre": ("s3", "diamond"),
@@ -28,6 +29,7 @@ SIGNS = {
     "control_points": ("s1", "circle"),
 }
 OTHER_SIGN = ("muted", "down")
+MAX_GAP_S = 600.0  # frames farther apart in time are not joined by a line or a band
 UNEVEN = 20.0  # gaps so many times the median one: frames are drawn by number, not by time
 TIME_UNITS = ((600.0, 1.0, "minutes"), (100.0 * 60.0, 60.0, "hours"), (np.inf, 1440.0, "days"))
 AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
@@ -43,11 +45,13 @@ class Frames:
     """The frames of a run in order of time, with what is drawn of them.
 
     x         (n,) along the time axis
+    time_s    (n,) NaN where a time is not understood
     error, sigma  (n, 3) along R, N, B, m; NaN where there is none
     """
 
     rows: list[ErrorRow]
     x: FloatArray
+    time_s: FloatArray
     x_label: str
     error: FloatArray
     sigma: FloatArray
@@ -82,59 +86,86 @@ class Frames:
         return np.where(heights > 0.0, heights, np.nan)
 
     def stretches(self) -> list[tuple[str, IndexArray]]:
-        """Series and places of frames that follow one another in a camera by the same method."""
+        """Series and places of frames that follow one another in a camera by the same method.
+
+        None is farther from the one before it than MAX_GAP_S.
+        """
         found = []
         for camera in sorted({row.camera for row in self.rows}):
-            places = [i for i, row in enumerate(self.rows) if row.camera == camera]
-            for (solved, method), run in groupby(
-                places, lambda i: (self.rows[i].solved, self.rows[i].solved and self.rows[i].method)
-            ):
-                if solved:
-                    series, _ = SIGNS.get(str(method), OTHER_SIGN)
-                    found.append((series, np.array(list(run), dtype=np.intp)))
+            places = np.array([i for i, row in enumerate(self.rows) if row.camera == camera])
+            passes = np.cumsum(is_apart(self.time_s[places]))
+            kinds = [(self.rows[i].solved, self.rows[i].method, p) for i, p in zip(places, passes)]
+            for kind, run in groupby(range(len(places)), kinds.__getitem__):
+                if kind[0]:
+                    series, _ = SIGNS.get(kind[1], OTHER_SIGN)
+                    found.append((series, places[list(run)]))
         return found
 
 
-def frames_of(run: RunFolder) -> Frames:
-    """What is drawn of a run. Raises DataError for a damaged evaluation."""
+def frames_of(run: RunFolder, stated: bool = False) -> Frames:
+    """What is drawn of a run. Raises DataError for a damaged evaluation.
+
+    stated  whether to draw what the solutions state even where the run was compared with a truth
+    """
     path = run.path / EVALUATION_CSV
-    rows = read_error_rows(path) if path.exists() else stated_rows(run)
-    rows, x, x_label = _in_time(rows)
+    rows = read_error_rows(path) if path.exists() and not stated else stated_rows(run)
+    rows, x, time_s, x_label = _in_time(rows)
     none = np.full(3, np.nan)
     error = np.array([none if row.error_rnb_m is None else row.error_rnb_m for row in rows])
     sigma = np.array([none if row.sigma_rnb_m is None else row.sigma_rnb_m for row in rows])
+    error, sigma = (np.where(np.abs(v) < MOST, v, np.nan) for v in (error, sigma))
     widths = {camera.name: camera.angular_resolution for camera in run.cameras.values()}
     narrowest = min(widths.values(), default=0.0)
     wide = frozenset(name for name, width in widths.items() if width > narrowest)
-    return Frames(rows, x, x_label, error, sigma, wide)
+    return Frames(rows, x, time_s, x_label, error, sigma, wide)
 
 
-def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, str]:
-    """Rows and what they are drawn against: time, or the frame's number when gaps are uneven."""
-    number = np.arange(1.0, len(rows) + 1.0)
+def time_of(utc: str) -> float:
+    """Seconds of a frame's time; NaN where it is not understood."""
     try:
-        seconds = np.array([utc_to_tdb_s(row.utc) for row in rows])
+        return utc_to_tdb_s(utc)
     except DataError:
-        return rows, number, "frame"
+        return math.nan
+
+
+def is_apart(time_s: FloatArray) -> BoolArray:
+    """Which of some frames (n,) are too far in time from the one before to be joined with it."""
+    apart: BoolArray = ~(np.abs(np.diff(time_s, prepend=time_s[:1])) <= MAX_GAP_S)
+    return apart
+
+
+def _in_time(rows: list[ErrorRow]) -> tuple[list[ErrorRow], FloatArray, FloatArray, str]:
+    """Rows, what they are drawn against (time, or their number when gaps are uneven), times."""
+    number = np.arange(1.0, len(rows) + 1.0)
+    seconds = np.array([time_of(row.utc) for row in rows])
+    if not np.isfinite(seconds).all():
+        return rows, number, seconds, "frame"
     order = np.argsort(seconds, kind="stable")
     rows, seconds = [rows[i] for i in order], seconds[order]
     gaps = np.diff(np.unique(seconds))
     if len(gaps) == 0 or gaps.max() > UNEVEN * np.median(gaps):
-        return rows, number, "frame"
+        return rows, number, seconds, "frame"
     minutes = (seconds - seconds[0]) / 60.0
     unit, name = next((u, name) for most, u, name in TIME_UNITS if minutes[-1] <= most)
-    return rows, minutes / unit, f"{name} after {rows[0].utc}"
+    return rows, minutes / unit, seconds, f"{name} after {rows[0].utc}"
 
 
-def error_plots(run: RunFolder) -> list[Markup]:
-    """Figures of a run with a solved frame; without a truth, of what its solutions state."""
-    frames = frames_of(run)
+def error_plots(run: RunFolder, stated: bool = False) -> list[Markup]:
+    """Figures of a run with a solved frame; without a truth, of what its solutions state.
+
+    Raises and `stated` as for `frames_of`.
+    """
+    frames = frames_of(run, stated)
     keys = Markup().join(key_mark(e.series, e.shape, e.words) for e in _legend(frames))
     figures = []
-    for number, (panels, caption) in enumerate(_drawn(frames)):
-        drawings = Markup().join(panel.plot.svg(panel.description) for panel in panels)
+    both = zip(_drawn(frames, WIDE), _drawn(frames, NARROW), strict=True)
+    for number, ((wide, caption), (narrow, _)) in enumerate(both):
+        drawings = [
+            side_by_side(kind, [panel.plot.svg(panel.description) for panel in panels])
+            for kind, panels in (("wider", wide), ("narrow", narrow))
+        ]
         more = "" if number else _reasons(frames)
-        figures.append(figure(drawings, caption + more, None, keys))
+        figures.append(figure(Markup().join(drawings), caption + more, None, keys))
     return figures
 
 
@@ -143,20 +174,20 @@ def error_sheet(run: RunFolder) -> str:
     frames = frames_of(run)
     compared = "solution minus truth" if frames.compared else "stated sigmas"
     title = f"{run.attitude.body.name.capitalize()}, run {run.path.resolve().name}: {compared}"
-    rows = [[panel] for panels, _ in _drawn(frames) for panel in panels]
+    rows = [[panel] for panels, _ in _drawn(frames, WIDE) for panel in panels]
     return sheet(title, _legend(frames), rows)
 
 
-def _drawn(frames: Frames) -> list[tuple[list[Panel], str]]:
+def _drawn(frames: Frames, width: int) -> list[tuple[list[Panel], str]]:
     """Panels with their captions: over time, and over the height where it changes much."""
-    drawn = [_over_time(frames)]
+    drawn = [_over_time(frames, width)]
     heights = frames.heights_km[np.isfinite(frames.heights_km)]
     if heights.size and heights.max() > FAR * heights.min():
-        drawn.append(_over_distance(frames))
+        drawn.append(_over_distance(frames, width))
     return drawn
 
 
-def _over_time(frames: Frames) -> tuple[list[Panel], str]:
+def _over_time(frames: Frames, width: int) -> tuple[list[Panel], str]:
     """Panels of R, N, B, and what they show."""
     shown = frames.error if frames.compared else frames.sigma
     bound = 3.0 * frames.sigma if frames.compared else frames.sigma
@@ -170,18 +201,24 @@ def _over_time(frames: Frames) -> tuple[list[Panel], str]:
         size = f"|{letter}|" if log else letter
         label = f"{size}, {name}" if frames.compared else f"sigma {letter}, {name}"
         x_label = frames.x_label if axis == 2 else ""
-        plot = _time_plot(frames, values, band, label, x_label, log)
+        plot = _time_plot(frames, values, band, (x_label, label), log, width)
         what = "Error" if frames.compared else "Stated sigma"
         words = f"{what} along {letter} ({words}) of each frame, {name}"
         panels.append(Panel("", plot, words))
     caption = "Solution minus truth" if frames.compared else "Stated sigmas, 1 sigma an axis,"
     caption = f"{caption} for each solved frame{', sizes alone' if log and frames.compared else ''}"
-    caption += "; bands are 3 stated sigmas." if frames.compared else "."
+    alone = "dashes" if log else "bars"
+    caption += f"; bands and {alone} are 3 stated sigmas." if frames.compared else "."
     return panels, caption
 
 
 def _time_plot(
-    frames: Frames, values: FloatArray, band: FloatArray, label: str, x_label: str, log: bool
+    frames: Frames,
+    values: FloatArray,
+    band: FloatArray,
+    labels: tuple[str, str],
+    log: bool,
+    width: int,
 ) -> Plot:
     sizes, outside = np.abs(values), np.abs(values) > band
     if log:
@@ -190,8 +227,8 @@ def _time_plot(
     else:
         low, high = -band, band
         y = span(np.concatenate([values, high, low if frames.compared else np.zeros(1)]), 0.08)
-    x_axis = PlotAxis(span(frames.x, 0.03), x_label)
-    plot = Plot(x_axis, PlotAxis(y, label, log), height=230 if log else 200)
+    x_axis = PlotAxis(span(frames.x, 0.03), labels[0])
+    plot = Plot(x_axis, PlotAxis(y, labels[1], log), width=width, height=230 if log else 200)
     for series, places in frames.stretches() if frames.compared else ():
         x, bottom, top = frames.x[places], low[places], high[places]
         if len(places) > 1:
@@ -208,7 +245,7 @@ def _time_plot(
     return plot
 
 
-def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
+def _over_distance(frames: Frames, width: int) -> tuple[list[Panel], str]:
     """Panels of range (percent of the height) and direction over the height, and what they show."""
     rows = frames.rows
     x = np.log10(frames.heights_km)
@@ -225,7 +262,7 @@ def _over_distance(frames: Frames) -> tuple[list[Panel], str]:
         y = _log_range(values, bound)
         last = label.startswith("direction")
         x_axis = PlotAxis(span(x, 0.03), "height above the surface, km" if last else "", log=True)
-        plot = Plot(x_axis, PlotAxis(y, label, log=True), height=260)
+        plot = Plot(x_axis, PlotAxis(y, label, log=True), width=width, height=260)
         if frames.compared:
             for method, camera in frames.series:
                 series, _ = SIGNS.get(method, OTHER_SIGN)
@@ -264,7 +301,7 @@ def _legend(frames: Frames) -> list[LegendEntry]:
         name = method_words(method) + (f", {camera}" if camera else "")
         words = f"{name}: {len(frames.of(method, camera))} of {of_camera}"
         entries.append(LegendEntry(series, words, shape, line=False))
-    if frames.compared:
+    if (np.abs(frames.error) > 3.0 * frames.sigma).any():
         entries.append(LegendEntry("s4", "outside 3 stated sigmas", "circle", line=False))
     unsolved = sum(not row.solved for row in frames.rows)
     if unsolved:

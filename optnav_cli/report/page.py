@@ -47,6 +47,8 @@ legend = partial(_block, "legend")  # of (colour "#rrggbb", what it means)
 tiles = partial(_block, "tiles")  # the main numbers, (number, what it is) each
 folded = partial(_block, "folded")  # (summary, content): content that opens on a click
 image = partial(_block, "image")  # (address, description): an img element of a `data_uri`
+enlarged = partial(_block, "enlarged")  # (id, address, description, words): large on a click
+anchor = partial(_block, "anchor")  # (id): a place to come back to
 captioned = partial(_block, "captioned")  # (picture, words below it, class of its frame)
 
 
@@ -107,6 +109,9 @@ def percent(part: int, total: int) -> str:
 
 def data_uri(picture: ByteArray, suffix: str = ".png", quality: int = 80) -> str:
     """A picture as an address that holds it."""
-    kind = "jpeg" if suffix == ".jpg" else "png"
-    data = base64.b64encode(encoded(picture, suffix, quality)).decode("ascii")
-    return f"data:image/{kind};base64,{data}"
+    return uri_of(encoded(picture, suffix, quality), "jpeg" if suffix == ".jpg" else "png")
+
+
+def uri_of(data: bytes, kind: str) -> str:
+    """An encoded picture ("png" or "jpeg") as an address that holds it."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"

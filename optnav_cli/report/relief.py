@@ -41,23 +41,37 @@ def relief(
     Returns the picture, where its ground is known (h, w), and whose heights they are; None where
     the catalog holds too little ground and its body is not the Moon.
     """
-    row, column = (side // 2 for side in lat_deg.shape)  # the pixel in the middle, and its size
-    lat, lon = (np.radians(v[row, column : column + 2]) for v in (lat_deg, lon_deg))
-    first, second = xyz_from_latlon(lat, lon, catalog.meta.radius_m)
-    pixel_m = float(np.linalg.norm(second - first))
-    is_moon = catalog.meta.body == "moon" and catalog.meta.radius_m == MOON_RADIUS_M
-    if is_moon and pixel_m >= MIN_MOON_PIXEL_M:
-        heights, words = _moon_heights(lat_deg, lon_deg), MOON_WORDS
+    bundled = bundled_relief(catalog.meta.body, catalog.meta.radius_m, lat_deg, lon_deg)
+    if bundled is not None:
+        return bundled
+    pixel_m = _pixel_m(lat_deg, lon_deg, catalog.meta.radius_m)
+    # heights above tangent planes are no map's: a small body is drawn by its whole relief
+    if catalog.meta.planes is not None:
+        own = _whole_heights(catalog, lat_deg, lon_deg)
     else:
-        # heights above tangent planes are no map's: a small body is drawn by its whole relief
-        if catalog.meta.planes is not None:
-            own = _whole_heights(catalog, lat_deg, lon_deg)
-        else:
-            own = _own_heights(catalog, lat_deg, lon_deg, pixel_m)
-        if own is None:
-            return None
-        heights, words = own, OWN_WORDS
-    return shaded(heights, pixel_m), np.isfinite(heights), words
+        own = _own_heights(catalog, lat_deg, lon_deg, pixel_m)
+    if own is None:
+        return None
+    return shaded(own, pixel_m), np.isfinite(own), OWN_WORDS
+
+
+def bundled_relief(
+    body: str, radius_m: float, lat_deg: FloatArray, lon_deg: FloatArray
+) -> tuple[ByteArray, BoolArray, str] | None:
+    """The same of the bundled Moon; None for another body and where it would look blurred."""
+    pixel_m = _pixel_m(lat_deg, lon_deg, radius_m)
+    if body != "moon" or radius_m != MOON_RADIUS_M or pixel_m < MIN_MOON_PIXEL_M:
+        return None
+    heights = _moon_heights(lat_deg, lon_deg)
+    return shaded(heights, pixel_m), np.isfinite(heights), MOON_WORDS
+
+
+def _pixel_m(lat_deg: FloatArray, lon_deg: FloatArray, radius_m: float) -> float:
+    """Size of the pixel in the middle of a map."""
+    row, column = (side // 2 for side in lat_deg.shape)
+    lat, lon = (np.radians(v[row, column : column + 2]) for v in (lat_deg, lon_deg))
+    first, second = xyz_from_latlon(lat, lon, radius_m)
+    return float(np.linalg.norm(second - first))
 
 
 def shaded(heights_m: Float32Array, posting_m: float) -> ByteArray:

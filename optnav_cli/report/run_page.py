@@ -1,82 +1,42 @@
 """The page about a run: how good, where, which control points, and what went wrong."""
 
 import json
+import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from markupsafe import Markup
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
-from catalog.geometry.ellipsoid import distance_to_sphere
-from catalog.geometry.latlon import latlon_from_xyz
+from catalog.files import MANIFEST
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.evaluation.figures import method_words
 from optnav_cli.evaluation.files import EVALUATION_JSON
 from optnav_cli.fix import Solution
-from optnav_cli.output.canvas import resized, shrink_factor
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.overlay import overlay_path
-from optnav_cli.output.run_folder import OVERLAYS, RunFolder, read_run
+from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.output.tables import fixed
 from optnav_cli.report import page as html
 from optnav_cli.report.error_plots import error_plots
+from optnav_cli.report.ground_map import ground_plot
+from optnav_cli.report.pictures import pictures_section
 from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
-from optnav_cli.report.views import GroundMap
 
-MAX_FOOTPRINTS = 60
 MAX_DOTS = 4000
-BORDER_POINTS = 12  # of a footprint, along each side of the picture
 HISTOGRAM_BINS = 24
 IN_KM_M = 10e3  # lengths from here on are written in km
-MAX_THUMBNAILS = 24
-THUMBNAIL_PX = 560
 ROWS_OPEN = 40  # longer tables are folded
-
-
-def ground_plot(run: RunFolder) -> Markup:
-    """Footprints of the solved frames, the places below the camera and the control points."""
-    body = run.attitude.body
-    solved = [s for s in run.solutions if s.position_m is not None]
-    lat, lon, _ = latlon_from_xyz(np.array([s.position_m for s in solved]))
-    points = {(m.catalog, m.cp_id): m for m in sorted(run.matches, key=lambda match: match.used)}
-    tried = np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
-    cp_lat, cp_lon, _ = latlon_from_xyz(tried)
-    step = -(-len(solved) // MAX_FOOTPRINTS)
-    borders = [border for s in solved[::step] if (border := _footprint(run, s)) is not None]
-    all_lat = np.degrees(np.concatenate([lat, cp_lat, *(b[0] for b in borders)]))
-    all_lon = np.degrees(np.concatenate([lon, cp_lon, *(b[1] for b in borders)]))
-    finite = np.isfinite(all_lat)
-    ground = GroundMap.about(all_lat[finite], all_lon[finite], body.radius_m)
-    plot = ground.plot(*ground.places(all_lat[finite], all_lon[finite]), height=620)
-    for b_lat, b_lon in borders:
-        x, y = ground.places(np.degrees(b_lat), np.degrees(b_lon))
-        plot.line(x, y, "s1 thin", closed=ground.regional)
-    x, y = ground.places(np.degrees(cp_lat), np.degrees(cp_lon))
-    used = np.array([m.used for m in points.values()], dtype=np.bool_)
-    names = np.array([f"control point {cp_id}" for _, cp_id in points])
-    for choice, series, radius in ((~used, "s4", 2.2), (used, "s3", 2.6)):
-        few = slice(None, None, -(-max(int(choice.sum()), 1) // MAX_DOTS))
-        plot.dots(x[choice][few], y[choice][few], series, radius, list(names[choice][few]))
-    x, y = ground.places(np.degrees(lat), np.degrees(lon))
-    plot.line(x, y, "s2 thin")
-    plot.dots(x, y, "s2", 3.2, [s.file for s in solved])
-    keys = {"k2": "below the camera", "k1": "footprint"}
-    keys |= {"k3": "control point used", "k4": "tried, never used"}
-    some = "" if step == 1 else f" Footprints of every {step}th frame."
-    return html.figure(plot.svg("Map of the run"), f"Where the camera looked.{some}", keys)
 
 
 def residual_plots(run: RunFolder) -> list[Markup]:
     """Residuals of the kept matches as a cloud, and the scores of kept and refused ones."""
-    used = [m for m in run.matches if m.used and m.residual_px is not None]
+    residual = _used_residuals(run)
     drawings = []
-    if used:
-        residual = np.array([m.residual_px for m in used])
+    if len(residual):
         rms = float(np.sqrt(np.mean(residual**2)))
         reach = max(3.2 * rms, float(np.percentile(np.abs(residual), 99.5)))
         x, y = (PlotAxis((-reach, reach), f"{name}, px") for name in "xy")
@@ -86,8 +46,9 @@ def residual_plots(run: RunFolder) -> list[Markup]:
         angle = np.linspace(0.0, 2.0 * np.pi, 73)
         plot.line(rms * np.cos(angle), rms * np.sin(angle), "s2", closed=True)
         drawn = plot.svg("Residuals of the control points used, px")
-        words = f"Residuals of {len(used)} matches used; rms {rms:.2f} px a coordinate"
-        drawings.append(html.figure(drawn, words, {"k2": "the rms"}))
+        words = f"Residuals of the {len(residual)} matches used"
+        rms_words = f"rms a coordinate, {_residual_words(residual)}"
+        drawings.append(html.figure(drawn, words, {"k2": rms_words}))
     scores = [(m.score, m.used) for m in run.matches if m.score is not None]
     if scores:
         values = np.array([score for score, _ in scores])
@@ -105,33 +66,29 @@ def residual_plots(run: RunFolder) -> list[Markup]:
     return [html.side_by_side("pair", drawings)]
 
 
-def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArray] | None:
-    """Latitudes and longitudes (rad) of the picture's border on the ground, NaN in the sky."""
-    camera = run.cameras.get(solution.file)
-    if camera is None or solution.position_m is None or solution.camera_from_body is None:
-        return None
-    rays = camera.unproject(camera.border(BORDER_POINTS))
-    rays_body = rays @ solution.camera_from_body.as_matrix()
-    distance = distance_to_sphere(solution.position_m, rays_body, run.attitude.body.radius_m)
-    lat, lon, _ = latlon_from_xyz(solution.position_m + distance[:, None] * rays_body)
-    return lat, lon
+def read_evaluation(folder: Path) -> tuple[dict[str, Any] | None, Markup]:
+    """The figures of a run folder and the section about them; None for a run that has none.
 
-
-def read_evaluation(folder: Path) -> dict[str, Any] | None:
-    """The figures of a run folder; None for a run that was not evaluated.
-
-    Raises DataError for a damaged file.
+    The section of a damaged file says so: the rest of the page stands without it.
     """
     path = folder / EVALUATION_JSON
     if not path.exists():
-        return None
+        return None, Markup()
     try:
-        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        for axis in "rnb":  # read here, so that a damaged file is refused at once
-            summary[axis]["bias_m"], summary["share_inside_3_sigma"][axis]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path}: is damaged ({error}); run `optnav evaluate` again") from error
-    return summary
+        summary = json.loads(path.read_text("utf-8"), parse_float=_finite, parse_constant=_finite)
+        section = errors_table(summary)
+        _error_tiles(summary)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        what = f"{EVALUATION_JSON} is damaged ({type(error).__name__}: {error})"
+        return None, html.paragraph(f"{what}; run `optnav evaluate` again.", "note")
+    return summary, section
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is no finite number")
+    return value
 
 
 def errors_table(evaluation: dict[str, Any]) -> Markup:
@@ -145,7 +102,7 @@ def errors_table(evaluation: dict[str, Any]) -> Markup:
         sigma = "-" if spread["sigma_m"] is None else f"{spread['sigma_m'] / unit:.1f}"
         rms, farthest = (f"{spread[key] / unit:.1f}" for key in ("rms_m", "max_m"))
         inside = f"{100.0 * evaluation['share_inside_3_sigma'][axis]:.1f} %"
-        rows.append((name, f"{spread['bias_m'] / unit:+.1f}", sigma, rms, farthest, inside))
+        rows.append((name, f"{spread['bias_m'] / unit:+z.1f}", sigma, rms, farthest, inside))
     rms, farthest = (f"{evaluation[f'horizontal_{k}_m'] / unit:.1f}" for k in ("rms", "max"))
     rows.append(("horizontal", "", "", rms, farthest, ""))
     points = evaluation["control_points"]
@@ -174,7 +131,7 @@ def errors_table(evaluation: dict[str, Any]) -> Markup:
 
 def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
     """Bias, sigma and greatest error of each method and camera, and whether it is honest."""
-    header = ["method", "solved", "R", "N", "B", "range, %", "direction, ″", "in 3 sigmas", "NEES"]
+    header = ["method", "solved", "R", "N", "B", "range, %", "dir., ″", "in 3 σ", "NEES"]
     rows = []
     for method in methods:
         name, camera = method_words(method["method"]), method["camera"]
@@ -188,7 +145,7 @@ def _methods_table(methods: Sequence[dict[str, Any]]) -> Markup:
         rows.append([*row, f"{100.0 * least:.0f} %", f"{method['normalised_error_squared']:.2f}"])
     note = (
         "R, N, B: bias / sigma / greatest error. Range (of the height) and direction to the centre "
-        "are rms. In 3 sigmas: the least share of R, N, B. NEES is 1 for an honest covariance."
+        "are rms. In 3 σ: the least share of R, N, B. NEES is 1 for an honest covariance."
     )
     return html.subsection("By method", html.table(header, rows), html.paragraph(note))
 
@@ -206,51 +163,76 @@ def _spread(values: dict[str, float]) -> str:
 
 
 def length_words(metres: float) -> str:
-    """A length in m, or in km when it is long."""
-    return f"{metres / 1e3:.1f} km" if metres >= IN_KM_M else f"{metres:.1f} m"
+    """A length in m, or in km when it is long; long numbers without decimals."""
+    value, unit = (metres / 1e3, "km") if metres >= IN_KM_M else (metres, "m")
+    return f"{value:.{0 if value >= 100.0 else 1}f} {unit}"
 
 
 def run_page(folder: Path) -> str:
     """The HTML page about a run folder. Raises DataError for a folder that is no run."""
     run = read_run(folder)
-    evaluation = read_evaluation(folder)
+    evaluation, against_truth = read_evaluation(folder)
     solved = [solution for solution in run.solutions if solution.solved]
-    sections = [_main_numbers(run, evaluation)]
-    if evaluation is not None:
-        sections.append(errors_table(evaluation))
+    sections = [_main_numbers(run, evaluation), against_truth]
     if solved:
-        sections.append(html.section("Errors and stated sigmas", *error_plots(run)))
+        sections.append(html.section("Errors and stated sigmas", *_plots(run)))
         sections.append(html.section("On the ground", ground_plot(run)))
     if any(match.measured_px is not None for match in run.matches):
         sections.append(html.section("Control points", *residual_plots(run), _refusals(run)))
     frames = html.section("Frames", _frames(run.solutions))
-    sections += [_thumbnails(run), _unsolved(run), frames, _made_from(folder)]
+    sections += [pictures_section(run), _unsolved(run), frames, _made_from(folder)]
     title = f"{run.attitude.body.name.capitalize()}: run {folder.resolve().name}"
     subtitle = f"{len(run.solutions)} frames, {len(solved)} solved. Positions in the body frame."
     return html.page(title, subtitle, filter(None, sections))
+
+
+def _plots(run: RunFolder) -> list[Markup]:
+    """The errors of each frame; with a note, stated sigmas where the stored errors are damaged."""
+    try:
+        return error_plots(run)
+    except DataError as error:
+        return [html.paragraph(str(error), "note"), *error_plots(run, stated=True)]
 
 
 def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:
     solved = [s for s in run.solutions if s.solved]
     values = [(f"{len(solved)} of {len(run.solutions)}", "frames solved")]
     if evaluation is not None:
-        nees = f"{evaluation['normalised_error_squared']:.2f}"
-        values += [
-            (length_words(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
-            (length_words(evaluation["height_rms_m"]), "height error, rms"),
-            (nees, "error squared over stated covariance (1 is honest)"),
-        ]
+        values += _error_tiles(evaluation)
     predicted = sum(s.n_predicted or 0 for s in solved)
     if predicted:
         used = sum(s.n_used or 0 for s in solved)
         values.append((f"{100.0 * used / predicted:.1f} %", "of predicted control points used"))
-    residuals = [s.residual_rms_px for s in solved if s.residual_rms_px is not None]
-    if residuals:
-        rms = float(np.sqrt(np.mean(np.square(residuals))))
-        values.append((f"{rms:.2f} px", "residual, rms a coordinate"))
-    if evaluation:
+    residuals = _used_residuals(run)
+    rms_px = [s.residual_rms_px for s in solved if s.n_used is None]
+    limbs = [rms for rms in rms_px if rms is not None]
+    if len(residuals):
+        values.append((_residual_words(residuals), "residual of control points, rms a coordinate"))
+    elif limbs:
+        values.append((f"{np.sqrt(np.mean(np.square(limbs))):.2f} px", "residual of the limb, rms"))
+    if (run.path / EVALUATION_JSON).exists():
         return html.tiles(values)
     return html.tiles(values) + html.paragraph("Not compared with a truth: see `optnav evaluate`.")
+
+
+def _error_tiles(evaluation: dict[str, Any]) -> list[tuple[str, str]]:
+    nees = f"{evaluation['normalised_error_squared']:.2f}"
+    return [
+        (length_words(evaluation["horizontal_rms_m"]), "horizontal error, rms"),
+        (length_words(evaluation["height_rms_m"]), "height error, rms"),
+        (nees, "error squared over stated covariance (1 is honest)"),
+    ]
+
+
+def _used_residuals(run: RunFolder) -> FloatArray:
+    """Residuals (n, 2), px, of the matches that solutions keep."""
+    used = [m.residual_px for m in run.matches if m.used and m.residual_px is not None]
+    return np.array(used, np.float64).reshape(-1, 2)
+
+
+def _residual_words(residuals: FloatArray) -> str:
+    """Their rms: the one figure of the residuals on the page."""
+    return f"{np.sqrt(np.mean(residuals**2)):.2f} px"
 
 
 def _refusals(run: RunFolder) -> Markup:
@@ -260,29 +242,6 @@ def _refusals(run: RunFolder) -> Markup:
     most_first = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     rows = [(reason, str(count)) for reason, count in most_first]
     return html.table(("control points tried but not used: why", "times"), rows[:12])
-
-
-def _thumbnails(run: RunFolder) -> Markup:
-    """Overlays, unsolved frames first among equals, evenly through the run."""
-    paths = {s.file: overlay_path(run.path / OVERLAYS, s.file) for s in run.solutions}
-    there = [file for file, path in paths.items() if path.is_file()]
-    if not there:
-        return Markup()
-    number = min(len(there), MAX_THUMBNAILS)
-    picked = [there[k] for k in np.linspace(0, len(there) - 1, number).round().astype(int)]
-    pictures = []
-    for file in picked:
-        picture = cv2.imread(str(paths[file]))
-        if picture is None:  # a damaged overlay is no reason to have no report
-            continue
-        height, width = picture.shape[:2]
-        small = resized(np.asarray(picture, np.uint8), shrink_factor(width, height, THUMBNAIL_PX))
-        shown = html.image(html.data_uri(small, ".jpg", 72), f"overlay of {file}")
-        pictures.append(html.figure(shown, file))
-    words = "Predicted (blue rings) and found (crosses) control points; residuals enlarged 50 times"
-    words += f". {len(picked)} of {len(there)} frames." if len(picked) < len(there) else "."
-    thumbs = html.side_by_side("thumbs", pictures)
-    return html.section("Pictures", html.paragraph(words), thumbs)
 
 
 def _unsolved(run: RunFolder) -> Markup:
@@ -297,8 +256,11 @@ def _unsolved(run: RunFolder) -> Markup:
 def _frames(solutions: Sequence[Solution]) -> Markup:
     header: tuple[str, ...] = (
         *("file", "UTC", "method", "x, km", "y, km", "z, km", "sigma, m"),
-        *("attitude sigma, ″", "predicted", "found", "used", "rms, px"),
+        *("attitude sigma, ″", "rms, px"),
     )
+    points = any(s.n_predicted is not None for s in solutions)
+    if points:
+        header += ("predicted", "found", "used")
     limb = any(s.n_limb is not None for s in solutions)
     if limb:
         header += ("limb points", "arc, °")
@@ -309,9 +271,10 @@ def _frames(solutions: Sequence[Solution]) -> Markup:
             place = [fixed(float(v) / 1e3, 4) for v in s.position_m]
         sigma = None if s.covariance_m2 is None else float(np.sqrt(np.trace(s.covariance_m2) / 3.0))
         angle = None if s.attitude_sigma_rad is None else s.attitude_sigma_rad / ARCSEC
-        counts = ("" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used))
+        counts = ["" if n is None else str(n) for n in (s.n_predicted, s.n_matched, s.n_used)]
         row = [s.file, s.utc, method_words(s.method) if s.method else "", *place]
-        row += [fixed(sigma, 1), fixed(angle, 1), *counts, fixed(s.residual_rms_px, 3)]
+        row += [fixed(sigma, 1), fixed(angle, 1), fixed(s.residual_rms_px, 2)]
+        row += counts if points else []
         if limb:
             row += ["" if s.n_limb is None else str(s.n_limb), fixed(s.arc_deg, 0)]
         rows.append(row)
@@ -320,8 +283,10 @@ def _frames(solutions: Sequence[Solution]) -> Markup:
 
 
 def _made_from(folder: Path) -> Markup:
+    if not (folder / MANIFEST).exists():  # a run put together by hand is still worth a report
+        return Markup()
     try:
         manifest = read_manifest(folder)
-    except DataError:  # a run put together by hand is still worth a report
-        return Markup()
+    except DataError as error:
+        return html.section("Made from", html.paragraph(str(error), "note"))
     return html.section("Made from", html.folded("manifest.json", html.listing(manifest)))

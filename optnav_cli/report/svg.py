@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
 
+MOST = 1e100  # larger numbers are drawn no more than infinite ones are
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLAIN = (1e-3, 1e4)  # powers of ten outside are written as such
 SHAPES = ("circle", "triangle", "square", "diamond", "down", "cross", "dash")
@@ -28,6 +29,7 @@ _CORNERS = {
 LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40  # room around the axes, px
 # Plots across the page and of a pair: at these widths their letters are as large as the text's.
 WIDE, HALF = 960, 470
+NARROW = 400  # a wide plot again, for telephones
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
@@ -248,10 +250,13 @@ class Plot:
         """A line across at height y."""
         self.line(self.x, (y, y), f"{series} thin")
 
-    def picture(self, data_uri: str) -> None:
-        """A picture stretched over all that the axes enclose, below lines, dots and words."""
+    def picture(self, data_uri: str, kind: str = "") -> None:
+        """A picture stretched over all that the axes enclose, below lines, dots and words.
+
+        kind  "pale" for one that is not to distract from what is drawn on it
+        """
         self._ground.append(
-            f'<image x="{self._left}" y="{self._top}" width="{self.inner[0]}" '
+            f'<image class="{kind}" x="{self._left}" y="{self._top}" width="{self.inner[0]}" '
             f'height="{self.inner[1]}" preserveAspectRatio="none" href="{data_uri}"/>'
         )
 
@@ -267,7 +272,8 @@ class Plot:
 
         at  left and top of its place in a larger drawing
         """
-        clip = f"c{hash_of(description + self._x_axis.label + self._y_axis.label):x}"
+        named = f"{description}{self._x_axis.label}{self._y_axis.label}{self.width}"
+        clip = f"c{hash_of(named):x}"
         inner, left, top = self.inner, self._left, self._top
         wide = ' class="wide"' if self.width > HALF else ""
         size = f'width="{self.width}" height="{self.height}"'
@@ -320,7 +326,7 @@ def _numbers(axis: PlotAxis, ends: tuple[float, float], count: int) -> list[tupl
 def span(values: ArrayLike, margin: float = 0.05) -> tuple[float, float]:
     """The range of the finite values, widened by a share of it; (0, 1) for none."""
     finite = np.asarray(values, dtype=np.float64).ravel()
-    finite = finite[np.isfinite(finite)]
+    finite = finite[np.abs(finite) < MOST]  # not of NaN
     if finite.size == 0:
         return 0.0, 1.0
     low, high = float(finite.min()), float(finite.max())

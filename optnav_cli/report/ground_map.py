@@ -1,0 +1,126 @@
+"""The map of a run: relief, footprints, the places below the camera, control points."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+
+from catalog.arrays import BoolArray, ByteArray, FloatArray
+from catalog.errors import DataError
+from catalog.geometry.ellipsoid import distance_to_sphere
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.store.reader import Catalog
+from optnav_cli.fix import Solution
+from optnav_cli.output.manifest import read_manifest
+from optnav_cli.output.run_folder import RunFolder
+from optnav_cli.report import page as html
+from optnav_cli.report.error_plots import is_apart, time_of
+from optnav_cli.report.relief import GRAY, bundled_relief, relief
+from optnav_cli.report.svg import Plot
+from optnav_cli.report.views import GroundMap, MapView
+
+MAX_FOOTPRINTS = 60
+MAX_DOTS = 4000
+BORDER_POINTS = 12  # of a footprint, along each side of the picture
+HEIGHT = 620
+RELIEF_QUALITY = 60  # of the JPEG under the map, 0.1 to 0.3 MB
+
+
+def ground_plot(run: RunFolder) -> Markup:
+    """Footprints of the solved frames, the places below the camera and the control points."""
+    solved = sorted(
+        (s for s in run.solutions if s.position_m is not None), key=lambda s: time_of(s.utc)
+    )
+    lat, lon, _ = latlon_from_xyz(np.array([s.position_m for s in solved]))
+    points = {(m.catalog, m.cp_id): m for m in sorted(run.matches, key=lambda match: match.used)}
+    tried = np.array([m.cp_position_m for m in points.values()]).reshape(-1, 3)
+    cp_lat, cp_lon, _ = latlon_from_xyz(tried)
+    step = -(-len(solved) // MAX_FOOTPRINTS)
+    borders = [border for s in solved[::step] if (border := _footprint(run, s)) is not None]
+    all_lat = np.degrees(np.concatenate([lat, cp_lat, *(b[0] for b in borders)]))
+    all_lon = np.degrees(np.concatenate([lon, cp_lon, *(b[1] for b in borders)]))
+    finite = np.isfinite(all_lat)
+    ground = GroundMap.about(all_lat[finite], all_lon[finite], run.attitude.body.radius_m)
+    extent = ground.places(all_lat[finite], all_lon[finite])
+    plot = ground.plot(*extent, height=HEIGHT)
+    caption = "Where the camera looked." + ("" if step == 1 else f" Footprints, one of {step}.")
+    under = _relief(run, MapView("", False, lambda: plot, ground.latlon, ground.places, None))
+    if under is not None:
+        gray, known, words = under
+        gray[~known] = round(GRAY)
+        plot.picture(html.data_uri(gray, ".jpg", RELIEF_QUALITY), "pale")
+        caption = f"{caption} {words}"
+    for b_lat, b_lon in borders:
+        x, y = ground.places(np.degrees(b_lat), np.degrees(b_lon))
+        _line(plot, ground, x, y, "s1 thin", closed=True)
+    x, y = ground.places(np.degrees(cp_lat), np.degrees(cp_lon))
+    used = np.array([m.used for m in points.values()], dtype=np.bool_)
+    names = np.array([f"control point {cp_id}" for _, cp_id in points])
+    for choice, series, radius in ((~used, "s4", 2.2), (used, "s3", 2.6)):
+        few = slice(None, None, -(-max(int(choice.sum()), 1) // MAX_DOTS))
+        plot.dots(x[choice][few], y[choice][few], series, radius, list(names[choice][few]))
+    x, y = ground.places(np.degrees(lat), np.degrees(lon))
+    cuts = np.flatnonzero(is_apart(np.array([time_of(s.utc) for s in solved])))
+    for part in np.split(np.arange(len(solved)), cuts[cuts > 0]):
+        _line(plot, ground, x[part], y[part], "s2 thin")
+    plot.dots(x, y, "s2", 3.2, [s.file for s in solved])
+    keys = {"k2": "below the camera"}
+    keys |= {"k1": "footprint"} if borders else {}
+    keys |= {"k3": "control point used"} if used.any() else {}
+    keys |= {"k4": "tried, never used"} if not used.all() else {}
+    return html.figure(plot.svg("Map of the run"), caption, keys)
+
+
+def _line(
+    plot: Plot, ground: GroundMap, x: FloatArray, y: FloatArray, series: str, closed: bool = False
+) -> None:
+    """A line, open at the seam of a map of longitudes."""
+    if ground.regional:
+        plot.line(x, y, series, closed)
+        return
+    if closed:
+        x, y = np.append(x, x[0]), np.append(y, y[0])
+    seams = np.flatnonzero(np.abs(np.diff(x)) > 180.0) + 1
+    for places in np.split(np.arange(len(x)), seams):
+        plot.line(x[places], y[places], series)
+
+
+def _footprint(run: RunFolder, solution: Solution) -> tuple[FloatArray, FloatArray] | None:
+    """Latitudes and longitudes (rad) of the border on the ground, NaN in the sky; None: all sky."""
+    camera = run.cameras.get(solution.file)
+    if camera is None or solution.position_m is None or solution.camera_from_body is None:
+        return None
+    rays = camera.unproject(camera.border(BORDER_POINTS))
+    rays_body = rays @ solution.camera_from_body.as_matrix()
+    distance = distance_to_sphere(solution.position_m, rays_body, run.attitude.body.radius_m)
+    lat, lon, _ = latlon_from_xyz(solution.position_m + distance[:, None] * rays_body)
+    return (lat, lon) if np.isfinite(lat).any() else None
+
+
+def _relief(run: RunFolder, view: MapView) -> tuple[ByteArray, BoolArray, str] | None:
+    """The ground under a map from the run's catalogs, else from the bundled Moon, if they do."""
+    lat, lon = view.pixels()
+    for path in _catalogs(run.path):
+        try:
+            with Catalog.open(path) as catalog:
+                if catalog.meta.body == run.attitude.body.name:
+                    found = relief(catalog, lat, lon)
+                    if found is not None:
+                        return found
+        except DataError:  # a catalog that is gone or damaged is no reason to have no report
+            continue
+    return bundled_relief(run.attitude.body.name, run.attitude.body.radius_m, lat, lon)
+
+
+def _catalogs(folder: Path) -> Iterator[Path]:
+    """The catalogs that the run's manifest names and that are still there."""
+    try:
+        inputs = read_manifest(folder).get("inputs")
+    except DataError:
+        return
+    named = inputs.get("catalogs") if isinstance(inputs, dict) else None
+    for entry in named if isinstance(named, list) else ():
+        path = entry.get("path") if isinstance(entry, dict) else None
+        if isinstance(path, str) and Path(path).is_file():
+            yield Path(path)

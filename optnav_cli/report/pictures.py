@@ -1,0 +1,86 @@
+"""The overlays of a run on its page: small ones side by side, each whole on a click."""
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+from markupsafe import Markup
+
+from catalog.arrays import ByteArray
+from optnav_cli.output.canvas import encoded, resized, shrink_factor
+from optnav_cli.output.overlay import MAX_PX, RESIDUALS_ENLARGED, overlay_path
+from optnav_cli.output.run_folder import OVERLAYS, RunFolder
+from optnav_cli.report import page as html
+
+MAX_PICTURES = 24
+MAX_BYTES = 5e6  # of all pictures of a page; they are shrunk to that
+MIN_PX, QUALITY = 480, 72
+MAX_OVERLAY_PX = 4 * MAX_PX  # an overlay of more pixels a side is none of ours
+PNG_HEADER = b"\x89PNG\r\n\x1a\n"
+
+
+def pictures_section(run: RunFolder) -> Markup:
+    """Overlays evenly through the run; a note where some are missing or damaged."""
+    names = [solution.file for solution in run.solutions]
+    paths = {file: overlay_path(run.path / OVERLAYS, file) for file in names}
+    there = [file for file, path in paths.items() if path.is_file()]
+    if not there:
+        return Markup()
+    number = min(len(there), MAX_PICTURES)
+    picked = [there[k] for k in np.linspace(0, len(there) - 1, number).round().astype(int)]
+    read = {file: _overlay(paths[file]) for file in picked}
+    pictures = {file: picture for file, picture in read.items() if picture is not None}
+    shown = [
+        html.enlarged(f"picture{k}", html.uri_of(data, "jpeg"), f"overlay of {file}", file)
+        for k, (file, data) in enumerate(_shrunk(pictures).items())
+    ]
+    parts = [html.anchor("pictures"), html.paragraph(_words(run, len(there)))]
+    damaged = [file for file, picture in read.items() if picture is None]
+    if damaged:
+        words = f"{html.counted(len(damaged), 'overlay')} cannot be read: {', '.join(damaged)}."
+        parts.append(html.paragraph(words, "note"))
+    return html.section("Pictures", *parts, html.side_by_side("thumbs", shown))
+
+
+def _words(run: RunFolder, there: int) -> str:
+    """What the pictures show, and how many of them there are."""
+    what = []
+    if run.matches:
+        what.append("control points where the prior (pink) and the solution (blue) predict them")
+        what.append("and where they were found (crosses)")
+    if any(solution.n_limb is not None for solution in run.solutions):
+        what.append(("and " if what else "") + "the limb")
+    shown = f"{' '.join(what)}; residuals enlarged {RESIDUALS_ENLARGED:.0f} times. " if what else ""
+    some = f" {MAX_PICTURES} of {there} frames." if there > MAX_PICTURES else ""
+    return f"{shown[:1].upper()}{shown[1:]}A click enlarges a picture.{some}"
+
+
+def _overlay(path: Path) -> ByteArray | None:
+    """An overlay; None for a file that is no picture, or a larger one than we write."""
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    if len(data) < 24 or not data.startswith(PNG_HEADER):
+        return None
+    if max(struct.unpack(">II", data[16:24])) > MAX_OVERLAY_PX:
+        return None
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    return None if picture is None else np.asarray(picture, np.uint8)
+
+
+def _shrunk(pictures: dict[str, ByteArray]) -> dict[str, bytes]:
+    """Pictures as JPEG; all are made smaller where they would take too much room."""
+    longest = MAX_PX
+    while True:
+        data = {file: _jpeg(picture, longest) for file, picture in pictures.items()}
+        if longest <= MIN_PX or sum(map(len, data.values())) <= MAX_BYTES:
+            return data
+        longest = max(MIN_PX, round(0.8 * longest))
+
+
+def _jpeg(picture: ByteArray, longest_px: int) -> bytes:
+    height, width = picture.shape[:2]
+    small = resized(picture, shrink_factor(width, height, longest_px))
+    return encoded(small, ".jpg", QUALITY)
