@@ -51,6 +51,7 @@ COMMANDS = {
     "simulate": Entry(_PICTURES, "Make a folder of pictures with known positions.", "simulate"),
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
     "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),
+    "export": Entry(_PICTURES, "Write a run as layers for GIS programs.", "export"),
     "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),
     "config": Entry(f"{_HERE}.config", "What ships with optnav; configurations to start from."),
     "study": Entry(f"{_HERE}.study", "Run an experiment behind the figures."),

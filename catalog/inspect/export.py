@@ -10,9 +10,7 @@ north, up as x, y, z, GLB as x, -z, y, as its standard wants.
 """
 
 import json
-import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +24,10 @@ from catalog.errors import DataError, OutputError
 from catalog.files import check_file, replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
 from catalog.store.connection import SIDECARS, is_points_file
-from catalog.store.geopackage import srs_of
+from catalog.store.geopackage import new_geopackage, srs_of
 from catalog.store.reader import Catalog
 from catalog.store.records import reasons_text, unknown_as_none
-from catalog.store.schema import create_tables, insert_service_rows
+from catalog.store.schema import POINT_LAYER, insert_service_rows
 from catalog.store.writer import insert_features
 from catalog.tables import CsvColumn, CsvTable
 
@@ -163,16 +161,10 @@ def _write_csv(catalog: Catalog, path: Path) -> None:
 
 
 def _write_geopackage(catalog: Catalog, path: Path) -> None:
-    with (
-        replacing_file(path, is_points_file, SIDECARS) as partial,
-        closing(sqlite3.connect(partial, isolation_level=None)) as db,
-    ):
-        db.executescript("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")
-        create_tables(db, with_patches=False)
-        db.execute("BEGIN")
+    with replacing_file(path, is_points_file, SIDECARS) as partial, new_geopackage(partial) as db:
+        POINT_LAYER.create(db)
         extent = insert_features(db, catalog.meta, zip(catalog.points(), catalog.records))
         insert_service_rows(db, catalog.meta, extent, with_patches=False)
-        db.execute("COMMIT")
 
 
 def export_patch(catalog: Catalog, point_id: int, level: int, path: Path) -> int:

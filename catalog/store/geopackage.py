@@ -7,8 +7,8 @@ A layer has an R-tree, as the extension gpkg_rtree_index wants it, and a style i
 import os
 import sqlite3
 import struct
-from collections.abc import Iterable, Sequence
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -162,6 +162,17 @@ class FeatureLayer:
             empty="(NEW.geom ISNULL OR ST_IsEmpty(NEW.geom))",
             drop=f"DELETE FROM {self.rtree} WHERE id = OLD.id;",
         )
+
+
+@contextmanager
+def new_geopackage(path: Path) -> Iterator[sqlite3.Connection]:
+    """A new file with a GeoPackage's own tables, to be filled; nobody else reads it yet."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as db:
+        db.executescript("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")
+        create_geopackage(db)
+        db.execute("BEGIN")
+        yield db
+        db.execute("COMMIT")
 
 
 def create_geopackage(db: sqlite3.Connection, page_size: int = 4096) -> None:

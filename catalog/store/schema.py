@@ -117,10 +117,10 @@ def service_rows(meta: CatalogMeta) -> dict[str, list[tuple[object, ...]]]:
     return {"gpkg_spatial_ref_sys": systems} | POINT_LAYER.service_rows(srs_id)
 
 
-def create_tables(db: sqlite3.Connection, with_patches: bool = True) -> None:
-    """Make the empty tables in a new file; without patches it is a plain layer of points."""
-    create_geopackage(db, PAGE_SIZE if with_patches else 4096)
-    for statement in (_CATALOG_TABLES + _PATCH_TABLE).split(";\n") if with_patches else ():
+def create_tables(db: sqlite3.Connection) -> None:
+    """Make the empty tables in a new file."""
+    create_geopackage(db, PAGE_SIZE)
+    for statement in (_CATALOG_TABLES + _PATCH_TABLE).split(";\n"):
         db.execute(statement)
     POINT_LAYER.create(db)
 

@@ -134,6 +134,27 @@ def evaluate(
     check_limits(evaluation.figures(), max_horizontal_m, max_height_m)
 
 
+@click.command("export", short_help="Write a run as layers for GIS programs.")
+@path_argument("run")
+@output_option("The layers, a GeoPackage (.gpkg); an earlier export is replaced.")
+def export(run: Path, output: Path) -> None:
+    """Write RUN as layers on the body's own coordinate system, which QGIS and GDAL open.
+
+    camera_track is a line below each camera; camera_positions has a point for each frame, with its
+    sigma, method and reason; footprints the ground in each solved frame, up to the limb;
+    matched_points the control points that were tried.
+
+    \b
+    Example:
+      optnav export run -o run.gpkg
+    """
+    from optnav_cli.output.run_folder import read_run
+    from optnav_cli.report.run_layers import export_run
+
+    counts = export_run(read_run(run), output)
+    click.echo(f"{output}: {', '.join(f'{name} {count}' for name, count in counts.items())}")
+
+
 @click.command("report", short_help="Make a page about a run or a catalog.")
 @path_argument("source")
 @output_option(

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from optnav_cli.evaluation.figures import (
     method_words,
     none_solved,
 )
-from optnav_cli.evaluation.motion import directions_of_motion
+from optnav_cli.evaluation.motion import TimedPlace, directions_of_motion
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.document import json_text
@@ -107,18 +107,13 @@ def _error_row(row: CsvRow) -> ErrorRow:
     )
 
 
-class _Place(NamedTuple):
-    tdb_s: float
-    position_m: FloatArray
-
-
 def stated_rows(run: RunFolder) -> list[ErrorRow]:
     """The frames of a run that was not compared with a truth: what its solutions state.
 
     R, N, B follow the solved positions.
     """
     solved = [s for s in run.solutions if s.position_m is not None and s.covariance_m2 is not None]
-    places = [_Place(_time(s.utc), np.asarray(s.position_m)) for s in solved]
+    places = [TimedPlace(time_of(s.utc), np.asarray(s.position_m)) for s in solved]
     axes = dict(zip((s.file for s in solved), directions_of_motion(places), strict=True))
     rows = []
     for s in run.solutions:
@@ -142,7 +137,7 @@ def stated_rows(run: RunFolder) -> list[ErrorRow]:
     return rows
 
 
-def _time(utc: str) -> float:
+def time_of(utc: str) -> float:
     """Seconds; a time that is not understood puts its frame before all others."""
     try:
         return utc_to_tdb_s(utc)

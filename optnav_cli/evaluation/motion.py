@@ -1,7 +1,7 @@
 """Which way the camera moved: the axes R, N, B of true positions."""
 
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -29,6 +29,13 @@ class Placed(Protocol):
     def position_m(self) -> FloatArray: ...
 
 
+class TimedPlace(NamedTuple):
+    """A position (3,), m, body frame, and its time, TDB s past J2000."""
+
+    tdb_s: float
+    position_m: FloatArray
+
+
 def directions_of_motion(places: Sequence[Placed]) -> list[tuple[FloatArray, Forward]]:
     """Axes R, N, B as rows (3, 3) for each position, and what N rests on.
 
@@ -42,8 +49,8 @@ def directions_of_motion(places: Sequence[Placed]) -> list[tuple[FloatArray, For
         here = places[index]
         before = _next_in_time(places, order[:rank][::-1], here)
         after = _next_in_time(places, order[rank + 1 :], here)
-        start = before if before is not None and _same_pass(before, here) else here
-        end = after if after is not None and _same_pass(here, after) else here
+        start = before if before is not None and same_pass(before, here) else here
+        end = after if after is not None and same_pass(here, after) else here
         axes[index] = _axes(here.position_m, end.position_m - start.position_m)
     return axes
 
@@ -54,7 +61,8 @@ def _next_in_time(places: Sequence[Placed], order: Sequence[int], here: Placed) 
     return next((other for other in others if abs(other.tdb_s - here.tdb_s) > SAME_TIME_S), None)
 
 
-def _same_pass(one: Placed, later: Placed) -> bool:
+def same_pass(one: Placed, later: Placed) -> bool:
+    """Whether two places are neighbours in time on one way, and which is the later is known."""
     gap_s = later.tdb_s - one.tdb_s
     nearest = min(float(np.linalg.norm(place.position_m)) for place in (one, later))
     if not 0.0 < gap_s <= MAX_GAP_S * max(1.0, nearest / NEAR_M) ** 1.5:

@@ -1,0 +1,207 @@
+"""A run for GIS programs: tracks, positions, footprints and matched points, as a GeoPackage."""
+
+import sqlite3
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.errors import OutputError
+from catalog.files import replacing_file
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.map_pieces import area_pieces, line_pieces
+from catalog.store.connection import SIDECARS
+from catalog.store.geopackage import (
+    UNDATED,
+    Box,
+    Feature,
+    FeatureLayer,
+    Kind,
+    describe_geopackage,
+    new_geopackage,
+    parts_geometry,
+    point_geometry,
+    srs_of,
+    table_columns,
+)
+from catalog.store.records import unknown_as_none
+from catalog.store.style import BLUE, GRAY, GREEN, RED, Rule, style_qml
+from optnav_cli.evaluation.files import time_of
+from optnav_cli.evaluation.motion import TimedPlace, same_pass
+from optnav_cli.fix import Solution
+from optnav_cli.output.run_folder import RunFolder
+from optnav_cli.report.footprint import footprint_of
+
+ENDING = ".gpkg"
+_FRAME = ("file TEXT NOT NULL", "utc TEXT NOT NULL", "camera TEXT NOT NULL")
+_WHY = ("reason TEXT NOT NULL", "reason_code TEXT NOT NULL")
+
+TRACK = FeatureLayer(
+    "camera_track",
+    "MULTILINESTRING",
+    "Below the camera, from frame to frame of one pass; a line for each camera",
+    ("camera TEXT NOT NULL", "first_utc TEXT NOT NULL", "last_utc TEXT NOT NULL", "frames INTEGER"),
+    style_qml(Rule("track", "", "line", GRAY, 0.3)),
+)
+POSITIONS = FeatureLayer(
+    "camera_positions",
+    "POINT",
+    "Below the camera; without a geometry where the frame is unsolved",
+    (
+        *(*_FRAME, "status TEXT NOT NULL", "method TEXT NOT NULL", "prior TEXT NOT NULL"),
+        *("height_m DOUBLE", "sigma_height_m DOUBLE", "sigma_horizontal_m DOUBLE"),
+        *("x_m DOUBLE", "y_m DOUBLE", "z_m DOUBLE"),
+        *("n_used INTEGER", "n_limb INTEGER", "residual_rms_px DOUBLE", *_WHY),
+    ),
+    style_qml(
+        Rule("by control points", "\"method\" = 'control_points'", "circle", BLUE, 2.4),
+        Rule("by the limb or disc", "ELSE", "triangle", BLUE, 2.4),
+    ),
+)
+FOOTPRINTS = FeatureLayer(
+    "footprints",
+    "MULTIPOLYGON",
+    "The ground in the frame, on the body's ellipsoid, up to the limb",
+    (*_FRAME, "method TEXT NOT NULL", "height_m DOUBLE"),
+    style_qml(Rule("ground in view", "", "fill", BLUE, 0.3)),
+)
+MATCHES = FeatureLayer(
+    "matched_points",
+    "POINT",
+    "Control points tried in a frame",
+    (
+        *("file TEXT NOT NULL", "catalog TEXT NOT NULL", "point_id INTEGER NOT NULL"),
+        *("level INTEGER NOT NULL", "used BOOLEAN NOT NULL", "radius_m DOUBLE", "score DOUBLE"),
+        *("residual_x_px DOUBLE", "residual_y_px DOUBLE", "sun_elevation_deg DOUBLE", *_WHY),
+    ),
+    style_qml(
+        Rule("used", '"used"', "circle", GREEN, 1.6), Rule("not used", "ELSE", "cross2", RED, 1.6)
+    ),
+)
+LAYERS = (FOOTPRINTS, TRACK, MATCHES, POSITIONS)  # as they are drawn, the lowest first
+
+
+def export_run(run: RunFolder, path: Path) -> dict[str, int]:
+    """Write a run's layers on the body's sphere to a .gpkg file; returns how many rows each has.
+
+    Raises OutputError for another ending, a place that cannot be written, or an existing file that
+    is no such export.
+    """
+    if path.suffix.lower() != ENDING:
+        raise OutputError(f"{path}: a run is written as {ENDING}; choose a name that ends so")
+    body = run.attitude.body
+    srs_id = srs_of(body.name, body.radius_m)[0]
+    features = dict(zip(LAYERS, (_footprints, _tracks, _matches, _positions)))
+    with replacing_file(path, _is_ours, SIDECARS) as partial, new_geopackage(partial) as db:
+        describe_geopackage(db, body.name, body.radius_m, UNDATED)
+        for layer, make in features.items():
+            layer.create(db)
+            extent = layer.fill(db, make(run, srs_id))
+            layer.register(db, srs_id, extent, UNDATED)
+        return {layer.name: _count(db, layer) for layer in LAYERS}
+
+
+def _is_ours(path: Path) -> bool:
+    return table_columns(path, POSITIONS.name) == POSITIONS.names
+
+
+def _count(db: sqlite3.Connection, layer: FeatureLayer) -> int:
+    (count,) = db.execute(f"SELECT count(*) FROM {layer.name}").fetchone()
+    return int(count)
+
+
+def _camera(run: RunFolder, solution: Solution) -> str:
+    camera = run.cameras.get(solution.file)
+    return camera.name if camera is not None else ""
+
+
+def _frame(run: RunFolder, solution: Solution) -> tuple[object, ...]:
+    return solution.file, solution.utc, _camera(run, solution)
+
+
+def _place(xyz_m: FloatArray) -> tuple[float, float, float]:
+    """Longitude and latitude, deg, and distance from the centre, m."""
+    lat, lon, radius = (float(value) for value in latlon_from_xyz(xyz_m))
+    return float(np.degrees(lon)), float(np.degrees(lat)), radius
+
+
+def _box(parts: list[FloatArray]) -> Box | None:
+    if not parts:
+        return None
+    low, high = np.min(np.vstack(parts), axis=0), np.max(np.vstack(parts), axis=0)
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _parts(kind: Kind, parts: list[FloatArray], srs_id: int) -> tuple[bytes | None, Box | None]:
+    return parts_geometry(kind, parts, srs_id), _box(parts)
+
+
+def _tracks(run: RunFolder, srs_id: int) -> Iterator[Feature]:
+    """A feature for each camera with frames that belong together."""
+    cameras: dict[str, list[tuple[TimedPlace, Solution]]] = {}
+    for s in run.solutions:
+        if s.position_m is not None:
+            place = TimedPlace(time_of(s.utc), s.position_m)
+            cameras.setdefault(_camera(run, s), []).append((place, s))
+    for number, (camera, places) in enumerate(sorted(cameras.items()), start=1):
+        places.sort(key=lambda pair: pair[0].tdb_s)
+        passes = [[places[0][0]]]
+        for (before, _), (here, _) in pairwise(places):
+            if not same_pass(before, here):
+                passes.append([])
+            passes[-1].append(here)
+        lines = [np.array([place.position_m for place in way]) for way in passes if len(way) > 1]
+        pieces = [piece for line in lines for piece in line_pieces(line)]
+        geometry, box = _parts(TRACK.kind, pieces, srs_id)
+        times = places[0][1].utc, places[-1][1].utc
+        yield (number, geometry, camera, *times, len(places)), box
+
+
+def _positions(run: RunFolder, srs_id: int) -> Iterator[Feature]:
+    """A feature for each frame; of an unsolved one the attributes alone."""
+    for number, s in enumerate(run.solutions, start=1):
+        geometry, box, numbers = None, None, (None,) * 6
+        if s.position_m is not None and s.covariance_m2 is not None:
+            lon, lat, radius = _place(s.position_m)
+            up = s.position_m / radius
+            variance = float(up @ s.covariance_m2 @ up)
+            across = max(float(np.trace(s.covariance_m2)) - variance, 0.0)
+            geometry, box = point_geometry(lon, lat, srs_id), (lon, lat, lon, lat)
+            height = radius - run.attitude.body.radius_m
+            numbers = (height, variance**0.5, across**0.5, *map(float, s.position_m))
+        evidence = s.n_used, s.n_limb, s.residual_rms_px
+        words = s.status, s.method, s.prior
+        why = s.reason, s.reason_code.value
+        yield (number, geometry, *_frame(run, s), *words, *numbers, *evidence, *why), box
+
+
+def _footprints(run: RunFolder, srs_id: int) -> Iterator[Feature]:
+    """A feature for each solved frame whose camera and attitude are known."""
+    number = 0
+    body = run.attitude.body
+    for s in run.solutions:
+        camera = run.cameras.get(s.file)
+        if s.position_m is None or s.camera_from_body is None or camera is None:
+            continue
+        turn = s.camera_from_body.as_matrix()
+        rings = footprint_of(camera, s.position_m, turn, body.radii_m)
+        pieces = [piece for ring in rings for piece in area_pieces(ring)]
+        geometry, box = _parts(FOOTPRINTS.kind, pieces, srs_id)
+        if geometry is not None:
+            number += 1
+            height = float(np.linalg.norm(s.position_m)) - body.radius_m
+            yield (number, geometry, *_frame(run, s), s.method, height), box
+
+
+def _matches(run: RunFolder, srs_id: int) -> Iterator[Feature]:
+    """A feature for each control point that was tried in a frame."""
+    for number, m in enumerate(run.matches, start=1):
+        lon, lat, radius = _place(m.cp_position_m)
+        residual = (None, None) if m.residual_px is None else map(float, m.residual_px)
+        numbers = m.score, *residual, m.sun_elevation_deg
+        known = (None if v is None else unknown_as_none(v) for v in numbers)
+        named = m.file, m.catalog, m.cp_id, m.level, int(m.used), radius
+        row = *named, *known, m.reason, m.reason_code.value
+        yield (number, point_geometry(lon, lat, srs_id), *row), (lon, lat, lon, lat)
