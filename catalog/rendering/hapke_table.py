@@ -11,10 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
-from catalog.rendering.shading import MapGrid, darken, row_normals
+from catalog.rendering.shading import ZERO, Light, MapGrid, Rows, normal_of, single
 
 TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated
 TABLE_SIZE = 129
@@ -27,7 +27,7 @@ GRAZING = 1e-3
 
 def slope_table(
     sun: FloatArray, view: FloatArray, surface: HapkeParameters, size: int
-) -> FloatArray:
+) -> Float32Array:
     """(size, size) ratios of Hapke's law to mu0 / (mu0 + mu), b along rows, a along columns.
 
     sun, view (3,) unit. `shade_hapke` fills in what it needs, the rest is NaN: smooth ground has
@@ -36,29 +36,19 @@ def slope_table(
     return _kept_table(tuple(sun.tolist()), tuple(view.tolist()), surface, size)
 
 
-@lru_cache(maxsize=64)  # of 130 kB at most
+@lru_cache(maxsize=64)  # of 66 kB at most
 def _kept_table(
     sun: tuple[float, float, float],
     view: tuple[float, float, float],
     surface: HapkeParameters,
     size: int,
-) -> FloatArray:
-    return np.full((size, size), np.nan)
-
-
-@kernel
-def _between(table: FloatArray, i: np.uint64, j: np.uint64, dy: float, dx: float) -> float:
-    """The table's value dy rows and dx columns (0..1) after element [i, j]."""
-    i1, j1 = i + np.uint64(1), j + np.uint64(1)
-    value: float = (1.0 - dy) * ((1.0 - dx) * table[i, j] + dx * table[i, j1]) + dy * (
-        (1.0 - dx) * table[i1, j] + dx * table[i1, j1]
-    )
-    return value
+) -> Float32Array:
+    return np.full((size, size), np.nan, np.float32)
 
 
 @kernel
 def _fill(
-    table: FloatArray,
+    table: Float32Array,
     i: int,
     j: int,
     sun: FloatArray,
@@ -79,54 +69,84 @@ def _fill(
 
 
 @kernel
-def shade_hapke(
-    grid: MapGrid,
-    sun: FloatArray,
-    view: FloatArray,
-    surface: HapkeParameters,
-    lit: BoolArray,
-    table: FloatArray,
-) -> Float32Array:
-    """Radiance factor (n, n) of every node seen from the same direction `view` (3,) unit.
+def _looked_up(
+    normal: tuple[np.float32, np.float32, np.float32],
+    light: Light,
+    place: int,
+    dx: np.float32,
+    dy: np.float32,
+) -> np.float32:
+    """The ratio at a normal: place in the table where it has no value yet, -1 where none."""
+    sun, view = light.sun, light.camera
+    cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
+    if place >= 0:
+        row, col = divmod(place, light.table.shape[1])
+        table = light.table
+        _fill(table, row, col, sun, view, cos_g, light.law.surface)
+        first = table[row, col] + dx * (table[row, col + 1] - table[row, col])
+        second = table[row + 1, col] + dx * (table[row + 1, col + 1] - table[row + 1, col])
+        return np.float32(first + dy * (second - first))
+    nx, ny, nz = np.float64(normal[0]), np.float64(normal[1]), np.float64(normal[2])
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    mu0 = (nx * sun[0] + ny * sun[1] + nz * sun[2]) / length
+    mu = (nx * view[0] + ny * view[1] + nz * view[2]) / length
+    ratio = reflectance_scalar(mu0, mu, cos_g, light.law.surface) * (mu0 + mu) / mu0
+    return np.float32(ratio)
 
-    lit    (n, n), or (0, 0) when all nodes are lit
-    table  of this Sun, view and surface, see `slope_table`; what is needed is filled in
+
+@kernel
+def shade_hapke(
+    rows: Rows,
+    grid: MapGrid,
+    slopes: Float32Array,
+    mask: Float32Array,
+    light: Light,
+    target: Float32Array,
+) -> None:
+    """Fill target (rows, n) with brightness by TABLE; arguments as for `shading.shade_two_terms`.
+
+    What the table lacks is filled in.
     """
-    size = grid.heights.shape[0]
-    out = np.zeros((size, size), np.float32)
-    normals = np.empty((3, size))
-    nx, ny, nz = normals[0], normals[1], normals[2]
-    sx, sy, sz = sun[0], sun[1], sun[2]
-    vx, vy, vz = view[0], view[1], view[2]
-    cos_g = sx * vx + sy * vy + sz * vz
-    steps = table.shape[0] - 1
-    per_step = steps / (2.0 * TABLE_SLOPE)
-    geometric, x, y = np.empty(size), np.empty(size), np.empty(size)
-    for row in range(size):
-        row_normals(grid, row, normals)
-        line = out[row]
+    (sx, sy, sz), (vx, vy, vz) = single(light.sun), single(light.camera)
+    table, us, per_radius = light.table, rows.u, np.float32(1.0 / grid.radius)
+    size = us.size
+    steps = np.float32(table.shape[0] - 1)
+    middle, last = np.float32(0.5) * steps, steps * np.float32(1.0 - 1e-6)
+    per_slope = np.float32(middle / TABLE_SLOPE)
+    past_x, past_y = np.empty(size, np.float32), np.empty(size, np.float32)
+    place = np.empty(size, np.int32)
+    flat, wide = table.reshape(-1), np.uint32(table.shape[1])
+    for k in range(rows.together):
+        number = rows.first + k
+        slope_x, slope_y, v = slopes[k, 0], slopes[k, 1], -us[number]
+        here = rows.heights[number - rows.low][:size]
+        seen, line = mask[k], target[k][:size]
         # apart from the table, so that it is compiled to vector instructions
         for c in range(size):
-            mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz
-            mu = nx[c] * vx + ny[c] * vy + nz[c] * vz
-            geometric[c] = mu0 / (mu0 + mu) if (mu0 > 0.0) & (mu > 0.0) else 0.0
-            x[c] = (TABLE_SLOPE - nx[c] / nz[c]) * per_step
-            y[c] = (TABLE_SLOPE - ny[c] / nz[c]) * per_step
+            nx, ny, nz = normal_of(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
+            mu0 = nx * sx + ny * sy + nz * sz
+            mu = nx * vx + ny * vy + nz * vz
+            line[c] = seen[c] * (mu0 / (mu0 + mu) if (mu0 > ZERO) & (mu > ZERO) else ZERO)
+            per_up = per_slope / nz
+            x, y = middle - nx * per_up, middle - ny * per_up
+            is_inside = (nz > ZERO) & (x >= ZERO) & (x <= last) & (y >= ZERO) & (y <= last)
+            x = x if is_inside else ZERO
+            y = y if is_inside else ZERO
+            col, row = np.int32(x), np.int32(y)
+            past_x[c], past_y[c] = x - np.float32(col), y - np.float32(row)
+            place[c] = row * np.int32(wide) + col if is_inside else np.int32(-1)
         for c in range(size):
-            if not geometric[c] > 0.0:
+            if not line[c] > ZERO:
                 continue
-            if nz[c] > 0.0 and 0.0 <= x[c] < steps and 0.0 <= y[c] < steps:
-                j, i = np.uint64(x[c]), np.uint64(y[c])
-                dx, dy = x[c] - j, y[c] - i
-                ratio = _between(table, i, j, dy, dx)
-                if ratio != ratio:
-                    _fill(table, int(i), int(j), sun, view, cos_g, surface)
-                    ratio = _between(table, i, j, dy, dx)
-                line[c] = ratio * geometric[c]
-            else:
-                mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz
-                mu = nx[c] * vx + ny[c] * vy + nz[c] * vz
-                length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
-                line[c] = reflectance_scalar(mu0 / length, mu / length, cos_g, surface)
-        darken(grid.heights, lit, row, line)
-    return out
+            if place[c] >= 0:
+                i = np.uint32(place[c])
+                j = i + wide
+                dx = past_x[c]
+                first = flat[i] + dx * (flat[i + np.uint32(1)] - flat[i])
+                second = flat[j] + dx * (flat[j + np.uint32(1)] - flat[j])
+                ratio = first + past_y[c] * (second - first)
+                if ratio == ratio:
+                    line[c] *= ratio
+                    continue
+            normal = normal_of(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
+            line[c] *= _looked_up(normal, light, place[c], past_x[c], past_y[c])

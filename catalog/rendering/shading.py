@@ -1,9 +1,12 @@
-"""Shading kernels: the brightness of each node of a map grid under one Sun.
+"""Shading kernels: the brightness of some rows of a map grid under one Sun.
 
 The ground's normal is built in the frame of the grid's centre, on the curved body: the local up and
 the two map axes of a stereographic point are rational in its coordinates, so that this costs no
 more than the flat formula. To first order it is the flat normal with the gradient's
 (dh/dx - x/R, dh/dy - y/R).
+
+Computed in single precision, as heights and brightness are stored, so that a vector
+register holds twice as many nodes: a brightness is then right to 1e-6 of the brightest.
 """
 
 import math
@@ -11,9 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry.laws import SurfaceLaw, reflectance_by_law
+
+LIMIT, LIT, TWO_TERMS, TABLE, FAR, NEAR = range(6)  # numbers of what a sweep makes
+ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+UNKNOWN = np.float32(np.nan)
 
 
 class MapGrid(NamedTuple):
@@ -29,174 +36,219 @@ class MapGrid(NamedTuple):
     radius: float
 
 
+class Light(NamedTuple):
+    """What is made of a grid, and by which light and law.
+
+    made    LIMIT: the heights that ground must pass to see the Sun; LIT: 1 where it does, else 0;
+            the brightness by TWO_TERMS: a share of Lommel-Seeliger's law, the rest Lambert's, which
+            all three simple laws are for one Sun and one view; by TABLE: Hapke's law read from a
+            table; by FAR: any law, node by node, one view; by NEAR: the same for a near camera
+    sun     (3,)  unit; all vectors are x along columns, y against rows, up at the grid's centre
+    camera  (3,)  unit; for NEAR its place, m from the centre's foot on the sphere
+    weight  share of the Lommel-Seeliger term
+    table   of this Sun, view and surface, see `hapke_table.slope_table`; (0, 0) for other laws
+    """
+
+    made: int
+    sun: FloatArray
+    camera: FloatArray
+    weight: float
+    law: SurfaceLaw
+    table: Float32Array
+
+
+class Rows(NamedTuple):
+    """Some rows of a grid of n x n nodes, which are worked on together.
+
+    heights  (m, n or more)  rows from number `low` on, among them the neighbours of these
+    first    number of the first of these rows
+    together how many they are
+    u        (n,) x / 2R of columns; y / 2R of a row is -u[number]
+    """
+
+    heights: Float32Array
+    low: int
+    first: int
+    together: int
+    u: Float32Array
+
+
 @kernel
-def _slope(before: float, here: float, after: float, posting: float) -> float:
-    """Central difference; one-sided beside a hole or the border (NaN); 0 without neighbours."""
+def single(vector: FloatArray) -> tuple[np.float32, np.float32, np.float32]:
+    """The elements of a vector (3,) in single precision."""
+    return np.float32(vector[0]), np.float32(vector[1]), np.float32(vector[2])
+
+
+@kernel
+def _slope(
+    before: np.float32, here: np.float32, after: np.float32, per_m: np.float32
+) -> np.float32:
+    """Central difference; one-sided beside a hole or the border (NaN); 0 without neighbours.
+
+    per_m  one over the posting
+    """
     if after == after:
         if before == before:
-            return (after - before) / (2.0 * posting)
-        return (after - here) / posting
+            return (after - before) * (HALF * per_m)
+        return (after - here) * per_m
     if before == before:
-        return (here - before) / posting
-    return 0.0
+        return (here - before) * per_m
+    return ZERO
+
+
+@kernel
+def _near_holes(
+    above: Float32Array,
+    here: Float32Array,
+    below: Float32Array,
+    per_m: np.float32,
+    along: Float32Array,
+    across: Float32Array,
+) -> None:
+    """Slopes of a row with holes about it; `above` or `below` are empty beyond the border."""
+    size = here.size
+    for c in range(size):
+        west_of = here[c - 1] if c > 0 else UNKNOWN
+        east_of = here[c + 1] if c < size - 1 else UNKNOWN
+        north_of = above[c] if above.size > 0 else UNKNOWN
+        south_of = below[c] if below.size > 0 else UNKNOWN
+        along[c] = _slope(west_of, here[c], east_of, per_m)
+        across[c] = _slope(south_of, here[c], north_of, per_m)
 
 
 @kernel
 def _row_slopes(
-    heights: Float32Array, row: int, posting: float, east: FloatArray, north: FloatArray
+    rows: Rows, number: int, posting: float, along: Float32Array, across: Float32Array
 ) -> None:
-    """Fill east, north (n,) with dh/dx and dh/dy of a row's nodes, by central differences."""
-    size = heights.shape[0]
-    here = heights[row]
-    above = heights[row - 1] if row > 0 else here
-    below = heights[row + 1] if row < size - 1 else here
-    per_column = 1.0 / (2.0 * posting)
-    per_row = per_column if 0 < row < size - 1 else 1.0 / posting
-    left, right = here[: size - 2], here[2:]
-    inner = east[1 : size - 1]
-    total = 0.0
+    """Fill along, across (n,) with dh/dx and dh/dy of a row's nodes, by central differences."""
+    size, i = along.size, number - rows.low
+    is_first, is_last = number == 0, number == size - 1
+    here = rows.heights[i][:size]
+    above = here if is_first else rows.heights[i - 1][:size]
+    below = here if is_last else rows.heights[i + 1][:size]
+    per_m = np.float32(1.0 / posting)
+    per_column = HALF * per_m
+    per_row = per_m if is_first or is_last else per_column
+    left, right, inner = here[: size - 2], here[2:], along[1 : size - 1]
     for c in range(size - 2):
         inner[c] = (right[c] - left[c]) * per_column
-        total += inner[c]
     for c in range(size):
-        north[c] = (above[c] - below[c]) * per_row
-        total += north[c]
-    east[0] = (here[1] - here[0]) / posting
-    east[size - 1] = (here[size - 1] - here[size - 2]) / posting
-    if total == total and east[0] == east[0] and east[size - 1] == east[size - 1]:
-        return
-    # a hole is near: look at each node's neighbours
+        across[c] = (above[c] - below[c]) * per_row
+    along[0] = (here[1] - here[0]) * per_m
+    along[size - 1] = (here[size - 1] - here[size - 2]) * per_m
+    # counted in whole numbers: a sum of slopes would make the loop wait for each addition
+    holes = 0
     for c in range(size):
-        west_of = here[c - 1] if c > 0 else np.nan
-        east_of = here[c + 1] if c < size - 1 else np.nan
-        north_of = above[c] if row > 0 else np.nan
-        south_of = below[c] if row < size - 1 else np.nan
-        east[c] = _slope(west_of, here[c], east_of, posting)
-        north[c] = _slope(south_of, here[c], north_of, posting)
+        slopes = along[c] + across[c]
+        holes += 1 if slopes != slopes else 0
+    if holes:
+        none = here[:0]
+        _near_holes(
+            none if is_first else above, here, none if is_last else below, per_m, along, across
+        )
 
 
 @kernel
-def row_normals(grid: MapGrid, row: int, normals: FloatArray) -> None:
-    """Fill normals (3, n) with a row's outward normals (any length; east, north, up at the centre).
+def fill_slopes(rows: Rows, grid: MapGrid, slopes: Float32Array) -> None:
+    """Fill slopes (rows, 2, n) with dh/dx and dh/dy of nodes, by central differences."""
+    for k in range(rows.together):
+        _row_slopes(rows, rows.first + k, grid.posting, slopes[k, 0], slopes[k, 1])
 
-    Times (1 + q), with u = x/2R, v = y/2R, q = u^2 + v^2: the local up is (2u, 2v, 1 - q), map east
-    (1 - u^2 + v^2, -2uv, -2u), map north (-2uv, 1 + u^2 - v^2, -2v). A metre of map is 1 / (1 + q)
-    metres on the sphere and (R + h) / R times as much at the ground.
+
+@kernel
+def normal_of(
+    slope_x: np.float32,
+    slope_y: np.float32,
+    u: np.float32,
+    v: np.float32,
+    raised: np.float32,
+) -> tuple[np.float32, np.float32, np.float32]:
+    """The outward normal of a node (any length; frame as `Light` has it).
+
+    Times (1 + q), with u = x/2R, v = y/2R, q = u^2 + v^2: the local up is (2u, 2v, 1 - q), map x
+    (1 - u^2 + v^2, -2uv, -2u), map y (-2uv, 1 + u^2 - v^2, -2v). A metre of map is 1 / (1 + q)
+    metres on the sphere and (R + h) / R times as much at the ground; raised: h / R.
     """
-    heights, posting, radius = grid
-    size = heights.shape[0]
-    nx, ny, nz = normals[0], normals[1], normals[2]
-    _row_slopes(heights, row, posting, nx, ny)
-    here = heights[row]
-    scale = posting / (2.0 * radius)
-    middle = (size - 1) / 2.0
-    v = (middle - row) * scale
-    for c in range(size):
-        u = (c - middle) * scale
-        uu, uv, q = u * u, u * v, u * u + v * v
-        stretch = (1.0 + q) * (1.0 - here[c] / radius)  # 1 / (1 + h/R) to (h/R)^2 = 1e-5
-        gx = nx[c] * stretch
-        gy = ny[c] * stretch
-        nx[c] = 2.0 * u - gx * (1.0 - uu + v * v) + gy * 2.0 * uv
-        ny[c] = 2.0 * v + gx * 2.0 * uv - gy * (1.0 + uu - v * v)
-        nz[c] = 1.0 - q + 2.0 * (gx * u + gy * v)
-
-
-@kernel
-def darken(heights: Float32Array, lit: BoolArray, row: int, line: Float32Array) -> None:
-    """Put the row's shadows and holes into its brightness."""
-    here = heights[row]
-    if lit.shape[0] > 0:
-        seen = lit[row]
-        for c in range(line.size):
-            line[c] = line[c] if seen[c] else np.float32(0.0)
-    for c in range(line.size):
-        line[c] = line[c] if here[c] == here[c] else np.float32(np.nan)
+    uu, vv, uv = u * u, v * v, TWO * u * v
+    length = ONE + (uu + vv)
+    stretch = length * (ONE - raised)  # 1 / (1 + h/R) to (h/R)^2 = 1e-5
+    gx, gy = slope_x * stretch, slope_y * stretch
+    return (
+        TWO * u - gx * (ONE - uu + vv) + gy * uv,
+        TWO * v + gx * uv - gy * (ONE + uu - vv),
+        TWO - length + TWO * (gx * u + gy * v),
+    )
 
 
 @kernel
 def shade_two_terms(
-    grid: MapGrid, sun: FloatArray, view: FloatArray, weight: float, albedo: float, lit: BoolArray
-) -> Float32Array:
-    """Radiance factor (n, n) of every node seen from the same direction `view` (3,) unit.
+    rows: Rows,
+    grid: MapGrid,
+    slopes: Float32Array,
+    mask: Float32Array,
+    light: Light,
+    target: Float32Array,
+) -> None:
+    """Fill target (rows, n) with brightness by TWO_TERMS.
 
-    lit     (n, n), or (0, 0) when all nodes are lit
-    weight  share of the Lommel-Seeliger term, the rest is Lambert's: all three simple laws are so,
-            for one Sun and one view
+    slopes  (rows, 2, n)
+    mask    (rows, n)  0 in shadow, 1 in the light, NaN in holes
     """
-    size = grid.heights.shape[0]
-    out = np.empty((size, size), np.float32)
-    normals = np.empty((3, size))
-    nx, ny, nz = normals[0], normals[1], normals[2]
-    sx, sy, sz = sun[0], sun[1], sun[2]
-    vx, vy, vz = view[0], view[1], view[2]
-    ratio, plain = 2.0 * albedo * weight, albedo * (1.0 - weight)
-    for row in range(size):
-        row_normals(grid, row, normals)
-        line = out[row]
-        for c in range(size):
-            mu0 = nx[c] * sx + ny[c] * sy + nz[c] * sz
-            mu = nx[c] * vx + ny[c] * vy + nz[c] * vz
-            length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
-            value = mu0 * (ratio / (mu0 + mu) + plain / length)
-            line[c] = value if (mu0 > 0.0) & (mu > 0.0) else 0.0
-        darken(grid.heights, lit, row, line)
-    return out
+    (sx, sy, sz), (vx, vy, vz) = single(light.sun), single(light.camera)
+    ratio = np.float32(2.0 * light.law.albedo * light.weight)
+    plain = np.float32(light.law.albedo * (1.0 - light.weight))
+    us, per_radius = rows.u, np.float32(1.0 / grid.radius)
+    for k in range(rows.together):
+        number = rows.first + k
+        slope_x, slope_y, v = slopes[k, 0], slopes[k, 1], -us[number]
+        here = rows.heights[number - rows.low][: us.size]
+        seen, line = mask[k], target[k][: us.size]
+        for c in range(line.size):
+            nx, ny, nz = normal_of(slope_x[c], slope_y[c], us[c], v, here[c] * per_radius)
+            mu0 = nx * sx + ny * sy + nz * sz
+            mu = nx * vx + ny * vy + nz * vz
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            total = mu0 + mu
+            value = mu0 * (ratio * length + plain * total) / (total * length)
+            line[c] = seen[c] * (value if (mu0 > ZERO) & (mu > ZERO) else ZERO)
 
 
 @kernel
-def shade_fixed(
-    grid: MapGrid, sun: FloatArray, view: FloatArray, law: SurfaceLaw, lit: BoolArray
-) -> Float32Array:
-    """As `shade_two_terms`, by any law, each node evaluated."""
-    size = grid.heights.shape[0]
-    out = np.zeros((size, size), np.float32)
-    normals = np.empty((3, size))
-    nx, ny, nz = normals[0], normals[1], normals[2]
-    cos_g = sun[0] * view[0] + sun[1] * view[1] + sun[2] * view[2]
-    for row in range(size):
-        row_normals(grid, row, normals)
-        line = out[row]
-        for c in range(size):
-            if lit.shape[0] > 0 and not lit[row, c]:
+def shade_nodes(
+    rows: Rows,
+    grid: MapGrid,
+    slopes: Float32Array,
+    mask: Float32Array,
+    light: Light,
+    target: Float32Array,
+) -> None:
+    """The same by FAR and NEAR: each node that is lit is evaluated."""
+    sun, camera = light.sun, light.camera
+    vx, vy, vz, distance = camera[0], camera[1], camera[2], 1.0
+    for k in range(rows.together):
+        number = rows.first + k
+        v = -np.float64(rows.u[number])
+        for c in range(rows.u.size):
+            target[k, c] = mask[k, c]
+            if not mask[k, c] > ZERO:
                 continue
-            length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
-            mu0 = (nx[c] * sun[0] + ny[c] * sun[1] + nz[c] * sun[2]) / length
-            mu = (nx[c] * view[0] + ny[c] * view[1] + nz[c] * view[2]) / length
-            line[c] = reflectance_by_law(mu0, mu, cos_g, law)
-        darken(grid.heights, lit, row, line)
-    return out
-
-
-@kernel
-def shade_from_camera(
-    grid: MapGrid, sun: FloatArray, camera: FloatArray, law: SurfaceLaw, lit: BoolArray
-) -> Float32Array:
-    """The same for a near camera: `camera` (3,) m from the centre's foot on the sphere."""
-    heights, posting, radius = grid
-    size = heights.shape[0]
-    out = np.zeros((size, size), np.float32)
-    normals = np.empty((3, size))
-    nx, ny, nz = normals[0], normals[1], normals[2]
-    middle = (size - 1) / 2.0
-    for row in range(size):
-        row_normals(grid, row, normals)
-        v = (middle - row) * posting / (2.0 * radius)
-        for c in range(size):
-            h = heights[row, c]
-            if lit.shape[0] > 0 and not lit[row, c]:
-                continue
-            u = (c - middle) * posting / (2.0 * radius)
-            q = u * u + v * v
-            reach = (radius + h) / (1.0 + q)
-            vx = camera[0] - 2.0 * u * reach
-            vy = camera[1] - 2.0 * v * reach
-            vz = camera[2] - (h * (1.0 - q) - 2.0 * q * radius) / (1.0 + q)
-            length = math.sqrt(nx[c] * nx[c] + ny[c] * ny[c] + nz[c] * nz[c])
-            distance = math.sqrt(vx * vx + vy * vy + vz * vz)
-            mu0 = (nx[c] * sun[0] + ny[c] * sun[1] + nz[c] * sun[2]) / length
-            mu = (nx[c] * vx + ny[c] * vy + nz[c] * vz) / (length * distance)
+            h, u = np.float64(rows.heights[number - rows.low, c]), np.float64(rows.u[c])
+            nx, ny, nz = normal_of(
+                slopes[k, 0, c],
+                slopes[k, 1, c],
+                rows.u[c],
+                -rows.u[number],
+                np.float32(h / grid.radius),
+            )
+            if light.made == NEAR:
+                q = u * u + v * v
+                reach = (grid.radius + h) / (1.0 + q)
+                vx = camera[0] - 2.0 * u * reach
+                vy = camera[1] - 2.0 * v * reach
+                vz = camera[2] - (h * (1.0 - q) - 2.0 * q * grid.radius) / (1.0 + q)
+                distance = math.sqrt(vx * vx + vy * vy + vz * vz)
+            length = math.sqrt(nx * nx + ny * ny + nz * nz)
+            mu0 = (nx * sun[0] + ny * sun[1] + nz * sun[2]) / length
+            mu = (nx * vx + ny * vy + nz * vz) / (length * distance)
             cos_g = (sun[0] * vx + sun[1] * vy + sun[2] * vz) / distance
-            out[row, c] = reflectance_by_law(mu0, mu, cos_g, law)
-        darken(heights, lit, row, out[row])
-    return out
+            target[k, c] = reflectance_by_law(mu0, mu, cos_g, light.law)

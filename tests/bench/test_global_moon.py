@@ -230,18 +230,12 @@ def test_a_strip_s_time_is_scaled_up_by_its_cells_but_for_reading_the_terrain():
     assert build.whole_moon == pytest.approx((12.0 + 4 * 40.0, 20.0 + 4 * 60.0))
 
 
-@pytest.mark.skipif(shutil.which("gdaldem") is None, reason="needs gdaldem")
-def test_one_hillshade_pass_is_timed_and_leaves_nothing(model, tmp_path):
+def test_one_hillshade_pass_is_timed_and_leaves_nothing(model, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))  # without gdaldem: the GDAL that rasterio brings
     used = hillshade.one_pass(model, tmp_path)
-    assert used is not None
     assert used.cpu_s > 0.0
     assert used.wall_s > 0.0
     assert list(tmp_path.iterdir()) == []
-
-
-def test_without_gdaldem_there_is_no_hillshade(model, tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert hillshade.one_pass(model, tmp_path) is None
 
 
 class Listed:

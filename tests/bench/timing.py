@@ -7,12 +7,13 @@ speed is judged, so that a bench that no longer runs is noticed.
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numba
+import numpy as np
 
 FULL = os.environ.get("OPTNAV_BENCH") == "full"
 T = TypeVar("T")
@@ -44,6 +45,35 @@ def best(
         call()
         times.append(clock() - start)
     return min(times)
+
+
+class Spread(NamedTuple):
+    """What several runs gave."""
+
+    median: float
+    least: float
+    most: float
+    runs: int
+
+    def __str__(self) -> str:
+        return f"{self.median:.2f} ({self.least:.2f} to {self.most:.2f}, {self.runs} runs)"
+
+
+def spread(values: Sequence[float]) -> Spread:
+    """Median, least and most of some runs."""
+    return Spread(float(np.median(values)), min(values), max(values), len(values))
+
+
+def in_turn(calls: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
+    """Times (s, by the clock) of calls that take turns, so that each meets the same machine."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for number in range(sized(rounds + 1, 1)):
+        for name, call in calls.items():
+            start = time.perf_counter()
+            call()
+            if number or not FULL:  # the first compiles and fills caches
+                times[name].append(time.perf_counter() - start)
+    return times
 
 
 @contextmanager
