@@ -14,7 +14,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 from catalog.photometry.hapke import HapkeParameters, reflectance_scalar
-from catalog.rendering.shading import ZERO, Light, MapGrid, Rows, normal_of, single
+from catalog.rendering.shading import ZERO, Lighting, MapGrid, Rows, normal_of, single
 
 TABLE_SLOPE = 1.0  # beyond 45 deg ground is rare, and evaluated
 TABLE_SIZE = 129
@@ -71,7 +71,7 @@ def _fill(
 @kernel
 def _looked_up(
     normal: tuple[np.float32, np.float32, np.float32],
-    light: Light,
+    light: Lighting,
     place: int,
     dx: np.float32,
     dy: np.float32,
@@ -100,7 +100,7 @@ def shade_hapke(
     grid: MapGrid,
     slopes: Float32Array,
     mask: Float32Array,
-    light: Light,
+    light: Lighting,
     target: Float32Array,
 ) -> None:
     """Fill target (rows, n) with brightness by TABLE; arguments as for `shading.shade_two_terms`.

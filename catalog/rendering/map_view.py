@@ -14,7 +14,7 @@ from catalog.photometry.laws import (
     lunar_weight,
 )
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
-from catalog.rendering.shading import NEAR, TABLE, TWO_TERMS, Light
+from catalog.rendering.shading import NEAR, TABLE, TWO_TERMS, Lighting
 from catalog.rendering.shadow import NO_TABLE, Outer, illuminated, map_grid
 
 ZENITH = (0.0, 0.0, 1.0)
@@ -80,7 +80,7 @@ def render_map_quickly(
     )
 
 
-def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Light:
+def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
     """Seen from one direction. Raises ConfigError for an unknown law."""
     law_by_name(law)  # refuses a name that is no law
     sun, view = _unit(sun_local, "sun_local"), _unit(view_local, "view_local")
@@ -89,7 +89,7 @@ def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Light:
         weight = lunar_weight(float(sun @ view))
     number = LAW_NUMBERS[law]
     made = TABLE if number == HAPKE else TWO_TERMS
-    return Light(made, sun, view, weight, SurfaceLaw(number, LUNAR, NORMAL_ALBEDO), NO_TABLE)
+    return Lighting(made, sun, view, weight, SurfaceLaw(number, LUNAR, NORMAL_ALBEDO), NO_TABLE)
 
 
 def _unit(vector: ArrayLike, what: str) -> FloatArray:

@@ -36,7 +36,7 @@ class MapGrid(NamedTuple):
     radius: float
 
 
-class Light(NamedTuple):
+class Lighting(NamedTuple):
     """What is made of a grid, and by which light and law.
 
     made    LIMIT: the heights that ground must pass to see the Sun; LIT: 1 where it does, else 0;
@@ -163,7 +163,7 @@ def normal_of(
     v: np.float32,
     raised: np.float32,
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """The outward normal of a node (any length; frame as `Light` has it).
+    """The outward normal of a node (any length; frame as `Lighting` has it).
 
     Times (1 + q), with u = x/2R, v = y/2R, q = u^2 + v^2: the local up is (2u, 2v, 1 - q), map x
     (1 - u^2 + v^2, -2uv, -2u), map y (-2uv, 1 + u^2 - v^2, -2v). A metre of map is 1 / (1 + q)
@@ -186,7 +186,7 @@ def shade_two_terms(
     grid: MapGrid,
     slopes: Float32Array,
     mask: Float32Array,
-    light: Light,
+    light: Lighting,
     target: Float32Array,
 ) -> None:
     """Fill target (rows, n) with brightness by TWO_TERMS.
@@ -219,7 +219,7 @@ def shade_nodes(
     grid: MapGrid,
     slopes: Float32Array,
     mask: Float32Array,
-    light: Light,
+    light: Lighting,
     target: Float32Array,
 ) -> None:
     """The same by FAR and NEAR: each node that is lit is evaluated."""

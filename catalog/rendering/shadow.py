@@ -13,7 +13,7 @@ from catalog.geometry.projection import FLAT_RADIUS_M
 from catalog.photometry.hapke import LUNAR
 from catalog.photometry.laws import NORMAL_ALBEDO, SurfaceLaw
 from catalog.rendering.hapke_table import slope_table
-from catalog.rendering.shading import FAR, LIMIT, LIT, TABLE, Light, MapGrid
+from catalog.rendering.shading import FAR, LIMIT, LIT, TABLE, Lighting, MapGrid
 from catalog.rendering.swept import ShadowField, Sweep, sweep_grid
 
 ZENITH: FloatArray = np.array([0.0, 0.0, 1.0])
@@ -52,7 +52,7 @@ def lit_mask(
 
 
 def illuminated(
-    grid: MapGrid, light: Light, outer: Outer | None = (), table_size: int = 0
+    grid: MapGrid, light: Lighting, outer: Outer | None = (), table_size: int = 0
 ) -> Float32Array:
     """What `light` asks for, of every node of a grid (n, n) that the Sun reaches; else 0.
 
@@ -111,13 +111,13 @@ def map_grid(heights: Float32Array, posting_m: float, radius_m: float) -> MapGri
     return MapGrid(grid, float(posting_m), float(radius_m))
 
 
-def _light(made: int, sun_local: ArrayLike) -> Light:
+def _light(made: int, sun_local: ArrayLike) -> Lighting:
     """For what needs no law."""
     sun = np.asarray(sun_local, dtype=np.float64)
     length = float(np.linalg.norm(sun))
     if not length > 0.0:
         raise ValueError("lit_mask: the Sun's direction has no length")
-    return Light(made, sun / length, ZENITH, 0.0, NO_LAW, NO_TABLE)
+    return Lighting(made, sun / length, ZENITH, 0.0, NO_LAW, NO_TABLE)
 
 
 def _swapped(vector: FloatArray) -> FloatArray:

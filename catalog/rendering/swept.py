@@ -31,7 +31,7 @@ from catalog.rendering.shading import (
     TWO_TERMS,
     UNKNOWN,
     ZERO,
-    Light,
+    Lighting,
     MapGrid,
     Rows,
     fill_slopes,
@@ -212,7 +212,7 @@ def _make_rows(
     grid: MapGrid,
     sweep: Sweep,
     outer: ShadowField,
-    light: Light,
+    light: Lighting,
     work: _Work,
     rows: Rows,
     target: Float32Array,
@@ -282,7 +282,7 @@ def _sweep(
         numbers[18], numbers[19], numbers[20], numbers[21], numbers[22], numbers[23]
     )
     law = SurfaceLaw(int(numbers[16]), surface, numbers[17])
-    light = Light(int(numbers[9]), numbers[10:13], numbers[13:16], numbers[24], law, table)
+    light = Lighting(int(numbers[9]), numbers[10:13], numbers[13:16], numbers[24], law, table)
     size = heights.shape[0]
     u = np.empty(size, np.float32)
     for c in range(size):
@@ -312,7 +312,7 @@ def _sweep(
             _turn_back(made, out[:, begin:end])
 
 
-def sweep_grid(grid: MapGrid, sweep: Sweep, outer: ShadowField, light: Light) -> Float32Array:
+def sweep_grid(grid: MapGrid, sweep: Sweep, outer: ShadowField, light: Lighting) -> Float32Array:
     """What `light` asks for, of every node of a grid (n, n).
 
     With swap, vectors in `light` have x against rows and y against columns.

@@ -14,7 +14,7 @@ from catalog.photometry.hapke import LUNAR
 from catalog.photometry.laws import HAPKE, NORMAL_ALBEDO, SurfaceLaw
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
 from catalog.rendering.map_view import render_map
-from catalog.rendering.shading import TABLE, Light
+from catalog.rendering.shading import TABLE, Lighting
 from catalog.rendering.shadow import NO_FIELD, illuminated, map_grid
 from catalog.rendering.swept import Sweep, sweep_grid
 from tests.bench import hillshade
@@ -126,7 +126,7 @@ def test_the_slope_table_is_as_good_as_hapke_node_by_node(
     """
     towards, view = sun(sun_elevation, 70.0), sun(view_elevation, 200.0)
     grid = map_grid(tycho, POSTING_M, MOON_M)
-    light = Light(
+    light = Lighting(
         TABLE, towards, view, 1.0, SurfaceLaw(HAPKE, LUNAR, NORMAL_ALBEDO), NO_FIELD.limits
     )
     exact = illuminated(grid, light, None, 10 * size)  # too large a table for so few nodes
@@ -144,7 +144,7 @@ def test_a_table_filled_for_one_ground_serves_another(tycho):
     def shaded(heights, table):
         law = SurfaceLaw(HAPKE, LUNAR, NORMAL_ALBEDO)
         grid = map_grid(heights, POSTING_M, MOON_M)
-        return sweep_grid(grid, sweep, NO_FIELD, Light(TABLE, towards, view, 1.0, law, table))
+        return sweep_grid(grid, sweep, NO_FIELD, Lighting(TABLE, towards, view, 1.0, law, table))
 
     gentle = shaded((0.05 * tycho).astype(np.float32), table)
     assert 0 < np.isfinite(table).sum() < 0.2 * table.size
