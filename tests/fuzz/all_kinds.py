@@ -1,5 +1,20 @@
 """Imports every module of kinds, which registers them."""
 
-from tests.fuzz.kinds import command_lines, configs, faults, pictures, places, tables
+from tests.fuzz.kinds import (
+    catalogs,
+    command_lines,
+    configs,
+    faults,
+    kernels,
+    meshes,
+    pictures,
+    places,
+    rasters,
+    runs,
+    tables,
+)
 
-MODULES = (command_lines, configs, faults, pictures, places, tables)
+MODULES = (
+    catalogs, command_lines, configs, faults, kernels, meshes, pictures, places, rasters, runs,
+    tables,
+)  # fmt: skip

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from catalog.bodies.kernels import KernelSet
 from catalog.store.reader import Catalog
 from optnav_cli.main import run
 from tests.fuzz.cases import Case, make_case
@@ -67,8 +68,11 @@ class Judge:
         os.environ["TMPDIR"] = str(self.temporary)
         os.environ["HOME"] = str(self.home)
 
-    def judge(self, kind: str, seed: int) -> Outcome:
-        """Make a case, run it and look at what it left."""
+    def judge(self, kind: str, seed: int, announce: Callable[[Outcome], object]) -> Outcome:
+        """Make a case, run it and look at what it left.
+
+        announce  is told of the case before it runs, which it may not survive
+        """
         outcome = Outcome(kind, seed)
         folder = self.area / f"{kind}-{seed}"
         folder.mkdir()
@@ -77,6 +81,7 @@ class Judge:
             case = make_case(kind, seed, folder, self.materials, self.trap.url)
             outcome.args, outcome.wanted = list(map(repr_arg, case.args)), sorted(case.codes)
             outcome.note = case.note
+            announce(outcome)
             self._run(case, folder, outcome)
         finally:
             os.chdir(self.area)
@@ -94,6 +99,7 @@ class Judge:
             outcome.seconds = time.monotonic() - started
             seen = self.guard.stop()
         outcome.said = _tail(self.streams)
+        _forget_kernels()
         failures = outcome.failures
         if crash:
             failures.append(f"traceback: {crash}")
@@ -136,6 +142,15 @@ def snapshot(folder: Path) -> Snapshot:
                     about += (status.st_size, status.st_mtime_ns)
                 found[os.path.relpath(entry.path, folder)] = about
     return found
+
+
+def _forget_kernels() -> None:
+    """Let the SPICE toolkit, which holds files of a case that will be gone, hold none."""
+    spice = sys.modules.get("spiceypy")
+    if spice is not None and KernelSet._in_use:
+        spice.kclear()
+        spice.reset()
+        KernelSet._in_use = ()
 
 
 def _in_process(case: Case) -> tuple[int, str]:

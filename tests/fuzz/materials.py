@@ -7,6 +7,7 @@ that a case costs milliseconds.
 
 import os
 import shutil
+from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -74,6 +75,28 @@ trials = 1
 min_recognition = 0.0
 min_margin = 0.0
 max_shadowed = 1.0
+"""
+PCK = """KPL/PCK
+\\begindata
+BODY301_POLE_RA = ( 269.9949 0.0031 0. )
+BODY301_POLE_DEC = ( 66.5392 0.0130 0. )
+BODY301_PM = ( 38.3213 13.17635815 -1.4D-12 )
+BODY301_RADII = ( 1737.4 1737.4 1737.4 )
+\\begintext
+"""
+FRAME = """KPL/FK
+\\begindata
+FRAME_MOON_ME = 31007
+FRAME_31007_NAME = 'MOON_ME'
+FRAME_31007_CLASS = 4
+FRAME_31007_CLASS_ID = 31007
+FRAME_31007_CENTER = 301
+TKFRAME_31007_SPEC = 'ANGLES'
+TKFRAME_31007_RELATIVE = 'IAU_MOON'
+TKFRAME_31007_ANGLES = ( 0. 0. 0. )
+TKFRAME_31007_AXES = ( 3 2 1 )
+TKFRAME_31007_UNITS = 'ARCSECONDS'
+\\begintext
 """
 NAVIGATE = "[view]\nsun_max_deg = 80.0\n[match]\ntemplate_nodes = 32\nmax_search_nodes = 8\n"
 _SHARED = 'seed = 3\ncamera = {name = "cam.toml"}\nsensor = {snr = 80.0}\n'
@@ -154,6 +177,7 @@ def _write_inputs() -> None:
     shape.export("body_text.stl", file_type="stl_ascii")
     Path("body.tab").write_text(_radii_table())
     Path("body.plt").write_text(_plates(shape))
+    _write_kernels(Path("kernels"))
     texts = {
         "cam.toml": CAMERA,
         "wide.toml": LIMB_CAMERA,
@@ -166,6 +190,30 @@ def _write_inputs() -> None:
     }
     for name, text in texts.items():
         Path(name).write_text(text)
+
+
+def _write_kernels(folder: Path) -> None:
+    """The Moon's rotation as text and as a binary kernel, a frame, and its orbit about the Sun."""
+    folder.mkdir()
+    (folder / "moon.tpc").write_text(PCK)
+    (folder / "moon.tf").write_text(FRAME)
+    orbit, turn = folder / "moon.bsp", folder / "moon.bpc"
+    try:
+        spice = import_module("spiceypy")
+    except ImportError:  # without it a binary kernel is refused whatever it holds
+        orbit.write_bytes(b"DAF/SPK " + bytes(2040))
+        turn.write_bytes(b"DAF/PCK " + bytes(2040))
+        return
+    first, last = 7.2e8, 9.5e8  # 2022-2030
+    states = np.array([[1.5e8, 0.0, 0.0, 0.0, 29.8, 0.0]] * 4)
+    handle = spice.spkopn(str(orbit), "fuzz", 0)
+    step = (last - first) / 3.0
+    spice.spkw08(handle, 301, 10, "J2000", first, last, "fuzz", 1, 4, states, first, step)
+    spice.spkcls(handle)
+    handle = spice.pckopn(str(turn), "fuzz", 0)
+    angles = np.zeros(9)  # three angles of two coefficients, one interval; the last three unused
+    spice.pckw02(handle, 31006, "J2000", first, last, "fuzz", last - first, 1, 2, angles[:6], first)
+    spice.pckcls(handle)
 
 
 def _write_dem(path: Path) -> None:

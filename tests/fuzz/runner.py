@@ -55,7 +55,9 @@ class Runner:
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(f"{kind} {seed}\n".encode())
             process.stdin.flush()
-        line = self._answer(self.hang_s)
+        outcome, line = Outcome(kind, seed), self._answer(self.hang_s)
+        if line is not None and line.endswith(b"\n"):
+            outcome, line = Outcome.of_line(line), self._answer(self.hang_s)
         if line is not None and line.endswith(b"\n"):
             return Outcome.of_line(line)
         if line is None:
@@ -66,9 +68,8 @@ class Runner:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(10.0)
         code = process.poll()
-        said = self._said()
+        outcome.said, outcome.seconds = self._said(), time.monotonic() - began
         self._stop()
-        outcome = Outcome(kind, seed, said=said, seconds=time.monotonic() - began)
         outcome.code = 1 if code is None else code
         outcome.failures.append(failure or f"signal or end of the process: {outcome.code}")
         return outcome

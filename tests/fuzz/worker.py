@@ -1,4 +1,6 @@
-"""A process that runs cases: `KIND SEED` a line on stdin, an outcome a line on a handle of its own.
+"""A process that runs cases: `KIND SEED` a line on stdin, two lines on a handle of its own.
+
+The first line says what the case is, before it runs, and the second what came of it.
 
 Started by `tests.fuzz.runner`, which ends it when a case takes too long and starts another one when
 it died; so a crash of a library is counted against its case, and the run goes on.
@@ -32,7 +34,8 @@ def main(area: Path, materials: Path, answers: int) -> None:
     os.write(answers, READY)
     for line in sys.stdin:
         kind, seed = line.split()
-        os.write(answers, judge.judge(kind, int(seed)).line())
+        outcome = judge.judge(kind, int(seed), lambda case: os.write(answers, case.line()))
+        os.write(answers, outcome.line())
 
 
 if __name__ == "__main__":
