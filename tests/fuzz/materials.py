@@ -11,11 +11,13 @@ from importlib import import_module
 from pathlib import Path
 
 import cv2
+import erfa
 import numpy as np
 import rasterio
 import trimesh
 from rasterio.transform import Affine
 
+from catalog.bodies.body import load_body
 from optnav_cli.main import run
 
 MOON_DEG = "+proj=longlat +R=1737400 +no_defs"
@@ -75,14 +77,6 @@ trials = 1
 min_recognition = 0.0
 min_margin = 0.0
 max_shadowed = 1.0
-"""
-PCK = """KPL/PCK
-\\begindata
-BODY301_POLE_RA = ( 269.9949 0.0031 0. )
-BODY301_POLE_DEC = ( 66.5392 0.0130 0. )
-BODY301_PM = ( 38.3213 13.17635815 -1.4D-12 )
-BODY301_RADII = ( 1737.4 1737.4 1737.4 )
-\\begintext
 """
 FRAME = """KPL/FK
 \\begindata
@@ -192,10 +186,36 @@ def _write_inputs() -> None:
         Path(name).write_text(text)
 
 
+def _rotation() -> str:
+    """A text kernel of the Moon's series, as configs/bodies has it."""
+    series = load_body("moon").rotation
+
+    def row(name: str, *values: float) -> str:
+        # a line of a text kernel has up to 132 letters
+        return f"BODY{name} = (\n" + "\n".join(f"  {value:.12g}" for value in values) + " )"
+
+    terms = series.terms
+    angles = [value for term in terms for value in term.angle_deg_by_century[:2]]
+    lines = [
+        "KPL/PCK",
+        "\\begindata",
+        row("301_POLE_RA", *series.pole_ra_deg_by_century),
+        row("301_POLE_DEC", *series.pole_dec_deg_by_century),
+        row("301_PM", *series.meridian_deg_by_day),
+        row("301_RADII", 1737.4, 1737.4, 1737.4),
+        row("3_NUT_PREC_ANGLES", *angles),
+        row("301_NUT_PREC_RA", *(term.ra_deg for term in terms)),
+        row("301_NUT_PREC_DEC", *(term.dec_deg for term in terms)),
+        row("301_NUT_PREC_PM", *(term.meridian_deg for term in terms)),
+        "\\begintext",
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def _write_kernels(folder: Path) -> None:
     """The Moon's rotation as text and as a binary kernel, a frame, and its orbit about the Sun."""
     folder.mkdir()
-    (folder / "moon.tpc").write_text(PCK)
+    (folder / "moon.tpc").write_text(_rotation())
     (folder / "moon.tf").write_text(FRAME)
     orbit, turn = folder / "moon.bsp", folder / "moon.bpc"
     try:
@@ -204,11 +224,18 @@ def _write_kernels(folder: Path) -> None:
         orbit.write_bytes(b"DAF/SPK " + bytes(2040))
         turn.write_bytes(b"DAF/PCK " + bytes(2040))
         return
-    first, last = 7.2e8, 9.5e8  # 2022-2030
-    states = np.array([[1.5e8, 0.0, 0.0, 0.0, 29.8, 0.0]] * 4)
+    day_s, au_km = 86400.0, 149597870.7
+    days = np.arange(9490.0, 9700.0)  # past J2000: December 2025 to July 2026
+    first, last = float(days[0] * day_s), float(days[-1] * day_s)
+    _, earth = erfa.epv00(2451545.0, days)
+    moon = erfa.moon98(2451545.0, days)
     handle = spice.spkopn(str(orbit), "fuzz", 0)
-    step = (last - first) / 3.0
-    spice.spkw08(handle, 301, 10, "J2000", first, last, "fuzz", 1, 4, states, first, step)
+    for body, share, of_moon in ((301, 1.0, 1.0), (399, 1.0, 0.0), (10, 1e-9, 0.0)):
+        position = earth["p"] + of_moon * moon["p"]
+        speed = (earth["v"] + of_moon * moon["v"]) / day_s
+        states = share * au_km * np.concatenate([position, speed], axis=1)
+        form = "J2000", first, last, "fuzz", 7, days.size, states, first, day_s
+        spice.spkw08(handle, body, 0, *form)
     spice.spkcls(handle)
     handle = spice.pckopn(str(turn), "fuzz", 0)
     angles = np.zeros(9)  # three angles of two coefficients, one interval; the last three unused

@@ -18,6 +18,8 @@ from catalog.terrain.dem.georeference import Georeference, georeference
 # A CRS made for another body is off by tens of percent; spheres of one body differ by less.
 RADIUS_TOLERANCE = 0.01
 MIN_POSTING_M = 1e-3
+# Of a map, rad: two turns of longitude, or a polar map to the other pole, are beyond any model.
+MAX_EXTENT = 4.0 * np.pi
 MAX_CRS = 20_000  # letters
 _CRS = re.compile(
     r"(EPSG|ESRI|OGC|IAU(_\d{4})?):\w+$|urn:ogc:def:crs:[\w.:-]+$|\+\w|"
@@ -131,6 +133,12 @@ def place_of(
             f"{path}: its pixels are {place.column_angle * body.radius_m:.3g} x "
             f"{place.row_angle * body.radius_m:.3g} m; wanted over {MIN_POSTING_M:g} m: "
             "correct its geotransform"
+        )
+    extent = place.shape[1] * place.column_angle, place.shape[0] * place.row_angle
+    if max(extent) > MAX_EXTENT:
+        raise DataError(
+            f"{path}: spans {np.degrees(extent[0]):.3g} x {np.degrees(extent[1]):.3g} deg of the "
+            f"body; wanted up to {np.degrees(MAX_EXTENT):g}: correct its size or geotransform"
         )
     largest = max(body.radius_m, *body.radii_m)
     smallest = min(body.radius_m, *body.radii_m)

@@ -172,3 +172,9 @@ def test_holes_are_no_error(tmp_path, dems, moon):
     values[:20] = np.nan
     made = ingest(dems.write(tmp_path / "holes.tif", values), moon)
     assert made.record.valid_share == pytest.approx(44 / 64)
+
+
+def test_a_map_of_many_turns_is_refused_before_it_is_read(tmp_path, dems, moon):
+    affine = Affine(10.0, 0.0, 0.0, 0.0, -0.5, 45.0)
+    path = dems.write(tmp_path / "wide.tif", np.zeros((8, 100), np.float32), affine=affine)
+    refused(path, moon, "spans 1e+03 x 4 deg", "wanted up to 720")
