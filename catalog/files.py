@@ -20,6 +20,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
@@ -35,6 +36,7 @@ AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
 SQLITE_DISK_ERRORS = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN", "SQLITE_READONLY")
 
+T = TypeVar("T")
 IsOurs = Callable[[Path], bool]  # whether a file is an older output of the same kind
 
 
@@ -97,6 +99,14 @@ def write_output(path: Path, data: bytes, ours: IsOurs) -> None:
         new.write_bytes(data)
 
 
+def stored_json(data: bytes, type_: type[T]) -> T | None:
+    """What a JSON file of our own holds; None where it is damaged or of another kind."""
+    try:
+        return msgspec.json.decode(data, type=type_)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None
+
+
 class _ManifestHead(msgspec.Struct):
     made_by: str
     kind: str
@@ -109,10 +119,10 @@ def made_by_optnav(folder: Path, kind: str) -> bool:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode) or found.st_size > MAX_MANIFEST_BYTES:
             return False
-        head = msgspec.json.decode(path.read_bytes(), type=_ManifestHead)
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        head = stored_json(path.read_bytes(), _ManifestHead)
+    except OSError:
         return False
-    return (head.made_by, head.kind) == (MADE_BY, kind)
+    return head is not None and (head.made_by, head.kind) == (MADE_BY, kind)
 
 
 def check_folder(path: Path, kind: str) -> None:

@@ -22,6 +22,7 @@ from optnav_cli.options import Entry, LazyGroup
 
 INTERRUPTED = 130
 BAD_PLACE = 3
+MAX_MESSAGE = 2000  # letters
 
 # Errors of the operating system when an output place cannot be used, and what to do about it.
 PLACE_ERRORS = {
@@ -129,6 +130,8 @@ def _fail(message: str, code: int) -> int:
     """Write why the command ends to stderr, and to the log file if there is one."""
     import logging
 
+    if len(message) > MAX_MESSAGE:  # it quotes a name or a value of the input
+        message = f"{message[: MAX_MESSAGE // 2]} [...] {message[-MAX_MESSAGE // 2 :]}"
     if logging.getLogger().handlers:
         logging.getLogger(__name__).error("%s", message)
     else:  # the command line was wrong: no logging yet

@@ -4,6 +4,7 @@ A mesh is checked once and then ready for rays in the work folder. A kill costs 
 terrain model in work, minutes for gigabytes; those before it stay.
 """
 
+import hashlib
 import io
 import logging
 import math
@@ -17,6 +18,7 @@ from catalog.build.config import PyramidSettings
 from catalog.build.context import DemRecord, IngestRun
 from catalog.build.relief import ReliefRecord, make_or_keep
 from catalog.errors import ConfigError, DataError, UsageError
+from catalog.files import hash_file, stored_json
 from catalog.geometry.cells import CellGrid
 from catalog.jobs.workspace import code_key, content_hash, stage_key
 from catalog.store.relief import prepare_relief
@@ -52,6 +54,7 @@ class MeshRecord(msgspec.Struct, frozen=True):
     folder     of its corners, in the workspace
     posting_m  distance of neighbouring vertices
     halvings   of its edges, so that its surface is smooth in patches finer than it is
+    corners_sha256  of the file of corners
     mended     small faults that were mended, in words
     """
 
@@ -64,6 +67,7 @@ class MeshRecord(msgspec.Struct, frozen=True):
     volume_km3: float
     halvings: int
     mended: tuple[str, ...]
+    corners_sha256: str
 
 
 def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord]]:
@@ -189,12 +193,19 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
     key = stage_key(code_key(), body.name, body.radii_m, plain, digest, finest_m)
     folder = f"mesh-{key}"
     found = workspace.get(f"{folder}/{RECORD}")
-    if found is not None and workspace.path(folder, CORNERS).is_file():
-        record = msgspec.json.decode(found, type=MeshRecord)
+    record = None if found is None else stored_json(found, MeshRecord)
+    place = workspace.path(folder, CORNERS)
+    if record is not None and place.is_file() and hash_file(place) == record.corners_sha256:
         run.account.kept += 1
     else:
         shape = load_shape(settings, run.folder, body, run.progress)
         halvings = _halvings(shape, finest_m)
+        corners = io.BytesIO()
+        if halvings:  # of a smooth surface through the vertices
+            smooth = settings.longitude, METRES[settings.units], shape.vertices, shape.faces
+            np.save(corners, smooth_corners(path, *smooth, halvings))
+        else:
+            np.save(corners, shape.vertices[shape.faces])
         record = MeshRecord(
             name=path.name,
             sha256=digest,
@@ -205,13 +216,8 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
             volume_km3=shape.volume_m3 / 1e9,
             halvings=halvings,
             mended=shape.mended,
+            corners_sha256=hashlib.sha256(corners.getbuffer()).hexdigest(),
         )
-        corners = io.BytesIO()
-        if halvings:  # of a smooth surface through the vertices
-            smooth = settings.longitude, METRES[settings.units], shape.vertices, shape.faces
-            np.save(corners, smooth_corners(path, *smooth, halvings))
-        else:
-            np.save(corners, shape.vertices[shape.faces])
         workspace.put(f"{folder}/{CORNERS}", corners.getvalue())
         workspace.put(f"{folder}/{RECORD}", msgspec.json.encode(record))
         run.account.done += 1
@@ -222,7 +228,6 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
             " they are cut from a smooth surface through these",
             *(path.name, finest_m, record.posting_m),
         )
-    place = workspace.path(folder, CORNERS)
     return MeshTerrain(body, place, record.name, record.posting_m), record
 
 

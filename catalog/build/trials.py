@@ -28,6 +28,7 @@ TRIAL_LEVELS = 2  # the search starts one level above the finest
 # one place says nothing of another's, and drawing it costs more than the trials.
 GROUNDS = 8
 SUN_AZIMUTHS = 4
+MAX_RELIEF = 0.4  # of the radius: the posting below which relief is added; craters have twice it
 
 
 def outcomes_at(
@@ -97,7 +98,9 @@ def _levels(
     """
     terrain, slope_deg = context.mosaic, context.config.check.relief_slope_deg
     size = truth_size(search)
-    known = max(patches[0].posting_m, terrain.posting_m)
+    # a model coarser than that shows so little that finer relief tells it from the truth as well
+    coarsest = MAX_RELIEF * terrain.body.radius_m
+    known = min(max(patches[0].posting_m, terrain.posting_m), coarsest)
     smallest = patches[0].posting_m / FINER
     levels = []
     for patch in patches[:TRIAL_LEVELS]:

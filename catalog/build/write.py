@@ -21,6 +21,7 @@ import catalog
 from catalog.build.context import StageContext
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
+from catalog.files import stored_json
 from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers
@@ -59,11 +60,7 @@ def remember_published(workspace: Workspace, key: str, path: Path) -> None:
 
 def find_published(workspace: Workspace, key: str, path: Path) -> Written | None:
     """The catalog at a path, if it is the remembered one of this key and whole to the last byte."""
-    data = workspace.get(FILE)
-    try:
-        memory = msgspec.json.decode(data or b"{}", type=dict[str, str])
-    except msgspec.MsgspecError:
-        return None
+    memory = stored_json(workspace.get(FILE) or b"", dict[str, str]) or {}
     meta = _meta(path) if memory.get("key") == key else None
     if meta is None or meta.seal != memory.get("seal") or live_log(path):
         return None

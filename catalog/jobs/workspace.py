@@ -16,7 +16,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -24,11 +24,12 @@ import zstandard
 
 import catalog
 from catalog.errors import DataError, OutputError
-from catalog.files import PARTIAL, PIECE, hash_file, put_file
+from catalog.files import PARTIAL, PIECE, hash_file, put_file, stored_json
 from catalog.places import locked
 from catalog.progress import Progress
 
 T = TypeVar("T")
+Sha256 = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 MARK = "optnav-workspace.json"
 LOCK = "lock"
@@ -83,10 +84,7 @@ class Workspace:
     def _settle_format(self) -> None:
         mark = self.folder / MARK
         if mark.is_file():
-            try:
-                found = msgspec.json.decode(mark.read_bytes(), type=_Mark)
-            except msgspec.MsgspecError:
-                found = _Mark("", 0)
+            found = stored_json(mark.read_bytes(), _Mark) or _Mark("", 0)
             if found.format == FORMAT:
                 return
             raise OutputError(
@@ -203,11 +201,7 @@ def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress
 
     Raises DataError for a file that cannot be read.
     """
-    stored = workspace.get(HASHES)
-    try:
-        known = msgspec.json.decode(stored or b"{}", type=dict[str, str])
-    except msgspec.MsgspecError:
-        known = {}
+    known = stored_json(workspace.get(HASHES) or b"", dict[str, Sha256]) or {}
     whole = hashlib.sha256()
     for path in files:
         try:

@@ -124,6 +124,20 @@ def test_each_kind_of_failure_has_its_exit_code_and_one_line(
     assert len(err.splitlines()) == 1
 
 
+def test_a_message_that_quotes_a_long_input_is_shortened_in_its_middle(
+    command: Callable[[Callable[[], None]], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> None:
+        raise DataError(f"{'n/' * 4000}: there is no such file; check the path")
+
+    command(fail)
+    assert main.run(["probe"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert len(line) < 2100
+    assert line.startswith("optnav: n/n/")
+    assert line.endswith("check the path")
+
+
 def test_a_full_disk_names_place_and_remedy(
     command: Callable[[Callable[[], None]], None], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,7 +17,7 @@ from rasterio.windows import Window
 from catalog.arrays import BoolArray, Float32Array
 from catalog.bodies.body import Body
 from catalog.errors import DataError, OutputError
-from catalog.files import putting_folder
+from catalog.files import putting_folder, stored_json
 from catalog.progress import Progress, SilentProgress
 from catalog.rasters import OWN, reading_rasters, reopen_raster
 from catalog.terrain.dem.conversion import HEIGHTS, Conversion
@@ -112,8 +112,10 @@ class HeightPyramid:
     def load(cls, source: DemSource, folder: Path) -> "HeightPyramid | None":
         """The pyramid that a folder holds, None where there is no whole one of this source."""
         try:
-            record = msgspec.json.decode((folder / "pyramid.json").read_bytes(), type=PyramidRecord)
-        except (FileNotFoundError, msgspec.MsgspecError):
+            record = stored_json((folder / "pyramid.json").read_bytes(), PyramidRecord)
+        except FileNotFoundError:
+            return None
+        if record is None:
             return None
         state = source.path.stat()
         same = (

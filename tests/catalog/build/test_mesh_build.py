@@ -1,5 +1,6 @@
 """A catalog from a shape model: the whole way, on a few cells of Phobos."""
 
+import shutil
 from contextlib import suppress
 from pathlib import Path
 
@@ -110,6 +111,32 @@ def test_the_catalog_carries_the_relief_of_the_whole_body(folder, terrain) -> No
     assert np.abs(means - exact).max() < 60.0
     radii = np.linalg.norm(terrain.rays.corners.reshape(-1, 3), axis=1)
     assert relief.max_heights.max() == pytest.approx(radii.max() - 11080.0, abs=4.0)
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[:-9], lambda data: data[:900] + b"\xff" * 9 + data[909:]]
+)
+@pytest.mark.parametrize("name", ["corners.npy", "mesh.json"])
+def test_a_damaged_mesh_of_the_work_folder_is_made_again(folder, tmp_path, name, damage) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(folder / "phobos.gpkg.work", work)
+    (path,) = work.glob(f"mesh-*/{name}")
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    run(config_in(tmp_path), stages=("ingest",), work=work, workers=1, bbox=BBOX)
+    assert path.read_bytes() == whole
+
+
+def test_a_shape_of_few_faces_is_tried_with_relief_too(tmp_path) -> None:
+    coarse = trimesh.creation.icosphere(subdivisions=1, radius=11.0)
+    coarse.export(tmp_path / "coarse.obj")
+    path = config_in(tmp_path, 15.0)
+    path.write_text(
+        path.read_text().replace(MODEL, '[[mesh]]\npath = "coarse.obj"\nunits = "km"\n')
+    )
+    with suppress(NothingToDoError):  # it need not be of use
+        run(path, output=tmp_path / "coarse.gpkg", workers=1, bbox=(0.0, 0.0, 15.0, 14.0))
+    assert verify(tmp_path / "coarse.gpkg").sound
 
 
 def test_more_workers_and_another_run_give_the_same_content(folder, tmp_path) -> None:

@@ -8,7 +8,8 @@ import msgspec
 import pytest
 
 from catalog.errors import OutputError
-from catalog.jobs.workspace import Workspace, encode_records, stage_key
+from catalog.jobs.workspace import Workspace, content_hash, encode_records, stage_key
+from catalog.progress import SilentProgress
 
 
 class Thing(msgspec.Struct):
@@ -129,3 +130,23 @@ def test_results_of_other_keys_are_removed(tmp_path):
     workspace.put("check-old/chunk-00000.bin", b"")
     workspace.keep_only("render", {"new"})
     assert sorted(p.name for p in tmp_path.iterdir() if p.is_dir()) == ["check-old", "render-new"]
+
+
+@pytest.mark.parametrize("left", [b"\xff{", b"[" * 100_000, b'{"a": "not a hash"}', b"null", b""])
+def test_damaged_checksums_are_computed_again(tmp_path, left):
+    path = tmp_path / "dem.tif"
+    path.write_bytes(b"heights")
+    workspace = Workspace(tmp_path / "work")
+    whole = content_hash([path], workspace, SilentProgress())
+    (file,) = workspace.folder.glob("*hashes*")
+    file.write_bytes(
+        left.replace(b"a", os.fsencode(next(iter(msgspec.json.decode(file.read_bytes())))))
+    )
+    assert content_hash([path], workspace, SilentProgress()) == whole
+
+
+def test_a_damaged_mark_is_another_version(tmp_path):
+    Workspace(tmp_path)
+    (tmp_path / "optnav-workspace.json").write_bytes(b"\xff\xff")
+    with pytest.raises(OutputError, match="another version"):
+        Workspace(tmp_path)

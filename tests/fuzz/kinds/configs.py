@@ -140,6 +140,10 @@ def put(data: Any, steps: Steps, value: Any) -> bool:
     return False
 
 
+# Settings that say how much is to be done: a lawful hundred thousand takes hours and is no fault.
+AMOUNTS = ("frames", "passes", "trials", "places", "candidates", "hot_pixels", "seeds")
+
+
 class ConfigKind:
     """Cases of one type of config: a whole one, what it is read by, and where it lies."""
 
@@ -185,6 +189,12 @@ class ConfigKind:
         if not isinstance(info, inspect.FloatType | inspect.IntType):
             return self._changed(data, steps, place.rng.choice(NUMBERS), REFUSED)
         value = FOREVER if place.rng.random() < 0.05 else place.rng.choice(NUMBERS)
+        if (
+            steps[-1] in AMOUNTS
+            and value is not FOREVER
+            and 50 < float(int(value, 0) if "x" in value else value) < 1e6
+        ):
+            value = Literal("2")
         return self._changed(data, steps, value, self._codes_of(info, value))
 
     def _codes_of(self, info: inspect.Type, value: Literal) -> frozenset[int]:
