@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import rasterio
-from rasterio.errors import RasterioError
+from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
 from catalog.arrays import Float32Array
 from catalog.control_point import ControlPoint
-from catalog.errors import DataError, OutputError
+from catalog.errors import DataError
 from catalog.files import replacing_file
 from catalog.inspect.export import PATCH_NAME, patch_of
 from catalog.rasters import OWN, open_raster
@@ -95,16 +95,15 @@ def _write(
     height, width = next(iter(bands.values())).shape
     profile = {"driver": "GTiff", "dtype": "float32", "compress": "deflate", "predictor": 3}
     profile |= {"height": height, "width": width, "count": len(bands), **place}
-    with replacing_file(path, _is_ours) as partial:
-        try:
-            with rasterio.open(partial, "w", **profile) as file:
-                file.update_tags(**tags)
-                file.units = ("m",) * len(bands)
-                for band, (text, grid) in enumerate(bands.items(), 1):
-                    file.write(grid, band)
-                    file.set_band_description(band, text)
-        except RasterioError as error:
-            raise OutputError(f"{path}: cannot be written ({error}); free some space") from None
+    # in the memory first: GDAL takes no name that is not UTF-8, and tells no full disk from damage
+    with replacing_file(path, _is_ours) as partial, MemoryFile() as memory:
+        with memory.open(**profile) as file:
+            file.update_tags(**tags)
+            file.units = ("m",) * len(bands)
+            for band, (text, grid) in enumerate(bands.items(), 1):
+                file.write(grid, band)
+                file.set_band_description(band, text)
+        partial.write_bytes(memory.getbuffer())
 
 
 def _is_ours(path: Path) -> bool:

@@ -11,8 +11,15 @@ from tests.fuzz.runner import Outcome, Runner, Tally, failure_lines
 
 CASES, SEED = 500, 1
 # Kinds and changes with a failure that is known and not mended yet.
-PENDING = ("place", "line-inputs", "picture-bytes-name", "picture-name")
-PENDING_NOTES = ("5000 digits", "= 9999999999")
+PENDING = (
+    "mesh-damaged",
+    "mesh-glb",
+    "mesh-header",
+    "mesh-known",
+    "kernel-list",
+    "config-navigate",
+)
+PENDING_NOTES: tuple[str, ...] = ()
 FAULTS = {
     "code": "code 3; wanted [0]",
     "traceback": "traceback: KeyError: 'a bug'",

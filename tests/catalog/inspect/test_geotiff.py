@@ -1,5 +1,6 @@
 """A patch as a GeoTIFF: where GDAL and PROJ put its nodes, and what stands there."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,3 +86,11 @@ def test_the_same_patch_gives_the_same_bytes_and_nothing_else_is_replaced(
         path.write_bytes(b"II*\x00 somebody's own picture")
         with pytest.raises(OutputError, match="not made by optnav"):
             export_patch_heights(catalog, number, 0, path)
+
+
+def test_a_name_that_is_no_utf_8_is_written(world: Any, tmp_path: Path) -> None:
+    with Catalog.open(moved(world, PLACES[1], tmp_path / "one.gpkg")) as catalog:
+        number = int(catalog.ids[0])
+        for name in (b"plain.tif", b"n\xff\xe9.tif"):
+            export_patch_heights(catalog, number, 0, tmp_path / os.fsdecode(name))
+    assert (tmp_path / os.fsdecode(name)).read_bytes() == (tmp_path / "plain.tif").read_bytes()
