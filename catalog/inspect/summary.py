@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from catalog.geometry.latlon import angular_distance
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
 from catalog.store.records import reasons_text
-from catalog.store.verify import Verification
+
+if TYPE_CHECKING:
+    from catalog.store.verify import Verification
 
 Document = dict[str, Any]  # plain values by name, units in the names
 
@@ -111,7 +113,9 @@ def _spread(values: FloatArray) -> Document | None:
     known = values[np.isfinite(values)]
     if known.size == 0:
         return None
-    low, middle, high = (float(value) for value in np.percentile(known, [10.0, 50.0, 90.0]))
+    # as np.percentile, which takes 20 ms to load
+    places = np.array([0.1, 0.5, 0.9]) * (known.size - 1)
+    low, middle, high = np.interp(places, np.arange(known.size), np.sort(known)).tolist()
     return {"median": middle, "percentile_10": low, "percentile_90": high}
 
 
@@ -155,7 +159,7 @@ _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
 }
 
 
-def verification_document(found: Verification) -> Document:
+def verification_document(found: "Verification") -> Document:
     """What `verify` found, as plain values."""
     return {
         "catalog": str(found.path),

@@ -7,6 +7,9 @@ does not predict. Residuals r (signed) are folded to 2r for r >= 0 and -2r - 1 f
 split into a plane of high bytes followed by a plane of low bytes. The two planes are one
 Zstandard frame, each in its own block, so that each gets its own entropy table: on lunar terrain
 this is 4 % smaller than one block and a third of the plain counts.
+
+The kernels (residuals.py) are imported where they are called: `catalog info`, which reads no patch,
+need not wait for the compiler to load.
 """
 
 import threading
@@ -17,10 +20,9 @@ import zstandard
 
 from catalog.arrays import ByteArray, Float32Array, Int16Array
 from catalog.errors import DataError
-from catalog.geometry.kernel import kernel
 from catalog.store.records import checksum
+from catalog.store.schema import NO_DATA_COUNT
 
-NO_DATA_COUNT = -32768
 MAX_COUNT = 32767
 MAX_SIZE = 4096  # nodes a side; refuses to allocate gigabytes for a damaged size
 MIN_STEP, MAX_HEIGHT = 1e-12, 1e9  # m: beyond these float32 heights lose their metres
@@ -82,68 +84,13 @@ def quantise(heights: Float32Array, step: float) -> tuple[Int16Array, float, flo
     return np.where(known, counts, NO_DATA_COUNT).astype(np.int16), step, offset
 
 
-@kernel
-def _planes_from_counts(counts: Int16Array, planes: ByteArray) -> None:
-    rows, cols = counts.shape
-    nodes = rows * cols
-    for i in range(rows):
-        for j in range(cols):
-            residual = np.int64(counts[i, j])
-            if i > 0:
-                residual -= counts[i - 1, j]
-            if j > 0:
-                residual -= counts[i, j - 1]
-                if i > 0:
-                    residual += counts[i - 1, j - 1]
-            # into the signed 16-bit range, as the reader's arithmetic is modulo 65536
-            residual = ((residual + 32768) & 65535) - 32768
-            folded = 2 * residual if residual >= 0 else -2 * residual - 1
-            planes[i * cols + j] = folded >> 8
-            planes[nodes + i * cols + j] = folded & 255
-
-
-@kernel
-def _counts_from_planes(planes: ByteArray, counts: Int16Array) -> None:
-    # three plain loops a row: all but the running sum work on many nodes at once
-    rows, cols = counts.shape
-    nodes = rows * cols
-    line = np.empty(cols, np.int32)
-    for i in range(rows):
-        high = planes[i * cols : (i + 1) * cols]
-        low = planes[nodes + i * cols : nodes + (i + 1) * cols]
-        for j in range(cols):
-            folded = (np.int32(high[j]) << 8) | np.int32(low[j])
-            line[j] = (folded >> 1) ^ -(folded & 1)
-        along_row = np.int32(0)
-        for j in range(cols):
-            along_row += line[j]
-            line[j] = along_row
-        # storing as int16 keeps the low 16 bits: the arithmetic modulo 65536
-        if i == 0:
-            for j in range(cols):
-                counts[0, j] = line[j]
-        else:
-            for j in range(cols):
-                counts[i, j] = line[j] + counts[i - 1, j]
-
-
-@kernel
-def _heights_from_planes(
-    planes: ByteArray, step: float, offset: float, counts: Int16Array, heights: Float32Array
-) -> None:
-    _counts_from_planes(planes, counts)
-    rows, cols = counts.shape
-    for i in range(rows):
-        for j in range(cols):
-            count = counts[i, j]
-            heights[i, j] = np.nan if count == NO_DATA_COUNT else offset + step * count
-
-
 def encode_counts(counts: Int16Array) -> bytes:
     """Compress a square grid of counts."""
+    from catalog.store.residuals import planes_from_counts
+
     nodes = counts.size
     planes = np.empty(2 * nodes, dtype=np.uint8)
-    _planes_from_counts(np.ascontiguousarray(counts), planes)
+    planes_from_counts(np.ascontiguousarray(counts), planes)
     raw = planes.tobytes()
     parameters = zstandard.ZstdCompressionParameters.from_level(
         ZSTD_LEVEL, write_content_size=False, write_checksum=False, write_dict_id=False
@@ -177,16 +124,20 @@ def _planes(data: bytes, size: int) -> ByteArray:
 
 def decode_counts(data: bytes, size: int) -> Int16Array:
     """Counts (size, size) of compressed bytes. Raises DataError when they do not unpack."""
+    from catalog.store.residuals import counts_from_planes
+
     counts = np.empty((size, size), dtype=np.int16)
-    _counts_from_planes(_planes(data, size), counts)
+    counts_from_planes(_planes(data, size), counts)
     return counts
 
 
 def decode(encoded: Encoded) -> Float32Array:
     """Heights (size, size), float32, NaN for no data. Raises DataError when they do not unpack."""
+    from catalog.store.residuals import heights_from_planes
+
     planes = _planes(encoded.data, encoded.size)
     shape = (encoded.size, encoded.size)
     heights = np.empty(shape, dtype=np.float32)
     counts = np.empty(shape, dtype=np.int16)
-    _heights_from_planes(planes, encoded.step, encoded.offset, counts, heights)
+    heights_from_planes(planes, encoded.step, encoded.offset, counts, heights)
     return heights

@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
 from catalog.store.connection import connect, read_meta
 from catalog.store.geopackage import srs_of
-from catalog.store.index import CellIndex
 from catalog.store.manifest import CatalogMeta
 from catalog.store.patches import (
     StoredPatch,
@@ -33,7 +32,6 @@ from catalog.store.records import (
     record_from_row,
     record_type,
 )
-from catalog.store.relief import read_relief
 from catalog.store.schema import (
     HEIGHT_LAYER,
     PATCH_COLUMNS,
@@ -43,7 +41,12 @@ from catalog.store.schema import (
     patch_key,
     select_points,
 )
-from catalog.terrain.relief.relief import GlobalRelief
+
+# What compiled code needs is imported where it is asked for: half the time of `catalog info` would
+# go into loading the compiler.
+if TYPE_CHECKING:
+    from catalog.store.index import CellIndex
+    from catalog.terrain.relief.relief import GlobalRelief
 
 log = logging.getLogger(__name__)
 
@@ -130,10 +133,12 @@ class Catalog:
         return self.direction * self.radius_m[:, None]
 
     @cached_property
-    def _index(self) -> CellIndex:
+    def _index(self) -> "CellIndex":
+        from catalog.store.index import CellIndex
+
         return CellIndex(self.grid, self.ids, self.direction)
 
-    def relief(self) -> GlobalRelief | None:
+    def relief(self) -> "GlobalRelief | None":
         """The relief of the whole body that the catalog carries, None for none; read once.
 
         Raises DataError when a part of it is missing or damaged.
@@ -141,7 +146,9 @@ class Catalog:
         return self._relief
 
     @cached_property
-    def _relief(self) -> GlobalRelief | None:
+    def _relief(self) -> "GlobalRelief | None":
+        from catalog.store.relief import read_relief
+
         try:
             return read_relief(self._db, self.meta)
         except DataError as error:

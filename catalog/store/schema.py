@@ -32,6 +32,7 @@ META = "optnav_meta"
 RELIEF = "optnav_relief"
 
 RECORDS_A_ROW = 4096
+NO_DATA_COUNT = -32768  # of a patch: no height
 HEIGHT_LAYER = 0  # an albedo layer would be another number in the same table
 
 # columns of these tables are read from the statements: no part of them holds a comma

@@ -3,6 +3,8 @@
 All times are of the processor, so that other work on the machine does not count.
 """
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -29,6 +31,7 @@ from catalog.store.relief import prepare_relief
 from catalog.store.verify import verify
 from catalog.store.writer import write_catalog
 from catalog.terrain.relief.sums import load_relief
+from tests.bench.global_moon.clock import run
 from tests.bench.timing import best, sized, within
 
 pytestmark = pytest.mark.bench
@@ -41,7 +44,7 @@ SITES = sized(60, 3)  # different places that the points' patches are taken from
 GIGABYTE = 1e9
 # what the figures ask for
 OPEN_MS, NEAREST_US, CELL_US, LOAD_MS, FILE_GB = 100.0, 20.0, 5.0, 0.3, 1.5
-RELIEF_MB, RELIEF_S = 40.0, 0.5
+RELIEF_MB, RELIEF_S, INFO_S = 40.0, 0.5, 0.3
 
 
 def ground_of_sites(size: int = SIZE) -> list[list[NDArray[np.float32]]]:
@@ -105,6 +108,14 @@ def seconds(call: Callable[[], object]) -> float:
     return time.process_time() - started
 
 
+def command_seconds(*words: str) -> float:
+    """Processor time of a command with its start, the median of some runs."""
+    command = [sys.executable, "-m", "optnav_cli.main", *words]
+    return float(
+        np.median([run(command, stdout=subprocess.DEVNULL).cpu_s for _ in range(sized(9, 1))])
+    )
+
+
 def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
     path = tmp_path / "moon.gpkg"
     meta = CatalogMeta("moon", 1737400.0, 1.0, LEVELS, SIZE, POSTING_M, STEPS_M[0])
@@ -130,6 +141,7 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
             ending: seconds(lambda place=tmp_path / f"layer.{ending}": export(catalog, place))
             for ending in ("gpkg", "geojson", "csv")
         }
+    info_s = command_seconds("catalog", "info", str(path))
     verify_s = seconds(lambda: verify(path))
     compare_s = seconds(lambda: compare(path, path))
     packed, larger = packed_bytes(SIZE), packed_bytes(LARGER)
@@ -150,6 +162,7 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
         f"\n  row_of   {cell:8.2f} us   {cell / CELL_US:5.2f} of the limit"
         f"\n  patches  {load:8.3f} ms   {load / LOAD_MS:5.2f} of the limit, "
         f"{load / copy_ms:.0f} x a copy of the heights in memory"
+        f"\n  info     {info_s:8.2f} s    {info_s / INFO_S:5.2f} of the limit, the whole command"
         f"\n  verify   {verify_s:8.1f} s    every patch unpacked"
         f"\n  compare  {compare_s:8.1f} s    with a catalog of the same content"
         f"\n  export   " + ", ".join(f"{name} {took:.1f} s" for name, took in layers.items())
@@ -159,6 +172,7 @@ def test_speed_and_size_of_a_global_catalog(tmp_path: Path) -> None:
     assert within(near, NEAREST_US)
     assert within(cell, CELL_US)
     assert within(load, LOAD_MS)
+    assert within(info_s, INFO_S)
 
 
 def test_speed_and_size_of_a_relief(tmp_path: Path, shared_data: Callable[[str], Path]) -> None:

@@ -10,12 +10,12 @@ from catalog.config import resource
 from catalog.errors import DataError
 from catalog.store.codec import (
     MAX_COUNT,
-    NO_DATA_COUNT,
     Encoded,
     decode,
     decode_counts,
     encode,
 )
+from catalog.store.schema import NO_DATA_COUNT
 
 BYTES_A_POINT = 36_000  # 41 252 points in 1.5 GB
 

@@ -1,5 +1,7 @@
 """`optnav catalog ...` as a user calls it, on a catalog of the bundled Tycho terrain's middle."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -16,6 +18,7 @@ from catalog.store.writer import Written
 from optnav_cli.main import run
 from tests.catalog.store.written import write_points
 
+CHECKOUT = Path(__file__).resolve().parents[3]
 TYCHO = (-43.3, -11.2)
 
 
@@ -51,6 +54,17 @@ def test_info_prints_keys_and_values(written: Written, capsys: pytest.CaptureFix
     assert told["points"] == str(written.count)
     assert told["usable"] == str(written.count - 1)
     assert (told["rejected_flat"], told["rejected_not_recognised"]) == ("1", "1")
+
+
+def test_info_loads_no_compiler(written: Written) -> None:
+    """It would take half of the time; what is compiled is needed for patches and neighbours."""
+    script = (
+        "import sys; from optnav_cli.main import run; run(sys.argv[1:]); "
+        "print([m for m in ('numba', 'scipy', 'cv2', 'rasterio', 'numpy.ma') if m in sys.modules])"
+    )
+    words = [sys.executable, "-c", script, "catalog", "info", str(written.path)]
+    result = subprocess.run(words, cwd=CHECKOUT, capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
 
 
 def test_nearest_takes_negative_numbers(
