@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from catalog.errors import OutputError
 from catalog.progress import Stage
 from optnav_cli.output.wording import duration, plural, speed
+from optnav_cli.streams import open_log
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -60,6 +60,27 @@ class PeopleHandler(logging.Handler):
             print(line, file=sys.stderr)  # noqa: T201 -- this is the place that prints
 
 
+class LogFile(logging.StreamHandler[TextIO]):
+    """Writes JSON lines to a file; when that fails, a warning says so once and the work goes on."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.told = path, False
+        self.file = open_log(path)
+        super().__init__(self.file)
+        self.setFormatter(JsonLines())
+
+    def emit(self, record: logging.LogRecord) -> None:
+        super().emit(record)
+        if self.file.failure is not None and not self.told:
+            self.told = True
+            reason = self.file.failure.strerror
+            _log.warning("%s: cannot write the log: %s; going on without it", self.path, reason)
+
+    def close(self) -> None:
+        self.file.close()
+        super().close()
+
+
 def set_up_logging(*, quiet: bool, verbose: bool, log_file: Path | None) -> None:
     """Send the packages' messages to stderr and, if named, to a file of JSON lines.
 
@@ -68,25 +89,22 @@ def set_up_logging(*, quiet: bool, verbose: bool, log_file: Path | None) -> None
     """
     root = logging.getLogger()
     for old in root.handlers[:]:
-        if isinstance(old, PeopleHandler) or isinstance(old.formatter, JsonLines):
+        if isinstance(old, PeopleHandler | LogFile):
             root.removeHandler(old)
             old.close()
     people = PeopleHandler()
     people.setLevel(logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO)
     root.addHandler(people)
     if log_file is not None:
-        try:
-            lines = logging.FileHandler(log_file, encoding="utf-8")
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise OutputError(
-                f"{log_file}: cannot write the log: {reason}; name another --log-file"
-            ) from None
-        lines.setFormatter(JsonLines())
-        root.addHandler(lines)
+        root.addHandler(LogFile(log_file))
     for package in PACKAGES:  # of libraries below us warnings alone
         logging.getLogger(package).setLevel(logging.DEBUG)
     logging.captureWarnings(True)
+
+
+def is_set_up() -> bool:
+    """Whether messages reach people through the log."""
+    return any(isinstance(handler, PeopleHandler) for handler in logging.getLogger().handlers)
 
 
 class _LineStage:

@@ -10,16 +10,17 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 import click
 
 import catalog
-from catalog.errors import OptnavError
-from optnav_cli.options import Entry, LazyGroup
+from catalog.errors import OptnavError, OutputError
+from optnav_cli.options import IN_FILES, Entry, LazyGroup
+from optnav_cli.streams import make_patient, undelivered
 
+COMPLETE, SHELLS = "_OPTNAV_COMPLETE", ("bash", "zsh", "fish")
 INTERRUPTED = 130
 BAD_PLACE = 3
 MAX_MESSAGE = 2000  # letters
@@ -32,6 +33,7 @@ PLACE_ERRORS = {
     errno.EPERM: "check the permissions or choose another place",
     errno.EROFS: "choose a place that can be written to",
     errno.ENOTDIR: "a part of this path is a file; choose another place",
+    errno.ELOOP: "a link in this path leads to itself; choose another place",
     errno.EISDIR: "this is a folder; name a file",
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.EFBIG: "the file system takes no file this large; choose another place",
@@ -65,59 +67,46 @@ COMMANDS = {
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="Begin with `optnav demo`. Each command has its own --help with an example.",
 )
-@click.option("-q", "--quiet", is_flag=True, help="Show warnings and errors only.")
-@click.option("-v", "--verbose", is_flag=True, help="Show details.")
-@click.option(
-    "--log-file",
-    type=click.Path(path_type=Path),
-    help="Also write all messages to this file, one JSON object a line.",
-)
 @click.version_option(catalog.__version__, message="optnav %(version)s")
-@click.pass_context
-def cli(ctx: click.Context, quiet: bool, verbose: bool, log_file: Path | None) -> None:
+def cli() -> None:
     """Optical navigation near the Moon.
 
     Builds catalogs of control points from terrain models and finds the camera's position for each
     picture of a folder. Results go to stdout, messages to stderr.
     """
-    from optnav_cli.console import ConsoleProgress, set_up_logging
-
-    if quiet and verbose:
-        raise click.UsageError("--quiet and --verbose exclude each other; give one")
-    set_up_logging(quiet=quiet, verbose=verbose, log_file=log_file)
-    ctx.obj = ConsoleProgress(quiet=quiet)
 
 
 def _invoke(args: Sequence[str]) -> int:
     # Not cli.main(): it has its own words for an interrupt and for a reader that left.
+    code, in_files = 0, False
     try:
         with cli.make_context("optnav", list(args)) as context:
             cli.invoke(context)
+            in_files = context.meta.get(IN_FILES, False)
     except click.exceptions.Exit as end:  # --help, --version
-        return end.exit_code
-    return 0
+        code = end.exit_code
+    failure = undelivered()
+    if failure is not None and code == 0 and not in_files:
+        reason = (failure.strerror or str(failure)).lower()
+        raise OutputError(f"{reason}: stdout did not take the result; send it elsewhere")
+    return code
 
 
 def run(args: Sequence[str]) -> int:
     """Run a command line and return its exit code; a bug of ours stays a traceback."""
     try:
-        code = _invoke(args)
-        sys.stdout.flush()  # here, where a full disk or a reader that left has its own message
-        return code
+        return _invoke(args)
     except OptnavError as error:
         return _fail(str(error), error.exit_code)
-    except click.UsageError as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         return error.exit_code
+    except click.UsageError as error:
+        return _fail(_usage(error), error.exit_code)
     except click.ClickException as error:
         return _fail(error.format_message(), error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         return _fail("interrupted", INTERRUPTED)
-    except BrokenPipeError:
-        # Who read our output has seen enough (`optnav ... | head`). Python flushes stdout once
-        # more at its end: let that go nowhere.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except OSError as error:
         if error.errno not in PLACE_ERRORS:
             raise
@@ -132,11 +121,32 @@ def _fail(message: str, code: int) -> int:
 
     if len(message) > MAX_MESSAGE:  # it quotes a name or a value of the input
         message = f"{message[: MAX_MESSAGE // 2]} [...] {message[-MAX_MESSAGE // 2 :]}"
-    if logging.getLogger().handlers:
+    console = sys.modules.get("optnav_cli.console")
+    if console is not None and console.is_set_up():
         logging.getLogger(__name__).error("%s", message)
     else:  # the command line was wrong: no logging yet
         click.echo(f"optnav: {message}", err=True)
     return code
+
+
+def _usage(error: click.UsageError) -> str:
+    """The message of a wrong command line, and where to look."""
+    message = error.format_message()
+    if isinstance(error, click.NoSuchOption) and error.possibilities:
+        near = " or ".join(repr(name) for name in error.possibilities)
+        message = f"{error.message.rstrip('.')}; did you mean {near}?"
+    command = error.ctx.command_path if error.ctx else "optnav"
+    return f"{message[:1].lower()}{message[1:].rstrip('.')} (see `{command} --help`)"
+
+
+def complete() -> int:
+    """Answer a shell that asks how a command line goes on, or for the script that makes it ask."""
+    from click.shell_completion import shell_complete
+
+    asked = os.environ[COMPLETE]
+    if asked.partition("_")[0] not in SHELLS:
+        return _fail(f"{COMPLETE}={asked}: give SHELL_source, SHELL one of {', '.join(SHELLS)}", 2)
+    return shell_complete(cli, {}, "optnav", COMPLETE, asked)
 
 
 def main() -> NoReturn:
@@ -150,7 +160,8 @@ def main() -> NoReturn:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, terminate)
-    sys.exit(run(sys.argv[1:]))
+    make_patient()
+    sys.exit(complete() if COMPLETE in os.environ else run(sys.argv[1:]))
 
 
 if __name__ == "__main__":

@@ -2,22 +2,72 @@
 
 import difflib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from catalog.jobs import MAX_WORKERS
+from optnav_cli.parameters import PATH, OutputOption
+
 F = TypeVar("F", bound=Callable[..., Any])
 BoundingBox = tuple[float, float, float, float]
-PATH = click.Path(path_type=Path)
+
+IN_FILES = f"{__name__}.in_files"  # in a context's meta: whether the result goes to files
 
 _NEGATIVE = re.compile(r"-\.?\d")
 
 
-class NumberArguments(click.Command):
+def _remember(ctx: click.Context, param: click.Parameter, value: Any) -> None:
+    """Keep what a shared option says for the whole command line; the last one said counts."""
+    if value:
+        ctx.meta[f"{__name__}.{param.name}"] = value
+    if ctx.meta.get(f"{__name__}.quiet") and ctx.meta.get(f"{__name__}.verbose"):
+        raise click.UsageError("--quiet and --verbose exclude each other; give one", ctx)
+
+
+def _shared_option(*names: str, **more: Any) -> click.Option:
+    return click.Option(names, expose_value=False, callback=_remember, **more)
+
+
+SHARED_OPTIONS = (
+    _shared_option("-q", "--quiet", is_flag=True, help="Show warnings and errors only."),
+    _shared_option("-v", "--verbose", is_flag=True, help="Show details."),
+    _shared_option(
+        "--log-file",
+        type=PATH,
+        help="Also write all messages to this file, one JSON object a line.",
+    ),
+)
+
+
+class SharingCommand(click.Command):
+    """A command or group that takes the shared options, which may stand anywhere."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        return [*super().get_params(ctx), *SHARED_OPTIONS]
+
+
+class OptnavCommand(SharingCommand):
+    """A command that does something: messages go where the shared options say."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        from optnav_cli.console import ConsoleProgress, set_up_logging
+
+        names = ("quiet", "verbose", "log_file")
+        said = {name: ctx.meta.get(f"{__name__}.{name}") for name in names}
+        set_up_logging(
+            quiet=bool(said["quiet"]), verbose=bool(said["verbose"]), log_file=said["log_file"]
+        )
+        ctx.obj = ConsoleProgress(quiet=bool(said["quiet"]))
+        places = (p for p in self.params if isinstance(p, OutputOption) and p.name)
+        ctx.meta[IN_FILES] = any(ctx.params.get(place.name or "") for place in places)
+        return super().invoke(ctx)
+
+
+class NumberArguments(OptnavCommand):
     """A command whose arguments may be negative numbers, written without a `--` before them."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -68,16 +118,22 @@ def path_argument(name: str) -> Callable[[F], F]:
     return click.argument(name, type=PATH)
 
 
-def output_option(text: str, *, required: bool = True) -> Callable[[F], F]:
-    """`-o PATH`: where the result goes."""
-    return click.option("-o", "--output", type=PATH, required=required, help=text)
+def output_option(
+    text: str, endings: Sequence[str] = (), *, required: bool = True
+) -> Callable[[F], F]:
+    """`-o PATH`: where the result goes, to a folder or a file with one of the endings."""
+    return click.option(
+        "-o", "--output", cls=OutputOption, endings=endings, required=required, help=text
+    )
 
 
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON document instead, for programs."
 )
 workers_option = click.option(
-    "--workers", type=click.IntRange(min=1), help="Processes to work with; all cores by default."
+    "--workers",
+    type=click.IntRange(1, MAX_WORKERS),
+    help="Processes to work with; all cores by default.",
 )
 scheduler_option = click.option(
     "--scheduler",
@@ -103,7 +159,7 @@ def work_option(*, required: bool) -> Callable[[F], F]:
     """`--work DIR`: the workspace of a build, from which a stopped one goes on."""
     return click.option(
         "--work",
-        type=PATH,
+        cls=OutputOption,
         required=required,
         help="Folder for what the stages hand on; a stopped run goes on from it."
         + ("" if required else " By default OUTPUT.work."),
@@ -119,8 +175,10 @@ class Entry:
     attribute: str = "command"
 
 
-class LazyGroup(click.Group):
+class LazyGroup(SharingCommand, click.Group):
     """A group whose commands come from a table by name, in the order in which help lists them."""
+
+    command_class = OptnavCommand
 
     def __init__(
         self, *args: Any, table: Callable[[], Mapping[str, Entry]] = dict, **kwargs: Any
@@ -146,7 +204,7 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0] if args else ""
         near = difflib.get_close_matches(name, self.list_commands(ctx), n=1)
-        if near and near[0] != name and not name.startswith("-"):
+        if near and near[0] != name and not name.startswith("-") and not ctx.resilient_parsing:
             ctx.fail(f"there is no command {name!r}; did you mean {near[0]!r}?")
         return super().resolve_command(ctx, args)
 

@@ -23,7 +23,7 @@ from catalog.build.write import CatalogExtras, find_published, remember_publishe
 from catalog.control_point import ControlPoint
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.files import check_file
-from catalog.jobs import usage
+from catalog.jobs import MAX_WORKERS, usage
 from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import Account, StageAccount
@@ -77,8 +77,8 @@ def run(
     wanted = [stage for stage in STAGES if stage in stages]
     if "write" in wanted and output is None:
         raise UsageError("the write stage needs a place for the catalog; name it with -o")
-    if workers is not None and workers < 1:
-        raise UsageError(f"--workers {workers}: wanted 1 or more")
+    if workers is not None and not 1 <= workers <= MAX_WORKERS:
+        raise UsageError(f"--workers {workers}: wanted 1 to {MAX_WORKERS}")
     if output is not None:
         check_file(output, is_catalog_file)  # before hours of work for a place that cannot be used
     if work is None:

@@ -9,7 +9,7 @@ import click
 from catalog.errors import UsageError
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import (
-    PATH,
+    OptnavCommand,
     bbox_option,
     output_option,
     path_argument,
@@ -17,22 +17,26 @@ from optnav_cli.options import (
     work_option,
     workers_option,
 )
+from optnav_cli.parameters import PATH
 
 if TYPE_CHECKING:
     from catalog.build.build import BuildReport
     from catalog.build.config import ConfigText
 
+CATALOG_ENDINGS = (".gpkg", "")
 CATALOG_HELP = "The catalog file (GeoPackage); an earlier catalog is replaced."
 
 
-@click.command("build", short_help="Build a control-point catalog from terrain models.")
+@click.command(
+    "build", cls=OptnavCommand, short_help="Build a control-point catalog from terrain models."
+)
 @click.argument("config", type=PATH, nargs=-1, required=True)
 @click.option(
     "--body",
     metavar="NAME",
     help="Which body terrain models in place of CONFIG show; moon by default.",
 )
-@output_option(CATALOG_HELP)
+@output_option(CATALOG_HELP, CATALOG_ENDINGS)
 @work_option(required=False)
 @workers_option
 @scheduler_option
@@ -139,7 +143,7 @@ def _stage(
             _tell_catalog(output, report)
 
     options = [path_argument("config")]
-    options += [output_option(CATALOG_HELP)] if writes else []
+    options += [output_option(CATALOG_HELP, CATALOG_ENDINGS)] if writes else []
     options += [work_option(required=True), workers_option]
     options += [scheduler_option] if on_workers else []
     command: Callable[..., None] = pass_progress(call)
@@ -148,6 +152,7 @@ def _stage(
     example = f"optnav {name} moon.toml --work moon.work{' -o moon.gpkg' if writes else ''}"
     return click.command(
         name,
+        cls=OptnavCommand,
         help=f"{text}\n\nThe stage works on what the stages before it left in the workspace; give "
         f"it the same CONFIG and --bbox as these.\n\n\b\nExample:\n  {example}",
     )(command)

@@ -18,6 +18,7 @@ from optnav_cli.options import (
     output_option,
     path_argument,
 )
+from optnav_cli.parameters import POINT_ID
 
 if TYPE_CHECKING:
     from catalog.store.verify import Verification
@@ -98,9 +99,11 @@ def catalog_nearest(catalog: Path, lat: float, lon: float, as_json: bool) -> Non
     "show", cls=NumberArguments, short_help="A picture of a control point, or of a small body."
 )
 @path_argument("catalog")
-@click.argument("point_id", metavar="[ID]", type=int, required=False)
+@click.argument("point_id", metavar="[ID]", type=POINT_ID, required=False)
 @output_option(
-    "The picture (PNG); CATALOG-ID.png or CATALOG.png in this folder by default.", required=False
+    "The picture (PNG); CATALOG-ID.png or CATALOG.png in this folder by default.",
+    (".png",),
+    required=False,
 )
 @json_option
 def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_json: bool) -> None:
@@ -142,7 +145,7 @@ def catalog_show(catalog: Path, point_id: int | None, output: Path | None, as_js
 @command.command("compare", short_help="What differs between two catalogs.")
 @path_argument("first")
 @path_argument("second")
-@output_option("A table (CSV) of every point that differs.", required=False)
+@output_option("A table (CSV) of every point that differs.", (".csv", ""), required=False)
 @json_option
 @pass_progress
 def catalog_compare(
@@ -261,11 +264,16 @@ def _verified_lines(found: "Verification") -> list[str]:
 @path_argument("catalog")
 @output_option(
     "The layer: a name ending in .geojson, .csv or .gpkg; .tif for the relief; with --point, .tif, "
-    ".obj or .glb for a patch."
+    ".obj or .glb for a patch.",
+    (".geojson", ".json", ".csv", ".gpkg", ".tif", ".tiff", ".obj", ".glb"),
 )
-@click.option("--point", "point_id", type=int, metavar="ID", help="The point of the patch.")
+@click.option("--point", "point_id", type=POINT_ID, metavar="ID", help="The point of the patch.")
 @click.option(
-    "--level", type=int, default=0, show_default=True, help="The patch's level, 0 the finest."
+    "--level",
+    type=click.IntRange(0, 64),
+    default=0,
+    show_default=True,
+    help="The patch's level, 0 the finest.",
 )
 def catalog_export(catalog: Path, output: Path, point_id: int | None, level: int) -> None:
     """Write the points of CATALOG with their attributes as a layer, on the body's own sphere.

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import click
 
-from optnav_cli.options import json_option, output_option
+from optnav_cli.options import LazyGroup, json_option, output_option
 
 
 class ShippedKind(NamedTuple):
@@ -54,7 +54,7 @@ KINDS = {
 }
 
 
-@click.group(short_help="What ships with optnav; configurations to start from.")
+@click.group(cls=LazyGroup, short_help="What ships with optnav; configurations to start from.")
 def command() -> None:
     """What ships with optnav, and configurations to start from.
 

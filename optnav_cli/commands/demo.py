@@ -6,16 +6,19 @@ from pathlib import Path
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.options import PATH, workers_option
+from optnav_cli.options import OptnavCommand, workers_option
+from optnav_cli.parameters import OutputOption
 
 KIND = "demo"
 
 
-@click.command(short_help="The main job on the bundled Tycho terrain, with a report.")
+@click.command(
+    cls=OptnavCommand, short_help="The main job on the bundled Tycho terrain, with a report."
+)
 @click.option(
     "-o",
     "--output",
-    type=PATH,
+    cls=OutputOption,
     default="optnav-demo",
     show_default=True,
     help="Folder for the results; an earlier demo in it is replaced.",

@@ -5,12 +5,21 @@ from pathlib import Path
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.options import PATH, json_option, matcher_option, output_option, path_argument
+from optnav_cli.options import (
+    OptnavCommand,
+    json_option,
+    matcher_option,
+    output_option,
+    path_argument,
+)
+from optnav_cli.parameters import PATH, Number, OutputOption
 
-LIMIT = click.FloatRange(min=0.0, min_open=True)
+LIMIT = Number(0.0, 1e9, min_open=True)
 
 
-@click.command("simulate", short_help="Make a folder of pictures with known positions.")
+@click.command(
+    "simulate", cls=OptnavCommand, short_help="Make a folder of pictures with known positions."
+)
 @path_argument("scenario")
 @output_option("Folder for the pictures; an earlier simulation in it is replaced.")
 @pass_progress
@@ -34,7 +43,9 @@ def simulate(progress: ConsoleProgress, scenario: Path, output: Path) -> None:
     click.echo(output)
 
 
-@click.command("navigate", short_help="Find the camera's position for each picture.")
+@click.command(
+    "navigate", cls=OptnavCommand, short_help="Find the camera's position for each picture."
+)
 @path_argument("folder")
 @click.option(
     "--catalog",
@@ -90,7 +101,9 @@ def navigate(
     click.echo(output)
 
 
-@click.command("evaluate", short_help="Compare a run's positions with the truth.")
+@click.command(
+    "evaluate", cls=OptnavCommand, short_help="Compare a run's positions with the truth."
+)
 @path_argument("run")
 @click.option(
     "--truth", type=PATH, required=True, help="The truth.csv beside the simulated pictures."
@@ -134,9 +147,9 @@ def evaluate(
     check_limits(evaluation.figures(), max_horizontal_m, max_height_m)
 
 
-@click.command("export", short_help="Write a run as layers for GIS programs.")
+@click.command("export", cls=OptnavCommand)
 @path_argument("run")
-@output_option("The layers, a GeoPackage (.gpkg); an earlier export is replaced.")
+@output_option("The layers, a GeoPackage (.gpkg); an earlier export is replaced.", (".gpkg", ""))
 def export(run: Path, output: Path) -> None:
     """Write RUN as layers on the body's own coordinate system, which QGIS and GDAL open.
 
@@ -155,16 +168,18 @@ def export(run: Path, output: Path) -> None:
     click.echo(f"{output}: {', '.join(f'{name} {count}' for name, count in counts.items())}")
 
 
-@click.command("report", short_help="Make a page about a run or a catalog.")
+@click.command("report", cls=OptnavCommand)
 @path_argument("source")
 @output_option(
     "The page, one HTML file with its pictures inside; or .svg, a run's errors alone.",
+    (".html", ".svg", ""),
     required=False,
 )
 @click.option(
     "--foxglove-layout",
     "layout",
-    type=PATH,
+    cls=OutputOption,
+    endings=(".json",),
     help="A layout in which Foxglove shows run.mcap of a run: import it there.",
 )
 def report(source: Path, output: Path | None, layout: Path | None) -> None:

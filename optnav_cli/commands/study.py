@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
-from optnav_cli.options import PATH, LazyGroup
+from optnav_cli.options import LazyGroup, OptnavCommand
+from optnav_cli.parameters import OutputOption
 from optnav_cli.studies.registry import STUDIES, Study
 
 
@@ -55,9 +56,12 @@ def _command(study: Study) -> click.Command:
 
     parameters = [*study.options]
     if study.draws:
-        parameters.append(_file("Draw the curves into this file (SVG).", "-o", "--output", "plot"))
-    parameters.append(_file("Also write the tables into this file (JSON).", "--json", "json_file"))
-    return click.Command(
+        plot = ("-o", "--output", "plot")
+        text = "Draw the curves into this file (SVG)."
+        parameters.append(OutputOption(plot, endings=(".svg", ""), help=text))
+    text = "Also write the tables into this file (JSON)."
+    parameters.append(OutputOption(("--json", "json_file"), endings=(".json", ""), help=text))
+    return OptnavCommand(
         study.name,
         callback=call,
         params=parameters,
@@ -65,10 +69,6 @@ def _command(study: Study) -> click.Command:
         help=f"{inspect.cleandoc(study.text)}\n\n\b\nExample:\n"
         f"  optnav study {study.name} {study.example}".rstrip(),
     )
-
-
-def _file(text: str, *names: str) -> click.Option:
-    return click.Option(names, type=PATH, help=text)
 
 
 for _study in STUDIES:

@@ -16,7 +16,7 @@ from catalog.bodies.body import Body
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
 from catalog.correlation.surf64 import match_surf
-from catalog.errors import ConfigError, DataError, NothingToDoError
+from catalog.errors import DataError, NothingToDoError, UsageError
 from catalog.files import replacing_folder
 from catalog.progress import Progress
 from catalog.store.reader import Catalog
@@ -120,12 +120,12 @@ def navigate_folder(
 def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
     """Open catalogs, and close them at the end.
 
-    Raises ConfigError for two of one file name, which matches.csv could not tell apart, and
+    Raises UsageError for two of one file name, which matches.csv could not tell apart, and
     DataError for a file that is no whole catalog.
     """
     name, count = Counter(path.name for path in paths).most_common(1)[0]
     if count > 1:
-        raise ConfigError(
+        raise UsageError(
             f"--catalog names {count} files called '{name}'; give each catalog a name of its own"
         )
     with ExitStack() as stack:

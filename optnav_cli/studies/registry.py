@@ -7,10 +7,15 @@ are imported when a study is run, so that listing the studies does not load what
 
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import click
+
+from optnav_cli.parameters import PATH, Number, OutputOption
+
+MANY = 10**6  # pictures, trials: more are a slip of the hand
+MAX_SEED = 2**63 - 1
+YEAR = Number(1500.0, 2500.0)
 
 
 @dataclass(frozen=True)
@@ -45,22 +50,23 @@ def _option(names: str, type_: Any, default: Any, text: str, **more: Any) -> cli
 
 
 def _trials(least: int, default: int, text: str) -> click.Option:
-    return _option("--trials", click.IntRange(min=least), default, text)
+    return _option("--trials", click.IntRange(least, MANY), default, text)
 
 
 def _seed(text: str = "Of trials.") -> click.Option:
-    return _option("--seed", click.IntRange(min=0), 1, text)
+    return _option("--seed", click.IntRange(0, MAX_SEED), 1, text)
 
 
-def _output(default: str | None, text: str) -> click.Option:
-    return _option("-o --output", click.Path(path_type=Path), default, text)
+def _output(default: str | None, text: str, *endings: str) -> click.Option:
+    names, shown = ("-o", "--output"), default is not None
+    return OutputOption(names, endings=endings, default=default, show_default=shown, help=text)
 
 
 def _flights(name: str, files: str, row: str) -> tuple[click.Option, ...]:
     """The options of a study that flies scenarios: its folder, and less than all of it."""
     return (
         _output(f"optnav-{name}", f"Folder for {files}; what is in it is used again."),
-        _option("--frames", click.IntRange(min=1), None, "Pictures of each case; all if left."),
+        _option("--frames", click.IntRange(1, MANY), None, "Pictures of each case; all if left."),
         _option("--rows", str, "", f"Only rows whose name contains this, such as '{row}'."),
     )
 
@@ -92,9 +98,7 @@ STUDIES = (
         "-o arc.svg",
         (
             _trials(5, 100, "Limbs of each interval."),
-            _option(
-                "--height-km", click.FloatRange(1.0, 1e6), 200.0, "From which the Moon is seen."
-            ),
+            _option("--height-km", Number(1.0, 1e6), 200.0, "From which the Moon is seen."),
             _seed("Of errors."),
         ),
         draws=True,
@@ -117,8 +121,8 @@ STUDIES = (
         Needs nothing but what is bundled; 30 discs of each size take a quarter of an hour.""",
         "--discs 5",
         (
-            _option("--discs", click.IntRange(min=1), 30, "Discs of each size and body."),
-            _output(None, "JSON file for every disc's errors."),
+            _option("--discs", click.IntRange(1, MANY), 30, "Discs of each size and body."),
+            _output(None, "JSON file for every disc's errors.", ".json", ""),
         ),
         compiles=False,
     ),
@@ -135,7 +139,7 @@ STUDIES = (
             _trials(4, 24, "New recognition trials of each place, at least."),
             _option(
                 "--cell-deg cells_deg",
-                click.FloatRange(0.2, 2.0),
+                Number(0.2, 2.0),
                 (1.0, 0.5),
                 "Side of the cells; may be given several times.",
                 multiple=True,
@@ -211,7 +215,7 @@ STUDIES = (
         Shows how the horizontal error falls with the number of points, how the height error grows
         below 20 degrees of intersection angle, and what solving the attitude too costs.""",
         "--trials 1000 -o resection.svg",
-        (_trials(10, 300, "Resections of each geometry."), _option("--seed", int, 1, "Of noise.")),
+        (_trials(10, 300, "Resections of each geometry."), _seed("Of noise.")),
         draws=True,
         compiles=False,
     ),
@@ -224,9 +228,9 @@ STUDIES = (
         leaves at times that it has not seen. Takes two minutes.""",
         "moon_080317.tf moon_pa_de421_1900-2050.bpc",
         (
-            click.Argument(["kernels"], nargs=-1, required=True, type=click.Path(path_type=Path)),
+            click.Argument(["kernels"], nargs=-1, required=True, type=PATH),
             _option("--body", str, "moon", "Whose rotation."),
-            _option("--years", (float, float), (1900.0, 2051.0), "First and last year of the fit."),
+            _option("--years", (YEAR, YEAR), (1900.0, 2051.0), "First and last year of the fit."),
             _option("--terms", click.IntRange(1, 400), 120, "How many trigonometric terms."),
         ),
         compiles=False,

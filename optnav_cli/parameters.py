@@ -1,0 +1,43 @@
+"""Kinds of command-line values that click does not have: output places, numbers that are finite."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+PATH = click.Path(path_type=Path)
+POINT_ID = click.IntRange(0, 2**31 - 1)  # a catalog has fewer cells
+
+
+class OutputOption(click.Option):
+    """An option that names where a result goes; of a file, with the endings that are written.
+
+    endings  as ".html"; "" where a name without one will do
+    """
+
+    def __init__(self, *args: Any, endings: Sequence[str] = (), **kwargs: Any) -> None:
+        super().__init__(*args, **{"type": PATH, **kwargs})
+        self.endings = endings
+
+    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
+        """The place. Raises BadParameter for another ending than is written."""
+        place = super().type_cast_value(ctx, value)
+        if place is not None and self.endings and place.suffix.lower() not in self.endings:
+            *others, last = filter(None, self.endings)
+            wanted = f"{', '.join(others)} or {last}" if others else last
+            raise click.BadParameter(f"{str(place)!r} does not end in {wanted}", ctx, self)
+        return place
+
+
+class Number(click.FloatRange):
+    """A finite number within bounds."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        number: float = super().convert(value, param, ctx)
+        if not math.isfinite(number):  # a range lets NaN pass
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
