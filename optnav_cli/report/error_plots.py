@@ -29,7 +29,7 @@ SIGNS = {
     "control_points": ("s1", "circle"),
 }
 OTHER_SIGN = ("muted", "down")
-MAX_GAP_S = 600.0  # frames farther apart in time are not joined by a line or a band
+MAX_GAP_S = 600.5  # frames farther apart in time (half a second is rounding) are not joined
 UNEVEN = 20.0  # gaps so many times the median one: frames are drawn by number, not by time
 TIME_UNITS = ((600.0, 1.0, "minutes"), (100.0 * 60.0, 60.0, "hours"), (np.inf, 1440.0, "days"))
 AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))

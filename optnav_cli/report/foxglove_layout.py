@@ -5,6 +5,7 @@ the log. Their names and settings are those that Foxglove exports ("configById",
 """
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from catalog.files import replacing_file, starts_with
 from optnav_cli.output.recording import topic_of
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.output.scene import CAMERA_COLOURS
+from optnav_cli.report.svg import MOST
 
 Panel = dict[str, Any]
 BEGINNING = b'{\n  "configById"'
@@ -68,8 +70,9 @@ def layout(run: RunFolder) -> Panel:
 
 
 def _scene(run: RunFolder, cameras: list[str]) -> Panel:
-    radius = run.attitude.body.radius_m
-    distances = [np.linalg.norm(s.position_m) for s in run.solutions if s.position_m is not None]
+    body, radius = run.attitude.body.name, run.attitude.body.radius_m
+    known = [s.position_m for s in run.solutions if s.position_m is not None]
+    distances = [d for d in (math.hypot(*place) for place in known) if d < MOST]
     farthest = max(float(max(distances, default=0.0)), radius)
     height = max(float(np.median(distances)) - radius, 1e-3 * radius) if distances else radius
     size = AXES_SHARE * min(height, 2.0 * radius)
@@ -100,9 +103,10 @@ def _scene(run: RunFolder, cameras: list[str]) -> Panel:
     return {
         "cameraState": view,
         "followMode": "follow-none",
-        "followTf": run.attitude.body.name,
-        "scene": {"transforms": {"visible": False}},
-        "transforms": {},
+        "followTf": body,
+        "scene": {"backgroundColor": "#101418", "transforms": {"showLabel": False}},
+        # the poses' topics have axes of a fitting length
+        "transforms": {f"frame:{name}": {"visible": False} for name in (*cameras, body)},
         "topics": topics,
         "layers": {},
         "imageMode": {},

@@ -24,7 +24,7 @@ from optnav_cli.report import page as html
 from optnav_cli.report.error_plots import error_plots
 from optnav_cli.report.ground_map import ground_plot
 from optnav_cli.report.pictures import pictures_section
-from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
+from optnav_cli.report.svg import HALF, MOST, Plot, PlotAxis, span
 
 MAX_DOTS = 4000
 HISTOGRAM_BINS = 24
@@ -227,7 +227,8 @@ def _error_tiles(evaluation: dict[str, Any]) -> list[tuple[str, str]]:
 def _used_residuals(run: RunFolder) -> FloatArray:
     """Residuals (n, 2), px, of the matches that solutions keep."""
     used = [m.residual_px for m in run.matches if m.used and m.residual_px is not None]
-    return np.array(used, np.float64).reshape(-1, 2)
+    residuals = np.array(used, np.float64).reshape(-1, 2)
+    return residuals[(np.abs(residuals) < MOST).all(axis=1)]
 
 
 def _residual_words(residuals: FloatArray) -> str:

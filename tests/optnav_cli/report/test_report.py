@@ -196,6 +196,15 @@ def test_damaged_errors_of_frames_are_left_out_or_noted(run, tmp_path, value):
     assert ("error_r_m" in page.text) == (value in ("nan", "what"))
 
 
+def test_a_residual_beyond_all_bounds_is_left_out(run, tmp_path):
+    lines = (run / "matches.csv").read_text().splitlines()
+    cells = lines[1].split(",")
+    cells[lines[0].split(",").index("residual_x_px")] = "1e308"
+    (run / "matches.csv").write_text("\n".join([lines[0], ",".join(cells), *lines[2:], ""]))
+    used = sum(m.used for m in read_run(run).matches)
+    assert f"Residuals of the {used - 1} matches used" in report_of(run, tmp_path).text
+
+
 def test_overlays_that_cannot_be_read_are_named(run, tmp_path):
     overlays = run / "overlays"
     (overlays / "frame_0000.png.png").write_bytes(b"\x89PNG\r\n\x1a\n" + 40 * b"x")
@@ -215,6 +224,19 @@ def test_a_damaged_manifest_is_noted(run, tmp_path):
     made = {"made_by": MADE_BY, "inputs": {"catalogs": [3, {"path": 4}, {"path": "\0"}]}}
     (run / "manifest.json").write_text(json.dumps(made))
     assert "manifest.json" in report_of(run, tmp_path).text
+
+
+def test_the_plots_over_time_are_there_again_for_telephones(run, tmp_path):
+    write_report(run, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    for kind, width in (("wider", 960), ("narrow", 400)):
+        drawings = re.findall(rf'<div class="{kind}">(.*?)</div>', text, re.DOTALL)
+        sizes = [
+            float(size) for part in drawings for size in re.findall(r'viewBox="0 0 (\d+)', part)
+        ]
+        # numbers of 11 units on the 368 px that a page of 390 px has for a drawing
+        assert sizes == [width] * 3
+    assert 11.0 * 368.0 / 400.0 > 10.0
 
 
 def test_letters_of_all_drawings_are_legible_on_a_telephone(run, tmp_path):
