@@ -41,3 +41,25 @@ class Number(click.FloatRange):
         if not math.isfinite(number):  # a range lets NaN pass
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+
+class SolvedLimit(click.ParamType):  # type: ignore[type-arg] # generic since 8.4 only
+    """A number of frames, or a share of them: 10, 0.9 or 90%."""
+
+    name = "N|SHARE|N%"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> int | float:
+        text = str(value).strip()
+        try:
+            if text.isdecimal():
+                return int(text)
+            share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+        except ValueError:
+            share = -1.0
+        if not 0.0 <= share <= 1.0:
+            self.fail(
+                f"{text!r} is no number of frames, nor a share such as 0.9 or 90%", param, ctx
+            )
+        return share

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.control_point import ControlPoint, Flag
-from catalog.geometry.latlon import angular_distance
+from catalog.errors import DataError, NothingToDoError
+from catalog.geometry.latlon import body_from_local
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
 from catalog.store.records import reasons_text
@@ -16,6 +17,7 @@ from catalog.store.records import reasons_text
 if TYPE_CHECKING:
     from catalog.store.verify import Verification
 
+MAX_CELLS_AWAY = 2.0  # sides of a cell
 Document = dict[str, Any]  # plain values by name, units in the names
 
 
@@ -217,7 +219,46 @@ def describe_point(document: Document) -> dict[str, str]:
     }
 
 
-def distance_m(catalog: Catalog, point: ControlPoint, lat_deg: float, lon_deg: float) -> float:
-    """Distance along the reference sphere from a place to a point."""
-    angle = angular_distance(*np.radians([lat_deg, lon_deg, point.lat_deg, point.lon_deg]))
-    return float(angle) * catalog.meta.radius_m
+class NearPoint(NamedTuple):
+    """A point seen from a place: how far along the reference sphere, in which direction."""
+
+    point: ControlPoint
+    distance_m: float
+    azimuth_deg: float
+
+
+def nearest_points(
+    catalog: Catalog, lat_deg: float, lon_deg: float, count: int = 1, only_usable: bool = False
+) -> list[NearPoint]:
+    """The points nearest to a place, the nearest first; fewer where the catalog has no more.
+
+    Raises DataError for a catalog without points, NothingToDoError for one without usable ones.
+    """
+    if len(catalog) == 0:
+        raise DataError(f"{catalog.path}: holds no control point")
+    rows = np.flatnonzero(catalog.usable) if only_usable else np.arange(len(catalog))
+    if not rows.size:
+        raise NothingToDoError(
+            f"{catalog.path}: none of its {len(catalog)} control points is usable; leave --usable "
+            "out to find one of the others"
+        )
+    place = body_from_local(*np.radians([lat_deg, lon_deg]))
+    east, north, up = (catalog.direction[rows] @ place).T
+    # half the chord keeps its digits at small angles; of equals, the lowest id
+    chord = np.hypot(np.hypot(east, north), 1.0 - up)
+    order = np.lexsort((rows, chord))[:count]
+    angles = 2.0 * np.arcsin(np.minimum(chord[order] / 2.0, 1.0))
+    azimuths = np.degrees(np.arctan2(east[order], north[order])) % 360.0
+    points = (catalog.point(int(catalog.ids[row])) for row in rows[order])
+    distances = (angles * catalog.meta.radius_m).tolist()
+    return [NearPoint(*found) for found in zip(points, distances, azimuths.tolist())]
+
+
+def covers(catalog: Catalog, near: NearPoint) -> bool:
+    """Whether a place belongs to the ground of a catalog, whose nearest point to it is given.
+
+    The diagonal of a cell is 1.4 of its sides, next to a pole 1.8; a point of the next cell serves
+    a cell without its own.
+    """
+    side = float(np.radians(catalog.meta.cell_deg)) * catalog.meta.radius_m
+    return near.distance_m <= MAX_CELLS_AWAY * side

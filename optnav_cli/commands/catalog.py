@@ -1,6 +1,6 @@
 """`optnav catalog`: look at, compare, verify and export a catalog."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,31 +68,75 @@ def catalog_info(catalog: Path, as_json: bool) -> None:
 @path_argument("catalog")
 @click.argument("lat", type=float, callback=latitude)
 @click.argument("lon", type=float, callback=longitude)
+@click.option("--usable", is_flag=True, help="Only points that navigation uses.")
+@click.option(
+    "--count", type=click.IntRange(min=1), default=1, show_default=True, help="How many points."
+)
 @json_option
-def catalog_nearest(catalog: Path, lat: float, lon: float, as_json: bool) -> None:
+def catalog_nearest(
+    catalog: Path, lat: float, lon: float, usable: bool, count: int, as_json: bool
+) -> None:
     """Print the control point of CATALOG nearest to LAT LON (degrees, east positive).
+
+    With it come its distance along the surface and its azimuth there, from north by east. A note
+    says so when the catalog does not cover the place. With --count more points, a line each.
 
     \b
     Example:
       optnav catalog nearest tycho.gpkg -43.3 -11.2
+      optnav catalog nearest tycho.gpkg -43.3 -11.2 --usable --count 5
     """
-    from catalog.inspect.summary import describe_point, distance_m, point_document
+    from catalog.inspect.summary import (
+        covers,
+        describe_point,
+        nearest_points,
+        point_document,
+    )
     from catalog.store.reader import Catalog
+    from optnav_cli.output.document import json_text
+    from optnav_cli.output.wording import length
 
     with Catalog.open(catalog) as opened:
-        point = opened.point(opened.nearest(lat, lon))
-        distance = distance_m(opened, point, lat, lon)
-    found = point_document(point)
-    answer(
-        {
-            "catalog": str(catalog),
-            "lat_deg": lat,
-            "lon_deg": lon,
-            "points": [found | {"distance_m": distance}],
-        },
-        describe_point(found) | {"distance_km": f"{distance / 1e3:.3f}"},
-        as_json,
-    )
+        found = nearest_points(opened, lat, lon, count, usable)
+        covered, cell_deg = covers(opened, found[0]), opened.meta.cell_deg
+    documents = [
+        point_document(near.point)
+        | {"distance_m": near.distance_m, "azimuth_deg": near.azimuth_deg}
+        for near in found
+    ]
+    if as_json:
+        place = {"catalog": catalog, "lat_deg": lat, "lon_deg": lon, "covered": covered}
+        click.echo(json_text(place | {"points": documents}))
+        return
+    if count == 1:
+        (near,) = found
+        distance = {"distance_km": f"{near.distance_m / 1e3:.3f}"}
+        words = describe_point(documents[0]) | distance | {"azimuth_deg": f"{near.azimuth_deg:.1f}"}
+        lines = [f"{key}: {value}" for key, value in words.items()]
+    else:
+        lines = _near_lines(documents)
+    if not covered:
+        which = "usable point" if usable else "point"
+        lines.append(
+            f"note: the catalog does not cover this place: its nearest {which} is "
+            f"{length(found[0].distance_m)} away, its cells are {cell_deg:g} deg wide"
+        )
+    click.echo("\n".join(lines))
+
+
+def _near_lines(documents: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A table of points near a place, the nearest first."""
+    from optnav_cli.output.wording import length_unit, table_lines
+
+    unit = length_unit(documents[-1]["distance_m"])
+    distance = f"distance, {unit.name}"
+    rows = [("id", "lat_deg", "lon_deg", distance, "azimuth_deg", "usable", "reasons")]
+    for point in documents:
+        place = f"{point['lat_deg']:.5f}", f"{point['lon_deg']:.5f}", unit.text(point["distance_m"])
+        use = "yes" if point["usable"] else "no"
+        reasons = ", ".join(point["reasons"])
+        rows.append((str(point["id"]), *place, f"{point['azimuth_deg']:.1f}", use, reasons))
+    return table_lines(rows, left=(5, 6))
 
 
 @command.command(

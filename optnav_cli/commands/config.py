@@ -89,7 +89,7 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
     for name, entries in found.items():
         lines += [f"{name}: {KINDS[name].use}"]
         rows = [(f"  {entry['name']}", entry["description"]) for entry in entries]
-        lines += [*table_lines(rows, left=2), ""]
+        lines += [*table_lines(rows, left=(0, 1)), ""]
     click.echo("\n".join(lines[:-1]))
 
 

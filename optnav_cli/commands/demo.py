@@ -40,7 +40,8 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from catalog.config import resource
     from catalog.files import check_folder
     from catalog.places import claimed, make_folder
-    from optnav_cli.evaluation.files import evaluate_run, format_table, write_evaluation
+    from optnav_cli.evaluation.files import evaluate_run, write_evaluation
+    from optnav_cli.evaluation.table import format_table
     from optnav_cli.navigation.settings import NavigateSettings
     from optnav_cli.output.manifest import write_manifest
     from optnav_cli.report import write_report

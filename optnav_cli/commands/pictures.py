@@ -1,10 +1,11 @@
 """`optnav simulate | navigate | evaluate | report`: from a scenario to a page about a run."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import (
     OptnavCommand,
     json_option,
@@ -12,7 +13,7 @@ from optnav_cli.options import (
     output_option,
     path_argument,
 )
-from optnav_cli.parameters import PATH, Number, OutputOption
+from optnav_cli.parameters import PATH, Number, OutputOption, SolvedLimit
 
 LIMIT = Number(0.0, 1e9, min_open=True)
 
@@ -93,11 +94,13 @@ def navigate(
       optnav navigate pictures --catalog tycho.gpkg --catalog moon.gpkg -o run
     """
     from optnav_cli.navigation.settings import NavigateSettings, load_settings
+    from optnav_cli.output.run_summary import run_lines
     from optnav_cli.runs.navigate_folder import navigate_folder
 
     settings = load_settings(config) if config else NavigateSettings()
     announce_compilation()
-    navigate_folder(folder, catalogs, settings, matcher, output, progress, relief)
+    solutions = navigate_folder(folder, catalogs, settings, matcher, output, progress, relief)
+    tell(run_lines(solutions))
     click.echo(output)
 
 
@@ -108,43 +111,54 @@ def navigate(
 @click.option(
     "--truth", type=PATH, required=True, help="The truth.csv beside the simulated pictures."
 )
+@click.option("--max-horizontal-m", type=LIMIT, help="Limit of the rms along and across.")
+@click.option("--max-height-m", type=LIMIT, help="Limit of the rms of the height.")
 @click.option(
-    "--max-horizontal-m", type=LIMIT, help="Exit code 5 if the rms along and across is larger."
+    "--min-solved",
+    type=SolvedLimit(),
+    help="Least number of solved frames (as 10), or share of all frames (as 0.9 or 90%).",
 )
-@click.option("--max-height-m", type=LIMIT, help="Exit code 5 if the rms of the height is larger.")
+@click.option(
+    "--max-nees",
+    type=LIMIT,
+    help="Limit of the mean normalised error squared, a degree of freedom: 1 is expected of an "
+    "honest covariance.",
+)
+@click.option(
+    "--max-wrong",
+    type=click.IntRange(min=0),
+    help="Most solved frames whose error is beyond 5 stated sigmas.",
+)
 @json_option
-def evaluate(
-    run: Path,
-    truth: Path,
-    max_horizontal_m: float | None,
-    max_height_m: float | None,
-    as_json: bool,
-) -> None:
+def evaluate(run: Path, truth: Path, as_json: bool, **limits: Any) -> None:
     """Compare the positions of RUN with the truth.
 
     Prints a table of errors along the radius (R), the motion (N) and across (B), and writes
-    evaluation.json and evaluation.csv into RUN. Ends with exit code 5 when a limit is passed.
+    evaluation.json and evaluation.csv into RUN. Ends with exit code 5 when a limit is passed, and
+    with 4 when no frame is solved and --min-solved does not say that this passes a limit.
 
     \b
     Example:
       optnav evaluate run --truth pictures/truth.csv --max-horizontal-m 30
+      optnav evaluate run --truth pictures/truth.csv --min-solved 90% --max-wrong 0
     """
-    from optnav_cli.evaluation.figures import check_limits
-    from optnav_cli.evaluation.files import (
-        evaluate_run,
-        format_table,
-        summary_of,
-        write_evaluation,
-    )
+    from optnav_cli.evaluation.files import evaluate_run, summary_of, write_evaluation
+    from optnav_cli.evaluation.limits import Limits, check_limits, limit_checks
+    from optnav_cli.evaluation.table import format_table
     from optnav_cli.output.document import json_text
 
-    evaluation = evaluate_run(run, truth)
+    evaluation, wanted = evaluate_run(run, truth), Limits(**limits)
+    figures = evaluation.figures_if_any()
     if as_json:
-        click.echo(json_text({"run": run, "truth": truth} | summary_of(evaluation)))
+        checks = [check._asdict() for check in limit_checks(figures, wanted)]
+        document = {"run": run, "truth": truth} | summary_of(evaluation) | {"limits": checks}
+        click.echo(json_text(document))
     else:
         click.echo(format_table(evaluation))
+    if not evaluation.any_solved:  # a limit that this passes is what was asked for
+        check_limits(figures, wanted)
     write_evaluation(evaluation, run)
-    check_limits(evaluation.figures(), max_horizontal_m, max_height_m)
+    check_limits(figures, wanted)
 
 
 @click.command("export", cls=OptnavCommand)

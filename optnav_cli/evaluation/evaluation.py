@@ -15,6 +15,7 @@ from optnav_cli.evaluation.figures import (
     MethodFigures,
     figures_by_method,
     figures_of,
+    none_solved,
 )
 from optnav_cli.evaluation.motion import Forward, directions_of_motion
 from optnav_cli.fix import MatchRow, Solution
@@ -34,6 +35,15 @@ class Evaluation:
     def figures(self) -> Figures:
         """Add the frames up. Raises NothingToDoError when none is solved."""
         return figures_of(self.frames)
+
+    def figures_if_any(self) -> Figures:
+        """The same; where none is solved, figures that are no numbers."""
+        return self.figures() if self.any_solved else none_solved(self.frames)
+
+    @property
+    def any_solved(self) -> bool:
+        """Whether there is a frame to add up."""
+        return any(frame.error_rnb_m is not None for frame in self.frames)
 
     def by_method(self) -> list[MethodFigures]:
         """The same for each method and camera, from afar to near."""

@@ -1,7 +1,6 @@
-"""The evaluation of a run folder: read, printed as a table, written as evaluation.json and .csv."""
+"""The evaluation of a run folder: read, and written as evaluation.json and .csv."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,24 +9,17 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.epochs import utc_to_tdb_s
-from catalog.errors import DataError, NothingToDoError
+from catalog.errors import DataError
 from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
 from catalog.tables import CsvRow
-from optnav_cli.evaluation.evaluation import WRONG_PX, Evaluation, evaluate
-from optnav_cli.evaluation.figures import (
-    Figures,
-    FrameError,
-    MethodFigures,
-    method_words,
-    none_solved,
-)
+from optnav_cli.evaluation.evaluation import Evaluation, evaluate
+from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures
 from optnav_cli.evaluation.motion import TimedPlace, directions_of_motion
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.document import json_text
 from optnav_cli.output.run_folder import RunFolder, read_run
-from optnav_cli.output.tables import fixed
 
 EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
 POINT_COUNTS = ("predicted", "matched", "used", "checked", "wrong")
@@ -174,31 +166,6 @@ def method_summary(method: MethodFigures) -> dict[str, Any]:
     }
 
 
-def method_lines(methods: Sequence[MethodFigures]) -> list[str]:
-    """Lines of a table, three a method: R, N, B."""
-    lines = [
-        f"{'method, camera':<28}{'solved':>14}  {'m':<3}{'bias':>10}{'sigma':>10}{'max':>10}"
-        f"{'in 3 sigma':>12}{'NEES':>7}"
-    ]
-    for method in methods:
-        figures = method.figures
-        name = method_words(method.method) + (f", {method.camera}" if method.camera else "")
-        share = f"{figures.solved} of {method.of_frames}"
-        spreads = (figures.r, figures.n, figures.b)
-        for axis, spread, inside in zip("RNB", spreads, figures.inside_3_sigma, strict=True):
-            sigma = "-" if spread.sigma is None else fixed(spread.sigma, 1)
-            nees = f"{figures.nees:>7.2f}" if axis == "R" else ""
-            lines.append(
-                f"{name:<28}{share:>14}  {axis:<3}{spread.bias:>+10.1f}{sigma:>10}"
-                f"{spread.max:>10.1f}{100.0 * inside:>10.1f} %{nees}"
-            )
-            name = share = ""
-        ranges = "" if method.range_rms is None else f"range {100.0 * method.range_rms:.3g} %, "
-        direction = method.direction_rms / ARCSEC
-        lines.append(f'{"":<28}  {ranges}direction to the centre {direction:.3g}", rms')
-    return lines
-
-
 def evaluate_run(run: Path, truth: Path) -> Evaluation:
     """Compare a run folder with a truth.csv.
 
@@ -229,10 +196,7 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
 
 def summary_of(evaluation: Evaluation) -> dict[str, Any]:
     """The figures as plain JSON values, rounded as they are written; NaN where none is solved."""
-    try:
-        figures = evaluation.figures()
-    except NothingToDoError:
-        figures = none_solved(evaluation.frames)
+    figures = evaluation.figures_if_any()
 
     def arcsec(angle: float | None) -> float | None:
         return None if angle is None else round(angle / ARCSEC, 3)
@@ -250,75 +214,10 @@ def summary_of(evaluation: Evaluation) -> dict[str, Any]:
         "normalised_error_squared_95_percent": [round(v, 6) for v in figures.nees_range],
         "attitude_rms_arcsec": arcsec(figures.attitude_rms),
         "attitude_max_arcsec": arcsec(figures.attitude_max),
+        "frames_beyond_5_sigma": figures.beyond_5_sigma,
         "control_points": {name: getattr(figures, f"n_{name}") for name in POINT_COUNTS},
         "methods": [method_summary(method) for method in evaluation.by_method()],
         "frames_with_local_north": figures.north_frames,
         "unsolved_reasons": dict(figures.unsolved_reasons),
         "remarks": list(evaluation.remarks),
     }
-
-
-def format_table(evaluation: Evaluation) -> str:
-    """The figures as a table for people. Raises NothingToDoError when no frame is solved."""
-    figures = evaluation.figures()
-    share = _percent(figures.solved, figures.frames)
-    lines = [
-        f"solved {figures.solved} of {figures.frames} frames ({share})",
-        "",
-        f"{'error, m':<14}{'bias':>10}{'sigma':>10}{'rms':>10}{'max':>10}{'inside 3 sigma':>17}",
-    ]
-    names = ("R  height", "N  along", "B  across")
-    spreads = (figures.r, figures.n, figures.b)
-    for name, spread, inside in zip(names, spreads, figures.inside_3_sigma, strict=True):
-        sigma = "-" if spread.sigma is None else fixed(spread.sigma, 1)
-        lines.append(
-            f"{name:<14}{spread.bias:>+10.1f}{sigma:>10}{spread.rms:>10.1f}{spread.max:>10.1f}"
-            f"{100.0 * inside:>15.1f} %"
-        )
-    lines += [
-        f"{'horizontal':<34}{figures.horizontal_rms_m:>10.1f}{figures.horizontal_max_m:>10.1f}",
-        "",
-        f"normalised error squared {figures.nees:.2f} (1 expected; {figures.nees_range[0]:.2f} to "
-        f"{figures.nees_range[1]:.2f} in 95 % of cases with an honest covariance)",
-    ]
-    methods = evaluation.by_method()
-    if len(methods) > 1 or methods[0].method != "control_points":
-        lines += ["", *method_lines(methods), ""]
-    lines += _notes(figures, evaluation.remarks)
-    return "\n".join(lines)
-
-
-def _notes(figures: Figures, remarks: tuple[str, ...]) -> list[str]:
-    lines = []
-    if figures.attitude_rms is not None and figures.attitude_max is not None:
-        rms, largest = figures.attitude_rms / ARCSEC, figures.attitude_max / ARCSEC
-        lines.append(f'attitude error {rms:.1f}" rms, {largest:.1f}" max')
-    if figures.n_predicted:  # a run by the horizon alone has none
-        lines += _control_points(figures)
-    if figures.north_frames:
-        lines.append(
-            f"N is local north for {figures.north_frames} of {figures.solved} frames "
-            "that have no neighbour in their pass"
-        )
-    lines += [f"unsolved {n} times: {why}" for why, n in figures.unsolved_reasons.items()]
-    return lines + list(remarks)
-
-
-def _control_points(figures: Figures) -> list[str]:
-    lines = [
-        f"control points: {figures.n_predicted} predicted, {figures.n_matched} found "
-        f"({_percent(figures.n_matched, figures.n_predicted)}), {figures.n_used} used "
-        f"({_percent(figures.n_used, figures.n_predicted)})"
-    ]
-    if figures.n_checked:
-        lines.append(
-            f"wrong matches used (> {WRONG_PX:g} px from the truth): {figures.n_wrong} of "
-            f"{figures.n_checked} ({_percent(figures.n_wrong, figures.n_checked, 2)})"
-        )
-    else:
-        lines.append("wrong matches: not checked (the run has no camera files)")
-    return lines
-
-
-def _percent(part: int, whole: int, decimals: int = 1) -> str:
-    return f"{100.0 * part / whole:.{decimals}f} %" if whole else "-"

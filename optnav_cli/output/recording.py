@@ -39,6 +39,7 @@ from optnav_cli.output.scene import (
     color,
     pose_of,
 )
+from optnav_cli.output.wording import length
 
 NO_CAMERA = "camera"  # the name of a camera that has no file
 MAX_PX = 2048  # a larger picture is recorded smaller, its calibration and marks with it
@@ -251,7 +252,7 @@ def describe(solution: Solution) -> str:
         found = f"{solution.n_used} of {solution.n_predicted} control points"
     elif solution.n_limb is not None:
         found = f"{found}, {solution.n_limb} limb points"
-    return f"{solution.file}: solved: {found}{rms}, sigma {sigma:.0f} m an axis{remark}"
+    return f"{solution.file}: solved: {found}{rms}, sigma {length(sigma)} an axis{remark}"
 
 
 def nanoseconds(utc: str, otherwise: int = 0) -> int:

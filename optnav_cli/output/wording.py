@@ -1,10 +1,14 @@
 """Numbers in words, tables, and the account of a build as plain lines."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Container, Sequence
 from itertools import zip_longest
+from typing import Literal, NamedTuple
 
 from catalog.jobs.usage import Account, Peak, StageAccount
 
+# Up to which length, m, a unit is used, and how many metres it has.
+LENGTHS = ((1e3, "m", 1.0), (1e8, "km", 1e3), (math.inf, "thousand km", 1e6))
 COLUMNS = ("stage", "done", "kept", "time", "CPU", "memory", "a worker", "read", "written")
 
 
@@ -42,16 +46,53 @@ def amount(count: float) -> str:
     return f"{count / 1e9:.2f} GB"
 
 
-def table_lines(rows: Sequence[Sequence[str]], left: int = 1, gap: str = "  ") -> list[str]:
+class LengthUnit(NamedTuple):
+    """What lengths of one row or sentence are written in."""
+
+    name: str
+    metres: float
+    decimals: int
+
+    def text(self, metres: float, sign: Literal["", "+"] = "") -> str:
+        """A length's number, never "-0"; a dash for one that is no number."""
+        if not math.isfinite(metres):
+            return "-"
+        return f"{metres / self.metres:{sign}z.{self.decimals}f}"
+
+
+def length_unit(largest_m: float) -> LengthUnit:
+    """Metres, km or thousands of km, for lengths of which this is the largest."""
+    size = abs(largest_m) if math.isfinite(largest_m) else 0.0
+    name, metres = next((name, metres) for limit, name, metres in LENGTHS if size < limit)
+    number = size / metres
+    # four digits, of whole metres one decimal
+    if number >= 100.0 or (number >= 1.0 and metres == 1.0):
+        return LengthUnit(name, metres, 1)
+    return LengthUnit(name, metres, 2 if number >= 10.0 else 3)
+
+
+def length(metres: float) -> str:
+    """A length in words: 0.042 m, 812.3 m, 12.35 km, 384.4 thousand km."""
+    unit = length_unit(metres)
+    return f"{unit.text(metres)} {unit.name}"
+
+
+def angle(radians: float) -> str:
+    """An angle in words: 12.3", or degrees where it is large."""
+    arcsec = 3600.0 * math.degrees(radians)
+    return f'{arcsec:.1f}"' if abs(arcsec) < 36_000.0 else f"{arcsec / 3600.0:.1f} deg"
+
+
+def table_lines(rows: Sequence[Sequence[str]], left: Container[int] = (0,)) -> list[str]:
     """Rows as lines, each column as wide as its widest cell, so that none run together.
 
-    left  how many columns, the first ones, begin at their left; numbers end at their right
+    left  columns that begin at their left; the others, of numbers, end at their right
     Rows may be shorter than others.
     """
     widths = [max(map(len, column)) for column in zip_longest(*rows, fillvalue="")]
     return [
-        gap.join(
-            cell.ljust(width) if number < left else cell.rjust(width)
+        "  ".join(
+            cell.ljust(width) if number in left else cell.rjust(width)
             for number, (cell, width) in enumerate(zip(row, widths))
         ).rstrip()
         for row in rows

@@ -1,7 +1,10 @@
 """`optnav catalog ...` as a user calls it, on a catalog of the bundled Tycho terrain's middle."""
 
+import json
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,8 +17,10 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
 from catalog.store.manifest import CatalogMeta
+from catalog.store.reader import Catalog
 from catalog.store.writer import Written
 from optnav_cli.main import run
+from tests.catalog.made_catalogs import make_world
 from tests.catalog.store.written import write_points
 
 CHECKOUT = Path(__file__).resolve().parents[3]
@@ -76,6 +81,58 @@ def test_nearest_takes_negative_numbers(
     angle = angular_distance(*np.radians(TYCHO), *np.radians(place))
     assert float(told["distance_km"]) == pytest.approx(1737.4 * angle, abs=0.001)
     assert float(told["distance_km"]) < 25.0
+
+
+def test_nearest_tells_direction_and_what_the_catalog_does_not_cover(
+    written: Written, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def asked(lat: float, lon: float, *more: str) -> dict[str, str]:
+        assert run(["catalog", "nearest", str(written.path), str(lat), str(lon), *more]) == 0
+        return lines(capsys.readouterr().out)
+
+    grid = CellGrid(1.0)
+    lat, lon = grid.centre_deg(int(grid.cell_of(*TYCHO)))
+    for off, azimuth in (((0.1, 0.0), 180.0), ((0.0, 0.1), 270.0), ((-0.1, 0.0), 0.0)):
+        told = asked(lat + off[0], lon + off[1])
+        assert abs((float(told["azimuth_deg"]) - azimuth + 180.0) % 360.0 - 180.0) < 0.1
+        assert "note" not in told
+    far = asked(60.0, 100.0)
+    assert re.search(r"does not cover this place: .* 40\d\d\.\d km away", far["note"])
+
+
+def test_nearest_lists_points_by_distance_and_leaves_unusable_ones_out(
+    written: Written, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["catalog", "nearest", str(written.path), *map(str, TYCHO)]
+    with Catalog.open(written.path) as catalog:
+        usable = dict(zip(catalog.ids.tolist(), catalog.usable.tolist()))
+        distances = angular_distance(
+            *np.radians(TYCHO), np.radians(catalog.lat_deg), np.radians(catalog.lon_deg)
+        )
+        order = catalog.ids[np.argsort(distances)].tolist()
+    assert run([*words, "--count", "99", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [point["id"] for point in document["points"]] == order
+    assert document["covered"] is True
+    found = [point["distance_m"] for point in document["points"]]
+    np.testing.assert_allclose(found, 1737400.0 * np.sort(distances), rtol=1e-9)
+    assert run([*words, "--count", "99", "--usable"]) == 0
+    header, *rows = capsys.readouterr().out.splitlines()
+    assert header.split()[0] == "id"
+    assert [int(row.split()[0]) for row in rows] == [n for n in order if usable[n]]
+    assert len(rows) == written.usable < written.count
+    assert run([*words, "--count", "0"]) == 2
+
+
+def test_nearest_without_a_usable_point_ends_with_4(
+    written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world = make_world()
+    points = [(replace(point, usable=False), patches) for point, patches in world.points]
+    path = replace(world, points=points).write(tmp_path / "none.gpkg").path
+    assert run(["catalog", "nearest", str(path), "0", "0", "--usable"]) == 4
+    assert "is usable" in capsys.readouterr().err
+    assert run(["catalog", "nearest", str(path), "0", "0"]) == 0
 
 
 @pytest.mark.parametrize("words", [["-91", "0"], ["0", "400"], ["north", "0"], ["0"]])

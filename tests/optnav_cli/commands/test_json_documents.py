@@ -177,10 +177,15 @@ def test_evaluate_holds_the_figures_of_its_table(ask: Asked, tmp_path: Path, mak
     assert f"{document['horizontal_rms_m']:.1f}" in text
     assert f"normalised error squared {document['normalised_error_squared']:.2f}" in text
     stored = json.loads((made / "evaluation.json").read_text())
-    assert document == {"run": str(made), "truth": str(truth)} | stored
+    assert document == {"run": str(made), "truth": str(truth)} | stored | {"limits": []}
     ask.keys("evaluate", document)
-    passed, _ = ask("evaluate", made, "--truth", truth, "--max-height-m", 0.1, code=5)
+    limits = ("--max-height-m", 0.1, "--min-solved", "50%")
+    passed, _ = ask("evaluate", made, "--truth", truth, *limits, code=5)
     assert list(passed) == list(document)
+    solved, height = passed["limits"]
+    assert (solved["name"], solved["limit"], solved["figure"]) == ("min_solved", 0.5, 0.7)
+    assert (height["name"], height["limit"], height["kept"]) == ("max_height_m", 0.1, False)
+    assert height["figure"] == pytest.approx(document["height_rms_m"], abs=1e-3)
 
 
 def test_config_list_holds_every_kind(ask: Asked) -> None:
@@ -199,6 +204,10 @@ def test_evaluate_tells_of_a_run_without_a_solved_frame(
     assert (document["frames"], document["solved"], document["share_solved"]) == (4, 0, 0.0)
     assert (document["height_rms_m"], document["r"]["rms_m"]) == (None, None)
     assert list(document["unsolved_reasons"].values()) == [4]
+    assert run([*words, "--min-solved", "1"]) == 5
+    assert run([*words, "--max-wrong", "0"]) == 4
+    for share in ("-1", "1.5", "101%", "many"):
+        assert run([*words, "--min-solved", share]) == 2
 
 
 def test_numbers_without_a_value_are_null_at_any_depth() -> None:

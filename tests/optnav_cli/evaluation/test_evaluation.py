@@ -9,14 +9,14 @@ import pytest
 from catalog.config import resource
 from catalog.errors import DataError, DifferenceError, NothingToDoError
 from optnav_cli.evaluation.evaluation import pool
-from optnav_cli.evaluation.figures import check_limits
 from optnav_cli.evaluation.files import (
     evaluate_run,
-    format_table,
     read_error_rows,
     stated_rows,
     write_evaluation,
 )
+from optnav_cli.evaluation.limits import Limits, check_limits
+from optnav_cli.evaluation.table import format_table
 from optnav_cli.frames.run_settings import read_run_settings
 from optnav_cli.output.run_folder import copy_inputs, read_run
 from tests.optnav_cli.output.approach import RADIUS_M, write_approach
@@ -126,12 +126,48 @@ def test_a_run_without_a_solved_frame_says_so(tmp_path, make_run):
 def test_limits_name_the_figure_that_passes_them(tmp_path, make_run):
     make_run(tmp_path)
     figures = evaluate_run(tmp_path, tmp_path / "truth.csv").figures()
-    check_limits(figures, 1000.0, 1000.0)
-    check_limits(figures)
-    with pytest.raises(DifferenceError, match=r"^horizontal error .* m \(rms\) passes .* of 5 m$"):
-        check_limits(figures, 5.0, 1000.0)
-    with pytest.raises(DifferenceError, match=r"height error .* passes the limit of 10 m"):
-        check_limits(figures, 1000.0, 10.0)
+    check_limits(figures, Limits(1000.0, 1000.0, 1.0, 5.0, 0))
+    check_limits(figures, Limits())
+    for limits, words in (
+        (Limits(5.0, 1000.0), r"^horizontal error .* m \(rms\) passes the limit of 5 m$"),
+        (Limits(1000.0, 10.0), r"^height error .* m \(rms\) passes the limit of 10 m$"),
+        (Limits(min_solved=41), r"^40 of 40 frames are solved, fewer than the limit of 41$"),
+        (Limits(max_nees=0.1), r"^normalised error squared \S+ passes the limit of 0\.1$"),
+        (Limits(5.0, 10.0), r"^horizontal error .* 5 m; height error .* 10 m$"),
+    ):
+        with pytest.raises(DifferenceError, match=words):
+            check_limits(figures, limits)
+
+
+def test_a_share_of_solved_frames_is_told_from_their_number(tmp_path, make_run):
+    make_run(tmp_path, count=10, unsolved_from=9)
+    figures = evaluate_run(tmp_path, tmp_path / "truth.csv").figures()
+    for kept in (9, 0.9, 0.0, 1):
+        check_limits(figures, Limits(min_solved=kept))
+    for passed, words in ((10, "limit of 10$"), (1.0, r"\(90\.0 %\), fewer .* of 100 %$")):
+        with pytest.raises(DifferenceError, match=words):
+            check_limits(figures, Limits(min_solved=passed))
+
+
+def test_frames_off_by_more_than_five_stated_sigmas_are_counted(tmp_path, make_run):
+    """Errors of 5 times the stated sigma a component: most are beyond 5 sigmas as a whole."""
+    make_run(tmp_path, count=60, scale=5.0)
+    evaluation = evaluate_run(tmp_path, tmp_path / "truth.csv")
+    figures = evaluation.figures()
+    beyond = sum(frame.nees > 25.0 for frame in evaluation.frames)
+    assert 30 < figures.beyond_5_sigma == beyond
+    assert f"off by more than 5 stated sigmas: {beyond} of 60 solved" in format_table(evaluation)
+    check_limits(figures, Limits(max_wrong=beyond))
+    with pytest.raises(DifferenceError, match=rf"^{beyond} of 60 solved .* passes the limit of 0$"):
+        check_limits(figures, Limits(max_wrong=0))
+
+
+def test_without_a_solved_frame_the_number_of_solved_ones_alone_is_held_to(tmp_path, make_run):
+    make_run(tmp_path, count=4, unsolved_from=0)
+    figures = evaluate_run(tmp_path, tmp_path / "truth.csv").figures_if_any()
+    check_limits(figures, Limits(1.0, 1.0, None, 1.0, 0))
+    with pytest.raises(DifferenceError, match=r"^0 of 4 frames are solved"):
+        check_limits(figures, Limits(1.0, min_solved=1))
 
 
 def test_the_files_hold_the_figures_and_one_row_a_frame(tmp_path, make_run):

@@ -265,7 +265,7 @@ def test_a_large_picture_is_recorded_smaller_with_its_calibration(recorded):
 def test_each_frame_has_a_log_line_and_an_unsolved_one_says_why(recorded):
     lines = [(c["level"], c["message"]) for s, _, _, c in recorded if s.name == "foxglove.Log"]
     assert lines == [
-        (2, "a.png: solved: 1 of 3 control points, rms 0.20 px, sigma 4 m an axis"),
+        (2, "a.png: solved: 1 of 3 control points, rms 0.20 px, sigma 4.1 m an axis"),
         (3, "b.png: unsolved: picture is black"),
         (3, "c.png: unsolved: time is not understood"),
     ]

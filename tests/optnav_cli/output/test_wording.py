@@ -4,7 +4,17 @@ import pytest
 
 from catalog.control_point import Flag
 from catalog.jobs.usage import Account, Peak, StageAccount
-from optnav_cli.output.wording import account_lines, amount, duration, plural, speed
+from optnav_cli.output.wording import (
+    account_lines,
+    amount,
+    angle,
+    duration,
+    length,
+    length_unit,
+    plural,
+    speed,
+    table_lines,
+)
 
 
 @pytest.mark.parametrize(
@@ -28,6 +38,38 @@ def test_a_slow_rate_is_written_as_time_a_unit() -> None:
 )  # fmt: skip
 def test_bytes_read_as_people_say_them(count: int, text: str) -> None:
     assert amount(count) == text
+
+
+@pytest.mark.parametrize(
+    ("metres", "text"),
+    [(0.0, "0.000 m"), (0.0424, "0.042 m"), (-12.34, "-12.3 m"), (999.94, "999.9 m"),
+     (1e3, "1.000 km"), (34_260.0, "34.26 km"), (3_928_700.0, "3928.7 km"),
+     (3.844e8, "384.4 thousand km"), (2.6e9, "2600.0 thousand km"), (float("nan"), "- m"),
+     (float("inf"), "- m")],
+)  # fmt: skip
+def test_lengths_are_written_in_the_unit_of_their_size(metres: float, text: str) -> None:
+    assert length(metres) == text
+
+
+def test_what_rounds_to_zero_has_no_sign() -> None:
+    assert length_unit(500.0).text(-0.01) == "0.0"
+    assert length_unit(500.0).text(-0.01, "+") == "+0.0"
+
+
+def test_angles_are_degrees_where_they_are_large() -> None:
+    assert (angle(1e-5), angle(0.5)) == ('2.1"', "28.6 deg")
+
+
+def test_columns_of_a_table_never_run_together() -> None:
+    rows = [("name", "a", "b"), ("x", "1" * 30, "-2"), ("a longer name", "", "3")]
+    assert table_lines(rows) == [
+        "name           " + "a".rjust(30) + "   b",
+        "x              " + "1" * 30 + "  -2",
+        "a longer name  " + " " * 30 + "   3",
+    ]
+    assert table_lines(rows, left=(2,))[0].endswith("a  b")
+    assert table_lines([]) == []
+    assert table_lines([("one",), ("one", "two")]) == ["one", "one  two"]
 
 
 def test_a_symbol_of_a_unit_has_no_plural() -> None:
