@@ -134,6 +134,9 @@ def _alone(context: StageContext, cell: int) -> Shortlist | None:
         return None
     peaks = strongest_of(context, cell, ground)
     places = np.array([(ground.lat[peak], ground.lon[peak]) for peak in peaks])
+    if (context.grid.cell_of(*places.T) != cell).any():
+        # in a hollow or under a cliff the middle of a ground without one height may lie elsewhere
+        places = np.array([context.grid.centre_deg(cell)])
     return Shortlist(places, ground.complete)
 
 

@@ -5,12 +5,15 @@ seconds; that needs one pass over text files, which have no header.
 """
 
 import json
+import logging
 import re
 import struct
+import warnings
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal, NamedTuple
+from typing import IO, Annotated, Any, BinaryIO, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,16 +21,26 @@ import trimesh
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.errors import DataError
+from catalog.inputs import check_input
 from catalog.progress import Progress
-from catalog.terrain.mesh.table import read_table
+from catalog.terrain.mesh.table import read_table, vertex_face_lines
 
 # 275 bytes a face while an OBJ is read, 500 while a mesh is checked (measured: 5 GB and 2 minutes
 # for 10 million); Phobos' finest published model has 3.1 million.
 MAX_FACES = 12_000_000
+MAX_VERTICES = 3 * MAX_FACES  # where each face has its own
+MAX_BYTES = 2 << 30  # of the largest model as text, with normals and places on textures
+MAX_COORDINATE = 1e12
+MAX_NODES = 10_000  # of a scene
 MESHES = (".obj", ".ply", ".stl", ".glb")
 TABLES = (".tab", ".txt", ".plt", ".icq")
 MEGABYTE = 1_000_000
 _FACE_LINE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
+_VERTEX_LINE = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+# a number of a vertex that is 0 or negative; libraries take it for one from the end
+_BAD_NUMBER = re.compile(
+    rb"^[ \t]*f(?:[ \t]+[1-9][^ \t\r\n]*)*[ \t]+([-+]?0*[^1-9 \t\r\n][^ \t\r\n]*)", re.M
+)
 _FACET_LINE = re.compile(rb"^[ \t]*facet[ \t]", re.MULTILINE)
 
 
@@ -54,12 +67,11 @@ class RawMesh(NamedTuple):
 def read_mesh(path: Path, longitude: str, progress: Progress) -> RawMesh:
     """The vertices and triangles of a file. Raises DataError for what is no mesh, or too large."""
     kind = path.suffix.lower()
-    if not path.exists():
-        raise DataError(f"{path}: there is no such file; check `path` in its [[mesh]] section")
-    if path.is_dir():
-        raise DataError(f"{path}: is a folder; name a mesh file")
-    if path.stat().st_size == 0:
+    size = check_input(path, "file", "check `path` in its [[mesh]] section")
+    if size == 0:
         raise DataError(f"{path}: is empty; get the file again")
+    if size > MAX_BYTES:
+        raise DataError(f"{path}: has {size / 1e9:.3g} GB; wanted up to {MAX_BYTES / 1e9:.3g}")
     if kind not in MESHES + TABLES:
         raise DataError(
             f"{path}: is no shape model by its name; wanted a mesh ({', '.join(MESHES)}) or a "
@@ -71,7 +83,9 @@ def read_mesh(path: Path, longitude: str, progress: Progress) -> RawMesh:
             "section"
         )
     with _reported(path):
-        faces = count_faces(path, progress)
+        if kind in TABLES and vertex_face_lines(path):
+            kind = ".obj"  # "v x y z" and "f i j k", as many tables of plates are written
+        faces = count_faces(path, progress, kind)
         if faces is not None and faces > MAX_FACES:
             raise DataError(
                 f"{path}: has {faces:,} faces; this optnav takes up to {MAX_FACES:,}: make a "
@@ -82,9 +96,12 @@ def read_mesh(path: Path, longitude: str, progress: Progress) -> RawMesh:
         raise DataError(f"{path}: holds no triangle; is it a {kind[1:].upper()} file of a surface?")
     if len(raw.faces) > MAX_FACES:  # polygons of many sides
         raise DataError(f"{path}: has {len(raw.faces):,} triangles; wanted up to {MAX_FACES:,}")
-    if not np.isfinite(raw.vertices).all():
-        bad = int(np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))[0])
-        raise DataError(f"{path}: vertex {bad + 1} is not a number; correct the file")
+    far = ~(np.abs(raw.vertices) < MAX_COORDINATE)  # NaN, too
+    if far.any():
+        bad = int(np.flatnonzero(far.any(axis=1))[0])
+        raise DataError(
+            f"{path}: vertex {bad + 1} is not a number, or beyond any body; correct the file"
+        )
     if raw.faces.min() < 0 or raw.faces.max() >= len(raw.vertices):
         raise DataError(
             f"{path}: a face names vertex {raw.faces.max() + 1} of {len(raw.vertices)}; the file "
@@ -102,56 +119,146 @@ def _reported(path: Path) -> Iterator[None]:
         raise DataError(
             f"{path}: cannot be read ({error.strerror or error}); check its permissions"
         ) from None
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    except LIBRARY_ERRORS as error:
+        reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise DataError(
             f"{path}: cannot be read as {path.suffix[1:].upper()} ({reason}); it is damaged, or "
             "another kind of file under this name"
         ) from None
 
 
+# Readers of trimesh check little: what stands in a damaged file comes out as any of these.
+LIBRARY_ERRORS = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError),
+    *(MemoryError, RuntimeError, TypeError, ValueError, struct.error),
+)
+
+
+class _NoOtherFiles(trimesh.resolvers.Resolver):
+    """What trimesh asks for materials, textures and buffers outside of a mesh file: none are."""
+
+    def __init__(self) -> None:
+        pass
+
+    def get(self, name: str) -> bytes:
+        raise ValueError(f"it wants another file, {name!r}")
+
+    def write(self, name: str, data: Any) -> None:
+        raise ValueError(f"nothing is written, not {name!r}")
+
+    def namespaced(self, namespace: str) -> "_NoOtherFiles":
+        return self
+
+    def keys(self) -> tuple[str, ...]:
+        return ()
+
+
 def _load(path: Path, kind: str) -> RawMesh:
-    # unprocessed: what is mended is mended by us, and named
-    loaded: Any = trimesh.load(str(path), process=False, maintain_order=True)
-    if isinstance(loaded, trimesh.Scene):
-        loaded = loaded.to_mesh() if loaded.geometry else None
-    if not isinstance(loaded, trimesh.Trimesh):
-        raise ValueError("no triangles")
-    return RawMesh(
-        np.array(loaded.vertices, dtype=np.float64), np.array(loaded.faces, dtype=np.int64)
-    )
+    # names of materials in an OBJ are in any encoding; its numbers are ASCII
+    file: IO[Any]
+    with _quiet(), path.open(encoding="latin-1") if kind == ".obj" else path.open("rb") as file:
+        # unprocessed: what is mended is mended by us, and named
+        loaded: Any = trimesh.load(
+            file,
+            file_type=kind[1:],
+            resolver=_NoOtherFiles(),
+            process=False,
+            maintain_order=True,
+            skip_materials=True,
+        )
+        if isinstance(loaded, trimesh.Scene):
+            loaded = loaded.to_mesh() if loaded.geometry else None
+        if not isinstance(loaded, trimesh.Trimesh) or np.shape(loaded.vertices)[1:] != (3,):
+            raise ValueError("no triangles")
+        vertices = np.array(loaded.vertices, dtype=np.float64)
+        return RawMesh(vertices, np.array(loaded.faces, dtype=np.int64))
 
 
-def count_faces(path: Path, progress: Progress) -> int | None:
-    """Faces of a file from its header or one pass over its text; None where neither states them."""
-    kind = path.suffix.lower()
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep back what libraries print of a damaged file, before they raise it."""
+    talk = logging.getLogger("trimesh")
+    level = talk.level
+    talk.setLevel(logging.CRITICAL + 1)
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        talk.setLevel(level)
+
+
+def count_faces(path: Path, progress: Progress, kind: str = "") -> int | None:
+    """Faces of a file from its header or one pass over its text; None where neither states them.
+
+    kind  the ending of such files, where the path's own is not it
+    Raises ValueError for sizes that the file is too short for, and for a vertex number below 1.
+    """
+    kind, size = kind or path.suffix.lower(), path.stat().st_size
     with path.open("rb") as file:
         if kind == ".ply":
-            found = re.search(rb"element face (\d+)", file.read(65536))
-            return int(found[1]) if found else None
+            return _ply_faces(file.read(65536), size)
         if kind == ".glb":
-            return _glb_faces(file)
+            return _glb_faces(file, size)
         if kind == ".stl":
             head = file.read(84)
             count = struct.unpack_from("<I", head, 80)[0] if len(head) == 84 else 0
-            if path.stat().st_size == 84 + 50 * count:  # only a binary file is so long
+            if size == 84 + 50 * count:  # only a binary file is so long
                 return int(count)
-        pattern = _FACET_LINE if kind == ".stl" else _FACE_LINE
         file.seek(0)
-        count, rest = 0, b""
-        blocks = -(-path.stat().st_size // MEGABYTE)
-        with progress.stage("count faces", total=blocks, unit="MB") as shown:
+        counts, rest = Counter[str](), b""
+        with progress.stage("count faces", total=-(-size // MEGABYTE), unit="MB") as shown:
             while block := file.read(MEGABYTE):
                 whole, _, rest = (rest + block).rpartition(b"\n")
-                count += len(pattern.findall(whole))
+                counts += _counted(whole, kind)
                 shown.advance()
-        return count + len(pattern.findall(rest))
+        counts += _counted(rest, kind)
+    if counts["vertices"] > MAX_VERTICES:
+        raise ValueError(f"{counts['vertices']:,} vertices; wanted up to {MAX_VERTICES:,}")
+    return counts["faces"]
 
 
-def _glb_faces(file: BinaryIO) -> int | None:
+def _counted(lines: bytes, kind: str) -> Counter[str]:
+    """Faces and vertices of a part of a text file."""
+    if kind == ".stl":
+        return Counter(faces=len(_FACET_LINE.findall(lines)))
+    bad = _BAD_NUMBER.search(lines)
+    if bad is not None and kind == ".obj":
+        raise ValueError(
+            f"a face names vertex {bad[1][:20].decode('latin-1')}; vertices are counted from 1"
+        )
+    faces, vertices = (len(line.findall(lines)) for line in (_FACE_LINE, _VERTEX_LINE))
+    return Counter(faces=faces, vertices=vertices)
+
+
+def _ply_faces(head: bytes, size: int) -> int | None:
+    """Faces that a PLY's header states; each element takes a byte at least."""
+    stated = {name: int(count) for name, count in re.findall(rb"element (\w+) (\d{1,20})", head)}
+    if stated.get(b"face", 0) <= MAX_FACES and sum(stated.values()) > size:
+        raise ValueError(f"its header states {sum(stated.values()):,} elements in {size:,} bytes")
+    return stated.get(b"face")
+
+
+def _glb_faces(file: BinaryIO, size: int) -> int | None:
+    """Faces of a GLB's scene, each as often as it is placed there."""
     magic, _, _, length, kind = struct.unpack("<4sIII4s", file.read(20))
-    if magic != b"glTF" or kind != b"JSON":
+    if magic != b"glTF" or kind != b"JSON" or length > size:
         return None
     scene = json.loads(file.read(length))
-    indices = [p["indices"] for m in scene["meshes"] for p in m["primitives"] if "indices" in p]
-    return sum(int(scene["accessors"][i]["count"]) for i in indices) // 3
+    accessors, nodes = scene["accessors"], scene.get("nodes", [])
+    for accessor in accessors:
+        # without a view it would be filled with zeros, as many as it states
+        if "bufferView" not in accessor or not 0 <= int(accessor["count"]) <= size:
+            raise ValueError("an accessor that is larger than the file, or empty")
+    parents = Counter(int(child) for node in nodes for child in node.get("children", []))
+    if len(nodes) > MAX_NODES or max(parents.values(), default=0) > 1:
+        raise ValueError(f"its scene is no tree of up to {MAX_NODES} nodes")
+    faces = [
+        sum(
+            int(accessors[p.get("indices", p["attributes"]["POSITION"])]["count"])
+            for p in mesh["primitives"]
+        )
+        for mesh in scene["meshes"]
+    ]
+    placed = [faces[int(node["mesh"])] for node in nodes if "mesh" in node] or faces
+    return sum(placed) // 3

@@ -139,6 +139,15 @@ class MeshRays:
         _places(self.corners, origins_m, rays, found, distance, cosine)
         return found, distance
 
+    def on_segments(
+        self, origins_m: FloatArray, rays: FloatArray, lengths_m: FloatArray
+    ) -> tuple[Int32Array, FloatArray]:
+        """Faces that segments (n) meet, from either side (-1: none), and distances in 64 bits."""
+        found = self._run(origins_m, rays, "INTERSECT", lengths_m)
+        distance, cosine = np.empty(len(rays)), np.empty(len(rays))
+        _places(self.corners, origins_m, rays, found, distance, cosine)
+        return found, distance
+
     def are_blocked(self, origins_m: FloatArray, ray: FloatArray) -> BoolArray:
         """Whether the mesh stands between origins (n, 3) m and the far end of one unit ray (3,)."""
         blocked = np.empty(len(origins_m), dtype=bool)
@@ -157,10 +166,13 @@ class MeshRays:
         missed = (length > ball) & ((within <= 0.0) | (move <= 0.0))
         return origins + move[:, None] * rays, missed
 
-    def _run(self, origins: FloatArray, rays: FloatArray, query: str) -> Int32Array:
+    def _run(
+        self, origins: FloatArray, rays: FloatArray, query: str, lengths: FloatArray | None = None
+    ) -> Int32Array:
         scaled = np.ascontiguousarray(origins / self.reach_m, dtype=np.float32)
         directions = np.ascontiguousarray(rays, dtype=np.float32)
-        faces: Int32Array = self._scene.run(scaled, directions, query=query)
+        ends = None if lengths is None else (lengths / self.reach_m).astype(np.float32)
+        faces: Int32Array = self._scene.run(scaled, directions, dists=ends, query=query)
         return faces
 
     @cached_property

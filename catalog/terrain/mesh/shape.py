@@ -22,6 +22,7 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.progress import Progress, SilentProgress
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.source import METRES
+from catalog.terrain.mesh.crossings import crossing_places
 from catalog.terrain.mesh.file import MeshSettings, RawMesh, read_mesh
 from catalog.terrain.mesh.winding import Edges, edges_of, pieces_of, turns_about, volume_of
 
@@ -34,6 +35,8 @@ SAME_VERTEX = 1e-7
 MIN_ASPECT = 1e-6
 MANY_FACES = 1_000_000  # from here on a check takes long enough to log it
 NAMED_PLACES = 3
+MAX_FACES_CROSSED = 3_000_000  # 20 s of looking for crossings
+MAX_CROSSED = 0.01  # edges a face; published models of 67P have 1e-4
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ def load_shape(
         )
     for fault in shape.mended:
         log.info("%s: %s", path, fault)
+    _check_crossings(path, shape)
     return shape
 
 
@@ -137,6 +141,23 @@ def closed_shape(path: Path, raw: RawMesh) -> Shape:
     if (count := len(solid.decompose())) != 1:
         raise DataError(f"{path}: is {count} solids that touch; wanted one body")
     return shape
+
+
+def _check_crossings(path: Path, shape: Shape) -> None:
+    """Warn of places where a surface passes through itself; refuse one that does so all over."""
+    if len(shape.faces) > MAX_FACES_CROSSED:
+        log.info("%s: has too many faces to look for such that cross each other", path)
+        return
+    crossed = crossing_places(shape.vertices, shape.faces)
+    if not len(crossed):
+        return
+    words = f"{len(crossed)} edges go through faces of other places, at {_places(crossed)}"
+    if len(crossed) > MAX_CROSSED * len(shape.faces):
+        raise DataError(
+            f"{path}: {words}: the surface passes through itself; take another model, or mend it "
+            "in a mesh editor"
+        )
+    log.warning("%s: %s; the outermost ground is taken there", path, words)
 
 
 def _check_size(path: Path, settings: MeshSettings, vertices: FloatArray, body: Body) -> None:

@@ -1,15 +1,19 @@
 """Planetary vertex tables: radii on a grid of latitudes and longitudes, and plate models.
 
 Grids are lines of latitude, longitude (deg) and radius, as the Thomas models of the PDS; plate
-models are a count, numbered vertices, a count, numbered plates of three vertices; ICQ models are
-the number q and six faces of (q + 1)^2 vertices each (Gaskell's implicitly connected
-quadrilaterals).
+models are a count, vertices, a count, plates of three vertices, with or without numbers before
+them; ICQ models are the number q and six faces of (q + 1)^2 vertices each (Gaskell's implicitly
+connected quadrilaterals). Columns are set apart by blanks or commas.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import chain, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from catalog.arrays import FloatArray, IntArray
 from catalog.geometry.latlon import xyz_from_latlon
@@ -33,34 +37,45 @@ def read_table(path: Path, longitude: str) -> tuple[FloatArray, IntArray]:
 
     Vertices on the poles and the seam occur several times. Raises ValueError for what is no table.
     """
-    with path.open(encoding="ascii", errors="strict") as file:
-        first = next((line.split() for line in file if line.split()), [])
-        second = next((line.split() for line in file if line.split()), [])
+    first, second = _beginning(path)
     if len(first) <= 2 and longitude == "west":
         raise ValueError('a table of vertices has no longitudes; take longitude = "west" out')
-    if len(first) == 1 and len(second) == 3:
-        rows, q = np.loadtxt(path, skiprows=1, ndmin=2), int(first[0])
-        if rows.shape != (6 * (q + 1) ** 2, 3):
-            wanted = 6 * (q + 1) ** 2
-            raise ValueError(f"{len(rows)} vertices; six faces of {q} x {q} have {wanted}")
-        numbers = np.arange(len(rows)).reshape(6, q + 1, q + 1)
-        return rows, np.concatenate([_quads(face) for face in numbers])
-    if len(first) <= 2 and len(second) == 4:
-        return _plates(path, int(first[0]))
-    if len(first) != 3:
-        raise ValueError(f"{len(first)} columns; wanted latitude, longitude, radius")
-    return surface_of(read_grid(path), longitude)
+    if len(first) > 2 or len(second) not in (3, 4):
+        if len(first) != 3:
+            raise ValueError(f"{len(first)} columns; wanted latitude, longitude, radius")
+        return surface_of(read_grid(path), longitude)
+    counts = [_count(word, path) for word in first]
+    with _lines(path) as lines:
+        next(lines)
+        rows = _numbers(islice(lines, counts[0]))
+        after = next(lines, "").split()
+        if len(counts) == 1 and len(after) == rows.shape[1] == 3:
+            rest = _numbers(chain([" ".join(after)], lines))
+            return _icq(np.concatenate([rows, rest]), counts[0])
+        if len(counts) == 2:
+            plates = _numbers(chain([" ".join(after)], lines), np.int64)
+        else:
+            counts.append(_count(" ".join(after), path))
+            plates = _numbers(lines, np.int64)
+    if [len(rows), len(plates)] != counts or plates.shape[1] not in (3, 4):
+        raise ValueError(f"{len(rows)} vertices and {len(plates)} plates; it states {counts}")
+    return rows[:, -3:], _places_of(plates[:, -3:], rows)
 
 
 def is_grid(path: Path) -> bool:
     """Whether a table that can be read is a grid of radii."""
-    with path.open(encoding="ascii") as file:
-        return len(next((line.split() for line in file if line.split()), [])) == 3
+    return len(_beginning(path)[0]) == 3
+
+
+def vertex_face_lines(path: Path) -> bool:
+    """Whether a table is lines "v x y z" and "f i j k"."""
+    return _beginning(path)[0][:1] == ["v"]
 
 
 def read_grid(path: Path) -> RadiiGrid:
     """The radii of a table. Raises ValueError where they do not cover the body once."""
-    rows = np.loadtxt(path, ndmin=2)
+    with _lines(path) as lines:
+        rows = _numbers(lines)
     lats, lons = np.unique(rows[:, 0]), np.unique(rows[:, 1])
     shape = lats.size, lons.size
     if len(rows) != lats.size * lons.size or min(shape) < 3:
@@ -101,17 +116,55 @@ def surface_of(grid: RadiiGrid, longitude: str) -> tuple[FloatArray, IntArray]:
     return vertices, faces if sign > 0.0 else faces[:, ::-1]
 
 
-def _plates(path: Path, count: int) -> tuple[FloatArray, IntArray]:
-    with path.open(encoding="ascii") as file:
-        lines = [line.split() for line in file if line.split()]
-    both = len(lines[0]) == 2  # vertices and plates in one line
-    vertices = np.array([line[1:4] for line in lines[1 : 1 + count]], dtype=np.float64)
-    at = 1 + count if both else 2 + count
-    plates = int(lines[0][1] if both else lines[at - 1][0])
-    faces = np.array([line[1:4] for line in lines[at : at + plates]], dtype=np.int64) - 1
-    if vertices.shape != (count, 3) or faces.shape != (plates, 3):
-        raise ValueError(f"{len(lines)} lines for {count} vertices and {plates} plates")
-    return vertices, faces
+@contextmanager
+def _lines(path: Path) -> Iterator[Iterator[str]]:
+    """Lines of a table that are not blank, without commas and comments."""
+    with path.open(encoding="ascii", errors="strict") as file:
+        yield filter(None, (line.partition("#")[0].replace(",", " ").strip() for line in file))
+
+
+def _beginning(path: Path) -> tuple[list[str], list[str]]:
+    """The words of the first two lines."""
+    with _lines(path) as lines:
+        return next(lines, "").split(), next(lines, "").split()
+
+
+def _numbers(lines: Iterator[str], kind: type[np.generic] = np.float64) -> NDArray[Any]:
+    """The numbers (n, columns) of lines. Raises ValueError for none."""
+    first = next(lines, None)
+    if first is None:
+        raise ValueError("it ends where numbers are wanted")
+    rows = np.loadtxt(chain([first], lines), dtype=kind, ndmin=2)
+    if not np.isfinite(rows).all():
+        raise ValueError("a number that is not finite")
+    return rows
+
+
+def _count(word: str, path: Path) -> int:
+    """A count of lines, of which each takes six bytes at least."""
+    if not (word.isdecimal() and len(word) < 12 and 0 < 6 * int(word) <= path.stat().st_size):
+        raise ValueError(f"it states {word[:20]!r} lines, which it has not")
+    return int(word)
+
+
+def _icq(vertices: FloatArray, q: int) -> tuple[FloatArray, IntArray]:
+    wanted = 6 * (q + 1) ** 2
+    if len(vertices) != wanted:
+        raise ValueError(f"{len(vertices)} vertices; six faces of {q} x {q} have {wanted}")
+    numbers = np.arange(wanted).reshape(6, q + 1, q + 1)
+    return vertices, np.concatenate([_quads(face) for face in numbers])
+
+
+def _places_of(plates: IntArray, rows: FloatArray) -> IntArray:
+    """Places of the vertices that plates name: by the numbers before them, else from 1."""
+    names = rows[:, 0] if rows.shape[1] == 4 else np.arange(1.0, len(rows) + 1.0)
+    order = np.argsort(names, kind="stable")
+    at = np.searchsorted(names[order], plates).clip(max=len(rows) - 1)
+    missing = names[order][at] != plates
+    if missing.any():
+        raise ValueError(f"a plate names vertex {plates[missing][0]}, which there is none of")
+    places: IntArray = order[at]
+    return places
 
 
 def _quads(numbers: IntArray) -> IntArray:

@@ -177,6 +177,40 @@ def test_a_contact_binary_is_built_and_its_overhangs_are_told(tmp_path) -> None:
         assert not catalog.usable[flags & int(Flag.NO_DATA) != 0].any()
 
 
+BILOBED = """name = "bilobed"
+radius_km = 1.7
+radii_km = [2.6, 1.9, 1.6]
+gm_km3_s2 = 7.0e-7
+plausible_heights_km = [-1.6, 4.0]
+sun = "mars"
+[rotation]
+pole_ra_deg_by_century = [317.7, -0.1, 0.0]
+pole_dec_deg_by_century = [52.9, -0.1, 0.0]
+meridian_deg_by_day = [35.2, 1128.8, 0.0]
+"""
+
+
+def test_cells_under_a_cliff_of_a_bilobed_body_keep_their_middle(tmp_path) -> None:
+    """No vertical line of theirs meets the ground once, and their grids' middles lie elsewhere."""
+    ball = manifold3d.Manifold.sphere(1.0, 24)
+    both = ball.scale([1.577, 1.44, 1.458]).translate([1.174, 0.487, 0.133])
+    both += ball.scale([1.337, 1.165, 1.34]).translate([-1.452, -0.538, 0.42])
+    both += manifold3d.Manifold.sphere(0.4, 32)
+    mesh = both.to_mesh64()
+    trimesh.Trimesh(mesh.vert_properties, mesh.tri_verts).export(str(tmp_path / "two.obj"))
+    (tmp_path / "bilobed.toml").write_text(BILOBED)
+    path = config_in(tmp_path, cell=15.0)
+    ours = path.read_text().replace(MODEL, '[[mesh]]\npath = "two.obj"\nunits = "km"\n')
+    path.write_text(ours.replace('"phobos"', '"bilobed.toml"'))
+    with suppress(NothingToDoError):
+        run(path, output=tmp_path / "two.gpkg", workers=1, bbox=(120.0, 1.0, 150.0, 14.0))
+    assert verify(tmp_path / "two.gpkg").sound
+    with Catalog.open(tmp_path / "two.gpkg") as catalog:
+        assert len(catalog) == 2
+        assert (catalog.records["flags"] & int(Flag.OVERHANG) != 0).all()
+        assert not catalog.usable.any()
+
+
 @pytest.mark.parametrize(
     ("text", "cell", "error", "words"),
     [

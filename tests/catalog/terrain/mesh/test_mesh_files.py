@@ -1,6 +1,11 @@
 """Shape models are read from all formats; small faults are mended and named, others refused."""
 
+import json
+import os
+import re
+import struct
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -186,3 +191,139 @@ def test_too_many_faces_are_refused_from_the_header_or_one_pass(
 def test_west_longitude_belongs_to_tables(load, ellipsoid_km) -> None:
     with pytest.raises(DataError, match="has vertices, no longitudes"):
         load(ellipsoid_km, longitude="west")
+
+
+def obj_text(mesh: trimesh.Trimesh, base: int = 1) -> str:
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + base).tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def glb_of(mesh: trimesh.Trimesh, change: Callable[[dict], object]) -> bytes:
+    """A GLB whose description is changed."""
+    data = mesh.export(file_type="glb")
+    length = struct.unpack_from("<I", data, 12)[0]
+    scene = json.loads(data[20 : 20 + length])
+    text = change(scene)
+    head = text if isinstance(text, bytes) else json.dumps(scene).encode()
+    head += b" " * (-len(head) % 4)
+    rest = data[20 + length :]
+    whole = struct.pack("<4sII", b"glTF", 2, 20 + len(head) + len(rest))
+    return whole + struct.pack("<I4s", len(head), b"JSON") + head + rest
+
+
+@pytest.mark.parametrize("base", [0, -5000])
+@pytest.mark.parametrize("name", ["body.obj", "body.tab"])
+def test_vertices_of_an_obj_are_counted_from_one(name, base, load, ellipsoid_km) -> None:
+    """Counted from 0 the last vertex stands in for the first: a closed surface of another shape."""
+    with pytest.raises(DataError, match=r"a face names vertex (0|-\d+); vertices are counted from"):
+        load(obj_text(ellipsoid_km, base), name)
+
+
+def test_plate_tables_are_read_in_the_ways_they_are_written(load, ellipsoid_km) -> None:
+    volume = pytest.approx(ellipsoid_km.volume * 1e9, rel=1e-9)
+    assert load("# plates\n" + obj_text(ellipsoid_km), "body.tab").volume_m3 == volume
+    vertices, faces = ellipsoid_km.vertices.tolist(), ellipsoid_km.faces.tolist()
+    rows = [f" {x!r}, {y!r}, {z!r}" for x, y, z in vertices]
+    plates = [f" {a + 1}, {b + 1}, {c + 1}" for a, b, c in faces]
+    counts = str(len(rows)), str(len(plates))
+    bare = [counts[0], *rows, counts[1], *plates]
+    numbered = [f"{counts[0]} {counts[1]}", *(f"{i}{row}" for i, row in enumerate(rows))]
+    from_zero = [f"{i} {a} {b} {c}" for i, (a, b, c) in enumerate(faces)]
+    assert load("\r\n".join(bare), "body.tab").volume_m3 == volume
+    assert load("\n".join(numbered + from_zero), "body.tab").volume_m3 == volume
+    with pytest.raises(DataError, match="names vertex 0, which there is none of"):
+        load("\n".join([*bare[: len(rows) + 2], "0 1 2", *plates[1:]]), "body.tab")
+    with pytest.raises(DataError, match=r"states '9{11}' lines"):
+        load("\n".join(["9" * 11, *bare[1:]]), "body.tab")
+
+
+def test_names_in_any_encoding_do_no_harm(load, ellipsoid_km) -> None:
+    text = b"# mod\xe8le\nmtllib caf\xe9.mtl\no b\xff\n" + obj_text(ellipsoid_km).encode()
+    assert load(text).volume_m3 == pytest.approx(ellipsoid_km.volume * 1e9, rel=1e-9)
+
+
+def test_no_file_beside_the_mesh_is_opened(load, ellipsoid_km, tmp_path) -> None:
+    os.mkfifo(tmp_path / "pipe.mtl")  # opening it would wait for ever
+    text = "mtllib pipe.mtl\nusemtl a\n" + obj_text(ellipsoid_km)
+    assert load(text).volume_m3 > 0.0
+
+    def outside(scene: dict) -> None:
+        scene["buffers"] = [{"uri": "pipe.mtl", "byteLength": 10}, *scene["buffers"]]
+        for view in scene["bufferViews"]:
+            view["buffer"] = 0
+
+    with pytest.raises(DataError, match=r"wants another file, 'pipe\.mtl'"):
+        load(glb_of(ellipsoid_km, outside), "body.glb")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: b'{"asset":' * 50_000,
+        lambda s: s["accessors"][0].update(count=1e18),
+        lambda s: json.dumps(s).replace(f'"count": {s["accessors"][0]["count"]}', '"count": 1e999')
+        .encode(),
+        lambda s: s["accessors"][0].pop("bufferView"),
+        lambda s: s["nodes"].extend({"mesh": 0, "children": [0, 0]} for _ in range(60)),
+        lambda s: s["nodes"].extend({"mesh": 0} for _ in range(20_000)),
+        lambda s: s.update(meshes=[]),
+    ],
+)  # fmt: skip
+def test_a_description_beyond_its_file_is_refused(change, load, ellipsoid_km) -> None:
+    with pytest.raises(DataError, match=r"body\.glb: "):
+        load(glb_of(ellipsoid_km, change), "body.glb")
+
+
+def test_a_header_that_states_more_than_the_file_holds_is_refused(load) -> None:
+    text = "ply\nformat ascii 1.0\nelement vertex 3000000000\nproperty float x\nend_header\n"
+    with pytest.raises(DataError, match=r"3,000,000,000 elements in 7. bytes"):
+        load(text, "huge.ply")
+
+
+def test_a_surface_through_itself_is_told_or_refused(load, ellipsoid_km, caplog) -> None:
+    assert load(ellipsoid_km).mended == ()
+    assert "go through" not in caplog.text
+    vertices = ellipsoid_km.vertices.copy()
+    vertices[7] = -1.05 * vertices[7] + 5.0  # through the body, and out at the other side
+    load(trimesh.Trimesh(vertices, ellipsoid_km.faces, process=False))
+    assert re.search(r"\d edges go through faces of other places, at lat", caplog.text)
+    turned = np.random.default_rng(5).uniform(-0.4, 0.4, len(vertices))
+    x, y, z = ellipsoid_km.vertices.T
+    c, s = np.cos(turned), np.sin(turned)
+    twisted = np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+    with pytest.raises(DataError, match="the surface passes through itself"):
+        load(trimesh.Trimesh(twisted, ellipsoid_km.faces, process=False))
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl", "glb", "plt", "tab"])
+def test_damaged_files_are_refused_or_read_but_never_crash(
+    kind, load, ellipsoid_km, phobos
+) -> None:
+    ball = trimesh.creation.icosphere(1)
+    mesh = trimesh.Trimesh(ball.vertices * np.array(phobos.radii_m) / 1e3, ball.faces)
+    if kind == "tab":
+        whole = "".join(f"{a} {b} 11\n" for a in range(-90, 91, 15) for b in range(0, 361, 15))
+    elif kind == "plt":
+        rows = [f"{i} {x!r} {y!r} {z!r}" for i, (x, y, z) in enumerate(mesh.vertices.tolist())]
+        plates = [f"{i} {a} {b} {c}" for i, (a, b, c) in enumerate(mesh.faces)]
+        whole = "\n".join([str(len(rows)), *rows, str(len(plates)), *plates])
+    else:
+        whole = mesh.export(file_type=kind)
+    data = whole.encode() if isinstance(whole, str) else whole
+    rng = np.random.default_rng(11)
+    words = [b"nan", b"-1", b"0", b"1e308", b"1e999", b"9" * 20, b"", b"\xff", b"4294967295", b"{"]
+    for _ in range(60):
+        wrong = bytearray(data)
+        match int(rng.integers(3)):
+            case 0:
+                for at in rng.integers(min(len(wrong), 900), size=3).tolist():
+                    wrong[at] = int(rng.integers(256))
+            case 1:
+                del wrong[int(rng.integers(len(wrong))) :]
+            case _:
+                numbers = [*re.finditer(rb"[-+\d.eE]+", data)]
+                found = numbers[int(rng.integers(len(numbers)))]
+                wrong[found.start() : found.end()] = words[int(rng.integers(len(words)))]
+        with suppress(DataError):
+            load(bytes(wrong), f"body.{kind}")
