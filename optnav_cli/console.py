@@ -235,8 +235,8 @@ def _has_cached_kernels() -> bool:
 
     override = os.environ.get("NUMBA_CACHE_DIR")
     base = Path(override) if override else Path(str(files("catalog")))
-    if not override and not os.access(base, os.W_OK):
-        return True  # numba then caches for the user elsewhere; its event says if it compiles
+    if not os.access(base, os.W_OK):
+        return True  # numba then caches elsewhere, if at all; its event says if it compiles
     return next(base.rglob("*.nbi"), None) is not None
 
 

@@ -1,26 +1,100 @@
 """Typed decorators for compiled kernels.
 
-Kernels are cached on disk, so that only the first run on a machine compiles. Floating-point
-reordering stays off: results must not depend on how a loop happened to be vectorised.
+Kernels are cached on disk, so that only the first run on a machine compiles. Where neither the
+package's folder nor the home can be written, as in many containers, a temporary folder serves, or
+there is no cache. Floating-point reordering stays off: results must not depend on how a loop
+happened to be vectorised.
 """
 
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+import logging
+import multiprocessing
+import os
+import pickle
+import stat
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+CACHE_DIR = "NUMBA_CACHE_DIR"
+
+_log = logging.getLogger(__name__)
+_warned: set[str] = set()
+
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a single-threaded kernel; it releases the interpreter's lock."""
-    return cast(Callable[P, R], numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return _compiled(function)
 
 
 def parallel_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel whose `numba.prange` loops run on all threads that the process allows."""
-    return cast(
-        Callable[P, R],
-        numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")(function),
-    )
+    return _compiled(function, parallel=True)
+
+
+def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:
+    njit: Any = numba.njit  # its types differ from version to version
+    compiled = njit(nogil=True, error_model="numpy", **options)(function)
+    if not _is_cached(compiled):
+        _use_temporary_cache()
+        _is_cached(compiled)
+    return cast(Callable[P, R], compiled)
+
+
+def _is_cached(compiled: Any) -> bool:
+    try:
+        compiled.enable_caching()
+    except RuntimeError:  # numba finds no folder that it may write to
+        return False
+    # numba's own guard against the faults of a folder is for Windows alone
+    compiled._cache._guard_against_spurious_io_errors = _without_cache
+    return True
+
+
+@contextmanager
+def _without_cache() -> Iterator[None]:
+    """Compile anew what the cache cannot give, and keep what it does not take in memory alone."""
+    try:
+        yield
+    except (OSError, EOFError, pickle.UnpicklingError) as error:
+        _warn("the cache of compiled kernels fails (%s); going on without it", error)
+
+
+@cache
+def _use_temporary_cache() -> None:
+    """Let numba cache in a temporary folder from here on, in worker processes, too."""
+    folder = _temporary_folder()
+    if folder is None:
+        kept = "they are compiled anew in each process"
+    else:
+        kept = f"they are kept in {folder}"
+        os.environ[CACHE_DIR] = str(folder)
+        config: Any = numba.config  # which knows its settings at run time only
+        config.CACHE_DIR = str(folder)
+    _warn(f"no folder to cache compiled kernels can be written: %s; {CACHE_DIR} names one", kept)
+
+
+def _warn(message: str, detail: object) -> None:
+    """Warn once; workers need not say it again."""
+    if message not in _warned and multiprocessing.parent_process() is None:
+        _log.warning(message, detail)
+    _warned.add(message)
+
+
+def _temporary_folder() -> Path | None:
+    """A folder of this user alone: code is loaded from it, which nobody else may put there."""
+    try:
+        folder = Path(tempfile.gettempdir()) / f"optnav-numba-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        state = folder.lstat()
+    except OSError:
+        return None
+    private = stat.S_ISDIR(state.st_mode) and not state.st_mode & 0o077
+    return folder if private and state.st_uid == os.getuid() else None
