@@ -4,7 +4,7 @@ The toolkit (NAIF; through the optional package spiceypy) holds its kernels once
 set is in use at a time and each question first puts its own set in place.
 """
 
-import struct
+import re
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,16 +16,21 @@ from typing import ClassVar
 import numpy as np
 
 from catalog.arrays import FloatArray
+from catalog.bodies.daf import RECORD_BYTES, check_daf
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import DataError
+from catalog.inputs import MAX_TEXT_BYTES, check_input
 
 Span = tuple[float, float]
 
 INERTIAL = "J2000"  # SPICE's name of the ICRF axes
 _MAX_PATH = 255  # of the toolkit
+ORTHOGONAL = 1e-6  # of rotations
+MAX_KM = 1e12
 _MAX_OBJECTS = 10_000
 _MAX_INTERVALS = 10_000
-_RECORD_BYTES = 1024
+_DATA = re.compile(rb"^[ \t]*\\begindata[ \t\r]*$(.*?)(?:^[ \t]*\\begintext|\Z)", re.M | re.S)
+_OTHER_KERNELS = re.compile(rb"KERNELS_TO_LOAD\s*\+?=", re.I)
 _LOCK = threading.RLock()  # the toolkit is not safe to call from two threads
 
 
@@ -75,10 +80,12 @@ class KernelSet:
         with self._loaded() as spice:
             try:
                 matrix: FloatArray = spice.pxform(INERTIAL, frame, tdb_s)
-                return matrix
             except spice.exceptions.SpiceyError as error:
                 span = common_span(self.turns.values())
                 raise self._no_data(f"the frame {frame}", tdb_s, span, error) from None
+        if not np.abs(matrix @ matrix.T - np.eye(3)).max() < ORTHOGONAL:
+            raise self._not_finite(f"the frame {frame}", tdb_s)
+        return matrix
 
     def position_m(self, of: int, seen_from: int, tdb_s: float, *, apparent: bool) -> FloatArray:
         """Position (3,) of a body from another one, inertial, m.
@@ -95,11 +102,19 @@ class KernelSet:
                 pair = (self.orbits[n] for n in (of, seen_from) if n in self.orbits)
                 what = f"body {of} seen from {seen_from}"
                 raise self._no_data(what, tdb_s, common_span(pair), error) from None
+        if not np.abs(km).max() < MAX_KM:
+            raise self._not_finite(f"body {of} seen from {seen_from}", tdb_s)
         return np.asarray(km) * 1e3
 
     def orbit_span(self, numbers: Sequence[int]) -> Span | None:
         """First and last time, TDB s, of the orbits of all these bodies."""
         return common_span(self.orbits[n] for n in numbers if n in self.orbits)
+
+    def _not_finite(self, what: str, tdb_s: float) -> DataError:
+        return DataError(
+            f"SPICE kernels ({self.names}): impossible numbers about {what} at "
+            f"{utc_from_tdb_s(tdb_s, 0)}; a kernel is damaged: fetch it again"
+        )
 
     def _no_data(self, what: str, tdb_s: float, span: Span | None, error: Exception) -> DataError:
         at = utc_from_tdb_s(tdb_s, 0)
@@ -142,35 +157,30 @@ class KernelSet:
                             f"{path}: SPICE cannot load this kernel: {text}; fetch it again"
                         ) from None
                 KernelSet._in_use = self.paths
-            yield spice
+            try:
+                yield spice
+            except spice.exceptions.SpiceyError as error:
+                text = getattr(error, "long", "") or str(error)
+                raise DataError(f"SPICE kernels ({self.names}): {text}; fetch them again") from None
 
 
 def _check_file(path: Path) -> None:
     """Refuse what is no kernel or cut short: the toolkit itself loads both without a word."""
     if len(str(path)) > _MAX_PATH:
         raise DataError(f"{path}: the path is longer than the {_MAX_PATH} letters of SPICE")
+    size = check_input(path, "SPICE kernel")
     try:
         with path.open("rb") as file:
-            head = file.read(_RECORD_BYTES)
+            head = file.read(RECORD_BYTES)
             binary = head.startswith((b"DAF/", b"NAIF/DAF"))
             # orbits of a century are hundreds of megabytes
-            content = b"" if binary else head + file.read()
-            size = file.seek(0, 2)
-    except FileNotFoundError:
-        raise DataError(f"{path}: there is no such SPICE kernel; check the path") from None
+            content = b"" if binary else head + file.read(MAX_TEXT_BYTES)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
     if binary:
-        whole = _RECORD_BYTES
-        if len(head) == whole:
-            # least size, from the file record (NAIF, "DAF Required Reading")
-            order = ">" if head[88:96] == b"BIG-IEEE" else "<"
-            whole = 8 * (int(struct.unpack_from(f"{order}i", head, 84)[0]) - 1)
-        if size < whole:
-            raise DataError(
-                f"{path}: the SPICE kernel is cut short: {size} of at least {whole} bytes; "
-                "fetch it again"
-            )
+        check_daf(path, head, size)
+    elif any(map(_OTHER_KERNELS.search, _DATA.findall(content))):
+        raise DataError(f"{path}: names other kernels (KERNELS_TO_LOAD); name these in its place")
     elif b"\\begindata" not in content:
         raise DataError(
             f"{path}: is no SPICE kernel (neither binary nor text with \\begindata); "

@@ -1,6 +1,10 @@
 """SPICE kernels that are missing, cut short or none."""
 
+import math
+import os
+import struct
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -43,7 +47,7 @@ def test_what_is_no_kernel_is_refused_and_leaves_nothing_behind(
 def test_a_missing_kernel_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"none\.bsp: there is no such SPICE kernel"):
         KernelSet([tmp_path / "none.bsp"])
-    with pytest.raises(DataError, match="cannot be read"):
+    with pytest.raises(DataError, match="is a folder"):
         KernelSet([tmp_path])
 
 
@@ -55,3 +59,65 @@ def test_without_the_toolkit_the_message_says_what_to_install(
     monkeypatch.setitem(sys.modules, "spiceypy", None)
     with pytest.raises(DataError, match=r"pip install 'optnav\[spice\]'"):
         KernelSet([kernel])
+
+
+def end_of_first_segment(data: bytes) -> int:
+    """Byte behind the last double of the first segment of a little-endian DAF."""
+    integers, first = struct.unpack_from("<i", data, 12)[0], struct.unpack_from("<i", data, 76)[0]
+    summary = (first - 1) * 1024 + 24
+    return 8 * int(struct.unpack_from("<i", data, summary + 16 + 4 * (integers - 1))[0])
+
+
+@pytest.mark.parametrize("value", [math.nan, 0.0, -1.0, 1.5, 131.0, 1e9, 1e308])
+@pytest.mark.parametrize("word", [1, 2])
+@pytest.mark.parametrize("index", [3, 4])
+def test_a_damaged_count_of_a_segment_is_refused_before_the_toolkit_sees_it(
+    index: int, word: int, value: float, kernels: list[Path], tmp_path: Path
+) -> None:
+    """The toolkit would overrun its buffers and end the process."""
+    data = bytearray(kernels[index].read_bytes())
+    struct.pack_into("<d", data, end_of_first_segment(data) - 8 * word, value)
+    wrong = tmp_path / f"wrong{kernels[index].suffix}"
+    wrong.write_bytes(data)
+    with pytest.raises(DataError, match=r"is damaged .* is impossible"):
+        KernelSet([*kernels[:3], wrong])
+
+
+@pytest.mark.parametrize("place", [8, 12, 76, 84])
+@pytest.mark.parametrize("value", [-1, 0, 1, 2**31 - 1])
+def test_a_damaged_file_record_is_refused_or_read(
+    place: int, value: int, kernels: list[Path], tmp_path: Path
+) -> None:
+    data = bytearray(kernels[3].read_bytes())
+    struct.pack_into("<i", data, place, value)
+    wrong = tmp_path / f"wrong{kernels[3].suffix}"
+    wrong.write_bytes(data)
+    with suppress(DataError):  # no summaries: no orbits
+        assert KernelSet([*kernels[:3], wrong]).orbits == {}
+
+
+def test_a_text_kernel_loads_no_others(kernels: list[Path], tmp_path: Path) -> None:
+    meta = tmp_path / "meta.tm"
+    meta.write_text(f"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( '{kernels[0]}' )\n\\begintext\n")
+    with pytest.raises(DataError, match="names other kernels"):
+        KernelSet([meta])
+    # in its comments it may speak of them
+    meta.write_text("KPL/FK\nKERNELS_TO_LOAD = ( 'a' )\n\\begindata\nA = 1\n\\begintext\n")
+    assert KernelSet([meta]).orbits == {}
+    meta.unlink()
+    os.mkfifo(meta)
+    with pytest.raises(DataError, match="pipe or a device"):
+        KernelSet([meta])
+
+
+def test_numbers_that_no_rotation_has_are_told(kernels: list[Path], tmp_path: Path) -> None:
+    wrong = next(path for path in kernels if path.suffix == ".bpc")
+    data = bytearray(wrong.read_bytes())
+    end = end_of_first_segment(data)
+    data[end - 80_000 : end - 32] = struct.pack("<d", math.nan) * ((80_000 - 32) // 8)
+    damaged = tmp_path / "damaged.bpc"
+    damaged.write_bytes(data)
+    found = KernelSet([damaged if path == wrong else path for path in kernels])
+    last = max(span[1] for span in found.turns.values())
+    with pytest.raises(DataError, match=r"impossible numbers|nothing about"):
+        found.rotation("MOON_ME", last - 86400.0)
