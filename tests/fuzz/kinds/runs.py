@@ -107,7 +107,7 @@ def works(place: Place) -> Case:
     if rng.random() < 0.3:
         stage = rng.choice(("ingest", "render", "select", "check"))
         args = ("-q", stage, "moon.toml", "--work", "w", "--workers", "1", "--bbox", "10,20,12,21")
-        return Case(args, READ, leaves=("w",), note=note)
+        return Case(args, READ | {USAGE}, leaves=("w",), note=note)
     return Case(args, READ, "new.gpkg", frozenset({OK, NOTHING}), ("w",), note=note)
 
 
