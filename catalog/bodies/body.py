@@ -1,6 +1,7 @@
 """The constants of a body, read from configs/bodies/NAME.toml or a file like these."""
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,6 +18,9 @@ Polynomial = tuple[float, float, float]
 Axes = tuple[float, float, float]
 J2000_YEAR = 2000.0
 JULIAN_YEAR_S = 365.25 * 86400.0
+NAME = re.compile(r"[^\W_][\w .'()-]{0,79}")  # no path: a body's file is looked for by name
+MIN_RADIUS_KM, MAX_RADIUS_KM, MAX_GM = 1e-3, 1e6, 1e12  # from a boulder to the Sun
+MAX_RATIO = 20.0  # of a semi-axis to the radius, either way; the longest asteroids have 5
 
 
 class RotationTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -208,10 +212,20 @@ def read_body(path: Path) -> Body:
     """The body a file describes. Raises ConfigError when the file is not a valid body."""
     settings = load_toml(path, BodyFile)
     lowest_km, highest_km = settings.plausible_heights_km
-    sizes = (settings.radius_km, settings.gm_km3_s2, *settings.radii_km)
-    if min(sizes) <= 0.0:
-        raise ConfigError(f"{path}: a radius or gm_km3_s2 is not positive; correct the file")
-    if not -settings.radius_km < lowest_km < highest_km:
+    radius_km = settings.radius_km
+    if not NAME.fullmatch(settings.name):
+        raise ConfigError(f"{path}: name is {settings.name[:80]!r}; wanted a plain name")
+    if not (MIN_RADIUS_KM <= radius_km <= MAX_RADIUS_KM and 0.0 < settings.gm_km3_s2 <= MAX_GM):
+        raise ConfigError(
+            f"{path}: radius_km is {radius_km:g}, gm_km3_s2 {settings.gm_km3_s2:g}; wanted "
+            f"{MIN_RADIUS_KM:g} to {MAX_RADIUS_KM:g}, and over 0 to {MAX_GM:g}"
+        )
+    if not all(1.0 / MAX_RATIO <= axis / radius_km <= MAX_RATIO for axis in settings.radii_km):
+        raise ConfigError(
+            f"{path}: radii_km is {list(settings.radii_km)}; wanted semi-axes about radius_km, "
+            f"{radius_km:g}, at most {MAX_RATIO:g} times larger or smaller"
+        )
+    if not -radius_km < lowest_km < highest_km <= MAX_RATIO * radius_km:
         raise ConfigError(
             f"{path}: plausible_heights_km is [{lowest_km}, {highest_km}]; "
             "wanted [lowest, highest], the lowest above the body's centre"

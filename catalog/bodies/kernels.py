@@ -46,9 +46,9 @@ class KernelSet:
     _in_use: ClassVar[tuple[str, ...]] = ()  # files that the toolkit holds
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        self.paths = tuple(str(Path(path).resolve()) for path in paths)
-        for path in self.paths:
-            _check_file(Path(path))
+        for path in paths:
+            _check_file(path.absolute())
+        self.paths = tuple(str(path.resolve()) for path in paths)
         with self._loaded() as spice:
             self.orbits, self.turns = _cover(spice, "SPK"), _cover(spice, "PCK")
 

@@ -18,6 +18,7 @@ import msgspec
 from catalog.bodies.body import is_body_file
 from catalog.config import BUNDLED, named_config, parse_toml, toml_text
 from catalog.errors import ConfigError
+from catalog.store.manifest import LIMITS
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
 
@@ -91,8 +92,11 @@ class WriteSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     height_step_m: float | None = None
 
     def __post_init__(self) -> None:
-        if self.height_step_m is not None and not self.height_step_m > 0.0:
-            raise ValueError(f"height_step_m is {self.height_step_m:g}; wanted more than 0")
+        lowest, highest = LIMITS["height_step_m"]
+        if self.height_step_m is not None and not lowest <= self.height_step_m <= highest:
+            raise ValueError(
+                f"height_step_m is {self.height_step_m:g}; wanted {lowest:g} to {highest:g}"
+            )
 
     def steps_m(self, postings_m: Sequence[float]) -> tuple[float, ...]:
         """The step of each level, finest first."""
@@ -280,3 +284,12 @@ def _size_problems(config: BuildConfig) -> Iterator[str]:
         yield f"[pyramid] size is {pyramid.size}; wanted an even number, {SIZES[0]} to {SIZES[1]}"
     if pyramid.posting_m is not None and pyramid.posting_m <= 0.0:
         yield f"[pyramid] posting_m is {pyramid.posting_m:g}; wanted more than 0"
+    render, check = config.render, config.check
+    for section, name, low, high in (
+        ("render", "sun_{}_deg", render.sun_min_deg, render.sun_max_deg),
+        ("check", "sun_{}_deg", check.sun_min_deg, check.sun_max_deg),
+        ("check", "snr_{}", check.snr_min, check.snr_max),
+    ):
+        if low > high:
+            least, most = name.format("min"), name.format("max")
+            yield f"[{section}] {least} is {low:g}; wanted at most {most}, {high:g}"

@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from catalog.bodies.body import NAME
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
 from catalog.geometry.projection import FLAT_RADIUS_M, MapProjection
@@ -45,7 +46,6 @@ LIMITS: dict[str, tuple[float, float]] = {
     "usable": (0, 50_000_000),
 }
 MAX_RELIEF_ROWS = 2880
-BODY_NAME = re.compile(r"[^\W_][\w .'()-]{0,79}")  # no path: a body's file is looked for by name
 
 
 @dataclass(frozen=True)
@@ -245,5 +245,5 @@ def _out_of_range(meta: CatalogMeta) -> Iterator[tuple[str, object]]:
     yield from ((name, n) for name, n, lowest, highest in numbers if not lowest <= n <= highest)
     if meta.usable > meta.count:
         yield "usable", meta.usable
-    if not BODY_NAME.fullmatch(meta.body):
+    if not NAME.fullmatch(meta.body):
         yield "body", repr(meta.body[:80])

@@ -12,6 +12,8 @@ from optnav_cli.camera.camera import Camera, Distortion, Model
 # Focal length, pitch and their ratio are each printed with about four digits.
 AGREEMENT = 1e-3
 MAX_SIDE_PX = 100_000
+# Of the longer side: a pinhole of 179.9 deg, and a picture of 0.2" across.
+FOCAL_SIDES = (1e-3, 1e6)
 MAX_PSF_PX = 50.0  # beyond any lens: the key is not in pixels
 _TERMS = {"pinhole": 5, "kannala_brandt": 4}
 _TERM_NAMES = {"pinhole": "[k1, k2, p1, p2, k3]", "kannala_brandt": "[k1, k2, k3, k4]"}
@@ -148,14 +150,19 @@ def _focal_length_px(settings: CameraFileSettings, where: str) -> float:
         raise ConfigError(
             f"{where}: focal_length_mm and pixel_pitch_um belong together; add {missing}"
         )
-    if length_mm is None or pitch_um is None:
-        if pixels is None:
-            raise ConfigError(
-                f"{where}: no focal length; add focal_length_px, "
-                "or focal_length_mm with pixel_pitch_um"
-            )
-        return pixels
-    from_length = length_mm * 1e3 / pitch_um
+    from_length = pixels
+    if length_mm is not None and pitch_um is not None:
+        from_length = length_mm * 1e3 / pitch_um
+    if from_length is None:
+        raise ConfigError(
+            f"{where}: no focal length; add focal_length_px, or focal_length_mm with pixel_pitch_um"
+        )
+    side = max(settings.width_px, settings.height_px)
+    if not FOCAL_SIDES[0] * side <= from_length <= FOCAL_SIDES[1] * side:
+        raise ConfigError(
+            f"{where}: the focal length is {from_length:g} px; wanted {FOCAL_SIDES[0]:g} to "
+            f"{FOCAL_SIDES[1]:g} of the longer side, {side} px"
+        )
     if pixels is not None and abs(pixels / from_length - 1.0) > AGREEMENT:
         raise ConfigError(
             f"{where}: focal_length_px is {pixels}, but focal_length_mm / pixel_pitch_um gives "

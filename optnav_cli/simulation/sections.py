@@ -126,7 +126,7 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     hot_pixels  how many pixels shine by themselves, the same ones in all pictures of a camera
     """
 
-    psf_sigma_px: NotNegative = 0.7
+    psf_sigma_px: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.7
     snr: Positive = 50.0
     read_noise_e: NotNegative = 10.0
     bits: Annotated[int, Meta(ge=6, le=16)] = 8

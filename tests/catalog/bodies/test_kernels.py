@@ -47,8 +47,11 @@ def test_what_is_no_kernel_is_refused_and_leaves_nothing_behind(
 def test_a_missing_kernel_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"none\.bsp: there is no such SPICE kernel"):
         KernelSet([tmp_path / "none.bsp"])
-    with pytest.raises(DataError, match="is a folder"):
-        KernelSet([tmp_path])
+    for place, words in ((tmp_path, "is a folder"), (Path("/dev/zero"), "is a pipe or a device")):
+        with pytest.raises(DataError, match=words):
+            KernelSet([place])
+    with pytest.raises(DataError, match="is not a name"):
+        KernelSet([tmp_path / "a\0b"])
 
 
 def test_without_the_toolkit_the_message_says_what_to_install(

@@ -200,6 +200,7 @@ def test_a_missing_folder_is_made(world: Any, tmp_path: Path) -> None:
 
 
 def test_a_link_stays_and_the_file_that_it_names_is_replaced(world: Any, tmp_path: Path) -> None:
+    (tmp_path / "real.gpkg").touch()
     (tmp_path / "link.gpkg").symlink_to("real.gpkg")
     world.write(tmp_path / "link.gpkg")
     assert (tmp_path / "link.gpkg").is_symlink()

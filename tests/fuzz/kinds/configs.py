@@ -142,6 +142,8 @@ def put(data: Any, steps: Steps, value: Any) -> bool:
 
 # Settings that say how much is to be done: a lawful hundred thousand takes hours and is no fault.
 AMOUNTS = ("frames", "passes", "trials", "places", "candidates", "hot_pixels", "seeds")
+# Without these the defaults hold: cells of a degree, relief down to 30 m, hours of work.
+SPARING = ("grid", "cell_deg", "detail", "seeds")
 
 
 class ConfigKind:
@@ -239,7 +241,9 @@ class ConfigKind:
     def _missing(self, place: Place, data: dict[str, Any]) -> tuple[str, frozenset[int], str]:
         at, info = place.rng.choice([s for s in self.sections if _table(data, s[0])])
         table = _table(data, at) or {}
-        name = place.rng.choice(sorted(table))
+        name = place.rng.choice([key for key in sorted(table) if key not in SPARING] or ["seed"])
+        if name not in table:
+            return self._whole(place, data)
         del table[name]
         required = {field.encode_name for field in info.fields if field.required}
         codes = REFUSED if name in required else OPEN

@@ -44,6 +44,8 @@ def test_a_focal_length_in_millimetres_needs_the_pitch(tmp_path: Path) -> None:
         ("focal_length_px = 500.0", "", "no focal length"),
         ("focal_length_px = 500.0", "focal_length_px = -500.0", "focal_length_px is -500"),
         ("focal_length_px = 500.0", "focal_length_px = nan", "finite"),
+        ("focal_length_px = 500.0", "focal_length_px = 1e-9", "longer side, 640 px"),
+        ("focal_length_px = 500.0", "focal_length_px = 1e17", "longer side, 640 px"),
         ("focal_length_px", "focal_lenght_px", "focal_length_px"),
         ("width_px = 640", "width_px = 0", "width_px is 0"),
         ("width_px = 640", "width_px = 640.5", "width_px"),
