@@ -25,11 +25,14 @@ from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.fix import Fix, Method, NoFix, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import load_picture
-from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
+from optnav_cli.navigation.answers import NavigationInputs
+from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.settings import NavigateSettings, load_settings
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.report import write_report
-from optnav_cli.runs import navigate_folder as folder_run
+from optnav_cli.runs.frame_worker import RunInputs
+from optnav_cli.runs.inputs import open_catalogs, open_field, whole_relief
+from optnav_cli.runs.navigate_folder import navigate_folder as navigate_pictures
 from optnav_cli.runs.simulate_folder import simulate_folder
 
 __all__ = [
@@ -93,11 +96,11 @@ def navigate_picture(
         raise UsageError("position_m and position_sigma_m belong together: give both or none")
     picture, tdb_s = Path(picture), utc_to_tdb_s(utc)
     sigma_rad = None if attitude_sigma_arcsec is None else attitude_sigma_arcsec * ARCSEC
-    with folder_run.open_catalogs([Path(path) for path in catalogs]) as found:
+    with open_catalogs([Path(path) for path in catalogs]) as found:
         body = load_body(found[0].meta.body)
         motion = AnalyticEphemeris(body)
-        points = folder_run.open_field(found, body)
-        relief = folder_run.whole_relief(found, None, body)
+        points = open_field(found, body)
+        relief = whole_relief(found, None, body)
         inputs = NavigationInputs(points, motion, relief, NavigateSettings(), match_ncc)
         frame = Frame(
             file=picture.name,
@@ -129,15 +132,13 @@ def navigate_folder(
     Raises NothingToDoError, after the run is written, where no picture was solved; another
     OptnavError where folder or catalogs cannot be used at all.
     """
-    return folder_run.navigate_folder(
+    given = RunInputs(
         Path(pictures),
         [Path(path) for path in catalogs],
         settings or NavigateSettings(),
-        "ncc",
-        Path(run),
-        progress or SilentProgress(),
-        None if relief is None else Path(relief),
+        relief=None if relief is None else Path(relief),
     )
+    return navigate_pictures(given, Path(run), progress or SilentProgress())
 
 
 def simulate(

@@ -135,12 +135,14 @@ workers_option = click.option(
     type=click.IntRange(1, MAX_WORKERS),
     help="Processes to work with; all cores by default.",
 )
-scheduler_option = click.option(
-    "--scheduler",
-    metavar="tcp://HOST:PORT",
-    help="Work on the workers of this dask scheduler; they must see the terrain models and "
-    "the work folder under the same paths. Ingest stays here, with --workers threads.",
-)
+
+
+def scheduler_option(files: str, note: str = "") -> Callable[[F], F]:
+    """`--scheduler ADDRESS`: work elsewhere, where these files must be."""
+    text = f"Work on the workers of this dask scheduler; they must see {files} under the same paths"
+    return click.option("--scheduler", metavar="tcp://HOST:PORT", help=f"{text}.{note}")
+
+
 bbox_option = click.option(
     "--bbox",
     type=BoundingBoxType(),

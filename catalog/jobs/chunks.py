@@ -3,7 +3,7 @@
 import multiprocessing
 import os
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -48,7 +48,7 @@ class ChunkResults:
         workers: Workers,
         account: StageAccount,
         shown: Stage,
-    ) -> Iterator[int]:
+    ) -> Generator[int]:
         """Run the chunks that have no result yet; yields each position as its file is there.
 
         function(context, chunk) -> records of `type_`; it must be importable by a worker. First

@@ -17,7 +17,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from catalog.errors import UsageError, WorkersError
-from catalog.jobs.cluster_node import Needs, call_on_node, files_of, needs_of, unfit
+from catalog.jobs.cluster_node import Needs, call_on_node, code_of, files_of, needs_of, unfit
 from catalog.jobs.workers import ExecutorWorkers, Workers
 from catalog.jobs.workspace import code_key
 
@@ -182,7 +182,7 @@ class ClusterPool:
 
     def pack(self, context: Any) -> bytes:
         # 6 kB for one terrain model: no trouble to send with each chunk of seconds of work
-        self.need(needs_of(files_of(context)))
+        self.need({**needs_of(files_of(context)), "packages": code_of(context)})
         return pickle.dumps((self._needs, pickle.dumps(context)))
 
     def executor(self) -> Executor:

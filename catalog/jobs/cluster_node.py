@@ -35,7 +35,10 @@ def needs_of(files: Iterable[Path]) -> Needs:
 
 @runtime_checkable
 class HasFiles(Protocol):
-    """A context whose chunks are worked from files."""
+    """A context whose chunks are worked from files.
+
+    Such a context may name further packages whose code the work needs, as `packages`.
+    """
 
     def files(self) -> list[Path]:
         """These files."""
@@ -46,6 +49,11 @@ def files_of(context: Any) -> list[Path]:
     return context.files() if isinstance(context, HasFiles) else []
 
 
+def code_of(context: Any) -> dict[str, str]:
+    """Packages besides this one whose code the chunks of a context need, with its hash."""
+    return {name: code_key(name) for name in getattr(context, "packages", ())}
+
+
 def unfit(needs: Needs) -> str | None:
     """Why this process cannot do the work of one with these needs; None when it can."""
     for (name, found), (_, wanted) in zip(surroundings(), needs["surroundings"], strict=True):
@@ -54,7 +62,8 @@ def unfit(needs: Needs) -> str | None:
                 f"has {name} {found}, the build {wanted}: results could differ; "
                 "install the same versions (requirements.lock) on all machines"
             )
-    if needs["code"] != code_key():
+    code = {"catalog": needs["code"], **needs.get("packages", {})}
+    if any(key != code_key(name) for name, key in code.items()):
         return (
             "runs other code of optnav than the build; "
             "install the same version there and start the worker again"

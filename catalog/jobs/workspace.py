@@ -16,11 +16,12 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_origin
 
 import msgspec
 import numpy as np
 import zstandard
+from scipy.spatial.transform import Rotation
 
 import catalog
 from catalog.errors import DataError, OutputError
@@ -170,13 +171,13 @@ def stage_key(*parts: Any) -> str:
 
 
 @cache
-def code_key() -> str:
-    """Hash of the package's own code: results of other code are not taken for ours.
+def code_key(name: str = "catalog") -> str:
+    """Hash of a package's code: results of other code are not taken for ours.
 
     Read once: a process goes on with the code that it has loaded, whatever is installed meanwhile.
     """
     whole = hashlib.sha256(catalog.__version__.encode())
-    package = Path(str(files("catalog")))
+    package = Path(str(files(name)))
     for path in sorted(package.rglob("*.py")):
         whole.update(path.relative_to(package).as_posix().encode())
         whole.update(path.read_bytes())
@@ -222,8 +223,7 @@ def content_hash(files: Iterable[Path], workspace: Workspace, progress: Progress
 
 def encode_records(records: Sequence[Any]) -> bytes:
     """Structs or dataclasses as bytes; the same records give the same bytes."""
-    plain = msgspec.msgpack.encode(records, enc_hook=_plain)
-    payload = zstandard.ZstdCompressor(level=1).compress(plain)
+    payload = zstandard.ZstdCompressor(level=1).compress(pack(records))
     return MAGIC + hashlib.sha256(payload).digest()[:HASH_BYTES] + payload
 
 
@@ -240,9 +240,19 @@ def decode_records(data: bytes, type_: type[T]) -> list[T]:
     payload = memoryview(data)[len(MAGIC) + HASH_BYTES :]
     plain = zstandard.ZstdDecompressor().decompress(payload)
     try:
-        return msgspec.msgpack.decode(plain, type=list[type_], dec_hook=_array)  # type: ignore[valid-type]
+        return unpack(plain, list[type_])  # type: ignore[valid-type]
     except msgspec.MsgspecError as error:
         raise DamagedRecordsError(str(error)) from None
+
+
+def pack(value: Any) -> bytes:
+    """A struct or dataclass, with arrays and rotations in it, as bytes."""
+    return msgspec.msgpack.encode(value, enc_hook=_plain)
+
+
+def unpack(data: bytes, type_: type[T]) -> T:
+    """What bytes of `pack` hold; rotations are normalised anew. Raises MsgspecError."""
+    return msgspec.msgpack.decode(data, type=type_, dec_hook=_rich)
 
 
 def _unwritable(folder: Path, error: OSError) -> OutputError:
@@ -257,11 +267,15 @@ def _plain(value: Any) -> Any:
         return [value.dtype.str, list(value.shape), np.ascontiguousarray(value).tobytes()]
     if isinstance(value, np.generic):
         return value.item()
+    if isinstance(value, Rotation):
+        return value.as_quat().tolist()
     raise NotImplementedError(f"records cannot hold a {type(value).__name__}")
 
 
-def _array(type_: type, value: Any) -> Any:
-    if type_ is np.ndarray:
+def _rich(type_: type, value: Any) -> Any:
+    if (get_origin(type_) or type_) is np.ndarray:
         dtype, shape, data = value
         return np.frombuffer(data, dtype=np.dtype(dtype)).reshape(shape)
+    if type_ == Rotation:
+        return Rotation.from_quat(value)
     raise NotImplementedError(f"records cannot hold a {type_.__name__}")

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from catalog.build.config import ConfigText
 
 CATALOG_ENDINGS = (".gpkg", "")
+_scheduler_option = scheduler_option(
+    "the terrain models and the work folder", " Ingest stays here, with --workers threads."
+)
 CATALOG_HELP = "The catalog file (GeoPackage); an earlier catalog is replaced."
 
 
@@ -39,7 +42,7 @@ CATALOG_HELP = "The catalog file (GeoPackage); an earlier catalog is replaced."
 @output_option(CATALOG_HELP, CATALOG_ENDINGS)
 @work_option(required=False)
 @workers_option
-@scheduler_option
+@_scheduler_option
 @bbox_option
 @click.option(
     "--check",
@@ -145,7 +148,7 @@ def _stage(
     options = [path_argument("config")]
     options += [output_option(CATALOG_HELP, CATALOG_ENDINGS)] if writes else []
     options += [work_option(required=True), workers_option]
-    options += [scheduler_option] if on_workers else []
+    options += [_scheduler_option] if on_workers else []
     command: Callable[..., None] = pass_progress(call)
     for option in reversed([*options, bbox_option]):
         command = option(command)

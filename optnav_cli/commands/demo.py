@@ -42,9 +42,9 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
     from catalog.places import claimed, make_folder
     from optnav_cli.evaluation.files import evaluate_run, write_evaluation
     from optnav_cli.evaluation.table import format_table
-    from optnav_cli.navigation.settings import NavigateSettings
     from optnav_cli.output.manifest import write_manifest
     from optnav_cli.report import write_report
+    from optnav_cli.runs.frame_worker import RunInputs
     from optnav_cli.runs.navigate_folder import navigate_folder
     from optnav_cli.runs.simulate_folder import simulate_folder
 
@@ -64,7 +64,7 @@ def command(progress: ConsoleProgress, output: Path, workers: int | None) -> Non
         announce_compilation()
         build.run(config, output=catalog, workers=workers, progress=progress)
         simulate_folder(scenario, pictures, progress, workers)
-        navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", run, progress)
+        navigate_folder(RunInputs(pictures, [catalog]), run, progress, workers=workers)
         evaluation = evaluate_run(run, pictures / "truth.csv")
         write_evaluation(evaluation, run)
         write_report(run, report)

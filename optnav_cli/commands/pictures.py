@@ -12,6 +12,8 @@ from optnav_cli.options import (
     matcher_option,
     output_option,
     path_argument,
+    scheduler_option,
+    workers_option,
 )
 from optnav_cli.parameters import PATH, Number, OutputOption, SolvedLimit
 
@@ -68,15 +70,18 @@ def simulate(progress: ConsoleProgress, scenario: Path, output: Path) -> None:
     "carries.",
 )
 @output_option("Folder for the results; an earlier run in it is replaced.")
+@workers_option
+@scheduler_option("pictures, catalogs and --relief")
 @pass_progress
 def navigate(
     progress: ConsoleProgress,
+    /,
     folder: Path,
-    catalogs: tuple[Path, ...],
     config: Path | None,
-    matcher: str,
-    relief: Path | None,
     output: Path,
+    workers: int | None,
+    scheduler: str | None,
+    **given: Any,
 ) -> None:
     """Find the camera's position for each picture of FOLDER.
 
@@ -87,19 +92,25 @@ def navigate(
     then by control points; earlier frames and other cameras at the same time serve where it shows
     no limb.
 
+    A stopped run goes on where it was when the same command is given again; what is done lies in
+    OUTPUT.work until then. A run that is there already, from the same inputs, is left as it is.
+
     Ends with exit code 4 when no frame could be solved.
 
     \b
     Example:
       optnav navigate pictures --catalog tycho.gpkg --catalog moon.gpkg -o run
+      optnav navigate pictures --catalog moon.gpkg -o run --workers 4
     """
     from optnav_cli.navigation.settings import NavigateSettings, load_settings
     from optnav_cli.output.run_summary import run_lines
+    from optnav_cli.runs.frame_worker import RunInputs
     from optnav_cli.runs.navigate_folder import navigate_folder
 
     settings = load_settings(config) if config else NavigateSettings()
     announce_compilation()
-    solutions = navigate_folder(folder, catalogs, settings, matcher, output, progress, relief)
+    inputs = RunInputs(folder, settings=settings, **given)
+    solutions = navigate_folder(inputs, output, progress, workers=workers, scheduler=scheduler)
     tell(run_lines(solutions))
     click.echo(output)
 

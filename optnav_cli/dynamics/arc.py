@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from operator import add
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri  # chi-square that is exceeded with a probability
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
@@ -28,7 +28,7 @@ from optnav_cli.reasons import Reason, ReasonCode
 
 # A right fix is farther from the arc than this once in a million.
 GATE_PROBABILITY = 1e-6
-GATE = float(chi2.isf(GATE_PROBABILITY, 3))
+GATE = float(chdtri(3, GATE_PROBABILITY))
 MAX_FIXES = 12
 _NO_ORBIT = Reason(ReasonCode.NO_SOLUTION, "the fixes fit no orbit")
 ITERATION = Iteration(12, 1e-3, undetermined=_NO_ORBIT, unsettled=_NO_ORBIT)
@@ -166,7 +166,7 @@ class OrbitArc:
         fixes = FixesModel(self._model, self._fixes)
         found = solve([fixes, velocity], state, add, ITERATION)
         # three measurements a fix and three of the velocity's size, six unknowns
-        if found.cost > chi2.isf(GATE_PROBABILITY, found.degrees_of_freedom):
+        if found.cost > chdtri(found.degrees_of_freedom, GATE_PROBABILITY):
             raise _NO_ORBIT.error()
         self._fitted = found.state, found.covariance
         return self._fitted

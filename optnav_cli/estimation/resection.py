@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
@@ -106,7 +106,7 @@ def resect_robustly(
         raise NoSolutionError(
             f"{len(sightings)} matched control points; {fewest} are needed", ReasonCode.FEW_POINTS
         )
-    gate = float(chi2.ppf(gate_probability, 2))
+    gate = 2.0 * float(gammaincinv(1.0, gate_probability))  # of a chi-square with 2 degrees
     squares_of = PointsModel(camera, sightings, 6).squares
     sigma = attitude_sigma_rad
     reach_px = np.linalg.norm(sightings.pixels - sightings.pixels.mean(axis=0), axis=1).max()

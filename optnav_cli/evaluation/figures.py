@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from catalog.arrays import FloatArray
 from catalog.errors import NothingToDoError
@@ -187,7 +187,7 @@ def figures_of(frames: Sequence[FrameError]) -> Figures:
     nees = np.array([frame.nees for frame in good])
     terms = 3 * len(good)
     tails = (0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0)
-    low, high = (float(chi2.ppf(tail, terms)) / terms for tail in tails)
+    low, high = (2.0 * float(gammaincinv(terms / 2.0, tail)) / terms for tail in tails)
     angles = [f.attitude_error_rad for f in good if f.attitude_error_rad is not None]
     checked = [f for f in good if f.n_wrong is not None]
     return Figures(

@@ -6,6 +6,7 @@ rest with zeros. With a PNG it does not fail, so the checksums of a PNG's chunks
 
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -37,6 +38,24 @@ class Picture:
 
     values: Float32Array
     saturation: float | None
+
+    def loaded(self) -> "Picture":
+        """The picture itself, read by now."""
+        return self
+
+
+class LaterPicture(Picture):
+    """A picture that is read when it is needed; until then it has no values.
+
+    read  gives the picture, again and again; it raises DataError where that cannot be used
+    """
+
+    def __init__(self, read: Callable[[], Picture]) -> None:
+        self._read: Callable[[], Picture]
+        vars(self)["_read"] = read
+
+    def loaded(self) -> Picture:
+        return self._read()
 
 
 def load_picture(path: str | Path, camera: Camera) -> Picture:

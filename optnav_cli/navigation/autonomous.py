@@ -13,28 +13,20 @@ focal length, clock or attitude shows so. An outline far from the arc is not acc
 next frame agrees with it; a position of two methods ends the arc instead.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from catalog.bodies.ephemeris import Ephemeris
-from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
-from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.arc import GATE
-from optnav_cli.fix import Evidence, Fix, Method, NoFix, PositionPrior, Solution, UnsolvedFrameError
+from optnav_cli.fix import Evidence, Fix, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation.control_points import method as control_points
-from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
 from optnav_cli.navigation.history import History
-from optnav_cli.navigation.neighbour import other_body
 from optnav_cli.navigation.observation import FROM_FILE, Observation, observation_of
-from optnav_cli.navigation.outline import method as outline
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # So many control points in view, lit and whole, are never all missed where the prior is right: but
@@ -44,73 +36,68 @@ MIN_MISSED_POINTS, MAX_MISSED_SUN_DEG = 8, 55.0
 SMALL_DISC_PX = 2000.0
 
 
-@dataclass(frozen=True, eq=False)
-class NavigationInputs:
-    """What a run navigates by.
+class Navigator:
+    """Navigates the frames of a run one after the other, in the order of time.
 
-    relief    None where neither a catalog nor the user gives one
-    inertial  whether the attitudes of the files are camera_from_inertial
+    history  what is known of the frames before; nothing yet if None
     """
 
-    points: ControlPointField
-    motion: Ephemeris
-    relief: GlobalRelief | None
-    settings: NavigateSettings
-    matcher: Matcher
-    inertial: bool = False
-
-
-class Navigator:
-    """Navigates the frames of a run one after the other, in the order of time."""
-
-    def __init__(self, inputs: NavigationInputs) -> None:
+    def __init__(self, inputs: NavigationInputs, history: History | None = None) -> None:
         self._inputs = inputs
-        self._history = History(inputs.motion)
+        self._history = History(inputs.motion) if history is None else history
 
-    def solve(self, frame: Frame, camera: Camera, picture: Picture) -> Solution:
-        """A frame's row; what is wrong with it is the reason of an unsolved one."""
+    def solve(
+        self, frame: Frame, camera: Camera, picture: Picture, answers: Answers | None = None
+    ) -> Solution:
+        """A frame's row; what is wrong with it is the reason of an unsolved one.
+
+        answers  of the methods, as far as they are known; those asked anew are added. The picture
+                 is only read for these.
+        """
         try:
             observation = observation_of(frame, camera, picture)
         except NoSolutionError as error:
             return Solution(frame.file, frame.utc, NoFix(Reason.of(error)))
+        methods = FrameMethods(self._inputs, observation, {} if answers is None else answers)
         # A step gives the frame's row, or leaves it to the next one and may say why.
         reason = NO_REASON
         for step in (self._from_file, self._from_same_time, self._from_outline):
-            result = step(observation)
+            result = step(methods)
             if isinstance(result, Solution):
                 return result
             reason = result
-        return self._from_arc(observation, reason)
+        return self._from_arc(methods, reason)
 
-    def _from_file(self, observation: Observation) -> Solution | Reason:
+    def _from_file(self, methods: FrameMethods) -> Solution | Reason:
         """Control points from the position that frames.csv states."""
-        if observation.prior is None:
+        prior = methods.observation.prior
+        if prior is None:
             return NO_REASON
-        row = self._by_points(observation, observation.prior)
+        row = methods.by_points(prior)
         if not row.solved:
-            return self._with_inverse_attitude(row, observation, observation.prior)
-        return self._accept_points(observation, row, confirmed=True)
+            return self._with_inverse_attitude(row, methods, prior)
+        return self._accept_points(methods.observation, row, confirmed=True)
 
-    def _from_same_time(self, observation: Observation) -> Solution | Reason:
+    def _from_same_time(self, methods: FrameMethods) -> Solution | Reason:
         """Control points from the fix of another camera at the same time."""
+        observation = methods.observation
         prior = self._history.at_same_time(observation.tdb_s)
         if prior is None or self._out_of_reach(observation, prior):
             return NO_REASON
-        row = self._by_points(observation, prior)
+        row = methods.by_points(prior)
         return self._accept_points(observation, row, confirmed=True) if row.solved else NO_REASON
 
-    def _from_outline(self, observation: Observation) -> Solution | Reason:
+    def _from_outline(self, methods: FrameMethods) -> Solution | Reason:
         """The outline, and control points from it where they may give more."""
-        try:
-            fix = self._outline(observation)
-        except NoSolutionError as error:
-            return Reason.of(error)
+        observation, fix = methods.observation, methods.outline()
+        if isinstance(fix, NoFix):
+            return fix.reason
         row = Solution(observation.file, observation.utc, fix)
         prior = PositionPrior(fix.position_m, fix.covariance_m2, fix.method)
         beyond = self._out_of_reach(observation, prior)
         if beyond:
-            return self._accept_outline(observation, row.with_remark(beyond))
-        points = self._by_points(observation, prior)
+            return self._accept_outline(methods, row.with_remark(beyond))
+        points = methods.by_points(prior)
         limb, tried = fix.evidence, points.evidence
         if points.fix is not None:
             n, arc, marks = limb.n_limb, limb.arc_deg, limb.outline
@@ -124,7 +111,7 @@ class Navigator:
             evidence = replace(limb, matches=tried.matches)
             alone = replace(row, outcome=replace(fix, evidence=evidence))
             remark = why.worded(f"control points: {why}")
-            return self._accept_outline(observation, alone.with_remark(remark))
+            return self._accept_outline(methods, alone.with_remark(remark))
         reason = Reason(
             ReasonCode.POINTS_MISSING,
             f"the {fix.method.label} puts {missed} well-lit control points into "
@@ -133,47 +120,26 @@ class Navigator:
         )
         evidence = Evidence(matches=tried.matches, outline=limb.outline)
         row = replace(row, outcome=NoFix(reason, fix.method, evidence), prior=fix.method)
-        return self._with_inverse_attitude(row, observation)
+        return self._with_inverse_attitude(row, methods)
 
-    def _from_arc(self, observation: Observation, why_no_outline: Reason) -> Solution:
+    def _from_arc(self, methods: FrameMethods, why_no_outline: Reason) -> Solution:
         """Control points from where other frames place the camera, or no fix at all."""
+        observation = methods.observation
         row = Solution(observation.file, observation.utc, NoFix(why_no_outline))
         time = observation.tdb_s
         prior = self._history.at_same_time(time) or self._history.predict(time)
         if prior is None:
             text = f"no prior: {why_no_outline}; and no frame before leads here"
             row = replace(row, outcome=NoFix(Reason(ReasonCode.NO_PRIOR, text)))
-            return self._with_inverse_attitude(row, observation)
+            return self._with_inverse_attitude(row, methods)
         beyond = self._too_coarse(observation, prior)
         if beyond:
             reason = beyond.worded(f"{why_no_outline}; from the {prior.source}: {beyond}")
             return replace(row, outcome=NoFix(reason), prior=prior.source)
-        row = self._by_points(observation, prior)
+        row = methods.by_points(prior)
         if not row.solved:
             return row.with_remark(why_no_outline)
         return self._accept_points(observation, row, confirmed=False)
-
-    def _outline(self, observation: Observation) -> Fix:
-        """The fix by the body's outline. Raises NoSolutionError."""
-        inputs, turn, sun = self._inputs, observation.camera_from_body, observation.sun_body
-        sigma = inputs.settings.attitude_sigma_rad(observation.attitude_sigma_rad)
-        body, other = inputs.motion.body, other_body(inputs.motion, observation.tdb_s)
-        picture, camera = observation.picture, observation.camera
-        return outline.navigate(picture, camera, turn, sigma, sun, body, inputs.relief, other)
-
-    def _by_points(self, observation: Observation, prior: PositionPrior) -> Solution:
-        """The row that control points give from a prior."""
-        inputs = self._inputs
-        outcome: Fix | NoFix
-        try:
-            outcome = control_points.navigate(
-                observation, prior, inputs.points, inputs.settings, inputs.matcher
-            )
-        except UnsolvedFrameError as error:
-            outcome = NoFix(Reason.of(error), Method.CONTROL_POINTS, error.evidence)
-        except NoSolutionError as error:
-            outcome = NoFix(Reason.of(error), Method.CONTROL_POINTS)
-        return Solution(observation.file, observation.utc, outcome, prior.source, prior.position_m)
 
     def _out_of_reach(self, observation: Observation, prior: PositionPrior) -> Reason:
         """Why control points have nothing to add to an outline; empty when some may."""
@@ -218,38 +184,38 @@ class Navigator:
         remark = f"{disagreement.words}: a manoeuvre, or the arc was wrong"
         return row.with_remark(Reason(ReasonCode.CONTRADICTS_ARC, remark))
 
-    def _accept_outline(self, observation: Observation, row: Solution) -> Solution:
+    def _accept_outline(self, methods: FrameMethods, row: Solution) -> Solution:
         """A row solved by the outline alone; refused where the history excludes it."""
-        fix = row.fix
+        observation, fix = methods.observation, row.fix
         if fix is None:
             return row
         beyond = self._history.exceeds_max_speed(observation.tdb_s, fix)
         if beyond:
             text = f"the {fix.method.label} lies {beyond}: no craft flies so fast"
-            return self._refused(observation, row, Reason(ReasonCode.TOO_FAST, text))
+            return self._refused(methods, row, Reason(ReasonCode.TOO_FAST, text))
         disagreement = self._history.add_fix(observation.tdb_s, fix, confirmed=False)
         if disagreement is not None and not disagreement.new_arc:
             text = f"the {fix.method.label} lies {disagreement.words}: one of both is wrong"
-            return self._refused(observation, row, Reason(ReasonCode.CONTRADICTS_ARC, text))
+            return self._refused(methods, row, Reason(ReasonCode.CONTRADICTS_ARC, text))
         self._history.remember(observation.tdb_s, fix, observation.source)
         if disagreement is None:
             return row
         remark = f"{disagreement.words}, as the frame before: a manoeuvre, or the arc was wrong"
         return row.with_remark(Reason(ReasonCode.CONTRADICTS_ARC, remark))
 
-    def _refused(self, observation: Observation, row: Solution, reason: Reason) -> Solution:
+    def _refused(self, methods: FrameMethods, row: Solution, reason: Reason) -> Solution:
         evidence = Evidence(matches=row.evidence.matches, outline=row.evidence.outline)
         unsolved = replace(row, outcome=NoFix(reason, row.outcome.method, evidence))
-        return self._with_inverse_attitude(unsolved, observation)
+        return self._with_inverse_attitude(unsolved, methods)
 
     def _with_inverse_attitude(
-        self, row: Solution, observation: Observation, prior: PositionPrior | None = None
+        self, row: Solution, methods: FrameMethods, prior: PositionPrior | None = None
     ) -> Solution:
         """An unsolved row; its reason is the attitude where the inverse rotation solves the frame.
 
         prior  of the position; None: from the outline, seen with that rotation
         """
-        if not self._inverse_solves(observation, prior):
+        if not self._inverse_solves(methods, prior):
             return row
         wanted = "camera_from_inertial" if self._inputs.inertial else "camera_from_body"
         text = (
@@ -259,23 +225,17 @@ class Navigator:
         reason = Reason(ReasonCode.WRONG_ATTITUDE, text)
         return replace(row, outcome=replace(row.outcome, reason=reason))
 
-    def _inverse_solves(self, observation: Observation, prior: PositionPrior | None) -> bool:
+    def _inverse_solves(self, methods: FrameMethods, prior: PositionPrior | None) -> bool:
         """Whether the picture fits the inverse of the rotation that the file states."""
-        body_from_space = np.eye(3)
-        if self._inputs.inertial:
-            body_from_space = self._inputs.motion.body_from_inertial(observation.tdb_s)
-        stated = observation.camera_from_body.as_matrix() @ body_from_space
-        turn = Rotation.from_matrix(stated.T @ body_from_space.T)
-        inverse = replace(observation, camera_from_body=turn)
         if prior is not None:
-            return self._by_points(inverse, prior).solved
-        try:
-            fix = self._outline(inverse)
-        except NoSolutionError:
+            return methods.by_points(prior, inverse=True).solved
+        fix = methods.outline(inverse=True)
+        if isinstance(fix, NoFix):
             return False
-        if not self._history.is_consistent(observation.tdb_s, fix):
+        if not self._history.is_consistent(methods.observation.tdb_s, fix):
             return False
-        row = self._by_points(inverse, PositionPrior(fix.position_m, fix.covariance_m2, fix.method))
+        prior = PositionPrior(fix.position_m, fix.covariance_m2, fix.method)
+        row = methods.by_points(prior, inverse=True)
         # where no points are in view an outline under the right Sun is all that can be had
         return row.solved or _missed_points(row.evidence) < MIN_MISSED_POINTS
 

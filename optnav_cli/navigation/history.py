@@ -20,6 +20,10 @@ MAX_FAR_M_S = 3000.0
 GATE_SIGMAS = 5.0
 
 
+class NeedsPastError(Exception):
+    """A frame cannot be solved before those ahead of it."""
+
+
 class History:
     """The solved frames of a run so far, in the order of their times."""
 
@@ -90,3 +94,31 @@ class History:
         if known is not None and np.trace(known.covariance_m2) <= np.trace(fix.covariance_m2):
             return
         self._last = tdb_s, PositionPrior(fix.position_m, fix.covariance_m2, source)
+
+
+class UnseenPast(History):
+    """The past of a frame that is looked at ahead of time: nothing is known, nothing contradicts.
+
+    has_twin  whether a frame before is of the same time: its fix would come first
+    """
+
+    def __init__(self, motion: Ephemeris, *, has_twin: bool) -> None:
+        super().__init__(motion)
+        self._has_twin = has_twin
+
+    def at_same_time(self, tdb_s: float) -> PositionPrior | None:
+        if self._has_twin:
+            raise NeedsPastError
+        return None
+
+    def predict(self, tdb_s: float) -> PositionPrior | None:
+        raise NeedsPastError
+
+    def add_fix(self, tdb_s: float, fix: Fix, *, confirmed: bool) -> ArcDisagreement | None:
+        return None
+
+    def is_consistent(self, tdb_s: float, fix: Fix) -> bool:
+        return True
+
+    def remember(self, tdb_s: float, fix: Fix, source: str) -> None:
+        pass

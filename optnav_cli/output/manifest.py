@@ -45,6 +45,7 @@ def write_manifest(
     inputs: Mapping[str, Any],
     started: datetime,
     results: Mapping[str, Any] | None = None,
+    key: str = "",
 ) -> None:
     """Write folder/manifest.json; the same but for its two times when the inputs are the same.
 
@@ -53,6 +54,7 @@ def write_manifest(
     inputs   what went in: paths with hashes and digests, as the command collected them
     started  when the command began, with its time zone
     results  a few figures of the outcome
+    key      hash of all that the output depends on; with it the manifest lists the files
     """
     manifest = {
         "made_by": MADE_BY,
@@ -66,6 +68,10 @@ def write_manifest(
         "started_utc": _utc(started),
         "finished_utc": _utc(datetime.now(UTC)),
     }
+    if key:
+        paths = (path for path in folder.rglob("*") if path.is_file())
+        names = [path.relative_to(folder).as_posix() for path in paths]
+        manifest |= {"key": key, "outputs_sha256": hash_files(folder, names)}
     text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False, default=_plain)
     # not every name of a file is text: what is none is written as "?"
     put_file(folder / MANIFEST, f"{text}\n".encode("utf-8", "replace"))

@@ -116,21 +116,13 @@ def draw_overlay(
     return np.vstack([canvas.image, _legend(canvas.image.shape[1], solution, matches, marks)])
 
 
-def write_overlay(
-    folder: Path,
-    picture: NDArray[np.generic],
-    solution: Solution,
-    matches: Iterable[MatchRow],
-    outlines: Outlines | None = None,
-    *,
-    marks: OutlineMarks | None = None,
-) -> Path:
-    """Write folder/NAME.png for a frame and return its path; the folder is made when missing."""
-    path = overlay_path(folder, solution.file)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    drawn = draw_overlay(picture, solution, matches, outlines, marks=marks)
-    path.write_bytes(encoded(drawn, ".png"))
-    return path
+def overlay_png(
+    picture: NDArray[np.generic], solution: Solution, outlines: Outlines | None = None
+) -> bytes:
+    """The bytes of a frame's overlay, with the evidence of its solution."""
+    tried = solution.evidence
+    drawn = draw_overlay(picture, solution, tried.matches, outlines, marks=tried.outline)
+    return encoded(drawn, ".png")
 
 
 def overlay_path(folder: Path, file: str) -> Path:

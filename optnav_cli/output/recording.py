@@ -97,12 +97,12 @@ class Recording:
         solution: Solution,
         matches: Iterable[MatchRow] = (),
         camera: Camera | None = None,
-        picture: NDArray[np.generic] | None = None,
+        image: bytes = b"",
         marks: OutlineMarks | None = None,
     ) -> None:
         """Add what is known of one frame.
 
-        picture  (h, w) as read; camera may be None only where the picture is
+        image    as `recorded_image` makes it, empty for none; camera may be None only where it is
         marks    of the body's outline in it
         A frame whose time cannot be understood keeps the time of the frame before.
         """
@@ -115,9 +115,8 @@ class Recording:
             self._write("/body", foxglove.SCENE_UPDATE, self._scene.body(self._stamp, self._relief))
         if camera is not None:
             factor = shrink_factor(camera.width_px, camera.height_px, MAX_PX)
-            if picture is not None:
-                small = resized(eight_bits(picture), factor)
-                data = base64.b64encode(encoded(small, ".jpg", JPEG_QUALITY)).decode("ascii")
+            if image:
+                data = base64.b64encode(image).decode("ascii")
                 content: Message = {"data": data, "format": "jpeg"}
                 content |= {"frame_id": self._frame_of(name)}
                 self._write(f"{place}image", foxglove.COMPRESSED_IMAGE, self._stamped(content))
@@ -206,6 +205,12 @@ class Recording:
             "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             "P": [focal, 0.0, cx, 0.0, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         }
+
+
+def recorded_image(picture: NDArray[np.generic], camera: Camera) -> bytes:
+    """A camera's picture (h, w) as it is recorded: a JPEG of 8 bits, MAX_PX at most."""
+    factor = shrink_factor(camera.width_px, camera.height_px, MAX_PX)
+    return encoded(resized(eight_bits(picture), factor), ".jpg", JPEG_QUALITY)
 
 
 def topic_of(camera: str, what: str) -> str:

@@ -1,114 +1,121 @@
 """Navigate a picture folder: every row of frames.csv becomes a row of solution.csv."""
 
+import hashlib
 import logging
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
-import cv2
 import msgspec
-import numpy as np
 
-from catalog.arrays import Float32Array, FloatArray
-from catalog.bodies.body import Body
-from catalog.correlation.ncc import match_ncc
-from catalog.correlation.similarity import Matcher
-from catalog.correlation.surf64 import match_surf
-from catalog.errors import DataError, NothingToDoError, UsageError
-from catalog.files import replacing_folder
+from catalog.bodies.body import is_body_file
+from catalog.errors import NothingToDoError, OutputError
+from catalog.files import hash_file, replacing_folder
+from catalog.jobs.chunks import ChunkResults
+from catalog.jobs.cluster import check_address, cluster_workers
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workers import Workers, available_cores, workers_of
+from catalog.jobs.workspace import Workspace, code_key, encode_records, stage_key
 from catalog.progress import Progress
-from catalog.store.reader import Catalog
-from catalog.terrain.relief.relief import GlobalRelief
-from catalog.terrain.relief.sums import load_relief
-from optnav_cli.camera.camera import Camera
-from optnav_cli.fix import NoFix, Solution
-from optnav_cli.frames.folder import Folder, read_folder
-from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.picture import load_picture
-from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
-from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.fix import MatchRow, Solution
+from optnav_cli.navigation.autonomous import Navigator
+from optnav_cli.navigation.history import SAME_TIME_S
 from optnav_cli.output.manifest import hash_files, versions, write_manifest
-from optnav_cli.output.overlay import patch_outlines, write_overlay
+from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.recording import Recording, describe
-from optnav_cli.output.run_folder import MATCHES, OVERLAYS, RECORDING, SOLUTION, copy_inputs
+from optnav_cli.output.run_folder import (
+    CAMERAS,
+    MATCHES,
+    OVERLAYS,
+    RECORDING,
+    SOLUTION,
+    copy_inputs,
+    read_run,
+)
 from optnav_cli.output.tables import write_matches, write_solutions
-from optnav_cli.reasons import Reason, ReasonCode
+from optnav_cli.reasons import ReasonCode
+from optnav_cli.runs.frame_worker import (
+    FrameRecord,
+    FrameTask,
+    FrameWorker,
+    RunInputs,
+    in_order,
+    look_at,
+    unpacked_row,
+)
+from optnav_cli.runs.unfinished import is_finished, unfinished
 
 log = logging.getLogger(__name__)
 
-MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
-# A patch that takes up more of the picture's width than this is not outlined.
-MAX_OUTLINE = 0.2
-# What numpy, scipy, OpenCV and the system raise for numbers that no check foresaw, little memory
-# or a file that fails: the fault of one frame, and the others go on. A ValueError may also be a bug
-# of ours, so its traceback goes to the details of the log.
-FRAME_FAULTS = (np.linalg.LinAlgError, ArithmeticError, ValueError, cv2.error, MemoryError, OSError)
+KIND, STAGE = "run", "navigate"
+# A worker process takes as long to start as about so many frames to navigate.
+MIN_FRAMES_A_WORKER = 8
 
 
 def navigate_folder(
-    pictures: Path,
-    catalog_paths: Sequence[Path],
-    settings: NavigateSettings,
-    matcher: str,
+    given: RunInputs,
     run: Path,
     progress: Progress,
-    relief: Path | None = None,
+    *,
+    workers: int | None = 1,
+    scheduler: str | None = None,
 ) -> list[Solution]:
     """Navigate all frames of a folder and write the run folder in one step.
 
-    catalog_paths  the first given has priority where it has points
-    relief         a terrain model of the whole body for the horizon; else the finest relief that
-                   a catalog carries
-    Returns the rows of solution.csv. Raises NothingToDoError, after the run is written, when no
-    frame was solved; DataError or ConfigError when folder or catalog cannot be used at all.
+    A run that was stopped goes on with the frames that are not done; one that is there already,
+    whole and from the same inputs, is left as it is.
+
+    workers    processes; 1 works in this one, None takes all cores, as far as there are frames
+    scheduler  tcp://HOST:PORT of a dask cluster, whose workers do the work instead
+    Returns the rows of solution.csv, without the control points and limbs that they rest on.
+    Raises NothingToDoError, after the run is written, when no frame was solved; DataError or
+    ConfigError when folder or catalog cannot be used at all.
     """
     started = datetime.now(UTC)
-    folder = read_folder(pictures, [Path(name) for name in settings.spice.kernels])
-    log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
-    with open_catalogs(catalog_paths) as catalogs, replacing_folder(run, "run") as place:
-        points = open_field(catalogs, folder.body)
-        ground = whole_relief(catalogs, relief, folder.body)
-        inertial, match = folder.settings.attitude == "camera_from_inertial", MATCHERS[matcher]
-        inputs = NavigationInputs(points, folder.motion, ground, settings, match, inertial)
-        copy_inputs(pictures, folder.settings, place)
-        about = {
-            "optnav": versions()["optnav"],
-            "command": "navigate",
-            "matcher": matcher,
-            "body": folder.body.name,
-            "relief": Path(ground.source).name if ground else "",
-            "motion": folder.motion.name,
-            **{f"catalog {catalog.path.name}": catalog.digest for catalog in catalogs},
-        }
-        solutions = _navigate_frames(folder, inputs, place, about, progress)
-        write_solutions(place / SOLUTION, solutions, folder.attitude)
-        write_matches(place / MATCHES, (m for row in solutions for m in row.evidence.matches))
-        for (_, point_id), reason in points.damaged.items():
-            log.warning("control point %d is left out: %s", point_id, reason)
-        solved = sum(solution.solved for solution in solutions)
-        usable = (frame.file for frame in folder.frames if frame.problem is None)
-        names = [*usable, "run.toml", "frames.csv"]
-        write_manifest(
-            place,
-            "run",
-            command="navigate",
-            options={"matcher": matcher, "config": msgspec.to_builtins(settings)},
-            inputs={
-                "pictures": str(pictures),
-                "files_sha256": hash_files(pictures, names),
-                "catalogs": [
-                    {"path": str(catalog.path), "digest": catalog.digest} for catalog in catalogs
-                ],
-                "relief": ground.source if ground else "",
-                "motion": folder.motion.name,
-            },
-            results={"frames": len(solutions), "solved": solved},
-            started=started,
-        )
-    if not solved:
+    if scheduler is not None:
+        check_address(scheduler)
+    worker = FrameWorker(given if scheduler is None else given.absolute())
+    try:
+        with unfinished(run, KIND) as workspace:
+            folder = worker.folder
+            log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
+            inputs = _inputs(worker, given)
+            key = _key(worker, given, inputs)
+            if is_finished(run, key):
+                log.info("%s: is there already, from the same inputs", run)
+                solutions = read_run(run).solutions
+            else:
+                if workers is None:
+                    most = max(1, len(folder.frames) // MIN_FRAMES_A_WORKER)
+                    workers = min(available_cores(), most)
+                crew = workers_of(workers)
+                if scheduler is not None:
+                    crew = cluster_workers(scheduler, worker.files())
+                try:
+                    job = _Run(worker, workspace, key, crew)
+                    with replacing_folder(run, KIND) as place:
+                        solutions = job.write(place, progress)
+                        write_manifest(
+                            place,
+                            KIND,
+                            command="navigate",
+                            options=_options(given),
+                            inputs=inputs,
+                            results={
+                                "frames": len(solutions),
+                                "solved": sum(solution.solved for solution in solutions),
+                            },
+                            started=started,
+                            key=key,
+                        )
+                finally:
+                    crew.close()
+    finally:
+        worker.close()
+    if not any(solution.solved for solution in solutions):
         raise NothingToDoError(
             f"{run}: none of {len(solutions)} frames was solved; the reasons stand in {SOLUTION}, "
             f"the first: {solutions[0].reason}"
@@ -116,173 +123,152 @@ def navigate_folder(
     return solutions
 
 
-@contextmanager
-def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
-    """Open catalogs, and close them at the end.
+class _Run:
+    """The frames of one run, in the order of time."""
 
-    Raises UsageError for two of one file name, which matches.csv could not tell apart, and
-    DataError for a file that is no whole catalog.
-    """
-    name, count = Counter(path.name for path in paths).most_common(1)[0]
-    if count > 1:
-        raise UsageError(
-            f"--catalog names {count} files called '{name}'; give each catalog a name of its own"
-        )
-    with ExitStack() as stack:
-        yield [stack.enter_context(Catalog.open(path)) for path in paths]
+    def __init__(
+        self, worker: FrameWorker, workspace: Workspace, key: str, workers: Workers
+    ) -> None:
+        self._worker, self._workers = worker, workers
+        self._frames = worker.folder.frames
+        self._order = list(in_order(worker.folder))
+        self._results = ChunkResults(workspace, STAGE, key, FrameRecord)
+        workspace.keep_only(STAGE, {key})
 
+    def write(self, place: Path, progress: Progress) -> list[Solution]:
+        """Fill a run folder but for its manifest; the rows in the order of frames.csv."""
+        worker, folder = self._worker, self._worker.folder
+        copy_inputs(folder.path, folder.settings, place)
+        (place / OVERLAYS).mkdir()
+        rows: dict[int, Solution] = {}
+        names, relief = sorted(folder.cameras), worker.inputs.relief
+        with Recording(place / RECORDING, folder.body, relief, names, self._about()) as recording:
+            for number, row, record in self._in_time_order(progress):
+                frame, seen = self._frames[number], row.evidence
+                camera = folder.cameras.get(frame.camera)
+                undrawn = record.undrawn
+                if record.overlay:
+                    overlay_path(place / OVERLAYS, row.file).write_bytes(record.overlay)
+                try:
+                    recording.add_frame(row, seen.matches, camera, record.image, seen.outline)
+                except ValueError as error:  # numbers that JSON cannot hold
+                    undrawn = undrawn or f"cannot be recorded ({error})"
+                if undrawn:
+                    log.warning("%s: %s", row.file, undrawn)
+                log.log(logging.DEBUG if row.solved else logging.WARNING, "%s", describe(row))
+                bare = replace(seen, matches=(), outline=None)
+                rows[number] = replace(row, outcome=replace(row.outcome, evidence=bare))
+        solutions = [rows[number] for number in range(len(self._frames))]
+        write_solutions(place / SOLUTION, solutions, folder.attitude)
+        write_matches(place / MATCHES, self._matches())
+        for (_, point_id), reason in worker.inputs.points.damaged.items():
+            log.warning("control point %d is left out: %s", point_id, reason)
+        return solutions
 
-def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField:
-    """The usable control points of catalogs, the first given before the others.
+    def _in_time_order(self, progress: Progress) -> Iterator[tuple[int, Solution, FrameRecord]]:
+        """Place in frames.csv, row and record of each frame, as soon as those before are done."""
+        navigator = Navigator(self._worker.inputs)
+        tasks, next_one = self._tasks(), 0
+        waiting: set[int] = set()
+        with progress.stage(STAGE, len(tasks), "frame") as bar:
+            made = self._results.make(
+                look_at, self._worker, [[t] for t in tasks], self._workers, StageAccount(STAGE), bar
+            )
+            with closing(made):  # at once by an error here, so that no worker goes on
+                for position in made:
+                    waiting.add(position)
+                    while next_one in waiting:
+                        waiting.remove(next_one)
+                        row, record = self._finished(next_one, tasks[next_one], navigator)
+                        yield self._order[next_one], row, record
+                        next_one += 1
 
-    Raises DataError for a catalog of another body or without usable points.
-    """
-    return ControlPointField([_layer(catalog, body) for catalog in catalogs])
+    def _finished(
+        self, position: int, task: FrameTask, navigator: Navigator
+    ) -> tuple[Solution, FrameRecord]:
+        records = self._results.records(position)
+        found: FrameRecord = records[0] if records else self._worker.look(task)
+        row, record = self._worker.finish(task.frame, navigator, found)
+        if record is not found or not records:
+            name = self._results.name(position)
+            self._results.workspace.put(name, encode_records([record]))
+        return row, record
 
+    def _tasks(self) -> list[FrameTask]:
+        """The frames in the order of time."""
+        tasks, last = [], None
+        for number in self._order:
+            frame = self._frames[number]
+            now = frame.tdb_s
+            twin = last is not None and now is not None and abs(now - last) <= SAME_TIME_S
+            tasks.append(FrameTask(frame, twin))
+            last = last if now is None else now
+        return tasks
 
-def whole_relief(
-    catalogs: Sequence[Catalog], named: Path | None, body: Body
-) -> GlobalRelief | None:
-    """The body's relief for the horizon: of the named terrain model, else the finest carried one.
+    def _matches(self) -> Iterator[MatchRow]:
+        """All control points tried, frame by frame in the order of frames.csv."""
+        points = self._worker.inputs.points
+        for position in sorted(range(len(self._order)), key=self._order.__getitem__):
+            records = self._results.records(position)
+            if not records:
+                raise OutputError(
+                    f"{self._results.workspace.folder}: results vanished or were damaged; give the "
+                    "same command again"
+                )
+            for match in unpacked_row(records[0].row).evidence.matches:
+                if match.reason_code == ReasonCode.DAMAGED_PATCH:
+                    points.reference(points.index_of(match.catalog, match.cp_id))  # notes why
+                yield match
 
-    None where there is none. Raises DataError for a damaged one or a model of a part of the body.
-    """
-    if named is not None:
-        return load_relief(str(named), body)
-    carried = [relief for c in catalogs if (relief := c.relief()) is not None]
-    return min(carried, key=lambda relief: relief.posting_m, default=None)
-
-
-def in_order(folder: Folder) -> Iterator[int]:
-    """Places of the frames in the order to navigate them: by time, the widest camera first.
-
-    A frame whose time is not known stays behind the one before it.
-    """
-    keys: list[tuple[float, float]] = []
-    for frame in folder.frames:
-        camera = folder.cameras.get(frame.camera)
-        width = 0.0 if camera is None else camera.width_px / camera.focal_length_px
-        last = keys[-1][0] if keys else -np.inf
-        keys.append((last if frame.tdb_s is None else frame.tdb_s, -width))
-    yield from sorted(range(len(keys)), key=lambda place: keys[place])
-
-
-def solve_frame(
-    folder: Folder, frame: Frame, navigator: Navigator
-) -> tuple[Solution, Float32Array | None]:
-    """Navigate one frame: its row, and its picture where that could be read.
-
-    Whatever is wrong with the frame becomes the reason of an unsolved row.
-    """
-
-    def unsolved(code: ReasonCode, text: str) -> Solution:
-        return Solution(frame.file, frame.utc, NoFix(Reason(code, text)))
-
-    if frame.problem:
-        return unsolved(ReasonCode.BAD_FRAME, frame.problem), None
-    camera = folder.cameras.get(frame.camera)
-    if camera is None:
-        text = f"camera '{frame.camera}' is not known"
-        return unsolved(ReasonCode.UNKNOWN_CAMERA, text), None
-    code, values = ReasonCode.BAD_PICTURE, None
-    try:
-        picture = load_picture(folder.picture_path(frame), camera)
-        code, values = ReasonCode.BAD_DATA, picture.values
-        return navigator.solve(frame, camera, picture), values
-    except DataError as error:
-        return unsolved(code, str(error)), values
-    except FRAME_FAULTS as error:
-        text = failure(frame, "numerical failure", error)
-        return unsolved(ReasonCode.NUMERICAL_FAILURE, text), values
-
-
-def failure(frame: Frame, what: str, error: BaseException) -> str:
-    """What failed with a frame, in words; the traceback goes to the details of the log."""
-    log.debug("%s: %s", frame.file, what, exc_info=error)
-    lines = str(error).splitlines()
-    return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
-
-
-def _navigate_frames(
-    folder: Folder,
-    inputs: NavigationInputs,
-    place: Path,
-    about: Mapping[str, str],
-    progress: Progress,
-) -> list[Solution]:
-    """Rows in the order of frames.csv; the frames are navigated in the order of time."""
-    solutions: dict[int, Solution] = {}
-    navigator = Navigator(inputs)
-    with (
-        progress.stage("navigate", len(folder.frames), "frame") as bar,
-        Recording(
-            place / RECORDING, folder.body, inputs.relief, sorted(folder.cameras), about
-        ) as recording,
-    ):
-        for number in in_order(folder):
-            frame = folder.frames[number]
-            row, picture = solve_frame(folder, frame, navigator)
-            solutions[number] = row
-            camera, evidence = folder.cameras.get(frame.camera), row.evidence
-            try:
-                recording.add_frame(row, evidence.matches, camera, picture, evidence.outline)
-                if camera is not None and picture is not None:
-                    outlines, marks = _patch_outlines(row, camera, inputs.points), evidence.outline
-                    overlays = place / OVERLAYS
-                    write_overlay(overlays, picture, row, evidence.matches, outlines, marks=marks)
-            except FRAME_FAULTS as error:
-                if isinstance(error, OSError):  # of the output's place
-                    raise
-                log.warning("%s: %s", frame.file, failure(frame, "cannot be drawn", error))
-            log.log(logging.DEBUG if row.solved else logging.WARNING, "%s", describe(row))
-            bar.advance()
-    return [solutions[number] for number in sorted(solutions)]
+    def _about(self) -> dict[str, str]:
+        """The metadata of the recording."""
+        worker = self._worker
+        relief = worker.inputs.relief
+        return {
+            "optnav": versions()["optnav"],
+            "command": "navigate",
+            "matcher": worker.given.matcher,
+            "body": worker.folder.body.name,
+            "relief": Path(relief.source).name if relief else "",
+            "motion": worker.folder.motion.name,
+            **{f"catalog {catalog.path.name}": catalog.digest for catalog in worker.catalogs},
+        }
 
 
-def _patch_outlines(
-    row: Solution, camera: Camera, points: ControlPointField
-) -> dict[tuple[str, int], list[FloatArray]]:
-    """Outlines in the picture of the patches that were tried, by catalog and id."""
-    fix, outlines = row.fix, {}
-    if fix is None or fix.camera_from_body is None:
-        return {}
-    for match in row.evidence.matches:
-        index = points.index_of(match.catalog, match.cp_id)
-        reference = points.reference(index)
-        if reference is None:
-            continue
-        distance = float(np.linalg.norm(points.xyz_m[index] - fix.position_m))
-        most = MAX_OUTLINE * (distance / camera.focal_length_px * camera.width_px)
-        sizes = [s for s in points.half_sizes_m(index, match.level) if 2.0 * s <= most]
-        projection = reference.projection
-        height = float(projection.height_of(reference.point.xyz_m))
-        pose = fix.position_m, fix.camera_from_body
-        outlines[match.catalog, match.cp_id] = patch_outlines(
-            projection, height, sizes, camera, *pose
-        )
-    return outlines
+def _options(given: RunInputs) -> dict[str, Any]:
+    return {"matcher": given.matcher, "config": msgspec.to_builtins(given.settings)}
 
 
-def _layer(catalog: Catalog, body: Body) -> PointLayer:
-    meta, usable = catalog.meta, catalog.usable
-    if meta.body != body.name:
-        raise DataError(
-            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {body.name}: "
-            "name another catalog, or mend `body` in run.toml"
-        )
-    if not usable.any():
-        raise DataError(
-            f"{catalog.path}: none of its {len(catalog)} control points is usable; "
-            "see `optnav catalog info`"
-        )
-    return PointLayer(
-        catalog.path.name,
-        catalog,
-        catalog.grid,
-        catalog.ids[usable],
-        catalog.xyz_m[usable],
-        catalog.records["shadow_limit_deg"][usable],
-        np.array([meta.posting_m * 2.0**level for level in range(meta.levels)]),
-        meta.radius_m,
-        meta.planes,
+def _inputs(worker: FrameWorker, given: RunInputs) -> dict[str, Any]:
+    """What goes into a run, for its manifest."""
+    folder = worker.folder
+    usable = (frame.file for frame in folder.frames if frame.problem is None)
+    cameras = (f"{CAMERAS}/{name}.toml" for name in folder.cameras)
+    relief = worker.inputs.relief
+    return {
+        "pictures": str(given.pictures),
+        "files_sha256": hash_files(given.pictures, [*usable, *cameras, "run.toml", "frames.csv"]),
+        "catalogs": [
+            {"path": str(path), "digest": catalog.digest}
+            for path, catalog in zip(given.catalogs, worker.catalogs, strict=True)
+        ],
+        "relief": relief.source if relief else "",
+        "motion": folder.motion.name,
+    }
+
+
+def _key(worker: FrameWorker, given: RunInputs, inputs: dict[str, Any]) -> str:
+    """Hash of all that the rows of a run depend on, and its drawings."""
+    body, relief = worker.folder.settings.body, worker.inputs.relief
+    named = given.kernels
+    if is_body_file(body):
+        named.append(Path(body))
+    states = [catalog.path.stat() for catalog in worker.catalogs]
+    return stage_key(
+        [code_key(), code_key("optnav_cli"), versions()],
+        [_options(given), inputs],
+        [hash_file(path) for path in named],
+        # a catalog may be mended, its digest the same
+        [(state.st_size, state.st_mtime_ns) for state in states],
+        [] if relief is None else [hashlib.sha256(relief.heights.tobytes()).hexdigest()],
     )

@@ -14,8 +14,8 @@ from catalog.geometry.rotations import rnb_axes
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.frames.isis_cube import apollo_frame, read_cube_pose, write_apollo_folder
-from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.run_folder import read_run
+from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
@@ -34,7 +34,7 @@ def run(output: Path, progress: Progress, matcher: str = "ncc") -> tuple[Cell, .
     build.run(resource("configs/catalogs/farside.toml"), output=catalog, progress=progress)
     picture, cube = resource(PICTURE), resource(CUBE)
     write_apollo_folder(picture, cube, pictures)
-    navigate_folder(pictures, [catalog], NavigateSettings(), matcher, place, progress)
+    navigate_folder(RunInputs(pictures, [catalog], matcher=matcher), place, progress)
     found = read_run(place)
     solution, label = found.solutions[0], apollo_frame(cube, picture.name)
     if (

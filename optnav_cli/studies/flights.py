@@ -24,7 +24,7 @@ from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
@@ -83,7 +83,7 @@ def navigated(
     place.parent.mkdir(exist_ok=True)
     # without a solution the run is written all the same, and that is a figure too
     with suppress(NothingToDoError):
-        navigate_folder(pictures, catalogs, NavigateSettings(), "ncc", place, progress, relief)
+        navigate_folder(RunInputs(pictures, catalogs, relief=relief), place, progress)
     return tuple(evaluate_run(place, pictures / "truth.csv").frames)
 
 

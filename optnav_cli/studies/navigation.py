@@ -15,7 +15,7 @@ from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.evaluation.evaluation import Evaluation, pool
 from optnav_cli.evaluation.files import evaluate_run
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies import flights
 from optnav_cli.studies.tables import StudyReport, StudyTable, columns
@@ -82,7 +82,7 @@ def run(
                     pictures = flights.with_star_sensor(pictures)
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
-                navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", place, progress)
+                navigate_folder(RunInputs(pictures, [catalog]), place, progress)
                 parts.append(evaluate_run(place, pictures / "truth.csv"))
             evaluation = pool(parts)
             limit = row.horizontal_m

@@ -21,7 +21,7 @@ from optnav_cli.dynamics.integrator import OrbitMotion
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.catalog.store.written import write_points
 from tests.optnav_cli.conftest import RoughWorld, pixel_grid
@@ -119,10 +119,8 @@ def run(tmp_path_factory):
     world = RoughWorld(seed=1, levels=5)
     meta = CatalogMeta("moon", MOON.radius_m, world.cell_deg, 5, world.nodes, 120.0, 0.5)
     write_points(place / "rough.gpkg", meta, world.control_points[:9])
-    navigate_folder(
-        place / "pictures", [place / "rough.gpkg"], NavigateSettings(), "ncc",
-        place / "run", SilentProgress(),
-    )  # fmt: skip
+    given = RunInputs(place / "pictures", [place / "rough.gpkg"])
+    navigate_folder(given, place / "run", SilentProgress())
     with (place / "run" / "solution.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["file"] for row in rows] == list(times)[::-1]

@@ -10,7 +10,7 @@ from catalog.config import resource
 from catalog.progress import SilentProgress
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from tests.catalog.build.coarse_tycho import BBOX, CONFIG
@@ -61,7 +61,7 @@ def test_a_body_of_a_file_is_built_flown_and_navigated(place: Path) -> None:
     assert 'body = "selene.toml"' in (pictures / "run.toml").read_text(encoding="utf-8")
     shutil.rmtree(place / "bodies")  # the folder of pictures has its own copy
     assert read_folder(pictures).body.name == "selene"
-    navigate_folder(pictures, [catalog], NavigateSettings(), "ncc", run, progress)
+    navigate_folder(RunInputs(pictures, [catalog]), run, progress)
     moved = place / "elsewhere"
     shutil.move(run, moved)  # and so has the run
     (frame,) = evaluate_run(moved, pictures / "truth.csv").frames

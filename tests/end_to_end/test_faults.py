@@ -17,7 +17,7 @@ from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from tests.catalog.store.written import write_points
@@ -67,9 +67,7 @@ def navigated(pictures: Path, run: Path) -> list[dict[str, str]]:
     write_points(catalog, meta, world.control_points[:9])
     relief = Path(str(resource("data/moon_gld100_4ppd.tif")))
     with suppress(NothingToDoError):  # the run is written, with the reasons
-        navigate_folder(
-            pictures, [catalog], NavigateSettings(), "ncc", run, SilentProgress(), relief
-        )
+        navigate_folder(RunInputs(pictures, [catalog], relief=relief), run, SilentProgress())
     with (run / "solution.csv").open(encoding="utf-8", newline="") as lines:
         return list(csv.DictReader(lines))
 

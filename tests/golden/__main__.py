@@ -13,7 +13,7 @@ from catalog.arrays import ByteArray
 from catalog.config import resource
 from optnav_cli.console import ConsoleProgress
 from optnav_cli.main import cli
-from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.studies import apollo
@@ -61,7 +61,7 @@ def _pictures(work: Path) -> dict[str, ByteArray]:
     tycho = place / "tycho.gpkg"
     seen, run = work / "fisheye", work / "fisheye-run"
     simulate_folder(HERE / "fisheye.toml", seen, progress)
-    navigate_folder(seen, [tycho], NavigateSettings(), "ncc", run, progress)
+    navigate_folder(RunInputs(seen, [tycho]), run, progress)
     apollo.run(work / "apollo", progress)
     flown = work / "apollo" / "run-ncc"
     config = resource("configs/catalogs/tycho.toml")

@@ -9,8 +9,7 @@ unrelated ground offer as many scores as good as these?
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammaln
-from scipy.stats import chi2
+from scipy.special import chdtri, gammaln
 
 from catalog.arrays import FloatArray
 from catalog.geometry.vectors import squared_distance
@@ -117,7 +116,7 @@ def rejection_of_place(
     """Why a position (3,) with covariance (3, 3) contradicts its prior; empty when it does not."""
     offset = position_m - prior.position_m
     spread = covariance_m2 + prior.covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
-    if squared_distance(offset, spread) < chi2.isf(PRIOR_PROBABILITY, 3):
+    if squared_distance(offset, spread) < chdtri(3, PRIOR_PROBABILITY):
         return NO_REASON
     sigma = float(np.sqrt(np.trace(prior.covariance_m2) / 3.0))
     return Reason(

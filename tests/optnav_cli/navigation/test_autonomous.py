@@ -26,8 +26,9 @@ from optnav_cli.fix import (
 )
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
-from optnav_cli.navigation import autonomous
-from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
+from optnav_cli.navigation import answers
+from optnav_cli.navigation.answers import NavigationInputs
+from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import Reason, ReasonCode
 
@@ -65,8 +66,8 @@ class Sky:
         self.priors: list = []
         self.right = TURN
         self.frame = None
-        monkeypatch.setattr(autonomous.outline, "navigate", self.outline)
-        monkeypatch.setattr(autonomous.control_points, "navigate", self.points)
+        monkeypatch.setattr(answers.outline, "navigate", self.outline)
+        monkeypatch.setattr(answers.control_points, "navigate", self.points)
         coarse = Field([Layer(np.array([948.0, 15168.0]))])
         self.world = NavigationInputs(coarse, MOTION, None, NavigateSettings(), None)
         self.navigator = Navigator(self.world)

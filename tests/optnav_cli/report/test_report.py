@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from catalog.errors import DataError, OutputError
 from catalog.files import MADE_BY
 from optnav_cli.evaluation.files import evaluate_run, write_evaluation
-from optnav_cli.output.overlay import write_overlay
+from optnav_cli.output.overlay import overlay_path, overlay_png
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.report import write_report
@@ -35,8 +35,11 @@ def run(tmp_path, make_run):
     picture = cv2.GaussianBlur(rng.normal(size=(512, 512)).astype(np.float32), (0, 0), 5)
     loaded = read_run(folder)
     for solution in loaded.solutions[:4]:
-        rows = [m for m in loaded.matches if m.file == solution.file]
-        write_overlay(folder / "overlays", picture, solution, rows)
+        rows = tuple(m for m in loaded.matches if m.file == solution.file)
+        tried = replace(solution.outcome, evidence=replace(solution.evidence, matches=rows))
+        place = overlay_path(folder / "overlays", solution.file)
+        place.parent.mkdir(exist_ok=True)
+        place.write_bytes(overlay_png(picture, replace(solution, outcome=tried)))
     return folder
 
 

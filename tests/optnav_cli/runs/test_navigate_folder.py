@@ -27,7 +27,9 @@ from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load
 from optnav_cli.output import overlay
 from optnav_cli.output.tables import read_matches
 from optnav_cli.reasons import ReasonCode
-from optnav_cli.runs.navigate_folder import navigate_folder, open_field
+from optnav_cli.runs.frame_worker import RunInputs
+from optnav_cli.runs.inputs import open_field
+from optnav_cli.runs.navigate_folder import navigate_folder
 from tests.catalog.store.written import write_points
 
 SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))
@@ -82,6 +84,10 @@ def folder_with(place, world, frames):
     place.mkdir(exist_ok=True)
     write_folder(place, RunSettings("moon", "camera_from_body"), [world.camera], frames)
     return place
+
+
+def navigated(pictures, run, catalog, settings=SETTINGS, **how):
+    return navigate_folder(RunInputs(pictures, [catalog], settings), run, SilentProgress(), **how)
 
 
 def rows_of(path):
@@ -145,7 +151,7 @@ def mixed(rough_world, taken, tmp_path_factory):
 @pytest.fixture(scope="session")
 def mixed_run(mixed, catalog_path, tmp_path_factory):
     run = tmp_path_factory.mktemp("runs") / "run"
-    return navigate_folder(mixed, [catalog_path], SETTINGS, "ncc", run, SilentProgress()), run
+    return navigated(mixed, run, catalog_path), run
 
 
 def test_every_frame_has_its_row_in_the_order_of_the_folder(mixed_run):
@@ -221,7 +227,7 @@ def test_the_run_folder_is_whole(mixed_run):
 def test_the_same_folder_gives_the_same_bytes(mixed, mixed_run, catalog_path, tmp_path):
     _, run = mixed_run
     again = tmp_path / "again"
-    navigate_folder(mixed, [catalog_path], SETTINGS, "ncc", again, SilentProgress())
+    navigated(mixed, again, catalog_path)
     for name in ("solution.csv", "matches.csv", "run.mcap"):
         assert (again / name).read_bytes() == (run / name).read_bytes()
 
@@ -260,7 +266,7 @@ def test_whatever_fails_in_a_frame_is_its_row_alone(
     monkeypatch.setattr(control_points, "navigate", failing)
     with caplog.at_level(logging.DEBUG):
         solutions = navigate_folder(
-            pictures, [catalog_path], SETTINGS, "ncc", tmp_path / "run", SilentProgress()
+            RunInputs(pictures, [catalog_path], SETTINGS), tmp_path / "run", SilentProgress()
         )
     rows = {row.file: row for row in solutions}
     assert rows["last.png"].solved
@@ -292,7 +298,7 @@ def test_a_frame_that_cannot_be_drawn_is_solved_all_the_same(
 
     monkeypatch.setattr(overlay, "draw_overlay", failing)
     solutions = navigate_folder(
-        pictures, [catalog_path], SETTINGS, "ncc", tmp_path / "run", SilentProgress()
+        RunInputs(pictures, [catalog_path], SETTINGS), tmp_path / "run", SilentProgress()
     )
     assert [row.solved for row in solutions] == [True, True]
     assert "first.png: cannot be drawn (error: no such colour)" in caplog.text
@@ -307,7 +313,7 @@ def test_when_no_frame_is_solved_the_folder_is_written_and_then_said(
     pictures = folder_with(tmp_path / "pictures", rough_world, frames)
     run = tmp_path / "run"
     with pytest.raises(NothingToDoError, match=r"none of 2 frames was solved.*no such picture"):
-        navigate_folder(pictures, [catalog_path], SETTINGS, "ncc", run, SilentProgress())
+        navigated(pictures, run, catalog_path)
     rows = rows_of(tmp_path / "run" / "solution.csv")
     assert [row["status"] for row in rows] == ["unsolved", "unsolved"]
 
@@ -328,7 +334,7 @@ def test_a_damaged_control_point_is_skipped_with_a_warning(
     monkeypatch.setattr(Catalog, "patches", patches)
     with caplog.at_level(logging.WARNING):
         (solution,) = navigate_folder(
-            pictures, [catalog_path], SETTINGS, "ncc", tmp_path / "run", SilentProgress()
+            RunInputs(pictures, [catalog_path], SETTINGS), tmp_path / "run", SilentProgress()
         )
     assert solution.solved
     assert f"control point {bad} is left out" in caplog.text
@@ -343,7 +349,7 @@ def test_a_catalog_of_another_body_is_refused(mixed, rough_world, tmp_path):
     with Catalog.open(path) as catalog, pytest.raises(DataError, match="is a catalog of phobos"):
         open_field([catalog], read_folder(mixed).body)
     with pytest.raises(DataError):
-        navigate_folder(mixed, [path], SETTINGS, "ncc", tmp_path / "run", SilentProgress())
+        navigated(mixed, tmp_path / "run", path)
     assert not (tmp_path / "run").exists()
 
 
@@ -391,7 +397,7 @@ def test_the_kernels_of_the_config_turn_the_body_and_the_log_says_so(
         caplog.clear()
         with caplog.at_level(logging.INFO):
             (solution,) = navigate_folder(
-                pictures, [catalog_path], settings, "ncc", run, SilentProgress()
+                RunInputs(pictures, [catalog_path], settings), run, SilentProgress()
             )
         assert f"rotation of the moon and its Sun by {word}" in caplog.text.replace("analytic ", "")
         assert word in json.loads((run / "manifest.json").read_text())["inputs"]["motion"]
@@ -407,6 +413,8 @@ def test_a_kernel_that_is_not_there_ends_the_run_before_it_begins(mixed, catalog
     config.write_text('[spice]\nkernels = ["nothing.bsp"]\n')
     with pytest.raises(DataError, match=r"nothing\.bsp: there is no such SPICE kernel"):
         navigate_folder(
-            mixed, [catalog_path], load_settings(config), "ncc", tmp_path / "run", SilentProgress()
+            RunInputs(mixed, [catalog_path], load_settings(config)),
+            tmp_path / "run",
+            SilentProgress(),
         )
     assert not (tmp_path / "run").exists()

@@ -1,0 +1,295 @@
+"""One frame of a run, from its picture to its row and drawings: the piece of work of a worker.
+
+A frame is looked at ahead of time, in any order and any process: the methods answer, and a row is
+made as if no frame came before. Then, in the order of time, it is finished: its row is made again
+from the same answers with what the frames before say. Mostly nothing changes, and what was drawn
+stands.
+"""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.cache import Cache
+from catalog.correlation.ncc import match_ncc
+from catalog.correlation.similarity import Matcher
+from catalog.correlation.surf64 import match_surf
+from catalog.errors import DataError
+from catalog.jobs.workspace import pack, unpack
+from catalog.store.reader import Catalog
+from catalog.terrain.dem.file import path_of
+from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import NoFix, Solution
+from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import LaterPicture, Picture, load_picture
+from optnav_cli.frames.run_settings import RUN_TOML
+from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
+from optnav_cli.navigation.autonomous import Navigator
+from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.history import NeedsPastError, UnseenPast
+from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.output.overlay import overlay_png, patch_outlines
+from optnav_cli.output.recording import recorded_image
+from optnav_cli.output.run_folder import FRAMES
+from optnav_cli.reasons import Reason, ReasonCode
+from optnav_cli.runs.inputs import open_catalogs, open_field, whole_relief
+
+log = logging.getLogger(__name__)
+
+MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
+# A patch that takes up more of the picture's width than this is not outlined.
+MAX_OUTLINE = 0.2
+# What numpy, scipy, OpenCV and the system raise for numbers that no check foresaw, little memory
+# or a file that fails: the fault of one frame, and the others go on. A ValueError may also be a bug
+# of ours, so its traceback goes to the details of the log.
+FRAME_FAULTS = (np.linalg.LinAlgError, ArithmeticError, ValueError, cv2.error, MemoryError, OSError)
+
+
+@dataclass(frozen=True)
+class FrameTask:
+    """A frame to look at; has_twin: a frame before it is of the same time."""
+
+    frame: Frame
+    has_twin: bool
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """What is kept of a frame.
+
+    answers  of the methods
+    row      as `packed_row` makes it; empty where the frames before must be known
+    settled  whether the row is the same whatever they say
+    image    the picture as it is recorded;  overlay: drawn for this row;  empty for none
+    undrawn  why they are not there, if they should be
+    """
+
+    answers: Answers
+    row: bytes
+    settled: bool
+    image: bytes
+    overlay: bytes
+    undrawn: str
+
+
+def packed_row(row: Solution) -> bytes:
+    """A row of solution.csv with its evidence as bytes."""
+    return pack((row.file, row.utc, Outcome.of(row.outcome), row.prior, row.prior_m))
+
+
+def unpacked_row(data: bytes) -> Solution:
+    """The row that `packed_row` was given."""
+    kinds: Any = tuple[str, str, Outcome, str, FloatArray | None]
+    file, utc, outcome, prior, prior_m = unpack(data, kinds)
+    return Solution(file, utc, outcome.value, prior, prior_m)
+
+
+@dataclass(frozen=True)
+class RunInputs:
+    """What a user gives to a run.
+
+    pictures  the picture folder
+    catalogs  the first given has priority where it has points
+    matcher   of MATCHERS
+    relief    a terrain model of the whole body for the horizon; else the finest relief that a
+              catalog carries
+    """
+
+    pictures: Path
+    catalogs: Sequence[Path]
+    settings: NavigateSettings = field(default_factory=NavigateSettings)
+    matcher: str = "ncc"
+    relief: Path | None = None
+
+    @property
+    def kernels(self) -> list[Path]:
+        """SPICE kernels."""
+        return [Path(name) for name in self.settings.spice.kernels]
+
+    def absolute(self) -> "RunInputs":
+        """The same for processes that work in another folder."""
+        relief = None if self.relief is None else path_of(str(self.relief), Path.cwd())
+        catalogs = [path.absolute() for path in self.catalogs]
+        return replace(self, pictures=self.pictures.absolute(), catalogs=catalogs, relief=relief)
+
+
+class FrameWorker:
+    """Looks at frames and finishes them; sent to other processes as paths, it opens them there."""
+
+    packages: ClassVar = ("optnav_cli",)  # see `catalog.jobs.cluster_node`
+
+    def __init__(self, given: RunInputs) -> None:
+        self.given = given
+        self._opened = ExitStack()
+        self._pictures: Cache[str, Picture] = Cache(1)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return FrameWorker, (self.given,)
+
+    def files(self) -> list[Path]:
+        """Files that a worker elsewhere must see; with those of the folder go its pictures."""
+        given = self.given
+        folder = [given.pictures / RUN_TOML, given.pictures / FRAMES]
+        relief = [] if given.relief is None else [given.relief]
+        return [*folder, *given.catalogs, *given.kernels, *relief]
+
+    @cached_property
+    def folder(self) -> Folder:
+        """The picture folder."""
+        return read_folder(self.given.pictures, self.given.kernels)
+
+    @cached_property
+    def catalogs(self) -> list[Catalog]:
+        """The catalogs, open until `close`."""
+        return self._opened.enter_context(open_catalogs(self.given.catalogs))
+
+    @cached_property
+    def inputs(self) -> NavigationInputs:
+        """What frames are navigated by."""
+        given, folder = self.given, self.folder
+        points = open_field(self.catalogs, folder.body)
+        ground = whole_relief(self.catalogs, given.relief, folder.body)
+        inertial, matcher = folder.settings.attitude == "camera_from_inertial", given.matcher
+        return NavigationInputs(
+            points, folder.motion, ground, given.settings, MATCHERS[matcher], inertial
+        )
+
+    def close(self) -> None:
+        """Close the catalogs."""
+        self._opened.close()
+
+    def look(self, task: FrameTask) -> FrameRecord:
+        """All of a frame that needs no other one."""
+        answers: Answers = {}
+        past = UnseenPast(self.inputs.motion, has_twin=task.has_twin)
+        try:
+            row, failed = self._row(task.frame, Navigator(self.inputs, past), answers)
+        except NeedsPastError:
+            return self._record(task.frame, answers, None, settled=False)
+        return self._record(task.frame, answers, row, settled=failed or not answers)
+
+    def finish(
+        self, frame: Frame, navigator: Navigator, record: FrameRecord
+    ) -> tuple[Solution, FrameRecord]:
+        """A frame's row after those before it, and its record, the same where nothing changed."""
+        if record.settled:
+            return unpacked_row(record.row), record
+        answers = dict(record.answers)
+        row, failed = self._row(frame, navigator, answers)
+        if packed_row(row) == record.row and answers == record.answers:
+            return row, record
+        return row, self._record(frame, answers, row, settled=failed, image=record.image)
+
+    def _row(self, frame: Frame, navigator: Navigator, answers: Answers) -> tuple[Solution, bool]:
+        """A frame's row, and whether something failed; what is wrong with it becomes a reason."""
+        if frame.problem:
+            return _unsolved(frame, ReasonCode.BAD_FRAME, frame.problem), True
+        camera = self.folder.cameras.get(frame.camera)
+        if camera is None:
+            text = f"camera '{frame.camera}' is not known"
+            return _unsolved(frame, ReasonCode.UNKNOWN_CAMERA, text), True
+        code = ReasonCode.BAD_PICTURE
+        try:
+            if not answers:
+                self._picture(frame, camera)
+            code = ReasonCode.BAD_DATA
+            later = LaterPicture(lambda: self._picture(frame, camera))
+            return navigator.solve(frame, camera, later, answers), False
+        except DataError as error:
+            return _unsolved(frame, code, str(error)), True
+        except FRAME_FAULTS as error:
+            text = _failure(frame, "numerical failure", error)
+            return _unsolved(frame, ReasonCode.NUMERICAL_FAILURE, text), True
+
+    def _record(
+        self,
+        frame: Frame,
+        answers: Answers,
+        row: Solution | None,
+        *,
+        settled: bool,
+        image: bytes = b"",
+    ) -> FrameRecord:
+        """A frame's record with what is drawn of it."""
+        packed, overlay, undrawn = b"" if row is None else packed_row(row), b"", ""
+        camera = self.folder.cameras.get(frame.camera)
+        if camera is not None and not frame.problem:
+            try:
+                values = self._picture(frame, camera).values
+                image = image or recorded_image(values, camera)
+                if row is not None:
+                    outlines = _patch_outlines(row, camera, self.inputs.points)
+                    overlay = overlay_png(values, row, outlines)
+            except DataError:  # its row says so
+                pass
+            except FRAME_FAULTS as error:
+                undrawn = _failure(frame, "cannot be drawn", error)
+        return FrameRecord(answers, packed, settled, image, overlay, undrawn)
+
+    def _picture(self, frame: Frame, camera: Camera) -> Picture:
+        """A frame's picture; the last one is at hand. Raises DataError."""
+        path = self.folder.picture_path(frame)
+        return self._pictures.get(frame.file, lambda: load_picture(path, camera))
+
+
+def look_at(worker: FrameWorker, tasks: Sequence[FrameTask]) -> list[FrameRecord]:
+    """Records of some frames."""
+    return [worker.look(task) for task in tasks]
+
+
+def in_order(folder: Folder) -> Iterator[int]:
+    """Places of the frames in the order to navigate them: by time, the widest camera first.
+
+    A frame whose time is not known stays behind the one before it.
+    """
+    keys: list[tuple[float, float]] = []
+    for frame in folder.frames:
+        camera = folder.cameras.get(frame.camera)
+        width = 0.0 if camera is None else camera.width_px / camera.focal_length_px
+        last = keys[-1][0] if keys else -np.inf
+        keys.append((last if frame.tdb_s is None else frame.tdb_s, -width))
+    yield from sorted(range(len(keys)), key=lambda place: keys[place])
+
+
+def _unsolved(frame: Frame, code: ReasonCode, text: str) -> Solution:
+    return Solution(frame.file, frame.utc, NoFix(Reason(code, text)))
+
+
+def _failure(frame: Frame, what: str, error: BaseException) -> str:
+    """What failed with a frame, in words; the traceback goes to the details of the log."""
+    log.debug("%s: %s", frame.file, what, exc_info=error)
+    lines = str(error).splitlines()
+    return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
+
+
+def _patch_outlines(
+    row: Solution, camera: Camera, points: ControlPointField
+) -> dict[tuple[str, int], list[FloatArray]]:
+    """Outlines in the picture of the patches that were tried, by catalog and id."""
+    fix, outlines = row.fix, {}
+    if fix is None or fix.camera_from_body is None:
+        return {}
+    for match in row.evidence.matches:
+        index = points.index_of(match.catalog, match.cp_id)
+        reference = points.reference(index)
+        if reference is None:
+            continue
+        distance = float(np.linalg.norm(points.xyz_m[index] - fix.position_m))
+        most = MAX_OUTLINE * (distance / camera.focal_length_px * camera.width_px)
+        sizes = [s for s in points.half_sizes_m(index, match.level) if 2.0 * s <= most]
+        projection = reference.projection
+        height = float(projection.height_of(reference.point.xyz_m))
+        pose = fix.position_m, fix.camera_from_body
+        outlines[match.catalog, match.cp_id] = patch_outlines(
+            projection, height, sizes, camera, *pose
+        )
+    return outlines

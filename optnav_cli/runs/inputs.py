@@ -1,0 +1,77 @@
+"""What a run navigates by: the points of its catalogs and the body's relief."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from catalog.bodies.body import Body
+from catalog.errors import DataError, UsageError
+from catalog.store.reader import Catalog
+from catalog.terrain.relief.relief import GlobalRelief
+from catalog.terrain.relief.sums import load_relief
+from optnav_cli.navigation.control_points.field import ControlPointField, PointLayer
+
+
+@contextmanager
+def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
+    """Open catalogs, and close them at the end.
+
+    Raises UsageError for two of one file name, which matches.csv could not tell apart, and
+    DataError for a file that is no whole catalog.
+    """
+    name, count = Counter(path.name for path in paths).most_common(1)[0]
+    if count > 1:
+        raise UsageError(
+            f"--catalog names {count} files called '{name}'; give each catalog a name of its own"
+        )
+    with ExitStack() as stack:
+        yield [stack.enter_context(Catalog.open(path)) for path in paths]
+
+
+def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField:
+    """The usable control points of catalogs, the first given before the others.
+
+    Raises DataError for a catalog of another body or without usable points.
+    """
+    return ControlPointField([_layer(catalog, body) for catalog in catalogs])
+
+
+def whole_relief(
+    catalogs: Sequence[Catalog], named: Path | None, body: Body
+) -> GlobalRelief | None:
+    """The body's relief for the horizon: of the named terrain model, else the finest carried one.
+
+    None where there is none. Raises DataError for a damaged one or a model of a part of the body.
+    """
+    if named is not None:
+        return load_relief(str(named), body)
+    carried = [relief for c in catalogs if (relief := c.relief()) is not None]
+    return min(carried, key=lambda relief: relief.posting_m, default=None)
+
+
+def _layer(catalog: Catalog, body: Body) -> PointLayer:
+    meta, usable = catalog.meta, catalog.usable
+    if meta.body != body.name:
+        raise DataError(
+            f"{catalog.path}: is a catalog of {meta.body}; the pictures show {body.name}: "
+            "name another catalog, or mend `body` in run.toml"
+        )
+    if not usable.any():
+        raise DataError(
+            f"{catalog.path}: none of its {len(catalog)} control points is usable; "
+            "see `optnav catalog info`"
+        )
+    return PointLayer(
+        catalog.path.name,
+        catalog,
+        catalog.grid,
+        catalog.ids[usable],
+        catalog.xyz_m[usable],
+        catalog.records["shadow_limit_deg"][usable],
+        np.array([meta.posting_m * 2.0**level for level in range(meta.levels)]),
+        meta.radius_m,
+        meta.planes,
+    )
