@@ -63,7 +63,7 @@ def catalog_document(catalog: Catalog) -> Document:
         "rejected_by_reason": rejected_by_reason(catalog),
         "extent": extent_deg(catalog),
         "levels": meta.levels,
-        "size": meta.size,
+        "size_nodes": meta.size,
         "posting_m": [meta.posting_m * 2**level for level in range(meta.levels)],
         "height_step_m": meta.height_step_m,
         "recognition_rate_usable": _spread(catalog.records["recognition_rate"][catalog.usable]),
@@ -156,6 +156,7 @@ _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
     "extent": lambda extent: {"extent_deg": _extent_words(extent)} if extent else {},
     "recognition_rate_usable": lambda s: {"recognition_rate_usable": _spread_words(s)},
     "localisation_nodes_usable": lambda s: {"localisation_nodes_usable": _spread_words(s)},
+    "size_nodes": lambda size: {"size": str(size)},
     "relief": lambda relief: {"relief": _relief_words(relief)},
     "sources": lambda sources: {f"source {name}": text for name, text in sources.items()},
 }

@@ -129,6 +129,7 @@ COMMANDS = (
     ("simulate", "limb.toml", "-o", "limb"),
     ("navigate", "limb", "--catalog", "relief.gpkg", "-o", "limb.run"),
     ("evaluate", "run", "--truth", "pictures/truth.csv"),
+    ("export", "run", "-o", "run.gpkg"),
     ("report", "run", "-o", "old.html"),
     ("report", "run", "-o", "old.svg"),
     ("catalog", "show", "moon.gpkg", "-o", "old.png", "27858"),
@@ -136,6 +137,7 @@ COMMANDS = (
     ("catalog", "export", "moon.gpkg", "-o", "old.csv"),
     ("catalog", "export", "moon.gpkg", "-o", "points.gpkg"),
     ("catalog", "export", "relief.gpkg", "-o", "old.tif"),
+    ("catalog", "export", "moon.gpkg", "--point", "27858", "-o", "patch.tif"),
     ("catalog", "export", "moon.gpkg", "--point", "27858", "-o", "old.glb"),
     ("catalog", "export", "moon.gpkg", "--point", "27858", "-o", "old.obj"),
 )

@@ -56,10 +56,21 @@ COMMANDS = {
     "evaluate": Command(
         ("evaluate", "run", "--truth", "pictures/truth.csv"), ("run", "pictures"),
     ),
+    "evaluate-json": Command(
+        ("evaluate", "run", "--truth", "pictures/truth.csv", "--json", "--min-solved", "0%"),
+        ("run", "pictures"),
+    ),
+    "export-run": Command(("export", "run", "-o", OUT), ("run",), ".gpkg", "run.gpkg"),
     "report": Command(("report", "run", "-o", OUT), ("run",), ".html", "old.html"),
     "report-svg": Command(("report", "run", "-o", OUT), ("run",), ".svg", "old.svg"),
     "info": Command(("catalog", "info", "moon.gpkg"), ("moon.gpkg",)),
     "nearest": Command(("catalog", "nearest", "moon.gpkg", "20.5", "-11"), ("moon.gpkg",)),
+    "nearest-json": Command(
+        ("catalog", "nearest", "moon.gpkg", "20.5", "-11", "--usable", "--count", "3", "--json"),
+        ("moon.gpkg",),
+    ),
+    "info-json": Command(("catalog", "info", "moon.gpkg", "--json"), ("moon.gpkg",)),
+    "verify-json": Command(("catalog", "verify", "moon.gpkg", "--json"), ("moon.gpkg",)),
     "verify": Command(("catalog", "verify", "moon.gpkg"), ("moon.gpkg",)),
     "compare": Command(
         ("catalog", "compare", "moon.gpkg", "moon.gpkg", "-o", OUT), ("moon.gpkg",), ".csv",
@@ -75,6 +86,10 @@ COMMANDS = {
     ),
     "export-gpkg": Command(
         ("catalog", "export", "moon.gpkg", "-o", OUT), ("moon.gpkg",), ".gpkg", "points.gpkg",
+    ),
+    "export-patch": Command(
+        ("catalog", "export", "moon.gpkg", "--point", POINT, "-o", OUT), ("moon.gpkg",), ".tif",
+        "patch.tif",
     ),
     "export-relief": Command(
         ("catalog", "export", "relief.gpkg", "-o", OUT), ("relief.gpkg",), ".tif", "old.tif",

@@ -45,7 +45,7 @@ def files(place: Place) -> Case:
 
 def _read(place: Place, note: str) -> Case:
     rng = place.rng
-    job = rng.choice(("report", "report", "svg", "evaluate", "navigate"))
+    job = rng.choice(("report", "report", "svg", "evaluate", "navigate", "export"))
     if job == "evaluate":
         left = ("run/evaluation.json", "run/evaluation.csv")
         args = ("-q", "evaluate", "run", "--truth", "pictures/truth.csv")
@@ -54,6 +54,8 @@ def _read(place: Place, note: str) -> Case:
         place.take("pictures", "moon.gpkg")
         args = ("-q", "navigate", "pictures", "--catalog", "moon.gpkg", "-o", "run")
         return Case(args, READ, "run", frozenset({OK, NOTHING}), note=note)
+    if job == "export":
+        return Case(("-q", "export", "run", "-o", "new.gpkg"), READ, "new.gpkg", note=note)
     ending = "html" if job == "report" else "svg"
     return Case(("-q", "report", "run", "-o", f"new.{ending}"), READ, f"new.{ending}", note=note)
 

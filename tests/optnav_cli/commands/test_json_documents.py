@@ -73,8 +73,9 @@ def named(text: str) -> dict[str, str]:
 def test_info_holds_the_numbers_of_its_lines(ask: Asked, catalog: Path) -> None:
     document, text = ask("catalog", "info", catalog)
     lines = named(text)
-    for name in ("points", "usable", "rejected", "cells_on_body", "levels", "size", "size_bytes"):
+    for name in ("points", "usable", "rejected", "cells_on_body", "levels", "size_bytes"):
         assert document[name] == int(lines[name])
+    assert document["size_nodes"] == int(lines["size"])
     for name in ("radius_m", "cell_deg", "height_step_m"):
         assert document[name] == float(lines[name])
     assert document["posting_m"] == [float(m) for m in lines["posting_m"].split(", ")]
