@@ -25,6 +25,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="which cases")
     parser.add_argument("--kinds", default="", help="only kinds whose names begin so")
     parser.add_argument("--case", default="", help="one case alone, KIND:SEED")
+    parser.add_argument("--materials", type=Path, help="folder of inputs, kept for the next run")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--hang", type=float, default=HANG_S, help="seconds that a case may take")
     options = parser.parse_args()
@@ -48,7 +49,7 @@ def _run(options: argparse.Namespace, area: Path) -> int:
     tally, began = Tally(), time.monotonic()
     shown = began
     for done, outcome in enumerate(
-        Runner(area, hang_s=options.hang).run(_cases(options)), options.first + 1
+        Runner(area, options.materials, options.hang).run(_cases(options)), options.first + 1
     ):
         tally.add(outcome)
         if outcome.failures or options.case:

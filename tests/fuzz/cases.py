@@ -75,7 +75,7 @@ Maker = Callable[[Place], Case]
 
 @dataclass(frozen=True)
 class Kind:
-    """A family of cases; `weight` is its share of a run."""
+    """A family of cases; `weight` is its share of a run: more where cases are quick."""
 
     name: str
     weight: float

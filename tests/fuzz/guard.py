@@ -24,7 +24,7 @@ CHANGING = (
 )
 TWO_PATHS = ("os.rename", "os.link", "os.symlink")
 # may be opened for writing, never replaced
-STREAMS = ("/dev/null", "/dev/stdout", "/dev/stderr", "/dev/tty")
+STREAMS = ("/dev/null", "/dev/full", "/dev/stdout", "/dev/stderr", "/dev/tty")
 CACHES = ("__pycache__", ".nbi", ".nbc", ".numba")
 
 

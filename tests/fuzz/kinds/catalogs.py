@@ -50,7 +50,7 @@ TABLES = (
 Edit = Callable[[sqlite3.Connection, random.Random], str]
 
 
-@kind("catalog-damaged", 3.0)
+@kind("catalog-damaged", 6.0)
 def damaged_catalog(place: Place) -> Case:
     """A catalog with damaged bytes: what is read of it is right or refused, verify says so."""
     name = place.rng.choice(("moon.gpkg", "relief.gpkg", "mesh.gpkg"))
@@ -60,7 +60,7 @@ def damaged_catalog(place: Place) -> Case:
     return _read(place, note, verified=frozenset({OK} if whole else {DATA}))
 
 
-@kind("catalog-edited", 8.0)
+@kind("catalog-edited", 5.0)
 def edited(place: Place) -> Case:
     """A catalog whose rows were changed; checksums and seal fit."""
     rng = place.rng

@@ -79,7 +79,7 @@ def _options(command: click.Command) -> list[click.Option]:
     return [param for param in command.params if isinstance(param, click.Option)]
 
 
-@kind("line-option", 5.0)
+@kind("line-option", 16.0)
 def options(place: Place) -> Case:
     """An option of any command with a value that it cannot take; nothing else is there."""
     rng = place.rng
@@ -142,7 +142,7 @@ def _arguments(command: click.Command) -> list[str]:
             if isinstance(param, click.Argument) and param.required]  # fmt: skip
 
 
-@kind("line-words", 5.0)
+@kind("line-words", 14.0)
 def words(place: Place) -> Case:
     """A command that works, with a word too much, too few, or misspelt."""
     rng = place.rng
@@ -189,7 +189,7 @@ def words(place: Place) -> Case:
     return Case(tuple(args), codes, note=f"{name}: {note}")
 
 
-@kind("line-inputs", 4.0)
+@kind("line-inputs", 9.0)
 def inputs(place: Place) -> Case:
     """A command that works, one of whose inputs is not there, or is something else."""
     rng = place.rng
@@ -216,7 +216,7 @@ def inputs(place: Place) -> Case:
     return Case(("-q", *args), codes, leaves=leaves, note=note)
 
 
-@kind("line-numbers", 2.0)
+@kind("line-numbers", 6.0)
 def numbers(place: Place) -> Case:
     """Numbers as arguments, far off and strange."""
     rng = place.rng
@@ -257,7 +257,7 @@ def _is_whole(text: str) -> bool:
     return text.lstrip("-").isdigit() and len(text) < 4000
 
 
-@kind("line-streams", 0.05)
+@kind("line-streams", 0.03)
 def streams(place: Place) -> Case:
     """A command as a process of its own whose stdout is closed or full."""
     rng = place.rng

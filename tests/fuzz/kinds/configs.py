@@ -317,7 +317,7 @@ def _with(place: Place, config: ConfigKind) -> tuple[frozenset[int], str]:
     return codes, note
 
 
-@kind("config-build", 6.0)
+@kind("config-build", 8.0)
 def build(place: Place) -> Case:
     """A build of one cell by a changed config."""
     place.take("dem.tif")
@@ -325,7 +325,7 @@ def build(place: Place) -> Case:
     return _build(place, "moon.toml", BOX, codes, note)
 
 
-@kind("config-build-relief", 1.0)
+@kind("config-build-relief", 0.7)
 def build_relief(place: Place) -> Case:
     """A build with a relief by a changed config."""
     place.take("dem.tif", "globe.tif")
@@ -333,7 +333,7 @@ def build_relief(place: Place) -> Case:
     return _build(place, "relief.toml", BOX, codes, note)
 
 
-@kind("config-build-mesh", 2.0)
+@kind("config-build-mesh", 0.6)
 def build_mesh(place: Place) -> Case:
     """A build of a small body by a changed config."""
     place.take("body.obj", "body.toml")
@@ -341,7 +341,7 @@ def build_mesh(place: Place) -> Case:
     return _build(place, "mesh.toml", "0,0,15,14", codes, note)
 
 
-@kind("config-body", 3.0)
+@kind("config-body", 1.0)
 def body(place: Place) -> Case:
     """A build or a simulation with a changed body file."""
     place.take("body.obj", "mesh.toml", "portraits.toml", "cam.toml")
@@ -358,21 +358,21 @@ def _build(place: Place, config: str, box: str, codes: frozenset[int], note: str
     return Case(args, codes, "new.gpkg", done, leaves_, note=note)
 
 
-@kind("config-camera", 3.0)
+@kind("config-camera", 2.0)
 def camera(place: Place) -> Case:
     """Navigation with a changed camera file."""
     place.take("pictures", "moon.gpkg")
     return _navigate(*_with(place, CAMERA))
 
 
-@kind("config-run", 1.5)
+@kind("config-run", 3.0)
 def run_toml(place: Place) -> Case:
     """Navigation with a changed run.toml."""
     place.take("pictures", "moon.gpkg")
     return _navigate(*_with(place, RUN))
 
 
-@kind("config-navigate", 3.0)
+@kind("config-navigate", 2.5)
 def navigate(place: Place) -> Case:
     """Navigation with changed settings."""
     place.take("pictures", "moon.gpkg")
@@ -384,8 +384,17 @@ def _navigate(codes: frozenset[int], note: str, *more: str) -> Case:
     return Case(args, codes, "new", frozenset({OK, NOTHING}), note=note)
 
 
+SCENARIO_WEIGHTS = {
+    "passes": 0.8,
+    "flight": 0.8,
+    "transfer": 0.5,
+    "portraits": 2.0,
+    "approach": 1.5,
+}
+
+
 def _scenario(name: str) -> None:
-    @kind(f"config-{name}", 2.5)
+    @kind(f"config-{name}", SCENARIO_WEIGHTS[name])
     def simulate(place: Place) -> Case:
         place.take("cam.toml", "dem.tif", "globe.tif", "body.obj", "body.toml")
         codes, note = _with(place, SCENARIOS[name])

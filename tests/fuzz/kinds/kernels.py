@@ -7,7 +7,7 @@ READ = frozenset({OK, DATA, NOTHING})
 NAMES = ("moon.tpc", "moon.tf", "moon.bsp", "moon.bpc")
 
 
-@kind("kernel-damaged", 2.0)
+@kind("kernel-damaged", 0.7)
 def damaged_kernel(place: Place) -> Case:
     """Navigation by kernels, one of which is damaged."""
     rng = place.rng
@@ -18,7 +18,7 @@ def damaged_kernel(place: Place) -> Case:
     return _navigate(place, [f"kernels/{name}" for name in NAMES], f"{name}: {note}")
 
 
-@kind("kernel-text", 1.0)
+@kind("kernel-text", 0.5)
 def text_kernel(place: Place) -> Case:
     """A text kernel with a line of its data changed."""
     rng = place.rng
@@ -37,7 +37,7 @@ def text_kernel(place: Place) -> Case:
     )
 
 
-@kind("kernel-list", 1.0)
+@kind("kernel-list", 0.5)
 def lists(place: Place) -> Case:
     """Kernels that are not there, twice, of another kind, or under strange names."""
     rng = place.rng

@@ -58,7 +58,7 @@ INDICES = [
 ]
 
 
-@kind("mesh-damaged", 3.0)
+@kind("mesh-damaged", 0.8)
 def damaged_mesh(place: Place) -> Case:
     """A shape model with damaged bytes."""
     name = place.rng.choice(FORMATS)
@@ -66,7 +66,7 @@ def damaged_mesh(place: Place) -> Case:
     return _read(place, name, data, READ, note)
 
 
-@kind("mesh-text", 5.0)
+@kind("mesh-text", 1.0)
 def text_mesh(place: Place) -> Case:
     """A text format with one word or line changed."""
     rng = place.rng
@@ -153,7 +153,7 @@ def text_mesh(place: Place) -> Case:
     )
 
 
-@kind("mesh-known", 2.0)
+@kind("mesh-known", 0.4)
 def known(place: Place) -> Case:
     """Damage to an OBJ whose meaning is sure."""
     rng = place.rng
@@ -174,7 +174,7 @@ def known(place: Place) -> Case:
         "whole": (lambda: lines, frozenset({OK})),
         "a hole": (lambda: lines[: faces[5]] + lines[faces[6] :], REFUSED),
         "counted from 0": (lambda: [shifted(x) if i in set(faces) else x for i, x in enumerate(lines)], REFUSED),
-        "counted from the end": (lambda: [relative(x) if i in set(faces) else x for i, x in enumerate(lines)], frozenset({OK})),
+        "counted from the end": (lambda: [relative(x) if i in set(faces) else x for i, x in enumerate(lines)], READ),
         "an index beyond": (lambda: [*lines, f"f 1 2 {count + 1}"], REFUSED),
         "a vertex that is no number": (lambda: [*lines[: vertices[0]], "v nan 1 2", *lines[vertices[1] :]], REFUSED),
         "a spike through itself": (lambda: [*lines[: vertices[3]], "v -40 -40 -40", *lines[vertices[4] :]], REFUSED),
@@ -215,7 +215,7 @@ def _reversed(line: str) -> str:
     return "f " + " ".join(reversed(line.split()[1:])) if line.startswith("f ") else line
 
 
-@kind("mesh-header", 3.0)
+@kind("mesh-header", 0.7)
 def headers(place: Place) -> Case:
     """A PLY, STL, plate or ICQ file whose header counts wrongly."""
     rng = place.rng
@@ -276,7 +276,7 @@ def headers(place: Place) -> Case:
     return _read(place, name, changed, READ, note)
 
 
-@kind("mesh-glb", 4.0)
+@kind("mesh-glb", 0.8)
 def glb(place: Place) -> Case:
     """A GLB whose JSON says something else."""
     rng = place.rng
@@ -330,7 +330,7 @@ def changed_json(data: Any, rng: random.Random) -> str:
     return f"{key!r} is {parent[key]!r}"
 
 
-@kind("mesh-name", 0.7)
+@kind("mesh-name", 0.3)
 def names(place: Place) -> Case:
     """A shape model under another format's name."""
     rng = place.rng

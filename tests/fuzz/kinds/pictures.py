@@ -59,7 +59,7 @@ def _grey(place: Place) -> NDArray[np.uint8]:
     return np.asarray(picture, np.uint8)
 
 
-@kind("picture-damaged", 4.0)
+@kind("picture-damaged", 1.2)
 def damaged_picture(place: Place) -> Case:
     """One of two frames is damaged: the other is solved all the same."""
     place.take("pictures", "moon.gpkg")
@@ -75,7 +75,7 @@ def damaged_picture(place: Place) -> Case:
     return _navigate(frozenset({OK}), note)
 
 
-@kind("picture-chunks", 1.5)
+@kind("picture-chunks", 0.7)
 def chunks(place: Place) -> Case:
     """A PNG whose checksums fit, with another header or content."""
     _one_frame(place)
@@ -97,7 +97,7 @@ def chunks(place: Place) -> Case:
     return _navigate(OPEN - {DATA}, f"IHDR {values}")
 
 
-@kind("picture-bomb", 0.5)
+@kind("picture-bomb", 0.2)
 def bomb(place: Place) -> Case:
     """A picture that is small as a file and large in the memory."""
     _one_frame(place)
@@ -119,7 +119,7 @@ def bomb(place: Place) -> Case:
     return _navigate(BAD, f"{side} x {side} pixels")
 
 
-@kind("picture-type", 4.0)
+@kind("picture-type", 1.2)
 def types(place: Place) -> Case:
     """A whole picture of another type, size, number of bands or content."""
     _one_frame(place)
@@ -152,7 +152,7 @@ def types(place: Place) -> Case:
     return _navigate(codes, f"{name}, as {ending}")
 
 
-@kind("picture-float", 2.0)
+@kind("picture-float", 0.7)
 def floats(place: Place) -> Case:
     """A TIFF of numbers: huge, negative, not numbers, complex."""
     _one_frame(place)
@@ -192,7 +192,7 @@ def floats(place: Place) -> Case:
     return _navigate(OPEN - {DATA}, f"{dtype}, {content}")
 
 
-@kind("picture-disguised", 3.0)
+@kind("picture-disguised", 1.0)
 def disguised(place: Place) -> Case:
     """Under the picture's name lies something that leads elsewhere."""
     _one_frame(place)
@@ -227,7 +227,7 @@ def disguised(place: Place) -> Case:
     return _navigate(BAD, name)
 
 
-@kind("picture-place", 2.0)
+@kind("picture-place", 0.6)
 def places(place: Place) -> Case:
     """Under the picture's name lies no file, or a name is strange."""
     rng = place.rng
@@ -247,7 +247,7 @@ def places(place: Place) -> Case:
     return _navigate(BAD, name)
 
 
-@kind("picture-name", 1.5)
+@kind("picture-name", 0.5)
 def names(place: Place) -> Case:
     """A picture with a strange name is read like any other."""
     name = place.rng.choice(
@@ -274,7 +274,7 @@ def folder_name(rng: random.Random) -> bytes:
     return rng.choice((b"pict\xff", b"\xe9t\xe9", b"a\x80\x81"))
 
 
-@kind("picture-bytes-name", 0.7)
+@kind("picture-bytes-name", 0.4)
 def bytes_names(place: Place) -> Case:
     """A folder or a picture whose name is not UTF-8."""
     place.take("moon.gpkg", "pictures")

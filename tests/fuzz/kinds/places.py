@@ -114,7 +114,7 @@ WAYS: dict[str, tuple[Prepare, str, frozenset[int]]] = {
 WRITERS = {name: command for name, command in COMMANDS.items() if command.ending is not None}
 
 
-@kind("place", 8.0)
+@kind("place", 5.0)
 def places(place: Place) -> Case:
     """A command that works, with its output somewhere."""
     rng = place.rng
@@ -141,7 +141,7 @@ def places(place: Place) -> Case:
     )
 
 
-@kind("place-input", 1.0)
+@kind("place-input", 2.0)
 def over_inputs(place: Place) -> Case:
     """An output named like an input of the same command."""
     rng = place.rng

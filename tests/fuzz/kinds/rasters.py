@@ -46,7 +46,7 @@ AFFINES = [
 ]  # fmt: skip
 
 
-@kind("raster-whole", 3.0)
+@kind("raster-whole", 0.7)
 def whole(place: Place) -> Case:
     """A GeoTIFF as GDAL writes it, of any type, size, place and content."""
     rng = place.rng
@@ -121,7 +121,7 @@ def whole(place: Place) -> Case:
     return _read(place, READ, note)
 
 
-@kind("raster-tags", 4.0)
+@kind("raster-tags", 0.9)
 def tags(place: Place) -> Case:
     """A GeoTIFF one of whose tags says something else."""
     data, note = changed_tag(place.material("dem.tif"), place.rng)
@@ -129,7 +129,7 @@ def tags(place: Place) -> Case:
     return _read(place, READ, note)
 
 
-@kind("raster-damaged", 2.0)
+@kind("raster-damaged", 0.5)
 def damaged_raster(place: Place) -> Case:
     """A GeoTIFF with damaged bytes."""
     data, note = damaged(place.material("dem.tif"), place.rng)
@@ -220,7 +220,7 @@ GRID = (
 )
 
 
-@kind("raster-vrt", 3.0)
+@kind("raster-vrt", 0.9)
 def vrts(place: Place) -> Case:
     """A VRT: one that is right, and others that lead elsewhere or are huge."""
     rng = place.rng
@@ -265,7 +265,7 @@ def vrts(place: Place) -> Case:
     return _read(place, codes, note, "models/dem.vrt")
 
 
-@kind("raster-text", 2.0)
+@kind("raster-text", 0.6)
 def texts(place: Place) -> Case:
     """ASCII grids, labels and what only looks so."""
     rng = place.rng
@@ -335,7 +335,7 @@ def _label(rng: random.Random) -> str:
     return "".join(f"{k} = {v}\r\n" for k, v in lines.items()) + "END\r\n"
 
 
-@kind("raster-relief", 1.5)
+@kind("raster-relief", 0.3)
 def reliefs(place: Place) -> Case:
     """A damaged model of the whole body, for navigation's horizon or for a simulation."""
     rng = place.rng

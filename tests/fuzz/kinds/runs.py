@@ -15,7 +15,7 @@ FILES = (
 )  # fmt: skip
 
 
-@kind("run-file", 3.0)
+@kind("run-file", 0.8)
 def files(place: Place) -> Case:
     """A run one of whose files is gone, damaged, empty, a folder, or of another run."""
     rng = place.rng
@@ -76,7 +76,7 @@ def manifests(place: Place) -> Case:
     return Case(args, frozenset({DATA}), note=f"manifest {text[:60]!r}")
 
 
-@kind("run-work", 2.5)
+@kind("run-work", 0.6)
 def works(place: Place) -> Case:
     """A build that goes on in a work folder one of whose files is damaged."""
     rng = place.rng
@@ -113,7 +113,7 @@ def works(place: Place) -> Case:
     return Case(args, READ, "new.gpkg", frozenset({OK, NOTHING}), ("w",), note=note)
 
 
-@kind("run-stages", 0.7)
+@kind("run-stages", 0.2)
 def stages(place: Place) -> Case:
     """A stage of a build without those before it, or with another box or config."""
     rng = place.rng

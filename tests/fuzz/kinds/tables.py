@@ -134,7 +134,7 @@ def _many(rows: Rows, rng: random.Random) -> tuple[bytes, str]:
     return _written([*rows, *more]), "30 more rows"
 
 
-@kind("table-frames", 5.0)
+@kind("table-frames", 3.0)
 def frames(place: Place) -> Case:
     """Navigation with a changed frames.csv."""
     folder = place.rng.choice(("pictures",) * 7 + ("near",) * 2 + ("limb",))
@@ -167,7 +167,7 @@ def _of_run(place: Place, name: str) -> Case:
     return Case(args, OPEN, f"new.{ending}", note=note)
 
 
-@kind("table-truth", 2.5)
+@kind("table-truth", 3.0)
 def truth(place: Place) -> Case:
     """An evaluation by a changed truth.csv."""
     place.take("run")
