@@ -18,7 +18,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -50,7 +50,7 @@ def starts_with(*prefixes: bytes) -> IsOurs:
     return test
 
 
-def check_file(path: Path, ours: IsOurs) -> None:
+def check_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> None:
     """Raise OutputError for a place where `replacing_file` could not put a file.
 
     Nothing is touched; long work asks before it begins.
@@ -59,6 +59,9 @@ def check_file(path: Path, ours: IsOurs) -> None:
     if kind == stat.S_IFDIR:
         raise OutputError(f"{path}: a folder is in the way of an output file; name another place")
     try:
+        for ending in sidecars:  # whose names must fit
+            with suppress(FileNotFoundError):
+                path.with_name(path.name + ending).lstat()
         foreign = kind == stat.S_IFREG and path.stat().st_size > 0 and not ours(path)
     except OSError as error:
         raise unusable(path, error) from None
@@ -80,16 +83,17 @@ def replacing_file(path: Path, ours: IsOurs, sidecars: Sequence[str] = ()) -> It
     Raises OutputError for a folder or anything foreign in the way, another process that writes
     there, an unwritable place, a full disk (of SQLite in the body, too).
     """
-    check_file(path, ours)
+    check_file(path, ours, sidecars)
     with claimed(path) as path, _writing(path), _new_folder(path) as folder:
-        yield folder / path.name
-        _sync(folder / path.name)
+        new = folder / f"new{path.suffix}"  # short: SQLite appends to names
+        yield new
+        _sync(new)
         check_file(path, ours)  # somebody may have come meanwhile
         for ending in sidecars:
             sidecar = path.with_name(path.name + ending)
             if sidecar.is_file():
                 sidecar.unlink()
-        os.replace(folder / path.name, path)
+        os.replace(new, path)
         _sync(path.parent)
 
 

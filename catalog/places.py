@@ -16,6 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from catalog.errors import OutputError
+from catalog.inputs import printable
 
 LOCK = "optnav-lock"
 # Longer names do not fit into 255 bytes with what hidden siblings add; a hash stands for them then.
@@ -37,6 +38,8 @@ def kind_at(path: Path) -> int:
     """
     if not path.name:
         raise OutputError(f"{str(path)!r}: is not a name for an output; name one")
+    if printable(path) != str(path):  # it could not be read again: SQLite and GDAL take text
+        raise OutputError(f"{printable(path)}: the name is not UTF-8 text; name another place")
     try:
         kind = stat.S_IFMT(path.stat().st_mode)
     except FileNotFoundError:

@@ -13,7 +13,8 @@ PACKAGES = ("catalog", "optnav_cli")
 # Lowest first. An image arrives with the first floor of optnav_cli.
 FLOORS = (
     {"catalog.errors", "catalog.arrays"},
-    {"catalog.inputs", "catalog.places"},
+    {"catalog.inputs"},
+    {"catalog.places"},
     {"catalog.config", "catalog.progress", "catalog.files", "catalog.cache", "catalog.geometry"},
     {"catalog.rasters"},
     {"catalog.bodies", "catalog.tables"},

@@ -31,7 +31,7 @@ from catalog.jobs.workers import available_cores, workers_of
 from catalog.jobs.workspace import MARK, Workspace, encode_records, stage_key
 from catalog.places import claimed
 from catalog.progress import Progress, SilentProgress
-from catalog.store.connection import is_catalog_file
+from catalog.store.connection import SIDECARS, is_catalog_file
 from catalog.store.patches import PreparedPoint
 from catalog.terrain.dem.file import path_of
 
@@ -80,7 +80,9 @@ def run(
     if workers is not None and not 1 <= workers <= MAX_WORKERS:
         raise UsageError(f"--workers {workers}: wanted 1 to {MAX_WORKERS}")
     if output is not None:
-        check_file(output, is_catalog_file)  # before hours of work for a place that cannot be used
+        check_file(
+            output, is_catalog_file, SIDECARS
+        )  # before hours of work for a place that cannot be used
     if work is None:
         if output is None:
             raise UsageError("name a work folder with --work")

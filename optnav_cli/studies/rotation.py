@@ -23,6 +23,7 @@ from catalog.bodies.body import Body, CorrectionTerm, RotationCorrection, load_b
 from catalog.bodies.ephemeris import SpiceEphemeris
 from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import CENTURY_S, body_from_inertial
+from catalog.errors import UsageError
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
@@ -168,8 +169,11 @@ def run(
 ) -> RotationFit:
     """Fit `terms` lines to the kernels' rotation over a span of years and check the result.
 
-    Raises ConfigError for an unknown body, DataError for kernels that do not cover the span.
+    Raises UsageError for less than a year, ConfigError for an unknown body, DataError for kernels
+    that do not cover the span.
     """
+    if not years[1] - years[0] >= 1.0:
+        raise UsageError(f"--years {years[0]:g} {years[1]:g}: wanted a first and a later last year")
     turning = load_body(body)
     spice = SpiceEphemeris(turning, kernels)
     published = replace(turning, rotation_correction=None)

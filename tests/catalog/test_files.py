@@ -227,7 +227,7 @@ def test_a_folder_whose_manifest_is_none_is_not_ours(tmp_path, manifest):
     assert names(tmp_path) == ["run"]
 
 
-@pytest.mark.parametrize("name", ["n" * 255, "ü" * 127, os.fsdecode(b"\xff\xfe run")])
+@pytest.mark.parametrize("name", ["n" * 255, "ü" * 127, "a run\n"])
 def test_any_name_that_the_disk_takes_can_be_an_output(tmp_path, name):
     for word in ("one", "two"):
         with replacing_folder(tmp_path / name, "run") as new:
@@ -240,6 +240,12 @@ def test_any_name_that_the_disk_takes_can_be_an_output(tmp_path, name):
     assert file.read_text().endswith("two")
     assert names(tmp_path) == sorted([name, "deep"])
     assert names(file.parent) == [name]
+
+
+def test_a_name_leaves_room_for_those_of_its_side_files(tmp_path):
+    with pytest.raises(OutputError, match="File name too long"):
+        check_file(tmp_path / ("n" * 252), lambda _: True, ("-wal",))
+    check_file(tmp_path / ("n" * 251), lambda _: True, ("-wal",))
 
 
 def test_side_files_that_are_no_files_stay(tmp_path):

@@ -89,7 +89,9 @@ def test_what_is_no_file_and_no_folder_is_left_alone(tmp_path, make, said, write
 def test_a_place_that_cannot_be_is_refused(tmp_path, write, above):
     (tmp_path / "file").touch()
     (tmp_path / "loop").symlink_to("loop")
-    for place in (tmp_path / above / "place", tmp_path / ("n" * 256), Path("/"), Path()):
+    not_text = os.fsdecode(b"\xff\xfe")
+    for name in (f"{above}/place", "n" * 256, not_text, f"{not_text}/new", "/", ""):
+        place = tmp_path / name if name.strip("/") else Path(name)
         with pytest.raises(OutputError, match=r"name (one|another)"):
             write(place)
     assert names(tmp_path) == ["file", "loop"]

@@ -53,7 +53,7 @@ def path_of(name: str, base_dir: Path) -> Path:
                 f"'{name}' lies in the folder that the environment variable {SHARED_FOLDER} names, "
                 "which is not set; set it, or write the file's own path"
             )
-        path = Path(folder).resolve() / name.removeprefix(SHARED)
+        path = Path(os.path.realpath(folder)) / name.removeprefix(SHARED)
         if not path.is_file():
             raise ConfigError(
                 f"'{name}' is not there: {SHARED_FOLDER} is {folder}, and {path} is no file"
