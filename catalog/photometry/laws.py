@@ -63,8 +63,28 @@ def lunar_weight(cos_phase: float) -> float:
     Beyond 103 deg of phase the cubic is negative, and would make ground that faces the Sun dark;
     there L is held at 0, pure Lambert (ours).
     """
-    g = math.degrees(math.acos(min(max(cos_phase, -1.0), 1.0)))
-    return max(1.0 + g * (-0.019 + g * (0.242e-3 - 1.46e-6 * g)), 0.0) if g < 110.0 else 0.0
+    return lunar_weight_of(math.degrees(math.acos(min(max(cos_phase, -1.0), 1.0))))
+
+
+@kernel
+def lunar_weight_of(g: float) -> float:
+    """The same by the phase, deg."""
+    weight = 1.0 + g * (-0.019 + g * (0.242e-3 - 1.46e-6 * g))
+    return weight if (weight > 0.0) & (g < 110.0) else 0.0
+
+
+@kernel
+def phase_degrees(cosine: float) -> float:
+    """An arc cosine, deg, by a polynomial: right to 2e-8 rad, and a loop of it can be vectors.
+
+    The root over 1 - x takes out the singularity at 1; the polynomial is Hastings' of degree 7.
+    """
+    x = abs(cosine)
+    root = np.sqrt(1.0 - x if x < 1.0 else 0.0)
+    series = 0.0308918810 + x * (-0.0170881256 + x * (0.0066700901 - x * 0.0012624911))
+    series = 0.0889789874 + x * (-0.0501743046 + x * series)
+    angle = root * (1.5707963050 + x * (-0.2145988016 + x * series))
+    return math.degrees(angle if cosine >= 0.0 else math.pi - angle)
 
 
 @kernel

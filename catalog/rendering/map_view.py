@@ -14,7 +14,7 @@ from catalog.photometry.laws import (
     lunar_weight,
 )
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
-from catalog.rendering.shading import NEAR, TABLE, TWO_TERMS, Lighting
+from catalog.rendering.shading import NEAR, NEAR_LUNAR, TABLE, TWO_TERMS, Lighting
 from catalog.rendering.shadow import NO_TABLE, Outer, illuminated, map_grid
 
 ZENITH = (0.0, 0.0, 1.0)
@@ -53,7 +53,8 @@ def render_map(
     light = _light(law, sun_local, view)
     if camera_local is not None:
         camera = np.ascontiguousarray(camera_local, dtype=np.float64)
-        light = light._replace(made=NEAR, camera=camera)
+        made = NEAR_LUNAR if law == "lunar_lambert" else NEAR
+        light = light._replace(made=made, camera=camera)
     grid = map_grid(heights, posting_m, radius_m)
     return illuminated(grid, light, outer, TABLE_SIZE)
 

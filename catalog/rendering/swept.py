@@ -26,6 +26,7 @@ from catalog.rendering.hapke_table import shade_hapke
 from catalog.rendering.shading import (
     LIMIT,
     LIT,
+    NEAR_LUNAR,
     ONE,
     TABLE,
     TWO_TERMS,
@@ -35,6 +36,7 @@ from catalog.rendering.shading import (
     MapGrid,
     Rows,
     fill_slopes,
+    shade_near,
     shade_nodes,
     shade_two_terms,
 )
@@ -237,6 +239,8 @@ def _make_rows(
         shade_two_terms(rows, grid, work.slopes, work.mask, light, target)
     elif light.made == TABLE:
         shade_hapke(rows, grid, work.slopes, work.mask, light, target)
+    elif light.made == NEAR_LUNAR:
+        shade_near(rows, grid, work.slopes, work.mask, light, target)
     else:
         shade_nodes(rows, grid, work.slopes, work.mask, light, target)
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
@@ -100,13 +101,14 @@ def match_point(
         margin = int(np.ceil(MARGIN_NODES * step))
         search_nodes = max(search_nodes, int(np.ceil(MIN_ROOM * step)))
     posting = reference.patches[level].posting_m
-    template = reference.render(level, plan.template_nodes + 2 * margin, sun_body, pose.position_m)
+    border = search_nodes + margin
+    heights = reference.heights(level, plan.template_nodes + 2 * border)
+    around = cropped(heights, search_nodes)
+    template = reference.render(level, around, sun_body, pose.position_m)
     refusal = _rejection_of_template(cropped(template, margin) if blur_nodes else template)
     if refusal:
         return PointMatch(level, refusal)
-    border = search_nodes + margin
-    size = plan.template_nodes + 2 * border
-    surface = reference.surface(level, size)
+    surface = reference.surface(level, heights)
     camera_from_body = pose.camera_from_body.as_matrix()
     pixels = camera.project_from_body(surface, pose.position_m, camera_from_body)
     window = picture.sample(pixels, posting / plan.metres_per_pixel)
@@ -204,17 +206,20 @@ def _displacement(
     row = float(np.clip(border + match.dy, 0.0, 2.0 * border - 1e-9))
     c, r = int(col), int(row)
     u, v = col - c, row - r
-    # x and y apart, and no nanmean without need: it and sums over pairs take as long as a search
-    planes = np.ascontiguousarray(np.moveaxis(pixels, -1, 0))
-    average = np.mean if np.isfinite(planes).all() else np.nanmean
-
-    def mean(down: int, right: int) -> FloatArray:
-        block = planes[:, down : down + template_nodes, right : right + template_nodes]
-        middle: FloatArray = average(block, axis=(1, 2))
-        return middle
-
-    here = (1 - v) * ((1 - u) * mean(r, c) + u * mean(r, c + 1))
-    here = here + v * ((1 - u) * mean(r + 1, c) + u * mean(r + 1, c + 1))
-    by_x = (mean(border, border + 1) - mean(border, border - 1)) / 2.0
-    by_y = (mean(border + 1, border) - mean(border - 1, border)) / 2.0
-    return here - mean(border, border), np.stack([by_x, by_y], axis=-1)
+    # sums from the corner on, of which a block's is a difference: nine blocks as quick as one
+    seen = np.isfinite(pixels[..., 0])
+    if not seen.all():
+        pixels = np.where(seen[..., None], pixels, 0.0)
+    sums, counts = cv2.integral(pixels), cv2.integral(seen.view(np.uint8))
+    # upper left corners: four blocks about the match, and the expected one with its neighbours
+    top = np.array([r, r, r + 1, r + 1, border, border, border, border - 1, border + 1])
+    left = np.array([c, c + 1, c, c + 1, border, border - 1, border + 1, border, border])
+    low, right = top + template_nodes, left + template_nodes
+    total, count = (
+        part[low, right] - part[top, right] - part[low, left] + part[top, left]
+        for part in (sums, counts)
+    )
+    mean = total / count[:, None]
+    weights = np.array([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u])
+    slopes = np.stack([mean[6] - mean[5], mean[8] - mean[7]], axis=-1) / 2.0
+    return weights @ mean[:4] - mean[4], slopes

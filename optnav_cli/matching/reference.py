@@ -1,6 +1,6 @@
 """What a control point should look like: its patches cut to a window and rendered."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,8 @@ from catalog.geometry.grid import bicubic_at
 from catalog.geometry.kernel import kernel
 from catalog.geometry.projection import MapProjection, TangentPlane, node_grid
 from catalog.rendering.map_view import render_map
+from catalog.rendering.shadow import shadow_field
+from catalog.rendering.swept import ShadowField
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class Reference:
     patches: tuple[Patch, ...]
     radius_m: float
     planes_on_m: tuple[float, float, float] | None = None
+    _kept_shadows: dict[tuple[int, bytes], ShadowField] = field(default_factory=dict, repr=False)
 
     @cached_property
     def projection(self) -> MapProjection:
@@ -56,22 +59,26 @@ class Reference:
             _fill_from(window, posting, patch.heights_m, patch.posting_m)
         return window
 
-    def surface(self, level: int, size: int) -> FloatArray:
-        """Body-fixed points (size, size, 3), m, of a window's nodes.
+    def surface(self, level: int, heights: Float32Array) -> FloatArray:
+        """Body-fixed points (size, size, 3), m, of the nodes of a window's heights (size, size).
 
         Of a small body the ground goes on beyond the coarsest patch, which is hardly wider than
         what is looked for, as high above the ellipsoid as the patch's border is.
         """
-        x, y = node_grid(size, self.patches[level].posting_m)
-        heights, projection = self.heights(level, size), self.projection
+        x, y = node_grid(len(heights), self.patches[level].posting_m)
+        projection = self.projection
         if isinstance(projection, TangentPlane) and self.planes_on_m is not None:
             heights = _carried_on(heights, projection, x, y, self.planes_on_m)
         return projection.points(x, y, heights)
 
     def render(
-        self, level: int, size: int, sun_body: FloatArray, camera_position_m: FloatArray
+        self,
+        level: int,
+        heights: Float32Array,
+        sun_body: FloatArray,
+        camera_position_m: FloatArray,
     ) -> Float32Array:
-        """Lunar-Lambert brightness of a window with cast shadows, (size, size), 0 in shadow.
+        """Lunar-Lambert brightness of a window's heights (size, size), 0 in cast shadow.
 
         Lommel-Seeliger, which Zhukov (2025) takes, is farther from Hapke at oblique views:
         correlation 0.98 against 0.998 (study photometry).
@@ -80,15 +87,25 @@ class Reference:
         camera_position_m  (3,) body frame
         """
         body_from_local = self.projection.body_from_local
+        sun_local = sun_body @ body_from_local
         return render_map(
-            self.heights(level, size),
+            heights,
             self.patches[level].posting_m,
-            sun_body @ body_from_local,
+            sun_local,
             camera_local=(camera_position_m - np.array(self.projection.foot_m)) @ body_from_local,
             law="lunar_lambert",
             radius_m=self.projection.radius_m,
-            outer=tuple((p.heights_m, p.posting_m) for p in self.patches[level + 1 :]),
+            outer=self._shadows(level, sun_local),
         )
+
+    def _shadows(self, level: int, sun_local: FloatArray) -> ShadowField:
+        """What the coarser levels throw onto a level; kept for the next pass over a frame."""
+        key = level, sun_local.tobytes()
+        if key not in self._kept_shadows:
+            grids = [(p.heights_m, p.posting_m) for p in self.patches[level + 1 :]]
+            self._kept_shadows.clear()
+            self._kept_shadows[key] = shadow_field(grids, sun_local, self.projection.radius_m)
+        return self._kept_shadows[key]
 
 
 @kernel

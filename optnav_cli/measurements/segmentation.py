@@ -6,12 +6,14 @@ lit ground's level, so that a faint cusp still belongs to the body and stray lig
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, Int32Array, IntArray
 from catalog.errors import NoSolutionError
+from catalog.geometry.kernel import kernel
 from optnav_cli.reasons import ReasonCode
 
 BLOCK_PX = 16
@@ -61,6 +63,23 @@ class Blobs:
         return len(self.area)
 
 
+class Segmented:
+    """A picture (h, w) whose levels and lit areas are made once, for all who ask for them."""
+
+    def __init__(self, picture: Float32Array) -> None:
+        self.picture = np.ascontiguousarray(picture, dtype=np.float32)
+
+    @cached_property
+    def levels(self) -> Levels:
+        """See `measure_levels`, also for what it raises."""
+        return measure_levels(self.picture)
+
+    @cached_property
+    def blobs(self) -> Blobs:
+        """The areas above the levels' threshold."""
+        return lit_blobs(self.picture, self.levels.threshold)
+
+
 def measure_levels(picture: Float32Array) -> Levels:
     """Levels of a picture (h, w).
 
@@ -102,11 +121,31 @@ def measure_levels(picture: Float32Array) -> Levels:
 def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:
     """Areas of a picture (h, w) above a threshold, joined over corners."""
     mask = (picture > threshold).view(np.uint8)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    numbers = np.arange(1, len(stats))
-    order = numbers[np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")]
-    sizes = stats[order].astype(np.int64)
-    return Blobs(np.asarray(labels, np.int32), order, sizes[:, cv2.CC_STAT_AREA], sizes[:, :4])
+    # not connectedComponentsWithStats: it takes eight times as long
+    count, found = cv2.connectedComponents(mask, connectivity=8)
+    labels = np.asarray(found, np.int32)
+    area, box = _sizes(labels, count)
+    order = np.argsort(-area, kind="stable")
+    return Blobs(labels, order + 1, area[order], box[order])
+
+
+@kernel
+def _sizes(labels: Int32Array, count: int) -> tuple[IntArray, IntArray]:
+    """Area (k,) and box (k, 4: left, top, width, height) of the labels from 1 to count - 1."""
+    rows, cols = labels.shape
+    area, box = np.zeros(count, np.int64), np.zeros((count, 4), np.int64)
+    box[:, 0], box[:, 1] = cols, rows
+    for r in range(rows):
+        line, c = labels[r], 0
+        while c < cols:
+            label, first = line[c], c
+            while c < cols and line[c] == label:
+                c += 1
+            area[label] += c - first
+            box[label, 0], box[label, 1] = min(box[label, 0], first), min(box[label, 1], r)
+            box[label, 2], box[label, 3] = max(box[label, 2], c), r + 1
+    box[:, 2:] -= box[:, :2]
+    return area[1:], box[1:]
 
 
 def without_blobs(

@@ -51,8 +51,7 @@ def draw_outline(canvas: Canvas, marks: OutlineMarks) -> None:
         canvas.aim(marks.points_px[0], AIM_PX, DISC)
         return
     for chosen, colour in ((marks.used, FOUND), (~marks.used, REJECTED)):
-        for pixel in marks.points_px[chosen]:
-            canvas.dot(pixel, colour)
+        canvas.dots(marks.points_px[chosen], colour)
     for enlarged, colour in ((0.0, PREDICTED), (RESIDUALS_ENLARGED, RESIDUAL)):
         for curve in marks.curves(enlarged):
             canvas.line(curve, colour, 1)
@@ -273,7 +272,7 @@ def _legend(
             if kind == "o":
                 strip.ring(at, 6.0, colour)
             elif kind == ".":
-                strip.dot(at, colour)
+                strip.dots(at[None], colour)
             elif kind == "d":
                 strip.diamond(at, 5.0, colour)
             elif kind == "x":

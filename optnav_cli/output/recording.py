@@ -345,7 +345,7 @@ class Annotations:
         line = {
             **self._stamp,
             "type": kind,
-            "points": [self._place(pixel) for pixel in pixels],
+            "points": [{"x": x, "y": y} for x, y in ((pixels + 0.5) * self._factor).tolist()],
             "outline_color": color(rgb),
             "outline_colors": [],
             "fill_color": _CLEAR,

@@ -163,10 +163,9 @@ def _direction(
 
 @kernel
 def _ground_cot(
-    outlook: _Outlook, azimuth: tuple[float, float], angle: float
+    outlook: _Outlook, azimuth: tuple[float, float], up: float, along: float
 ) -> tuple[float, float]:
-    """`_cot` of the ground at an angle from the observer, at an azimuth, and its radius."""
-    up, along = np.cos(angle), np.sin(angle)
+    """`_cot` of the ground at an azimuth and its radius; up, along: cosine, sine of its angle."""
     x, y, z = _direction(outlook.axes, azimuth, up, along)
     radius = outlook.sphere + _height(outlook.grid, x, y, z)
     return (outlook.distance - radius * up) / (radius * along), radius
@@ -176,20 +175,25 @@ def _ground_cot(
 def _highest_of_segment(
     outlook: _Outlook,
     azimuth: tuple[float, float],
-    segment: tuple[float, float, float, int],
+    segment: tuple[float, float, float, float, int],
     best: tuple[float, float],
 ) -> tuple[float, float]:
     """The smallest `_cot` of a segment's samples and its angle, or `best` where none is smaller.
 
-    segment  least and greatest angle of samples, the segment's start, rad, and its samples
+    segment  least and greatest angle of samples, the segment's start, rad, the radius that its
+             ground stays below, and its samples
     """
-    low, high, start, parts = segment
+    low, high, start, top, parts = segment
     step = SEGMENT / parts
     best_cot, best_angle = best
     for k in range(parts):
         angle = start + (k + 0.5) * step
-        if low < angle < high:
-            cot, _ = _ground_cot(outlook, azimuth, angle)
+        if not low < angle < high:
+            continue
+        up, along = np.cos(angle), np.sin(angle)
+        # ground is looked up only where the highest of the segment would be the skyline
+        if (outlook.distance - top * up) / (top * along) <= best_cot:
+            cot, _ = _ground_cot(outlook, azimuth, up, along)
             if cot < best_cot:
                 best_cot, best_angle = cot, angle
     return best_cot, best_angle
@@ -204,7 +208,8 @@ def _refined(
     for _ in range(REFINEMENTS):
         centre = best_angle
         for side in (-half, half):
-            cot, _ = _ground_cot(outlook, azimuth, centre + side)
+            angle = centre + side
+            cot, _ = _ground_cot(outlook, azimuth, np.cos(angle), np.sin(angle))
             if cot < best_cot:
                 best_cot, best_angle = cot, centre + side
         half *= 0.5
@@ -252,10 +257,10 @@ def _skyline(
             radius = min(sphere + _bound(bounds, x, y, z), inside)
             if _cot(distance, radius, min(max(np.arccos(radius / distance), low), high)) > best:
                 continue
-            segment = low, high, start, parts
+            segment = low, high, start, radius, parts
             best, best_angle = _highest_of_segment(outlook, azimuth, segment, (best, best_angle))
         best, best_angle = _refined(outlook, azimuth, 0.5 * step, (best, best_angle))
-        _, radius = _ground_cot(outlook, azimuth, best_angle)
+        _, radius = _ground_cot(outlook, azimuth, np.cos(best_angle), np.sin(best_angle))
         found[0, n], found[1, n], found[2, n] = np.arctan2(1.0, best), best_angle, radius
 
 

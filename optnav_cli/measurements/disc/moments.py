@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from functools import partial
 
+import cv2
 import numpy as np
-from scipy.ndimage import sum_labels
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
 from catalog.bodies.body import Body
@@ -15,7 +15,7 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.photometry import hapke
 from catalog.photometry.laws import lambert, lommel_seeliger
 from catalog.terrain.relief.relief import GlobalRelief, relief_height
-from optnav_cli.measurements.segmentation import ROUNDING_VARIANCE, lit_blobs, measure_levels
+from optnav_cli.measurements.segmentation import ROUNDING_VARIANCE, Blobs, Segmented
 from optnav_cli.reasons import ReasonCode
 
 # Of Hapke's parameters the roughness moves a disc's light, by 0.006 radii and 2 % of its width;
@@ -90,20 +90,19 @@ def sphere_moments(phase: float) -> list[LightMoments]:
     return found
 
 
-def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments:
-    """Moments of the brightest spot of a picture (h, w).
+def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
+    """Moments of the brightest spot of a picture.
 
     Raises NoSolutionError when there is none, when another one rivals it, and for a disc that is
     cut by the frame, saturated or too large.
     """
-    levels = measure_levels(picture)
-    blobs = lit_blobs(picture, levels.threshold)
+    picture, levels, blobs = areas.picture, areas.levels, areas.blobs
     # the largest: the brightest spot of a picture is among them
     kept = np.flatnonzero(blobs.area >= MIN_PIXELS)[:50]
     if len(kept) == 0:
         text = f"no disc: nothing lit is larger than {MIN_PIXELS - 1} pixels; hot pixels or noise"
         raise NoSolutionError(text, ReasonCode.NO_BODY)
-    light = sum_labels(picture - levels.sky, blobs.labels, blobs.label[kept])
+    light = [_light(picture, blobs, number, levels.sky) for number in kept]
     first = int(np.argmax(light))
     rival = float(np.sort(light)[-2]) if len(light) > 1 else 0.0
     if rival > RIVAL_SHARE * light[first]:
@@ -146,6 +145,14 @@ def measure_disc(picture: Float32Array, saturation: float | None) -> DiscMoments
             )
     sky, noise, sky_sigma = _background(picture, blobs.labels, (cx, cy), reach)
     return _moments(window[use] - sky, x[use], y[use], noise, sky_sigma)
+
+
+def _light(picture: Float32Array, blobs: Blobs, number: int, sky: float) -> float:
+    """Sum of a lit area's counts over the sky."""
+    left, top, wide, high = blobs.box[number]
+    part = np.s_[top : top + high, left : left + wide]
+    own = (blobs.labels[part] == blobs.label[number]).view(np.uint8)
+    return (cv2.mean(picture[part], own)[0] - sky) * float(blobs.area[number])
 
 
 def _background(

@@ -101,12 +101,15 @@ def _score(
     by_y: FloatArray,
     gradient: FloatArray,
     relief: float,
+    least: float,
 ) -> float:
-    """Agreement of candidates with the cone e.s = 1, each between 0 and 1."""
+    """Agreement of candidates with the cone e.s = 1, each from 0 to 1; 0 if not over `least`."""
     length2 = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
     tangent = np.sqrt(length2 - 1.0)
     total = 0.0
     for i in range(rays.shape[0]):
+        if total + (rays.shape[0] - i) <= least:
+            return 0.0
         value = rays[i, 0] * s[0] + rays[i, 1] * s[1] + rays[i, 2] * s[2] - 1.0
         gx = by_x[i, 0] * s[0] + by_x[i, 1] * s[1] + by_x[i, 2] * s[2]
         gy = by_y[i, 0] * s[0] + by_y[i, 1] * s[1] + by_y[i, 2] * s[2]
@@ -144,7 +147,7 @@ def _consensus(
         s = normal / volume
         if not 1.0 < np.dot(s, s) < max_s2:
             continue
-        score = _score(s, rays, by_x, by_y, gradient, relief)
+        score = _score(s, rays, by_x, by_y, gradient, relief, best)
         if score > best:
             best, best_s = score, s
     return best, best_s

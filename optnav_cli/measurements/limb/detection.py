@@ -32,7 +32,7 @@ from optnav_cli.measurements.limb.cone import (
     pixel_rays,
 )
 from optnav_cli.measurements.limb.edge_fit import common_shape, locate_edges, profiles_across
-from optnav_cli.measurements.segmentation import lit_blobs, measure_levels
+from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.reasons import ReasonCode
 
 MAX_POINTS = 3000
@@ -83,6 +83,7 @@ def find_limb(
     saturation: float | None = None,
     stretch: FloatArray | None = None,
     relief: float = RELIEF,
+    lit: Segmented | None = None,
 ) -> LimbPoints:
     """Find the lit limb of the one body in a picture.
 
@@ -92,21 +93,22 @@ def find_limb(
     stretch     (3, 3)  makes the body a sphere, from the camera frame: diag(1 / radii) @
                 body_from_camera up to scale; None for a sphere
     relief      what the limb may stand off a smooth one, in body radii
+    lit         the picture's lit areas, where they are at hand
 
     Raises NoSolutionError, with what the picture shows instead, when there is no lit limb to use.
     """
-    picture = np.ascontiguousarray(picture, dtype=np.float32)
+    areas = lit or Segmented(picture)
+    picture = areas.picture
     full = np.inf if saturation is None else saturation
     space = _space(stretch)
-    levels = measure_levels(picture)
-    blobs = lit_blobs(picture, levels.threshold)
+    levels, blobs = areas.levels, areas.blobs
     checks.check_blobs(picture, blobs, levels, full)
     candidates = find_candidates(picture, camera, levels, blobs)
-    cone, lit = _first_cone(
+    cone, on_edge = _first_cone(
         picture, camera, candidates, levels.threshold, sun_camera, space, relief
     )
-    where = pixel_rays(camera, lit.pixels, space)
-    limb, where = on_limb(lit, where, cone, relief)
+    where = pixel_rays(camera, on_edge.pixels, space)
+    limb, where = on_limb(on_edge, where, cone, relief)
     pixel = float(np.median(np.linalg.norm(where.by_x, axis=1))) if len(limb) else 0.0
     arc = checks.arc_deg(cone, where.rays, 3.0, pixel)
     checks.check_arc(arc, len(limb))

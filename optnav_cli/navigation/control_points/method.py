@@ -174,7 +174,7 @@ def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings:
 def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
     """Side of the template that a point was matched with, nodes, at the solved pose."""
     index = int(last.view.index[k])
-    offset = frame.points.point(index).xyz_m - last.solution.pose.position_m
+    offset = frame.points.xyz_m[index] - last.solution.pose.position_m
     sample = float(np.linalg.norm(offset)) / frame.camera.focal_length_px
     posting = float(frame.points.postings_m(index)[last.matches[k].level])
     known = float(frame.points.finest_postings_m(np.array([index]))[0])
@@ -210,7 +210,7 @@ def _evidence(
                 file=frame.observation.file,
                 cp_id=point_id,
                 level=match.level,
-                cp_position_m=frame.points.point(index).xyz_m,
+                cp_position_m=places[k],
                 predicted_px=predicted,
                 measured_px=match.pixel,
                 score=match.score,

@@ -19,6 +19,7 @@ from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
 from optnav_cli.measurements.disc.size import radius_posterior
+from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.navigation.horizon.limb_rays import attitude_covariance
 from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode
@@ -36,17 +37,22 @@ SMALL_ANGLE = 1e-5
 
 
 def navigate(
-    picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None = None
+    picture: Picture,
+    view: CameraView,
+    body: Body,
+    relief: GlobalRelief | None = None,
+    lit: Segmented | None = None,
 ) -> tuple[Fix, float]:
     """The camera's position from the one small disc in a picture.
 
     relief  of a body that is no sphere, where it is known
+    lit     the picture's lit areas, where they are at hand
 
     Returns the fix, and by how many sigmas the disc is wider than a point's picture.
     Raises NoSolutionError with what the picture shows instead.
     """
     camera, camera_from_body, sun_body = view.camera, view.camera_from_body, view.sun_body
-    disc = measure_disc(np.ascontiguousarray(picture.values, np.float32), picture.saturation)
+    disc = measure_disc(lit or Segmented(picture.values), picture.saturation)
     sun = camera_from_body.apply(sun_body)
     towards = camera.unproject(disc.centre)
     phase = float(np.arccos(np.clip(-(towards @ sun), -1.0, 1.0)))
@@ -60,8 +66,8 @@ def navigate(
     pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
     shape_sigma = SHAPE_SIGMA
     if not is_round(body):
-        lit = np.cos(0.5 * phase) ** 2
-        shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA / lit**SHADOW_POWER
+        share = np.cos(0.5 * phase) ** 2
+        shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA / share**SHADOW_POWER
     seen = np.vstack([axes, -towards]) @ body_from_camera.T
     moments = light_moments(body, relief, seen, sun_body, phase)
     pixel_from_disc = pixel_from_angle / scale

@@ -16,7 +16,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Fix
 from optnav_cli.frames.picture import Picture
-from optnav_cli.measurements.segmentation import Blobs, lit_blobs, measure_levels, without_blobs
+from optnav_cli.measurements.segmentation import Blobs, Segmented, without_blobs
 from optnav_cli.navigation import neighbour
 from optnav_cli.navigation.neighbour import CameraView, OtherBody, PredictedDisc, Spot
 from optnav_cli.navigation.outline.one_body import NEAR_ANGLE, solve
@@ -62,13 +62,13 @@ def outline_of(
 
     Raises NoSolutionError as `navigate` does.
     """
-    alone, reason = None, NO_REASON
+    alone, reason, lit = None, NO_REASON, Segmented(picture.values)
     try:
-        alone = solve(picture, view, body, relief)
+        alone = solve(picture, view, body, relief, lit)
     except NoSolutionError as error:
         reason = Reason.of(error)
     if other is not None and (alone is None or _disc(view, body, alone).angle < NEAR_ANGLE):
-        return _one_of_two(picture, view, body, relief, other, alone, reason)
+        return _one_of_two(picture, view, body, relief, other, lit, alone or reason)
     if alone is None:
         raise reason.error()
     return alone, picture
@@ -80,19 +80,20 @@ def _one_of_two(
     body: Body,
     relief: GlobalRelief | None,
     other: OtherBody,
-    alone: Fix | None,
-    reason: Reason,
+    lit: Segmented,
+    first: Fix | Reason,
 ) -> tuple[Fix, Picture]:
     """The outline that another body in the picture confirms, or does not contradict.
 
-    alone, reason  what the picture gives without asking which body it is
+    lit    the picture's lit areas
+    first  what the picture gives without asking which body it is, or why it gives nothing
     """
+    alone, reason = (None, first) if isinstance(first, Reason) else (first, NO_REASON)
     names = f"the {other.name}", f"the {body.name}"
     try:
-        levels = measure_levels(picture.values)
+        levels, blobs = lit.levels, lit.blobs
     except NoSolutionError:
         raise reason.error() from None
-    blobs = lit_blobs(picture.values, levels.threshold)
     large = np.flatnonzero(blobs.area >= MIN_SPOT_PIXELS)[:MAX_SPOTS]
     spots = neighbour.spots_of(view.camera, blobs, large)
     if alone is not None:

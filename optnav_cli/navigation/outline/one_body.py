@@ -16,6 +16,7 @@ from optnav_cli.measurements.disc.fit import rad_per_px
 from optnav_cli.measurements.disc.moments import is_round
 from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
 from optnav_cli.measurements.limb.sun_check import rejection_of_sun
+from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.navigation.disc import brightness_centre, whole_disc
 from optnav_cli.navigation.horizon import method as horizon
 from optnav_cli.navigation.horizon.shape_skyline import relief_fraction
@@ -31,9 +32,17 @@ KNOWN_SHAPE_PX = 20.0
 
 
 def detect_limb(
-    picture: Picture, camera: Camera, camera_from_body: Rotation, sun_body: FloatArray, body: Body
+    picture: Picture,
+    camera: Camera,
+    camera_from_body: Rotation,
+    sun_body: FloatArray,
+    body: Body,
+    lit: Segmented | None = None,
 ) -> LimbPoints:
-    """The lit limb under an attitude. Raises NoSolutionError when the picture shows none."""
+    """The lit limb under an attitude. Raises NoSolutionError when the picture shows none.
+
+    lit  the picture's lit areas, where they are at hand
+    """
     body_from_camera = camera_from_body.as_matrix().T
     return find_limb(
         picture.values,
@@ -42,32 +51,48 @@ def detect_limb(
         saturation=picture.saturation,
         stretch=body_from_camera / np.array(body.radii_m)[:, None],
         relief=relief_fraction(body),
+        lit=lit,
     )
 
 
-def solve(picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None) -> Fix:
-    """A position from the one body of a picture: by its limb, else by its middle of light."""
+def solve(
+    picture: Picture,
+    view: CameraView,
+    body: Body,
+    relief: GlobalRelief | None,
+    lit: Segmented | None = None,
+) -> Fix:
+    """A position from the one body of a picture: by its limb, else by its middle of light.
+
+    lit  the picture's lit areas, where they are at hand
+    """
+    lit = lit or Segmented(picture.values)
     camera, turn, sun = view.camera, view.camera_from_body, view.sun_body
     try:
-        limb = detect_limb(picture, camera, turn, sun, body)
+        limb = detect_limb(picture, camera, turn, sun, body, lit)
         fix = horizon.navigate(limb, camera, turn, view.attitude_sigma_rad, sun, body, relief)
     except NoSolutionError as no_limb:
-        doubt = _rejection_of_sun(picture, view, body)
+        doubt = _rejection_of_sun(picture, view, body, lit)
         if doubt:
             raise NoSolutionError(f"{doubt}; {no_limb}", ReasonCode.WRONG_LIGHT) from None
-        return _by_centre(Reason.of(no_limb), picture, view, body, relief)
-    small = _by_disc(picture, view, body, relief, limb)
+        return _by_centre(Reason.of(no_limb), picture, view, body, relief, lit)
+    small = _by_disc(picture, view, body, relief, limb, lit)
     if small is not None:
         return small
     # close to the body a wrong Sun shows in the fit of the limb's relief
-    doubt = _rejection_of_sun(picture, view, body) if limb.cone_angle < NEAR_ANGLE else ""
+    doubt = _rejection_of_sun(picture, view, body, lit) if limb.cone_angle < NEAR_ANGLE else ""
     if doubt:
         raise NoSolutionError(f"{doubt}: attitude or time is wrong", ReasonCode.WRONG_LIGHT)
     return fix
 
 
 def _by_disc(
-    picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None, limb: LimbPoints
+    picture: Picture,
+    view: CameraView,
+    body: Body,
+    relief: GlobalRelief | None,
+    limb: LimbPoints,
+    lit: Segmented,
 ) -> Fix | None:
     """A position from all of a small disc; None for one whose limb is the better measurement.
 
@@ -79,27 +104,32 @@ def _by_disc(
     if relief is None or is_round(body) or radius_px > KNOWN_SHAPE_PX:
         return None
     with suppress(NoSolutionError):
-        return _by_centre(NO_REASON, picture, view, body, relief)
+        return _by_centre(NO_REASON, picture, view, body, relief, lit)
     return None
 
 
-def _rejection_of_sun(picture: Picture, view: CameraView, body: Body) -> str:
+def _rejection_of_sun(picture: Picture, view: CameraView, body: Body, lit: Segmented) -> str:
     """What the lit part of a disc says against the Sun, in words, if anything."""
     if not is_round(body):
         return ""
     try:
-        limb = find_limb(picture.values, view.camera, None, saturation=picture.saturation)
+        limb = find_limb(picture.values, view.camera, None, saturation=picture.saturation, lit=lit)
     except NoSolutionError:
         return ""
     return rejection_of_sun(limb, view.camera, view.camera_from_body.apply(view.sun_body))
 
 
 def _by_centre(
-    no_limb: Reason, picture: Picture, view: CameraView, body: Body, relief: GlobalRelief | None
+    no_limb: Reason,
+    picture: Picture,
+    view: CameraView,
+    body: Body,
+    relief: GlobalRelief | None,
+    lit: Segmented,
 ) -> Fix:
     """A position from the middle of light of a small disc."""
     try:
-        fix, width_sigmas = brightness_centre.navigate(picture, view, body, relief)
+        fix, width_sigmas = brightness_centre.navigate(picture, view, body, relief, lit)
     except NoSolutionError as no_disc:
         if str(no_disc) == no_limb.text:
             raise

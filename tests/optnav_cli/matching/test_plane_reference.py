@@ -83,9 +83,11 @@ def scene(body, shape, tmp_path_factory):
 def test_a_reference_in_a_plane_looks_as_the_mesh_does(scene) -> None:
     references, camera, pose, sun, picture = scene
     for reference in references:
-        template = reference.render(0, 64, sun, pose.position_m)
+        template = reference.render(0, reference.heights(0, 64), sun, pose.position_m)
         pixels = camera.project_from_body(
-            reference.surface(0, 64), pose.position_m, pose.camera_from_body.as_matrix()
+            reference.surface(0, reference.heights(0, 64)),
+            pose.position_m,
+            pose.camera_from_body.as_matrix(),
         )
         window = picture.sample(pixels, 2.0)
         # lunar-Lambert against Hapke, flat faces a few pixels wide
@@ -160,9 +162,9 @@ def test_behind_a_blur_points_are_found_in_relief_that_the_model_hides(
 def test_ground_goes_on_beyond_the_only_patch(body, scene) -> None:
     """To where a wide search looks; known there are the ellipsoid and the patch's border."""
     reference = scene[0][0]
-    surface = reference.surface(0, 176)
+    surface = reference.surface(0, reference.heights(0, 176))
     assert np.isfinite(surface).all()
-    assert (surface[40:-40, 40:-40] == reference.surface(0, 96)).all()
+    assert (surface[40:-40, 40:-40] == reference.surface(0, reference.heights(0, 96))).all()
     steps = np.linalg.norm(np.diff(surface, axis=0), axis=2)
     assert steps.max() < 3.0 * POSTING_M
     over = np.linalg.norm(surface - foot_of(surface.reshape(-1, 3), body.radii_m).reshape(

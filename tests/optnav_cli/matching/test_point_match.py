@@ -45,7 +45,7 @@ def picture_of(reference, pose, sun, level=0, size=200):
     The rendered window is laid under the pixels by the inverse of the camera's geometry, found
     with the surface's own projection: a route that shares nothing with the matcher's resampling.
     """
-    rendered = reference.render(level, size, sun, pose.position_m)
+    rendered = reference.render(level, reference.heights(level, size), sun, pose.position_m)
     posting = reference.patches[level].posting_m
     rays = CAMERA.unproject(pixel_grid(CAMERA)) @ pose.camera_from_body.as_matrix()
     heights = np.nan_to_num(reference.heights(level, size))

@@ -77,7 +77,7 @@ def test_where_no_level_has_data_the_window_has_none():
 
 def test_points_of_a_surface_lie_at_their_place_and_height(reference):
     size, level = 40, 1
-    surface = reference.surface(level, size)
+    surface = reference.surface(level, reference.heights(level, size))
     lat, lon, radius = latlon_from_xyz(surface)
     assert_allclose(radius - reference.radius_m, reference.heights(level, size), atol=1e-6)
     point = reference.point
@@ -94,7 +94,7 @@ def test_points_of_a_surface_lie_at_their_place_and_height(reference):
 def test_a_reference_is_the_rendered_patch_and_dark_in_the_ground_s_shadow(reference, rough_world):
     sun = rough_world.sun(8.0, 90.0)
     camera = rough_world.pose().position_m
-    rendered = reference.render(0, 64, sun, camera)
+    rendered = reference.render(0, reference.heights(0, 64), sun, camera)
     turn = reference.projection.body_from_local
     alone = render_map(
         reference.patches[0].heights_m,
@@ -108,4 +108,4 @@ def test_a_reference_is_the_rendered_patch_and_dark_in_the_ground_s_shadow(refer
     # ground beyond the patch can only take light away
     assert (rendered <= alone + 1e-6).all()
     assert (rendered == 0.0).mean() >= (alone == 0.0).mean()
-    assert (reference.render(0, 64, -sun, camera) == 0.0).all()
+    assert (reference.render(0, reference.heights(0, 64), -sun, camera) == 0.0).all()
