@@ -1,5 +1,7 @@
 """A map grid rendered in its own projection: each node's brightness under a Sun and a view."""
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -95,7 +97,8 @@ def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
 
 def _unit(vector: ArrayLike, what: str) -> FloatArray:
     array = np.ascontiguousarray(vector, dtype=np.float64)
-    length = float(np.linalg.norm(array))
-    if array.shape != (3,) or not np.isfinite(length) or length == 0.0:
+    # in plain numbers: a small grid is rendered in less time than a library takes for a norm
+    length = math.hypot(*array.tolist()) if array.shape == (3,) else math.nan
+    if not math.isfinite(length) or length == 0.0:
         raise ValueError(f"render_map: {what} must be a vector (3,) with a direction")
     return array / length

@@ -3,6 +3,7 @@
 How the sweep is done: swept.py.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -64,7 +65,7 @@ def illuminated(
     """
     _refuse_shape(grid.heights, "a map grid")
     sweep = _sweep_of(light.sun)
-    if outer is not None and _is_set(light.sun, grid.radius):
+    if outer is not None and _is_set(light.sun, sweep, grid.radius):
         return np.where(np.isnan(grid.heights), grid.heights, np.float32(0.0))
     field = NO_FIELD
     if outer is None:
@@ -99,7 +100,7 @@ def shadow_field(
     sweep = _sweep_of(light.sun)
     for heights, posting in reversed(grids):
         _refuse_shape(heights, "an outer map grid")
-        if sweep.casts and not _is_set(light.sun, radius_m):
+        if sweep.casts and not _is_set(light.sun, sweep, radius_m):
             grid = map_grid(heights, posting, radius_m)
             field = ShadowField(sweep_grid(grid, sweep, field, light), grid.posting)
     return field
@@ -114,7 +115,7 @@ def map_grid(heights: Float32Array, posting_m: float, radius_m: float) -> MapGri
 def _light(made: int, sun_local: ArrayLike) -> Lighting:
     """For what needs no law."""
     sun = np.asarray(sun_local, dtype=np.float64)
-    length = float(np.linalg.norm(sun))
+    length = math.hypot(*sun.tolist())
     if not length > 0.0:
         raise ValueError("lit_mask: the Sun's direction has no length")
     return Lighting(made, sun / length, ZENITH, 0.0, NO_LAW, NO_TABLE)
@@ -125,9 +126,9 @@ def _swapped(vector: FloatArray) -> FloatArray:
     return np.array([-vector[1], -vector[0], vector[2]])
 
 
-def _is_set(sun: FloatArray, radius_m: float) -> bool:
+def _is_set(sun: FloatArray, sweep: Sweep, radius_m: float) -> bool:
     """Whether no ground about the centre can see the Sun."""
-    return bool(sun[2] <= 0.0 and (radius_m < FLAT_RADIUS_M or not _sweep_of(sun).casts))
+    return bool(sun[2] <= 0.0 and (radius_m < FLAT_RADIUS_M or not sweep.casts))
 
 
 def _sweep_of(sun: FloatArray) -> Sweep:

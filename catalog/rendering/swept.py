@@ -325,8 +325,9 @@ def sweep_grid(grid: MapGrid, sweep: Sweep, outer: ShadowField, light: Lighting)
     # one array for all numbers: a kernel takes 40 us to be handed them as the tuples they are in
     numbers = np.array(
         [
-            *grid[1:], *sweep, outer.posting_m, light.made, *light.sun, *light.camera,
-            law.number, law.albedo, *law.surface, light.weight,
+            *grid[1:], *sweep, outer.posting_m,
+            light.made, *light.sun.tolist(), *light.camera.tolist(), law.number,
+            law.albedo, *law.surface, light.weight,
         ]
     )  # fmt: skip
     # of the library, which takes large arrays in large pages; the kernel's own would not be

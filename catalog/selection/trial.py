@@ -4,8 +4,8 @@ The picture's side is another ground and another law than the reference's: the D
 below its posting added, rendered by Hapke on a grid twice as fine, seen from off nadir through a
 point-spread function, with noise and 8 bits, and resampled with a wrong scale, roll and place.
 The reference is the catalog's patch rendered by Lommel-Seeliger. Both cast shadows. The search
-goes as the navigator's does: roll and scale over a small grid at a coarse level, then tracked to
-the finest.
+goes as the navigator's does: roll and scale over a small grid at a coarse level (from half as many
+nodes a side: as good, and a third of the work), then tracked to the finest.
 """
 
 from collections.abc import Sequence
@@ -199,8 +199,9 @@ def run_trial(
             picture = thinned(picture, level.blur_nodes, even)
             step_m *= thinning(level.blur_nodes)
         if coarsest:
+            halved = template.shape[0] % 2 == picture.shape[0] % 2 == 0
             match, roll, scale = match_similarity(
-                template, picture, search.rolls, search.scales, match_ncc
+                template, picture, search.rolls, search.scales, halved=halved
             )
             picture_from_ground = _similarity(roll, scale)
             step = np.array([match.dx, -match.dy])

@@ -17,7 +17,7 @@ from tests.bench.global_moon.place import MODEL_PPD, raster_path, size_of
 P = ParamSpec("P")
 R = TypeVar("R")
 
-BUILD_S, PASSES, WORKER_GB, SPEED_UP, FILE_GB = 1200.0, 20.0, 2.0, 1.8, 1.5  # the figures' limits
+BUILD_S, PASSES, WORKER_GB, SPEED_UP, FILE_GB = 720.0, 12.0, 2.0, 1.8, 1.5  # the figures' limits
 WORKERS = 2
 STRIP_DEG = 7.2  # of the parts that compare builds: 1/50 of the cells, all latitudes
 SHORTLIST_PPD = 64  # 474 m

@@ -196,6 +196,29 @@ def test_pairs_are_scored_as_opencv_does_and_the_best_is_as_good_as_any(size, ma
     assert np.mean(missed) < 0.0
 
 
+@pytest.mark.parametrize("margin", [0, 4])
+def test_roll_and_scale_from_half_as_many_nodes_are_as_good(margin):
+    """Errors of roll and scale, and scores of the match, over 40 noisy places."""
+    rolls, scales = list(np.radians([-5.0, 0.0, 5.0])), [0.92, 1.0, 1.08]
+    rng = np.random.default_rng(21)
+    errors, scores = {False: [], True: []}, {False: [], True: []}
+    for seed in range(40):
+        field = texture(100 + seed, smooth=2.0)
+        roll, scale = rng.uniform(-0.1, 0.1), rng.uniform(0.92, 1.08)
+        noisy = field + ndimage.gaussian_filter(rng.normal(size=field.shape), 0.7) * 2.0
+        search = turned(cut(noisy, 180), roll, scale)[50:130, 50:130]
+        reference = cut(field, 180)[58:122, 58:122]
+        for halved in errors:
+            found = match_similarity(
+                reference, search, rolls, scales, margin_nodes=margin, halved=halved
+            )
+            errors[halved].append((found.roll - roll, found.scale - scale))
+            scores[halved].append(found.match.score)
+    whole, half = (np.sqrt(np.mean(np.square(errors[halved]), axis=0)) for halved in (False, True))
+    assert (half < 1.25 * whole).all()
+    assert np.mean(scores[True]) > np.mean(scores[False]) - 0.005
+
+
 def test_no_pair_scores_on_flat_parts_of_a_search():
     search = np.full((96, 96), 0.5, np.float32)
     search[:, 80:] += cut(texture(13), 96)[:, 80:]
