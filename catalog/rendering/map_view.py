@@ -87,8 +87,8 @@ def _light(law: str, sun_local: ArrayLike, view_local: ArrayLike) -> Lighting:
     """Seen from one direction. Raises ConfigError for an unknown law."""
     law_by_name(law)  # refuses a name that is no law
     sun, view = _unit(sun_local, "sun_local"), _unit(view_local, "view_local")
-    weight = {"lommel_seeliger": 1.0, "lambert": 0.0}.get(law)
-    if weight is None:
+    weight = float(law == "lommel_seeliger")
+    if law == "lunar_lambert":
         weight = lunar_weight(float(sun @ view))
     number = LAW_NUMBERS[law]
     made = TABLE if number == HAPKE else TWO_TERMS
