@@ -9,6 +9,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 OUT ?= optnav-demo
 ARGS ?=
+NEWEST ?= python3.13
 N ?= 500
 SEED ?= 1
 KINDS ?=
@@ -17,7 +18,7 @@ CASE ?=
 # a file share is made once and the longest files do not come last.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo test check lint types tests fuzz bench bench-global golden docs lock clean
+.PHONY: help setup demo test check lint types tests fuzz bench bench-global golden docs newest lock clean
 
 help: ## print this list
 	@echo "optnav: control-point catalogs from terrain, camera positions from pictures"
@@ -74,6 +75,14 @@ golden: $(READY) ## make the golden values and the READMEs' pictures anew; look 
 
 docs: $(READY) ## write the tables of the READMEs anew, from the code and stored figures
 	$(BIN)/python -m tests.golden.documents
+
+newest: $(READY) ## the wheel on the newest Python that numba supports (NEWEST=python3.13)
+	@command -v $(NEWEST) >/dev/null || \
+	  { echo "make: there is no $(NEWEST); name a Python newer than $(PYTHON): make newest NEWEST=python3.13" >&2; exit 2; }
+	rm -rf build/newest-env
+	$(NEWEST) -m venv build/newest-env
+	build/newest-env/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pytest -q tests/end_to_end/test_wheel.py $(ARGS)
 
 lock: ## make requirements.lock anew from pyproject.toml
 	rm -rf build/lock-env

@@ -11,7 +11,8 @@ import hashlib
 import os
 import stat
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from catalog.inputs import printable
 LOCK = "optnav-lock"
 # Longer names do not fit into 255 bytes with what hidden siblings add; a hash stands for them then.
 MAX_NAME_BYTES = 200
+LOOK_S = 0.01  # longer than another process looks whether a lock is held
 NOT_REPLACED = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
@@ -68,6 +70,16 @@ def make_folder(path: Path) -> None:
         raise unusable(path, error) from None
 
 
+def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
+    """Raise OutputError for an output folder that would replace what goes into it."""
+    whole = os.path.realpath(folder)
+    for path in inputs:
+        if Path(os.path.realpath(path)).is_relative_to(whole):
+            raise OutputError(
+                f"{folder}: holds {path}, which is read, and would be replaced; name another place"
+            )
+
+
 def unusable(path: Path, error: OSError) -> OutputError:
     """What to raise when an output place fails."""
     return OutputError(f"{path}: cannot be written ({error.strerror}); name another place")
@@ -110,7 +122,8 @@ def claimed(path: Path) -> Iterator[Path]:
     `replacing_file` and `replacing_folder` claim their place; work that takes long claims it before
     it begins, for a thread may claim again what it has. Folders above the place that are made here
     and stay empty go afterwards.
-    Raises OutputError at once where another process writes, or nobody can.
+    Raises OutputError at once where another process writes, to the place, into it or around it, and
+    where nobody can.
     """
     with ExitStack() as stack:
         try:
@@ -121,6 +134,7 @@ def claimed(path: Path) -> Iterator[Path]:
                     folder.mkdir(exist_ok=True)
                     stack.callback(_remove_quietly, folder.rmdir)  # unless something is in it
                 stack.enter_context(_alone(path))
+                _check_around(path, places)
                 places.add(path)
                 stack.callback(places.remove, path)
         except OSError as error:
@@ -133,15 +147,49 @@ def _alone(path: Path) -> Iterator[None]:
     """Hold the lock file beside a place."""
     lock = beside(path, LOCK)
     with ExitStack() as held:
-        try:
-            while not _is_open_at(held.enter_context(locked(lock)), lock):
-                held.close()  # its last holder removed it before we had it
-        except BlockingIOError:
-            raise OutputError(
-                f"{path}: another optnav is writing this output; wait for it or name another place"
-            ) from None
+        for last in (False, True):
+            try:
+                while not _is_open_at(held.enter_context(locked(lock)), lock):
+                    held.close()  # its last holder removed it before we had it
+                break
+            except BlockingIOError:
+                if last:
+                    raise _taken(path) from None
+                time.sleep(LOOK_S)
         held.callback(_remove_quietly, lock.unlink)  # while it is held: nobody else's
         yield
+
+
+def _check_around(path: Path, own: set[Path]) -> None:
+    """Refuse a place in a folder that another process replaces, or one that it writes into."""
+    for other in list(path.parents)[:-1]:
+        if other not in own and _is_held(beside(other, LOCK)):
+            raise _taken(other)
+    known = {beside(place, LOCK) for place in own}
+    for lock in path.rglob(f".*.{LOCK}") if path.is_dir() else ():
+        if lock not in known and _is_held(lock):
+            raise _taken(lock.with_name(lock.name[1 : -len(LOCK) - 1]))
+
+
+def _is_held(lock: Path) -> bool:
+    """Whether another process holds a lock file; looking disturbs nobody who looks as well."""
+    try:
+        handle = os.open(lock, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False
+
+
+def _taken(path: Path) -> OutputError:
+    return OutputError(
+        f"{path}: another optnav is writing this output; wait for it or name another place"
+    )
 
 
 def _is_open_at(handle: int, path: Path) -> bool:

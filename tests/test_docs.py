@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 import pytest
 
+import catalog
 from catalog.build.config import load_build_config
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.main import cli
@@ -180,6 +181,17 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
         if place.search(line)
     ]
     assert found == []
+
+
+def test_the_changelog_is_sorted_by_version_and_kind() -> None:
+    text = (CHECKOUT / "CHANGELOG.md").read_text(encoding="utf-8")
+    versions = re.findall(r"^## (\d+)\.(\d+)\.(\d+)", text, re.MULTILINE)
+    assert ".".join(versions[0]) == catalog.__version__
+    assert versions == sorted(set(versions), reverse=True)
+    for part in text.split("\n## ")[1:]:
+        kinds = re.findall(r"^### (.+)$", part, re.MULTILINE)
+        assert kinds == [kind for kind in ("Added", "Changed", "Fixed") if kind in kinds]
+        assert "\n- " not in part.partition("\n### ")[0]  # each line stands under a kind
 
 
 def test_the_lock_has_hashes_and_no_addresses() -> None:

@@ -70,7 +70,7 @@ def catalog_info(catalog: Path, as_json: bool) -> None:
 @click.argument("lon", type=float, callback=longitude)
 @click.option("--usable", is_flag=True, help="Only points that navigation uses.")
 @click.option(
-    "--count", type=click.IntRange(min=1), default=1, show_default=True, help="How many points."
+    "--count", type=click.IntRange(1, 10**6), default=1, show_default=True, help="How many points."
 )
 @json_option
 def catalog_nearest(

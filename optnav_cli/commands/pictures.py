@@ -137,7 +137,7 @@ def navigate(
 )
 @click.option(
     "--max-wrong",
-    type=click.IntRange(min=0),
+    type=click.IntRange(0, 10**9),
     help="Most solved frames whose error is beyond 5 stated sigmas.",
 )
 @json_option

@@ -19,6 +19,7 @@ from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers, available_cores, workers_of
 from catalog.jobs.workspace import Workspace, code_key, encode_records, stage_key
+from catalog.places import check_apart
 from catalog.progress import Progress
 from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.navigation.autonomous import Navigator
@@ -78,6 +79,7 @@ def navigate_folder(
     if scheduler is not None:
         check_address(scheduler)
     worker = FrameWorker(given if scheduler is None else given.absolute())
+    check_apart(run, worker.files())
     try:
         with unfinished(run, KIND) as workspace:
             folder = worker.folder

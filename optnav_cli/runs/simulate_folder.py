@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from catalog.files import check_folder, hash_file, replacing_folder
+from catalog.places import check_apart
 from catalog.progress import Progress
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.simulation.run import simulate
@@ -26,6 +27,7 @@ def simulate_folder(
     started = datetime.now(UTC)
     check_folder(pictures, KIND)  # before any work is done for a place that cannot be used
     if isinstance(scenario, Path):
+        check_apart(pictures, [scenario])
         path, scenario = scenario, load_scenario(scenario)
         origin = {"name": path.name, "sha256": hash_file(path)}
     else:

@@ -155,6 +155,21 @@ def test_a_claimed_place_is_refused_under_each_of_its_names(tmp_path):
     assert names(tmp_path) == ["beside", "link", "run", "run2"]
 
 
+def test_a_folder_and_what_is_written_into_it_are_not_written_at_once(tmp_path):
+    place, inside = tmp_path / "run", tmp_path / "run" / "deep" / "report.html"
+    inside.parent.mkdir(parents=True)
+    (place / "manifest.json").write_text('{"made_by": "optnav", "kind": "run"}')
+    for first, second in ((place, inside), (inside, place)):
+        with claimed(first):
+            (said,) = in_another_thread(lambda second=second: claimed(second).__enter__())
+            assert said.startswith(f"{first}: another optnav is writing this output")
+            with claimed(second):  # as a demo does, whose folder holds all its outputs
+                pass
+    (place / ".gone.optnav-lock").touch()  # of a killed process
+    with claimed(place), claimed(inside):
+        pass
+
+
 def test_a_claim_leaves_no_empty_folders_behind(tmp_path):
     with suppress(RuntimeError), claimed(tmp_path / "deep" / "deeper" / "file"):
         raise RuntimeError

@@ -206,18 +206,18 @@ def test_a_build_without_a_usable_point_is_written_with_its_reasons(
     assert optnav("catalog", "verify", world / "new.gpkg").code == 0
 
 
-@pytest.mark.parametrize("place", ["letters", "letters/mine.txt", "mine.txt", "", "/", "."])
+@pytest.mark.parametrize("place", ["letters", "letters/mine.gpkg", "mine.gpkg", "", "/", "."])
 def test_build_refuses_foreign_places_before_it_works(
     place: str, world: Path, optnav: Optnav, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(world)
     Path("letters").mkdir()
-    for name in ("letters/mine.txt", "mine.txt"):
+    for name in ("letters/mine.gpkg", "mine.gpkg"):
         Path(name).write_text("mine")
     before = entries(world)
     one_line(optnav("build", "moon.toml", "-o", place, "--workers", 1), 3)
     assert entries(world) == before
-    assert Path("letters/mine.txt").read_text() == Path("mine.txt").read_text() == "mine"
+    assert Path("letters/mine.gpkg").read_text() == Path("mine.gpkg").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
@@ -334,9 +334,10 @@ def test_a_run_without_a_solved_frame_is_written_and_ends_with_4(
     one_line(optnav("-q", "evaluate", run_folder, "--truth", world / "no.csv"), 3, "no.csv")
 
 
-def test_numbers_of_points_and_places_may_be_negative(world: Path, optnav: Optnav) -> None:
+def test_places_may_be_negative_and_numbers_of_points_not(world: Path, optnav: Optnav) -> None:
     catalog = world / "moon.gpkg"
-    one_line(optnav("catalog", "show", catalog, -5), 3, "has no control point -5")
+    one_line(optnav("catalog", "show", catalog, -5), 2, "-5 is not in the range")
+    one_line(optnav("catalog", "show", catalog, 5), 3, "has no control point 5")
     for lat, lon in ((-90, 0), (90, -180), (0, 180), (0, -180), (-43.3, 348.8)):
         said = optnav("catalog", "nearest", catalog, lat, lon)
         assert said.code == 0

@@ -5,14 +5,14 @@ import os
 import shutil
 import subprocess
 import sys
-import sysconfig
-import venv
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[2]
+NEWEST = CHECKOUT / "build" / "newest-env" / "bin" / "python"
 
 
 def call(*args: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -37,27 +37,59 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="session")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def newer_pythons() -> Iterator[str]:
+    """Interpreters that may be newer than the one of the tests, the newest first.
+
+    OPTNAV_NEWEST_PYTHON names the one to take; `make newest` makes one with all libraries.
+    """
+    if named := os.environ.get("OPTNAV_NEWEST_PYTHON"):
+        yield named
+        return
+    if NEWEST.exists():
+        yield str(NEWEST)
+    for minor in range(sys.version_info.minor + 5, sys.version_info.minor, -1):
+        if found := shutil.which(f"python3.{minor}"):
+            yield found
+        versions = Path.home() / ".pyenv" / "versions"
+        yield from map(str, sorted(versions.glob(f"3.{minor}.*/bin/python")))
+
+
+def newest_python() -> str:
+    """The newest interpreter that has the libraries, numba among them; skips without one."""
+    script = "import sys, numba, rasterio, cv2, scipy, pyproj, trimesh; print(sys.version_info[1])"
+    for python in newer_pythons():
+        found = subprocess.run([python, "-c", script], capture_output=True, text=True, check=False)
+        if found.returncode == 0 and int(found.stdout) > sys.version_info.minor:
+            return python
+    ours = ".".join(map(str, sys.version_info[:2]))
+    pytest.skip(f"no Python newer than {ours} with optnav's libraries here; `make newest` makes it")
+
+
+@pytest.fixture(scope="session", params=["this Python", "newest Python"])
+def installed(
+    request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     """The bin folder of an empty environment with the wheel in it.
 
-    The libraries come from the environment of the tests through a path file, so that no network is
-    needed; the checkout's own path file in there is not followed.
+    The libraries come from the environment of the interpreter through a path file, so that no
+    network is needed; the checkout's own path file in there is not followed.
     """
+    python = sys.executable if request.param == "this Python" else newest_python()
     folder = tmp_path_factory.mktemp("installed")
-    venv.create(folder, with_pip=False)
+    call(python, "-m", "venv", "--without-pip", folder, folder=folder)
     scripts = folder / ("Scripts" if os.name == "nt" else "bin")
     call(
         sys.executable, "-m", "pip", "--python", scripts / "python", "install", "--quiet",
         "--no-deps", "--no-index", wheel, folder=folder,
     )  # fmt: skip
-    site = call(
-        scripts / "python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))",
-        folder=folder,
-    ).stdout.strip()  # fmt: skip
-    libraries = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
-    (Path(site) / "libraries.pth").write_text("\n".join(sorted(libraries)) + "\n")
-    share_compiled_kernels(Path(site))
+
+    def paths(of: str | Path) -> list[str]:
+        script = "import sysconfig as s; print(s.get_path('purelib')); print(s.get_path('platlib'))"
+        return call(of, "-c", script, folder=folder).stdout.splitlines()
+
+    site = Path(paths(scripts / "python")[0])
+    (site / "libraries.pth").write_text("\n".join(sorted({*paths(python)})) + "\n")
+    share_compiled_kernels(site)
     return scripts
 
 

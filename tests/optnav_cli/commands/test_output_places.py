@@ -1,6 +1,7 @@
 """Every command that writes: where it may not write, it ends with 3 and leaves what is there."""
 
 import os
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -113,6 +114,26 @@ def test_an_output_that_another_process_writes_is_refused_at_once(
         assert (code, "Traceback" in said) == (3, False)
         assert "another optnav is writing this output; wait for it or name another place" in said
         assert os.listdir(tmp_path) == before
+
+
+def test_an_output_that_holds_its_own_input_is_refused(made: Path, tmp_path: Path) -> None:
+    """It would be gone with the older output that it lies in."""
+    old = tmp_path / "old"
+    (old / "deep").mkdir(parents=True)
+    (old / "manifest.json").write_text('{"made_by": "optnav", "kind": "run"}')
+    shutil.copy(made / "c.gpkg", old / "deep")
+    (tmp_path / "link.gpkg").symlink_to(old / "deep" / "c.gpkg")
+    shutil.copytree(made / "pictures", old / "pictures")
+    words = ["navigate", str(made / "pictures"), "--catalog", str(tmp_path / "link.gpkg"), "-o"]
+    assert run([*words, str(old)]) == 3
+    words[1:4] = [str(old / "pictures"), "--catalog", str(made / "c.gpkg")]
+    assert run([*words, str(old)]) == 3
+    assert (old / "deep" / "c.gpkg").exists()
+    assert (old / "pictures" / "frames.csv").exists()
+    (old / "manifest.json").write_text('{"made_by": "optnav", "kind": "pictures"}')
+    shutil.copy(DEMO, old)
+    assert run(["simulate", str(old / "demo.toml"), "-o", str(old)]) == 3
+    assert (old / "demo.toml").exists()
 
 
 @pytest.mark.parametrize("ending", [".prj", ".csvt"])
