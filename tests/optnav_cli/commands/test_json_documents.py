@@ -89,6 +89,9 @@ def test_info_holds_the_numbers_of_its_lines(ask: Asked, catalog: Path) -> None:
     assert list(document["extent"].values()) == pytest.approx(corners, abs=1e-4)
     assert f"median {document['recognition_rate_usable']['median']:.3f}" in text
     assert (document["relief"], document["planes"]) == (None, None)
+    row = README.read_text().partition("`optnav catalog info --json`")[2].partition("\n")[0]
+    for name in ("extent", "recognition_rate_usable"):
+        assert all(f"`{key}`" in row for key in document[name])
     ask.keys("catalog info", document)
 
 
