@@ -76,9 +76,12 @@ def error_cells(frame: FrameError) -> dict[str, object]:
 def read_error_rows(path: Path) -> list[ErrorRow]:
     """The frames of an evaluation.csv. Raises DataError for a damaged table or an old one."""
     try:
-        return EVALUATION.read(path, _error_row)
+        rows = EVALUATION.read(path, _error_row)
+        if not any(row.error_rnb_m is not None and row.sigma_rnb_m is not None for row in rows):
+            raise DataError(f"{path}: has no frame with an error")
     except DataError as error:
         raise DataError(f"{error}; run `optnav evaluate` again") from error
+    return rows
 
 
 def _error_row(row: CsvRow) -> ErrorRow:

@@ -307,6 +307,18 @@ def test_an_evaluation_of_an_older_version_is_told_to_be_made_anew(tmp_path):
         read_error_rows(tmp_path / "evaluation.csv")
 
 
+def test_an_evaluation_without_a_solved_frame_is_told_to_be_made_anew(tmp_path, make_run):
+    """None is ever written."""
+    make_run(tmp_path, count=4, unsolved_from=2)
+    write_evaluation(evaluate_run(tmp_path, tmp_path / "truth.csv"), tmp_path)
+    path = tmp_path / "evaluation.csv"
+    header, *rows = path.read_text().splitlines()
+    for kept in ([], rows[2:]):
+        path.write_text("\n".join([header, *kept]) + "\n")
+        with pytest.raises(DataError, match=r"no frame with an error; run `optnav evaluate` again"):
+            read_error_rows(path)
+
+
 def test_without_a_truth_rows_hold_what_the_solutions_state(tmp_path):
     planted = write_approach(tmp_path / "run", scale=0.0)
     rows = stated_rows(read_run(tmp_path / "run"))
