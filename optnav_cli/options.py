@@ -130,11 +130,14 @@ def output_option(
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON document instead, for programs."
 )
-workers_option = click.option(
-    "--workers",
-    type=click.IntRange(1, MAX_WORKERS),
-    help="Processes to work with; all cores by default.",
-)
+
+
+def _workers(what: str) -> Callable[[F], F]:
+    text = f"{what} to work with; all cores by default."
+    return click.option("--workers", type=click.IntRange(1, MAX_WORKERS), help=text)
+
+
+workers_option, threads_option = _workers("Processes"), _workers("Threads")
 
 
 def scheduler_option(files: str, note: str = "") -> Callable[[F], F]:

@@ -13,6 +13,7 @@ from optnav_cli.options import (
     output_option,
     path_argument,
     scheduler_option,
+    threads_option,
     workers_option,
 )
 from optnav_cli.parameters import PATH, Number, OutputOption, SolvedLimit
@@ -25,12 +26,23 @@ LIMIT = Number(0.0, 1e9, min_open=True)
 )
 @path_argument("scenario")
 @output_option("Folder for the pictures; an earlier simulation in it is replaced.")
+@threads_option
+@scheduler_option("the scenario's terrain models and kernels")
 @pass_progress
-def simulate(progress: ConsoleProgress, scenario: Path, output: Path) -> None:
+def simulate(
+    progress: ConsoleProgress,
+    scenario: Path,
+    output: Path,
+    workers: int | None,
+    scheduler: str | None,
+) -> None:
     """Make a folder of pictures as a camera over the terrain of SCENARIO takes them.
 
     The folder is what `optnav navigate` reads, with the truth in truth.csv beside it. SCENARIO is a
     file, or `bundled:NAME` for one that `optnav config list scenarios` shows.
+
+    A stopped simulation goes on where it was when the same command is given again; what is done
+    lies in OUTPUT.work until then. Pictures of the same scenario are left as they are.
 
     \b
     Example:
@@ -42,7 +54,8 @@ def simulate(progress: ConsoleProgress, scenario: Path, output: Path) -> None:
     from optnav_cli.runs.simulate_folder import simulate_folder
 
     announce_compilation()
-    simulate_folder(named_config(scenario, "scenarios"), output, progress)
+    named = named_config(scenario, "scenarios")
+    simulate_folder(named, output, progress, workers, scheduler)
     click.echo(output)
 
 

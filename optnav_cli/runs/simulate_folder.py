@@ -1,45 +1,115 @@
 """A scenario to a folder of pictures: everything that `optnav simulate` does, in one step."""
 
 import hashlib
+import logging
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
-from catalog.files import check_folder, hash_file, replacing_folder
+import msgspec
+import numba
+
+from catalog.files import hash_file, replacing_folder
+from catalog.jobs.chunks import ChunkResults
+from catalog.jobs.cluster import check_address, cluster_workers
+from catalog.jobs.usage import StageAccount
+from catalog.jobs.workers import SerialWorkers, Workers
+from catalog.jobs.workspace import Workspace, code_key, content_hash, stage_key
 from catalog.places import check_apart
-from catalog.progress import Progress
-from optnav_cli.output.manifest import write_manifest
-from optnav_cli.simulation.run import simulate
+from catalog.progress import Progress, SilentProgress
+from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.output.manifest import versions, write_manifest
+from optnav_cli.runs.unfinished import is_finished, unfinished
+from optnav_cli.simulation.run import Simulation, take
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.simulation.scenario_base import ScenarioBase
 
-KIND = "pictures"
+log = logging.getLogger(__name__)
+
+KIND, STAGE = "pictures", "simulate"
 
 
 def simulate_folder(
-    scenario: ScenarioBase | Path, pictures: Path, progress: Progress, workers: int | None = None
+    scenario: ScenarioBase | Path,
+    pictures: Path,
+    progress: Progress,
+    workers: int | None = None,
+    scheduler: str | None = None,
 ) -> None:
     """Simulate the pictures of a scenario and put the folder in place when it is complete.
 
-    scenario  a file, or what `load_scenario` gave
-    workers   threads; all that the process may use if None
+    What was stopped goes on with the pictures that are not done; a folder that is there already,
+    whole and from the same scenario, is left as it is.
+
+    scenario   a file, or what `load_scenario` gave
+    workers    threads; all that the process may use if None. Their number changes no byte
+    scheduler  tcp://HOST:PORT of a dask cluster, whose workers take the pictures instead
     Raises ConfigError or DataError for what cannot be simulated, OutputError for the place.
     """
     started = datetime.now(UTC)
-    check_folder(pictures, KIND)  # before any work is done for a place that cannot be used
+    if scheduler is not None:
+        check_address(scheduler)
     if isinstance(scenario, Path):
         check_apart(pictures, [scenario])
-        path, scenario = scenario, load_scenario(scenario)
-        origin = {"name": path.name, "sha256": hash_file(path)}
-    else:
-        origin = {"sha256": hashlib.sha256(scenario_copy(scenario)).hexdigest()}
-    terrain = [*(Path(dem.path).name for dem in scenario.dem), Path(scenario.globe.path).name]
-    with replacing_folder(pictures, KIND) as place:
-        simulate(scenario, place, progress, workers)
-        write_manifest(
-            place,
-            KIND,
-            command="simulate",
-            options={},
-            inputs={"scenario": origin, "terrain": terrain},
-            started=started,
-        )
+    with unfinished(pictures, KIND) as workspace:
+        if isinstance(scenario, Path):
+            path, scenario = scenario, load_scenario(scenario)
+            origin = {"name": path.name, "sha256": hash_file(path)}
+        else:
+            origin = {"sha256": hashlib.sha256(scenario_copy(scenario)).hexdigest()}
+        simulation = Simulation(scenario)
+        key = _key(simulation, workspace)
+        if is_finished(pictures, key):
+            log.info("%s: is there already, from the same scenario", pictures)
+            return
+        if workers is not None:
+            numba.set_num_threads(max(1, min(workers, numba.get_num_threads())))
+        crew: Workers = SerialWorkers()
+        if scheduler is not None:
+            crew = cluster_workers(scheduler, simulation.files())
+        results = ChunkResults(workspace, STAGE, key, bytes)
+        workspace.keep_only(STAGE, {key})
+        terrain = [*(Path(dem.path).name for dem in scenario.dem), Path(scenario.globe.path).name]
+        try:
+            with replacing_folder(pictures, KIND) as place:
+                _take(simulation, results, crew, place, progress)
+                simulation.write_tables(place)
+                write_manifest(
+                    place,
+                    KIND,
+                    command="simulate",
+                    options={},
+                    inputs={"scenario": origin, "terrain": terrain},
+                    started=started,
+                    key=key,
+                )
+        finally:
+            crew.close()
+
+
+def _take(
+    simulation: Simulation,
+    results: ChunkResults,
+    workers: Workers,
+    place: Path,
+    progress: Progress,
+) -> None:
+    """Put all pictures into a folder, those of a stopped run first."""
+    numbers = [[number] for number in range(len(simulation.flight))]
+    with progress.stage(STAGE, len(numbers), "picture") as bar:
+        made = results.make(take, simulation, numbers, workers, StageAccount(STAGE), bar)
+        with closing(made):
+            for number in made:
+                (data,) = results.records(number) or take(simulation, [number])
+                (place / simulation.flight[number].file).write_bytes(data)
+
+
+def _key(simulation: Simulation, workspace: Workspace) -> str:
+    """Hash of all that the pictures depend on."""
+    return stage_key(
+        [code_key(), code_key("optnav_cli"), versions()],
+        msgspec.to_builtins(simulation.scenario),
+        [camera_toml(camera) for camera in simulation.cameras],
+        repr(simulation.motion.body),
+        content_hash(simulation.files(), workspace, SilentProgress()),
+    )

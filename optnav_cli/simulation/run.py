@@ -1,16 +1,19 @@
-"""A whole scenario into a picture folder."""
+"""The pictures of a scenario, and the tables that go with them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import cv2
-import numba
 import numpy as np
 
 from catalog.bodies.body import Body, load_body
-from catalog.errors import OutputError
+from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.rotations import ARCSEC
-from catalog.progress import Progress, SilentProgress
+from catalog.rasters import TERRAIN, open_raster
+from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import write_folder
@@ -21,63 +24,98 @@ from optnav_cli.simulation.exposure import Exposure, TruthGround
 from optnav_cli.simulation.globe_ground import GlobeGround
 from optnav_cli.simulation.mesh_ground import MeshGround
 from optnav_cli.simulation.region_ground import RegionGround, truth_terrain
-from optnav_cli.simulation.scenario import (
-    load_scenario,
-    scenario_cameras,
-    scenario_copy,
-    scenario_motion,
-)
-from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.scenario import scenario_cameras, scenario_copy, scenario_motion
+from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
 from optnav_cli.simulation.sensor import Counts, expose
 from optnav_cli.simulation.surroundings import Surroundings
 
 SENSOR = 17  # stream of random numbers, apart from those of the trajectory
 
 
-def simulate(
-    scenario: ScenarioBase | str | Path,
-    folder: Path,
-    progress: Progress | None = None,
-    workers: int | None = None,
-) -> None:
-    """Write pictures, frames.csv, truth.csv, the cameras and the scenario into an empty folder.
+class Simulation:
+    """The pictures of a scenario; other processes are sent the scenario alone and begin anew."""
 
-    scenario  a file, or what `load_scenario` gave
-    folder    is made where it is missing
-    workers   threads; all that the process may use if None. Their number changes no byte
-    Raises ConfigError or DataError for what cannot be simulated, OutputError for the folder.
-    """
-    if isinstance(scenario, str | Path):
-        scenario = load_scenario(scenario)
-    if workers is not None:
-        numba.set_num_threads(max(1, min(workers, numba.get_num_threads())))
-    body = load_body(scenario.body)
-    cameras = scenario_cameras(scenario)
-    motion = scenario_motion(scenario, body)
-    flight = scenario.exposures(motion)
-    ground = truth_ground(scenario, body, cameras, flight)
-    surroundings = [Surroundings(scenario, camera, motion) for camera in cameras]
-    progress = progress or SilentProgress()
-    folder.mkdir(parents=True, exist_ok=True)
-    with progress.stage("simulate", total=len(flight), unit="picture") as stage:
-        for exposure in flight:
-            rng = np.random.default_rng([scenario.seed, SENSOR, exposure.index])
-            radiance = ground.radiance(cameras[exposure.camera], exposure)
-            around = surroundings[exposure.camera]
-            counts = expose(radiance, scenario.sensor, rng, around.besides(exposure, radiance))
-            _write_png(folder / exposure.file, around.with_hot_pixels(counts))
-            stage.advance()
-    inertial = scenario.attitude.relative_to == "inertial"
-    name: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
-    settings = RunSettings(body=scenario.body, attitude=name)
-    frames = [_frame(e, scenario, cameras[e.camera].name) for e in flight]
-    # cameras as their calibration knows them: of a known blur, that of these pictures
-    psf = scenario.sensor.psf_sigma_px
-    calibrated = [c if c.psf_sigma_px is None else replace(c, psf_sigma_px=psf) for c in cameras]
-    write_folder(folder, settings, calibrated, frames, motion)
-    truths = [Truth(e.file, e.utc, e.tdb_s, e.position_m, e.camera_from_body) for e in flight]
-    write_truth(folder / "truth.csv", FileAttitude(name, body, motion), truths)
-    (folder / "scenario.json").write_bytes(scenario_copy(scenario))
+    packages: ClassVar = ("optnav_cli",)  # see `catalog.jobs.cluster_node`
+
+    def __init__(self, scenario: ScenarioBase) -> None:
+        self.scenario = scenario
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Simulation, (self.scenario,)
+
+    def files(self) -> list[Path]:
+        """All files that the pictures are made from. Raises DataError for one that is damaged."""
+        rasters: list[str] = []
+        names: list[str] = []
+
+        def noted(name: str) -> str:
+            names.append(name)
+            return name
+
+        def raster(name: str) -> str:
+            rasters.append(name)
+            return name
+
+        self.scenario.with_files(FileNames(raster, noted, noted, noted, noted))
+        found = {path for name in names if (path := path_of(name, Path())).is_file()}
+        for name in rasters:
+            with open_raster(path_of(name, Path()), TERRAIN) as dataset:
+                found.update(map(Path, dataset.files))  # of a label its image, the parts of a VRT
+        return sorted(found)
+
+    @cached_property
+    def motion(self) -> Ephemeris:
+        """How the body turns."""
+        return scenario_motion(self.scenario, load_body(self.scenario.body))
+
+    @cached_property
+    def cameras(self) -> list[Camera]:
+        """The cameras of the scenario."""
+        return scenario_cameras(self.scenario)
+
+    @cached_property
+    def flight(self) -> list[Exposure]:
+        """All pictures to take."""
+        return self.scenario.exposures(self.motion)
+
+    @cached_property
+    def _ground(self) -> TruthGround:
+        return truth_ground(self.scenario, self.motion.body, self.cameras, self.flight)
+
+    @cached_property
+    def _surroundings(self) -> list[Surroundings]:
+        return [Surroundings(self.scenario, camera, self.motion) for camera in self.cameras]
+
+    def picture(self, number: int) -> bytes:
+        """A picture of the flight as PNG, the same in any order."""
+        exposure, scenario = self.flight[number], self.scenario
+        rng = np.random.default_rng([scenario.seed, SENSOR, exposure.index])
+        radiance = self._ground.radiance(self.cameras[exposure.camera], exposure)
+        around = self._surroundings[exposure.camera]
+        counts = expose(radiance, scenario.sensor, rng, around.besides(exposure, radiance))
+        return _png(around.with_hot_pixels(counts))
+
+    def write_tables(self, folder: Path) -> None:
+        """Write frames.csv, truth.csv, the cameras and the scenario into a folder."""
+        scenario, cameras, motion = self.scenario, self.cameras, self.motion
+        inertial = scenario.attitude.relative_to == "inertial"
+        name: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
+        settings = RunSettings(body=scenario.body, attitude=name)
+        frames = [_frame(e, scenario, cameras[e.camera].name) for e in self.flight]
+        # cameras as their calibration knows them: of a known blur, that of these pictures
+        psf = scenario.sensor.psf_sigma_px
+        known = [c if c.psf_sigma_px is None else replace(c, psf_sigma_px=psf) for c in cameras]
+        write_folder(folder, settings, known, frames, motion)
+        truths = [
+            Truth(e.file, e.utc, e.tdb_s, e.position_m, e.camera_from_body) for e in self.flight
+        ]
+        write_truth(folder / "truth.csv", FileAttitude(name, motion.body, motion), truths)
+        (folder / "scenario.json").write_bytes(scenario_copy(scenario))
+
+
+def take(simulation: Simulation, numbers: Sequence[int]) -> list[bytes]:
+    """Some pictures of a flight, as PNG."""
+    return [simulation.picture(number) for number in numbers]
 
 
 def truth_ground(
@@ -109,12 +147,9 @@ def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str) -> Frame:
     )
 
 
-def _write_png(path: Path, counts: Counts) -> None:
+def _png(counts: Counts) -> bytes:
     # the strongest compression costs seconds a picture and saves a tenth
     done, data = cv2.imencode(".png", counts, [cv2.IMWRITE_PNG_COMPRESSION, 3])
     if not done:
         raise ValueError(f"no PNG of an array {counts.dtype} {counts.shape}")
-    try:
-        path.write_bytes(data.tobytes())
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+    return data.tobytes()

@@ -24,8 +24,8 @@ from optnav_cli.simulation.globe_ground import (
     level_frame,
 )
 from optnav_cli.simulation.globe_heights import GlobeHeights
-from optnav_cli.simulation.run import simulate
 from optnav_cli.simulation.scenario import load_scenario
+from tests.optnav_cli.simulation.simulated import simulate
 
 RADIUS_M = 1_737_400.0
 ROOT = Path(__file__).resolve().parents[3]

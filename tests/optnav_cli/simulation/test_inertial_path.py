@@ -15,8 +15,8 @@ from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.inertial_path import InertialPath, flight_states, transfer_states
-from optnav_cli.simulation.run import simulate
 from optnav_cli.simulation.scenario import load_scenario, scenario_motion
+from tests.optnav_cli.simulation.simulated import simulate
 
 ROOT = Path(__file__).resolve().parents[3]
 MOON = load_body("moon")
