@@ -70,7 +70,7 @@ bench-global: $(if $(DIR),$(READY)) ## a catalog of the whole Moon at full size 
 	  { echo "make: name a folder to work in, on a disk with 19 GB free: make bench-global DIR=/some/folder" >&2; exit 2; }
 	$(BIN)/python -m tests.bench.global_moon "$(DIR)" $(ARGS)
 
-golden: $(READY) ## make the golden values and the READMEs' pictures anew; look at the difference
+golden: $(READY) ## golden values, and the READMEs' pictures and captions anew; look at the difference
 	$(BIN)/python -m tests.golden $(ARGS)
 
 docs: $(READY) ## write the tables of the READMEs anew, from the code and stored figures

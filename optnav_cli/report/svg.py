@@ -177,7 +177,8 @@ class Plot:
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, series: str) -> None:
         """The area between two curves over the same x."""
-        x, low, high = (np.asarray(v, dtype=np.float64) for v in (x, low, high))
+        edges = np.stack([np.asarray(v, dtype=np.float64) for v in (x, low, high)])
+        x, low, high = edges[:, np.isfinite(edges).all(axis=0)]
         across = np.concatenate([self.px(x), self.px(x)[::-1]])
         outline = np.column_stack([across, np.concatenate([self.py(low), self.py(high)[::-1]])])
         self._body.append(f'<polygon class="band {series}" points="{_points(outline)}"/>')

@@ -1,10 +1,13 @@
-"""`make golden`: the frozen values and the README's pictures made anew. Look at the difference.
+"""`make golden`: the frozen values, the READMEs' pictures and their captions anew.
 
-The pictures come from the demo, the Apollo study, a fisheye frame over the demo's ground and the
-catalog of Phobos, some minutes in all; what they leave stands in build/golden. The curves come from
-their studies, ten minutes in all.
+Look at the difference. The pictures come from the demo, the Apollo study, a fisheye frame over the
+demo's ground and the catalog of Phobos, some minutes in all; the curves from their studies, ten
+minutes; the flights are made over a catalog of the whole Moon, ten minutes and the large terrain in
+the folder OPTNAV_SHARED_DATA. What they leave stands in build/golden. Captions go to
+captions.json and from there, with the stored table of the Apollo study, into the READMEs.
 """
 
+import json
 from pathlib import Path
 
 import click
@@ -17,12 +20,13 @@ from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.studies import apollo
-from tests.golden import pictures, sketch, values
+from tests.golden import documents, flights, pictures, sketch, values
 
 HERE = Path(__file__).resolve().parent
 README = HERE / "readme"
 DEMO_FRAME, APOLLO_FRAME = "frame_0001.png", "AS15-M-0297_SML.png"
 CENTRAL_PEAK_DEG = (-43.3, -11.2)
+APOLLO_FIGURES = documents.FIGURES / "apollo.json"
 CURVES = ("arc", "resection", "matching")  # studies
 
 
@@ -30,29 +34,49 @@ CURVES = ("arc", "resection", "matching")  # studies
 @click.option("--values/--no-values", "freeze", default=True, help="Make the frozen values.")
 @click.option("--pictures/--no-pictures", "draw", default=True, help="Make the README's pictures.")
 @click.option("--curves/--no-curves", "plot", default=True, help="Make the README's curves.")
+@click.option("--flights/--no-flights", "flown", default=True, help="Make the flights' pictures.")
 @click.option(
     "--work",
     type=click.Path(path_type=Path),
     default=HERE.parents[1] / "build" / "golden",
     help="Folder for what the pictures are made from.",
 )
-def main(freeze: bool, draw: bool, plot: bool, work: Path) -> None:
+def main(freeze: bool, draw: bool, plot: bool, flown: bool, work: Path) -> None:
     """See the head of this file."""
     if freeze:
         values.freeze()
         click.echo(values.PLACE)
+    captions = {}
     if draw:
-        for name, picture in _pictures(work).items():
-            path = README / f"{name}.png"
+        for name, (picture, caption) in _pictures(work).items():
+            path, captions[name] = README / f"{name}.png", caption
             sketch.write(picture, path)
-            click.echo(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+            _told(path)
     for name in CURVES if plot else ():
         path = README / f"{name}.svg"
         cli.main(["study", name, "-o", str(path)], standalone_mode=False)
-        click.echo(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+        _told(path)
+    if flown:
+        moon = flights.moon_catalog(work)
+        picture, captions["report"] = flights.usable_map(moon)
+        sketch.write(picture, README / "report.jpg")
+        _told(README / "report.jpg")
+        for path, captions_of in flights.fly(work, moon, README):
+            captions[path.stem] = captions_of
+            _told(path)
+    if captions:
+        known = json.loads(documents.CAPTIONS.read_text(encoding="utf-8")) | captions
+        text = json.dumps(known, indent=2, ensure_ascii=False, sort_keys=True)
+        documents.CAPTIONS.write_text(text + "\n", encoding="utf-8")
+        documents.main()
 
 
-def _pictures(work: Path) -> dict[str, ByteArray]:
+def _told(path: Path) -> None:
+    click.echo(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+
+
+def _pictures(work: Path) -> dict[str, tuple[ByteArray, str]]:
+    """Pictures with their captions, by name."""
     from optnav_cli.commands.demo import command as demo
 
     progress = ConsoleProgress()
@@ -62,7 +86,8 @@ def _pictures(work: Path) -> dict[str, ByteArray]:
     seen, run = work / "fisheye", work / "fisheye-run"
     simulate_folder(HERE / "fisheye.toml", seen, progress)
     navigate_folder(RunInputs(seen, [tycho]), run, progress)
-    apollo.run(work / "apollo", progress)
+    result = apollo.run(work / "apollo", progress)
+    apollo.report(result).signed("apollo", {"matcher": "ncc"}).write(APOLLO_FIGURES)
     flown = work / "apollo" / "run-ncc"
     config = resource("configs/catalogs/tycho.toml")
     phobos = work / "phobos.gpkg"
@@ -73,8 +98,16 @@ def _pictures(work: Path) -> dict[str, ByteArray]:
         "catalog": pictures.catalog_map(tycho, config, work),
         "phobos": pictures.body_sides(phobos),
         "point": pictures.point_levels(tycho, *CENTRAL_PEAK_DEG),
-        "frame": pictures.frame_overlay(place / "run", place / "pictures", DEMO_FRAME, tycho),
-        "apollo": pictures.frame_overlay(flown, work / "apollo" / "pictures", APOLLO_FRAME, None),
+        "frame": pictures.frame_overlay(
+            place / "run", place / "pictures", DEMO_FRAME, tycho, "A simulated frame over Tycho"
+        ),
+        "apollo": pictures.frame_overlay(
+            flown,
+            work / "apollo" / "pictures",
+            APOLLO_FRAME,
+            None,
+            "Apollo 15 metric frame AS15-M-0297 of 1971, over the far side of the Moon",
+        ),
     }
 
 

@@ -4,6 +4,7 @@
 `<!-- made: PART -->` and `<!-- end -->`. A test fails when one is out of date.
 """
 
+import json
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -21,6 +22,7 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 CONFIGS = CHECKOUT / "configs"
 FIGURES = CHECKOUT / "optnav_cli" / "studies" / "figures"
 BENCHES = CHECKOUT / "tests" / "bench" / "figures"
+CAPTIONS = Path(__file__).with_name("captions.json")
 # A sentence, and where its figures stand: study, table, row, columns.
 ACCURACY = {
     "A real Apollo 15 picture: {} of {} control points used, residual {} px ({} m).": (
@@ -74,6 +76,25 @@ def accuracy() -> str:
     return "\n".join(lines)
 
 
+def caption(name: str) -> str:
+    """What a picture of the documents shows, with its figures, as `make golden` wrote it."""
+    captions: dict[str, str] = json.loads(CAPTIONS.read_text(encoding="utf-8"))
+    return captions[name]
+
+
+def gains(name: str) -> str:
+    """What choosing gains over other places, of a stored table of shares, by posting."""
+    table = _report(FIGURES / f"{name}.json").tables[0]
+    lines = []
+    for posting, *cells in table.rows:
+        chosen, *others = (float(str(cell).partition(" ")[0]) for cell in cells)
+        titles = [column.title for column in table.columns[2:]]
+        gained = zip(titles, others, strict=True)
+        less = "; ".join(f"{chosen - v:.1f} points over {t}" for t, v in gained)
+        lines.append(f"- {posting}: choosing gains {less}.")
+    return "\n".join(lines)
+
+
 def commands() -> str:
     """Every command with its short help."""
     return _listed({f"optnav {name}": entry.text for name, entry in COMMANDS.items()})
@@ -110,7 +131,18 @@ def reasons() -> str:
 
 PARTS: dict[str, Callable[..., str]] = {
     part.__name__: part
-    for part in (study, bench, accuracy, commands, subcommands, configs, columns, reasons)
+    for part in (
+        study,
+        bench,
+        accuracy,
+        caption,
+        gains,
+        commands,
+        subcommands,
+        configs,
+        columns,
+        reasons,
+    )
 }
 
 

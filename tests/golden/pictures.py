@@ -19,7 +19,7 @@ from catalog.terrain.dem.mosaic import Mosaic
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.output.overlay import draw_overlay, patch_outlines
+from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, patch_outlines
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.report.body_sides import sides_picture
 from tests.golden import sketch
@@ -32,7 +32,10 @@ MAP_PX, MAP_NODES = 860, 1032
 FRAME_PX, WIDE_PX, HALF_PX = 800, 1000, 500
 
 
-def catalog_map(catalog_path: Path, config: Path, work: Path) -> ByteArray:
+Drawn = tuple[ByteArray, str]  # a picture and its caption
+
+
+def catalog_map(catalog_path: Path, config: Path, work: Path) -> Drawn:
     """The ground of a catalog under one Sun, its cells, its points by expected match error."""
     settings = load_build_config(config)
     body = load_body(settings.body.name)
@@ -64,8 +67,14 @@ def catalog_map(catalog_path: Path, config: Path, work: Path) -> ByteArray:
         for at, error in zip(places[catalog.usable], errors, strict=True):
             sketch.dot(image, at, 5.0, CLASSES[int(np.searchsorted(limits, error))])
         legend = _map_legend(catalog, limits)
+        caption = (
+            f"The bundled terrain of Tycho in cells of {catalog.meta.cell_deg:g}°: "
+            f"{int(catalog.usable.sum())} of {len(catalog)} control points are usable, coloured by "
+            "their predicted match error, a quarter of them each; a node is "
+            f"{catalog.meta.posting_m:.0f} m."
+        )
     ground.close()
-    return np.vstack([image, legend])
+    return np.vstack([image, legend]), caption
 
 
 def _extent(catalog: Catalog) -> tuple[float, float, float, float]:
@@ -98,7 +107,7 @@ def _map_legend(catalog: Catalog, limits: NDArray[np.floating]) -> ByteArray:
     return legend
 
 
-def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> ByteArray:
+def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> Drawn:
     """The levels of the usable point nearest to a place."""
     with Catalog.open(catalog_path) as catalog:
         usable = catalog.ids[catalog.usable]
@@ -108,21 +117,29 @@ def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> ByteArra
             + abs(catalog.point(int(p)).lon_deg - lon_deg)
             for p in near
         ]
-        picture = draw_pyramid(
-            catalog.pyramid(int(near[int(np.argmin(gap))])), catalog.meta.radius_m
+        chosen = int(near[int(np.argmin(gap))])
+        picture = draw_pyramid(catalog.pyramid(chosen), catalog.meta.radius_m)
+        finest, meta = catalog.meta.posting_m, catalog.meta
+        caption = (
+            f"Control point {chosen} by Tycho's central peak: heights (above) and brightness "
+            f"(below) of its {meta.levels} levels, {finest:.0f} m to "
+            f"{finest * 2 ** (meta.levels - 1):.0f} m a node."
         )
     height = round(picture.shape[0] * WIDE_PX / picture.shape[1])
-    return np.asarray(
-        cv2.resize(picture, (WIDE_PX, height), interpolation=cv2.INTER_AREA), np.uint8
-    )
+    shown = cv2.resize(picture, (WIDE_PX, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(shown, np.uint8), caption
 
 
-def body_sides(catalog_path: Path) -> ByteArray:
+def body_sides(catalog_path: Path) -> Drawn:
     """A small body with its points from its six sides."""
     with Catalog.open(catalog_path) as catalog:
         picture = sides_picture(catalog)
+        caption = (
+            f"{catalog.meta.body.capitalize()} from six sides: {int(catalog.usable.sum())} of "
+            f"{len(catalog)} control points are usable."
+        )
     size = WIDE_PX, round(WIDE_PX * picture.shape[0] / picture.shape[1])
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8), caption
 
 
 def _patch_outlines(
@@ -145,17 +162,25 @@ def _patch_outlines(
     return outlines
 
 
-def frame_overlay(run: Path, pictures: Path, file: str, catalog_path: Path | None) -> ByteArray:
+def frame_overlay(
+    run: Path, pictures: Path, file: str, catalog_path: Path | None, what: str
+) -> Drawn:
     """A navigated frame as `optnav navigate` draws it, smaller; with a catalog, patches too."""
     found = read_run(run)
     solution = next(s for s in found.solutions if s.file == file)
     matches = [m for m in found.matches if m.file == file]
     outlines = _patch_outlines(found, file, catalog_path) if catalog_path else {}
     picture = load_picture(pictures / file, found.cameras[file]).values
-    return draw_overlay(picture, solution, matches, outlines, FRAME_PX)
+    caption = (
+        f"{what}: {solution.n_used} of {solution.n_predicted} control points are used, residual "
+        f"{solution.residual_rms_px:.2f} px. Pink: where the prior predicted them; rings: where "
+        "the solution does; crosses: where they were found; yellow: residuals, enlarged "
+        f"{RESIDUALS_ENLARGED:.0f} times."
+    )
+    return draw_overlay(picture, solution, matches, outlines, FRAME_PX), caption
 
 
-def opening(run: Path, pictures: Path, catalog_path: Path) -> ByteArray:
+def opening(run: Path, pictures: Path, catalog_path: Path) -> Drawn:
     """The fisheye picture as it came, and with what was found in it."""
     found = read_run(run)
     solution, camera = found.solutions[0], found.cameras[found.solutions[0].file]
@@ -189,4 +214,9 @@ def opening(run: Path, pictures: Path, catalog_path: Path) -> ByteArray:
         legend, f"out: {len(used)} control points, position {error:.0f} m from truth",
         HALF_PX + 14, 22,
     )  # fmt: skip
-    return np.vstack([np.hstack([left, right]), legend])
+    caption = (
+        "A simulated fisheye picture from 200 km, and what is found in it from a prior that is "
+        f"{guess:.1f} km off: {len(used)} control points, and a position {error:.0f} m from the "
+        "truth."
+    )
+    return np.vstack([np.hstack([left, right]), legend]), caption

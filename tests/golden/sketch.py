@@ -73,8 +73,10 @@ def strip(width: int, height: int) -> ByteArray:
 
 
 def write(picture: ByteArray, path: Path) -> None:
-    """A PNG as small as it gets."""
-    done, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    """A PNG as small as it gets, or a JPEG, by the name's ending."""
+    png = path.suffix == ".png"
+    how = [cv2.IMWRITE_PNG_COMPRESSION, 9] if png else [cv2.IMWRITE_JPEG_QUALITY, 82]
+    done, data = cv2.imencode(path.suffix, picture, how)
     if not done:
         raise ValueError(f"{path}: a picture of {picture.shape} cannot be coded")
     path.write_bytes(data.tobytes())

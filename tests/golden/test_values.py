@@ -1,5 +1,6 @@
 """Renders and descriptors are what they were when they were last looked at."""
 
+import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -8,8 +9,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.golden.__main__ import main
-from tests.golden.documents import DOCUMENTS
+from optnav_cli.studies.tables import StudyReport
+from tests.golden.__main__ import CURVES, main
+from tests.golden.documents import CAPTIONS, DOCUMENTS, FIGURES
 from tests.golden.values import LAWS, NODES, SUNS, frozen, golden_values
 
 README = Path(__file__).with_name("readme")
@@ -94,10 +96,39 @@ def test_the_curves_of_the_readme_are_small_drawings():
 
 
 def test_the_command_that_makes_them_anew_starts():
-    result = CliRunner().invoke(main, ["--no-values", "--no-pictures", "--no-curves"])
+    result = CliRunner().invoke(
+        main, ["--no-values", "--no-pictures", "--no-curves", "--no-flights"]
+    )
     assert (result.exit_code, result.output) == (0, "")
 
 
 def test_every_picture_is_shown_in_a_readme():
     texts = "".join(path.read_text(encoding="utf-8") for path in DOCUMENTS)
     assert [p.name for p in README.iterdir() if f"readme/{p.name})" not in texts] == []
+
+
+def test_every_picture_but_the_studies_curves_has_a_made_caption():
+    texts = "".join(path.read_text(encoding="utf-8") for path in DOCUMENTS)
+    captions = json.loads(CAPTIONS.read_text(encoding="utf-8"))
+    assert set(captions) == {path.stem for path in README.iterdir()} - set(CURVES)
+    for name, caption in captions.items():
+        assert f"<!-- made: caption {name} -->\n\n{caption}\n" in texts
+        assert len(caption) > 40
+
+
+def test_the_orbit_s_picture_shows_errors_with_their_sigmas():
+    """It once showed stated sigmas under a caption about errors."""
+    labels = [
+        element.get("aria-label")
+        for name in ("orbit", "transfer")
+        for element in ET.parse(README / f"{name}.svg").iter("{http://www.w3.org/2000/svg}svg")
+    ]
+    assert all("sigma" not in label for label in labels)
+    assert sum(label.startswith("Error along") for label in labels) == 6
+
+
+def test_the_caption_of_the_apollo_picture_has_the_figures_of_the_study():
+    text = json.loads(CAPTIONS.read_text(encoding="utf-8"))["apollo"]
+    table = StudyReport.from_json((FIGURES / "apollo.json").read_text(encoding="utf-8")).tables[0]
+    (used,), (of,), (residual,) = map(table.column, ("used", "predicted", "residual_px"))
+    assert f"{used} of {of} control points are used, residual {residual:.2f} px" in text

@@ -1,5 +1,6 @@
 """The small plots: round ticks, places where they belong, gaps for what is not finite."""
 
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -47,6 +48,14 @@ def test_a_line_breaks_where_a_value_is_missing():
     lines = [e.get("points").split() for e in drawing.iter("polyline")]
     assert [len(line) for line in lines] == [2, 2]
     assert not list(drawing.iter("polygon"))
+
+
+def test_a_band_leaves_out_what_is_not_finite():
+    plot = Plot((0.0, 4.0), (-2.0, 2.0))
+    plot.band(np.arange(4.0), [-1.0, np.nan, -1.0, -np.inf], [1.0, 1.0, 1.0, 1.0], "s1")
+    (outline,) = re.findall('class="band s1" points="([^"]+)"', plot.svg("bands"))
+    assert len(outline.split()) == 4
+    assert "nan" not in outline
 
 
 def test_up_is_up_and_titles_are_escaped():
