@@ -20,6 +20,7 @@ import catalog
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.files import starts_with, write_output
+from optnav_cli.output.wording import table_lines
 
 Cell = str | int | float | None
 
@@ -93,21 +94,13 @@ class StudyTable:
         """The table for a terminal: titles above units above rows."""
         shown = [[c.shown(cell) for c, cell in zip(self.columns, r)] for r in self.rows]
         if len(shown) == 1 and len(self.columns) > MAX_ACROSS:
-            wide = max(len(column.title) for column in self.columns)
             pairs = zip(self.columns, shown[0])
-            lines = [f"{c.title:<{wide}}  {cell} {c.unit}".rstrip() for c, cell in pairs]
+            lines = table_lines([(c.title, f"{cell} {c.unit}") for c, cell in pairs], left=(0, 1))
         else:
             heads = [[c.title for c in self.columns], [c.unit for c in self.columns]]
             grid = [head for head in heads if any(head)] + shown
-            widths = [max(map(len, cells)) for cells in zip(*grid)]
-            left = self._is_text()
-            lines = [
-                "  ".join(
-                    f"{cell:<{w}}" if to_left else f"{cell:>{w}}"
-                    for cell, w, to_left in zip(row, widths, left)
-                ).rstrip()
-                for row in grid
-            ]
+            words = {number for number, text in enumerate(self._is_text()) if text}
+            lines = table_lines(grid, left=words)
         return "\n".join([self.title, *lines] if self.title else lines)
 
     def to_markdown(self) -> str:
