@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import inspect
@@ -20,6 +20,17 @@ from catalog.errors import ConfigError
 from catalog.inputs import MAX_CONFIG_BYTES, read_input
 
 T = TypeVar("T")
+
+# Types of settings. No body, camera or picture has what lies beyond their bounds; squares and
+# ratios of numbers within them do not overflow.
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1e12)]
+Turn = Annotated[float, msgspec.Meta(ge=-3600.0, le=3600.0)]  # deg
+Count = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
+Slope = Annotated[float, msgspec.Meta(ge=0.0, le=80.0)]  # deg
+Seconds = Annotated[float, msgspec.Meta(ge=1e-3, le=1e9)]
+
+MIN_SIZE, MAX_SIZE = 1e-30, 1e18  # of a number that is not 0, whatever it is
 MAX_WHOLE = 2**53  # beyond it a whole number has no exact float
 MAX_DEPTH = 20
 
@@ -190,6 +201,8 @@ def _never_valid(value: Any, steps: Steps) -> Iterator[tuple[Steps, str]]:
     """What no setting of any type can be: numbers that are none or too large, deep lists."""
     if isinstance(value, float) and not math.isfinite(value):
         yield steps, "must be a finite number"
+    elif isinstance(value, float) and value and not MIN_SIZE <= abs(value) <= MAX_SIZE:
+        yield steps, f"is {value:g}; wanted 0 or a size from {MIN_SIZE:g} to {MAX_SIZE:g}"
     elif isinstance(value, int) and abs(value) > MAX_WHOLE:
         yield steps, f"must be a whole number of at most {MAX_WHOLE}"
     elif len(steps) > MAX_DEPTH:

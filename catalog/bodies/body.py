@@ -4,22 +4,29 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
-from catalog.config import load_toml, nearest_name, resource
+from catalog.config import Turn, load_toml, nearest_name, resource
 from catalog.errors import ConfigError
 
 SunTheory = Literal[
     "moon", "earth", "mercury", "venus", "mars", "jupiter", "saturn", "uranus", "neptune"
 ]
-Polynomial = tuple[float, float, float]
-Axes = tuple[float, float, float]
+# W of a body that turns in minutes grows by 1e6 deg a day, an angle of its orbit by 1e8 a century
+Term = Annotated[float, msgspec.Meta(ge=-1e10, le=1e10)]
+Arcsec = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+ErrorM = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
+Size = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]  # km: from a boulder to the Sun
+Naif = Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)]
+Height = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]  # km
+Year = Annotated[float, msgspec.Meta(ge=-10_000.0, le=20_000.0)]
+Polynomial = tuple[Term, Term, Term]
+Axes = tuple[Arcsec, Arcsec, Arcsec]
 J2000_YEAR = 2000.0
 JULIAN_YEAR_S = 365.25 * 86400.0
 NAME = re.compile(r"[^\W_][\w .'()-]{0,79}")  # no path: a body's file is looked for by name
-MIN_RADIUS_KM, MAX_RADIUS_KM, MAX_GM = 1e-3, 1e6, 1e12  # from a boulder to the Sun
 MAX_RATIO = 20.0  # of a semi-axis to the radius, either way; the longest asteroids have 5
 
 
@@ -31,9 +38,9 @@ class RotationTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     angle_deg_by_century: Polynomial
-    ra_deg: float = 0.0
-    dec_deg: float = 0.0
-    meridian_deg: float = 0.0
+    ra_deg: Turn = 0.0
+    dec_deg: Turn = 0.0
+    meridian_deg: Turn = 0.0
 
 
 class CorrectionTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,8 +63,8 @@ class RotationCorrection(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     error_m                      rms a body axis of what remains, as a shift of the surface
     """
 
-    years: tuple[float, float]
-    error_m: float
+    years: tuple[Year, Year]
+    error_m: ErrorM
     x_arcsec_by_century: Polynomial
     y_arcsec_by_century: Polynomial
     z_arcsec_by_century: Polynomial
@@ -79,7 +86,7 @@ class RotationSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, ca
     pole_ra_deg_by_century: Polynomial
     pole_dec_deg_by_century: Polynomial
     meridian_deg_by_day: Polynomial
-    error_m: float = 0.0
+    error_m: ErrorM = 0.0
     terms: tuple[RotationTerm, ...] = ()
 
 
@@ -91,10 +98,10 @@ class GravityField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                kaula / n^2 (Kaula's rule)
     """
 
-    j2: float
-    c22: float
-    radius_km: float
-    kaula: float
+    j2: Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+    c22: Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+    radius_km: Size
+    kaula: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
 class LockedOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -108,10 +115,10 @@ class LockedOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     around: SunTheory
-    semi_major_axis_km: float
-    eccentricity: float
+    semi_major_axis_km: Annotated[float, msgspec.Meta(ge=1.0, le=1e9)]
+    eccentricity: Annotated[float, msgspec.Meta(ge=0.0, le=0.9)]
     mean_anomaly_deg_by_century: Polynomial
-    tide_error: float
+    tide_error: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
 class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -124,20 +131,20 @@ class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                    error of the rotation series
     """
 
-    naif: tuple[int, ...]
-    sun_seen_from: tuple[int, ...] = ()
+    naif: tuple[Naif, ...]
+    sun_seen_from: tuple[Naif, ...] = ()
     frame: str | None = None
-    frame_error_m: float | None = None
+    frame_error_m: ErrorM | None = None
 
 
 class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A body file as it is written."""
 
     name: str
-    radius_km: float
-    radii_km: tuple[float, float, float]
-    gm_km3_s2: float
-    plausible_heights_km: tuple[float, float]
+    radius_km: Size
+    radii_km: tuple[Size, Size, Size]
+    gm_km3_s2: Annotated[float, msgspec.Meta(ge=1e-15, le=1e12)]
+    plausible_heights_km: tuple[Height, Height]
     sun: SunTheory
     rotation: RotationSeries
     rotation_correction: RotationCorrection | None = None
@@ -215,11 +222,6 @@ def read_body(path: Path) -> Body:
     radius_km = settings.radius_km
     if not NAME.fullmatch(settings.name):
         raise ConfigError(f"{path}: name is {settings.name[:80]!r}; wanted a plain name")
-    if not (MIN_RADIUS_KM <= radius_km <= MAX_RADIUS_KM and 0.0 < settings.gm_km3_s2 <= MAX_GM):
-        raise ConfigError(
-            f"{path}: radius_km is {radius_km:g}, gm_km3_s2 {settings.gm_km3_s2:g}; wanted "
-            f"{MIN_RADIUS_KM:g} to {MAX_RADIUS_KM:g}, and over 0 to {MAX_GM:g}"
-        )
     if not all(1.0 / MAX_RATIO <= axis / radius_km <= MAX_RATIO for axis in settings.radii_km):
         raise ConfigError(
             f"{path}: radii_km is {list(settings.radii_km)}; wanted semi-axes about radius_km, "

@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from catalog.bodies.body import is_body_file
-from catalog.config import BUNDLED, named_config, parse_toml, toml_text
+from catalog.config import BUNDLED, Positive, Slope, named_config, parse_toml, toml_text
 from catalog.errors import ConfigError
 from catalog.store.manifest import LIMITS
 from catalog.terrain.dem.source import DemSettings
@@ -32,9 +32,11 @@ MAX_CELLS = 50_000_000  # cell numbers and chunk lists must stay small
 RASTERS = (".tif", ".tiff", ".lbl", ".img", ".cub", ".vrt", ".xml", ".jp2", ".asc")
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
-Elevation = Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)]
+Elevation = Annotated[float, msgspec.Meta(ge=0.01, le=89.99)]
+HeightStep = Annotated[
+    float, msgspec.Meta(ge=LIMITS["height_step_m"][0], le=LIMITS["height_step_m"][1])
+]
+Snr = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]
 
 
 class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -61,7 +63,7 @@ class PyramidSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     levels: int = 5
     size: int = 80
-    posting_m: float | None = None
+    posting_m: Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)] | None = None
 
 
 class ReliefSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -89,14 +91,7 @@ class WriteSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                    so, and 29 kB with half a metre at all levels.
     """
 
-    height_step_m: float | None = None
-
-    def __post_init__(self) -> None:
-        lowest, highest = LIMITS["height_step_m"]
-        if self.height_step_m is not None and not lowest <= self.height_step_m <= highest:
-            raise ValueError(
-                f"height_step_m is {self.height_step_m:g}; wanted {lowest:g} to {highest:g}"
-            )
+    height_step_m: HeightStep | None = None
 
     def steps_m(self, postings_m: Sequence[float]) -> tuple[float, ...]:
         """The step of each level, finest first."""
@@ -125,9 +120,9 @@ class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                          DEM's; craters come on top
     """
 
-    places: Annotated[int, msgspec.Meta(ge=1)] = 3
+    places: Annotated[int, msgspec.Meta(ge=1, le=64)] = 3
     max_localisation_nodes: Positive = 3.0
-    search_km: Positive = 10.0
+    search_km: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 10.0
     min_margin: Share = 0.05
     max_shadowed: Share = 0.75
     trials: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 5
@@ -139,12 +134,12 @@ class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rival_ratio: Share = 0.9
     sun_min_deg: Elevation = 10.0
     sun_max_deg: Elevation = 45.0
-    snr_min: Positive = 10.0
-    snr_max: Positive = 50.0
+    snr_min: Snr = 10.0
+    snr_max: Snr = 50.0
     scale_error: Annotated[float, msgspec.Meta(ge=0.0, le=0.3)] = 0.1
     roll_deg: Annotated[float, msgspec.Meta(ge=0.0, le=20.0)] = 6.0
     off_nadir_deg: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 25.0
-    relief_slope_deg: NotNegative = 3.0
+    relief_slope_deg: Slope = 3.0
 
 
 class SelectSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -188,7 +183,7 @@ class RenderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sun_max_deg: Elevation = 45.0
     sun_declination_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 1.54
     law: Literal["hapke", "lommel_seeliger", "lunar_lambert", "lambert"] = "hapke"
-    snr: Positive = 10.0
+    snr: Snr = 10.0
 
 
 class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -265,8 +260,6 @@ def _ground_problems(config: BuildConfig) -> Iterator[str]:
     for dem in config.dem:
         if not dem.path:
             yield "[[dem]] path is empty; name a terrain model"
-        if dem.priority < 1:
-            yield f"[[dem]] priority is {dem.priority}; wanted 1 (used first) or more"
         if dem.scale == 0.0:
             yield "[[dem]] scale is 0; wanted the height of one count"
     if config.relief.dem is not None and not config.relief.dem.path:
@@ -282,8 +275,6 @@ def _size_problems(config: BuildConfig) -> Iterator[str]:
         yield f"[pyramid] levels is {pyramid.levels}; wanted 1 to {MAX_LEVELS}"
     if not SIZES[0] <= pyramid.size <= SIZES[1] or pyramid.size % 2:
         yield f"[pyramid] size is {pyramid.size}; wanted an even number, {SIZES[0]} to {SIZES[1]}"
-    if pyramid.posting_m is not None and pyramid.posting_m <= 0.0:
-        yield f"[pyramid] posting_m is {pyramid.posting_m:g}; wanted more than 0"
     render, check = config.render, config.check
     for section, name, low, high in (
         ("render", "sun_{}_deg", render.sun_min_deg, render.sun_max_deg),

@@ -1,7 +1,7 @@
 """Camera files: TOML in, checked, and out again."""
 
-import math
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 
@@ -11,10 +11,13 @@ from optnav_cli.camera.camera import Camera, Distortion, Model
 
 # Focal length, pitch and their ratio are each printed with about four digits.
 AGREEMENT = 1e-3
-MAX_SIDE_PX = 100_000
 # Of the longer side: a pinhole of 179.9 deg, and a picture of 0.2" across.
 FOCAL_SIDES = (1e-3, 1e6)
+MAX_PIXELS = 100_000_000  # of a picture: its values and what is made of them take some GB
 MAX_PSF_PX = 50.0  # beyond any lens: the key is not in pixels
+Side = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
+Length = Annotated[float, msgspec.Meta(ge=1e-3, le=1e9)]
+Pixels = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 _TERMS = {"pinhole": 5, "kannala_brandt": 4}
 _TERM_NAMES = {"pinhole": "[k1, k2, p1, p2, k3]", "kannala_brandt": "[k1, k2, k3, k4]"}
 
@@ -24,15 +27,15 @@ class CameraFileSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaul
 
     name: str
     model: Model
-    width_px: int
-    height_px: int
-    principal_point_px: tuple[float, float]
-    focal_length_px: float | None = None
-    focal_length_mm: float | None = None
-    pixel_pitch_um: float | None = None
+    width_px: Side
+    height_px: Side
+    principal_point_px: tuple[Pixels, Pixels]
+    focal_length_px: Length | None = None
+    focal_length_mm: Length | None = None
+    pixel_pitch_um: Length | None = None
     distortion: Distortion = "none"
-    coefficients: tuple[float, ...] = ()
-    image_circle_radius_px: float | None = None
+    coefficients: tuple[Pixels, ...] = ()
+    image_circle_radius_px: Length | None = None
     psf_sigma_px: float | None = None
     psf_error_px: float | None = None
 
@@ -90,18 +93,13 @@ def camera_toml(camera: Camera) -> str:
 
 
 def _check_picture(settings: CameraFileSettings, where: str) -> None:
-    for key in ("width_px", "height_px"):
-        value = getattr(settings, key)
-        if not 1 <= value <= MAX_SIDE_PX:
-            raise ConfigError(f"{where}: {key} is {value}; wanted 1 to {MAX_SIDE_PX}")
+    if settings.width_px * settings.height_px > MAX_PIXELS:
+        raise ConfigError(
+            f"{where}: width_px x height_px are {settings.width_px} x {settings.height_px}; wanted "
+            f"pictures of at most {MAX_PIXELS:,} pixels"
+        )
     if not settings.name or set(settings.name) & set('"\\\n,/'):
         raise ConfigError(f"{where}: name is '{settings.name}'; wanted a plain word")
-    circle = settings.image_circle_radius_px
-    if circle is not None and circle <= 0.0:
-        raise ConfigError(f"{where}: image_circle_radius_px is {circle}; wanted a positive number")
-    values = (*settings.principal_point_px, *settings.coefficients)
-    if not all(math.isfinite(value) for value in values):
-        raise ConfigError(f"{where}: a number is not finite; correct it")
 
 
 def _check_lens(settings: CameraFileSettings, where: str) -> None:
@@ -139,10 +137,6 @@ def _check_blur(settings: CameraFileSettings, where: str) -> None:
 
 
 def _focal_length_px(settings: CameraFileSettings, where: str) -> float:
-    for key in ("focal_length_px", "focal_length_mm", "pixel_pitch_um"):
-        value = getattr(settings, key)
-        if value is not None and value <= 0.0:
-            raise ConfigError(f"{where}: {key} is {value}; wanted a positive number")
     pixels, length_mm = settings.focal_length_px, settings.focal_length_mm
     pitch_um = settings.pixel_pitch_um
     if (length_mm is None) != (pitch_um is None):

@@ -10,7 +10,6 @@ from catalog.config import load_toml
 from catalog.terrain.dem.file import path_of
 from optnav_cli.frames.run_settings import SpiceSettings
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
 Elevation = Annotated[float, msgspec.Meta(ge=0.0, le=90.0)]
 
@@ -28,9 +27,9 @@ class MatchSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     template_nodes: Annotated[int, msgspec.Meta(ge=16, le=256)] = 80
     # finest level used: its posting over the pixel on the ground
-    finest_posting_per_gsd: Positive = 0.6
+    finest_posting_per_gsd: Annotated[float, msgspec.Meta(ge=0.01, le=100.0)] = 0.6
     max_search_nodes: Annotated[int, msgspec.Meta(ge=4, le=128)] = 24
-    search_sigmas: Positive = 3.5
+    search_sigmas: Annotated[float, msgspec.Meta(ge=0.1, le=100.0)] = 3.5
     min_score: Share = 0.3
     rival_ratio: Share = 0.9
 
@@ -41,10 +40,10 @@ class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     max_passes: Annotated[int, msgspec.Meta(ge=1, le=20)] = 6
     gate_probability: Share = 0.9999
     # how far a free attitude's first guess may be off, 1 sigma an axis
-    free_attitude_deg: Positive = 1.0
-    max_first_pass_points: Annotated[int, msgspec.Meta(ge=4)] = 24
+    free_attitude_deg: Annotated[float, msgspec.Meta(ge=1e-6, le=180.0)] = 1.0
+    max_first_pass_points: Annotated[int, msgspec.Meta(ge=4, le=10_000)] = 24
     # in the later rounds: a wide picture shows more than its accuracy gains from
-    max_points: Annotated[int, msgspec.Meta(ge=4)] = 200
+    max_points: Annotated[int, msgspec.Meta(ge=4, le=10_000)] = 200
 
 
 class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

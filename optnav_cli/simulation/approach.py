@@ -19,12 +19,13 @@ from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.config import Turn
 from catalog.errors import ConfigError
 from catalog.terrain.mesh.shape import Shape, load_shape
 from optnav_cli.simulation.exposure import Epoch
 from optnav_cli.simulation.inertial_path import States, epochs_of, even_ratios, path_frame
 from optnav_cli.simulation.scenario_base import ShapeScenario
-from optnav_cli.simulation.sections import Inclination, Positive
+from optnav_cli.simulation.sections import Distance, Inclination
 
 RELATIVE = 1e-12
 TOLERANCE = np.array([1e-3] * 3 + [1e-7] * 3)  # m and m/s: planets are 1e7 m away
@@ -43,14 +44,14 @@ class ApproachSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     inclination_deg, node_deg, lowest_at_deg  as in [flight], at the arrival
     """
 
-    from_km: Positive = 300.0
-    to_km: Positive = 20.0
-    speed_m_s: Positive = 30.0
+    from_km: Distance = 300.0
+    to_km: Distance = 20.0
+    speed_m_s: Annotated[float, Meta(ge=1e-3, le=1e5)] = 30.0
     inclination_deg: Inclination = 90.0
-    node_deg: float = 0.0
-    lowest_at_deg: float = 0.0
+    node_deg: Turn = 0.0
+    lowest_at_deg: Turn = 0.0
     arrival_utc: str = "2026-01-01T00:00:00Z"
-    frames: Annotated[int, Meta(ge=2)] = 60
+    frames: Annotated[int, Meta(ge=2, le=100_000)] = 60
 
 
 class Approach(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -14,12 +14,13 @@ from msgspec import Meta
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.integrator import OrbitMotion
 from optnav_cli.simulation.exposure import ROUGHNESS, Epoch
 from optnav_cli.simulation.scenario_base import ScenarioBase
-from optnav_cli.simulation.sections import Inclination, Positive
+from optnav_cli.simulation.sections import Distance, Inclination
 
 States = tuple[FloatArray, FloatArray]
 
@@ -38,15 +39,15 @@ class FlightSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     rough_gravity          also what the force model leaves out, of its known size, by the seed
     """
 
-    lowest_km: Positive
-    highest_km: Positive
+    lowest_km: Distance
+    highest_km: Distance
     inclination_deg: Inclination = 90.0
-    node_deg: float = 0.0
-    lowest_at_deg: float = 0.0
-    start_at_deg: float = 0.0
+    node_deg: Turn = 0.0
+    lowest_at_deg: Turn = 0.0
+    start_at_deg: Turn = 0.0
     start_utc: str = "2026-01-01T00:00:00Z"
-    frames: Annotated[int, Meta(ge=1)] = 1
-    spacing_s: Positive = 60.0
+    frames: Count = 1
+    spacing_s: Seconds = 60.0
     rough_gravity: bool = True
 
 
@@ -59,14 +60,14 @@ class TransferSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     inclination_deg, node_deg, lowest_at_deg  as in [flight], at the arrival
     """
 
-    from_km: Positive = 100_000.0
-    to_km: Positive = 100.0
-    excess_speed_km_s: Positive = 0.9
+    from_km: Distance = 100_000.0
+    to_km: Distance = 100.0
+    excess_speed_km_s: Annotated[float, Meta(ge=1e-3, le=100.0)] = 0.9
     inclination_deg: Inclination = 60.0
-    node_deg: float = 0.0
-    lowest_at_deg: float = 0.0
+    node_deg: Turn = 0.0
+    lowest_at_deg: Turn = 0.0
     arrival_utc: str = "2026-01-01T00:00:00Z"
-    frames: Annotated[int, Meta(ge=2)] = 60
+    frames: Annotated[int, Meta(ge=2, le=100_000)] = 60
 
 
 class InertialPath(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):

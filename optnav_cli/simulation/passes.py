@@ -8,11 +8,12 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.simulation.exposure import PLACE, Epoch
 from optnav_cli.simulation.scenario_base import ScenarioBase
-from optnav_cli.simulation.sections import Count, Elevation, Latitude, NotNegative, Positive
+from optnav_cli.simulation.sections import Distance, Elevation, Latitude, SunLatitude
 
 GOLDEN = 0.6180339887498949  # steps by it spread any run of passes over a whole range
 
@@ -24,14 +25,14 @@ class OrbitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     heading_deg  lowest and highest direction of flight there, east of north
     """
 
-    altitude_km: Positive
-    box_deg: tuple[float, Latitude, float, Latitude]
+    altitude_km: Distance
+    box_deg: tuple[Turn, Latitude, Turn, Latitude]
     passes: Count = 1
     frames: Count = 1
-    spacing_s: Positive = 10.0
-    heading_deg: tuple[float, float] = (-180.0, 180.0)
+    spacing_s: Seconds = 10.0
+    heading_deg: tuple[Turn, Turn] = (-180.0, 180.0)
     start_utc: str = "2026-01-01T00:00:00Z"
-    pass_interval_s: Positive = 7200.0
+    pass_interval_s: Seconds = 7200.0
 
 
 class SunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,7 +43,7 @@ class SunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     elevation_deg: tuple[Elevation, Elevation] = (10.0, 45.0)
-    subsolar_latitude_deg: NotNegative = 1.5
+    subsolar_latitude_deg: SunLatitude = 1.5
 
 
 class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -8,11 +8,12 @@ import numpy as np
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.config import Count, Seconds
 from catalog.errors import ConfigError
 from optnav_cli.simulation.exposure import PLACE, Epoch
 from optnav_cli.simulation.passes import GOLDEN
 from optnav_cli.simulation.scenario_base import ShapeScenario
-from optnav_cli.simulation.sections import Count, NotNegative, Phase, Positive
+from optnav_cli.simulation.sections import Distance, Phase, SunLatitude
 
 NORTH = np.array([0.0, 0.0, 1.0])
 MAX_TRIES = 1000  # places and Suns drawn for one picture
@@ -26,12 +27,12 @@ class PortraitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     subsolar_latitude_deg  how far from the equator the Sun stands overhead at most
     """
 
-    distance_km: tuple[Positive, Positive]
+    distance_km: tuple[Distance, Distance]
     frames: Count = 1
     phase_deg: tuple[Phase, Phase] = (20.0, 70.0)
-    subsolar_latitude_deg: NotNegative = 26.0
+    subsolar_latitude_deg: SunLatitude = 26.0
     start_utc: str = "2026-01-01T00:00:00Z"
-    interval_s: Positive = 86400.0
+    interval_s: Seconds = 86400.0
 
 
 class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=True):

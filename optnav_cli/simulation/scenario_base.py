@@ -44,7 +44,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     beside: tuple[sections.MountedCamera, ...] = ()
     dem: tuple[DemSettings, ...] = (DemSettings("tycho_gld100_256ppd.tif"),)
     body: str = "moon"
-    seed: int = 1
+    seed: sections.Seed = 1
     globe: sections.GlobeSettings = sections.GlobeSettings()
     detail: sections.DetailSettings = sections.DetailSettings()
     pointing: sections.PointingSettings = sections.PointingSettings()

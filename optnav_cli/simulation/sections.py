@@ -5,16 +5,21 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from catalog.config import NotNegative, Slope, Turn
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
-Positive = Annotated[float, Meta(gt=0.0)]
-NotNegative = Annotated[float, Meta(ge=0.0)]
-Count = Annotated[int, Meta(ge=1)]
 Inclination = Annotated[float, Meta(ge=0.0, le=180.0)]
 Latitude = Annotated[float, Meta(ge=-90.0, le=90.0)]
+SunLatitude = Annotated[float, Meta(ge=0.0, le=90.0)]
+Distance = Annotated[float, Meta(ge=1e-3, le=1e9)]  # km: to Jupiter
 Elevation = Annotated[float, Meta(ge=-90.0, le=90.0)]
+Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Phase = Annotated[float, Meta(ge=0.0, le=180.0)]
-Pixel = tuple[float, float]
+Along = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Pixel = tuple[Along, Along]
+Brightness = Annotated[float, Meta(ge=0.0, le=1e3)]  # share of the bright ground
+Smallest = Annotated[float, Meta(ge=0.01, le=1e6)]  # m
+Saturation = Annotated[float, Meta(ge=0.0, le=1.0)]
 AttitudeFrame = Literal["body", "inertial"]
 
 
@@ -25,9 +30,9 @@ class MountedCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     name: str
-    forward_deg: float = 0.0
-    right_deg: float = 0.0
-    roll_deg: float = 0.0
+    forward_deg: Turn = 0.0
+    right_deg: Turn = 0.0
+    roll_deg: Turn = 0.0
 
 
 class SkySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,8 +54,8 @@ class GlareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     falloff_deg  farther from the Sun by this angle the veil is fainter by e
     """
 
-    strength: NotNegative = 0.0
-    falloff_deg: Annotated[float, Meta(gt=0.0)] = 30.0
+    strength: Brightness = 0.0
+    falloff_deg: Annotated[float, Meta(ge=1e-3, le=3600.0)] = 30.0
 
 
 class StructureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -63,17 +68,17 @@ class StructureSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """
 
     outline_px: Annotated[tuple[Pixel, ...], Meta(min_length=2)]
-    width_px: NotNegative = 0.0
-    brightness: NotNegative = 0.0
+    width_px: Annotated[float, Meta(ge=0.0, le=1e4)] = 0.0
+    brightness: Brightness = 0.0
     camera: str = ""
 
 
 class GlobeDetailSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Relief below the globe's posting around terrain models; see DetailSettings for the rest."""
 
-    smallest_m: Positive
-    rms_slope_deg: NotNegative
-    saturation: NotNegative = 0.05
+    smallest_m: Smallest
+    rms_slope_deg: Slope
+    saturation: Saturation = 0.05
 
 
 class GlobeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -95,10 +100,10 @@ class DetailSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seeds  one ground each; passes take them in turn, in equal parts. Empty adds nothing
     """
 
-    seeds: tuple[int, ...] = (1,)
-    smallest_m: Positive = 30.0
-    rms_slope_deg: NotNegative = 3.0
-    saturation: NotNegative = 0.05
+    seeds: tuple[Seed, ...] = (1,)
+    smallest_m: Smallest = 30.0
+    rms_slope_deg: Slope = 3.0
+    saturation: Saturation = 0.05
 
 
 class MainCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -113,11 +118,11 @@ class PointingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     forward_deg, right_deg  where the boresight meets the ground from the point below, as angles
     """
 
-    forward_deg: float = 0.0
-    right_deg: float = 0.0
-    roll_deg: float = 0.0
-    tilt_sigma_deg: NotNegative = 0.0
-    roll_sigma_deg: NotNegative = 0.0
+    forward_deg: Turn = 0.0
+    right_deg: Turn = 0.0
+    roll_deg: Turn = 0.0
+    tilt_sigma_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 0.0
+    roll_sigma_deg: Annotated[float, Meta(ge=0.0, le=180.0)] = 0.0
 
 
 class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -127,11 +132,11 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     psf_sigma_px: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.7
-    snr: Positive = 50.0
-    read_noise_e: NotNegative = 10.0
+    snr: Annotated[float, Meta(ge=1e-3, le=1e6)] = 50.0
+    read_noise_e: Annotated[float, Meta(ge=0.0, le=1e6)] = 10.0
     bits: Annotated[int, Meta(ge=6, le=16)] = 8
-    exposure: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.85
-    hot_pixels: Annotated[int, Meta(ge=0)] = 0
+    exposure: Annotated[float, Meta(ge=1e-3, le=1.0)] = 0.85
+    hot_pixels: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
 
 
 class PriorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -151,7 +156,7 @@ class AttitudeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     relative_to  what frames.csv gives it against, the body's axes or the stars'
     """
 
-    sigma_arcsec: NotNegative = 0.0
+    sigma_arcsec: Annotated[float, Meta(ge=0.0, le=648_000.0)] = 0.0
     free: bool = False
     relative_to: AttitudeFrame = "body"
 

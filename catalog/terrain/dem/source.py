@@ -59,8 +59,8 @@ class DemSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     path: str
-    priority: int = 1
-    feather_km: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    priority: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
+    feather_km: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 0.0
     heights: Literal["height", "radius"] | None = None
     scale: float | None = None
     offset: float | None = None

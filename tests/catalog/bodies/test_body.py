@@ -67,8 +67,8 @@ def edited(tmp_path: Path, old: str, new: str) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("radius_km = 6371.0088", "radius_km = -1.0", "radius_km is -1"),
-        ("radius_km = 6371.0088", "radius_km = 1e17", "radius_km is 1e"),
+        ("radius_km = 6371.0088", "radius_km = -1.0", "radius_km = -1.0: must be"),
+        ("radius_km = 6371.0088", "radius_km = 1e17", "radius_km = 1e.17: must be"),
         ("radius_km = 6371.0088", "radius_km = 5e5", "radii_km is"),
         ('name = "earth"', 'name = "/"', "plain name"),
         ("[-27.0, 16.0]", "[-27.0, 1e300]", "plausible_heights_km"),

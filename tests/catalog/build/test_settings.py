@@ -43,7 +43,7 @@ def test_a_dem_section_takes_all_its_keys(tmp_path):
         (BODY + '[[mesh]]\npath = ""\nunits = "m"\n', ["[[mesh]] number 1 path"]),
         ('[body]\nname = "moon"\ndem = []\n', ["[body]", "dem"]),
         (LEAST + "pirority = 2\n", ["pirority", "priority"]),
-        (LEAST + "priority = 0\n", ["priority is 0"]),
+        (LEAST + "priority = 0\n", ["priority = 0"]),
         (LEAST + "scale = 0.0\n", ["scale is 0"]),
         (LEAST + "[check]\nsnr_min = 360.0\n", ["[check] snr_min is 360", "snr_max, 50"]),
         (LEAST + "[render]\nsun_max_deg = 1.0\n", ["[render] sun_min_deg is 8"]),
@@ -55,7 +55,7 @@ def test_a_dem_section_takes_all_its_keys(tmp_path):
         (LEAST + '[grid]\ncell_deg = "one"\n', ["[grid]", "cell_deg"]),
         (LEAST + "[pyramid]\nlevels = 0\n", ["[pyramid] levels is 0"]),
         (LEAST + "[pyramid]\nsize = 81\n", ["[pyramid] size is 81", "even"]),
-        (LEAST + "[pyramid]\nposting_m = -5\n", ["[pyramid] posting_m is -5"]),
+        (LEAST + "[pyramid]\nposting_m = -5\n", ["[pyramid] posting_m = -5"]),
         (LEAST + "[rendering]\n", ["rendering", "render"]),
     ],
 )
