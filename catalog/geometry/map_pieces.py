@@ -30,9 +30,7 @@ def line_pieces(directions: FloatArray) -> list[FloatArray]:
     for number, (start, end) in enumerate(pairwise(lon_lat)):
         turn, next_turn = turns[number : number + 2]
         if turn != next_turn:
-            edge = 360.0 * max(turn, next_turn) - 180.0
-            share = (edge - start[0]) / (end[0] - start[0])
-            crossing = np.array([edge, start[1] + share * (end[1] - start[1])])
+            _, crossing = _crossing(start, end, turn, next_turn)
             pieces.append(np.array([*current, crossing]) - [360.0 * turn, 0.0])
             current = [crossing]
         current.append(end)
@@ -47,12 +45,10 @@ def area_pieces(ring: FloatArray) -> list[FloatArray]:
           the sphere; the last is joined to the first. The area is less than half of the sphere.
     """
     lon_lat = _on_map(_refined(ring, closed=True))
-    first, last = lon_lat[0], lon_lat[-1]
     corners = lon_lat[:-1]
-    round_the_pole = last[0] - first[0]
+    round_the_pole = lon_lat[-1, 0] - lon_lat[0, 0]
     if abs(round_the_pole) > 180.0:  # eastward with the area at the left: about the north pole
-        pole = math.copysign(90.0, round_the_pole)
-        corners = np.vstack([lon_lat, [last[0], pole], [first[0], pole]])
+        corners = _to_the_pole(lon_lat, math.copysign(360.0, round_the_pole))
     turns = _turn(corners[:, 0])
     pieces = []
     for turn in range(int(turns.min()), int(turns.max()) + 1):
@@ -61,6 +57,29 @@ def area_pieces(ring: FloatArray) -> list[FloatArray]:
             high = low + 360.0 - part[:, 0]
             pieces += [piece - [360.0 * turn, 0.0] for piece in clip_ring(part, high, _latitude)]
     return [np.vstack([piece, piece[:1]]) for piece in pieces if _area(piece) > MIN_AREA_DEG2]
+
+
+def _to_the_pole(lon_lat: FloatArray, way_round: float) -> FloatArray:
+    """A ring (n, 2) about a pole, its last point a turn from its first, with the way to the pole.
+
+    It begins and ends at the map's edge, so that no seam is left inside of the map.
+    """
+    turns = _turn(lon_lat[:, 0])
+    here = int(np.flatnonzero(np.diff(turns))[0])
+    edge, crossing = _crossing(lon_lat[here], lon_lat[here + 1], turns[here], turns[here + 1])
+    turned = lon_lat[1 : here + 1] + [way_round, 0.0]
+    end, pole = edge + way_round, math.copysign(90.0, way_round)
+    ring = [crossing], lon_lat[here + 1 :], turned, [[end, crossing[1]], [end, pole], [edge, pole]]
+    return np.vstack(ring)
+
+
+def _crossing(
+    start: FloatArray, end: FloatArray, turn: float, next_turn: float
+) -> tuple[float, FloatArray]:
+    """Where a step crosses the map's edge: the longitude, and the point."""
+    edge = 360.0 * max(turn, next_turn) - 180.0
+    share = (edge - start[0]) / (end[0] - start[0])
+    return edge, np.array([edge, start[1] + share * (end[1] - start[1])])
 
 
 def clip_ring(

@@ -11,11 +11,22 @@ import pytest
 from catalog.config import resource
 from catalog.errors import OutputError
 from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.map_pieces import area_pieces
+from catalog.store.geopackage import (
+    UNDATED,
+    FeatureLayer,
+    describe_geopackage,
+    new_geopackage,
+    parts_geometry,
+)
+from catalog.store.style import style_qml
 from optnav_cli.main import run as optnav
 from optnav_cli.output.run_folder import read_run
+from optnav_cli.report.footprint import footprint_of
 from optnav_cli.report.run_layers import export_run
 from tests.catalog.geometry.test_map_pieces import inside
 from tests.optnav_cli.output.approach import write_approach
+from tests.optnav_cli.report.test_footprint import BAR, FISHEYE, MOON, NARROW, WIDE, looking
 
 pyogrio = pytest.importorskip("pyogrio", reason="needs pyogrio to read vector layers")
 
@@ -149,6 +160,44 @@ def test_frames_from_afar_and_of_two_cameras_have_whole_discs(tmp_path):
     far = max(range(len(geometry)), key=lambda row: columns["height_m"][row])
     extent = np.ptp(np.vstack(rings(geometry[far])), axis=0)
     assert extent[1] > 150.0
+
+
+def assert_valid(path, layer, count):
+    """Every area is what OGC calls a valid one, as GEOS judges it through GDAL's SQLite."""
+    sql = f"SELECT ST_IsValid(geom) AS valid, ST_IsValidReason(geom) AS why FROM {layer}"
+    try:
+        _, _, _, (valid, why) = pyogrio.raw.read(path, sql=sql, sql_dialect="SQLITE")
+    except pyogrio.errors.DataLayerError:
+        pytest.skip("this GDAL has no Spatialite functions")
+    assert len(valid) == count
+    assert set(zip(valid.tolist(), why.tolist())) == {(1, "Valid Geometry")}
+
+
+def test_footprints_of_an_approach_are_valid_about_the_pole_and_across_180_degrees(tmp_path):
+    write_approach(tmp_path / "run", count=60)
+    counts = export_run(read_run(tmp_path / "run"), tmp_path / "run.gpkg")
+    assert_valid(tmp_path / "run.gpkg", "footprints", counts["footprints"])
+
+
+def test_areas_of_any_view_are_valid(tmp_path):
+    rng = np.random.default_rng(5)
+    features = []
+    while len(features) < 250:
+        camera = (NARROW, WIDE, BAR, FISHEYE)[rng.integers(4)]
+        lat = rng.choice([-1.0, 1.0]) * (90.0 - 10.0 ** rng.uniform(-1.0, 1.95))
+        distance = MOON[0] * (1.0 + 10.0 ** rng.uniform(-2.0, 1.5))
+        turns = rng.normal(0.0, 30.0), rng.normal(0.0, 30.0), rng.uniform(0.0, 360.0)
+        position, turn = looking(lat, rng.uniform(-180.0, 180.0), distance, *turns)
+        pieces = [p for r in footprint_of(camera, position, turn, MOON) for p in area_pieces(r)]
+        geometry = parts_geometry("MULTIPOLYGON", pieces, 30100)
+        if geometry is not None:
+            features.append(((len(features) + 1, geometry), None))
+    layer = FeatureLayer("areas", "MULTIPOLYGON", "", (), style_qml())
+    with new_geopackage(tmp_path / "areas.gpkg") as db:
+        describe_geopackage(db, "moon", MOON[0], UNDATED)
+        layer.create(db)
+        layer.register(db, 30100, layer.fill(db, features), UNDATED)
+    assert_valid(tmp_path / "areas.gpkg", "areas", 250)
 
 
 def test_a_body_of_one_s_own_has_its_own_sphere(tmp_path, make_run):
