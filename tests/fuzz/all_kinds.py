@@ -11,10 +11,11 @@ from tests.fuzz.kinds import (
     places,
     rasters,
     runs,
+    surroundings,
     tables,
 )
 
 MODULES = (
     catalogs, command_lines, configs, faults, kernels, meshes, pictures, places, rasters, runs,
-    tables,
+    surroundings, tables,
 )  # fmt: skip

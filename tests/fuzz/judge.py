@@ -31,7 +31,7 @@ Snapshot = dict[str, tuple[int, ...]]
 
 
 @dataclass
-class Outcome:
+class Verdict:
     """What came of a case; `failures` is empty where all was right."""
 
     kind: str
@@ -49,7 +49,7 @@ class Outcome:
         return json.dumps(asdict(self)).encode() + b"\n"
 
     @classmethod
-    def of_line(cls, line: bytes) -> "Outcome":
+    def of_line(cls, line: bytes) -> "Verdict":
         """Read back what `line` gave."""
         return cls(**json.loads(line))
 
@@ -70,12 +70,12 @@ class Judge:
         os.environ["TMPDIR"] = str(self.temporary)
         os.environ["HOME"] = str(self.home)
 
-    def judge(self, kind: str, seed: int, announce: Callable[[Outcome], object]) -> Outcome:
+    def judge(self, kind: str, seed: int, announce: Callable[[Verdict], object]) -> Verdict:
         """Make a case, run it and look at what it left.
 
         announce  is told of the case before it runs, which it may not survive
         """
-        outcome = Outcome(kind, seed)
+        outcome = Verdict(kind, seed)
         folder = self.area / f"{kind}-{seed}"
         folder.mkdir()
         os.chdir(folder)
@@ -90,7 +90,7 @@ class Judge:
             _remove(folder)
         return outcome
 
-    def _run(self, case: Case, folder: Path, outcome: Outcome) -> None:
+    def _run(self, case: Case, folder: Path, outcome: Verdict) -> None:
         before, largest, calls = snapshot(folder), largest_bytes(), self.trap.count
         os.truncate(self.streams, 0)
         self.guard.start(folder)
@@ -196,7 +196,7 @@ def _tail(streams: Path, most: int = 20_000) -> str:
         return file.read().decode("utf-8", "backslashreplace")
 
 
-def _in_words(outcome: Outcome) -> list[str]:
+def _in_words(outcome: Verdict) -> list[str]:
     """A failure is told in lines of optnav's, without a traceback, and not at any length."""
     found = []
     if "Traceback (most recent call last)" in outcome.said:

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.fuzz.judge import Outcome
+from tests.fuzz.judge import Verdict
 from tests.fuzz.worker import READY
 
 HANG_S = 60.0
@@ -36,7 +36,7 @@ class Runner:
         self._rest = b""
         self._done = self._started = 0
 
-    def run(self, cases: Iterable[tuple[str, int]]) -> Iterator[Outcome]:
+    def run(self, cases: Iterable[tuple[str, int]]) -> Iterator[Verdict]:
         """The outcome of each case, in order."""
         try:
             for kind, seed in cases:
@@ -46,7 +46,7 @@ class Runner:
         finally:
             self._stop()
 
-    def _one(self, kind: str, seed: int) -> Outcome:
+    def _one(self, kind: str, seed: int) -> Verdict:
         process = self._process or self._start()
         self._done += 1
         began = time.monotonic()
@@ -55,11 +55,11 @@ class Runner:
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(f"{kind} {seed}\n".encode())
             process.stdin.flush()
-        outcome, line = Outcome(kind, seed), self._answer(self.hang_s)
+        outcome, line = Verdict(kind, seed), self._answer(self.hang_s)
         if line is not None and line.endswith(b"\n"):
-            outcome, line = Outcome.of_line(line), self._answer(self.hang_s)
+            outcome, line = Verdict.of_line(line), self._answer(self.hang_s)
         if line is not None and line.endswith(b"\n"):
-            return Outcome.of_line(line)
+            return Verdict.of_line(line)
         if line is None:
             process.send_signal(signal.SIGABRT)  # faulthandler then prints where it hangs
             failure = f"hang: no end after {self.hang_s:.0f} s"
@@ -136,9 +136,9 @@ class Tally:
     codes: dict[str, Counter[int]] = field(default_factory=dict)
     slowest: dict[str, tuple[float, int]] = field(default_factory=dict)
     seconds: Counter[str] = field(default_factory=Counter)
-    failures: list[Outcome] = field(default_factory=list)
+    failures: list[Verdict] = field(default_factory=list)
 
-    def add(self, outcome: Outcome) -> None:
+    def add(self, outcome: Verdict) -> None:
         """Count an outcome."""
         name = outcome.kind
         self.codes.setdefault(name, Counter())[outcome.code] += 1
@@ -164,7 +164,7 @@ class Tally:
         return lines
 
 
-def failure_lines(outcome: Outcome) -> list[str]:
+def failure_lines(outcome: Verdict) -> list[str]:
     """A failure for who mends it: what ran, what came, what was wanted, how to run it again."""
     said = [line for line in outcome.said.splitlines() if line.strip()]
     return [

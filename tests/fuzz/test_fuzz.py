@@ -7,7 +7,7 @@ import pytest
 
 from tests.fuzz import all_kinds  # noqa: F401 -- registers them
 from tests.fuzz.cases import chosen
-from tests.fuzz.runner import Outcome, Runner, Tally, failure_lines
+from tests.fuzz.runner import Verdict, Runner, Tally, failure_lines
 
 CASES, SEED = 500, 1
 FAULTS = {
@@ -59,5 +59,5 @@ def test_a_case_is_the_same_when_it_is_made_again() -> None:
 
 
 def test_an_outcome_goes_through_a_line_and_back() -> None:
-    outcome = Outcome("place", 5, ["a\udcff"], "note", [0, 3], 3, 0.5, ["bad"], "said")
-    assert Outcome.of_line(outcome.line()) == outcome
+    outcome = Verdict("place", 5, ["a\udcff"], "note", [0, 3], 3, 0.5, ["bad"], "said")
+    assert Verdict.of_line(outcome.line()) == outcome
