@@ -108,6 +108,10 @@ def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
             # a file without a place on the map gets an error of our own, with a remedy
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             return rasterio.DatasetReader(_followed(path), driver=list(drivers))
+    except UnicodeDecodeError as error:
+        raise DataError(
+            f"{path}: a text of its header is not UTF-8 ({error.reason}); get the file again"
+        ) from None
     except RasterioIOError as error:
         kinds = "GeoTIFF, PDS3, PDS4, ISIS cube"
         kinds += ", VRT" if "VRT" in drivers else ", PNG"

@@ -316,3 +316,12 @@ def test_declared_sizes_are_bounded_before_memory_is_taken(tmp_path: Path) -> No
         pass
     with pytest.raises(DataError, match=r"blocks of 60000 x 60000, 26\.8 GiB each"):
         open_raster(tmp_path / "strip.tif", TERRAIN)
+
+
+def test_a_name_in_a_header_that_is_no_utf_8_is_refused(tmp_path: Path) -> None:
+    path = dem(tmp_path / "dem.tif")
+    data = path.read_bytes()
+    assert b"unknown" in data  # the name of its coordinate system
+    path.write_bytes(data.replace(b"unknown", b"unkn\xfewn"))
+    with pytest.raises(DataError, match=r"dem\.tif: a text of its header is not UTF-8"):
+        open_raster(path, TERRAIN)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.fuzz import all_kinds  # noqa: F401 -- registers them
 from tests.fuzz.cases import chosen
-from tests.fuzz.runner import Verdict, Runner, Tally, failure_lines
+from tests.fuzz.runner import Runner, Tally, Verdict, failure_lines
 
 CASES, SEED = 500, 1
 FAULTS = {

@@ -34,7 +34,12 @@ def swaps(place: Place) -> Case:
     args[which] = other
     output = None if command.ending is None else f"new{command.ending}"
     leaves = tuple(f"new{command.ending}{ending}" for ending in command.leaves)
-    evaluation = ("run/evaluation.json", "run/evaluation.csv", "near.run/evaluation.json", "near.run/evaluation.csv")
+    evaluation = (
+        "run/evaluation.json",
+        "run/evaluation.csv",
+        "near.run/evaluation.json",
+        "near.run/evaluation.csv",
+    )
     writes = command.writes | {DIFFERS}
     return Case(("-q", *args), ANY, output, writes, leaves + evaluation, note=note)
 
@@ -45,9 +50,15 @@ def limits(place: Place) -> Case:
     rng = place.rng
     command, args, output = _whole(place, rng.choice(WRITERS))
     if rng.random() < 0.7:
-        most, which = rng.choice((0, 1, 100, 4096, 20_000, 100_000, 1_000_000)), resource.RLIMIT_FSIZE
+        most, which = (
+            rng.choice((4096, 20_000, 100_000, 1_000_000)),
+            resource.RLIMIT_FSIZE,
+        )
     else:
-        most, which = len(os.listdir("/proc/self/fd")) + rng.choice((0, 1, 2, 4, 8)), resource.RLIMIT_NOFILE
+        most, which = (
+            len(os.listdir("/proc/self/fd")) + rng.choice((0, 1, 2, 4, 8)),
+            resource.RLIMIT_NOFILE,
+        )
 
     def limited() -> int:
         before = resource.getrlimit(which)
@@ -58,15 +69,26 @@ def limits(place: Place) -> Case:
             resource.setrlimit(which, before)
 
     note = f"{'bytes' if which == resource.RLIMIT_FSIZE else 'files'} up to {most}"
-    leaves = tuple(f"{output}{ending}" for ending in command.leaves)
-    return Case(args, frozenset({OK, DATA, NOTHING}), output, command.writes, leaves, note=note, action=limited)
+    # what is done of a run that stopped is kept
+    leaves = tuple(f"{output}{ending}" for ending in {*command.leaves, ".work"})
+    return Case(
+        args,
+        frozenset({OK, DATA, NOTHING}),
+        output,
+        command.writes,
+        leaves,
+        note=note,
+        action=limited,
+    )
 
 
 @kind("around-folder", 0.7)
 def folders(place: Place) -> Case:
     """A command whose working folder is gone."""
-    command, args, output = _whole(place, place.rng.choice(sorted(COMMANDS)))
-    absolute = tuple(str(place.folder / arg) if (place.folder / arg).exists() else arg for arg in args)
+    _, args, _ = _whole(place, place.rng.choice(sorted(COMMANDS)))
+    absolute = tuple(
+        str(place.folder / arg) if (place.folder / arg).exists() else arg for arg in args
+    )
 
     def homeless() -> int:
         gone = place.folder / "gone"
@@ -79,7 +101,13 @@ def folders(place: Place) -> Case:
             os.chdir(place.folder)
 
     leaves = ("run/evaluation.json", "run/evaluation.csv")
-    return Case(absolute, frozenset({OK, DATA}), leaves=leaves, note="in a folder that is gone", action=homeless)
+    return Case(
+        absolute,
+        frozenset({OK, DATA}),
+        leaves=leaves,
+        note="in a folder that is gone",
+        action=homeless,
+    )
 
 
 @kind("around-environment", 1.0)
@@ -89,7 +117,22 @@ def environments(place: Place) -> Case:
     command, args, output = _whole(place, rng.choice(sorted(COMMANDS)))
     name = rng.choice(("OPTNAV_SHARED_DATA", "TMPDIR", "HOME", "COLUMNS", "LINES", "LANG", "LC_ALL", "GDAL_DATA", "PROJ_DATA", "GDAL_DRIVER_PATH",
                        "GDAL_SKIP", "PROJ_NETWORK", "GDAL_CONFIG_FILE", "SOURCE_DATE_EPOCH", "NO_COLOR", "PYTHONWARNINGS", "TZ", "CPL_DEBUG"))  # fmt: skip
-    value = rng.choice(("", "x", "-1", "0", "ON", "/nowhere", "/dev/null", str(place.folder), "\udcff", "é", "1" * 5000, place.url))
+    value = rng.choice(
+        (
+            "",
+            "x",
+            "-1",
+            "0",
+            "ON",
+            "/nowhere",
+            "/dev/null",
+            str(place.folder),
+            "\udcff",
+            "é",
+            "1" * 5000,
+            place.url,
+        )
+    )
 
     def changed() -> int:
         before = os.environ.get(name)
@@ -101,15 +144,39 @@ def environments(place: Place) -> Case:
             if before is not None:
                 os.environ[name] = before
 
-    leaves = ("run/evaluation.json", "run/evaluation.csv", *(f"{output}{ending}" for ending in command.leaves))
-    return Case(args, command.codes, output, command.writes, leaves, note=f"{name} = {value[:40]!r}", action=changed)
+    leaves = (
+        "run/evaluation.json",
+        "run/evaluation.csv",
+        *(f"{output}{ending}" for ending in command.leaves),
+    )
+    return Case(
+        args,
+        command.codes,
+        output,
+        command.writes,
+        leaves,
+        note=f"{name} = {value[:40]!r}",
+        action=changed,
+    )
 
 
 @kind("around-sidecar", 1.5)
 def sidecars(place: Place) -> Case:
     """A catalog, raster or table with a strange file beside it that libraries look for."""
     rng = place.rng
-    name = rng.choice(("info", "verify", "nearest", "show", "export-csv", "build", "navigate", "simulate", "report"))
+    name = rng.choice(
+        (
+            "info",
+            "verify",
+            "nearest",
+            "show",
+            "export-csv",
+            "build",
+            "navigate",
+            "simulate",
+            "report",
+        )
+    )
     command, args, output = _whole(place, name)
     beside = {
         "build": ("dem.tif.aux.xml", "dem.tif.ovr", "dem.tif.msk", "dem.tfw", "dem.prj", "dem.tif.gmac", "dem.IMD"),
@@ -117,7 +184,18 @@ def sidecars(place: Place) -> Case:
         "simulate": ("body.mtl", "body.obj.aux.xml", "material.mtl"),
         "report": ("run/evaluation.json", "run/scenario.json", "run/overlays/x.png"),
     }  # fmt: skip
-    path = rng.choice(beside.get(name, ("moon.gpkg-wal", "moon.gpkg-journal", "moon.gpkg-shm", "moon.gpkg-wal", ".moon.gpkg.optnav-lock")))
+    path = rng.choice(
+        beside.get(
+            name,
+            (
+                "moon.gpkg-wal",
+                "moon.gpkg-journal",
+                "moon.gpkg-shm",
+                "moon.gpkg-wal",
+                ".moon.gpkg.optnav-lock",
+            ),
+        )
+    )
     contents: dict[str, Callable[[Path], object]] = {
         "noise": lambda place_: place_.write_bytes(rng.randbytes(rng.choice((1, 40, 5000)))),
         "nothing": lambda place_: place_.write_bytes(b""),
