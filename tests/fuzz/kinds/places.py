@@ -109,7 +109,7 @@ WAYS: dict[str, tuple[Prepare, str, frozenset[int]]] = {
     "the empty name": (_nothing, "", REFUSED_ANYHOW),
     "the folder itself": (_nothing, ".", REFUSED_ANYHOW),
     "above the root": (_nothing, "/", REFUSED_ANYHOW),
-    "not UTF-8": (_nothing, os.fsdecode(b"n\xff\xe9") + "{}", DONE),
+    "not UTF-8": (_nothing, os.fsdecode(b"n\xff\xe9") + "{}", frozenset({OK, DATA})),
 }
 WRITERS = {name: command for name, command in COMMANDS.items() if command.ending is not None}
 
