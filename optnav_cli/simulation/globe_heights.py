@@ -18,7 +18,7 @@ from scipy.ndimage import spline_filter
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.cache import Cache
-from catalog.errors import ConfigError
+from catalog.errors import ConfigError, DataError
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.terrain.dem.source import DemSettings, DemSource
@@ -78,7 +78,7 @@ def read_globe(settings: DemSettings, body: Body) -> Float32Array:
     Pixel centres lie half a step inside the poles, the first column half a step east of longitude
     0; holes take the mean height.
     Raises ConfigError for a model that does not cover the body in equal steps, DataError for a file
-    that cannot be read.
+    that cannot be read or has heights that the body cannot have.
     """
     source = DemSource.open(settings, Path.cwd(), body)
     rows, cols = source.shape
@@ -88,6 +88,10 @@ def read_globe(settings: DemSettings, body: Body) -> Float32Array:
             "the body in equal steps of latitude and longitude; name one that does"
         )
     heights = source.read_window(0, 0, rows, cols)
+    known = heights[np.isfinite(heights)]
+    if not known.size:
+        raise DataError(f"{source.path}: holds no height; name another [globe] model")
+    source.check_range(float(known.min()), float(known.max()))
     col, _ = source.pixel_from_latlon(np.array([0.0]), np.array([0.0]))
     heights = np.roll(heights, -round(float(col[0]) + 0.5), axis=1)
     filled = np.where(np.isfinite(heights), heights, np.nanmean(heights))

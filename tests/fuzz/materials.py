@@ -94,14 +94,18 @@ TKFRAME_31007_UNITS = 'ARCSECONDS'
 """
 NAVIGATE = "[view]\nsun_max_deg = 80.0\n[match]\ntemplate_nodes = 32\nmax_search_nodes = 8\n"
 _SHARED = 'seed = 3\ncamera = {name = "cam.toml"}\nsensor = {snr = 80.0}\n'
-_GLOBE = _SHARED + 'dem = []\nglobe = {path = "globe.tif"}\ndetail = {seeds = []}\n'
+_GLOBE = (
+    _SHARED + 'dem = []\nglobe = {path = "globe.tif"}\n'
+    "detail = {seeds = [], smallest_m = 60000.0}\n"
+)
 _SHAPE = (
     _SHARED + 'body = "body.toml"\nmesh = {path = "body.obj", units = "km"}\n'
     "detail = {seeds = [], smallest_m = 4000.0}\n"
 )
 SCENARIOS = {
     "passes": _SHARED + 'dem = [{path = "dem.tif"}]\nglobe = {path = "globe.tif"}\n'
-    "detail = {seeds = []}\n[orbit]\naltitude_km = 100.0\nbox_deg = [10.8, 19.8, 11.2, 20.2]\n"
+    "detail = {seeds = [], smallest_m = 900.0}\n"
+    "[orbit]\naltitude_km = 100.0\nbox_deg = [10.8, 19.8, 11.2, 20.2]\n"
     "passes = 1\nframes = 1\n[sun]\nelevation_deg = [20.0, 25.0]\n",
     "far": _GLOBE + "prior = {given = false}\n[orbit]\naltitude_km = 40000.0\n"
     "box_deg = [-180.0, -90.0, 180.0, 90.0]\npasses = 1\nframes = 2\n"

@@ -258,6 +258,19 @@ class DemSource:
 
         Raises DataError.
         """
+        self.check_range(lowest, highest)
+        rows, cols = self.shape
+        extent = min(rows * self.place.row_angle, cols * self.place.column_angle)
+        wide = extent * self.body.radius_m > SUSPICIOUS_EXTENT_M
+        if self.settings.units is None and wide and highest - lowest < SUSPICIOUS_RELIEF_M:
+            raise DataError(
+                f"{self.path}: heights run from {lowest:.6g} to {highest:.6g} m: too flat for "
+                f"{extent * self.body.radius_m / 1e3:.0f} km of ground; are these km? "
+                'set units = "km" in its [[dem]] section (or "m" if they are metres)'
+            )
+
+    def check_range(self, lowest: float, highest: float) -> None:
+        """Refuse heights, m, beyond those of the body. Raises DataError with the likely cause."""
         lo, hi = self.body.plausible_heights_m
         found = f"{self.path}: heights run from {lowest:.6g} to {highest:.6g} m"
         limits = f"on {self.body.name} they lie between {lo:.6g} and {hi:.6g} m"
@@ -271,11 +284,3 @@ class DemSource:
             if lo <= lowest - radius and highest - radius <= hi:
                 remedy = 'these are radii: set heights = "radius" in its [[dem]] section'
             raise DataError(f"{found}; {limits}; {remedy}")
-        rows, cols = self.shape
-        extent = min(rows * self.place.row_angle, cols * self.place.column_angle)
-        wide = extent * self.body.radius_m > SUSPICIOUS_EXTENT_M
-        if self.settings.units is None and wide and highest - lowest < SUSPICIOUS_RELIEF_M:
-            raise DataError(
-                f"{found}: too flat for {extent * self.body.radius_m / 1e3:.0f} km of ground; "
-                'are these km? set units = "km" in its [[dem]] section (or "m" if they are metres)'
-            )

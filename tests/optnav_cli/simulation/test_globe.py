@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rasterio.transform import Affine
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
-from catalog.errors import ConfigError
+from catalog.errors import ConfigError, DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.photometry import hapke
+from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.exposure import Exposure
@@ -23,8 +25,9 @@ from optnav_cli.simulation.globe_ground import (
     fixed_centre,
     level_frame,
 )
-from optnav_cli.simulation.globe_heights import GlobeHeights
+from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
 from optnav_cli.simulation.scenario import load_scenario
+from tests.catalog.conftest import write_dem
 from tests.optnav_cli.simulation.simulated import simulate
 
 RADIUS_M = 1_737_400.0
@@ -277,3 +280,26 @@ def test_a_shared_model_is_asked_for_when_it_is_needed(
     with pytest.raises(ConfigError, match=r"moon_gld100_32ppd\.tif' is not there"):
         simulate(scenario, tmp_path / "b")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("value", [1e30, -1e30, np.nan])
+def test_a_model_with_heights_that_no_body_has_is_refused(tmp_path: Path, value: float) -> None:
+    heights = np.full((30, 60), value, np.float32)
+    if np.isfinite(value):
+        heights[1:] = 100.0
+    path = write_dem(tmp_path / "globe.tif", heights)
+    with pytest.raises(DataError, match=r"globe\.tif: (heights run from|holds no height)"):
+        read_globe(DemSettings(str(path)), load_body("moon"))
+
+
+def test_a_region_with_heights_that_no_body_has_is_refused(tmp_path: Path) -> None:
+    heights = np.zeros((64, 64), np.float32)
+    heights[32, 32] = 1e30
+    affine = Affine(1 / 32, 0.0, 10.0, 0.0, -1 / 32, 21.0)
+    write_dem(tmp_path / "dem.tif", heights, affine=affine)
+    (tmp_path / "flight.toml").write_text(
+        'camera = {name = "unk"}\ndem = [{path = "dem.tif"}]\ndetail = {seeds = []}\n[orbit]\n'
+        "altitude_km = 30.0\nbox_deg = [10.9, 19.9, 11.1, 20.1]\n"
+    )
+    with pytest.raises(DataError, match=r"dem\.tif: heights run from 0 to 1e\+30 m"):
+        simulate(tmp_path / "flight.toml", tmp_path / "pictures")
