@@ -105,12 +105,15 @@ class CsvRow:
 class CsvTable:
     """The columns of a CSV file, in their order.
 
-    by_hand  people make it, a row for each picture: there must be rows, and the empty cells that a
-             spreadsheet leaves at the end of a line do not count
+    by_hand  people make it, a row for each picture: there must be rows, the empty cells that a
+             spreadsheet leaves at the end of a line do not count, and columns whose cells may be
+             empty may be left out
+    together  names of columns that are all there or all left out
     """
 
     columns: tuple[CsvColumn, ...]
     by_hand: bool = False
+    together: tuple[tuple[str, ...], ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -180,14 +183,18 @@ class CsvTable:
         return CsvRow(where, named, {column.name: column for column in self.columns}, problem)
 
     def _check_header(self, path: Path, header: list[str]) -> None:
-        missing = [c.name for c in self.columns if c.name not in header and not c.newer]
-        if missing:
-            extra = [name for name in header if name not in self.names]
-            near = nearest_name(missing[0], extra)
+        extra = [name for name in header if name not in self.names]
+        for column in self.columns:
+            if column.name in header or column.newer:
+                continue
+            near = nearest_name(column.name, extra)
+            others = [name for group in self.together if column.name in group for name in group]
+            if self.by_hand and column.empty and not near and set(others).isdisjoint(header):
+                continue
             hint = f"is '{near}' meant?" if near else f"wanted {','.join(self.names)}"
             if len(header) == 1:
                 hint = f"columns are to be set apart by commas: {','.join(self.names)}"
-            raise DataError(f"{path}: has no column '{missing[0]}'; {hint}")
+            raise DataError(f"{path}: has no column '{column.name}'; {hint}")
         twice = sorted({name for name in header if name and header.count(name) > 1})
         if twice:
             raise DataError(f"{path}: has the column '{twice[0]}' twice; remove one")

@@ -90,10 +90,13 @@ def navigate_picture(
     position_sigma_m       its error, 1 sigma a component
 
     Returns the fix or, in its place, the reason why there is none.
-    Raises DataError for a file that cannot be used, UsageError for a prior without its error.
+    Raises DataError for a file that cannot be used, UsageError for a prior without its error and
+    for no catalog.
     """
     if (position_m is None) != (position_sigma_m is None):
         raise UsageError("position_m and position_sigma_m belong together: give both or none")
+    if not catalogs:
+        raise UsageError("name a catalog: it says which body the picture shows")
     picture, tdb_s = Path(picture), utc_to_tdb_s(utc)
     sigma_rad = None if attitude_sigma_arcsec is None else attitude_sigma_arcsec * ARCSEC
     with open_catalogs([Path(path) for path in catalogs]) as found:

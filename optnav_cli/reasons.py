@@ -55,6 +55,7 @@ class ReasonCode(StrEnum):
     NUMERICAL_FAILURE = "numerical_failure", "a computation failed, or memory did not suffice"
     # priors and control points
     NO_PRIOR = "no_prior", "neither file, outline nor earlier frames give a position to start from"
+    NO_CATALOG = "no_catalog", "no catalog was given, so control points were not searched"
     NO_POINTS_IN_VIEW = "no_points_in_view", "the catalog has no point in the frame"
     POINTS_UNLIT = "points_unlit", "the control points in the frame are not lit well"
     POINTS_HIDDEN = "points_hidden", "the control points in the frame are shaded or cut by it"

@@ -67,10 +67,9 @@ def simulate(
     "--catalog",
     "catalogs",
     type=PATH,
-    required=True,
     multiple=True,
     help="A control-point catalog to navigate with. Of several, the first has priority where it "
-    "has points.",
+    "has points. Without any the limb alone gives positions.",
 )
 @click.option(
     "--config", type=PATH, help="Settings; `optnav config template navigate` prints the defaults."
@@ -101,6 +100,9 @@ def navigate(
     FOLDER holds run.toml, cameras/, frames.csv and the pictures. The run folder gets solution.csv
     (a row a frame), matches.csv (a row a control point), run.mcap, overlays and manifest.json.
 
+    Without a catalog each frame is solved by the limb of the body: of its relief where --relief
+    gives one, else of its smooth ellipsoid, whose unknown relief the sigmas then hold.
+
     A frame without a prior position in frames.csv is solved by itself: by the limb of the body,
     then by control points; earlier frames and other cameras at the same time serve where it shows
     no limb.
@@ -114,6 +116,7 @@ def navigate(
     Example:
       optnav navigate pictures --catalog tycho.gpkg --catalog moon.gpkg -o run
       optnav navigate pictures --catalog moon.gpkg -o run --workers 4
+      optnav navigate pictures --relief bundled:moon_gld100_4ppd.tif -o run
     """
     from optnav_cli.navigation.settings import NavigateSettings, load_settings
     from optnav_cli.output.run_summary import run_lines

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from optnav_cli.camera.camera import Camera
 # the highest value of the integer types pictures are taken with
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
 PIECE = 1 << 20  # bytes that are read at once
+_RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -62,7 +63,8 @@ def load_picture(path: str | Path, camera: Camera) -> Picture:
     """Read a picture of a camera.
 
     Raises DataError, with the reason, for a file that is missing, broken, of another size than the
-    camera's pictures, in colour, or without content: all black, all white, all of one value.
+    camera's pictures, in colours other than gray, transparent, or without content: all black, all
+    white, all of one value.
     """
     path = Path(path)
     if check_input(path, "picture", "add it to the folder") == 0:
@@ -102,24 +104,44 @@ def _check_chunks(path: Path, file: BinaryIO) -> None:
 
 
 def _read(path: Path, camera: Camera) -> tuple[NDArray[np.generic], str]:
-    """The only band and the name of its type."""
+    """The values, all bands being the same, and the name of their type."""
     try:
         with open_raster(path, PICTURES) as dataset, reading_rasters(siblings=False):
-            if dataset.count > 1 or dataset.colorinterp[0] == ColorInterp.palette:
-                raise DataError(
-                    f"{path}: the picture is in colour or has {dataset.count} bands; "
-                    "wanted one grey band: convert it"
-                )
             # before its pixels are decoded: a small file can hold a huge picture
             if dataset.shape != camera.shape:
                 raise DataError(
                     f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
                     f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
                 )
-            return dataset.read(1), dataset.dtypes[0]
+            return _gray(path, dataset), dataset.dtypes[0]
     except (RasterioError, OSError) as error:
         reason = str(error.__cause__ or error).splitlines()[0].replace(f"{path}: ", "")
         raise DataError(f"{path}: the picture is broken or of no known kind: {reason}") from None
+
+
+def _gray(path: Path, dataset: Any) -> NDArray[np.generic]:
+    """The values (h, w) of a picture whose bands are all the same, and whose pixels are opaque."""
+    values: NDArray[np.generic] = dataset.read(1)
+    if dataset.colorinterp[0] == ColorInterp.palette:
+        colours = np.zeros((256, 4), np.uint8)
+        for index, colour in dataset.colormap(1).items():
+            colours[index] = colour
+        bands = [(colours[:, number][values], kind) for number, kind in enumerate(_RGBA)]
+        values = bands[0][0]
+    else:
+        numbered = zip(dataset.indexes[1:], dataset.colorinterp[1:], strict=True)
+        bands = [(dataset.read(number), kind) for number, kind in numbered]
+    for band, kind in bands:
+        if kind == ColorInterp.alpha:
+            if (band != np.iinfo(band.dtype).max).any():
+                raise DataError(f"{path}: the picture has transparent pixels; wanted a full one")
+        elif not np.array_equal(band, values):
+            row, column = (int(places[0]) for places in np.nonzero(band != values))
+            raise DataError(
+                f"{path}: the picture is in colour: at pixel ({column}, {row}) one band is "
+                f"{values[row, column]} and another {band[row, column]}; wanted gray: convert it"
+            )
+    return values
 
 
 def _check_content(path: Path, values: NDArray[np.generic], saturation: float | None) -> None:

@@ -65,6 +65,7 @@ FRAMES = CsvTable(
         *(_number(name, f"{TO_SUN}, {name[-1]}; empty: by the time", "", ".12f") for name in SUN),
     ),
     by_hand=True,
+    together=(QUATERNION, POSITION, SUN),
 )
 
 TRUTH = CsvTable(

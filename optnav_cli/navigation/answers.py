@@ -33,11 +33,12 @@ Answers = dict[str, bytes]
 class NavigationInputs:
     """What a run navigates by.
 
+    points    None where there is no catalog: then the outline alone gives positions
     relief    None where neither a catalog nor the user gives one
     inertial  whether the attitudes of the files are camera_from_inertial
     """
 
-    points: ControlPointField
+    points: ControlPointField | None
     motion: Ephemeris
     relief: GlobalRelief | None
     settings: NavigateSettings
@@ -127,6 +128,8 @@ class FrameMethods:
 
     def _by_points(self, observation: Observation, prior: PositionPrior) -> Fix | NoFix:
         inputs = self._inputs
+        if inputs.points is None:
+            raise ValueError("control points are asked for without a catalog")
         try:
             return control_points.navigate(
                 observation, prior, inputs.points, inputs.settings, inputs.matcher

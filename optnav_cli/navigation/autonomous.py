@@ -25,6 +25,7 @@ from optnav_cli.fix import Evidence, Fix, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
+from optnav_cli.navigation.control_points.acceptance import rejection_of_place
 from optnav_cli.navigation.history import History
 from optnav_cli.navigation.observation import FROM_FILE, Observation, observation_of
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
@@ -34,6 +35,7 @@ from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 MIN_MISSED_POINTS, MAX_MISSED_SUN_DEG = 8, 55.0
 # From farther off, where the body is less across, the limb gives the better position.
 SMALL_DISC_PX = 2000.0
+NO_CATALOG = Reason(ReasonCode.NO_CATALOG, "no catalog was given to search control points of")
 
 
 class Navigator:
@@ -71,7 +73,7 @@ class Navigator:
     def _from_file(self, methods: FrameMethods) -> Solution | Reason:
         """Control points from the position that frames.csv states."""
         prior = methods.observation.prior
-        if prior is None:
+        if prior is None or self._inputs.points is None:
             return NO_REASON
         row = methods.by_points(prior)
         if not row.solved:
@@ -93,6 +95,11 @@ class Navigator:
         if isinstance(fix, NoFix):
             return fix.reason
         row = Solution(observation.file, observation.utc, fix)
+        if self._inputs.points is None:
+            far = observation.prior and rejection_of_place(
+                fix.position_m, fix.covariance_m2, observation.prior
+            )
+            return self._refused(methods, row, far) if far else self._accept_outline(methods, row)
         prior = PositionPrior(fix.position_m, fix.covariance_m2, fix.method)
         beyond = self._out_of_reach(observation, prior)
         if beyond:
@@ -126,6 +133,9 @@ class Navigator:
         """Control points from where other frames place the camera, or no fix at all."""
         observation = methods.observation
         row = Solution(observation.file, observation.utc, NoFix(why_no_outline))
+        if self._inputs.points is None:
+            row = row.with_remark(NO_CATALOG)
+            return self._with_inverse_attitude(row, methods)
         time = observation.tdb_s
         prior = self._history.at_same_time(time) or self._history.predict(time)
         if prior is None:
@@ -142,7 +152,7 @@ class Navigator:
         return self._accept_points(observation, row, confirmed=False)
 
     def _out_of_reach(self, observation: Observation, prior: PositionPrior) -> Reason:
-        """Why control points have nothing to add to an outline; empty when some may."""
+        """Why control points have nothing to add to a prior; empty when some may."""
         radius = self._inputs.motion.body.radius_m
         across = 2.0 * radius / max(self._pixel_m(observation, prior), 1e-9)
         if across < SMALL_DISC_PX:
@@ -153,6 +163,8 @@ class Navigator:
     def _too_coarse(self, observation: Observation, prior: PositionPrior) -> Reason:
         """Why no control point can be matched from there; empty when some may."""
         inputs, sample = self._inputs, self._pixel_m(observation, prior)
+        if inputs.points is None:
+            return NO_CATALOG
         coarsest = max(float(layer.postings_m[-1]) for layer in inputs.points.layers)
         if inputs.settings.match.finest_posting_per_gsd * sample <= coarsest:
             return NO_REASON
@@ -234,6 +246,8 @@ class Navigator:
             return False
         if not self._history.is_consistent(methods.observation.tdb_s, fix):
             return False
+        if self._inputs.points is None:
+            return True
         prior = PositionPrior(fix.position_m, fix.covariance_m2, fix.method)
         row = methods.by_points(prior, inverse=True)
         # where no points are in view an outline under the right Sun is all that can be had

@@ -98,14 +98,14 @@ class RunInputs:
     """What a user gives to a run.
 
     pictures  the picture folder
-    catalogs  the first given has priority where it has points
+    catalogs  the first given has priority where it has points; without any the limb alone serves
     matcher   of MATCHERS
     relief    a terrain model of the whole body for the horizon; else the finest relief that a
               catalog carries
     """
 
     pictures: Path
-    catalogs: Sequence[Path]
+    catalogs: Sequence[Path] = ()
     settings: NavigateSettings = field(default_factory=NavigateSettings)
     matcher: str = "ncc"
     relief: Path | None = None
@@ -272,11 +272,11 @@ def _failure(frame: Frame, what: str, error: BaseException) -> str:
 
 
 def _patch_outlines(
-    row: Solution, camera: Camera, points: ControlPointField
+    row: Solution, camera: Camera, points: ControlPointField | None
 ) -> dict[tuple[str, int], list[FloatArray]]:
     """Outlines in the picture of the patches that were tried, by catalog and id."""
     fix, outlines = row.fix, {}
-    if fix is None or fix.camera_from_body is None:
+    if fix is None or fix.camera_from_body is None or points is None:
         return {}
     for match in row.evidence.matches:
         index = points.index_of(match.catalog, match.cp_id)

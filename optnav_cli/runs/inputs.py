@@ -22,21 +22,22 @@ def open_catalogs(paths: Sequence[Path]) -> Iterator[list[Catalog]]:
     Raises UsageError for two of one file name, which matches.csv could not tell apart, and
     DataError for a file that is no whole catalog.
     """
-    name, count = Counter(path.name for path in paths).most_common(1)[0]
-    if count > 1:
-        raise UsageError(
-            f"--catalog names {count} files called '{name}'; give each catalog a name of its own"
-        )
+    for name, count in Counter(path.name for path in paths).items():
+        if count > 1:
+            raise UsageError(
+                f"--catalog names {count} files called '{name}'; give each catalog another name"
+            )
     with ExitStack() as stack:
         yield [stack.enter_context(Catalog.open(path)) for path in paths]
 
 
-def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField:
-    """The usable control points of catalogs, the first given before the others.
+def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField | None:
+    """The usable control points of catalogs, the first given before the others; None without any.
 
     Raises DataError for a catalog of another body or without usable points.
     """
-    return ControlPointField([_layer(catalog, body) for catalog in catalogs])
+    layers = [_layer(catalog, body) for catalog in catalogs]
+    return ControlPointField(layers) if layers else None
 
 
 def whole_relief(

@@ -163,7 +163,8 @@ class _Run:
         solutions = [rows[number] for number in range(len(self._frames))]
         write_solutions(place / SOLUTION, solutions, folder.attitude)
         write_matches(place / MATCHES, self._matches())
-        for (_, point_id), reason in worker.inputs.points.damaged.items():
+        points = worker.inputs.points
+        for (_, point_id), reason in (points.damaged if points else {}).items():
             log.warning("control point %d is left out: %s", point_id, reason)
         return solutions
 
@@ -218,7 +219,7 @@ class _Run:
                     "same command again"
                 )
             for match in unpacked_row(records[0].row).evidence.matches:
-                if match.reason_code == ReasonCode.DAMAGED_PATCH:
+                if points and match.reason_code == ReasonCode.DAMAGED_PATCH:
                     points.reference(points.index_of(match.catalog, match.cp_id))  # notes why
                 yield match
 

@@ -1,6 +1,7 @@
 """A camera file or a clock that is wrong, on pictures of a rough Moon: a reason, never a place."""
 
 import csv
+import json
 import re
 import shutil
 from contextlib import suppress
@@ -11,12 +12,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
-from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
+from optnav_cli.frames.truth import read_truth
+from optnav_cli.report import write_report
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
@@ -50,6 +52,9 @@ elevation_deg = [30.0, 60.0]
 """
 
 
+RELIEF = Path("bundled:moon_gld100_4ppd.tif")
+
+
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("faults")
@@ -65,9 +70,8 @@ def navigated(pictures: Path, run: Path) -> list[dict[str, str]]:
     catalog = run.with_suffix(".gpkg")
     meta = CatalogMeta("moon", 1737400.0, world.cell_deg, 5, world.nodes, 120.0, 0.5)
     write_points(catalog, meta, world.control_points[:9])
-    relief = Path(str(resource("data/moon_gld100_4ppd.tif")))
     with suppress(NothingToDoError):  # the run is written, with the reasons
-        navigate_folder(RunInputs(pictures, [catalog], relief=relief), run, SilentProgress())
+        navigate_folder(RunInputs(pictures, [catalog], relief=RELIEF), run, SilentProgress())
     with (run / "solution.csv").open(encoding="utf-8", newline="") as lines:
         return list(csv.DictReader(lines))
 
@@ -77,6 +81,38 @@ def test_without_a_fault_all_are_solved_inside_five_sigmas(pictures: Path, tmp_p
     assert [row["method"] for row in rows] == ["horizon", "horizon"]
     errors = evaluate_run(tmp_path / "run", pictures / "truth.csv").frames
     assert all(frame.nees is not None and frame.nees < 25.0 for frame in errors)
+
+
+@pytest.mark.parametrize("relief", [RELIEF, None])
+def test_the_limb_alone_serves_without_a_catalog(
+    relief: Path | None, pictures: Path, tmp_path: Path
+) -> None:
+    """Of the body's relief or of its ellipsoid, with sigmas that hold what that does not know."""
+    run = tmp_path / "run"
+    (first, *_) = navigate_folder(RunInputs(pictures, relief=relief), run, SilentProgress())
+    assert (first.method, first.reason) == ("horizon" if relief else "horizon_sphere", "")
+    errors = evaluate_run(run, pictures / "truth.csv").frames
+    assert all(frame.nees is not None and frame.nees < 25.0 for frame in errors)
+    write_report(run, tmp_path / "report.html")
+    assert json.loads((run / "manifest.json").read_text())["inputs"]["catalogs"] == []
+
+
+def test_a_prior_and_a_limb_that_exclude_each_other_are_no_position(
+    pictures: Path, tmp_path: Path
+) -> None:
+    faulty = Path(shutil.copytree(pictures, tmp_path / "pictures"))
+    folder = read_folder(faulty)
+    truths = read_truth(faulty / "truth.csv", folder.attitude)
+    places = 1.1 * truths[0].position_m, 1.0003 * truths[1].position_m
+    frames = [
+        replace(frame, position_m=place, position_sigma_m=1e3)
+        for frame, place in zip(folder.frames, places, strict=True)
+    ]
+    write_folder(faulty, folder.settings, folder.cameras.values(), frames)
+    given = RunInputs(faulty, relief=RELIEF)
+    one, two = navigate_folder(given, tmp_path / "run", SilentProgress())
+    assert (one.status, one.reason_code) == ("unsolved", "far_from_prior")
+    assert (two.status, two.method, two.prior) == ("solved", "horizon", "")
 
 
 def test_a_focal_length_off_by_a_tenth_is_no_position(pictures: Path, tmp_path: Path) -> None:

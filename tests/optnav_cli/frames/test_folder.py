@@ -85,6 +85,32 @@ def test_empty_cells_mean_free_unknown_or_from_the_time(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame.sun_body, expected)
 
 
+def test_columns_that_may_be_empty_may_be_left_out(tmp_path: Path) -> None:
+    frame = only_frame(folder_with(tmp_path, f"a.png,{UTC},wide", header="file,utc,camera"))
+    assert frame.problem is None
+    assert frame.camera_from_body is None
+    header = "utc,file,camera,qw,qx,qy,qz"
+    frame = only_frame(folder_with(tmp_path, f"{UTC},a.png,wide,1,0,0,0", header=header))
+    assert (frame.problem, frame.position_m, frame.attitude_sigma_rad) == (None, None, None)
+    assert frame.camera_from_body is not None
+    assert frame.sun_body is not None
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("file,utc", "no column 'camera'"),
+        ("file,utc,camera,qw,qx,qy", "no column 'qz'"),
+        ("file,utc,camera,qw,qx,qy,qz,attitude_sigma_arcsecs", "is 'attitude_sigma_arcsecs' meant"),
+        ("file,utc,camera,postion_sigma_m", "'position_sigma_m'; is 'postion_sigma_m' meant"),
+    ],
+)
+def test_a_missing_or_misspelt_column_is_named(header: str, words: str, tmp_path: Path) -> None:
+    row = ",".join(["a.png", UTC, *["1"] * (header.count(",") - 1)])
+    with pytest.raises(DataError, match=words):
+        read_folder(folder_with(tmp_path, row, header=header))
+
+
 def test_a_sigma_of_zero_is_not_an_empty_one(tmp_path: Path) -> None:
     frame = only_frame(folder_with(tmp_path, ROW.replace(",10,", ",0,")))
     assert frame.attitude_sigma_rad == 0.0

@@ -1,5 +1,6 @@
 """Picture files."""
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,6 +53,55 @@ def test_a_float_tiff_has_no_saturation(tmp_path: Path) -> None:
     assert picture.saturation is None
 
 
+def coloured(path: Path, bands: np.ndarray, palette: dict[int, tuple[int, ...]] | None) -> Path:
+    """A PNG or TIFF of bands (n, h, w), perhaps with a palette."""
+    driver = "PNG" if path.suffix == ".png" else "GTiff"
+    profile = {"driver": driver, "width": 200, "height": 160, "count": len(bands)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(path, "w", dtype=bands.dtype, **profile) as file:
+            file.write(bands)
+            if palette is not None:
+                file.write_colormap(1, palette)
+    return path
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_colour_files_with_equal_bands_are_gray(count: int, dtype: type, tmp_path: Path) -> None:
+    gray = content(dtype)
+    opaque = np.full_like(gray, np.iinfo(dtype).max)
+    bands = [gray] * (count if count == 3 else count - 1) + [opaque] * (count != 3)
+    picture = load_picture(coloured(tmp_path / "a.png", np.stack(bands), None), CAMERA)
+    np.testing.assert_array_equal(picture.values, gray)
+    assert picture.saturation == np.iinfo(dtype).max
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_a_palette_of_grays_is_gray(suffix: str, tmp_path: Path) -> None:
+    index = content(high=200)
+    palette = {n: (255 - n, 255 - n, 255 - n, 255) for n in range(256)}
+    path = coloured(tmp_path / f"a.{suffix}", index[None], palette)
+    np.testing.assert_array_equal(load_picture(path, CAMERA).values, 255 - index)
+
+
+def test_colours_and_transparent_pixels_are_refused(tmp_path: Path) -> None:
+    gray = content()
+    tinted, holed = gray.copy(), np.full_like(gray, 255)
+    tinted[7, 9] -= 1
+    holed[0, 0] = 254
+    refused(
+        coloured(tmp_path / "tinted.png", np.stack([gray, tinted, gray]), None),
+        rf"in colour: at pixel \(9, 7\) one band is {gray[7, 9]} and another {tinted[7, 9]}",
+    )
+    refused(
+        coloured(tmp_path / "holed.png", np.stack([gray, gray, gray, holed]), None),
+        "transparent pixels",
+    )
+    reds = {n: (n, 0, 0, 255) for n in range(256)}
+    refused(coloured(tmp_path / "reds.png", gray[None], reds), "in colour")
+
+
 def refused(path: Path, message: str) -> None:
     with pytest.raises(DataError, match=message) as caught:
         load_picture(path, CAMERA)
@@ -99,8 +149,8 @@ def test_a_picture_of_another_size_names_both_sizes(tmp_path: Path) -> None:
 
 def test_colour_is_refused(tmp_path: Path) -> None:
     grey = content()
-    refused(saved(tmp_path / "a.png", np.dstack([grey] * 3)), "colour")
-    refused(saved(tmp_path / "b.png", np.dstack([grey] * 4)), "colour")
+    refused(saved(tmp_path / "a.png", np.dstack([grey, grey // 2, grey])), "colour")
+    refused(saved(tmp_path / "b.png", np.dstack([grey] * 4)), "transparent")
 
 
 @pytest.mark.parametrize(
