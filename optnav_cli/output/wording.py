@@ -3,9 +3,10 @@
 import math
 from collections.abc import Container, Sequence
 from itertools import zip_longest
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from catalog.jobs.usage import Account, Peak, StageAccount
+if TYPE_CHECKING:  # no library is loaded before messages have a place to go
+    from catalog.jobs.usage import Account, Peak, StageAccount
 
 # Up to which length, m, a unit is used, and how many metres it has.
 LENGTHS = ((1e3, "m", 1.0), (1e8, "km", 1e3), (math.inf, "thousand km", 1e6))
@@ -99,7 +100,7 @@ def table_lines(rows: Sequence[Sequence[str]], left: Container[int] = (0,)) -> l
     ]
 
 
-def account_lines(account: Account) -> list[str]:
+def account_lines(account: "Account") -> list[str]:
     """Cells, points and reasons as far as they are known, then a row a stage."""
     lines = _outcome(account)
     rows = [COLUMNS, *(_row(stage, str(stage.done), str(stage.kept)) for stage in account.stages)]
@@ -111,7 +112,7 @@ def account_lines(account: Account) -> list[str]:
     return lines
 
 
-def _outcome(account: Account) -> list[str]:
+def _outcome(account: "Account") -> list[str]:
     cells = f"{account.cells} {plural('cell', account.cells)}"
     if account.points is None or account.usable is None:
         return [cells]
@@ -131,14 +132,14 @@ def _outcome(account: Account) -> list[str]:
     return lines
 
 
-def _row(stage: StageAccount, done: str, kept: str) -> tuple[str, ...]:
+def _row(stage: "StageAccount", done: str, kept: str) -> tuple[str, ...]:
     times = (duration(stage.seconds), duration(stage.cpu_s))
     peaks = (_peak(stage.peak), _peak(stage.worker_peak))
     sizes = ("" if n is None else amount(n) for n in (stage.read_bytes, stage.written_bytes))
     return (stage.name, done, kept, *times, *peaks, *sizes)
 
 
-def _peak(peak: Peak | None) -> str:
+def _peak(peak: "Peak | None") -> str:
     return "-" if peak is None else f"{'' if peak.own else '≤ '}{amount(peak.bytes)}"
 
 

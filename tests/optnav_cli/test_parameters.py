@@ -206,6 +206,24 @@ def test_each_shell_gets_a_script(shell: str) -> None:
     assert f"_OPTNAV_COMPLETE={shell}_complete" in done.stdout
 
 
+def test_bash_itself_completes(tmp_path: Path) -> None:
+    command = tmp_path / "optnav"
+    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m optnav_cli.main "$@"\n')
+    command.chmod(0o755)
+    script = (
+        'eval "$(_OPTNAV_COMPLETE=bash_source optnav)"; '
+        "COMP_WORDS=(optnav catalog ver); COMP_CWORD=2; _optnav_completion optnav; "
+        'echo "${COMPREPLY[@]}"; complete -p optnav'
+    )
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, cwd=CHECKOUT,
+        env=os.environ | {"PATH": path},
+    )  # fmt: skip
+    assert done.stdout.split("\n")[0] == "verify", done.stderr
+    assert "-F _optnav_completion optnav" in done.stdout
+
+
 def test_an_unknown_shell_is_told() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "optnav_cli.main"], cwd=CHECKOUT, capture_output=True, text=True,
