@@ -89,7 +89,9 @@ class Guard:
         elif event in ("socket.getaddrinfo", "socket.gethostbyname", "urllib.Request"):
             self._seen.append(f"network: {event} {args[0]}")
         elif event == "open" and isinstance(args[2], int):
-            if args[2] & WRITING and not isinstance(args[0], int):
+            # a handle, or nothing: without O_CREAT none is made of a name that is not there
+            known = isinstance(args[0], int) or (args[2] & os.O_CREAT or os.path.lexists(args[0]))
+            if args[2] & WRITING and known and not isinstance(args[0], int):
                 self._written(args[0], "open")
         elif event in CHANGING:
             if not (event == "os.mkdir" and os.path.isdir(args[0])):  # then it makes none
