@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
 from catalog.geometry.ellipsoid import foot_of, normal_at
-from catalog.geometry.kernel import kernel
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.vectors import unit
 
@@ -99,9 +98,12 @@ class Stereographic:
 
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights above the sphere."""
+        # a command that only lists points need not wait for the compiler to load
+        from catalog.geometry.map_points import points_of_map
+
         x, y, height = np.broadcast_arrays(x, y, height)
         east, north, above = (np.ravel(part).astype(np.float64) for part in (x, y, height))
-        points = _points_of_map(east, north, above, self.radius_m, self.body_from_local)
+        points = points_of_map(east, north, above, self.radius_m, self.body_from_local)
         return points.reshape(*x.shape, 3)
 
     def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
@@ -143,23 +145,6 @@ class Stereographic:
     def xy_from_latlon(self, lat: ArrayLike, lon: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Map coordinates (m) of latitudes and longitudes (rad)."""
         return self.xy_from_xyz(xyz_from_latlon(lat, lon, 1.0))
-
-
-@kernel
-def _points_of_map(
-    x: FloatArray, y: FloatArray, height: FloatArray, radius: float, body_from_local: FloatArray
-) -> FloatArray:
-    """Body-fixed points (n, 3) of a stereographic map, in one pass; see `local_directions`."""
-    out = np.empty((x.size, 3))
-    m = body_from_local
-    for i in range(x.size):
-        u, v = x[i] / (2.0 * radius), y[i] / (2.0 * radius)
-        squared = u * u + v * v
-        reach = (radius + height[i]) / (1.0 + squared)
-        east, north, up = 2.0 * u * reach, 2.0 * v * reach, (1.0 - squared) * reach
-        for k in range(3):
-            out[i, k] = m[k, 0] * east + m[k, 1] * north + m[k, 2] * up
-    return out
 
 
 @dataclass(frozen=True)
