@@ -108,11 +108,23 @@ def run(args: Sequence[str]) -> int:
     except (click.Abort, KeyboardInterrupt):
         return _fail("interrupted", INTERRUPTED)
     except OSError as error:
+        if error.errno == errno.ENOENT and _is_folder_gone():
+            text = "the working folder is not there any more; change to one that is"
+            return _fail(text, BAD_PLACE)
         if error.errno not in PLACE_ERRORS:
             raise
         place = f"{os.fsdecode(error.filename)}: " if error.filename else ""
         reason = os.strerror(error.errno).lower()
         return _fail(f"{place}{reason}; {PLACE_ERRORS[error.errno]}", BAD_PLACE)
+
+
+def _is_folder_gone() -> bool:
+    """Whether the working folder was removed, so that no relative path leads anywhere."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False
 
 
 def _fail(message: str, code: int) -> int:

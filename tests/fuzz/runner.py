@@ -165,10 +165,10 @@ class Tally:
 
 
 def failure_lines(outcome: Verdict) -> list[str]:
-    """A failure for who mends it: what ran, what came, what was wanted, how to run it again."""
+    """A case for who mends it: what ran, what came, what was wanted, how to run it again."""
     said = [line for line in outcome.said.splitlines() if line.strip()]
     return [
-        f"FAILED {outcome.kind}:{outcome.seed}  optnav {' '.join(outcome.args)}",
+        f"{'FAILED' if outcome.failures else 'right'} {outcome.kind}:{outcome.seed}  optnav {' '.join(outcome.args)}",
         f"  input: {outcome.note or 'untouched'}",
         f"  code {outcome.code}, wanted {outcome.wanted}",
         *(f"  {failure}" for failure in outcome.failures),

@@ -141,6 +141,17 @@ def test_a_message_that_quotes_a_long_input_is_shortened_in_its_middle(
     assert line.endswith("check the path")
 
 
+def test_a_working_folder_that_is_gone_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    flight = Path(__file__).resolve().parents[2] / "configs/scenarios/demo.toml"
+    assert main.run(["simulate", str(flight), "-o", "new"]) == 3
+    assert "the working folder is not there any more" in capsys.readouterr().err
+
+
 def test_a_full_disk_names_place_and_remedy(
     command: Callable[[Callable[[], None]], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
