@@ -167,8 +167,9 @@ class Tally:
 def failure_lines(outcome: Verdict) -> list[str]:
     """A case for who mends it: what ran, what came, what was wanted, how to run it again."""
     said = [line for line in outcome.said.splitlines() if line.strip()]
+    came = "FAILED" if outcome.failures else "right"
     return [
-        f"{'FAILED' if outcome.failures else 'right'} {outcome.kind}:{outcome.seed}  optnav {' '.join(outcome.args)}",
+        f"{came} {outcome.kind}:{outcome.seed}  optnav {' '.join(outcome.args)}",
         f"  input: {outcome.note or 'untouched'}",
         f"  code {outcome.code}, wanted {outcome.wanted}",
         *(f"  {failure}" for failure in outcome.failures),
