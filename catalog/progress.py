@@ -1,7 +1,12 @@
 """What a long piece of work tells about how far it is; who shows it is decided elsewhere."""
 
-from contextlib import AbstractContextManager, nullcontext
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
+
+log = logging.getLogger(__name__)
 
 
 class Stage(Protocol):
@@ -38,3 +43,16 @@ class SilentProgress:
 
     def stage(self, name: str, total: int, unit: str) -> AbstractContextManager[Stage]:
         return nullcontext(_SilentStage())
+
+
+@contextmanager
+def logged_stage(name: str) -> Iterator[None]:
+    """Log one event when a stage of a command ends: its name, its seconds and how it ended."""
+    started, status = time.monotonic(), "failed"
+    try:
+        yield
+        status = "done"
+    finally:
+        seconds = round(time.monotonic() - started, 3)
+        event = {"stage": name, "status": status, "seconds": seconds}
+        log.debug("stage %s: %s, %s s", name, status, seconds, extra=event)

@@ -28,12 +28,14 @@ if TYPE_CHECKING:
 
 PACKAGES = ("catalog", "optnav_cli")
 LINE_S = 60.0  # between plain progress lines
+# Of an event for a frame or, without `frame`, for a stage; optnav_cli/README.md describes them.
+EVENT_FIELDS = ("stage", "frame", "status", "method", "reason_code", "seconds")
 
 _log = logging.getLogger(__name__)
 
 
 class JsonLines(logging.Formatter):
-    """One JSON object a record: time (UTC), level, logger, message and, if any, the traceback."""
+    """One JSON object a record: time (UTC), level, logger, message; if any, event and traceback."""
 
     def format(self, record: logging.LogRecord) -> str:
         entry: dict[str, Any] = {
@@ -42,6 +44,7 @@ class JsonLines(logging.Formatter):
             "logger": record.name,
             "message": record.getMessage(),
         }
+        entry |= {name: vars(record)[name] for name in EVENT_FIELDS if name in vars(record)}
         if record.exc_info:
             entry["traceback"] = self.formatException(record.exc_info)
         return json.dumps(entry, ensure_ascii=False)

@@ -296,6 +296,17 @@ class Solution:
         """Arc of the limb that they cover, about the nadir."""
         return self.evidence.arc_deg
 
+    def event(self, stage: str, seconds: float | None = None) -> dict[str, object]:
+        """The fields of the frame's event in the log."""
+        return {
+            "stage": stage,
+            "frame": self.file,
+            "status": self.status,
+            "method": self.method or None,
+            "reason_code": self.reason_code.value or None,
+            "seconds": seconds,
+        }
+
     def with_remark(self, remark: Reason) -> "Solution":
         """The row with a remark behind its reason."""
         reason = self.outcome.reason.followed_by(remark)

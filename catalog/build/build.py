@@ -30,7 +30,7 @@ from catalog.jobs.usage import Account, StageAccount
 from catalog.jobs.workers import available_cores, workers_of
 from catalog.jobs.workspace import MARK, Workspace, encode_records, stage_key
 from catalog.places import claimed
-from catalog.progress import Progress, SilentProgress
+from catalog.progress import Progress, SilentProgress, logged_stage
 from catalog.store.connection import SIDECARS, is_catalog_file
 from catalog.store.patches import PreparedPoint
 from catalog.terrain.dem.file import path_of
@@ -178,7 +178,7 @@ class _Build:
     def _stage(self, name: str) -> Iterator[StageAccount]:
         """Measure a stage; its account is on the disk before the next one begins."""
         stage = StageAccount(name)
-        with stage.measured():
+        with stage.measured(), logged_stage(name):
             yield stage
         self.account.stages.append(stage)
         data = msgspec.json.format(msgspec.json.encode(self.account), indent=2)

@@ -1,5 +1,6 @@
 """The evaluation of a run folder: read, and written as evaluation.json and .csv."""
 
+import logging
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
+from catalog.progress import logged_stage
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.evaluation import Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures
@@ -20,6 +22,8 @@ from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.document import json_text
 from optnav_cli.output.run_folder import RunFolder, read_run
+
+log = logging.getLogger(__name__)
 
 EVALUATION_JSON, EVALUATION_CSV = "evaluation.json", "evaluation.csv"
 POINT_COUNTS = ("predicted", "matched", "used", "checked", "wrong")
@@ -174,14 +178,18 @@ def evaluate_run(run: Path, truth: Path) -> Evaluation:
 
     Raises DataError for a folder that is no run, a damaged file, a truth of other frames.
     """
-    folder = read_run(run)
-    truths = read_truth(truth, folder.attitude)
-    try:
-        return evaluate(
-            folder.solutions, truths, folder.attitude.body.radius_m, folder.matches, folder.cameras
-        )
-    except DataError as error:
-        raise DataError(f"{truth}: {error}") from error
+    with logged_stage("evaluate"):
+        folder = read_run(run)
+        rows, radius_m = folder.solutions, folder.attitude.body.radius_m
+        truths = read_truth(truth, folder.attitude)
+        try:
+            found = evaluate(rows, truths, radius_m, folder.matches, folder.cameras)
+        except DataError as error:
+            raise DataError(f"{truth}: {error}") from error
+        for frame in found.frames:
+            row = frame.solution
+            log.debug("%s: compared with its truth", row.file, extra=row.event("evaluate"))
+    return found
 
 
 def write_evaluation(evaluation: Evaluation, folder: Path) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from catalog.errors import DataError
 from catalog.files import check_file, replacing_file, starts_with
+from catalog.progress import logged_stage
 from catalog.store.reader import Catalog
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.report import page, sheet
@@ -18,6 +19,11 @@ def write_report(source: Path, output: Path) -> None:
     An output that ends in .svg gets the errors of a run as a picture.
     Raises DataError for a source that is neither, OutputError for a place that cannot be used.
     """
+    with logged_stage("report"):
+        _write(source, output)
+
+
+def _write(source: Path, output: Path) -> None:
     svg = output.suffix.lower() == ".svg"
     check_file(output, starts_with((sheet.BEGINNING if svg else page.BEGINNING).encode()))
     if svg:

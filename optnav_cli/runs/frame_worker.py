@@ -6,7 +6,8 @@ from the same answers with what the frames before say. Mostly nothing changes, a
 stands.
 """
 
-import logging
+import time
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -43,8 +44,6 @@ from optnav_cli.output.run_folder import FRAMES
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.runs.inputs import open_catalogs, open_field, whole_relief
 
-log = logging.getLogger(__name__)
-
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 # A patch that takes up more of the picture's width than this is not outlined.
 MAX_OUTLINE = 0.2
@@ -71,6 +70,8 @@ class FrameRecord:
     settled  whether the row is the same whatever they say
     image    the picture as it is recorded;  overlay: drawn for this row;  empty for none
     undrawn  why they are not there, if they should be
+    details  the traceback of what failed, for the log
+    seconds  that were spent on the frame
     """
 
     answers: Answers
@@ -79,6 +80,8 @@ class FrameRecord:
     image: bytes
     overlay: bytes
     undrawn: str
+    details: str
+    seconds: float
 
 
 def packed_row(row: Solution) -> bytes:
@@ -131,6 +134,8 @@ class FrameWorker:
         self.given = given
         self._opened = ExitStack()
         self._pictures: Cache[str, Picture] = Cache(1)
+        self._details = ""
+        self._started = 0.0
 
     def __reduce__(self) -> tuple[object, ...]:
         return FrameWorker, (self.given,)
@@ -169,6 +174,7 @@ class FrameWorker:
 
     def look(self, task: FrameTask) -> FrameRecord:
         """All of a frame that needs no other one."""
+        self._begin()
         answers: Answers = {}
         past = UnseenPast(self.inputs.motion, has_twin=task.has_twin)
         try:
@@ -183,11 +189,17 @@ class FrameWorker:
         """A frame's row after those before it, and its record, the same where nothing changed."""
         if record.settled:
             return unpacked_row(record.row), record
+        self._begin(record)
         answers = dict(record.answers)
         row, failed = self._row(frame, navigator, answers)
         if packed_row(row) == record.row and answers == record.answers:
             return row, record
         return row, self._record(frame, answers, row, settled=failed, image=record.image)
+
+    def _begin(self, before: FrameRecord | None = None) -> None:
+        """Begin with a frame, or go on with it."""
+        self._details = before.details if before else ""
+        self._started = time.monotonic() - (before.seconds if before else 0.0)
 
     def _row(self, frame: Frame, navigator: Navigator, answers: Answers) -> tuple[Solution, bool]:
         """A frame's row, and whether something failed; what is wrong with it becomes a reason."""
@@ -207,7 +219,7 @@ class FrameWorker:
         except DataError as error:
             return _unsolved(frame, code, str(error)), True
         except FRAME_FAULTS as error:
-            text = _failure(frame, "numerical failure", error)
+            text = self._failure("numerical failure", error)
             return _unsolved(frame, ReasonCode.NUMERICAL_FAILURE, text), True
 
     def _record(
@@ -232,8 +244,17 @@ class FrameWorker:
             except DataError:  # its row says so
                 pass
             except FRAME_FAULTS as error:
-                undrawn = _failure(frame, "cannot be drawn", error)
-        return FrameRecord(answers, packed, settled, image, overlay, undrawn)
+                undrawn = self._failure("cannot be drawn", error)
+        seconds = round(time.monotonic() - self._started, 3)
+        return FrameRecord(
+            answers, packed, settled, image, overlay, undrawn, self._details, seconds
+        )
+
+    def _failure(self, what: str, error: BaseException) -> str:
+        """What failed, in words; the traceback goes to the details of the log."""
+        self._details += "".join(traceback.format_exception(error))
+        lines = str(error).splitlines()
+        return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
 
     def _picture(self, frame: Frame, camera: Camera) -> Picture:
         """A frame's picture; the last one is at hand. Raises DataError."""
@@ -262,13 +283,6 @@ def in_order(folder: Folder) -> Iterator[int]:
 
 def _unsolved(frame: Frame, code: ReasonCode, text: str) -> Solution:
     return Solution(frame.file, frame.utc, NoFix(Reason(code, text)))
-
-
-def _failure(frame: Frame, what: str, error: BaseException) -> str:
-    """What failed with a frame, in words; the traceback goes to the details of the log."""
-    log.debug("%s: %s", frame.file, what, exc_info=error)
-    lines = str(error).splitlines()
-    return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
 
 
 def _patch_outlines(

@@ -20,7 +20,7 @@ from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers, available_cores, workers_of
 from catalog.jobs.workspace import Workspace, code_key, encode_records, stage_key
 from catalog.places import check_apart
-from catalog.progress import Progress
+from catalog.progress import Progress, logged_stage
 from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.history import SAME_TIME_S
@@ -81,7 +81,7 @@ def navigate_folder(
     worker = FrameWorker(given if scheduler is None else given.absolute())
     check_apart(run, worker.files())
     try:
-        with unfinished(run, KIND) as workspace:
+        with logged_stage(STAGE), unfinished(run, KIND) as workspace:
             folder = worker.folder
             log.info("rotation of the %s and its Sun by %s", folder.body.name, folder.motion.name)
             inputs = _inputs(worker, given)
@@ -89,6 +89,8 @@ def navigate_folder(
             if is_finished(run, key):
                 log.info("%s: is there already, from the same inputs", run)
                 solutions = read_run(run).solutions
+                for row in solutions:
+                    log.debug("%s", describe(row), extra=row.event(STAGE, 0.0))
             else:
                 if workers is None:
                     most = max(1, len(folder.frames) // MIN_FRAMES_A_WORKER)
@@ -157,7 +159,10 @@ class _Run:
                     undrawn = undrawn or f"cannot be recorded ({error})"
                 if undrawn:
                     log.warning("%s: %s", row.file, undrawn)
-                log.log(logging.DEBUG if row.solved else logging.WARNING, "%s", describe(row))
+                if record.details:
+                    log.debug("%s: %s", row.file, record.details)
+                level = logging.DEBUG if row.solved else logging.WARNING
+                log.log(level, "%s", describe(row), extra=row.event(STAGE, record.seconds))
                 bare = replace(seen, matches=(), outline=None)
                 rows[number] = replace(row, outcome=replace(row.outcome, evidence=bare))
         solutions = [rows[number] for number in range(len(self._frames))]

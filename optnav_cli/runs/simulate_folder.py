@@ -16,11 +16,11 @@ from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import SerialWorkers, Workers
 from catalog.jobs.workspace import Workspace, code_key, content_hash, stage_key
 from catalog.places import check_apart
-from catalog.progress import Progress, SilentProgress
+from catalog.progress import Progress, SilentProgress, logged_stage
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.output.manifest import versions, write_manifest
 from optnav_cli.runs.unfinished import is_finished, unfinished
-from optnav_cli.simulation.run import Simulation, take
+from optnav_cli.simulation.run import Simulation, Taken, take
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.simulation.scenario_base import ScenarioBase
 
@@ -51,7 +51,7 @@ def simulate_folder(
         check_address(scheduler)
     if isinstance(scenario, Path):
         check_apart(pictures, [scenario])
-    with unfinished(pictures, KIND) as workspace:
+    with logged_stage(STAGE), unfinished(pictures, KIND) as workspace:
         if isinstance(scenario, Path):
             path, scenario = scenario, load_scenario(scenario)
             origin = {"name": path.name, "sha256": hash_file(path)}
@@ -67,7 +67,7 @@ def simulate_folder(
         crew: Workers = SerialWorkers()
         if scheduler is not None:
             crew = cluster_workers(scheduler, simulation.files())
-        results = ChunkResults(workspace, STAGE, key, bytes)
+        results = ChunkResults(workspace, STAGE, key, Taken)
         workspace.keep_only(STAGE, {key})
         terrain = [*(Path(dem.path).name for dem in scenario.dem), Path(scenario.globe.path).name]
         try:
@@ -100,8 +100,12 @@ def _take(
         made = results.make(take, simulation, numbers, workers, StageAccount(STAGE), bar)
         with closing(made):
             for number in made:
-                (data,) = results.records(number) or take(simulation, [number])
-                (place / simulation.flight[number].file).write_bytes(data)
+                (taken,) = results.records(number) or take(simulation, [number])
+                file = simulation.flight[number].file
+                (place / file).write_bytes(taken.data)
+                event: dict[str, object] = {"stage": STAGE, "frame": file, "status": "simulated"}
+                event |= {"method": None, "seconds": taken.seconds}
+                log.debug("%s: simulated in %s s", file, taken.seconds, extra=event)
 
 
 def _key(simulation: Simulation, workspace: Workspace) -> str:

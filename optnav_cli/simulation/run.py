@@ -1,5 +1,6 @@
 """The pictures of a scenario, and the tables that go with them."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import cv2
+import msgspec
 import numpy as np
 
 from catalog.bodies.body import Body, load_body
@@ -113,9 +115,21 @@ class Simulation:
         (folder / "scenario.json").write_bytes(scenario_copy(scenario))
 
 
-def take(simulation: Simulation, numbers: Sequence[int]) -> list[bytes]:
-    """Some pictures of a flight, as PNG."""
-    return [simulation.picture(number) for number in numbers]
+class Taken(msgspec.Struct, frozen=True):
+    """A picture as PNG, and the seconds that it took."""
+
+    data: bytes
+    seconds: float
+
+
+def take(simulation: Simulation, numbers: Sequence[int]) -> list[Taken]:
+    """Some pictures of a flight."""
+    found = []
+    for number in numbers:
+        started = time.monotonic()
+        data = simulation.picture(number)
+        found.append(Taken(data, round(time.monotonic() - started, 3)))
+    return found
 
 
 def truth_ground(
