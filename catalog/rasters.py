@@ -153,6 +153,8 @@ def _check_sizes(path: Path, dataset: Any) -> None:
             f"{path}: is {cols} x {rows} pixels by its header; wanted at most {MAX_PIXELS:.0e}: "
             "the file is damaged, or cut the ground that is needed out of it"
         )
+    if any(name.startswith("complex") for name in dataset.dtypes):
+        raise DataError(f"{path}: holds complex numbers; wanted a raster of real ones")
     tall, wide = dataset.block_shapes[0] if dataset.count else (1, 1)
     size = tall * wide * np.dtype(dataset.dtypes[0]).itemsize if dataset.count else 0
     if size > MAX_BLOCK_BYTES:

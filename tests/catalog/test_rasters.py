@@ -325,3 +325,15 @@ def test_a_name_in_a_header_that_is_no_utf_8_is_refused(tmp_path: Path) -> None:
     path.write_bytes(data.replace(b"unknown", b"unkn\xfewn"))
     with pytest.raises(DataError, match=r"dem\.tif: a text of its header is not UTF-8"):
         open_raster(path, TERRAIN)
+
+
+@pytest.mark.parametrize("kind", ["complex_int16", "complex64"])
+def test_complex_numbers_are_no_heights(kind: str, tmp_path: Path) -> None:
+    """numpy has no name for the first of them."""
+    with rasterio.open(
+        tmp_path / "c.tif", "w", driver="GTiff", width=4, height=4, count=1, dtype=kind,
+        transform=Affine(2, 0, 0, 0, -2, 0),
+    ):  # fmt: skip
+        pass
+    with pytest.raises(DataError, match=r"c\.tif: holds complex numbers"):
+        open_raster(tmp_path / "c.tif", TERRAIN)
