@@ -57,8 +57,8 @@ def words_with(names: tuple[str, ...], param: click.Parameter, value: str) -> li
             given += values * max(other.nargs, 1) if other is param or other.required else []
         elif other is param:
             words += [other.opts[0], *values * other.nargs]
-        elif other.required:
-            words += [other.opts[0], "x.gpkg" if "build" in words or "write" in words else "x.json"]
+        elif other.required or (names == ("report",) and "-o" in other.opts):
+            words += [other.opts[0], f"x{[*getattr(other, 'endings', ()), '.json'][0]}"]
     return [*words, *given]
 
 
@@ -124,6 +124,40 @@ def test_a_number_that_cannot_be_is_a_wrong_command_line(
     assert name in err
     assert err.endswith(f"(see `optnav {' '.join(names)} --help`)\n")
     assert not [*tmp_path.iterdir()]
+
+
+INPUTS = [
+    (names, param)
+    for names, command in COMMANDS.items()
+    for param in command.params
+    if isinstance(param.type, click.Path) and not isinstance(param, OutputOption)
+]
+
+
+@pytest.mark.parametrize("kind", ["loop", "below a loop", "pipe", "device", "link to nothing"])
+@pytest.mark.parametrize(
+    ("names", "param"), INPUTS, ids=[f"{' '.join(names)} {p.name}" for names, p in INPUTS]
+)
+def test_an_input_that_is_no_file_is_refused_at_once(
+    names: tuple[str, ...],
+    param: click.Parameter,
+    kind: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A pipe would be waited for, /dev/zero read without end."""
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    Path("loop").symlink_to("loop")
+    Path("link").symlink_to("nothing")
+    places = {"loop": "loop", "below a loop": "loop/x", "pipe": "pipe", "device": "/dev/zero"}
+    before = sorted(os.listdir())
+    assert run(words_with(names, param, places.get(kind, "link"))) == 3
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines()[-1].startswith("optnav: ")
+    assert sorted(os.listdir()) == before
 
 
 OUTPUTS = [
