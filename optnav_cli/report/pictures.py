@@ -8,6 +8,8 @@ import numpy as np
 from markupsafe import Markup
 
 from catalog.arrays import ByteArray
+from catalog.errors import DataError
+from catalog.inputs import read_input
 from optnav_cli.output.canvas import encoded, resized, shrink_factor
 from optnav_cli.output.overlay import MAX_PX, RESIDUALS_ENLARGED, overlay_path
 from optnav_cli.output.run_folder import OVERLAYS, RunFolder
@@ -59,8 +61,8 @@ def _words(run: RunFolder, there: int) -> str:
 def _overlay(path: Path) -> ByteArray | None:
     """An overlay; None for a file that is no picture, or a larger one than we write."""
     try:
-        data = path.read_bytes()
-    except OSError:
+        data = read_input(path, "picture")
+    except DataError:
         return None
     if len(data) < 24 or not data.startswith(PNG_HEADER):
         return None

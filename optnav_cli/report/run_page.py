@@ -14,6 +14,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.files import MANIFEST
 from catalog.geometry.rotations import ARCSEC
+from catalog.inputs import read_input
 from optnav_cli.evaluation.figures import method_words
 from optnav_cli.evaluation.files import EVALUATION_JSON
 from optnav_cli.fix import Solution
@@ -75,10 +76,10 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any] | None, Markup]:
     if not path.exists():
         return None, Markup()
     try:
-        summary = json.loads(path.read_text("utf-8"), parse_float=_finite, parse_constant=_finite)
+        summary = json.loads(read_input(path), parse_float=_finite, parse_constant=_finite)
         section = errors_table(summary)
         _error_tiles(summary)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+    except (DataError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         what = f"{EVALUATION_JSON} is damaged ({type(error).__name__}: {error})"
         return None, html.paragraph(f"{what}; run `optnav evaluate` again.", "note")
     return summary, section

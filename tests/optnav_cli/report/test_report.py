@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 import re
 import struct
 import xml.etree.ElementTree as ET
@@ -173,6 +174,15 @@ def test_a_damaged_evaluation_is_noted_and_the_page_made_without_it(run, tmp_pat
     assert "evaluation.json is damaged" in page.text
     assert "run `optnav evaluate` again" in page.text
     assert "18 of 20" in page.text
+
+
+def test_pipes_in_the_place_of_a_run_s_files_are_not_waited_for(run, tmp_path):
+    os.mkfifo(run / "evaluation.json")
+    overlay = overlay_path(run / "overlays", "frame_0000.png")
+    overlay.parent.mkdir(exist_ok=True)
+    overlay.unlink(missing_ok=True)
+    os.mkfifo(overlay)
+    assert "evaluation.json is damaged" in report_of(run, tmp_path).text
 
 
 @pytest.mark.parametrize("key", ["horizontal_rms_m", "normalised_error_squared", "bias_m"])
