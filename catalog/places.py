@@ -74,7 +74,7 @@ def check_apart(folder: Path, inputs: Iterable[Path]) -> None:
     """Raise OutputError for an output folder that would replace what goes into it."""
     whole = os.path.realpath(folder)
     for path in inputs:
-        if Path(os.path.realpath(path)).is_relative_to(whole):
+        if "\0" not in str(path) and Path(os.path.realpath(path)).is_relative_to(whole):
             raise OutputError(
                 f"{folder}: holds {path}, which is read, and would be replaced; name another place"
             )

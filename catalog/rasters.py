@@ -165,6 +165,14 @@ def _check_sizes(path: Path, dataset: Any) -> None:
         )
 
 
+def _is_pipe_or_device(path: Path) -> bool:
+    try:
+        kind = stat.S_IFMT(path.stat().st_mode)
+    except OSError:  # a link to nothing is not read
+        return False
+    return kind not in (stat.S_IFREG, stat.S_IFDIR)
+
+
 class _RasterFiles:
     """The files that a raster is read from, each looked at once, all inside one folder."""
 
@@ -236,6 +244,9 @@ class _RasterFiles:
         stem, name = path.stem.casefold(), path.name.casefold()
         for key, paths in self._listing(path.parent).items():
             if key.removeprefix(name if key.startswith(name) else stem) not in _SIDECARS.split():
+                # readers of satellites' metadata try many more names
+                if key.startswith(stem) and any(map(_is_pipe_or_device, paths)):
+                    raise DataError(f"{paths[0]}: is a pipe or a device beside a raster; remove it")
                 continue
             for sibling in paths:
                 if sibling.is_dir():

@@ -15,7 +15,7 @@ import pytest
 
 from catalog.errors import OutputError
 from catalog.files import replacing_file, replacing_folder
-from catalog.places import claimed, locked, make_folder
+from catalog.places import check_apart, claimed, locked, make_folder
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -260,3 +260,7 @@ def test_of_a_hundred_pairs_each_leaves_the_output_of_one(tmp_path, kind):
     refused, left = done.stdout.split(maxsplit=1)
     assert left == "['place']\n"
     assert int(refused) > 10  # or they never met
+
+
+def test_a_name_that_is_none_lies_in_no_output(tmp_path):
+    check_apart(tmp_path / "run", [Path("a\0b")])

@@ -337,3 +337,11 @@ def test_complex_numbers_are_no_heights(kind: str, tmp_path: Path) -> None:
         pass
     with pytest.raises(DataError, match=r"c\.tif: holds complex numbers"):
         open_raster(tmp_path / "c.tif", TERRAIN)
+
+
+@pytest.mark.parametrize("name", ["dem.IMD", "dem.RPB", "dem_rpc.txt"])
+def test_a_pipe_in_the_place_of_metadata_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    path = dem(tmp_path / "dem.tif")
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(DataError, match="is a pipe or a device beside a raster"):
+        open_raster(path, TERRAIN)
