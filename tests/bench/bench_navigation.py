@@ -1,12 +1,13 @@
-"""A control point searched over all levels, and a whole frame: the real Apollo 15 picture."""
+"""A control point over all levels and a whole frame: Apollo 15. A fisheye frame: simulated."""
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,29 +19,36 @@ from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import Solution
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
 from optnav_cli.frames.isis_cube import write_apollo_folder
-from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
 from optnav_cli.matching.search_plan import SearchPlan
 from optnav_cli.navigation.autonomous import NavigationInputs, Navigator
 from optnav_cli.navigation.control_points.expectation import FrameContext, expected
 from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.neighbour import other_body
 from optnav_cli.navigation.observation import observation_of
+from optnav_cli.navigation.outline import method as outline
 from optnav_cli.navigation.settings import NavigateSettings
-from optnav_cli.runs.frame_worker import MATCHERS, RunInputs
+from optnav_cli.output.overlay import overlay_png
+from optnav_cli.output.recording import Recording, recorded_image
+from optnav_cli.runs.frame_worker import MATCHERS, FrameWorker, RunInputs
 from optnav_cli.runs.inputs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.simulation.run import simulate
 from optnav_cli.studies.apollo import CUBE, PICTURE
-from tests.bench.timing import best, one_core, sized, within
+from tests.bench.timing import FULL, Spread, best, one_core, sized, spread, within
 
 pytestmark = pytest.mark.bench
 
-POINT_MS, FRAME_MS, WORKERS_RATIO = 10.0, 500.0, 1.7  # what the figures ask for
+POINT_MS, FRAME_MS, WORKERS_RATIO = 10.0, 150.0, 1.7  # what the figures ask for
+FISHEYE_MS = 700.0  # of processor, overlay and recording included
 # NASA's GIANT, repaired to run, on one core of a machine of this kind
 GIANT_POINT_MS = 120.0
 # Rows and columns searched on every side: the widest search where the prior decides, then what
 # the level before leaves open, 3.5 sigma of a node and a margin.
 COARSEST_NODES, NEXT_NODES = 24, 6
+LOW_POINT = (-105.0, -62.0, -75.0, -46.0)  # deg, what is seen where the transfer ends
 
 
 class Scene(NamedTuple):
@@ -76,17 +84,110 @@ def solve_first(scene: Scene, matcher: str) -> Solution:
 
 @pytest.mark.parametrize("matcher", MATCHERS)
 def test_a_frame_on_one_core(scene, matcher):
-    with one_core():
-        row = solve_first(scene, matcher)
-        seconds = best(lambda: solve_first(scene, matcher), 10)
+    row = solve_first(scene, matcher)
     assert row.solved, row.reason
+    frame = scene.folder.frames[0]
+    picture = load_picture(scene.folder.picture_path(frame), scene.folder.cameras[frame.camera])
+    calls = {"frame": lambda: solve_first(scene, matcher), "corners": corners(picture)}
+    times = processor_ms(calls, 25)
     print(
-        f"\n  a frame, {row.n_predicted} control points, {matcher:<4} attitude free  "
-        f"{seconds * 1e3:6.0f} ms   {seconds * 1e3 / FRAME_MS:5.2f} of the limit"
+        f"\n  a frame, {row.n_predicted} control points, {matcher:<4} attitude free, ms "
+        f"{times['frame']}; {times['frame'].median / times['corners'].median:.1f} of Harris's "
+        f"corners in it; limit {FRAME_MS:.0f} ms"
     )
     assert row.n_predicted >= 15
     if matcher == "ncc":
-        assert within(seconds * 1e3, FRAME_MS)
+        assert within(times["frame"].median, FRAME_MS)
+
+
+def corners(picture: Picture) -> Callable[[], object]:
+    """A known operation on the same pixels, which takes turns with what is measured."""
+    return lambda: cv2.cornerHarris(picture.values, 5, 3, 0.04)
+
+
+def processor_ms(calls: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, Spread]:
+    """Milliseconds of processor on one core of calls that take turns, after a round to warm up."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    with one_core():
+        for number in range(sized(rounds + 1, 1)):
+            for name, call in calls.items():
+                start = time.process_time()
+                call()
+                if number or not FULL:
+                    times[name].append(1e3 * (time.process_time() - start))
+    return {name: spread(values) for name, values in times.items()}
+
+
+# of configs/scenarios/transfer.toml: the first and the last picture of the fisheye alone
+SHORTER = {
+    "frames = 60": "frames = 2",
+    'camera = { name = "unk" }\nbeside = [{ name = "shnk" }]': 'camera = { name = "shnk" }',
+}
+BELOW = """[body]
+name = "moon"
+[[dem]]
+path = "shared:moon/moon_gld100_32ppd.tif"
+[relief]
+dem = {path = "bundled:moon_gld100_4ppd.tif"}
+"""
+
+
+@pytest.mark.skipif(not FULL, reason="minutes of simulation: make bench alone")
+def test_a_fisheye_frame_with_nothing_stated(shared_data, tmp_path):
+    """From the picture to limb and control points, 100 km over the Moon, the Earth in view."""
+    shared_data("moon/moon_gld100_32ppd.tif")
+    scenario, config = tmp_path / "scenario.toml", tmp_path / "catalog.toml"
+    text = resource("configs/scenarios/transfer.toml").read_text().partition("[spice]")[0]
+    for long, short in SHORTER.items():
+        assert long in text
+        text = text.replace(long, short)
+    scenario.write_text(text)
+    config.write_text(BELOW)
+    simulate(scenario, tmp_path / "pictures")
+    # all that the camera sees; more of the Moon only adds to what is passed over
+    build.run(config, output=tmp_path / "moon.gpkg", bbox=LOW_POINT)
+    worker = FrameWorker(RunInputs(tmp_path / "pictures", [tmp_path / "moon.gpkg"]))
+    frame = worker.folder.frames[-1]
+    camera = worker.folder.cameras[frame.camera]
+
+    def loaded():
+        return load_picture(worker.folder.picture_path(frame), camera)
+
+    picture = loaded()
+    row = Navigator(worker.inputs).solve(frame, camera, picture)
+    assert row.solved, row.reason
+    assert row.n_used > 100
+    seen = observation_of(frame, camera, picture)
+    sigma = worker.given.settings.attitude_sigma_rad(seen.attitude_sigma_rad)
+    view = camera, seen.camera_from_body, sigma, seen.sun_body
+    other = other_body(worker.inputs.motion, seen.tdb_s)
+
+    def limb():
+        relief = worker.inputs.relief
+        return outline.navigate(loaded(), *view, worker.folder.body, relief, other)
+
+    def drawn():
+        overlay_png(picture.values, row, {})
+        with Recording(tmp_path / "run.mcap", worker.folder.body) as recording:
+            image, found = recorded_image(picture.values, camera), row.evidence
+            recording.add_frame(row, found.matches, camera, image, found.outline)
+
+    calls = {
+        "limb": limb,
+        "frame": lambda: Navigator(worker.inputs).solve(frame, camera, loaded()),
+        "drawn": drawn,
+        "corners": corners(picture),
+    }
+    times = processor_ms(calls, 15)
+    whole = times["frame"].median + times["drawn"].median
+    print(
+        f"\n  a fisheye frame, {row.n_used} points, {row.n_limb} of limb, ms: "
+        f"limb alone {times['limb']}, all {times['frame']}, "
+        f"overlay and recording {times['drawn']}; together {whole:.0f}, "
+        f"{whole / times['corners'].median:.1f} of Harris's corners; limit {FISHEYE_MS:.0f}"
+    )
+    worker.close()
+    assert within(whole, FISHEYE_MS)
 
 
 @pytest.mark.parametrize("matcher", MATCHERS)
