@@ -6,6 +6,7 @@ there is no cache. Floating-point reordering stays off: results must not depend 
 happened to be vectorised.
 """
 
+import hashlib
 import logging
 import multiprocessing
 import os
@@ -16,14 +17,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+import numpy as np
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 CACHE_DIR = "NUMBA_CACHE_DIR"
+PACKAGES = "catalog", "optnav_cli"
 
 _log = logging.getLogger(__name__)
 _warned: set[str] = set()
@@ -55,7 +59,46 @@ def _is_cached(compiled: Any) -> bool:
         return False
     # numba's own guard against the faults of a folder is for Windows alone
     compiled._cache._guard_against_spurious_io_errors = _without_cache
+    # and its key knows the kernel's own file alone, not those of the kernels that it calls
+    own_key = compiled._cache._index_key
+    compiled._cache._index_key = lambda *of: (*own_key(*of), _called_code(compiled.py_func))
     return True
+
+
+@cache
+def _called_code(function: FunctionType) -> str:
+    """Hash of all code and constants of ours that a kernel is compiled from."""
+    digest, waiting, seen = hashlib.sha256(), [function], {function}
+    while waiting:
+        one = waiting.pop()
+        code = one.__code__
+        constants = [value for value in code.co_consts if not isinstance(value, CodeType)]
+        digest.update(f"{one.__qualname__} {constants}".encode())
+        digest.update(code.co_code)
+        for name, value in _globals_of(one):
+            called = getattr(value, "py_func", None)
+            if isinstance(called, FunctionType):
+                if called not in seen:
+                    seen.add(called)
+                    waiting.append(called)
+            elif isinstance(value, np.ndarray):
+                digest.update(value.tobytes())
+            elif isinstance(value, int | float | str | tuple | np.generic):
+                digest.update(f"{name} {value!r}".encode())
+            elif isinstance(value, type):
+                digest.update(f"{name} {getattr(value, '_fields', '')}".encode())
+    return digest.hexdigest()
+
+
+def _globals_of(function: FunctionType) -> Iterator[tuple[str, object]]:
+    """The global names of a function and, of modules of ours among them, what it takes of them."""
+    names = function.__code__.co_names
+    for name in names:
+        value = function.__globals__.get(name)
+        if isinstance(value, ModuleType) and value.__name__.partition(".")[0] in PACKAGES:
+            yield from ((part, getattr(value, part)) for part in names if hasattr(value, part))
+        else:
+            yield name, value
 
 
 @contextmanager

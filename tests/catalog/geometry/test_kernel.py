@@ -135,3 +135,34 @@ def test_a_read_only_package_and_home_are_a_warning(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     (line,) = done.stderr.splitlines()
     assert f"{WARNING}: they are kept in {tmp_path}" in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "result"),
+    [("FACTOR = 3.0", "FACTOR = 5.0", "20.0"), ("FACTOR * x", "FACTOR * x + 1.0", "13.0")],
+)
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(
+    old: str, new: str, result: str, tmp_path: Path
+) -> None:
+    called = (
+        "from catalog.geometry.kernel import kernel\nFACTOR = 3.0\n"
+        "@kernel\ndef inner(x):\n    return FACTOR * x\n"
+    )
+    (tmp_path / "outer.py").write_text(
+        "from catalog.geometry.kernel import kernel\nfrom called import inner\n"
+        "@kernel\ndef outer(x):\n    return inner(x)\n"
+        "print(outer(4.0), sum(outer.stats.cache_hits.values()))\n"
+    )
+    env = os.environ | {"PYTHONPATH": f"{CHECKOUT}{os.pathsep}{tmp_path}"}
+    env |= {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    printed = []
+    for text in (called, called, called.replace(old, new)):
+        (tmp_path / "called.py").write_text(text)
+        done = subprocess.run(
+            [sys.executable, "-c", "import outer"],
+            cwd=tmp_path, capture_output=True, text=True, env=env, check=True,
+        )  # fmt: skip
+        printed.append(done.stdout.split())
+    values = [value for value, _ in printed]
+    assert values == ["12.0", "12.0", result]
+    assert [hits for _, hits in printed] == ["0", "1", "0"]

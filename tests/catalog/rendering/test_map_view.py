@@ -11,11 +11,11 @@ from catalog.errors import ConfigError
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.photometry import hapke
 from catalog.photometry.hapke import LUNAR
-from catalog.photometry.laws import HAPKE, NORMAL_ALBEDO, SurfaceLaw
+from catalog.photometry.laws import HAPKE, LAW_NUMBERS, NORMAL_ALBEDO, SurfaceLaw
 from catalog.rendering.hapke_table import SMALL_TABLE_SIZE, TABLE_SIZE
 from catalog.rendering.map_view import render_map
-from catalog.rendering.shading import TABLE, Lighting
-from catalog.rendering.shadow import NO_FIELD, illuminated, map_grid
+from catalog.rendering.shading import NEAR, TABLE, Lighting
+from catalog.rendering.shadow import NO_FIELD, NO_TABLE, illuminated, map_grid
 from catalog.rendering.swept import Sweep, sweep_grid
 from tests.bench import hillshade
 
@@ -208,3 +208,18 @@ def test_what_cannot_be_rendered_is_refused(tycho):
             tycho, POSTING_M, sun(20, 20), radius_m=MOON_M,
             view_local=[0, 0, 1], camera_local=[0, 0, 1e5],
         )  # fmt: skip
+
+
+@pytest.mark.parametrize("camera_m", [(2e4, 1e4, 1e5), (0.6e5, 0.2e5, 0.4e5), (3e5, -1e5, 1e5)])
+def test_the_quick_shading_for_a_near_camera_is_that_of_every_node(tycho, camera_m):
+    heights = np.array(tycho[:96, :96], np.float32)
+    heights[3:9, 60:70] = np.nan
+    sun = np.array([0.6, 0.2, 0.4])
+    quick = render_map(
+        heights, 400.0, sun, radius_m=1737400.0, camera_local=camera_m, law="lunar_lambert"
+    )
+    law = SurfaceLaw(LAW_NUMBERS["lunar_lambert"], LUNAR, NORMAL_ALBEDO)
+    light = Lighting(NEAR, sun / np.linalg.norm(sun), np.array(camera_m), 0.0, law, NO_TABLE)
+    exact = illuminated(map_grid(heights, 400.0, 1737400.0), light, (), TABLE_SIZE)
+    assert np.isnan(exact).any()
+    np.testing.assert_allclose(quick, exact, atol=1e-7)

@@ -250,3 +250,10 @@ def test_patch_outlines_are_squares_seen_from_above():
     reach = np.abs(outline - 1023.5).max(axis=0)
     np.testing.assert_allclose(reach, expected, rtol=1e-3)
     assert outline[0, 1] < 1023.5  # north is up
+
+
+def test_counts_are_stretched_by_a_table_as_other_numbers_are():
+    counts = np.random.default_rng(4).gamma(2.0, 40.0, (80, 120)).astype(np.uint16)
+    halves = counts.astype(np.float32)
+    halves[0, 0] += 0.5  # no whole number: no table
+    assert (eight_bits(counts)[1:] == eight_bits(halves)[1:]).all()
