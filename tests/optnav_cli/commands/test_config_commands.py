@@ -17,7 +17,6 @@ from optnav_cli.frames.tables import FRAMES
 from optnav_cli.main import run
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.simulation.scenario import load_scenario
-from tests.catalog.made_catalogs import make_world
 
 KINDS = ("cameras", "bodies", "scenarios", "catalogs", "data")
 # Where the camera of the template's picture was: the simulation's own truth.
@@ -75,9 +74,7 @@ def test_the_folder_template_runs_to_a_clear_answer(tmp_path: Path) -> None:
     assert run(["-q", "config", "template", "folder", "-o", str(place)]) == 0
     folder = read_folder(place)
     assert [frame.problem for frame in folder.frames] == [None]
-    catalog = make_world().write(tmp_path / "some.gpkg").path
-    words = ["navigate", str(place), "--catalog", str(catalog), "-o", str(tmp_path / "run")]
-    assert run(["-q", *words]) == 0
+    assert run(["-q", "navigate", str(place), "-o", str(tmp_path / "run")]) == 0
     (solution,) = read_run(tmp_path / "run").solutions
     assert solution.solved
     off = np.asarray(solution.position_m) - TRUE_POSITION_M
