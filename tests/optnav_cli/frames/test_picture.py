@@ -1,6 +1,10 @@
 """Picture files."""
 
+import os
+import struct
+import tracemalloc
 import warnings
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -175,3 +179,31 @@ def test_the_apollo_frame_and_its_cube_read(shared_data: Callable[[str], Path]) 
     cube = load_picture(shared_data("apollo15/AS15-M-0297_crop.cub"), crop)
     assert cube.saturation is None
     assert 2e4 < float(np.median(cube.values)) < 2.2e4
+
+
+def test_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "loop.png").symlink_to("loop.png")
+    (tmp_path / "folder.png").mkdir()
+    wanted = {"pipe": "pipe or a device", "loop": "cannot be read", "folder": "is a folder"}
+    for name, message in wanted.items():
+        refused(tmp_path / f"{name}.png", message)
+
+
+def test_a_huge_picture_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    """40 000 x 40 000 pixels of one value are 8 MB as a file and 6.4 GB as numbers."""
+    path = tmp_path / "huge.png"
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        checksum = struct.pack(">I", zlib.crc32(kind + data))
+        return struct.pack(">I", len(data)) + kind + data + checksum
+
+    head = struct.pack(">IIBBBBB", 40_000, 40_000, 8, 0, 0, 0, 0)
+    data = zlib.compress(bytes(100))
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+    )
+    tracemalloc.start()
+    refused(path, "40000 x 40000; camera")
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()

@@ -170,6 +170,8 @@ def test_a_damaged_evaluation_is_noted_and_the_page_made_without_it(run, tmp_pat
         figures, note = read_evaluation(run)
         assert figures is None
         assert "evaluation.json is damaged" in note
+    (run / "evaluation.json").unlink()
+    os.mkfifo(run / "evaluation.json")  # opening it would wait for ever
     page = report_of(run, tmp_path)
     assert "evaluation.json is damaged" in page.text
     assert "run `optnav evaluate` again" in page.text
