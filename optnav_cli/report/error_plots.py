@@ -114,6 +114,8 @@ def frames_of(run: RunFolder, stated: bool = False) -> Frames:
     error = np.array([none if row.error_rnb_m is None else row.error_rnb_m for row in rows])
     sigma = np.array([none if row.sigma_rnb_m is None else row.sigma_rnb_m for row in rows])
     error, sigma = (np.where(np.abs(v) < MOST, v, np.nan) for v in (error, sigma))
+    if not (np.isfinite(sigma) & (np.isfinite(error) | stated | (not path.exists()))).any():
+        raise DataError(f"{path}: holds no error with its sigma; run `optnav evaluate` again")
     widths = {camera.name: camera.angular_resolution for camera in run.cameras.values()}
     narrowest = min(widths.values(), default=0.0)
     wide = frozenset(name for name, width in widths.items() if width > narrowest)

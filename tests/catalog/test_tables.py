@@ -85,9 +85,6 @@ def test_tables_beyond_any_use_are_refused_before_memory_is_taken(
     path.write_text("file,x_m,n,used\n" + "a" * 1_000_000 + ",1,2,1\n")
     with pytest.raises(DataError, match="field larger than field limit"):
         TABLE.rows(path)
-    path.write_text("file,x_m,n,used\na.png,1e200,2,1\n")
-    with pytest.raises(DataError, match="wanted a number up to"):
-        TABLE.read(path, _values)
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(DataError, match="pipe or a device"):

@@ -209,6 +209,9 @@ def test_damaged_errors_of_frames_are_left_out_or_noted(run, tmp_path, value):
     (run / "evaluation.csv").write_text("\n".join([*lines[:3], ",".join(cells), *lines[4:], ""]))
     page = report_of(run, tmp_path)
     assert ("error_r_m" in page.text) == (value in ("nan", "what"))
+    cells = re.sub(r"\d+\.\d+", value, "\n".join(lines[1:]))
+    (run / "evaluation.csv").write_text(f"{lines[0]}\n{cells}\n")
+    assert "run `optnav evaluate` again" in report_of(run, tmp_path).text
 
 
 def test_a_residual_beyond_all_bounds_is_left_out(run, tmp_path):
