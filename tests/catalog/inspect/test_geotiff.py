@@ -90,7 +90,7 @@ def test_the_same_patch_gives_the_same_bytes_and_nothing_else_is_replaced(
 
 def test_a_name_that_is_no_utf_8_is_refused(world: Any, tmp_path: Path) -> None:
     place = tmp_path / os.fsdecode(b"n\xff\xe9.tif")
-    with Catalog.open(moved(world, PLACES[1], tmp_path / "one.gpkg")) as catalog:
-        with pytest.raises(OutputError, match="not UTF-8"):
-            export_patch_heights(catalog, int(catalog.ids[0]), 0, place)
+    one = moved(world, PLACES[1], tmp_path / "one.gpkg")
+    with Catalog.open(one) as catalog, pytest.raises(OutputError, match="not UTF-8"):
+        export_patch_heights(catalog, int(catalog.ids[0]), 0, place)
     assert not place.exists()
