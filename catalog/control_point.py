@@ -16,13 +16,31 @@ class Flag(IntFlag):
     """Why a control point is not usable, or what to know about it."""
 
     NONE = 0
-    NO_DATA = 1  # a patch has holes
-    FLAT = 2  # predicted localisation error above the limit
-    NOT_UNIQUE = 4  # a rival in the search region looks too much alike
-    NOT_RECOGNISED = 8  # recognition trials failed
-    CROWDED = 16  # nearer to a neighbour's point than the spacing allows
-    SHADOWED = 32  # foreign shadows reach the patch at most Suns
-    OVERHANG = 64  # vertical lines through the patch meet the ground several times
+    NO_DATA = 1
+    FLAT = 2
+    NOT_UNIQUE = 4
+    NOT_RECOGNISED = 8
+    CROWDED = 16
+    SHADOWED = 32
+    OVERHANG = 64
+
+    @property
+    def label(self) -> str:
+        """The flags in words, comma-separated, everywhere the same: "flat, not unique"."""
+        members = Flag.__members__.items()
+        return ", ".join(name.lower().replace("_", " ") for name, bit in members if self & bit)
+
+
+# In the order in which the checks run.
+FLAG_MEANINGS = {
+    Flag.NO_DATA: "a patch has holes",
+    Flag.FLAT: "the predicted match error is above the limit",
+    Flag.NOT_UNIQUE: "a rival nearby looks too much alike",
+    Flag.SHADOWED: "foreign shadows reach the patch at most Suns",
+    Flag.NOT_RECOGNISED: "recognition trials failed",
+    Flag.CROWDED: "nearer to a neighbour's point than the spacing allows",
+    Flag.OVERHANG: "vertical lines through the patch meet the ground several times",
+}
 
 
 @dataclass(frozen=True)

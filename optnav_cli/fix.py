@@ -43,7 +43,7 @@ class MatchRow:
     level              pyramid level of the (last) match, 0 = finest
     cp_position_m      (3,)  the point, body frame, m
     predicted_px       (2,)  where the final pose expects it, x, y
-    measured_px        (2,)  where it was found; None when it was not
+    measured_px        (2,)  where it was found; None where the matcher accepts no place
     score, runner_up   the best match's score and that of its best rival; None without a match
     used               whether the solution keeps it
     reason             why not; empty when used
@@ -114,7 +114,7 @@ class Evidence:
     """What a fix rests on, or what was tried for one; None where it does not apply.
 
     n_predicted      control points expected in view, lit, unhidden and whole inside the frame
-    n_matched        of these, found by the matcher
+    n_matched        of these, found: the matcher accepts a place
     n_used           of these, kept by the solution
     residual_rms_px  rms of the kept points' residuals, a coordinate; of limb points across it
     n_limb           limb points that the horizon rests on
@@ -273,7 +273,7 @@ class Solution:
 
     @property
     def n_matched(self) -> int | None:
-        """Of these, found by the matcher."""
+        """Of these, found."""
         return self.evidence.n_matched
 
     @property

@@ -1,7 +1,8 @@
 """Why a frame has no position, a match is not used, or a solution carries a remark.
 
-A reason is a sentence for people and a code for programs: the column `reason_code` of solution.csv
-and matches.csv. The sentences may change; the codes stay.
+A reason is a sentence for people and a code for programs: the column `reason_code` of solution.csv,
+matches.csv and evaluation.csv. The sentences may change; the codes stay. Tables and pages count by
+the code's words, its label.
 """
 
 from dataclasses import dataclass, replace
@@ -14,6 +15,11 @@ class ReasonCode(StrEnum):
     """The codes, each with its meaning; the list of the documentation is made from here."""
 
     meaning: str
+
+    @property
+    def label(self) -> str:
+        """The code in words: what tables and pages count frames and points by."""
+        return self.value.replace("_", " ") or "no reason given"
 
     def __new__(cls, value: str, meaning: str = "") -> "ReasonCode":
         """A member that is its code, with its meaning beside it."""
@@ -81,6 +87,13 @@ class ReasonCode(StrEnum):
     LOW_SCORE = "low_score", "the correlation is too low"
     RIVAL = "rival", "a second place correlates nearly as well"
     OUTLIER = "outlier", "the match disagrees with the others"
+
+
+def told_apart(value: float, limit: float, decimals: int) -> tuple[str, str]:
+    """A number and its limit with so many decimals, or as many as tell them apart."""
+    while decimals < 17 and value != limit and f"{value:.{decimals}f}" == f"{limit:.{decimals}f}":
+        decimals += 1
+    return f"{value:.{decimals}f}", f"{limit:.{decimals}f}"
 
 
 @dataclass(frozen=True)

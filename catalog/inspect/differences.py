@@ -11,7 +11,7 @@ from catalog.control_point import Flag
 from catalog.files import replacing_file, starts_with
 from catalog.inspect.compare import CERTIFICATE, LISTS, SCORES, ComparedCatalog, Comparison
 from catalog.inspect.summary import Document
-from catalog.store.records import Record, reasons_text
+from catalog.store.records import Record
 from catalog.tables import CsvColumn, CsvTable
 
 SHOWN = 10  # lines a kind; the table (`difference_table`) has all
@@ -205,7 +205,7 @@ def _shortened(items: Sequence[Any] | IndexArray, text: Callable[[Any], str]) ->
 
 
 def _state(record: Record) -> str:
-    reasons = reasons_text(Flag(int(record["flags"])))
+    reasons = Flag(int(record["flags"])).label
     state = "usable" if record["usable"] else "not usable"
     return f"{state} ({reasons})" if reasons else state
 
@@ -285,7 +285,7 @@ def _columns(side: ComparedCatalog, record: Record, suffix: str) -> Document:
     """What one catalog says about a point."""
     columns: Document = {
         "usable": int(record["usable"]),
-        "reasons": reasons_text(Flag(int(record["flags"]))),
+        "reasons": Flag(int(record["flags"])).label,
         "source": side.meta.point_sources[int(record["source"])],
     }
     columns |= {name: float(record[name]) for name in ("lat_deg", "lon_deg", *SCORES)}

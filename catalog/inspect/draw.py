@@ -12,7 +12,6 @@ from catalog.control_point import Patch, Pyramid
 from catalog.errors import OutputError
 from catalog.files import check_file, write_output
 from catalog.rendering.map_view import render_map
-from catalog.store.records import reasons_text
 
 HEADER_BYTES = 33  # of a PNG: its magic number and its first chunk
 # A text chunk by which we know a picture of ours again: length, type, text, CRC-32 of both.
@@ -86,7 +85,7 @@ def _is_ours(path: Path) -> bool:
 def _head(picture: ByteArray, pyramid: Pyramid) -> None:
     point = pyramid.point
     verdict = "usable" if point.usable else "not usable"
-    reasons = reasons_text(point.flags)
+    reasons = point.flags.label
     first = (
         f"control point {point.id}   lat {point.lat_deg:.5f}  lon {point.lon_deg:.5f}   "
         f"{verdict}{': ' + reasons if reasons else ''}"

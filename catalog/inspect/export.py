@@ -26,7 +26,7 @@ from catalog.geometry.projection import node_grid
 from catalog.store.connection import SIDECARS, is_points_file
 from catalog.store.geopackage import new_geopackage, srs_of
 from catalog.store.reader import Catalog
-from catalog.store.records import reasons_text, unknown_as_none
+from catalog.store.records import unknown_as_none
 from catalog.store.schema import POINT_LAYER, insert_service_rows
 from catalog.store.writer import insert_features
 from catalog.tables import CsvColumn, CsvTable
@@ -78,7 +78,7 @@ def point_properties(point: ControlPoint) -> Properties:
         "lat_deg": point.lat_deg,
         "radius_m": unknown_as_none(point.radius_m),
         "usable": int(point.usable),
-        "reasons": reasons_text(point.flags),
+        "reasons": point.flags.label,
         "flags": int(point.flags),
         "localisation_nodes": unknown_as_none(point.localisation_nodes),
         "hessian_eigenvalue": unknown_as_none(point.hessian_eigenvalue),

@@ -12,7 +12,6 @@ from catalog.errors import DataError, NothingToDoError
 from catalog.geometry.latlon import body_from_local
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
-from catalog.store.records import reasons_text
 
 if TYPE_CHECKING:
     from catalog.store.verify import Verification
@@ -24,7 +23,7 @@ Document = dict[str, Any]  # plain values by name, units in the names
 def rejected_by_reason(catalog: Catalog) -> dict[str, int]:
     """How many points that are not usable carry each flag; one may carry several."""
     flags = catalog.records["flags"][~catalog.usable]
-    counts = {reasons_text(flag): int(np.count_nonzero(flags & int(flag))) for flag in Flag}
+    counts = {flag.label: int(np.count_nonzero(flags & int(flag))) for flag in Flag}
     return {reason: number for reason, number in counts.items() if number}
 
 
@@ -179,7 +178,7 @@ def verification_document(found: "Verification") -> Document:
 def point_document(point: ControlPoint) -> Document:
     """What is known about a point: plain values, under names that say their units."""
     x, y, z = (float(v) for v in point.xyz_m)
-    reasons = reasons_text(point.flags)
+    reasons = point.flags.label
     return {
         "id": point.id,
         "lat_deg": point.lat_deg,

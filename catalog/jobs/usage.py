@@ -23,7 +23,6 @@ from typing import NamedTuple, TypeVar
 import msgspec
 
 from catalog.control_point import Flag
-from catalog.store.records import reasons_text
 
 R = TypeVar("R")
 
@@ -114,7 +113,7 @@ class Account(msgspec.Struct):
         """Count points (usable, flags) and what keeps them from use, the most frequent first."""
         judged = list(points)
         bad = [flags for good, flags in judged if not good]
-        reasons = Counter(reasons_text(flag) for flags in bad for flag in flags)
+        reasons = Counter(flag.label for flags in bad for flag in flags)
         self.points, self.usable = len(judged), len(judged) - len(bad)
         self.reasons = dict(reasons.most_common())
 

@@ -183,12 +183,6 @@ def checksum(*parts: bytes) -> int:
     return zlib.crc32(b"".join(parts))
 
 
-def reasons_text(flags: Flag) -> str:
-    """Flags in words, comma-separated: "flat, not unique"."""
-    members = Flag.__members__.items()
-    return ", ".join(name.lower().replace("_", " ") for name, bit in members if flags & bit)
-
-
 def _list_text(values: Sequence[float]) -> str:
     return json.dumps([unknown_as_none(v) for v in values], separators=(",", ":"))
 
@@ -203,7 +197,7 @@ def feature_row(point: ControlPoint, record: Record, srs_id: int) -> tuple[objec
         unknown_as_none(point.radius_m),
         int(point.usable),
         int(point.flags),
-        reasons_text(point.flags),
+        point.flags.label,
         unknown_as_none(point.localisation_nodes),
         unknown_as_none(point.hessian_eigenvalue),
         unknown_as_none(point.recognition_rate),

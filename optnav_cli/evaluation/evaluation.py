@@ -45,6 +45,14 @@ class Evaluation:
         """Whether there is a frame to add up."""
         return any(frame.error_rnb_m is not None for frame in self.frames)
 
+    def without_attitudes(self, remark: str) -> "Evaluation":
+        """The same without what true attitudes say, for they are of another frame."""
+        frames = (
+            replace(frame, attitude_error_rad=None, n_checked=None, n_wrong=None)
+            for frame in self.frames
+        )
+        return Evaluation(tuple(frames), (*self.remarks, remark))
+
     def by_method(self) -> list[MethodFigures]:
         """The same for each method and camera, from afar to near."""
         return figures_by_method(self.frames)

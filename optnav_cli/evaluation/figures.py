@@ -12,6 +12,7 @@ from catalog.arrays import FloatArray
 from catalog.errors import NothingToDoError
 from optnav_cli.evaluation.motion import Forward
 from optnav_cli.fix import Method, Solution
+from optnav_cli.reasons import ReasonCode
 
 FROM_AFAR = tuple(reversed(Method))  # as an approaching craft uses them
 STATED_SIGMAS = 3.0
@@ -121,7 +122,7 @@ class Figures:
     n_wrong: int
     n_checked: int
     north_frames: int
-    unsolved_reasons: Mapping[str, int]
+    unsolved_reasons: Mapping[ReasonCode, int]
     beyond_5_sigma: int = 0
 
     @property
@@ -174,9 +175,9 @@ def figures_by_method(frames: Sequence[FrameError]) -> list[MethodFigures]:
 def figures_of(frames: Sequence[FrameError]) -> Figures:
     """Add frames up. Raises NothingToDoError when none of them is solved."""
     good = [frame for frame in frames if frame.error_rnb_m is not None]
-    reasons = Counter(frame.solution.reason for frame in frames if frame.error_rnb_m is None)
+    reasons = Counter(f.solution.reason_code for f in frames if f.error_rnb_m is None)
     if not good:
-        words = "; ".join(f"{reason} ({count})" for reason, count in reasons.most_common(3))
+        words = "; ".join(f"{code.label} ({count})" for code, count in reasons.most_common(3))
         raise NothingToDoError(
             f"none of the {len(frames)} frames is solved, so there is nothing to evaluate: {words}"
         )
@@ -216,7 +217,7 @@ def figures_of(frames: Sequence[FrameError]) -> Figures:
 
 def none_solved(frames: Sequence[FrameError]) -> Figures:
     """The figures of frames none of which is solved: nothing but their number and reasons."""
-    reasons = Counter(frame.solution.reason for frame in frames)
+    reasons = Counter(frame.solution.reason_code for frame in frames)
     nan, spread = math.nan, Spread(math.nan, None, math.nan, math.nan)
     errors = (spread, spread, spread, nan, nan, (nan, nan, nan), nan, (nan, nan), None, None)
     return Figures(len(frames), 0, *errors, 0, 0, 0, 0, 0, 0, dict(sorted(reasons.items())))

@@ -15,6 +15,7 @@ from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import logged_stage
 from catalog.tables import CsvRow
+from optnav_cli.evaluation.attitude_frame import other_frame
 from optnav_cli.evaluation.evaluation import Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures
 from optnav_cli.evaluation.motion import TimedPlace, directions_of_motion
@@ -22,6 +23,8 @@ from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.document import json_text
 from optnav_cli.output.run_folder import RunFolder, read_run
+from optnav_cli.output.tables import reason_code
+from optnav_cli.reasons import Reason
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +48,7 @@ class ErrorRow:
     solved: bool
     method: str
     camera: str
-    reason: str
+    reason: Reason
     height_m: float | None
     error_rnb_m: FloatArray | None = None
     sigma_rnb_m: FloatArray | None = None
@@ -58,7 +61,7 @@ class ErrorRow:
 def error_cells(frame: FrameError) -> dict[str, object]:
     """A frame as a row of evaluation.csv."""
     solution = frame.solution
-    of_solution = ("status", "method", "n_predicted", "n_matched", "n_used", "reason")
+    of_solution = "status", "method", "n_predicted", "n_matched", "n_used", "reason", "reason_code"
     cells: dict[str, object] = {name: getattr(solution, name) for name in of_solution}
     of_frame = ("file", "utc", "camera", "forward", "n_wrong")
     cells |= {name: getattr(frame, name) for name in of_frame}
@@ -95,7 +98,7 @@ def _error_row(row: CsvRow) -> ErrorRow:
         solved=row["status"] == "solved",
         method=row["method"],
         camera=row["camera"],
-        reason=row["reason"],
+        reason=Reason(reason_code(row), row["reason"]),
         height_m=row.number("truth_height_m"),
         error_rnb_m=row.vector(ERRORS),
         sigma_rnb_m=row.vector(SIGMAS),
@@ -118,7 +121,7 @@ def stated_rows(run: RunFolder) -> list[ErrorRow]:
     for s in run.solutions:
         camera = run.cameras.get(s.file)
         name = camera.name if camera else ""
-        row = ErrorRow(s.file, s.utc, s.file in axes, s.method, name, s.reason, None)
+        row = ErrorRow(s.file, s.utc, s.file in axes, s.method, name, s.outcome.reason, None)
         if s.position_m is not None and s.covariance_m2 is not None:
             rnb_from_body, _ = axes[s.file]
             sigma = np.sqrt(np.diag(rnb_from_body @ s.covariance_m2 @ rnb_from_body.T))
@@ -186,6 +189,13 @@ def evaluate_run(run: Path, truth: Path) -> Evaluation:
             found = evaluate(rows, truths, radius_m, folder.matches, folder.cameras)
         except DataError as error:
             raise DataError(f"{truth}: {error}") from error
+        other = other_frame(rows, truths, replace(folder.attitude, motion=None))
+        if other:
+            remark = (
+                f"{truth}: its quaternions are {other}; wanted {folder.attitude.name}, as run.toml "
+                "says; attitude errors and wrong points are left out"
+            )
+            found = found.without_attitudes(remark)
         for frame in found.frames:
             row = frame.solution
             log.debug("%s: compared with its truth", row.file, extra=row.event("evaluate"))
@@ -229,6 +239,6 @@ def summary_of(evaluation: Evaluation) -> dict[str, Any]:
         "control_points": {name: getattr(figures, f"n_{name}") for name in POINT_COUNTS},
         "methods": [method_summary(method) for method in evaluation.by_method()],
         "frames_with_local_north": figures.north_frames,
-        "unsolved_reasons": dict(figures.unsolved_reasons),
+        "unsolved_reasons": {k.value: v for k, v in figures.unsolved_reasons.items()},
         "remarks": list(evaluation.remarks),
     }

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from catalog.errors import DifferenceError
 from optnav_cli.evaluation.figures import BEYOND_SIGMAS, Figures
 from optnav_cli.output.wording import length
+from optnav_cli.reasons import told_apart
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,10 @@ def _solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
         return
     share = isinstance(limit, float)
     figure = figures.solved / max(figures.frames, 1) if share else figures.solved
-    wanted = f"{100.0 * limit:g} %" if share else f"{limit}"
-    solved = f"{figures.solved} of {figures.frames} frames are solved"
-    words = f"{solved} ({100.0 * figure:.1f} %)" if share else solved
+    words, wanted = f"{figures.solved} of {figures.frames} frames are solved", f"{limit}"
+    if share:
+        percent, wanted = (f"{n} %" for n in told_apart(100.0 * figure, 100.0 * limit, 1))
+        words = f"{words} ({percent})"
     yield LimitCheck(
         "min_solved", limit, figure, figure >= limit, f"{words}, fewer than the limit of {wanted}"
     )
@@ -72,8 +74,10 @@ def _of_solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
     ):
         limit = getattr(limits, name)
         if limit is not None:
-            metres = name.endswith("_m")
-            shown = length(figure) if metres else f"{figure:.3g}"
-            text = f"{words.format(shown)} passes the limit of {limit:g}{' m' if metres else ''}"
+            metres = " m" if name.endswith("_m") else ""
+            shown, most = length(figure) if metres else f"{figure:.3g}", f"{limit:g}{metres}"
+            if abs(figure - limit) < 0.01 * limit:
+                shown, most = (f"{n}{metres}" for n in told_apart(figure, limit, 2))
+            text = f"{words.format(shown)} passes the limit of {most}"
             # not >, so that a figure which is no number is told
             yield LimitCheck(name, limit, figure, figure <= limit, text)

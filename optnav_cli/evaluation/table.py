@@ -107,7 +107,7 @@ def _notes(figures: Figures, remarks: tuple[str, ...]) -> list[str]:
             f"N is local north for {figures.north_frames} of {figures.solved} frames "
             "that have no neighbour in their pass"
         )
-    lines += [f"unsolved {n} times: {why}" for why, n in figures.unsolved_reasons.items()]
+    lines += [f"unsolved {n} times: {why.label}" for why, n in figures.unsolved_reasons.items()]
     return lines + list(remarks)
 
 

@@ -102,6 +102,10 @@ class FileAttitude:
             return 0.0
         return self.ephemeris.error_m(tdb_s) / self.body.radius_m
 
+    def inertial_from_body(self, time: float | str) -> Rotation:
+        """How the body is turned at a time."""
+        return self._body_from_inertial(time).inv()
+
     def _body_from_inertial(self, time: float | str) -> Rotation:
         tdb_s = utc_to_tdb_s(time) if isinstance(time, str) else time
         return Rotation.from_matrix(self.ephemeris.body_from_inertial(tdb_s))

@@ -33,7 +33,7 @@ def _position(what: str, form: str, empty: bool = True) -> list[CsvColumn]:
 
 
 def _quaternion(what: str, form: str, empty: bool = True) -> list[CsvColumn]:
-    what = f"{what}: quaternion of the rotation that run.toml names"
+    what = f"{what}: quaternion of the rotation that run.toml names as `attitude`"
     return [_number(name, f"{what}, {name[1]}", "", form, empty) for name in QUATERNION]
 
 
@@ -46,7 +46,7 @@ FILE = _text("file", "name of the picture, relative to the picture folder")
 UTC = _text("utc", "time of the picture, UTC, as 2023-08-17T05:23:10.250Z")
 CAMERA = _text("camera", "name of the camera, that of a file in cameras/")
 PREDICTED = _count("n_predicted", "control points expected in view, lit, unhidden, inside")
-MATCHED = _count("n_matched", "of these, found by the matcher")
+MATCHED = _count("n_matched", "of these, found: the matcher accepts a place")
 USED = _count("n_used", "of these, kept by the solution")
 STATUS = _text("status", "solved or unsolved")
 METHOD = _text("method", "how the frame was solved, or how far it got", empty=True)
@@ -107,7 +107,7 @@ MATCHES = CsvTable(
         _number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
         _number("radius_m", "its distance from the body's centre", "m", "z.4f", empty=False),
         *_pixel("predicted", "where the final pose predicts it", empty=False),
-        *_pixel("measured", "where it was found"),
+        *_pixel("measured", "where it was found; empty where it was not"),
         _number("score", "correlation of the best match", "", "z.5f"),
         _number("runner_up", "correlation of the best rival", "", "z.5f"),
         _number("sun_elevation_deg", "the Sun above the point's horizon", "deg", "z.4f"),
@@ -135,6 +135,6 @@ EVALUATION = CsvTable(
         _number("attitude_error_arcsec", "angle of the attitude's error", "arcsec", "z.4f"),
         *(PREDICTED, MATCHED, USED),
         _count("n_wrong", "of these, more than 3 px from the truth"),
-        REASON,
+        *(REASON, REASON_CODE),
     )
 )

@@ -14,7 +14,7 @@ from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import NO_DISTORTION, SearchPlan
-from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, told_apart
 
 # A reference lit or known over less than this share of its nodes is no picture of a place.
 MIN_VALID_SHARE = 0.6
@@ -181,11 +181,12 @@ def _rejection_of_match(match: Match, gates: MatchGates, samples: float) -> Reas
     if not np.isfinite(match.covariance).all():
         return Reason(ReasonCode.SEARCH_BORDER, "peak at the border of the search")
     if score < gates.min_score:
-        return Reason(ReasonCode.LOW_SCORE, f"score {score:.2f} below {gates.min_score:.2f}")
+        low, wanted = told_apart(score, gates.min_score, 2)
+        return Reason(ReasonCode.LOW_SCORE, f"score {low} below {wanted}")
     # samples are counted behind a blur only
     if samples and score * np.sqrt(samples) < gates.min_strength:
-        wanted = gates.min_strength / np.sqrt(samples)
-        text = f"score {score:.2f} below {wanted:.2f} over {samples:.0f} samples"
+        low, wanted = told_apart(score, gates.min_strength / np.sqrt(samples), 2)
+        text = f"score {low} below {wanted} over {samples:.0f} samples"
         return Reason(ReasonCode.LOW_SCORE, text)
     if match.runner_up > gates.rival_ratio * score:
         return Reason(ReasonCode.RIVAL, f"rival {match.runner_up:.2f} near score {score:.2f}")

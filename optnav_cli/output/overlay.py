@@ -238,7 +238,7 @@ def _entries(
         items += [
             ("o", PREDICTED, f"by the solution ({len(matches)})"),
             ("x", FOUND, f"found and used ({used})"),
-            ("x", REJECTED, f"found, not used ({found - used})"),
+            ("x", REJECTED, f"found, left out ({found - used})"),
         ]
     if marks is not None and marks.is_disc:
         return [*items, ("+", DISC, "centre of the disc")]

@@ -26,6 +26,6 @@ def run_lines(solutions: Sequence[Solution]) -> list[str]:
             median, largest = unit.text(float(np.median(found))), unit.text(max(found))
             rows.append((method, str(len(found)), median, largest))
         lines += table_lines(rows)
-    reasons = Counter(s.reason_code.value for s in solutions if not s.solved)
+    reasons = Counter(s.reason_code.label for s in solutions if not s.solved)
     lines += [f"unsolved, {reason}: {count}" for reason, count in reasons.most_common()]
     return lines

@@ -81,7 +81,7 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
     position, upper = row.vector(POSITION), row.vector(COVARIANCE)
     quaternion, sigma = row.vector(QUATERNION), row.number("attitude_sigma_arcsec")
     written = None if quaternion is None else rotation_from_quaternion(*quaternion)
-    reason = Reason(_reason_code(row), row["reason"])
+    reason = Reason(reason_code(row), row["reason"])
     evidence = Evidence(
         n_predicted=row.count("n_predicted"),
         n_matched=row.count("n_matched"),
@@ -111,7 +111,8 @@ def _method(row: CsvRow) -> Method | None:
         raise DataError(f"method is '{row['method']}'; wanted {', '.join(Method)}") from None
 
 
-def _reason_code(row: CsvRow) -> ReasonCode:
+def reason_code(row: CsvRow) -> ReasonCode:
+    """The code of a row's reason. Raises DataError."""
     try:
         return ReasonCode(row["reason_code"])
     except ValueError:
@@ -160,7 +161,7 @@ def _match(row: CsvRow) -> MatchRow:
         residual_px=row.vector(_pixel("residual")),
         prior_px=row.vector(_pixel("prior")),
         catalog=row["catalog"],
-        reason_code=_reason_code(row),
+        reason_code=reason_code(row),
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from catalog.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
-from catalog.control_point import SHADOW_AZIMUTHS, Flag
+from catalog.control_point import FLAG_MEANINGS, SHADOW_AZIMUTHS
 from catalog.store.reader import Catalog
 from optnav_cli.report.page import data_uri, figure, grouped, legend, side_by_side
 from optnav_cli.report.relief import GRAY, relief
@@ -27,19 +27,11 @@ from optnav_cli.report.views import THIRD, MapView, rows_of_pixels, views
 MAX_DOTS = 1500  # more points are shown by their cells instead of one by one
 TINT, STRONG_TINT, SOLID = 105, 205, 255  # of 255, over the relief
 # In the order in which the checks run: a point is shown by the first that it fails.
-REASONS = {
-    Flag.NO_DATA: "a patch has holes",
-    Flag.FLAT: "too flat to be located",
-    Flag.NOT_UNIQUE: "a rival nearby looks too much alike",
-    Flag.SHADOWED: "foreign shadows at most Suns",
-    Flag.NOT_RECOGNISED: "recognition trials failed",
-    Flag.CROWDED: "too near to a neighbour's point",
-    Flag.OVERHANG: "ground hangs over its patch",
-}
+REASONS = tuple(FLAG_MEANINGS)
 NO_REASON = "no reason given"
 # By the kinds of `first_reasons`.
 POINT_COLOURS = (USABLE, *REASON_COLOURS, OTHER)
-POINT_WORDS = ("usable", *REASONS.values(), NO_REASON)
+POINT_WORDS = ("usable", *(flag.label for flag in REASONS), NO_REASON)
 NO_SOURCE = "none: no ground at the point"
 BINS = 32
 BAND_DEG = 10.0

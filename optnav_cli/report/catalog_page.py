@@ -10,7 +10,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from catalog.arrays import ByteArray, Float32Array, FloatArray
-from catalog.control_point import Flag, Patch
+from catalog.control_point import FLAG_MEANINGS, Flag, Patch
 from catalog.errors import DataError
 from catalog.store.reader import Catalog
 from optnav_cli.report import catalog_maps as maps
@@ -167,19 +167,20 @@ def _reasons(catalog: Catalog) -> Markup:
     rows = []
     # a point too near to a neighbour's may be usable, so alone it explains nothing
     firsts = np.bincount(maps.first_reasons(catalog), minlength=len(maps.REASONS) + 2)
-    for number, (flag, text) in enumerate(maps.REASONS.items(), start=1):
+    for number, flag in enumerate(maps.REASONS, start=1):
         carried = (flags & int(flag)) != 0
         alone = (flags & ~int(Flag.CROWDED)) == int(flag)
         if carried.any():
             counts = (int(carried.sum()), int(alone.sum()), int(firsts[number]))
             share = html.percent(counts[0], len(catalog))
-            rows.append((text, html.grouped(counts[0]), share, *map(html.grouped, counts[1:])))
+            words = flag.label, FLAG_MEANINGS[flag]
+            rows.append((*words, html.grouped(counts[0]), share, *map(html.grouped, counts[1:])))
     if firsts[-1]:
         unexplained = html.grouped(int(firsts[-1]))
-        rows.append((maps.NO_REASON, unexplained, "", "", unexplained))
-    header = ("why points are not usable", "points", "of all", "for this alone", "so on the map")
-    words = f"{html.counted(flags.size, 'point')} not usable; one may have several reasons."
-    return html.paragraph(words) + html.table(header, rows)
+        rows.append((maps.NO_REASON, "", unexplained, "", "", unexplained))
+    header = "not usable", "because", "points", "of all", "for this alone", "so on the map"
+    text = f"{html.counted(flags.size, 'point')} not usable; one may have several reasons."
+    return html.paragraph(text) + html.table(header, rows, text_columns=2)
 
 
 def _sides(catalog: Catalog) -> Markup:
@@ -257,10 +258,10 @@ def gallery(catalog: Catalog) -> Markup:
     ]
     kinds = maps.first_reasons(catalog)
     groups = [("Best", best.tolist()), ("Worst usable", worst.tolist())]
-    for number, reason in enumerate(maps.REASONS.values(), start=1):
+    for number, flag in enumerate(maps.REASONS, start=1):
         there = np.flatnonzero(kinds == number).tolist()
         # the one in the middle stands for the others better than an extreme one
-        groups.append((f"Not usable: {reason}", there[len(there) // 2 :][:1]))
+        groups.append((f"Not usable: {flag.label}", there[len(there) // 2 :][:1]))
     for heading, chosen in groups:
         if chosen:
             parts.append(html.subsection(heading, *(_point(catalog, row) for row in chosen)))

@@ -313,7 +313,7 @@ def _legend(frames: Frames) -> list[LegendEntry]:
 
 def _reasons(frames: Frames) -> str:
     """Why frames are unsolved, the most frequent reasons."""
-    reasons = Counter(row.reason or "no reason given" for row in frames.rows if not row.solved)
+    reasons = Counter(row.reason.code.label for row in frames.rows if not row.solved)
     if not reasons:
         return ""
     named = "; ".join(f"{n} × {why}" for why, n in reasons.most_common(MAX_REASONS))

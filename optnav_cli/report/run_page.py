@@ -238,20 +238,21 @@ def _residual_words(residuals: FloatArray) -> str:
 
 
 def _refusals(run: RunFolder) -> Markup:
-    reasons = Counter(m.reason_code.meaning or "not used" for m in run.matches if not m.used)
+    reasons = Counter(m.reason_code for m in run.matches if not m.used)
     if not reasons:
         return Markup()
     most_first = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
-    rows = [(reason, str(count)) for reason, count in most_first]
-    return html.table(("control points tried but not used: why", "times"), rows[:12])
+    rows = [(code.label, code.meaning, str(count)) for code, count in most_first]
+    header = "control points tried but not used", "because", "times"
+    return html.table(header, rows[:12], text_columns=2)
 
 
 def _unsolved(run: RunFolder) -> Markup:
-    rows = [(s.file, s.utc, s.reason) for s in run.solutions if not s.solved]
+    rows = [(s.file, s.utc, s.reason_code.label, s.reason) for s in run.solutions if not s.solved]
     if not rows:
         return Markup()
     return html.section(
-        "Unsolved frames", html.table(("file", "UTC", "reason"), rows, text_columns=3)
+        "Unsolved frames", html.table(("file", "UTC", "unsolved", "reason"), rows, text_columns=4)
     )
 
 

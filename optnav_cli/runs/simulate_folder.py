@@ -80,6 +80,7 @@ def simulate_folder(
                     command="simulate",
                     options={},
                     inputs={"scenario": origin, "terrain": terrain},
+                    results={"quaternions": simulation.attitude},
                     started=started,
                     key=key,
                 )

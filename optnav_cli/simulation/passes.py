@@ -7,7 +7,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.epochs import tdb_s_after
 from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
@@ -81,7 +81,6 @@ class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         body = motion.body
         radius = body.radius_m + orbit.altitude_km * 1e3
         rate = float(np.sqrt(body.gm_m3_s2 / radius**3))
-        start = utc_to_tdb_s(orbit.start_utc)
         found: list[Epoch] = []
         for number in range(orbit.passes):
             rng = np.random.default_rng([self.seed, PLACE, number])
@@ -97,7 +96,8 @@ class Scenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tr
                 after = (step - (orbit.frames - 1) / 2.0) * orbit.spacing_s
                 c, s = np.cos(rate * after), np.sin(rate * after)
                 place, forward = radius * (c * up + s * ahead), c * ahead - s * up
-                tdb_s = start + number * orbit.pass_interval_s + step * orbit.spacing_s
+                later = number * orbit.pass_interval_s + step * orbit.spacing_s
+                tdb_s = float(tdb_s_after(orbit.start_utc, later)[0])
                 found.append(Epoch(len(found), number, tdb_s, place, forward, sun, True, ground))
         return found
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.epochs import tdb_s_after
 from catalog.config import Count, Seconds
 from catalog.errors import ConfigError
 from optnav_cli.simulation.exposure import PLACE, Epoch
@@ -69,7 +69,9 @@ class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=
                 f"[portraits] distance_km comes down to {min(settings.distance_km):g} km from the "
                 f"centre of {body.name}, whose ground may reach {lowest / 1e3:g} km; wanted more"
             )
-        start = utc_to_tdb_s(settings.start_utc)
+        times = tdb_s_after(
+            settings.start_utc, np.arange(settings.frames) * settings.interval_s
+        ).tolist()
         distances = 1e3 * np.geomspace(*settings.distance_km, settings.frames)
         low, high = np.radians(settings.phase_deg)
         seeds = self.detail.seeds
@@ -80,10 +82,10 @@ class Portraits(ShapeScenario, frozen=True, forbid_unknown_fields=True, kw_only=
             up, sun = _place_and_sun(
                 float(low + (high - low) * share), np.radians(settings.subsolar_latitude_deg), rng
             )
-            forward, tdb_s = _square_to(up, NORTH), start + number * settings.interval_s
+            forward = _square_to(up, NORTH)
             seed = seeds[number * len(seeds) // settings.frames] if seeds else None
             position_m = distances[number] * up
-            found.append(Epoch(number, number, tdb_s, position_m, forward, sun, True, seed))
+            found.append(Epoch(number, number, times[number], position_m, forward, sun, True, seed))
         return found
 
 

@@ -80,6 +80,12 @@ class Simulation:
         """All pictures to take."""
         return self.scenario.exposures(self.motion)
 
+    @property
+    def attitude(self) -> Attitude:
+        """Which rotation the quaternions of frames.csv and truth.csv are."""
+        inertial = self.scenario.attitude.relative_to == "inertial"
+        return "camera_from_inertial" if inertial else "camera_from_body"
+
     @cached_property
     def _ground(self) -> TruthGround:
         return truth_ground(self.scenario, self.motion.body, self.cameras, self.flight)
@@ -100,9 +106,7 @@ class Simulation:
     def write_tables(self, folder: Path) -> None:
         """Write frames.csv, truth.csv, the cameras and the scenario into a folder."""
         scenario, cameras, motion = self.scenario, self.cameras, self.motion
-        inertial = scenario.attitude.relative_to == "inertial"
-        name: Attitude = "camera_from_inertial" if inertial else "camera_from_body"
-        settings = RunSettings(body=scenario.body, attitude=name)
+        settings = RunSettings(body=scenario.body, attitude=self.attitude)
         frames = [_frame(e, scenario, cameras[e.camera].name) for e in self.flight]
         # cameras as their calibration knows them: of a known blur, that of these pictures
         psf = scenario.sensor.psf_sigma_px
@@ -111,7 +115,7 @@ class Simulation:
         truths = [
             Truth(e.file, e.utc, e.tdb_s, e.position_m, e.camera_from_body) for e in self.flight
         ]
-        write_truth(folder / "truth.csv", FileAttitude(name, motion.body, motion), truths)
+        write_truth(folder / "truth.csv", FileAttitude(self.attitude, motion.body, motion), truths)
         (folder / "scenario.json").write_bytes(scenario_copy(scenario))
 
 

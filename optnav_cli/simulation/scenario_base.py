@@ -130,7 +130,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                         index=len(found),
                         camera=number,
                         file=f"frame_{epoch.number:0{digits}d}{which}.png",
-                        utc=utc_from_tdb_s(epoch.tdb_s),
+                        utc=utc_from_tdb_s(epoch.tdb_s, 3),
                         camera_from_body=own,
                         reported_camera_from_body=(
                             stated if own_from_ship is None else own_from_ship * stated

@@ -7,7 +7,7 @@ import pytest
 
 from catalog.errors import NoSolutionError
 from optnav_cli.fix import Fix, Method, NoFix, PositionPrior, Solution
-from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode, told_apart
 
 DARK = Reason(ReasonCode.NO_LIMB, "no limb in view")
 ARC = Reason(ReasonCode.CONTRADICTS_ARC, "3 km from the arc")
@@ -59,3 +59,23 @@ def test_a_method_has_a_label_for_sentences():
 def test_an_isotropic_prior_has_its_sigma_in_every_direction():
     prior = PositionPrior.isotropic(np.zeros(3), 3.0, "frames.csv")
     assert np.array_equal(prior.covariance_m2, 9.0 * np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "decimals", "wanted"),
+    [
+        (0.2996, 0.3, 2, ("0.2996", "0.3000")),
+        (0.21, 0.3, 2, ("0.21", "0.30")),
+        (0.3, 0.3, 2, ("0.30", "0.30")),
+        (np.nextafter(0.3, 0.0), 0.3, 2, ("0.2999999999999999", "0.3000000000000000")),
+        (np.nan, 0.3, 1, ("nan", "0.3")),
+    ],
+)
+def test_a_number_and_its_limit_are_told_apart(value, limit, decimals, wanted):
+    assert told_apart(value, limit, decimals) == wanted
+
+
+def test_each_reason_has_one_label_its_code_in_words():
+    labels = [code.label for code in ReasonCode]
+    assert len(set(labels)) == len(labels)
+    assert all(code.label.replace(" ", "_") == code.value for code in ReasonCode if code.value)

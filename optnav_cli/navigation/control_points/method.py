@@ -85,6 +85,8 @@ def navigate(
     if reason:
         refused = tuple(
             replace(row, used=False, reason=reason.text, reason_code=reason.code)
+            if row.used
+            else row
             for row in last.evidence.matches
         )
         tried = replace(last.evidence, n_used=0, residual_rms_px=None, matches=refused)
@@ -212,7 +214,7 @@ def _evidence(
                 level=match.level,
                 cp_position_m=places[k],
                 predicted_px=predicted,
-                measured_px=match.pixel,
+                measured_px=None if match.reason else match.pixel,
                 score=match.score,
                 runner_up=match.runner_up,
                 used=used,

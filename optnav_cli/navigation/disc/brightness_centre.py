@@ -22,7 +22,7 @@ from optnav_cli.measurements.disc.size import radius_posterior
 from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.navigation.horizon.limb_rays import attitude_covariance
 from optnav_cli.navigation.neighbour import CameraView
-from optnav_cli.reasons import Reason, ReasonCode
+from optnav_cli.reasons import Reason, ReasonCode, told_apart
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
 # What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
@@ -57,9 +57,10 @@ def navigate(
     towards = camera.unproject(disc.centre)
     phase = float(np.arccos(np.clip(-(towards @ sun), -1.0, 1.0)))
     if np.degrees(phase) > MAX_PHASE_DEG:
+        seen, most = told_apart(float(np.degrees(phase)), MAX_PHASE_DEG, 0)
         raise NoSolutionError(
-            f"the phase is {np.degrees(phase):.0f} deg: a crescent that thin says little about "
-            f"the disc's centre; the limit is {MAX_PHASE_DEG:.0f} deg",
+            f"the phase is {seen} deg: a crescent that thin says little about "
+            f"the disc's centre; the limit is {most} deg",
             ReasonCode.THIN_CRESCENT,
         )
     body_from_camera = camera_from_body.inv().as_matrix()

@@ -12,7 +12,7 @@ from catalog.terrain.skyline.limb import nadir_axes
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Estimate
 from optnav_cli.measurements.limb.detection import LimbPoints
-from optnav_cli.reasons import ReasonCode
+from optnav_cli.reasons import ReasonCode, told_apart
 
 ARC_BIN_DEG = 2.0
 MIN_ARC_DEG = 100.0  # below it errors grow tens to hundreds of times (Zhukov 2025, ch. 2)
@@ -109,9 +109,10 @@ def require_arc(azimuths: FloatArray) -> float:
     """`arc_deg` of the points. Raises NoSolutionError for less than a position wants."""
     arc = arc_deg(azimuths)
     if arc < MIN_ARC_DEG:
+        seen, least = told_apart(arc, MIN_ARC_DEG, 0)
         raise NoSolutionError(
-            f"the lit limb covers {arc:.0f} deg of azimuth about the nadir; a position wants "
-            f"{MIN_ARC_DEG:.0f} deg or more",
+            f"the lit limb covers {seen} deg of azimuth about the nadir; a position wants "
+            f"{least} deg or more",
             ReasonCode.SHORT_ARC,
         )
     return arc

@@ -62,7 +62,7 @@ def test_a_table_without_a_solved_frame_says_why(tmp_path, make_run):
     make_run(tmp_path, count=4, unsolved_from=0)
     assert format_table(evaluate_run(tmp_path, tmp_path / "truth.csv")).splitlines() == [
         "solved 0 of 4 frames (0.0 %)",
-        "unsolved 4 times: fewer than two control points matched",
+        "unsolved 4 times: no solution",
     ]
 
 
@@ -82,8 +82,9 @@ def test_a_run_ends_with_its_methods_and_reasons(tmp_path, make_run):
     assert [cells(row)[0] for row in rows[:4]] == names
     assert sum(int(cells(row)[1]) for row in rows[:4]) == solved
     assert header.split("  ")[-2:] == ["median sigma an axis, km", "largest"]
-    assert rows[4:] == [f"unsolved, no_solution: {96 - solved}"]
+    assert rows[4:] == ["unsolved, cut disc: 6", "unsolved, no limb: 2"]
+    assert 96 - solved == 8
     make_run(tmp_path / "none", count=2, unsolved_from=0)
     none = run_lines(read_run(tmp_path / "none").solutions)
-    assert none == ["solved 0 of 2 frames", "unsolved, no_solution: 2"]
+    assert none == ["solved 0 of 2 frames", "unsolved, no solution: 2"]
     assert run_lines([]) == ["solved 0 of 0 frames"]

@@ -11,6 +11,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.output.tables import write_solutions
+from optnav_cli.reasons import ReasonCode
 from tests.optnav_cli.rows import solved, unsolved
 
 RADIUS_M = 1737400.0
@@ -65,8 +66,8 @@ def write_approach(folder, count=24, seed=0, scale=1.0):
             truth.append(",".join([file, utc, *numbers]))
             rows.append(f"{file},{utc},{camera.name}")
             if camera.name == "shnk" and index % 6 == 5:
-                reason = "only the terminator is in view" if index < 12 else "the body is cut"
-                solutions.append(unsolved(file, utc, reason))
+                code = ReasonCode.NO_LIMB if index < 12 else ReasonCode.CUT_DISC
+                solutions.append(unsolved(file, utc, code.meaning, code))
                 planted[file] = (height, None, None)
                 continue
             method, along, across = method_of(height, camera.name)

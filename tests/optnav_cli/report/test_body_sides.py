@@ -115,7 +115,7 @@ def test_show_draws_the_body_with_its_points_and_reasons(phobos, tmp_path, capsy
 def test_the_report_of_a_small_body_shows_it_from_six_sides(phobos, tmp_path):
     page = report_of(phobos, tmp_path)
     assert sum("Control points seen from" in label for label in page.labels) == 6
-    assert "ground hangs over its patch: 1" in page.text
+    assert "overhang: 1" in page.text
 
 
 def test_large_bodies_and_catalogs_without_a_shape_are_not_drawn_whole(tmp_path, capsys):

@@ -344,7 +344,7 @@ def test_an_approach_shows_methods_over_time_and_height_and_why_frames_are_unsol
     assert sum(label.startswith("Error of the") for label in page.labels) == 2 * 2
     assert "By method" in page.text
     assert "brightness centre, shnk: " in page.text
-    assert "2 × only the terminator is in view; 2 × the body is cut" in page.text
+    assert "2 × no limb; 2 × cut disc" in page.text
     text = (tmp_path / "report.html").read_text()
     unsolved = [file for file, (_, method, _) in planted.items() if method is None]
     # a cross in each of three plots over time and two over height

@@ -217,6 +217,22 @@ def test_the_recording_says_what_the_run_was_made_from(mixed_run):
     assert sum(key.startswith("catalog ") for key in record.metadata) == 1
 
 
+def test_found_points_are_those_that_were_matched_also_in_a_refused_frame(mixed_run):
+    _, run = mixed_run
+    rows = rows_of(run / "matches.csv")
+    for frame in rows_of(run / "solution.csv"):
+        tried = [row for row in rows if row["file"] == frame["file"]]
+        found = [row for row in tried if row["measured_x_px"]]
+        used = [row for row in tried if row["used"] == "1"]
+        if frame["n_predicted"]:
+            counts = len(tried), len(found), len(used)
+            assert counts == tuple(int(frame[f"n_{n}"]) for n in ("predicted", "matched", "used"))
+        assert {row["reason_code"] for row in used} <= {""}
+        lost = {row["reason_code"] for row in tried if not row["measured_x_px"]}
+        assert lost <= {"low_score", "rival", "search_border", "in_shadow", "outside_frame"}
+    assert [row for row in rows if row["file"] == "noise.png" and row["reason_code"] == "low_score"]
+
+
 def test_the_run_folder_is_whole(mixed_run):
     _, run = mixed_run
     for name in ("run.toml", "frames.csv", "manifest.json", "run.mcap", "cameras/cam.toml"):

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
+from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.errors import ConfigError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from optnav_cli.camera.camera import Camera
@@ -170,6 +171,13 @@ def test_the_blur_is_the_stated_gaussian():
     x = np.arange(61) - 30.0
     spread = (counts[27:34, 27:34] * x[27:34] ** 2).sum() / counts[27:34, 27:34].sum()
     assert np.sqrt(spread) == pytest.approx(0.7, abs=0.03)
+
+
+def test_times_are_exact_on_the_clock(flight: tuple[Scenario, list[Exposure]]):
+    _, exposures = flight
+    clock = [exposure.utc.split("T")[1] for exposure in exposures]
+    assert clock == ["00:00:00.000Z", "00:00:02.000Z", "02:00:00.000Z", "02:00:02.000Z"]
+    assert [utc_to_tdb_s(exposure.utc) for exposure in exposures] == [e.tdb_s for e in exposures]
 
 
 def test_a_black_picture_stays_a_picture():

@@ -169,7 +169,7 @@ def test_a_sun_too_low_or_too_high_is_named(rough_world, field_of, scene, elevat
     sun = rough_world.sun(elevation_deg, 65.0)
     said = reason(rough_world, field_of(rough_world), picture, pose, sun)
     assert "lit well: Sun elevation" in said
-    assert "wanted 5 to 60" in said
+    assert "wanted 5.0 to 60.0" in said
 
 
 def test_a_damaged_point_is_left_out_and_remembered(rough_world, field_of, scene):
