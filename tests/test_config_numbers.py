@@ -145,6 +145,7 @@ def test_every_number_loads_and_works_or_is_refused(name: str, tmp_path: Path) -
     type_, use = CASES[name]
     shipped = CONFIGS / f"{name}.toml"
     data = tomllib.loads(shipped.read_text())
+    data.pop("spice", None)  # kernels are among the shared data, and hold no number of the config
     places = dict.fromkeys([*written(data), *possible(inspect.type_info(type_))])
     path = tmp_path / "edited.toml"
     path.write_text(toml(data))

@@ -35,7 +35,7 @@ from optnav_cli.output.recording import Recording, recorded_image
 from optnav_cli.runs.frame_worker import MATCHERS, FrameWorker, RunInputs
 from optnav_cli.runs.inputs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
-from optnav_cli.simulation.run import simulate
+from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.studies.apollo import CUBE, PICTURE
 from tests.bench.timing import FULL, Spread, best, one_core, sized, spread, within
 
@@ -143,7 +143,7 @@ def test_a_fisheye_frame_with_nothing_stated(shared_data, tmp_path):
         text = text.replace(long, short)
     scenario.write_text(text)
     config.write_text(BELOW)
-    simulate(scenario, tmp_path / "pictures")
+    simulate_folder(scenario, tmp_path / "pictures", SilentProgress())
     # all that the camera sees; more of the Moon only adds to what is passed over
     build.run(config, output=tmp_path / "moon.gpkg", bbox=LOW_POINT)
     worker = FrameWorker(RunInputs(tmp_path / "pictures", [tmp_path / "moon.gpkg"]))

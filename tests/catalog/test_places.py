@@ -215,11 +215,11 @@ PAIRS = """
         if kind == "file":
             with replacing_file(place, lambda _: True) as new:
                 new.write_text(word * 1000)
-                time.sleep(0.002)
+                time.sleep(0.02)
         else:
             with replacing_folder(place, "run") as new:
                 (new / "manifest.json").write_text('{"made_by": "optnav", "kind": "run"}')
-                time.sleep(0.002)
+                time.sleep(0.02)
                 (new / "word").write_text(word * 1000)
 
     for number in range(100):
