@@ -250,7 +250,7 @@ def test_two_workers_against_one(scene, tmp_path):
     """Frames with priors side by side, by the clock: on a machine without other work."""
     folder, layer = scene.folder, scene.points.layers[0]
     (frame,) = folder.frames
-    names = [f"{number}.png" for number in range(sized(120, 2))]
+    names = [f"{number}.png" for number in range(sized(200, 2))]
     pictures = tmp_path / "pictures"
     frames = [replace(frame, file=name) for name in names]
     write_folder(pictures, folder.settings, folder.cameras.values(), frames)
