@@ -35,7 +35,7 @@ class Flag(IntFlag):
 FLAG_MEANINGS = {
     Flag.NO_DATA: "a patch has holes",
     Flag.FLAT: "the predicted match error is above the limit",
-    Flag.NOT_UNIQUE: "a rival nearby looks too much alike",
+    Flag.NOT_UNIQUE: "a rival nearby looks too similar",
     Flag.SHADOWED: "foreign shadows reach the patch at most Suns",
     Flag.NOT_RECOGNISED: "recognition trials failed",
     Flag.CROWDED: "nearer to a neighbour's point than the spacing allows",

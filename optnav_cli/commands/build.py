@@ -108,7 +108,7 @@ def _source(given: Sequence[Path], body: str | None) -> "Path | ConfigText":
     (config,) = [path for path in given if path not in rasters][:1]
     if config.suffix.lower() in MESHES:
         raise UsageError(
-            f"{config}: a shape model needs to be told its units; name it in the [[mesh]] section "
+            f"{config}: a shape model does not state its units; name it in the [[mesh]] section "
             "of a config (`optnav config template build` prints one)"
         )
     if len(given) > 1:

@@ -79,5 +79,5 @@ def _of_solved(figures: Figures, limits: Limits) -> Iterator[LimitCheck]:
             if abs(figure - limit) < 0.01 * limit:
                 shown, most = (f"{n}{metres}" for n in told_apart(figure, limit, 2))
             text = f"{words.format(shown)} passes the limit of {most}"
-            # not >, so that a figure which is no number is told
+            # not >, so that a figure which is no number is reported
             yield LimitCheck(name, limit, figure, figure <= limit, text)

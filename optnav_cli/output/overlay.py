@@ -127,7 +127,7 @@ def overlay_png(
 def overlay_path(folder: Path, file: str) -> Path:
     """Where a frame's overlay is: the picture's whole name, so that a.png and a.tif differ.
 
-    A name too long for a file is cut, and told from others by its hash.
+    A name too long for a file is cut, and made unique by its hash.
     """
     name = file.replace("/", "_").replace("\\", "_")
     if len(name.encode()) > MAX_NAME_BYTES - len(".png"):

@@ -108,7 +108,7 @@ def measure_disc(areas: Segmented, saturation: float | None) -> DiscMoments:
     if rival > RIVAL_SHARE * light[first]:
         raise NoSolutionError(
             f"{len(light)} bright spots, the second with {100.0 * rival / light[first]:.0f} % of "
-            "the first one's light: stars, or two bodies; which is the body cannot be told",
+            "the first one's light: stars, or two bodies; which is the body cannot be decided",
             ReasonCode.SEVERAL_BODIES,
         )
     chosen = int(kept[first])

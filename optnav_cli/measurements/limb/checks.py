@@ -176,6 +176,6 @@ def _check_second(camera: Camera, outside: Candidates, cone: Cone, relief: float
         x, y = camera.project(other.axis_camera())
         raise NoSolutionError(
             f"two bodies in the picture: a second limb about ({x:.0f}, {y:.0f}); "
-            "which is the one to navigate by cannot be told",
+            "which is the one to navigate by cannot be decided",
             ReasonCode.SEVERAL_BODIES,
         )

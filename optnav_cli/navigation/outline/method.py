@@ -128,7 +128,7 @@ def _one_of_two(
     if neighbour.is_more_likely_neighbour(view, other, place, sigma, body.radius_m):
         raise NoSolutionError(
             f"the disc is where {names[0]} stands as seen from near {names[1]}, and of its size: "
-            f"it is {names[0]}, or cannot be told from it",
+            f"it is {names[0]}, or cannot be distinguished from it",
             ReasonCode.OTHER_BODY,
         )
     return alone, picture
