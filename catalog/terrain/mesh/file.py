@@ -130,7 +130,7 @@ def _reported(path: Path) -> Iterator[None]:
 # Readers of trimesh check little: what stands in a damaged file comes out as any of these.
 LIBRARY_ERRORS = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError),
-    *(MemoryError, RuntimeError, TypeError, ValueError, struct.error),
+    *(MemoryError, NameError, RuntimeError, TypeError, ValueError, struct.error),
 )
 
 

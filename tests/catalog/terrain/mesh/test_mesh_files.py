@@ -149,6 +149,14 @@ BAD = {
     ),
     "text": (lambda m: "Dear all,\nthis is no mesh.\n", "obj", "cannot be read as OBJ|no triangle"),
     "text as ply": (lambda m: "hello", "ply", "cannot be read as PLY"),
+    "ply without corners": (
+        lambda m: (
+            "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+            "property float z\nelement face 1\nproperty list uchar int corners\n"
+            "property float area\nend_header\n0 0 1\n1 0 0\n0 1 0\n3 0 1 2 0.5\n"
+        ),
+        "ply", "cannot be read as PLY",
+    ),
     "text as stl": (lambda m: "hello " * 40, "stl", "cannot be read as STL|no triangle"),
     "text as glb": (lambda m: "hello " * 40, "glb", "cannot be read as GLB"),
     "empty": (lambda m: "", "obj", "is empty"),
