@@ -121,6 +121,28 @@ class LockedOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tide_error: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
+class SunOrbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The orbit of a small body about the Sun: osculating elements, ecliptic and equinox of J2000.
+
+    epoch_jd  Julian date of the elements, TDB
+    years     first and last Julian year in which the Kepler orbit serves; beyond them planets have
+              moved the body too far from it
+    """
+
+    epoch_jd: Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
+    years: tuple[Year, Year]
+    semi_major_axis_au: Annotated[float, msgspec.Meta(ge=0.01, le=1e4)]
+    eccentricity: Annotated[float, msgspec.Meta(ge=0.0, le=0.99)]
+    inclination_deg: Turn
+    node_deg: Turn
+    perihelion_deg: Turn
+    mean_anomaly_deg: Turn
+
+    def holds(self, tdb_s: float) -> bool:
+        """Whether a time, TDB s past J2000, lies in the years of the elements."""
+        return self.years[0] <= J2000_YEAR + tdb_s / JULIAN_YEAR_S <= self.years[1]
+
+
 class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How SPICE kernels name a body.
 
@@ -145,7 +167,7 @@ class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     radii_km: tuple[Size, Size, Size]
     gm_km3_s2: Annotated[float, msgspec.Meta(ge=1e-15, le=1e12)]
     plausible_heights_km: tuple[Height, Height]
-    sun: SunTheory
+    sun: SunTheory | SunOrbit
     rotation: RotationSeries
     rotation_correction: RotationCorrection | None = None
     gravity: GravityField | None = None
@@ -163,7 +185,8 @@ class Body:
     plausible_heights_m  (lowest, highest) a height above the reference sphere may be; beyond it a
                          terrain model has the wrong units or the wrong body
     rotation             how the body-fixed frame turns, as published
-    sun                  which analytic theory gives the Sun's direction, see `bodies.ephemeris`
+    sun                  which analytic theory gives the Sun's direction, see `bodies.ephemeris`,
+                         or the body's own orbit
     rotation_correction  what a fit to better data adds to the rotation, where there is one
     gravity              its field beside the point mass; None where the file has none
     orbit                about its planet, for a moon whose planet no theory here gives otherwise
@@ -176,7 +199,7 @@ class Body:
     gm_m3_s2: float
     plausible_heights_m: tuple[float, float]
     rotation: RotationSeries
-    sun: SunTheory
+    sun: SunTheory | SunOrbit
     rotation_correction: RotationCorrection | None = None
     gravity: GravityField | None = None
     orbit: LockedOrbit | None = None

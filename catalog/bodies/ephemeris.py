@@ -3,9 +3,10 @@
 A run's log names the source that it used.
 
 Analytic, without files: rotation by the series of configs/bodies with its fitted correction, the
-Sun and the Earth by SOFA. SPICE: the rotation of the frame that configs/bodies states, else of the
-one that the kernels tie to the body; positions of the SPK kernels. Where no SPK kernel is named
-(orientation kernels reach further than most orbits), Sun and places stay analytic.
+Sun and the Earth by SOFA, small bodies by the Kepler orbit of their file. SPICE: the rotation of
+the frame that configs/bodies states, else of the one that the kernels tie to the body; positions of
+the SPK kernels. Where no SPK kernel is named (orientation kernels reach further than most orbits),
+Sun and places stay analytic.
 
 Directions to the Sun are apparent ones (light time and stellar aberration), as pictures show it.
 Positions are geometric ones at the very time, as forces and orbits need them.
@@ -20,9 +21,10 @@ from typing import Literal
 
 import erfa
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
-from catalog.bodies.body import Body, LockedOrbit, SunTheory, load_body
+from catalog.bodies.body import Body, LockedOrbit, SunOrbit, SunTheory, load_body
 from catalog.bodies.epochs import DAY_S, J2000_JD, utc_from_tdb_s
 from catalog.bodies.kernels import KernelSet, common_span
 from catalog.bodies.rotation import body_from_inertial
@@ -62,11 +64,52 @@ PLANETS = {
 }
 
 
+# Gauss' constant and the obliquity of J2000 (IAU 1976), which JPL's elements are stated with.
+GAUSS_PER_DAY = 0.01720209895
+KEPLER_STEPS = 20  # far more than any eccentricity up to 0.99 needs
+OBLIQUITY = np.radians(84381.448 / 3600.0)
+
+
 def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
-    """Unit vector (3,) to the apparent Sun, inertial axes, as seen from the body's centre."""
-    from_sun, velocity = _heliocentric(body.sun, tdb_s / DAY_S)
+    """Unit vector (3,) to the apparent Sun, inertial axes, as seen from the body's centre.
+
+    Raises DataError beyond the years of a small body's orbit.
+    """
+    from_sun, velocity = _from_sun(body, tdb_s)
     direction = -unit(from_sun)
     return unit(direction + velocity / LIGHT_AU_PER_DAY)
+
+
+def _from_sun(body: Body, tdb_s: float) -> tuple[FloatArray, FloatArray]:
+    """Position of a body from the Sun, AU, and velocity, AU/day."""
+    if not isinstance(body.sun, SunOrbit):
+        return _heliocentric(body.sun, tdb_s / DAY_S)
+    if not body.sun.holds(tdb_s):
+        first, last = body.sun.years
+        raise DataError(
+            f"{body.name}: the orbit in its body file serves from {first:g} to {last:g}, not at "
+            f"{utc_from_tdb_s(tdb_s, 0)}; give the Sun's direction or SPICE kernels"
+        )
+    return _kepler(body.sun, tdb_s / DAY_S)
+
+
+def _kepler(orbit: SunOrbit, day: float) -> tuple[FloatArray, FloatArray]:
+    """Position, AU, and velocity, AU/day, on an orbit about the Sun, `day` days after J2000."""
+    a, e = orbit.semi_major_axis_au, orbit.eccentricity
+    rate = GAUSS_PER_DAY / a**1.5
+    mean = np.radians(orbit.mean_anomaly_deg) + rate * (day + J2000_JD - orbit.epoch_jd)
+    mean = float(np.remainder(mean, 2.0 * np.pi))
+    anomaly = mean if e < 0.8 else np.pi  # from here Newton's steps converge
+    for _ in range(KEPLER_STEPS):
+        anomaly -= (anomaly - e * np.sin(anomaly) - mean) / (1.0 - e * np.cos(anomaly))
+    cosine, sine, flat = np.cos(anomaly), np.sin(anomaly), np.sqrt(1.0 - e * e)
+    angles = [orbit.perihelion_deg, orbit.inclination_deg, orbit.node_deg]
+    ecliptic_from_orbit = Rotation.from_euler("zxz", angles, degrees=True)
+    inertial_from_orbit = Rotation.from_euler("x", OBLIQUITY) * ecliptic_from_orbit
+    in_plane = np.array([[cosine - e, flat * sine, 0.0], [-sine, flat * cosine, 0.0]]) * a
+    in_plane[1] *= rate / (1.0 - e * cosine)
+    position, velocity = inertial_from_orbit.apply(in_plane)
+    return position, velocity
 
 
 def _heliocentric(of: str, day: float) -> tuple[FloatArray, FloatArray]:
@@ -165,7 +208,7 @@ class AnalyticEphemeris(Ephemeris):
         if {of, body.sun} == {"earth", "moon"}:
             # the pair itself: the Sun's distance would cost digits
             return (1.0 if of == "moon" else -1.0) * _moon(day)[0] * AU_M
-        seen_from = _heliocentric(body.sun, day)[0]
+        seen_from = _from_sun(body, tdb_s)[0]
         there = np.zeros(3) if of == "sun" else _heliocentric(of, day)[0]
         return (there - seen_from) * AU_M
 
@@ -240,8 +283,10 @@ class SpiceEphemeris(Ephemeris):
         if self._orbits:
             sun, centre = self._sun_and_viewer()
             middle = _middle(self._kernels.orbit_span((sun, centre)), middle)
-            ours, theirs = (m.sun_inertial(middle) for m in (self._analytic, self))
-            self._compare(float(np.linalg.norm(ours - theirs)), "the Sun", middle)
+            orbit = self.body.sun
+            if not isinstance(orbit, SunOrbit) or orbit.holds(middle):
+                ours, theirs = (m.sun_inertial(middle) for m in (self._analytic, self))
+                self._compare(float(np.linalg.norm(ours - theirs)), "the Sun", middle)
         middle = _middle(common_span(self._kernels.turns.values()), middle)
         ours, theirs = (m.body_from_inertial(middle) for m in (self._analytic, self))
         # a rotation by a small angle differs from none by sqrt(2) of it

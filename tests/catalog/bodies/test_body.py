@@ -1,11 +1,16 @@
 """Body constants."""
 
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body, read_body
+from catalog.config import resource
 from catalog.errors import ConfigError
+
+BODIES = resource("configs/bodies/moon.toml").parent
 
 
 def test_the_moon_has_its_published_size_and_mass() -> None:
@@ -18,7 +23,7 @@ def test_the_moon_has_its_published_size_and_mass() -> None:
     assert highest > 10800.0
 
 
-@pytest.mark.parametrize("name", ["moon", "phobos", "earth", "mars"])
+@pytest.mark.parametrize("name", [path.stem for path in sorted(BODIES.glob("*.toml"))])
 def test_every_shipped_body_loads_under_its_own_name(name: str) -> None:
     body = load_body(name)
     assert body.name == name
@@ -28,10 +33,33 @@ def test_every_shipped_body_loads_under_its_own_name(name: str) -> None:
     assert max(body.radii_m) - body.radius_m < highest
 
 
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("mercury", 199), ("eros", 2000433), ("vesta", 2000004), ("itokawa", 2025143),
+     ("67p", 1000012), ("mars", 499), ("phobos", 401)],
+)  # fmt: skip
+def test_sizes_and_masses_are_those_of_the_constants_kernels(
+    name: str, number: int, shared_data: Callable[[str], Path]
+) -> None:
+    """GM of Itokawa and 67P are not in the kernels."""
+    spice = pytest.importorskip("spiceypy", reason="needs spiceypy")
+    paths = [str(shared_data(f"spice/{file}")) for file in ("pck00011.tpc", "gm_de440.tpc")]
+    spice.furnsh(paths)
+    try:
+        body = load_body(name)
+        np.testing.assert_allclose(body.radii_m, spice.bodvcd(number, "RADII", 3)[1] * 1e3)
+        if spice.bodfnd(number, "GM"):
+            gm = spice.bodvcd(number, "GM", 1)[1][0]
+            assert body.gm_m3_s2 == pytest.approx(gm * 1e9, rel=1e-9)
+    finally:
+        for path in paths:
+            spice.unload(path)
+
+
 def test_a_misspelt_body_is_answered_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match=r"no body 'mon'; did you mean 'moon'\?"):
         load_body("mon")
-    with pytest.raises(ConfigError, match="no body 'xyzzy'; there are earth, mars, moon, phobos"):
+    with pytest.raises(ConfigError, match="no body 'xyzzy'; there are 67p, bennu, earth, eros"):
         load_body("xyzzy")
 
 
