@@ -27,6 +27,7 @@ class Case:
     note     what was done to the input, for who reads a failure
     streams  "closed" or "full" runs the command as a process of its own with such a stdout
     action   what is called in place of optnav
+    network  whether the command line asks for a connection, as --scheduler does
     """
 
     args: tuple[str, ...]
@@ -38,6 +39,7 @@ class Case:
     note: str = ""
     streams: str = ""
     action: Callable[[], int] | None = None
+    network: bool = False
 
 
 @dataclass(frozen=True)

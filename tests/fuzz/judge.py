@@ -107,7 +107,11 @@ class Judge:
             failures.append(f"traceback: {crash}")
         elif outcome.code not in case.codes:
             failures.append(f"code {outcome.code}; wanted {sorted(case.codes)}")
-        failures += dict.fromkeys(seen)
+        failures += (
+            fault
+            for fault in dict.fromkeys(seen)
+            if not (case.network and fault.startswith("network:"))
+        )
         if self.trap.count != calls:
             failures.append(f"network: {self.trap.count - calls} connections")
         if largest_bytes() - largest > CASE_BYTES:

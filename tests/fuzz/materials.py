@@ -9,6 +9,7 @@ import os
 import shutil
 from importlib import import_module
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import erfa
@@ -145,6 +146,16 @@ COMMANDS = (
     ("catalog", "export", "moon.gpkg", "--point", "27858", "-o", "old.glb"),
     ("catalog", "export", "moon.gpkg", "--point", "27858", "-o", "old.obj"),
 )
+# what the work folder of a stopped command is made with, which is named after the output
+HALF_DONE = ("navigate", "pictures", "--catalog", "moon.gpkg", "-o", "half")
+
+
+def _stop_half_way(*args: str) -> None:
+    """Leave what a command leaves that was killed before its output stood: OUTPUT.work."""
+    output = Path(args[-1])
+    with mock.patch("optnav_cli.runs.unfinished.shutil.rmtree"):
+        run(["-q", *args])
+    shutil.rmtree(output)
 
 
 def make_materials(folder: Path) -> None:
@@ -161,6 +172,7 @@ def make_materials(folder: Path) -> None:
             code = run(["-q", *args])
             if code not in (0, 4):  # one frame with two points need not be solved
                 raise RuntimeError(f"the material of `optnav {' '.join(args)}` ended with {code}")
+        _stop_half_way(*HALF_DONE)
         Path(DONE).touch()
     finally:
         os.chdir(before)

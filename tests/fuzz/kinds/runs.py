@@ -2,11 +2,12 @@
 
 import json
 import shutil
+from pathlib import Path
 
 from tests.fuzz.cases import DATA, NOTHING, OK, USAGE, Case, Place, kind
 from tests.fuzz.damage import damaged
 from tests.fuzz.kinds.meshes import changed_json
-from tests.fuzz.materials import BOX
+from tests.fuzz.materials import BOX, HALF_DONE
 
 READ = frozenset({OK, DATA, NOTHING})
 FILES = (
@@ -76,14 +77,10 @@ def manifests(place: Place) -> Case:
     return Case(args, frozenset({DATA}), note=f"manifest {text[:60]!r}")
 
 
-@kind("run-work", 0.6)
-def works(place: Place) -> Case:
-    """A build that goes on in a work folder one of whose files is damaged."""
+def _spoiled(place: Place, folder: Path) -> str:
+    """Take away, damage or replace one of the files of a folder; which and how."""
     rng = place.rng
-    place.take("moon.toml", "dem.tif")
-    shutil.copytree(place.materials / "moon.gpkg.work", place.folder / "w", dirs_exist_ok=True)
-    inner = sorted(path for path in (place.folder / "w").rglob("*") if path.is_file())
-    path = rng.choice(inner)
+    path = rng.choice(sorted(path for path in folder.rglob("*") if path.is_file()))
     way = rng.choice(("gone", "damaged", "damaged", "damaged", "folder"))
     if way == "damaged":
         data, way = damaged(path.read_bytes(), rng)
@@ -92,7 +89,41 @@ def works(place: Place) -> Case:
         path.unlink()
         if way == "folder":
             path.mkdir()
-    note = f"{path.relative_to(place.folder)}: {way}"
+    return f"{path.relative_to(place.folder)}: {way}"
+
+
+@kind("run-half", 0.4)
+def halves(place: Place) -> Case:
+    """A navigation that goes on in a work folder one of whose files is damaged."""
+    place.take("pictures", "moon.gpkg", "half.work")
+    note = _spoiled(place, place.folder / "half.work")
+    workers = place.rng.choice(("1", "1", "1", "2"))
+    args = ("-q", *HALF_DONE, "--workers", workers)
+    return Case(args, READ, "half", frozenset({OK, NOTHING}), ("half.work",), note=note)
+
+
+@kind("run-scheduler", 0.1)
+def schedulers(place: Place) -> Case:
+    """A scheduler where there is none, or that is no address."""
+    place.take("pictures", "moon.gpkg")
+    dead = ("tcp://127.0.0.1:9", "tcp://127.0.0.1:1", "tcp://[::1]:9", "tcp://localhost:65535")
+    no_address = (
+        "", "tcp://", "nonsense", "127.0.0.1:9", "http://127.0.0.1:9", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "tcp://127.0.0.1:-1",
+        "tcp://[::1:9", "tcp://:8786", "tcp://127.0.0.1:0x9", "tcp://\u0661:9", "tcp://a b:9", "file:///etc/passwd", "tcp://127.0.0.1:9/../x",
+    )  # fmt: skip
+    address = place.rng.choice((*dead, *no_address))
+    args = ("-q", *HALF_DONE, "--scheduler", address)
+    codes = frozenset({DATA} if address in dead else {DATA, USAGE})
+    return Case(args, codes, note=f"scheduler {address!r}", network=True)
+
+
+@kind("run-work", 0.6)
+def works(place: Place) -> Case:
+    """A build that goes on in a work folder one of whose files is damaged."""
+    rng = place.rng
+    place.take("moon.toml", "dem.tif")
+    shutil.copytree(place.materials / "moon.gpkg.work", place.folder / "w", dirs_exist_ok=True)
+    note = _spoiled(place, place.folder / "w")
     args = (
         "-q",
         "build",
