@@ -3,6 +3,11 @@
 A programming mistake is not one of these: it stays a traceback (exit code 1).
 """
 
+import sqlite3
+
+# What SQLite raises of a damaged file: its words quote names of the file, which need not be UTF-8.
+DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+
 
 class OptnavError(Exception):
     """Base of all reported failures; the message says where, what was found, wanted and to do."""

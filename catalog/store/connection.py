@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 from urllib.parse import quote
 
-from catalog.errors import DataError
+from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.inputs import check_input
 from catalog.store.geopackage import table_columns
 from catalog.store.manifest import COUNTER_DIGITS, OPEN_SEAL, SEAL, CatalogMeta, meta_from_rows
@@ -69,7 +69,7 @@ def connect(path: Path) -> sqlite3.Connection:
         db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CELL_BYTES)
         db.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
         db.execute("PRAGMA trusted_schema = OFF")
-    except sqlite3.Error as error:
+    except DATABASE_ERRORS as error:
         left = "restore it or build it again"
         if log is not None:
             left = (

@@ -15,6 +15,7 @@ from typing import Literal
 from urllib.parse import quote
 
 from catalog.arrays import FloatArray
+from catalog.errors import DATABASE_ERRORS
 
 APPLICATION_ID = 0x47504B47  # "GPKG"
 USER_VERSION = 10300
@@ -205,7 +206,7 @@ def table_columns(path: Path, table: str) -> tuple[str, ...]:
     try:
         with closing(sqlite3.connect(uri, uri=True)) as db:
             found = db.execute("SELECT name FROM pragma_table_info(?)", (table,)).fetchall()
-    except sqlite3.Error:
+    except DATABASE_ERRORS:
         return ()
     return tuple(column for (column,) in found)
 

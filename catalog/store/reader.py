@@ -12,7 +12,7 @@ import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from catalog.control_point import ControlPoint, Patch, Pyramid
-from catalog.errors import DataError
+from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
 from catalog.store.connection import connect, read_meta
@@ -224,7 +224,7 @@ class Catalog:
             for level, row in enumerate(rows):
                 check_patch(row, level, self.meta)
             return tuple(read(row, point_id, level) for level, row in enumerate(rows))
-        except (sqlite3.Error, DataError) as error:
+        except (*DATABASE_ERRORS, DataError) as error:
             raise DataError(
                 f"{self.path}: control point {point_id} is damaged: {error}; run "
                 "`optnav catalog verify`"
@@ -250,7 +250,7 @@ def packed_records(db: sqlite3.Connection, meta: CatalogMeta) -> RecordArray:
             read += count
             if read > meta.count:
                 break
-    except (sqlite3.Error, TypeError) as error:
+    except (*DATABASE_ERRORS, TypeError) as error:
         raise DataError(f"cannot be read: {error}") from None
     if read != meta.count:
         raise DataError(f"holds {read} points, or more, of {meta.count}")
@@ -272,7 +272,7 @@ def feature_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -
                 report(f"{POINTS} {row[0]}", f"left out: {error}")
                 continue
             good[int(record["id"])] = record
-    except sqlite3.Error as error:
+    except DATABASE_ERRORS as error:
         raise DataError(f"the catalog is damaged: {error}; restore it or build it again") from None
     if meta.count and not good:
         raise DataError("the catalog is damaged: no control point is whole; build it again")

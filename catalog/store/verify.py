@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from catalog.arrays import RecordArray
-from catalog.errors import DataError
+from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.codec import decode_counts
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
@@ -215,7 +215,7 @@ def _read_again(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) 
 def _count(db: sqlite3.Connection, table: str, wanted: int, found: Verification) -> None:
     try:
         (count,) = db.execute(f"SELECT count(*) FROM {table}").fetchone()
-    except sqlite3.Error as error:
+    except DATABASE_ERRORS as error:
         found.add(table, error)
         return
     if count != wanted:
@@ -227,7 +227,7 @@ def _service(db: sqlite3.Connection, meta: CatalogMeta, found: Verification) -> 
     for table, wanted in service_rows(meta).items():
         try:
             rows = set(db.execute(f"SELECT * FROM {table}").fetchall())
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             found.add(table, error)
             continue
         # other programs may have added columns behind ours, as for another form of the WKT

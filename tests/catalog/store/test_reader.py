@@ -117,6 +117,14 @@ def test_a_damaged_patch_stops_only_its_own_point(catalog_copy: Path) -> None:
                 assert len(catalog.patches(number)) == 3
 
 
+def test_a_name_of_the_database_that_is_not_utf8_is_damage(catalog_copy: Path) -> None:
+    data = catalog_copy.read_bytes()
+    place = data.index(b"CREATE TABLE")
+    catalog_copy.write_bytes(data[: place + 8] + b"\xd4" + data[place + 9 :])
+    with pytest.raises(DataError, match="restore it or build it again"):
+        Catalog.open(catalog_copy)
+
+
 def test_a_missing_level_stops_its_point(catalog_copy: Path) -> None:
     with Catalog.open(catalog_copy) as catalog:
         bad = int(catalog.ids[0])
