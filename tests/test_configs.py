@@ -43,10 +43,17 @@ def load_navigate(path: Path) -> object:
     return load_toml(path, NavigateSettings)
 
 
+def load_model(path: Path) -> object:
+    from catalog.terrain.error_model import TerrainLaws
+
+    return load_toml(path, {"terrain": TerrainLaws}[path.stem])
+
+
 LOADERS: dict[str, Callable[[Path], object]] = {
     "bodies": load_body,
     "cameras": load_camera,
     "catalogs": load_build,
+    "models": load_model,
     "scenarios": load_scenario,
     "templates/build": load_build,
     "templates/scenario": load_scenario,

@@ -251,7 +251,8 @@ class _Build:
             )
         relief = inputs.relief
         key = stage_key(
-            inputs.keys["write"], inputs.sources(), self.config_text, relief and relief.key
+            inputs.keys["write"],
+            *(inputs.sources(), self.config_text, relief and relief.key, inputs.errors),
         )
         written = find_published(self.workspace, key, output)
         if written is not None:
@@ -264,7 +265,7 @@ class _Build:
                 inputs.context,
                 points,
                 output,
-                extras=CatalogExtras(inputs.sources(), self.config_text, prepared),
+                extras=CatalogExtras(inputs.sources(), self.config_text, prepared, inputs.errors),
                 results=results,
                 workers=self.workers,
                 progress=self.progress,

@@ -25,6 +25,7 @@ from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import METRES, DemSource
+from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.refine import FINEST_FACES, smooth_corners
 from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.mesh.terrain import MeshTerrain, relief_of_mesh
@@ -38,7 +39,8 @@ LATTICE = 5  # points a side at which a cell is asked for ground
 BLOCK_CELLS = 8  # cells a side of a block whose terrain is read together
 MAX_CHUNK = 64  # cells in work at once: what a kill can lose
 CHUNKS = 32  # a small build is cut at least so finely, to keep several workers busy
-UNIMPORTANT = ("path", "priority", "feather_km")  # to the overviews of a terrain model
+# to the overviews of a terrain model
+UNIMPORTANT = ("path", "priority", "feather_km", "product", "error_m", "resolution_km")
 CORNERS, RECORD = "corners.npy", "mesh.json"
 CELLS_ACROSS = 2.0  # that the finest patch spans: a point may lie anywhere in its cell
 MAX_ARC_DEG = 30.0  # of the body that a patch may span: beyond, much of it is seen edge-on
@@ -189,7 +191,7 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
     path = path_of(settings.path, run.folder)
     # the loader's own words for a file that is missing come before those of the checksum
     digest = content_hash([path], workspace, run.progress) if path.is_file() else ""
-    plain = msgspec.structs.replace(settings, path=path.suffix)
+    plain = MeshSettings(path.suffix, settings.units, settings.longitude)
     key = stage_key(code_key(), body.name, body.radii_m, plain, digest, finest_m)
     folder = f"mesh-{key}"
     found = workspace.get(f"{folder}/{RECORD}")

@@ -1,13 +1,14 @@
 """What a build works on: terrain models read, posting settled, cells found and cut into chunks."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
 import catalog
-from catalog.build.config import BuildConfig
+from catalog.build.config import BuildConfig, DemSection, MeshSection, stated_error
 from catalog.build.context import DemRecord, IngestRun, StageContext
 from catalog.build.ingest import (
     Bbox,
@@ -23,6 +24,7 @@ from catalog.build.relief import ReliefRecord, settle_relief
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
 from catalog.jobs.workspace import code_key, stage_key
+from catalog.terrain.error_model import TerrainErrorModel
 from catalog.terrain.terrain import Terrain
 
 MANIFEST = "manifest.json"
@@ -37,6 +39,7 @@ class BuildInputs:
     chunks  cells, cut into pieces of work
     keys    by stage: hash of all that its results depend on
     relief  of the whole body; None for a build of a part of it that names none
+    errors  of the terrain models that state one, by name as in points' sources
     """
 
     context: StageContext
@@ -44,6 +47,7 @@ class BuildInputs:
     chunks: list[list[int]]
     keys: dict[str, str]
     relief: ReliefRecord | None
+    errors: dict[str, TerrainErrorModel]
 
     @property
     def cells(self) -> int:
@@ -90,7 +94,8 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
         read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
     keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
     context = StageContext(body, terrain, grid, posting, config)
-    inputs = BuildInputs(context, records, chunks_of(grid, cells), keys, relief)
+    errors = _stated_errors(run, terrain.names, records)
+    inputs = BuildInputs(context, records, chunks_of(grid, cells), keys, relief, errors)
     manifest = {
         "software": f"optnav {catalog.__version__}",
         "body": body.name,
@@ -132,6 +137,31 @@ def _check_posting(run: IngestRun, posting_m: float, finest_m: float) -> None:
             f"wide on a body of {run.body.radius_m / 1e3:.0f} km radius; "
             "wanted fewer levels, a smaller size or a finer posting_m"
         )
+
+
+def _stated_errors(
+    run: IngestRun, names: tuple[str, ...], records: Sequence[DemRecord | MeshRecord]
+) -> dict[str, TerrainErrorModel]:
+    """The stated errors by names of models, which stand as their records do.
+
+    Raises ConfigError for one larger than the heights themselves.
+    """
+    sections: list[DemSection | MeshSection] = [*sorted(run.config.dem, key=lambda s: s.priority)]
+    errors = {}
+    for name, section, record in zip(names, sections or run.config.mesh, records, strict=True):
+        error = TerrainErrorModel.of(stated_error(section), record.posting_m)
+        lowest, highest = run.body.plausible_heights_m
+        if isinstance(record, DemRecord):
+            lowest, highest = record.lowest_m, record.highest_m
+        if error is not None and not error.error_m < highest - lowest:
+            raise ConfigError(
+                f"{run.config_path}: error_m of {section.path} is {error.error_m:g} m, but its "
+                f"heights differ by {highest - lowest:.6g} m in all; state the rms error of means "
+                "over 2 km, in metres"
+            )
+        if error is not None:
+            errors[name] = error
+    return errors
 
 
 def _check_cells(run: IngestRun, posting_m: float) -> None:

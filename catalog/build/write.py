@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import msgspec
@@ -33,6 +34,7 @@ from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
 from catalog.store.writer import Written, write_catalog
+from catalog.terrain.error_model import TerrainErrorModel
 
 FILE = "written.json"
 CHUNK_POINTS = 32  # about 1 MB between a worker and the writer
@@ -44,11 +46,13 @@ class CatalogExtras(NamedTuple):
     sources      terrain models: name -> hash
     config_text  the build config
     relief       of the whole body, if it is known
+    errors       of the terrain models that state one: name -> error
     """
 
     sources: Mapping[str, str]
     config_text: str
     relief: PreparedRelief | None
+    errors: Mapping[str, TerrainErrorModel] = MappingProxyType({})
 
 
 def remember_published(workspace: Workspace, key: str, path: Path) -> None:
@@ -107,6 +111,7 @@ def write(
         posting_m=context.posting_m,
         height_step_m=context.config.write.steps_m(context.postings_m)[0],
         planes=planes,
+        terrain_errors=dict(extras.errors),
         sources=dict(extras.sources),
         config=extras.config_text,
         software=f"optnav {catalog.__version__}",

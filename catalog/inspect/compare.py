@@ -162,7 +162,8 @@ def _provenance(meta: CatalogMeta) -> dict[str, str]:
     """What else there is: program, time, hashes of terrain models, values of the build config."""
     values = {name: str(getattr(meta, name)) for name in OF_THE_MOMENT}
     sources = {f"source {name}": text for name, text in meta.sources.items()}
-    return values | sources | _config_values(meta.config)
+    errors = {f"error of {n}": f"{e.error_m:g} m" for n, e in meta.terrain_errors.items()}
+    return values | sources | errors | _config_values(meta.config)
 
 
 def _changes(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[Change, ...]:

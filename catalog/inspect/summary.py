@@ -12,6 +12,7 @@ from catalog.errors import DataError, NothingToDoError
 from catalog.geometry.latlon import body_from_local
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
+from catalog.terrain.error_model import REFERENCE_SLOPE, TerrainErrorModel
 
 if TYPE_CHECKING:
     from catalog.store.verify import Verification
@@ -68,6 +69,11 @@ def catalog_document(catalog: Catalog) -> Document:
         "recognition_rate_usable": _spread(catalog.records["recognition_rate"][catalog.usable]),
         "localisation_nodes_usable": _spread(catalog.records["localisation_nodes"][catalog.usable]),
         "relief": _relief(meta),
+        "terrain_errors": {
+            name: {"error_m": e.error_m, "resolution_km": e.resolution_km, "source": e.source}
+            | {"template_sigma_m": _template_sigma_m(e, meta)}
+            for name, e in meta.terrain_errors.items()
+        },
         "software": meta.software,
         "created_utc": meta.created_utc,
         "size_bytes": catalog.path.stat().st_size,
@@ -146,6 +152,18 @@ def _relief_words(relief: Document | None) -> str:
     return words.format(**relief) if relief else "none"
 
 
+def _template_sigma_m(error: TerrainErrorModel, meta: CatalogMeta) -> list[float]:
+    """What the error does to the place of a whole patch of each level on highlands, an axis."""
+    sides = (meta.size * meta.posting_m * 2**level for level in range(meta.levels))
+    return [error.point_sigma_m(side, REFERENCE_SLOPE).shift_m for side in sides]
+
+
+def _error_words(error: Document) -> str:
+    words = "{error_m:.6g} m over 2 km, resolution {resolution_km:.6g} km; places of templates to "
+    sigmas = ", ".join(f"{sigma:.3g}" for sigma in error["template_sigma_m"])
+    return words.format(**error) + f"{sigmas} m by level, finest first; {error['source']}"
+
+
 # entries of the document that are more than a value, as lines for people
 _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
     "planes": _planes_lines,
@@ -157,6 +175,9 @@ _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
     "localisation_nodes_usable": lambda s: {"localisation_nodes_usable": _spread_words(s)},
     "size_nodes": lambda size: {"size": str(size)},
     "relief": lambda relief: {"relief": _relief_words(relief)},
+    "terrain_errors": lambda errors: {
+        f"error of {name}": _error_words(error) for name, error in errors.items()
+    },
     "sources": lambda sources: {f"source {name}": text for name, text in sources.items()},
 }
 

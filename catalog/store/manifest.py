@@ -17,6 +17,7 @@ from catalog.bodies.body import NAME
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
 from catalog.geometry.projection import FLAT_RADIUS_M, MapProjection
+from catalog.terrain.error_model import TerrainErrorModel
 
 FORMAT = "optnav catalog"
 FORMAT_VERSION = 4  # that is written; this program reads up to it
@@ -97,6 +98,7 @@ class CatalogMeta:
     count, usable, digest  filled in by the writer
     relief         of the whole body; None without one
     planes         where patches lie in tangent planes; None on the sphere
+    terrain_errors  of the sources whose error was stated, by name; no part of the content digest
     seal           of the file that it was read from (see `catalog.store.connection`); "" for none
     """
 
@@ -118,6 +120,7 @@ class CatalogMeta:
     format_version: int = FORMAT_VERSION
     relief: ReliefMeta | None = None
     planes: PlanesMeta | None = None
+    terrain_errors: Mapping[str, TerrainErrorModel] = field(default_factory=dict)
     seal: str = field(default="", compare=False)
 
     def projection(self, point: ControlPoint) -> MapProjection:
@@ -125,6 +128,11 @@ class CatalogMeta:
         if self.planes is not None:
             return point.tangent_plane(self.planes.radii_m)
         return point.projection(self.radius_m)
+
+    def error_of(self, point_source: str) -> TerrainErrorModel | None:
+        """The stated error of the terrain model that counts most at points of a source."""
+        named = (n for n in self.terrain_errors if f"{point_source} + ".startswith(f"{n} + "))
+        return self.terrain_errors.get(max(named, key=len, default=""))
 
     @property
     def map_radius_m(self) -> float:
@@ -170,6 +178,8 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         rows["relief"] = json.dumps(relief, sort_keys=True, ensure_ascii=False)
     if meta.planes is not None:
         rows["planes"] = json.dumps(meta.planes.rounded(), sort_keys=True)
+    if meta.terrain_errors:
+        rows["terrain_errors"] = msgspec.json.encode(meta.terrain_errors, order="sorted").decode()
     rows = dict(sorted(rows.items()))
     return {**rows, CHECKSUM: _checksum(rows), SEAL: OPEN_SEAL}
 
@@ -218,6 +228,9 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
             point_sources=decode(texts["point_sources"], type=tuple[str, ...]),
             relief=decode(texts.get("relief", "null"), type=ReliefMeta | None),
             planes=decode(texts.get("planes", "null"), type=PlanesMeta | None),
+            terrain_errors=decode(
+                texts.get("terrain_errors", "{}"), type=dict[str, TerrainErrorModel]
+            ),
             seal=texts.get(SEAL, ""),
             format_version=int(version),
         )

@@ -65,6 +65,8 @@ def _layer(catalog: Catalog, body: Body) -> PointLayer:
             f"{catalog.path}: none of its {len(catalog)} control points is usable; "
             "see `optnav catalog info`"
         )
+    by_source = [meta.error_of(source) for source in meta.point_sources]
+    stated = catalog.records["source"][usable] if any(by_source) else ()
     return PointLayer(
         catalog.path.name,
         catalog,
@@ -75,4 +77,5 @@ def _layer(catalog: Catalog, body: Body) -> PointLayer:
         np.array([meta.posting_m * 2.0**level for level in range(meta.levels)]),
         meta.radius_m,
         meta.planes,
+        tuple(by_source[source] for source in stated),
     )

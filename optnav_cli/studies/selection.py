@@ -22,7 +22,7 @@ import numpy as np
 from catalog.bodies.body import load_body
 from catalog.build import check, render, select
 from catalog.build.cell_map import CellGround, cell_ground, separation_places, suns_of
-from catalog.build.config import BodySettings, BuildConfig
+from catalog.build.config import BodySettings, BuildConfig, DemSection
 from catalog.build.context import StageContext
 from catalog.build.trials import outcomes_at
 from catalog.config import resource
@@ -32,7 +32,6 @@ from catalog.rendering.map_view import render_map
 from catalog.selection.spacing import choose_spaced, strongest_peaks
 from catalog.selection.trial import Outcome
 from catalog.terrain.dem.mosaic import Mosaic
-from catalog.terrain.dem.source import DemSettings
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 Interval = tuple[float, float, float]  # value, lower and upper end of 95 %
@@ -81,7 +80,7 @@ def run(progress: Progress, trials: int = 1000, seed: int = 1) -> list[Selection
 @contextmanager
 def tycho_context() -> Iterator[StageContext]:
     """The bundled Tycho terrain at its own posting, as a build with default settings has it."""
-    body, dem = load_body("moon"), DemSettings(path=str(resource(DEM)))
+    body, dem = load_body("moon"), DemSection(path=str(resource(DEM)))
     config = BuildConfig(body=BodySettings("moon"), dem=(dem,))
     with TemporaryDirectory(prefix="optnav-") as folder:
         mosaic = Mosaic.from_files([dem], Path(folder), body, Path(folder))

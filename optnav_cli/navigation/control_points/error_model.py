@@ -71,6 +71,10 @@ SHADOW_M = 0.85
 SHIFT_M = 0.5
 UNEXPLAINED_M = 8.0
 STRETCH_M = 1.1
+# Shares of the stated error of a terrain model that are added to each point's own: shift, height.
+# The curvature of the peak sees none of it; a covariance from the remainder of the match would see
+# a part of the shift, see `TerrainErrorModel.point_sigma_m`. 0 leaves it out.
+TERRAIN_SHARES = np.array([1.0, 1.0])
 # They are common to the ground about them: points that lie further apart average them.
 REGION_M = 32e3
 # What sampling at the pixels and oblique views leave, px: shift an axis; stretch, and stretch that
@@ -140,6 +144,8 @@ class MatchedPoints:
     postings_m            (n,)       of the levels that were matched
     finest_postings_m     (n,)       of the terrain models that the points' catalogs were made from
     unresolved_posting_m  (n,)       posting of the terrain model where the patch is finer, else 0
+    terrain_sigmas_m      (n, 2)     shift an axis and height of each template by the stated error
+                                     of its terrain model; None or 0 where none is stated
     """
 
     points_m: FloatArray
@@ -149,6 +155,7 @@ class MatchedPoints:
     postings_m: FloatArray
     finest_postings_m: FloatArray
     unresolved_posting_m: FloatArray
+    terrain_sigmas_m: FloatArray | None = None
 
 
 def own_sigma_m(
@@ -176,9 +183,15 @@ def own_covariances_px2(points: MatchedPoints) -> FloatArray:
     flat = pixel_per_metre @ level
     area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
     sigmas = own_sigma_m(points.postings_m, points.finest_postings_m, points.sun_elevation_deg)
+    terrain = np.zeros((len(places), 2))
+    if points.terrain_sigmas_m is not None:
+        terrain = points.terrain_sigmas_m * TERRAIN_SHARES
+    lift = np.einsum("nij,nj->ni", pixel_per_metre, up) * terrain[:, 1:]
     variance: FloatArray = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
+    variance += terrain[:, 0] ** 2
     variance = variance * np.sqrt(np.maximum(area, 0.0))
     covariances: FloatArray = rise[:, :, None] * rise[:, None, :]
+    covariances += lift[:, :, None] * lift[:, None, :]
     return covariances + variance[:, None, None] * np.eye(2)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.vectors import unit
 from catalog.store.index import CELL_SLACK_DEG
 from catalog.store.manifest import PlanesMeta
+from catalog.terrain.error_model import TerrainErrorModel, rms_slope
 from optnav_cli.matching.reference import Reference
 
 # References kept ready to render; one of 80 nodes and 5 levels takes 130 kB.
@@ -46,6 +48,8 @@ class PointLayer:
     postings_m   (levels,) of the patches, finest first
     radius_m     the body's reference sphere
     planes       the tangent planes in which patches lie; None: on the sphere
+    errors       (n,) stated errors of the terrain models that the points are of, None for one
+                 without; empty where none is stated
     """
 
     name: str
@@ -57,6 +61,7 @@ class PointLayer:
     postings_m: FloatArray
     radius_m: float
     planes: PlanesMeta | None = None
+    errors: tuple[TerrainErrorModel | None, ...] = ()
 
     @property
     def verticals(self) -> FloatArray:
@@ -74,7 +79,11 @@ class PointLayer:
     def subset(self, keep: BoolArray) -> "PointLayer":
         """The layer with some of its points."""
         return replace(
-            self, ids=self.ids[keep], xyz_m=self.xyz_m[keep], skyline_deg=self.skyline_deg[keep]
+            self,
+            ids=self.ids[keep],
+            xyz_m=self.xyz_m[keep],
+            skyline_deg=self.skyline_deg[keep],
+            errors=tuple(compress(self.errors, keep)),
         )
 
 
@@ -120,6 +129,26 @@ class ControlPointField:
     def finest_postings_m(self, index: IndexArray) -> FloatArray:
         """(n,) finest posting of each of some points: that of its catalog's terrain."""
         return np.array([layer.known_m for layer in self.layers])[self.layer_of[index]]
+
+    def terrain_sigmas_m(self, index: IndexArray, sizes_m: FloatArray) -> FloatArray:
+        """(n, 2) what stated errors of terrain models do to templates: shift an axis, height; m.
+
+        sizes_m (n,) sides of the templates on the ground. 0 where no error is stated.
+        """
+        sigmas = np.zeros((len(index), 2))
+        for k, (point, size) in enumerate(zip(index.tolist(), sizes_m.tolist(), strict=True)):
+            layer = self._layer(point)
+            row = point - int(self._first[self.layer_of[point]])
+            error = layer.errors[row] if layer.errors else None
+            reference = self.reference(point) if error is not None else None
+            if error is not None and reference is not None:
+                box_m = 1e3 * error.box_km
+                patch = min(
+                    reference.patches, key=lambda patch: abs(np.log(patch.posting_m / box_m))
+                )
+                slope = rms_slope(patch.heights_m, patch.posting_m, size)
+                sigmas[k] = error.point_sigma_m(size, slope)
+        return sigmas
 
     def name(self, index: int) -> tuple[str, int]:
         """The catalog that a point is of, and its id there."""

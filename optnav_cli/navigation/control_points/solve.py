@@ -98,7 +98,8 @@ def solve(
         samples = view.metres_per_pixel[kept]
         triples = zip(levels.tolist(), samples.tolist(), finest.tolist(), strict=True)
         nodes = [frame.template_nodes(*three) for three in triples]
-        error_correlation = error_model.ground_correlation(places, levels * nodes)
+        sizes_m = levels * nodes
+        error_correlation = error_model.ground_correlation(places, sizes_m)
         if parts:
             size_px = frame.camera.width_px, frame.camera.height_px
             error_correlation[np.ix_(list(parts), list(parts))] = error_model.overlap_correlation(
@@ -113,6 +114,7 @@ def solve(
             np.maximum(levels, finest),  # of what is known, not of the nodes
             finest,
             np.where(levels < finest, finest, 0.0),
+            points.terrain_sigmas_m(index, sizes_m),
         )
         covariances = sightings.covariances_px2 + error_model.own_covariances_px2(errors)
         sightings = replace(sightings, covariances_px2=covariances)

@@ -8,7 +8,9 @@ import pytest
 from catalog.build.build import STAGES, run
 from catalog.config import resource
 from catalog.errors import ConfigError, DataError, NothingToDoError, OutputError, UsageError
+from catalog.inspect.summary import catalog_document, describe
 from catalog.jobs.workspace import code_key
+from catalog.store.manifest import rows_from_meta
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
 from tests.catalog.build.coarse_tycho import BBOX, CONFIG
@@ -255,3 +257,49 @@ def test_a_body_file_is_all_that_another_body_needs(config, tmp_path):
         assert len(catalog.patches(int(catalog.ids[0]))) == catalog.meta.levels
     with pytest.raises(ConfigError, match=r"\[body\] name: .*selene.toml: there is no such file"):
         run(config, output=tmp_path / "d.gpkg", bbox=BBOX, workers=1)
+
+
+GLOBE = """
+[[dem]]
+path = "bundled:moon_gld100_4ppd.tif"
+priority = 2
+"""
+
+
+def test_stated_errors_stand_in_the_catalog_and_are_no_content(config, tmp_path):
+    output = tmp_path / "c.gpkg"
+    config.write_text(CONFIG + GLOBE)
+    plain = built(config, output, bbox=BBOX, workers=1)
+    tycho = CONFIG.replace('256ppd.tif"', '256ppd.tif"\nproduct = "gld100"')
+    config.write_text(tycho + GLOBE + "error_m = 60.0\nresolution_km = 20.0\n")
+    stated = built(config, output, bbox=BBOX, workers=1)
+    assert stated.digest == plain.digest
+    assert {account.name: account.done for account in stated.account.stages}["render"] == 0
+    assert verify(output).sound
+    with Catalog.open(output) as catalog:
+        meta = catalog.meta
+        assert {name: e.error_m for name, e in meta.terrain_errors.items()} == {
+            "tycho_gld100_256ppd.tif": 28.0,
+            "moon_gld100_4ppd.tif": 60.0,
+        }
+        # the model that counts most at a point states its error
+        both = "tycho_gld100_256ppd.tif + moon_gld100_4ppd.tif"
+        assert meta.error_of(both).resolution_km == 1.6
+        assert meta.error_of("other.tif + moon_gld100_4ppd.tif") is None
+        document = catalog_document(catalog)
+    found = document["terrain_errors"]["tycho_gld100_256ppd.tif"]
+    assert found["template_sigma_m"] == sorted(found["template_sigma_m"], reverse=True)
+    assert "28 m over 2 km" in describe(document)["error of tycho_gld100_256ppd.tif"]
+
+
+def test_a_catalog_without_stated_errors_has_no_row_of_them(config, tmp_path):
+    built(config, tmp_path / "c.gpkg", bbox=BBOX, workers=1)
+    with Catalog.open(tmp_path / "c.gpkg") as catalog:
+        assert "terrain_errors" not in rows_from_meta(catalog.meta)
+        assert catalog_document(catalog)["terrain_errors"] == {}
+
+
+def test_an_error_larger_than_the_relief_is_refused(config, tmp_path):
+    config.write_text(CONFIG.replace('256ppd.tif"', '256ppd.tif"\nerror_m = 28000.0'))
+    with pytest.raises(ConfigError, match=r"28000 m, but its heights differ by \d+"):
+        run(config, output=tmp_path / "c.gpkg", bbox=BBOX, workers=1)

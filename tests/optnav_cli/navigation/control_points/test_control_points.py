@@ -4,6 +4,8 @@ The truth must lie inside the stated covariance; and whatever is no picture of t
 this Sun, from near the prior, must never be solved.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -12,10 +14,12 @@ from scipy.spatial.transform import Rotation
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError
+from catalog.terrain.error_model import TerrainErrorModel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.picture import Picture
+from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.control_points.method import navigate
 from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, SolveSettings
@@ -76,6 +80,22 @@ def test_with_an_exact_attitude_the_truth_lies_inside_four_sigma(
     used = [point for point in fix.evidence.matches if point.used]
     assert len(used) >= 0.9 * len(fix.evidence.matches) >= 12
     assert np.sqrt(np.mean([point.residual_px**2 for point in used])) < 0.15
+
+
+def test_the_stated_error_of_the_terrain_model_widens_the_sigmas(rough_world, field_of, scene):
+    picture, pose, sun = scene
+    sigmas = []
+    for error_m in (None, 0.01, 28.0):
+        field = field_of(rough_world)
+        if error_m is not None:
+            error = TerrainErrorModel(error_m, 1.6, 2.0, "test")
+            layers = [replace(layer, errors=(error,) * len(layer.ids)) for layer in field.layers]
+            field = ControlPointField(layers)
+        fix = solve(rough_world, field, picture, pose, sun)
+        sigmas.append(np.sqrt(np.trace(fix.covariance_m2)))
+    assert sigmas[1] == pytest.approx(sigmas[0], rel=0.01)
+    # templates of 5.7 km err by 150 m an axis, and 12 and more of them are averaged
+    assert 60.0 < sigmas[2] < 300.0
 
 
 def test_with_ten_arc_seconds_of_attitude_noise_the_truth_lies_inside_four_sigma(

@@ -1,5 +1,7 @@
 """The errors that a correlation peak does not show: their sizes, directions and limits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -105,6 +107,20 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
     assert (growth > -1e-12).all()
     flat = [own_covariances_px2(matched(SQUARE, unresolved_posting_m=m)) for m in (0.0, 300.0)]
     assert (np.linalg.eigvalsh(flat[1] - flat[0]) > 0.0).all()
+
+
+def test_a_terrain_models_error_moves_a_point_along_the_ground_and_in_height():
+    """Seen from 45 degrees the height moves a point along one axis of the picture alone."""
+    oblique = BY_GROUND + np.array([[1.0], [0.0]]) * ENU[:, 2]
+    plain = replace(matched(SQUARE), pixel_per_metre=np.tile(oblique, (4, 1, 1)))
+    for sigmas, wanted in (((0.0, 0.0), (0.0, 0.0)), ((30.0, 0.0), (900.0, 900.0)),
+                           ((0.0, 20.0), (400.0, 0.0))):  # fmt: skip
+        stated = replace(plain, terrain_sigmas_m=np.tile(sigmas, (4, 1)))
+        added = own_covariances_px2(stated) - own_covariances_px2(plain)
+        # the corners lie 28 km from the middle, where the ground leans by 0.016
+        assert np.diagonal(added, axis1=1, axis2=2) == pytest.approx(
+            np.tile(wanted, (4, 1)), rel=0.04, abs=0.5
+        )
 
 
 def test_a_view_round_the_body_stretches_what_a_coarse_level_averages():
