@@ -35,6 +35,7 @@ TIME_UNITS = ((600.0, 1.0, "minutes"), (100.0 * 60.0, 60.0, "hours"), (np.inf, 1
 AXES = (("R", "height"), ("N", "along the motion"), ("B", "across"))
 UNLIKE = 10.0  # sigmas so far apart that one linear scale would hide the small ones
 BELOW = 0.05  # of the least bound: errors smaller than that stand at the foot of a log plot
+DRAWN = (1e-12, 1e30)  # what a damaged table holds beyond is no size of an error
 FAR = 4.0  # farthest over nearest height from which errors are drawn over the distance, too
 IN_KM_M = 5e3  # errors typically larger are drawn in km
 MAX_REASONS = 4
@@ -328,8 +329,9 @@ def _log_range(sizes: FloatArray, bound: FloatArray) -> tuple[float, float]:
     least = bound[np.isfinite(bound) & (bound > 0.0)]
     if known.size == 0 or least.size == 0:
         return 0.0, 1.0
-    high = float(np.ceil(np.log10(known.max()) + 0.1))
-    return min(float(np.floor(np.log10(BELOW * least.min()))), high - 1.0), high
+    high = float(np.ceil(np.log10(np.clip(known.max(), *DRAWN)) + 0.1))
+    low = float(np.floor(np.log10(np.clip(BELOW * least.min(), *DRAWN))))
+    return min(low, high - 1.0), high
 
 
 def _log(sizes: FloatArray, y: tuple[float, float]) -> FloatArray:

@@ -1,6 +1,7 @@
 """Reports about runs: whole pages with nothing loaded from outside, for good and odd ones."""
 
 import base64
+import csv
 import json
 import os
 import re
@@ -332,6 +333,24 @@ def test_a_browser_draws_the_page_of_a_run_without_a_complaint(run, tmp_path):
         browser.close()
     assert browser.complaints == []
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 50
+
+
+@pytest.mark.parametrize(
+    ("least", "most"), [("5e-324", "1.0"), ("1e-320", "1e308"), ("3.0", "5.0")]
+)
+def test_sigmas_of_any_size_can_be_drawn(tmp_path, least, most):
+    folder = tmp_path / "run"
+    write_approach(folder)
+    write_evaluation(evaluate_run(folder, folder / "truth.csv"), folder)
+    rows = list(csv.DictReader((folder / "evaluation.csv").read_text().splitlines()))
+    solved = [row for row in rows if row["status"] == "solved"]
+    for row, size in zip(solved, (least, most), strict=False):
+        row.update(dict.fromkeys(("sigma_r_m", "sigma_n_m", "sigma_b_m"), size))
+    with (folder / "evaluation.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    assert "Error of the" in " ".join(report_of(folder, tmp_path).labels)
 
 
 def test_an_approach_shows_methods_over_time_and_height_and_why_frames_are_unsolved(tmp_path):
