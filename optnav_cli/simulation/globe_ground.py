@@ -21,11 +21,12 @@ from catalog.geometry.latlon import xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings
-from catalog.terrain.synthetic.relief import SyntheticRelief
+from catalog.terrain.synthetic.model_error import SlopeMap
 from optnav_cli.camera.camera import Camera
+from optnav_cli.simulation.albedo import Albedo
 from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays, every_px
-from optnav_cli.simulation.globe_heights import GlobeHeights, read_globe
-from optnav_cli.simulation.sections import DetailSettings, relief_below
+from optnav_cli.simulation.globe_heights import GlobeHeights, Relief, ReliefSum, read_globe
+from optnav_cli.simulation.sections import DetailSettings, TruthSettings, error_above, relief_below
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad
 
@@ -81,9 +82,7 @@ class GlobeTerrain:
     kept    how many windows are kept: one for each camera that looks by turns
     """
 
-    def __init__(
-        self, heights: GlobeHeights, detail: SyntheticRelief | None, kept: int = 1
-    ) -> None:
+    def __init__(self, heights: GlobeHeights, detail: Relief | None, kept: int = 1) -> None:
         self._heights, self._detail = heights, detail
         self._lost: dict[float, float] = {}
         self._kept: Cache[object, tuple[FloatArray, Ground, Ground]] = Cache(kept)
@@ -174,26 +173,50 @@ class GlobeTerrain:
 
 
 class GlobeGround:
-    """The ground of a whole body; `grounds` has the terrain of each seed."""
+    """The ground of a whole body; `grounds` has the terrain of each seed.
 
-    def __init__(self, heights: GlobeHeights, grounds: dict[int | None, GlobeTerrain]) -> None:
+    truth, albedo  what the ground scatters; as catalogs are rendered when left out
+    """
+
+    def __init__(
+        self,
+        heights: GlobeHeights,
+        grounds: dict[int | None, GlobeTerrain],
+        truth: TruthSettings = TruthSettings(),
+        albedo: Albedo | None = None,
+    ) -> None:
         self._heights, self._grounds = heights, grounds
+        self._surface, self._albedo = truth.surface, albedo
         self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
 
     @classmethod
     def of_model(
-        cls, model: DemSettings, detail: DetailSettings, body: Body, kept: int
+        cls,
+        model: DemSettings,
+        detail: DetailSettings,
+        body: Body,
+        kept: int,
+        truth: TruthSettings = TruthSettings(),
     ) -> "GlobeGround":
         """The ground of a model of the whole body with relief below its posting.
 
         kept  windows to keep, one a camera. Raises ConfigError or DataError for the model
         """
-        heights = GlobeHeights(read_globe(model, body), body.radius_m)
+        model_heights = read_globe(model, body)
+        heights = GlobeHeights(model_heights, body.radius_m)
+        spectrum = truth.spectrum()
+        slopes = None if spectrum is None else SlopeMap.of_globe(model_heights, body.radius_m)
         grounds: dict[int | None, GlobeTerrain] = {}
-        for seed in detail.seeds:
-            relief = relief_below(detail, seed, heights.posting_m, body.radius_m)
+        for seed in detail.seeds or (None,):
+            parts: list[Relief] = []
+            if seed is not None:
+                parts.append(relief_below(detail, seed, heights.posting_m, body.radius_m))
+            if spectrum is not None and slopes is not None:
+                parts.append(error_above(spectrum, seed, heights.posting_m, slopes, body))
+            relief = ReliefSum(tuple(parts)) if parts else None
             grounds[seed] = GlobeTerrain(heights, relief, kept)
-        return cls(heights, grounds or {None: GlobeTerrain(heights, None, kept)})
+        albedo = None if truth.albedo == "uniform" else Albedo(truth, body)
+        return cls(heights, grounds, truth, albedo)
 
     def radiance(self, camera: Camera, exposure: Exposure) -> Float32Array:
         """Mean radiance factor over each pixel (height, width) of a picture, sky 0."""
@@ -204,9 +227,13 @@ class GlobeGround:
             return np.zeros(camera.shape, np.float32)
         ground = self._grounds[exposure.ground_seed]
         grid_from_body, fine, wide = ground.window(view, exposure.sun_body)
-        scene = Scene(fine, wide, grid_from_body @ exposure.sun_body)
+        scene = Scene(fine, wide, grid_from_body @ exposure.sun_body, surface=self._surface)
         rays = corners @ (grid_from_body @ body_from_camera).T
-        return scene.picture(grid_from_body @ exposure.position_m, rays, limb_samples=LIMB_SAMPLES)
+        albedo = None
+        if self._albedo is not None:
+            albedo = self._albedo.on_body(exposure.ground_seed or 0, grid_from_body.T)
+        origin = grid_from_body @ exposure.position_m
+        return scene.picture(origin, rays, limb_samples=LIMB_SAMPLES, albedo=albedo)
 
     def _view(
         self, camera: Camera, position: FloatArray, body_from_camera: FloatArray

@@ -8,7 +8,7 @@ too, what no catalog has.
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numba
 import numpy as np
@@ -22,7 +22,6 @@ from catalog.errors import ConfigError, DataError
 from catalog.geometry.kernel import kernel, parallel_kernel
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.terrain.dem.source import DemSettings, DemSource
-from catalog.terrain.synthetic.relief import SyntheticRelief
 
 SPLINE_MARGIN = 16  # nodes beyond which a border no longer matters: 0.27^16 is below 1e-9
 MIN_ROWS = 90  # no level is coarser than 2 degrees
@@ -147,6 +146,43 @@ class GlobeHeights:
         return self._means[level]
 
 
+class Relief(Protocol):
+    """What is added to the heights of a body; see `SyntheticRelief` and `ModelError`."""
+
+    def turned_window(
+        self,
+        body_from_grid: FloatArray,
+        north: float,
+        west: float,
+        step: float,
+        rows: int,
+        cols: int,
+    ) -> Float32Array:
+        """Heights to add (rows, cols), m, on a grid of equal steps in a turned frame."""
+        ...
+
+
+class ReliefSum(NamedTuple):
+    """Several reliefs as one."""
+
+    parts: tuple[Relief, ...]
+
+    def turned_window(
+        self,
+        body_from_grid: FloatArray,
+        north: float,
+        west: float,
+        step: float,
+        rows: int,
+        cols: int,
+    ) -> Float32Array:
+        """The sum of all."""
+        out = np.zeros((rows, cols), np.float32)
+        for part in self.parts:
+            out += part.turned_window(body_from_grid, north, west, step, rows, cols)
+        return out
+
+
 class Cap(NamedTuple):
     """Latitudes and longitudes (rad) that a flight may see; east - west is at most a turn."""
 
@@ -195,7 +231,7 @@ class WideGround:
         heights: Float32Array,
         radius_m: float,
         seam: float,
-        details: Mapping[int | None, SyntheticRelief],
+        details: Mapping[int | None, Relief],
         cameras_m: Sequence[FloatArray] = (),
     ) -> None:
         self._heights, self._radius_m, self._seam = heights, radius_m, seam
@@ -215,7 +251,7 @@ class WideGround:
     def _bare(self) -> Ground:
         return whole_sphere(self._heights, self._radius_m, self._seam)
 
-    def _roughened(self, detail: SyntheticRelief) -> Ground:
+    def _roughened(self, detail: Relief) -> Ground:
         fine = self._fine
         heights, step = fine.heights.copy(), fine.step_lat
         # the rows beyond the poles, a pole's own neighbours twice, stay smooth

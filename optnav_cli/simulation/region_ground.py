@@ -21,12 +21,20 @@ from catalog.geometry.grid import sample_bicubic
 from catalog.rendering.rays.ground import Ground, make_ground
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.synthetic.model_error import (
+    SLOPE_BASE_M,
+    ErrorSpectrum,
+    ModelError,
+    SlopeMap,
+    rms_slope,
+)
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation import globe_heights
+from optnav_cli.simulation.albedo import Albedo
 from optnav_cli.simulation.exposure import CAMERAS, Exposure, corner_rays, every_px
 from optnav_cli.simulation.scenario_base import ScenarioBase
-from optnav_cli.simulation.sections import relief_below
+from optnav_cli.simulation.sections import TruthSettings, error_above, relief_below
 
 Box = tuple[float, float, float, float]  # west, south, east, north, rad
 
@@ -36,6 +44,7 @@ KEPT_WINDOWS = 2
 FEATHER_M = 8000.0  # about a pixel of the globe
 MAX_WINDOW = 100_000_000  # nodes
 POLAR_LATITUDE = np.radians(86.0)  # beyond it a lattice of longitudes is no good
+SLOPE_ROWS = 64  # of a slope map, made at once
 PROBE_PX = 64  # distance of the rays that find out which ground a picture shows
 NARROW = np.radians(60.0)  # wider cameras get all the fine ground there is
 SHARED_NODES = 40_000_000  # a scene of several pictures holds no more than this
@@ -50,6 +59,7 @@ class TruthTerrain:
     details        the relief to add to the first of the models by seed
     globe_details  the relief to add to the globe by seed; none: smooth
     cameras_m      (n, 3) m, body frame, where the ground is looked at from; see `WideGround`
+    error          what the terrain models are wrong by; the same as the truth for None
     """
 
     def __init__(
@@ -60,6 +70,7 @@ class TruthTerrain:
         details: Mapping[int | None, SyntheticRelief | None],
         globe_details: Mapping[int | None, SyntheticRelief] = MappingProxyType({}),
         cameras_m: Sequence[FloatArray] = (),
+        error: ErrorSpectrum | None = None,
     ) -> None:
         self.body, self._details, self._around = body, details, globe_details
         self._sources = [DemSource.open(dem, Path.cwd(), body) for dem in dems]
@@ -76,9 +87,18 @@ class TruthTerrain:
         self._windows: Cache[tuple[int | None, int, Box], Ground] = Cache(KEPT_WINDOWS)
         seam = 0.5 * (self.box[0] + self.box[2]) + np.pi
         heights = globe_heights.read_globe(globe, body)
-        self._wide = globe_heights.WideGround(
-            heights, body.radius_m, seam, globe_details, cameras_m
-        )
+        self._errors: dict[int | None, ModelError] = {}
+        around: dict[int | None, globe_heights.Relief] = dict(globe_details)
+        if error is not None:
+            slopes, posting = self._slopes(), self.posting_m
+            self._errors = {s: error_above(error, s, posting, slopes, body) for s in details}
+            if around:
+                slopes = SlopeMap.of_globe(heights, body.radius_m)
+                posting = np.pi * body.radius_m / len(heights)
+            for seed, relief in list(around.items()):
+                own = error_above(error, seed, posting, slopes, body)
+                around[seed] = globe_heights.ReliefSum((relief, own))
+        self._wide = globe_heights.WideGround(heights, body.radius_m, seam, around, cameras_m)
 
     def wide(self, seed: int | None) -> Ground:
         """The ground of a seed outside the terrain models, all round the body."""
@@ -89,7 +109,7 @@ class TruthTerrain:
 
         Raises ConfigError when the box holds too much ground at this resolution.
         """
-        if factor == 1 and seed not in self._around:
+        if factor == 1 and seed not in self._around and not self._errors:
             seed = None  # without added relief all seeds have one ground
         return self._windows.get((seed, factor, box), lambda: self._window(seed, factor, box))
 
@@ -152,18 +172,36 @@ class TruthTerrain:
             (wide.north - lat) / wide.step_lat, east / wide.step_lon, indexing="ij"
         )
         heights = sample_bicubic(wide.heights, row, col)
+        error = self._errors.get(seed)
+        grid = lat[0], lon[0], step_lat, step_lon, TILE, TILE
+        wrong = np.float32(0.0) if error is None else error.window(*grid)
         for number, source in reversed(list(enumerate(self._sources))):
             share = self._share(source, lat, lon)
             if not share.any():
                 continue
-            own = self._source_heights(source, lat, lon)
+            own = self._source_heights(source, lat, lon) + wrong
             # at the model's own posting the relief below it has no place
             detail = self._details[seed] if number == 0 and factor > 1 else None
             if detail is not None:
-                own += detail.window(lat[0], lon[0], step_lat, step_lon, TILE, TILE)
+                own += detail.window(*grid)
             share[~np.isfinite(own)] = 0.0
             heights += (share * (np.where(share > 0.0, own, heights) - heights)).astype(np.float32)
         return heights
+
+    def _slopes(self) -> SlopeMap:
+        """Slopes of the first model."""
+        west, south, east, north = self.box
+        step = max(SLOPE_BASE_M, self.posting_m) / self.body.radius_m
+        step_lon = step * self._stretch
+        lat = north - step * np.arange(max(4, int((north - south) / step)), dtype=np.float64)
+        lon = west + step_lon * np.arange(max(4, int((east - west) / step_lon)), dtype=np.float64)
+        parts = [
+            self._source_heights(self._sources[0], lat[top : top + SLOPE_ROWS], lon)
+            for top in range(0, lat.size, SLOPE_ROWS)
+        ]
+        radius = self.body.radius_m
+        slopes = rms_slope(np.concatenate(parts), step * radius, step_lon * radius * np.cos(lat))
+        return SlopeMap(slopes, float(lat[0]), float(lon[0]), step, step_lon)
 
     def _share(self, source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
         """(rows, cols) 1 inside a model, 0 outside, rising smoothly over FEATHER_M within."""
@@ -216,18 +254,18 @@ def truth_terrain(scenario: ScenarioBase, body: Body, flight: Sequence[Exposure]
     """The ground of a scenario. Raises ConfigError or DataError for terrain that cannot be used."""
     first = DemSource.open(scenario.dem[0], Path.cwd(), body)
     globe, around = DemSettings(scenario.globe.path), scenario.globe.detail
-    seeds = scenario.detail.seeds
+    seeds, error = scenario.detail.seeds, scenario.world.spectrum()
     details: dict[int | None, SyntheticRelief | None] = {None: None}
     for seed in seeds:
         details[seed] = relief_below(scenario.detail, seed, first.posting_m, body.radius_m)
     if not around:
-        return TruthTerrain(body, scenario.dem, globe, details)
+        return TruthTerrain(body, scenario.dem, globe, details, error=error)
     posting_m = DemSource.open(globe, Path.cwd(), body).posting_m
     wide: dict[int | None, SyntheticRelief] = {
         seed: relief_below(around, seed, posting_m, body.radius_m) for seed in seeds
     }
     cameras_m = [exposure.position_m for exposure in flight]
-    return TruthTerrain(body, scenario.dem, globe, details, wide, cameras_m)
+    return TruthTerrain(body, scenario.dem, globe, details, wide, cameras_m, error)
 
 
 class RegionGround:
@@ -238,9 +276,14 @@ class RegionGround:
     """
 
     def __init__(
-        self, terrain: TruthTerrain, cameras: Sequence[Camera], flight: Sequence[Exposure]
+        self,
+        terrain: TruthTerrain,
+        cameras: Sequence[Camera],
+        flight: Sequence[Exposure],
+        truth: TruthSettings = TruthSettings(),
     ) -> None:
-        self._terrain = terrain
+        self._terrain, self._surface = terrain, truth.surface
+        self._albedo = None if truth.albedo == "uniform" else Albedo(truth, terrain.body)
         self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
         self._plans: dict[int, tuple[int, Box]] = {}
         for number, camera in enumerate(cameras):
@@ -254,11 +297,13 @@ class RegionGround:
         def scene() -> Scene:
             fine = self._terrain.window(seed, factor, box)
             between = None if box == WHOLE else self._terrain.window(seed, 1, WHOLE)
-            return Scene(fine, self._terrain.wide(seed), exposure.sun_body, between)
+            wide = self._terrain.wide(seed)
+            return Scene(fine, wide, exposure.sun_body, between, self._surface)
 
         key = (exposure.camera, seed, factor, box, exposure.sun_body.tobytes())
         rays = self._corners(camera) @ exposure.camera_from_body.as_matrix()
-        return self._scenes.get(key, scene).picture(exposure.position_m, rays)
+        albedo = None if self._albedo is None else self._albedo.on_body(seed or 0, np.eye(3))
+        return self._scenes.get(key, scene).picture(exposure.position_m, rays, albedo=albedo)
 
     def _plan(self, camera: Camera, flight: Sequence[Exposure]) -> None:
         """Fineness and box of the ground for each picture of a camera, by its index."""

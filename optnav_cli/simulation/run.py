@@ -28,10 +28,11 @@ from optnav_cli.simulation.mesh_ground import MeshGround
 from optnav_cli.simulation.region_ground import RegionGround, truth_terrain
 from optnav_cli.simulation.scenario import scenario_cameras, scenario_copy, scenario_motion
 from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
+from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import Counts, expose
 from optnav_cli.simulation.surroundings import Surroundings
 
-SENSOR = 17  # stream of random numbers, apart from those of the trajectory
+SENSOR, CALIBRATION = 17, 31  # streams of random numbers, apart from those of the trajectory
 
 
 class Simulation:
@@ -76,6 +77,20 @@ class Simulation:
         return scenario_cameras(self.scenario)
 
     @cached_property
+    def _sensors(self) -> list[SensorSettings]:
+        """The sensor of each camera as it is, off from what its file will say by its sigma."""
+        stated = self.scenario.sensor
+        if self.scenario.world.camera == "exact":
+            return [stated] * len(self.cameras)
+        found = []
+        for number, camera in enumerate(self.cameras):
+            rng = np.random.default_rng([self.scenario.seed, CALIBRATION, number])
+            off = (camera.psf_error_px or 0.0) * rng.normal()
+            blur = max(0.0, stated.psf_sigma_px + off)
+            found.append(msgspec.structs.replace(stated, psf_sigma_px=float(blur)))
+        return found
+
+    @cached_property
     def flight(self) -> list[Exposure]:
         """All pictures to take."""
         return self.scenario.exposures(self.motion)
@@ -100,7 +115,8 @@ class Simulation:
         rng = np.random.default_rng([scenario.seed, SENSOR, exposure.index])
         radiance = self._ground.radiance(self.cameras[exposure.camera], exposure)
         around = self._surroundings[exposure.camera]
-        counts = expose(radiance, scenario.sensor, rng, around.besides(exposure, radiance))
+        sensor = self._sensors[exposure.camera]
+        counts = expose(radiance, sensor, rng, around.besides(exposure, radiance))
         return _png(around.with_hot_pixels(counts))
 
     def write_tables(self, folder: Path) -> None:
@@ -143,9 +159,10 @@ def truth_ground(
     if scenario.shape is not None:
         return MeshGround(scenario.shape, scenario.detail, body)
     if scenario.dem:
-        return RegionGround(truth_terrain(scenario, body, flight), cameras, flight)
+        terrain = truth_terrain(scenario, body, flight)
+        return RegionGround(terrain, cameras, flight, scenario.world)
     model = DemSettings(scenario.globe.path)
-    return GlobeGround.of_model(model, scenario.detail, body, kept=len(cameras))
+    return GlobeGround.of_model(model, scenario.detail, body, len(cameras), scenario.world)
 
 
 def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str) -> Frame:

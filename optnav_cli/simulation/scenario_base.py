@@ -47,6 +47,8 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     seed: sections.Seed = 1
     globe: sections.GlobeSettings = sections.GlobeSettings()
     detail: sections.DetailSettings = sections.DetailSettings()
+    # unset, not null, so that the copy of a scenario without it has no such section
+    truth: sections.TruthSettings | msgspec.UnsetType = msgspec.UNSET
     pointing: sections.PointingSettings = sections.PointingSettings()
     sensor: sections.SensorSettings = sections.SensorSettings()
     prior: sections.PriorSettings = sections.PriorSettings()
@@ -60,6 +62,11 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     def shape(self) -> MeshSettings | None:
         """The shape model that is flown over; None for the ground of terrain models."""
         return None
+
+    @property
+    def world(self) -> sections.TruthSettings:
+        """[truth], or its defaults."""
+        return self.truth or sections.TruthSettings()
 
     def epochs(self, motion: Ephemeris) -> list[Epoch]:
         """When and from where pictures are taken. Raises ConfigError for no possible path.
@@ -80,6 +87,7 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                     f"[[dem]] feather_km is {dem.feather_km:g}; wanted 0: "
                     "simulated ground has hard edges, only builds blend"
                 )
+        self.world.check()
         if self.globe.detail and not self.dem:
             raise ConfigError(
                 "[globe] has detail, and there is no [[dem]] that it could lie around; "
@@ -92,8 +100,14 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         mounts = (
             msgspec.structs.replace(mount, name=names.camera(mount.name)) for mount in self.beside
         )
+        truth = self.truth
+        if truth and truth.albedo_map:
+            path = names.terrain(truth.albedo_map.path)
+            own = msgspec.structs.replace(truth.albedo_map, path=path)
+            truth = msgspec.structs.replace(truth, albedo_map=own)
         return msgspec.structs.replace(
             self,
+            truth=truth,
             dem=tuple(dems),
             globe=msgspec.structs.replace(self.globe, path=names.terrain(self.globe.path)),
             body=names.body(self.body),
@@ -157,6 +171,11 @@ class ShapeScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_on
 
     def check(self) -> None:
         super().check()
+        if self.world != sections.TruthSettings(camera=self.world.camera):
+            raise ConfigError(
+                "[truth] model_error, albedo and phase_law are for terrain models, and the ground "
+                "is a mesh; leave them out"
+            )
         if self.dem:
             raise ConfigError("there are [[dem]] and mesh; give one of them")
 

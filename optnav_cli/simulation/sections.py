@@ -1,11 +1,18 @@
 """The sections of a scenario file that all kinds of scenario share; see `scenario_base`."""
 
+import math
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
+from catalog.bodies.body import Body
 from catalog.config import NotNegative, Slope, Turn
+from catalog.errors import ConfigError
+from catalog.photometry.hapke import LUNAR, HapkeParameters
+from catalog.terrain.synthetic.model_error import GLD100, ErrorSpectrum, ModelError, SlopeMap
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
 Inclination = Annotated[float, Meta(ge=0.0, le=180.0)]
@@ -106,6 +113,103 @@ class DetailSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     saturation: Saturation = 0.05
 
 
+BoxKm = Annotated[float, Meta(gt=0.0, le=1e5)]
+ErrorRms = Annotated[float, Meta(gt=0.0, le=1e5)]  # m
+RmsSlope = Annotated[float, Meta(ge=0.0, le=10.0)]  # tangent
+# Ground that scatters otherwise than the navigator's law has it: darker, smoother, less backwards.
+OTHER_SURFACE = LUNAR._replace(w=0.25, b=0.3, c=0.1, bs0=1.2, theta_bar=math.radians(15.0))
+
+
+ERROR_ABOVE = 1.4  # postings: below, the octaves of [detail] go on
+
+
+class ErrorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A terrain model's error by the size of the ground that it is averaged over, and by slope.
+
+    box_km, rms_m         sides of squares, rising, and the rms of means over them
+    slope, slope_rms_m    rms slopes over 1.9 km (tangents), rising, and the rms error of the
+                          smallest squares on such ground; by default the same everywhere
+    """
+
+    box_km: Annotated[tuple[BoxKm, ...], Meta(min_length=1, max_length=100)]
+    rms_m: tuple[ErrorRms, ...]
+    slope: tuple[RmsSlope, ...] = ()
+    slope_rms_m: tuple[ErrorRms, ...] = ()
+
+    def spectrum(self) -> ErrorSpectrum:
+        """The same for the truth. Raises ConfigError for lists that do not go together."""
+        where = "[truth] model_error"
+        pairs = ("box_km", "rms_m"), ("slope", "slope_rms_m")
+        for by, of in pairs:
+            keys, values = getattr(self, by), getattr(self, of)
+            if len(keys) != len(values):
+                raise ConfigError(
+                    f"{where} has {len(keys)} {by} and {len(values)} {of}; "
+                    "wanted one value for each"
+                )
+            if any(a >= b for a, b in pairwise(keys)):
+                raise ConfigError(f"{where} {by} is not rising; sort it, smallest first")
+        if not self.slope:
+            return ErrorSpectrum(self.box_km, self.rms_m)
+        at = float(np.interp(self.rms_m[0], self.slope_rms_m, self.slope))
+        return ErrorSpectrum(self.box_km, self.rms_m, self.slope, self.slope_rms_m, at)
+
+
+class AlbedoMapSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A map of brightness in equal steps of latitude and longitude.
+
+    path        beside the scenario, or "shared:NAME"
+    extent_deg  west, south, east, north of its edges; left out where the file has a CRS
+    coding      "srgb" for a picture as screens show it, "linear" for reflectance
+    """
+
+    path: str
+    extent_deg: tuple[Turn, Latitude, Turn, Latitude] | msgspec.UnsetType = msgspec.UNSET
+    coding: Literal["srgb", "linear"] = "srgb"
+
+
+class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How the true world differs from what a navigator knows of it.
+
+    model_error  what the terrain model is wrong by: "none", "gld100" (LROC WAC GLD100 against
+                 LOLA), or a table
+    albedo       "uniform", "fractal" (5 % rms an octave), or "real": albedo_map, and fractal
+                 below its pixels
+    phase_law    "catalog": the law that catalogs are rendered by; "other": another surface's
+    camera       "exact", or "drawn": blur, as far off as the camera file's sigma says
+    """
+
+    model_error: Literal["none", "gld100"] | ErrorTable = "none"
+    albedo: Literal["uniform", "fractal", "real"] = "uniform"
+    albedo_map: AlbedoMapSettings | msgspec.UnsetType = msgspec.UNSET
+    phase_law: Literal["catalog", "other"] = "catalog"
+    camera: Literal["exact", "drawn"] = "exact"
+
+    def check(self) -> None:
+        """Raise ConfigError for settings that do not go together."""
+        self.spectrum()
+        if self.albedo == "real" and not self.albedo_map:
+            raise ConfigError(
+                '[truth] albedo is "real", and there is no albedo_map; '
+                'name one, or set albedo = "fractal"'
+            )
+        if self.albedo_map and self.albedo != "real":
+            raise ConfigError(
+                f'[truth] has an albedo_map, and albedo is "{self.albedo}"; set "real"'
+            )
+
+    def spectrum(self) -> ErrorSpectrum | None:
+        """The error of the terrain model, None for none."""
+        if isinstance(self.model_error, ErrorTable):
+            return self.model_error.spectrum()
+        return GLD100 if self.model_error == "gld100" else None
+
+    @property
+    def surface(self) -> HapkeParameters:
+        """Hapke's parameters of the true ground."""
+        return LUNAR if self.phase_law == "catalog" else OTHER_SURFACE
+
+
 class MainCamera(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """name: a shipped camera, or a path to a camera file, relative to the scenario."""
 
@@ -168,3 +272,10 @@ def relief_below(
     smallest_m, slope_deg = min(settings.smallest_m, posting_m), settings.rms_slope_deg
     share = settings.saturation
     return SyntheticRelief(seed, posting_m, radius_m, smallest_m, slope_deg, saturation=share)
+
+
+def error_above(
+    spectrum: ErrorSpectrum, seed: int | None, posting_m: float, slopes: SlopeMap, body: Body
+) -> ModelError:
+    """The error of a terrain model down to its posting, where the relief of [detail] begins."""
+    return ModelError(seed or 0, spectrum, ERROR_ABOVE * posting_m, body.radius_m, slopes)

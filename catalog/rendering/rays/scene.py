@@ -3,6 +3,7 @@
 A pixel is the mean radiance over rays through it.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numba
@@ -24,6 +25,12 @@ STEEP = 0.8
 # What a pixel's parts see is read between the hits of pixel middles where these bend by less than
 # this (nodes) from a plane; a bend of half a node moves a sample by an eighth of that.
 SMOOTH = 0.5
+MIN_SLANT = 0.05  # cosine of emission: flatter views still show so much of the ground's colours
+
+
+# Brightness (n,) over the mean of ground at unit directions (n, 3) from the body's centre, seen by
+# pixels that span so much of it (n,), m.
+Reflectivity = Callable[[FloatArray, FloatArray], Float32Array]
 
 
 class Hits(NamedTuple):
@@ -89,7 +96,12 @@ class Scene:
         self._wide_lit, self._wide_wanted = _masks(wide)
 
     def picture(
-        self, origin_m: ArrayLike, corner_rays: ArrayLike, samples: int = 5, limb_samples: int = 5
+        self,
+        origin_m: ArrayLike,
+        corner_rays: ArrayLike,
+        samples: int = 5,
+        limb_samples: int = 5,
+        albedo: Reflectivity | None = None,
     ) -> Float32Array:
         """Mean radiance factor (rows, cols) of the pixels of a camera.
 
@@ -98,6 +110,7 @@ class Scene:
                      where the camera sees nothing
         samples      most rays a side of a pixel
         limb_samples rays a side of a pixel at the limb
+        albedo       of the ground that pixel middles see; the same everywhere for None
 
         Rays inside a pixel lie between those of its corners, 3e-4 px from the exact ones in a
         fisheye of 316 arcsec a pixel.
@@ -123,10 +136,30 @@ class Scene:
             mean_radiance(self.fine, self.wide, self.surface, view, hits, shading, aside, out)
             # between the middles of pixels a few rays find ground that these did not see
             if not missing.any():
+                if albedo is not None:
+                    self._colour(out, view, hits, albedo)
                 return out
             done = wanted.astype(bool)
             add_with_neighbours(missing, wanted)
             wanted[done] = 0
+
+    def _colour(self, out: Float32Array, view: View, hits: Hits, albedo: Reflectivity) -> None:
+        """Multiply radiances (rows, cols) by the albedo of what the pixels' middles see."""
+        origin = view.origin
+        for i in range(len(out)):
+            seen = np.flatnonzero(hits.kind[i] != SKY)
+            if not seen.size:
+                continue
+            corners = view.corners[i : i + 2, :, :]
+            near, far = corners[0, seen], corners[1, seen + 1]
+            rays = near + far + corners[0, seen + 1] + corners[1, seen]
+            rays /= np.linalg.norm(rays, axis=1)[:, None]
+            distance = hits.distance[i, seen].astype(np.float64)
+            places = origin + distance[:, None] * rays
+            places /= np.linalg.norm(places, axis=1)[:, None]
+            slant = np.maximum(-np.einsum("ij,ij->i", rays, places), MIN_SLANT)
+            angle = np.sqrt(0.5) * np.linalg.norm(near - far, axis=1)
+            out[i, seen] *= albedo(places, distance * angle / slant)
 
     def _shade(self, wanted: ByteArray, origin: FloatArray, shaded: Float32Array) -> None:
         # blocks that an earlier picture lit stay lit

@@ -44,6 +44,7 @@ WAVELENGTH = 1.4  # of an octave's strongest power, in lattice spacings
 # rms surface gradient of the noise below on a random plane, lattice spacing 1; found by sampling
 # 400 000 points, and held by a test
 RMS_GRADIENT = 0.704
+RMS_NOISE = 0.1913  # of the noise itself on such a plane, found likewise
 _MASK = np.uint64(0x1FFFFF)
 _S21, _S42 = np.uint64(21), np.uint64(42)
 _TO_SIGNED = 2.0 / 2097151.0
@@ -94,6 +95,18 @@ class Octaves(NamedTuple):
     spacing: FloatArray
     amplitude: FloatArray
     radius: float
+
+
+def resolved(octaves: Octaves, posting_m: float) -> Octaves:
+    """The octaves that a grid can show, lowered by the averaging over its cells.
+
+    A mean over a square of side p lowers a wave of length L by about exp(-(pi p / L)^2 / 6).
+    """
+    length = WAVELENGTH * octaves.spacing
+    seen = length >= 2.0 * posting_m * 0.99
+    factor = np.exp(-((np.pi * posting_m / length) ** 2) / 6.0)
+    amplitude = (octaves.amplitude * factor)[seen]
+    return octaves._replace(spacing=octaves.spacing[seen], amplitude=amplitude)
 
 
 @kernel

@@ -181,15 +181,7 @@ class SyntheticRelief:
         )
 
     def _resolved(self, posting_m: float) -> fractal.Octaves:
-        """The octaves that a grid can show, lowered by the averaging over its cells.
-
-        A mean over a square of side p lowers a wave of length L by about exp(-(pi p / L)^2 / 6).
-        """
-        _, spacing, amplitude, _ = self._noise
-        length = fractal.WAVELENGTH * spacing
-        seen = length >= 2.0 * posting_m * 0.99
-        factor = np.exp(-((np.pi * posting_m / length) ** 2) / 6.0)
-        return self._noise._replace(spacing=spacing[seen], amplitude=(amplitude * factor)[seen])
+        return fractal.resolved(self._noise, posting_m)
 
 
 def _body_box(

@@ -1,0 +1,167 @@
+"""How bright the true ground is from place to place: a map of the body, and 1/f noise.
+
+Each octave of the noise changes brightness by the same share, as albedo of the Moon does: 3-7 % rms
+an octave from 2.7 to 21 km (LROC colour map of 2025, decoded).
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
+from catalog.errors import ConfigError, DataError
+from catalog.geometry.grid import sample_bicubic
+from catalog.geometry.kernel import parallel_kernel
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.rasters import TERRAIN, open_raster, reading_rasters
+from catalog.rendering.rays.scene import Reflectivity
+from catalog.terrain.dem.file import path_of, place_of
+from catalog.terrain.synthetic import fractal
+from optnav_cli.simulation.sections import AlbedoMapSettings, TruthSettings
+
+SHARE = 0.05  # rms an octave
+LARGEST_M, SMALLEST_M = 60e3, 10.0  # spacings of the noise where no map is
+FINER_THAN_MAP = 2.0  # the longest wave of the noise below a map, in its pixels
+ALBEDO_STREAM = 1 << 41
+MAX_MAP_PIXELS = 200_000_000
+PARTS = 8  # of a row of pixels, for several cores
+PARTS = 8  # of a row of pixels, for several cores
+MIN_FACTOR, MAX_FACTOR = 0.3, 3.0
+
+
+class Albedo:
+    """Brightness of the ground over its mean.
+
+    Raises ConfigError or DataError for a map that cannot be used.
+    """
+
+    def __init__(self, settings: TruthSettings, body: Body) -> None:
+        self._map = _AlbedoMap(settings.albedo_map, body) if settings.albedo_map else None
+        largest = FINER_THAN_MAP * self._map.posting_m if self._map else LARGEST_M
+        count = 1 + int(np.ceil(np.log2(largest / SMALLEST_M)))
+        spacing = largest / 2.0 ** np.arange(count, dtype=np.float64)
+        amplitude = np.full(count, SHARE / fractal.RMS_NOISE)
+        self._noise = fractal.Octaves(0, spacing, amplitude, body.radius_m)
+
+    def factors(self, seed: int, directions: FloatArray, sizes_m: FloatArray) -> Float32Array:
+        """Brightness (n,) of ground at unit directions (n, 3), body frame, over the mean.
+
+        seed     of the noise
+        sizes_m  (n,) of the pixels on the ground
+        """
+        logs = np.zeros(len(directions))
+        noise = self._noise._replace(seed=seed + ALBEDO_STREAM)
+        _add_octaves(logs, noise, directions, sizes_m)
+        found: FloatArray = np.exp(logs)
+        if self._map is not None:
+            found *= self._map.at(directions)
+        return np.clip(found, MIN_FACTOR, MAX_FACTOR).astype(np.float32)
+
+    def on_body(self, seed: int, body_from_scene: FloatArray) -> Reflectivity:
+        """The same for a scene in a turned frame, (3, 3)."""
+
+        def reflectivity(directions: FloatArray, sizes_m: FloatArray) -> Float32Array:
+            return self.factors(seed, directions @ body_from_scene.T, sizes_m)
+
+        return reflectivity
+
+
+class _AlbedoMap:
+    """A brightness map over its mean; 1 outside of it."""
+
+    def __init__(self, settings: AlbedoMapSettings, body: Body) -> None:
+        path = path_of(settings.path, Path.cwd())
+        dataset = open_raster(path, TERRAIN, "check `albedo_map` in [truth]")
+        with dataset, reading_rasters():
+            rows, cols = dataset.shape
+            if rows * cols > MAX_MAP_PIXELS:
+                raise DataError(
+                    f"{path}: has {rows} x {cols} pixels; wanted up to {MAX_MAP_PIXELS} as an "
+                    "albedo_map: reduce it with gdal_translate -outsize"
+                )
+            self._place = None
+            if settings.extent_deg:
+                self._extent = _extent(path, settings.extent_deg)
+            else:
+                self._place = _placed(path, body, dataset)
+            bands = dataset.read(list(range(1, min(dataset.count, 3) + 1)))
+        values = _decoded(bands, settings.coding).mean(axis=0)
+        mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+        if not mean > 0.0:
+            raise DataError(f"{path}: holds no brightness above 0; name another albedo_map")
+        self._values = (values / mean).astype(np.float32)
+        if self._place is None:
+            self.posting_m = float(np.radians(self._extent[3] - self._extent[1])) / rows
+            self.posting_m *= body.radius_m
+        else:
+            self.posting_m = self._place.row_angle * body.radius_m
+
+    def at(self, directions: FloatArray) -> FloatArray:
+        lat, lon, _ = latlon_from_xyz(directions)
+        rows, cols = self._values.shape
+        if self._place is not None:
+            col, row = self._place.pixel_from_latlon(lat, lon)
+            if self._place.wraps:
+                col = np.mod(col, cols)
+        else:
+            west, south, east, north = np.radians(self._extent)
+            row = (north - lat) / (north - south) * rows - 0.5
+            col = np.mod(lon - west, 2.0 * np.pi) / (east - west) * cols - 0.5
+        # within half a pixel of an edge the outermost one counts
+        inside = (row >= -0.5) & (row <= rows - 0.5) & (col >= -0.5) & (col <= cols - 0.5)
+        row, col = np.clip(row, 0.0, rows - 1.0), np.clip(col, 0.0, cols - 1.0)
+        found = sample_bicubic(self._values, row, col).astype(np.float64)
+        found[~inside | ~np.isfinite(found)] = 1.0
+        return found
+
+
+def _placed(path: Path, body: Body, dataset: Any) -> Any:
+    if dataset.crs is None or dataset.transform.is_identity:
+        raise DataError(
+            f"{path}: says neither its coordinate system nor its edges; state them: "
+            "extent_deg = [west, south, east, north] in albedo_map of [truth]"
+        )
+    return place_of(path, None, "east", body, dataset)
+
+
+def _extent(path: Path, edges: tuple[float, float, float, float]) -> tuple[float, ...]:
+    west, south, east, north = edges
+    if not (south < north and west < east <= west + 360.0):
+        raise ConfigError(
+            f"[truth] albedo_map extent_deg is {list(edges)} for {path}; "
+            "wanted west, south, east, north with west below east, at most 360 deg of longitude"
+        )
+    return edges
+
+
+def _decoded(bands: Any, coding: str) -> FloatArray:
+    """Linear brightness of bands; sRGB by IEC 61966-2-1."""
+    values: FloatArray = bands.astype(np.float64)
+    if coding == "linear":
+        return values
+    share = values / float(np.iinfo(bands.dtype).max if bands.dtype.kind in "iu" else 1.0)
+    curve = ((np.clip(share, 0.0, 1.0) + 0.055) / 1.055) ** 2.4
+    linear: FloatArray = np.where(share <= 0.04045, share / 12.92, curve)
+    return linear
+
+
+@parallel_kernel
+def _add_octaves(
+    out: FloatArray, octaves: fractal.Octaves, directions: FloatArray, sizes_m: FloatArray
+) -> None:
+    for part in numba.prange(PARTS):
+        first, last = part * out.size // PARTS, (part + 1) * out.size // PARTS
+        for octave in range(octaves.spacing.size):
+            state = fractal.octave_state(octaves.seed, octave)
+            scale = octaves.radius / octaves.spacing[octave]
+            length = fractal.WAVELENGTH * octaves.spacing[octave]
+            for i in range(first, last):
+                share = length / sizes_m[i] - 2.0
+                if share <= 0.0:
+                    continue
+                x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
+                value = fractal.noise(state, x * scale, y * scale, z * scale)
+                out[i] += octaves.amplitude[octave] * min(share, 1.0) * value

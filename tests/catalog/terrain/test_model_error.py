@@ -1,0 +1,107 @@
+"""The error of a terrain model: its size over boxes and slopes, and that it is one field."""
+
+import numpy as np
+import pytest
+
+from catalog.geometry.latlon import xyz_from_latlon
+from catalog.terrain.synthetic import fractal
+from catalog.terrain.synthetic.model_error import (
+    BOX_RMS,
+    BOX_SIDES,
+    GLD100,
+    ModelError,
+    SlopeMap,
+    rms_slope,
+)
+
+RADIUS_M = 1_737_400.0
+POSTING_M = 118.0
+
+
+def even(slope):
+    """A map of one slope everywhere."""
+    slopes = np.full((4, 8), slope, np.float32)
+    return SlopeMap(slopes, 0.5 * np.pi, -np.pi, np.pi / 3.0, 2.0 * np.pi / 7.0)
+
+
+def error(seed=1, slope=0.085):
+    return ModelError(seed, GLD100, 1.4 * POSTING_M, RADIUS_M, even(slope))
+
+
+def box_means(field, nodes):
+    n = len(field) // nodes * nodes
+    return field[:n, :n].reshape(n // nodes, nodes, n // nodes, nodes).mean(axis=(1, 3))
+
+
+def rms_of_boxes(slope, nodes, posting_m=500.0, seeds=range(1, 33)):
+    """Rms over fields of 64 km, far apart; nodes of 500 m are means over their own cells."""
+    squares = []
+    for seed in seeds:
+        lat, step = 0.03 * seed - 0.5, posting_m / RADIUS_M
+        field = error(seed, slope).window(lat, seed, step, step / np.cos(lat), 128, 128)
+        squares.append(np.mean(box_means(field, nodes) ** 2))
+    return float(np.sqrt(np.mean(squares)))
+
+
+@pytest.mark.parametrize(("slope", "wanted"), [(0.02, 9.0), (0.055, 22.0), (0.15, 34.0)])
+def test_the_error_over_2_km_is_that_of_the_table_in_three_classes_of_slope(slope, wanted):
+    assert rms_of_boxes(slope, 4) == pytest.approx(wanted, rel=0.17)
+
+
+@pytest.mark.parametrize(("nodes", "wanted"), [(4, 28.0), (8, 15.0), (16, 9.5), (30, 8.0)])
+def test_the_error_falls_with_the_size_of_the_box_as_the_table_says(nodes, wanted):
+    assert rms_of_boxes(0.085, nodes) == pytest.approx(wanted, rel=0.2)
+
+
+def test_a_seed_gives_the_same_ground_in_whichever_window_it_is_sampled():
+    step = POSTING_M / RADIUS_M
+    whole = error().window(-0.7, 0.3, step, 1.3 * step, 90, 110)
+    part = error().window(-0.7 - 30 * step, 0.3 + 40 * 1.3 * step, step, 1.3 * step, 20, 30)
+    np.testing.assert_allclose(part, whole[30:50, 40:70], atol=1e-3)
+    turned = error().turned_window(np.eye(3), -0.7, 0.3, step, 40, 50)
+    np.testing.assert_allclose(turned, error().window(-0.7, 0.3, step, step, 40, 50), atol=1e-3)
+    assert not np.allclose(error(2).window(-0.7, 0.3, step, step, 40, 50), turned)
+
+
+def test_below_two_thirds_of_a_kilometre_the_truth_has_what_the_model_lost():
+    """Octave for octave what continues the power law; the model itself holds 1-3 m there."""
+    octaves = GLD100.octaves(1, 1.4 * POSTING_M, RADIUS_M)
+    length = fractal.WAVELENGTH * octaves.spacing
+    rms = dict(zip(length.round(-2), octaves.amplitude * fractal.RMS_NOISE))
+    # coherence^2 of model and truth, a^2 / (a^2 + error^2), with the model's 60, 23, 3.4 and 1 m an
+    # octave about Tycho; GLD100 against LOLA: 0.98, 0.71, 0.18, 0
+    coherence = [a * a / (a * a + rms[b] ** 2) for a, b in ((60, 4000), (23, 2000), (3.4, 1000))]
+    assert coherence[0] > 0.75
+    assert 0.55 < coherence[1] < 0.8
+    assert 0.08 < coherence[2] < 0.3
+    assert 1.0 / (1.0 + rms[500.0] ** 2) < 0.1
+
+
+def test_the_response_of_boxes_is_that_of_the_noise():
+    octave = fractal.Octaves(5, np.array([1.0]), np.array([1.0]), 300.0)
+    field, step = np.zeros((1024, 1024), np.float32), 0.125 / 300.0
+    across = step * (np.arange(1024) - 512.0)
+    fractal.add_noise_window(field, octave, across[::-1].copy(), across)
+    for side, wanted in list(zip(BOX_SIDES, BOX_RMS))[1:6]:
+        means = box_means(field, round(side / 0.125))
+        assert np.sqrt(np.mean(means**2)) == pytest.approx(wanted, rel=0.05)
+
+
+def test_slopes_are_those_of_the_heights_and_holes_have_none():
+    north = 1900.0 * 0.1 * np.arange(40.0)[:, None] + np.zeros((40, 40))
+    heights = north.astype(np.float32)
+    np.testing.assert_allclose(rms_slope(heights, 1900.0, 1900.0)[5:-5, 5:-5], 0.1, rtol=1e-3)
+    heights[18:22, 18:22] = np.nan
+    assert np.isfinite(rms_slope(heights, 1900.0, 1900.0)).all()
+
+
+def test_a_globe_of_slopes_has_no_seam():
+    lat = np.pi / 180.0 * (89.5 - np.arange(180.0))
+    lon = np.pi / 180.0 * (0.5 + np.arange(360.0))
+    x = xyz_from_latlon(lat[:, None], lon[None, :], 1.0)
+    slopes = SlopeMap.of_globe((5e4 * x[..., 0]).astype(np.float32), RADIUS_M)
+    at = slopes.at(np.zeros((1, 3)), np.array([[-1e-4, 0.0, 1e-4]]))
+    np.testing.assert_allclose(at, at[0, 0], atol=1e-4)
+    assert slopes.at(np.zeros((1, 1)), np.full((1, 1), 0.5 * np.pi))[0, 0] == pytest.approx(
+        5e4 / RADIUS_M, rel=0.05
+    )
