@@ -38,6 +38,15 @@ SEED = 10
 FIGURES = "figures.json"  # a flight study's tables, with those of single frames, in its folder
 
 
+# Grounds that scenarios fly over, as tables of studies are called; the first one is that of real_*.
+GROUNDS = ("Ground off as the Moon's is from GLD100", "The simulator's own ground")
+
+
+def ground_of(scenario: str) -> str:
+    """Over which of GROUNDS a shipped scenario flies."""
+    return GROUNDS[0] if scenario.startswith("real_") else GROUNDS[1]
+
+
 @dataclass(frozen=True)
 class Case:
     """A row of a study."""

@@ -1,37 +1,61 @@
 """The navigation figures: simulated flights over richer ground, navigated, against the truth.
 
 Every row flies a shipped scenario (other ground seeds, places, Suns and headings a pass), builds
-the catalog of the bundled 118 m terrain at the row's cell size, navigates every picture from a
-prior 3 km off, and adds the errors up. The rows with a star sensor reuse the pictures with
-attitudes that are off by 10 arc seconds an axis.
+the catalog of the bundled terrain at the row's cell size, navigates every picture from a prior 3 km
+off, and adds the errors up. The rows with a star sensor reuse the pictures with attitudes that are
+off by 10 arc seconds an axis.
+
+Real rows fly over ground that differs from the terrain model as the Moon does, at all scales and in
+albedo; own rows over the terrain model with relief below its posting, as in all other studies.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from catalog.config import resource
+from catalog.errors import NothingToDoError
 from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.evaluation.evaluation import Evaluation, pool
+from optnav_cli.evaluation.figures import Figures, FrameError, figures_of, none_solved
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies import flights
-from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 
 @dataclass(frozen=True)
 class FlightCase(flights.Case):
-    """One line of the table: scenarios pooled, the catalog's cell, and the figures to reach."""
+    """One line of the table: scenarios pooled, the catalog's cell, and the figures to reach.
+
+    catalog  of configs/catalogs
+    """
 
     scenarios: tuple[str, ...]
     cell_deg: float
     horizontal_m: float
     height_m: float
+    catalog: str = "tycho"
+
+    @property
+    def ground(self) -> str:
+        """Over which ground it flies; each has a table."""
+        return flights.ground_of(self.scenarios[0])
 
 
+REAL_SHNK = ("real_shnk_100km", "real_shnk_200km", "real_shnk_400km")
 ROWS = (
+    FlightCase("real unk 200 km, 1° cells", ("real_unk_200km",), 1.0, 30.0, 70.0),
+    FlightCase("real unk 200 km, 0.25° cells", ("real_unk_200km",), 0.25, 15.0, 60.0),
+    FlightCase("real unk 400 km, 1° cells", ("real_unk_400km",), 1.0, 20.0, 40.0),
+    FlightCase("real unk 400 km, 0.25° cells", ("real_unk_400km",), 0.25, 15.0, 20.0),
+    FlightCase("real shnk 100-400 km, 1° cells", REAL_SHNK, 1.0, 12.0, 12.0),
+    FlightCase(
+        "real far side 400 km, 474 m, 1° cells", ("real_farside_400km",), 1.0, 30.0, 75.0, "farside"
+    ),
     FlightCase("unk 200 km, 1° cells", ("unk_200km",), 1.0, 30.0, 150.0),
     FlightCase("unk 200 km, 0.5° cells", ("unk_200km",), 0.5, 20.0, 80.0),
     FlightCase("unk 400 km, 1° cells", ("unk_400km",), 1.0, 20.0, 50.0),
@@ -68,11 +92,11 @@ def run(
     chosen = flights.rows_named(ROWS, rows)
     make_folder(output)
     results: list[FlightResult] = []
-    tycho = resource("configs/catalogs/tycho.toml").read_text(encoding="utf-8")
     for row in chosen:
-        config = output / f"tycho-{row.cell_deg:g}deg.toml"
+        config = output / f"{row.catalog}-{row.cell_deg:g}deg.toml"
+        text = resource(f"configs/catalogs/{row.catalog}.toml").read_text(encoding="utf-8")
         catalog = flights.built_catalog(
-            config, f"{tycho}\n[grid]\ncell_deg = {row.cell_deg}\n", progress
+            config, f"{text}\n[grid]\ncell_deg = {row.cell_deg}\n", progress
         )
         for star_sensor in (False, True):
             parts = []
@@ -82,7 +106,9 @@ def run(
                     pictures = flights.with_star_sensor(pictures)
                 place = output / "runs" / f"{pictures.name}-{row.cell_deg:g}deg"
                 place.parent.mkdir(exist_ok=True)
-                navigate_folder(RunInputs(pictures, [catalog]), place, progress)
+                # a row without any solution is a figure, too
+                with suppress(NothingToDoError):
+                    navigate_folder(RunInputs(pictures, [catalog]), place, progress)
                 parts.append(evaluate_run(place, pictures / "truth.csv"))
             evaluation = pool(parts)
             limit = row.horizontal_m
@@ -102,19 +128,25 @@ COLUMNS = columns(
 
 
 def report(results: Sequence[FlightResult]) -> StudyReport:
-    """The table, one line a row, and the counts over all rows."""
-    rows = []
-    figures = [result.evaluation.figures() for result in results]
+    """A table for each kind of ground, one line a row, and the counts over all rows."""
+    rows: dict[str, list[tuple[Cell, ...]]] = {ground: [] for ground in flights.GROUNDS}
+    figures = [_figures(result.evaluation.frames) for result in results]
     for result, f in zip(results, figures, strict=True):
         errors = (f.horizontal_rms_m, result.limit_m, f.height_rms_m, result.row.height_m, f.nees)
-        used = 100.0 * f.n_used / f.n_predicted
+        used = 100.0 * f.n_used / max(f.n_predicted, 1)
         counts = (100.0 * min(f.inside_3_sigma), used, f.n_wrong, f.n_checked)
-        rows.append((result.case, f.solved, f.frames, *errors, *counts))
+        rows[result.row.ground].append((result.case, f.solved, f.frames, *errors, *counts))
     counted = [(f.n_wrong, f.n_checked, f.n_used, f.n_predicted) for f in figures]
     wrong, checked, used, predicted = map(sum, zip(*counted))
     notes = (
-        f"recognised {used} of {predicted} ({100.0 * used / predicted:.2f} %)",
-        f"wrong matches kept {wrong} of {checked} ({100.0 * wrong / checked:.3f} %)",
+        f"recognised {used} of {predicted} ({100.0 * used / max(predicted, 1):.2f} %)",
+        f"wrong matches kept {wrong} of {checked} ({100.0 * wrong / max(checked, 1):.3f} %)",
         "relative to the terrain model's own frame; GLD100 itself is about 50 m from LOLA",
     )
-    return StudyReport((StudyTable("", COLUMNS, tuple(rows)),), notes)
+    tables = (StudyTable(g, COLUMNS, tuple(own)) for g, own in rows.items() if own)
+    return StudyReport(tuple(tables), notes)
+
+
+def _figures(frames: Sequence[FrameError]) -> Figures:
+    solved = any(frame.error_rnb_m is not None for frame in frames)
+    return figures_of(frames) if solved else none_solved(frames)

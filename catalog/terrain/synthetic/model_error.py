@@ -69,7 +69,8 @@ class ErrorSpectrum:
         power, _ = nnls(parts * weights[:, None], np.array(self.rms_m) ** 2 * weights)
         spacing = np.concatenate([coarse[::-1], fine])
         amplitude = np.sqrt(np.concatenate([power[:0:-1], power[0] * shape**2]))
-        return fractal.Octaves(seed + STREAM, spacing, amplitude, radius_m)
+        held = amplitude > 0.0
+        return fractal.Octaves(seed + STREAM, spacing[held], amplitude[held], radius_m)
 
 
 # LROC WAC GLD100 against LOLA (LDEM_16 and a 118 m crop): rms of box means of the difference on

@@ -9,6 +9,7 @@ from catalog.config import resource
 from catalog.errors import NothingToDoError
 from catalog.progress import SilentProgress
 from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.studies.flights import GROUNDS
 from optnav_cli.studies.horizon import ROWS, HorizonResult, LimbFix, figures_of, report, run
 
 
@@ -51,6 +52,15 @@ def test_the_table_names_what_is_asked_and_why_frames_failed():
     assert by_limb.column("better") == [20.0]
     assert (far_away.column("terrain_range"), far_away.column("range_limit")) == ([0.01], [0.2])
     assert any("1 not solved: no lit limb" in note for note in report([dark]).notes)
+
+
+def test_each_ground_has_a_table_and_that_of_real_scenarios_comes_first():
+    solved = figures_of([frame(30.0, 1.0)])
+    own = next(row for row in ROWS if row.scenario == "horizon_100km")
+    rows = [HorizonResult(row, *[solved] * 4) for row in (own, ROWS[0])]
+    tables = report(rows).tables
+    assert [table.title for table in tables] == list(GROUNDS)
+    assert [table.column("case") for table in tables] == [["real nadir 50 km"], ["nadir 100 km"]]
 
 
 def test_a_row_that_is_not_there_is_said(tmp_path, shared_data, monkeypatch):

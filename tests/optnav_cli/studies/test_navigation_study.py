@@ -1,0 +1,47 @@
+"""The navigation study's tables, and that its rows name scenarios and catalogs that are there."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.config import resource
+from optnav_cli.evaluation.evaluation import Evaluation
+from optnav_cli.evaluation.figures import FrameError
+from optnav_cli.simulation.scenario import load_scenario
+from optnav_cli.studies.flights import GROUNDS
+from optnav_cli.studies.navigation import ROWS, FlightResult, report
+from tests.optnav_cli.rows import solved, unsolved
+
+UTC = "2026-01-01T00:00:00Z"
+REAL = next(row for row in ROWS if row.scenarios == ("real_unk_200km",))
+OWN = next(row for row in ROWS if row.scenarios == ("unk_200km",))
+
+
+def evaluation(error_m: float | None) -> Evaluation:
+    if error_m is None:
+        return Evaluation((FrameError("a.png", UTC, unsolved("a.png", UTC, "x"), "motion", 4e5),))
+    error = np.array([error_m, 0.0, 0.0])
+    answer = solved("a.png", UTC, "control_points", error, np.eye(3), Rotation.identity(), 0.0)
+    sigmas = np.full(3, error_m)
+    return Evaluation((FrameError("a.png", UTC, answer, "motion", 4e5, error, sigmas, 1.0),))
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_every_row_flies_shipped_scenarios_over_a_shipped_catalog(row) -> None:
+    assert resource(f"configs/catalogs/{row.catalog}.toml").is_file()
+    for name in row.scenarios:
+        scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
+        assert (scenario.world.model_error == "gld100") == (row.ground == GROUNDS[0])
+
+
+def test_each_ground_has_a_table_and_that_of_real_scenarios_comes_first() -> None:
+    results = [FlightResult(row, False, evaluation(5.0), 30.0) for row in (OWN, REAL)]
+    tables = report(results).tables
+    assert [table.title for table in tables] == list(GROUNDS)
+    assert [table.column("case") for table in tables] == [[REAL.name], [OWN.name]]
+
+
+def test_a_row_of_which_nothing_is_solved_has_a_line_of_dashes() -> None:
+    table = report([FlightResult(REAL, False, evaluation(None), 30.0)]).tables[0]
+    assert (table.column("solved"), table.column("frames")) == ([0], [1])
+    assert table.column("horizontal_rms_m") == [None]
