@@ -4,6 +4,7 @@ An example that a test runs stands in optnav_cli/README.md. The calls do what th
 same names do. All errors that a user can mend are an `OptnavError`.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -98,7 +99,9 @@ def navigate_picture(
     if not catalogs:
         raise UsageError("name a catalog: it says which body the picture shows")
     picture, tdb_s = Path(picture), utc_to_tdb_s(utc)
-    sigma_rad = None if attitude_sigma_arcsec is None else attitude_sigma_arcsec * ARCSEC
+    sigma_rad = None
+    if attitude_sigma_arcsec is not None:
+        sigma_rad = math.hypot(attitude_sigma_arcsec, camera.boresight_sigma_arcsec) * ARCSEC
     with open_catalogs([Path(path) for path in catalogs]) as found:
         body = load_body(found[0].meta.body)
         motion = AnalyticEphemeris(body)

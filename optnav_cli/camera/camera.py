@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, FloatArray
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera import lens
 
 Model = Literal["pinhole", "equidistant", "kannala_brandt"]
-Distortion = Literal["none", "brown"]
+Distortion = Literal["none", "brown", "opencv"]
 
 PIXEL_SIGMA_PX = math.sqrt(1.0 / 12.0)  # of the square that a pixel is
 
@@ -24,14 +25,17 @@ PIXEL_SIGMA_PX = math.sqrt(1.0 / 12.0)  # of the square that a pixel is
 class Camera:
     """Interior orientation of a camera.
 
-    focal_length_px         the same along x and y
+    focal_length_px         along x, and along y where focal_length_y_px is None: square pixels
     principal_point_px      (x, y) where the boresight meets the picture
-    coefficients            distortion "brown": k1 k2 p1 p2 k3 (OpenCV's forward model);
-                            model "kannala_brandt": k1 k2 k3 k4; else empty
-    image_circle_radius_px  about the principal point; pixels beyond it see nothing
-    pixel_pitch_um          size of a pixel, where known; only written back to files
+    coefficients            distortion "brown": k1 k2 p1 p2 k3 (OpenCV's forward model); "opencv":
+                            its 4, 5, 8, 12 or 14 terms k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tau_x
+                            tau_y; model "kannala_brandt": k1 k2 k3 k4; else empty
+    image_circle_radius_px  about the principal point, along x; pixels beyond it see nothing
+    pixel_pitch_um          width of a pixel, where known; only written back to files
     psf_sigma_px            blur by the optics, without the pixel's own width, as calibrated;
                             psf_error_px  its 1-sigma error. Both None where not known
+    boresight_sigma_arcsec  how well its mounting is known, 1 sigma an axis: an error that stated
+                            attitudes of all its frames have in common
     """
 
     name: str
@@ -46,6 +50,8 @@ class Camera:
     pixel_pitch_um: float | None = None
     psf_sigma_px: float | None = None
     psf_error_px: float | None = None
+    focal_length_y_px: float | None = None
+    boresight_sigma_arcsec: float = 0.0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -53,9 +59,26 @@ class Camera:
         return self.height_px, self.width_px
 
     @property
+    def aspect(self) -> float:
+        """Focal length along y by that along x: the width of a pixel by its height."""
+        return (
+            1.0 if self.focal_length_y_px is None else self.focal_length_y_px / self.focal_length_px
+        )
+
+    @property
+    def coarse_focal_px(self) -> float:
+        """The shorter focal length, px: along the longer side of a pixel that is not square."""
+        return self.focal_length_px * min(self.aspect, 1.0)
+
+    @property
     def angular_resolution(self) -> float:
-        """Angle of one pixel at the principal point, rad."""
-        return 1.0 / self.focal_length_px
+        """Angle of one pixel at the principal point, its longer side, rad."""
+        return 1.0 / self.coarse_focal_px
+
+    @property
+    def boresight_sigma_rad(self) -> float:
+        """Error of the mounting, common to all frames of the camera, 1 sigma an axis."""
+        return self.boresight_sigma_arcsec * ARCSEC
 
     @property
     def known_blur_px(self) -> tuple[float, float] | None:
@@ -70,9 +93,16 @@ class Camera:
     def _lens(self) -> tuple[int, FloatArray]:
         parameters = np.zeros(lens.PARAMETERS)
         parameters[:3] = self.focal_length_px, *self.principal_point_px
-        parameters[3 : 3 + len(self.coefficients)] = self.coefficients
+        first, more, tilts = self.coefficients[:5], self.coefficients[5:12], self.coefficients[12:]
+        parameters[3 : 3 + len(first)] = first
+        parameters[lens.ASPECT] = self.aspect
         if self.model == "pinhole":
-            model, parameters[lens.LIMIT] = lens.PINHOLE, lens.brown_limit(self.coefficients)
+            parameters[lens.TERMS : lens.TERMS + len(more)] = more
+            tilt = lens.tilt(*tilts) if tilts else np.eye(3)
+            parameters[lens.TILT : lens.TILT + 9] = tilt.ravel()
+            parameters[lens.LEVEL :] = np.linalg.inv(tilt).ravel()
+            model = lens.OPENCV if any(more) or any(tilts) else lens.PINHOLE
+            parameters[lens.LIMIT] = lens.pinhole_limit(parameters)
         else:
             terms = self.coefficients or (0.0, 0.0, 0.0, 0.0)
             model, parameters[lens.LIMIT] = lens.FISHEYE, lens.fisheye_limit(terms)
@@ -135,9 +165,15 @@ class Camera:
         middle = np.array(self.principal_point_px)
         out = np.column_stack([x, y]) - middle
         most = 0.999 * (self.image_circle_radius_px or np.inf)
-        reach = np.linalg.norm(out, axis=1, keepdims=True)
+        reach = np.linalg.norm(out / (1.0, self.aspect), axis=1, keepdims=True)
         pixels: FloatArray = middle + out * np.minimum(most / reach, 1.0)
         return pixels
+
+    def radius_px(self, pixels: ArrayLike) -> FloatArray:
+        """Distances (...) of pixels (..., 2) from the principal point, in widths of a pixel."""
+        out = np.asarray(pixels, dtype=np.float64) - np.array(self.principal_point_px)
+        radius: FloatArray = np.linalg.norm(out / (1.0, self.aspect), axis=-1)
+        return radius
 
     def contains(self, pixels: ArrayLike, margin_px: float = 0.0) -> BoolArray:
         """Whether pixels (..., 2) lie in the picture, at least margin_px inside its edge."""

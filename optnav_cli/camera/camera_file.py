@@ -17,9 +17,17 @@ MAX_PIXELS = 100_000_000  # of a picture: its values and what is made of them ta
 MAX_PSF_PX = 50.0  # beyond any lens: the key is not in pixels
 Side = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Length = Annotated[float, msgspec.Meta(ge=1e-3, le=1e9)]
+Arcsec = Annotated[float, msgspec.Meta(ge=0.0, le=180.0 * 3600.0)]
 Pixels = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
-_TERMS = {"pinhole": 5, "kannala_brandt": 4}
-_TERM_NAMES = {"pinhole": "[k1, k2, p1, p2, k3]", "kannala_brandt": "[k1, k2, k3, k4]"}
+_OPENCV = "k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]]"
+# how many coefficients there may be, by what uses them, and their names
+_TERMS = {
+    "brown": ((5,), "[k1, k2, p1, p2, k3]"),
+    "opencv": ((4, 5, 8, 12, 14), f"4, 5, 8, 12 or 14 of [{_OPENCV}]"),
+    "kannala_brandt": ((4,), "[k1, k2, k3, k4]"),
+}
+MAX_TILT = 1.0  # rad: no sensor is turned so far
+MAX_ASPECT = 100.0  # of a pixel's sides
 
 
 class CameraFileSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -38,6 +46,9 @@ class CameraFileSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaul
     image_circle_radius_px: Length | None = None
     psf_sigma_px: float | None = None
     psf_error_px: float | None = None
+    focal_length_y_px: Length | None = None
+    pixel_pitch_y_um: Length | None = None
+    boresight_sigma_arcsec: Arcsec = 0.0
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -50,10 +61,12 @@ def load_camera(path: str | Path) -> Camera:
     _check_picture(settings, where)
     _check_lens(settings, where)
     _check_blur(settings, where)
+    focal_px = _focal_length_px(settings, where)
     values = msgspec.structs.asdict(settings) | {
-        "focal_length_px": _focal_length_px(settings, where)
+        "focal_length_px": focal_px,
+        "focal_length_y_px": _focal_length_y_px(settings, focal_px, where),
     }
-    del values["focal_length_mm"]
+    del values["focal_length_mm"], values["pixel_pitch_y_um"]
     return Camera(**values)
 
 
@@ -82,6 +95,8 @@ def camera_toml(camera: Camera) -> str:
     if camera.pixel_pitch_um is not None:
         focal_mm = camera.focal_length_px * camera.pixel_pitch_um * 1e-3
         lines += [f"focal_length_mm = {focal_mm!r}", f"pixel_pitch_um = {camera.pixel_pitch_um!r}"]
+    if camera.focal_length_y_px is not None:
+        lines.append(f"focal_length_y_px = {float(camera.focal_length_y_px)!r}")
     if camera.distortion != "none":
         lines.append(f'distortion = "{camera.distortion}"')
     if camera.coefficients:
@@ -89,6 +104,8 @@ def camera_toml(camera: Camera) -> str:
     for key in ("image_circle_radius_px", "psf_sigma_px", "psf_error_px"):
         if (value := getattr(camera, key)) is not None:
             lines.append(f"{key} = {float(value)!r}")
+    if camera.boresight_sigma_arcsec:
+        lines.append(f"boresight_sigma_arcsec = {float(camera.boresight_sigma_arcsec)!r}")
     return "\n".join(lines) + "\n"
 
 
@@ -103,20 +120,24 @@ def _check_picture(settings: CameraFileSettings, where: str) -> None:
 
 
 def _check_lens(settings: CameraFileSettings, where: str) -> None:
-    model, given = settings.model, len(settings.coefficients)
-    if settings.distortion == "brown" and model != "pinhole":
+    model, distortion, given = settings.model, settings.distortion, settings.coefficients
+    if distortion != "none" and model != "pinhole":
         raise ConfigError(
-            f'{where}: distortion "brown" belongs to model "pinhole", not "{model}"; '
+            f'{where}: distortion "{distortion}" belongs to model "pinhole", not "{model}"; '
             'a fisheye\'s distortion is the model "kannala_brandt"'
         )
-    distorted = settings.distortion == "brown" or model == "kannala_brandt"
-    if not distorted and given:
+    user = distortion if distortion != "none" else model
+    if user not in _TERMS and given:
         remedy = 'write distortion = "brown"' if model == "pinhole" else 'use "kannala_brandt"'
         raise ConfigError(f"{where}: coefficients are given but nothing uses them; {remedy}")
-    if distorted and given != _TERMS[model]:
+    counts, names = _TERMS.get(user, ((0,), ""))
+    if len(given) not in counts:
+        key = "model" if user == model else "distortion"
+        wanted = f"{counts[0]}: coefficients = {names}" if len(counts) == 1 else names
+        raise ConfigError(f'{where}: {len(given)} coefficients; {key} "{user}" wants {wanted}')
+    if any(abs(tau) > MAX_TILT for tau in given[12:]):
         raise ConfigError(
-            f'{where}: {given} coefficients; model "{model}" wants '
-            f"{_TERMS[model]}: coefficients = {_TERM_NAMES[model]}"
+            f"{where}: tau_x, tau_y are {list(given[12:])}; wanted radians, at most {MAX_TILT:g}"
         )
 
 
@@ -163,3 +184,28 @@ def _focal_length_px(settings: CameraFileSettings, where: str) -> float:
             f"{from_length:.2f}; correct one of them"
         )
     return from_length if pixels is None else pixels
+
+
+def _focal_length_y_px(settings: CameraFileSettings, focal_px: float, where: str) -> float | None:
+    """The focal length along y; None where pixels are square."""
+    along_y, pitch, pitch_y = (
+        settings.focal_length_y_px,
+        settings.pixel_pitch_um,
+        settings.pixel_pitch_y_um,
+    )
+    if pitch_y is not None:
+        if pitch is None:
+            raise ConfigError(f"{where}: pixel_pitch_y_um belongs to pixel_pitch_um; add that")
+        by_pitch = focal_px * pitch / pitch_y
+        if along_y is not None and abs(along_y / by_pitch - 1.0) > AGREEMENT:
+            raise ConfigError(
+                f"{where}: focal_length_y_px is {along_y}, but the pitches give {by_pitch:.2f}; "
+                "correct one of them"
+            )
+        along_y = by_pitch if along_y is None else along_y
+    if along_y is not None and not 1.0 / MAX_ASPECT <= along_y / focal_px <= MAX_ASPECT:
+        raise ConfigError(
+            f"{where}: the focal length is {focal_px:g} px along x and {along_y:g} along y; wanted "
+            f"pixels whose sides differ at most by {MAX_ASPECT:g} times"
+        )
+    return along_y

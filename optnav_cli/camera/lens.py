@@ -1,11 +1,13 @@
 """Compiled lens models: one point in the camera frame to a pixel, with derivatives.
 
 Pinhole with the Brown-Conrady distortion in OpenCV's order k1 k2 p1 p2 k3 (OpenCV documentation,
-"Camera Calibration and 3D Reconstruction"), and the fisheye of Kannala and Brandt (IEEE TPAMI 28,
-2006) as OpenCV's fisheye module writes it, whose case without coefficients is the equidistant lens.
-A lens is a model number and its parameters:
+"Camera Calibration and 3D Reconstruction"), the same with all of OpenCV's terms, and the fisheye of
+Kannala and Brandt (IEEE TPAMI 28, 2006) as OpenCV's fisheye module writes it, whose case without
+coefficients is the equidistant lens. A lens is a model number and its parameters:
 
-    focal length px, principal point x, y px, five coefficients, limit, image circle radius px
+    focal length along x px, principal point x, y px, five coefficients, limit, image circle radius
+    along x px, focal length along y by that along x; of the pinhole with all terms also k4 k5 k6
+    s1 s2 s3 s4, the tilt (3, 3) of the sensor and its inverse
 
 Beyond `limit` the model folds back (pinhole: squared tangent of the off-axis angle; fisheye: the
 angle itself): no pixel belongs to a ray there, so the answer is NaN. The kernels stay in one file,
@@ -21,9 +23,10 @@ from catalog.geometry.kernel import kernel
 
 Derivatives = tuple[float, float, float, float, float, float]
 
-PINHOLE, FISHEYE = 0, 1
-PARAMETERS = 10
-LIMIT, CIRCLE = 8, 9
+PINHOLE, FISHEYE, OPENCV = 0, 1, 2
+PARAMETERS = 36
+LIMIT, CIRCLE, ASPECT = 8, 9, 10
+TERMS, TILT, LEVEL = 11, 18, 27  # where k4..s4, the tilt and its inverse begin
 _STEPS = 60  # bisection alone would reach the last digit within these
 # A distortion polynomial fitted to a real lens says nothing at 84 degrees from the axis.
 MAX_TANGENT = 10.0
@@ -47,6 +50,34 @@ def _brown(p: FloatArray, a: float, b: float) -> tuple[float, float, float, floa
 
 
 @kernel
+def _opencv(p: FloatArray, a: float, b: float) -> tuple[float, float, float, float, float, float]:
+    """Distorted x, y of undistorted a, b before the tilt, and derivatives xa, xb, ya, yb."""
+    k1, k2, p1, p2, k3 = p[3], p[4], p[5], p[6], p[7]
+    k4, k5, k6, s1, s2, s3, s4 = p[11], p[12], p[13], p[14], p[15], p[16], p[17]
+    s = a * a + b * b
+    above, below = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))
+    radial = above / below
+    slope = 2.0 * (k1 + s * (2.0 * k2 + 3.0 * s * k3))
+    slope = (slope - radial * 2.0 * (k4 + s * (2.0 * k5 + 3.0 * s * k6))) / below
+    x = a * radial + 2.0 * p1 * a * b + p2 * (s + 2.0 * a * a) + s * (s1 + s * s2)
+    y = b * radial + p1 * (s + 2.0 * b * b) + 2.0 * p2 * a * b + s * (s3 + s * s4)
+    prism_x, prism_y = 2.0 * (s1 + 2.0 * s * s2), 2.0 * (s3 + 2.0 * s * s4)  # by half of s
+    xa = radial + slope * a * a + 2.0 * p1 * b + 6.0 * p2 * a + prism_x * a
+    yb = radial + slope * b * b + 6.0 * p1 * b + 2.0 * p2 * a + prism_y * b
+    both = slope * a * b + 2.0 * p1 * a + 2.0 * p2 * b
+    return x, y, xa, both + prism_x * b, both + prism_y * a, yb
+
+
+@kernel
+def _tilted(p: FloatArray, start: int, x: float, y: float) -> tuple[float, float, float]:
+    """A point of the picture plane turned by the nine parameters from `start` on, and its depth."""
+    depth = p[start + 6] * x + p[start + 7] * y + p[start + 8]
+    u = (p[start] * x + p[start + 1] * y + p[start + 2]) / depth
+    v = (p[start + 3] * x + p[start + 4] * y + p[start + 5]) / depth
+    return u, v, depth
+
+
+@kernel
 def _fisheye_radius(p: FloatArray, angle: float) -> tuple[float, float]:
     """Distance from the principal point in focal lengths, and its derivative."""
     t = angle * angle
@@ -59,13 +90,17 @@ def _fisheye_radius(p: FloatArray, angle: float) -> tuple[float, float]:
 @kernel
 def _pixel(model: int, p: FloatArray, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel of one point in the camera frame."""
-    if model == PINHOLE:
+    if model != FISHEYE:
         if not z > 0.0:
             return math.nan, math.nan
         u, v = x / z, y / z
         if not u * u + v * v <= p[LIMIT]:
             return math.nan, math.nan
-        u, v, _, _, _ = _brown(p, u, v)
+        if model == PINHOLE:
+            u, v, _, _, _ = _brown(p, u, v)
+        else:
+            u, v, _, _, _, _ = _opencv(p, u, v)
+            u, v, _ = _tilted(p, TILT, u, v)
     else:
         across = math.sqrt(x * x + y * y)
         angle = math.atan2(across, z)
@@ -77,13 +112,32 @@ def _pixel(model: int, p: FloatArray, x: float, y: float, z: float) -> tuple[flo
     u, v = p[0] * u, p[0] * v
     if u * u + v * v > p[CIRCLE] * p[CIRCLE]:
         return math.nan, math.nan
-    return u + p[1], v + p[2]
+    return u + p[1], p[ASPECT] * v + p[2]
+
+
+@kernel
+def _opencv_derivatives(p: FloatArray, x: float, y: float, z: float) -> Derivatives:
+    a, b = x / z, y / z
+    u, v, ua, ub, va, vb = _opencv(p, a, b)
+    u, v, depth = _tilted(p, TILT, u, v)
+    # of the tilt: each row less the point's share of the depth's row
+    t00, t01 = (p[18] - u * p[24]) / depth, (p[19] - u * p[25]) / depth
+    t10, t11 = (p[21] - v * p[24]) / depth, (p[22] - v * p[25]) / depth
+    g = p[0] / z
+    xa, xb = g * (t00 * ua + t01 * va), g * (t00 * ub + t01 * vb)
+    ya, yb = g * (t10 * ua + t11 * va), g * (t10 * ub + t11 * vb)
+    return xa, xb, -(xa * a + xb * b), ya, yb, -(ya * a + yb * b)
 
 
 @kernel
 def _derivatives(model: int, p: FloatArray, x: float, y: float, z: float) -> Derivatives:
-    """Derivatives of the pixel: x by x, y, z, then y by x, y, z; px per unit of the point."""
+    """Derivatives of the pixel: x by x, y, z, then y by x, y, z; px per unit of the point.
+
+    As if pixels were square.
+    """
     f = p[0]
+    if model == OPENCV:
+        return _opencv_derivatives(p, x, y, z)
     if model == PINHOLE:
         a, b = x / z, y / z
         _, _, xx, xy, yy = _brown(p, a, b)
@@ -117,6 +171,14 @@ def _invert_radius(model: int, p: FloatArray, wanted: float, highest: float) -> 
             s = r * r
             value = r * (1.0 + s * (p[3] + s * (p[4] + s * p[7])))
             slope = 1.0 + s * (3.0 * p[3] + s * (5.0 * p[4] + s * 7.0 * p[7]))
+        elif model == OPENCV:
+            s = r * r
+            above = 1.0 + s * (p[3] + s * (p[4] + s * p[7]))
+            below = 1.0 + s * (p[11] + s * (p[12] + s * p[13]))
+            value = r * above / below
+            slope = above + 2.0 * s * (p[3] + s * (2.0 * p[4] + 3.0 * s * p[7]))
+            slope -= value * 2.0 * r * (p[11] + s * (2.0 * p[12] + 3.0 * s * p[13]))
+            slope /= below
         else:
             value, slope = _fisheye_radius(p, r)
         error = value - wanted
@@ -164,14 +226,42 @@ def _invert_brown(p: FloatArray, u: float, v: float) -> tuple[float, float]:
 
 
 @kernel
+def _invert_opencv(p: FloatArray, u: float, v: float) -> tuple[float, float]:
+    """Undistorted a, b of distorted u, v; NaN where the model reaches u, v from no valid ray."""
+    u, v, depth = _tilted(p, LEVEL, u, v)
+    if not depth > 0.0:
+        return math.nan, math.nan
+    distance = math.sqrt(u * u + v * v)
+    if distance == 0.0:
+        return 0.0, 0.0  # no term moves the centre
+    limit = p[LIMIT]
+    start = _invert_radius(OPENCV, p, distance, math.sqrt(limit)) / distance
+    a, b = start * u, start * v
+    x, y, xa, xb, ya, yb = _opencv(p, a, b)
+    miss = math.sqrt((x - u) ** 2 + (y - v) ** 2)
+    for _ in range(_STEPS):
+        determinant = xa * yb - xb * ya
+        da = (yb * (u - x) - xb * (v - y)) / determinant
+        db = (xa * (v - y) - ya * (u - x)) / determinant
+        x, y, xa, xb, ya, yb = _opencv(p, a + da, b + db)
+        now = math.sqrt((x - u) ** 2 + (y - v) ** 2)
+        if not now < miss:
+            break
+        a, b, miss = a + da, b + db, now
+    if miss > 1e-13 * (1.0 + distance) or a * a + b * b > limit * (1.0 + 1e-12):
+        return math.nan, math.nan
+    return a, b
+
+
+@kernel
 def _ray(model: int, p: FloatArray, x: float, y: float) -> tuple[float, float, float]:
     """Unit vector in the camera frame that a pixel looks along."""
-    u, v = x - p[1], y - p[2]
+    u, v = x - p[1], (y - p[2]) / p[ASPECT]
     if not u * u + v * v <= p[CIRCLE] * p[CIRCLE]:
         return math.nan, math.nan, math.nan
     u, v = u / p[0], v / p[0]
-    if model == PINHOLE:
-        u, v = _invert_brown(p, u, v)
+    if model != FISHEYE:
+        u, v = _invert_brown(p, u, v) if model == PINHOLE else _invert_opencv(p, u, v)
         scale = 1.0 / math.sqrt(1.0 + u * u + v * v)
         return u * scale, v * scale, scale
     distance = math.sqrt(u * u + v * v)
@@ -218,6 +308,7 @@ def project_with_derivatives(
     model: int, p: FloatArray, points: FloatArray, pixels: FloatArray, jacobians: FloatArray
 ) -> None:
     """Write pixels (n, 2) and their derivatives (n, 2, 3) by the points (n, 3), camera frame."""
+    q = p[ASPECT]
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         pixels[i, 0], pixels[i, 1] = _pixel(model, p, x, y, z)
@@ -226,7 +317,7 @@ def project_with_derivatives(
             continue
         d = _derivatives(model, p, x, y, z)
         jacobians[i, 0, 0], jacobians[i, 0, 1], jacobians[i, 0, 2] = d[0], d[1], d[2]
-        jacobians[i, 1, 0], jacobians[i, 1, 1], jacobians[i, 1, 2] = d[3], d[4], d[5]
+        jacobians[i, 1, 0], jacobians[i, 1, 1], jacobians[i, 1, 2] = q * d[3], q * d[4], q * d[5]
 
 
 @kernel
@@ -236,17 +327,20 @@ def rays_of_pixels(model: int, p: FloatArray, pixels: FloatArray, rays: FloatArr
         rays[i, 0], rays[i, 1], rays[i, 2] = _ray(model, p, pixels[i, 0], pixels[i, 1])
 
 
-def brown_limit(coefficients: tuple[float, ...]) -> float:
-    """Squared tangent of the off-axis angle up to which the Brown model is one to one.
+def pinhole_limit(parameters: FloatArray) -> float:
+    """Squared tangent of the off-axis angle up to which a distortion is one to one.
 
-    coefficients  k1 k2 p1 p2 k3, or none;  returns infinity without distortion.
+    parameters  of a lens with five coefficients, or with all of OpenCV's terms
+    Returns infinity without distortion.
     """
-    if not any(coefficients):
+    if not parameters[3:8].any() and not parameters[TERMS:TILT].any():
         return math.inf
     low, high = 0.0, MAX_TANGENT
     for _ in range(3):
         radii = np.linspace(low, high, _RADII)
-        folded = np.flatnonzero(_least_determinant(radii, coefficients) <= 0.0)
+        least = np.empty(_RADII)
+        _least_determinants(parameters, radii, least)
+        folded = np.flatnonzero(least <= 0.0)
         if folded.size == 0:
             return high * high
         # folded[0] > 0: on the axis the determinant is 1, at `low` it was positive
@@ -254,21 +348,41 @@ def brown_limit(coefficients: tuple[float, ...]) -> float:
     return low * low
 
 
-def _least_determinant(radii: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
-    """Smallest Jacobian determinant of the distortion over all azimuths, at each radius."""
-    k1, k2, p1, p2, k3 = coefficients
-    azimuth = np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS, endpoint=False)
-    a, b = radii[:, None] * np.cos(azimuth), radii[:, None] * np.sin(azimuth)
-    s = (radii * radii)[:, None]
-    radial = 1.0 + s * (k1 + s * (k2 + s * k3))
-    slope = 2.0 * (k1 + s * (2.0 * k2 + 3.0 * s * k3))
-    xx = radial + slope * a * a + 2.0 * p1 * b + 6.0 * p2 * a
-    yy = radial + slope * b * b + 6.0 * p1 * b + 2.0 * p2 * a
-    xy = slope * a * b + 2.0 * p1 * a + 2.0 * p2 * b
-    # Both eigenvalues must be positive; past a double fold the determinant is positive again.
-    determinant = np.where(xx + yy > 0.0, xx * yy - xy * xy, -1.0)
-    least: FloatArray = determinant.min(axis=1)
-    return least
+@kernel
+def _least_determinants(p: FloatArray, radii: FloatArray, least: FloatArray) -> None:
+    """Write the smallest Jacobian determinant of the distortion over all azimuths, at each radius.
+
+    Not positive either where the radial terms have a pole or the tilted sensor ends.
+    """
+    for i in range(radii.shape[0]):
+        least[i] = math.inf
+        s = radii[i] * radii[i]
+        below = 1.0 + s * (p[11] + s * (p[12] + s * p[13]))
+        for j in range(_AZIMUTHS):
+            azimuth = 2.0 * math.pi * j / _AZIMUTHS
+            x, y, xa, xb, ya, yb = _opencv(
+                p, radii[i] * math.cos(azimuth), radii[i] * math.sin(azimuth)
+            )
+            _, _, depth = _tilted(p, TILT, x, y)
+            # both eigenvalues: past a double fold the determinant is positive again
+            valid = below > 0.0 and xa + yb > 0.0 and depth > 0.0
+            least[i] = min(least[i], xa * yb - xb * ya if valid else -1.0)
+
+
+def tilt(tau_x: float, tau_y: float) -> FloatArray:
+    """How a sensor that is turned about x, then about y, rad, moves the picture plane: (3, 3).
+
+    As OpenCV defines its tilted sensor.
+    """
+    cx, sx, cy, sy = math.cos(tau_x), math.sin(tau_x), math.cos(tau_y), math.sin(tau_y)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]])
+    about_y = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
+    turned = about_y @ about_x
+    onto = np.array(
+        [[turned[2, 2], 0.0, -turned[0, 2]], [0.0, turned[2, 2], -turned[1, 2]], [0.0, 0.0, 1.0]]
+    )
+    moved: FloatArray = onto @ turned
+    return moved
 
 
 def fisheye_limit(coefficients: tuple[float, ...]) -> float:

@@ -1,7 +1,7 @@
 """frames.csv: what is known beforehand about each picture of a folder."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -15,6 +15,7 @@ from catalog.config import nearest_name
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow
+from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import FRAMES, POSITION, QUATERNION, SUN
 
@@ -35,12 +36,13 @@ class Frame:
     utc, tdb_s          its time as written, and in TDB s past J2000
     camera              the camera's name
     camera_from_body    attitude; for a free one the first guess
-    attitude_sigma_rad  1 sigma an axis, body_sigma_rad included; 0: exact; None: free
+    attitude_sigma_rad  1 sigma an axis, common_sigma_rad included; 0: exact; None: free
     position_m          (3,) prior position, body frame, m
     position_sigma_m    its 1 sigma a component
     sun_body            (3,) unit vector to the Sun, body frame; from the time where not given
-    body_sigma_rad      the share of the body's own rotation in attitude_sigma_rad, where the file's
-                        attitude is against the stars; common to frames near in time
+    common_sigma_rad    the share in attitude_sigma_rad that frames.csv does not state: of the
+                        camera's boresight, common to all its frames, and of the body's own
+                        rotation where the file's attitude is against the stars
     problem             why the frame cannot be used, or None; then any of the others may be None
     """
 
@@ -53,11 +55,11 @@ class Frame:
     position_m: FloatArray | None = None
     position_sigma_m: float | None = None
     sun_body: FloatArray | None = None
-    body_sigma_rad: float = 0.0
+    common_sigma_rad: float = 0.0
     problem: str | None = None
 
 
-def read_frames(path: Path, attitude: FileAttitude, cameras: Iterable[str]) -> list[Frame]:
+def read_frames(path: Path, attitude: FileAttitude, cameras: Mapping[str, Camera]) -> list[Frame]:
     """Frames of a frames.csv in its order.
 
     What is wrong with one row becomes that frame's problem, so that the others go on.
@@ -75,8 +77,7 @@ def read_frames(path: Path, attitude: FileAttitude, cameras: Iterable[str]) -> l
                 f"{path}: '{name}' stands in rows {first[name]} and {number}; "
                 "give each picture one row"
             )
-    known = sorted(cameras)
-    return [_frame(row, attitude, known) for row in rows]
+    return [_frame(row, attitude, cameras) for row in rows]
 
 
 def write_frames(path: Path, attitude: FileAttitude, frames: Iterable[Frame]) -> None:
@@ -84,20 +85,21 @@ def write_frames(path: Path, attitude: FileAttitude, frames: Iterable[Frame]) ->
     FRAMES.write(path, (_cells(frame, attitude) for frame in frames))
 
 
-def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
+def _frame(row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera]) -> Frame:
     file, utc, camera = row["file"], row["utc"], row["camera"]
     try:
         if row.problem:
             raise DataError(row.problem)
         _check_name(file)
         if camera not in cameras:
-            near = nearest_name(camera, cameras)
-            hint = f"did you mean '{near}'?" if near else f"there are {', '.join(cameras)}"
+            known = sorted(cameras)
+            near = nearest_name(camera, known)
+            hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
             raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
         tdb_s = utc_to_tdb_s(utc)
         position, position_sigma = _position(row, attitude.body)
         sigma = _sigma(row, "attitude_sigma_arcsec", MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC)
-        body_sigma = attitude.sigma_rad(tdb_s)
+        common = float(np.hypot(attitude.sigma_rad(tdb_s), cameras[camera].boresight_sigma_rad))
         written = _unit(row, QUATERNION, "the quaternion qw, qx, qy, qz")
         rotation = None if written is None else rotation_from_quaternion(*written)
         sun = _unit(row, SUN, "the Sun's direction sun_x, sun_y, sun_z")
@@ -109,10 +111,8 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: list[str]) -> Frame:
             camera=camera,
             tdb_s=tdb_s,
             camera_from_body=None if rotation is None else attitude.read(rotation, tdb_s),
-            attitude_sigma_rad=None
-            if sigma is None
-            else float(np.hypot(sigma * ARCSEC, body_sigma)),
-            body_sigma_rad=body_sigma,
+            attitude_sigma_rad=None if sigma is None else float(np.hypot(sigma * ARCSEC, common)),
+            common_sigma_rad=common,
             position_m=position,
             position_sigma_m=position_sigma,
             sun_body=sun_body,
@@ -172,9 +172,9 @@ def _position(row: CsvRow, body: Body) -> tuple[FloatArray | None, float | None]
 def _cells(frame: Frame, attitude: FileAttitude) -> dict[str, object]:
     cells: dict[str, object] = {"file": frame.file, "utc": frame.utc, "camera": frame.camera}
     sigma = frame.attitude_sigma_rad
-    if sigma is not None and frame.body_sigma_rad > 0.0:
+    if sigma is not None and frame.common_sigma_rad > 0.0:
         # the file holds the sensor's part alone
-        sigma = float(np.sqrt(max(sigma**2 - frame.body_sigma_rad**2, 0.0)))
+        sigma = float(np.sqrt(max(sigma**2 - frame.common_sigma_rad**2, 0.0)))
     cells["attitude_sigma_arcsec"] = None if sigma is None else sigma / ARCSEC
     if frame.camera_from_body is not None and frame.tdb_s is not None:
         rotation = attitude.written(frame.camera_from_body, frame.tdb_s)

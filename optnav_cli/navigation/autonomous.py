@@ -177,7 +177,7 @@ class Navigator:
     def _pixel_m(self, observation: Observation, prior: PositionPrior) -> float:
         """Ground that a pixel sees below."""
         height = float(np.linalg.norm(prior.position_m)) - self._inputs.motion.body.radius_m
-        return max(height, 0.0) / observation.camera.focal_length_px
+        return max(height, 0.0) / observation.camera.coarse_focal_px
 
     def _accept_points(
         self, observation: Observation, row: Solution, *, confirmed: bool
@@ -188,7 +188,10 @@ class Navigator:
         """
         if row.fix is None:
             return row
-        disagreement = self._history.add_fix(observation.tdb_s, row.fix, confirmed=confirmed)
+        boresight = observation.camera.boresight_sigma_rad
+        disagreement = self._history.add_fix(
+            observation.tdb_s, row.fix, confirmed=confirmed, boresight_rad=boresight
+        )
         self._history.remember(observation.tdb_s, row.fix, observation.source)
         # a prior of the file may belong to another flight than the frame before
         if disagreement is None or row.prior == FROM_FILE:
@@ -205,7 +208,10 @@ class Navigator:
         if beyond:
             text = f"the {fix.method.label} lies {beyond}: no craft flies so fast"
             return self._refused(methods, row, Reason(ReasonCode.TOO_FAST, text))
-        disagreement = self._history.add_fix(observation.tdb_s, fix, confirmed=False)
+        boresight = observation.camera.boresight_sigma_rad
+        disagreement = self._history.add_fix(
+            observation.tdb_s, fix, confirmed=False, boresight_rad=boresight
+        )
         if disagreement is not None and not disagreement.new_arc:
             text = f"the {fix.method.label} lies {disagreement.words}: one of both is wrong"
             return self._refused(methods, row, Reason(ReasonCode.CONTRADICTS_ARC, text))

@@ -31,6 +31,7 @@ class History:
         self._motion = motion
         self._arc = OrbitArc(OrbitMotion(Forces(motion)))
         self._last: tuple[float, PositionPrior] | None = None
+        self._boresight_rad = 0.0
 
     def at_same_time(self, tdb_s: float) -> PositionPrior | None:
         """The fix of another camera at a time, if there is one."""
@@ -45,13 +46,21 @@ class History:
             return None
         body_from_inertial = self._motion.body_from_inertial(tdb_s)
         covariance = body_from_inertial @ found.covariance_m2 @ body_from_inertial.T
-        return PositionPrior(body_from_inertial @ found.position_m, covariance, found.source)
+        position = body_from_inertial @ found.position_m
+        if self._boresight_rad:  # which more fixes do not average out
+            across = float(position @ position) * np.eye(3) - np.outer(position, position)
+            covariance = covariance + self._boresight_rad**2 * across
+        return PositionPrior(position, covariance, found.source)
 
-    def add_fix(self, tdb_s: float, fix: Fix, *, confirmed: bool) -> ArcDisagreement | None:
+    def add_fix(
+        self, tdb_s: float, fix: Fix, *, confirmed: bool, boresight_rad: float = 0.0
+    ) -> ArcDisagreement | None:
         """Add a fix to the arc; how it disagrees where it does not lie where the arc leads.
 
-        confirmed  two methods agree on the fix, so that it is the arc that no longer holds
+        confirmed      two methods agree on the fix, so that it is the arc that no longer holds
+        boresight_rad  sigma of its camera's mounting
         """
+        self._boresight_rad = max(self._boresight_rad, boresight_rad)
         inertial_from_body = self._motion.body_from_inertial(tdb_s).T
         covariance = inertial_from_body @ fix.covariance_m2 @ inertial_from_body.T
         inertial = TimedPosition(tdb_s, inertial_from_body @ fix.position_m, covariance)
@@ -114,7 +123,9 @@ class UnseenPast(History):
     def predict(self, tdb_s: float) -> PositionPrior | None:
         raise NeedsPastError
 
-    def add_fix(self, tdb_s: float, fix: Fix, *, confirmed: bool) -> ArcDisagreement | None:
+    def add_fix(
+        self, tdb_s: float, fix: Fix, *, confirmed: bool, boresight_rad: float = 0.0
+    ) -> ArcDisagreement | None:
         return None
 
     def is_consistent(self, tdb_s: float, fix: Fix) -> bool:

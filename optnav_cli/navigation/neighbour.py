@@ -173,15 +173,14 @@ def _inside(camera: Camera, towards: FloatArray, margin_px: float) -> bool:
     if not np.isfinite(pixel).all() or not bool(camera.contains(pixel, margin_px)[0]):
         return False
     circle = camera.image_circle_radius_px
-    off = float(np.linalg.norm(pixel[0] - np.array(camera.principal_point_px)))
-    return circle is None or off < circle - margin_px
+    return circle is None or float(camera.radius_px(pixel[0])) < circle - margin_px
 
 
 def _rad_per_px(camera: Camera, towards: FloatArray) -> float:
     """The wider of a pixel's two sides there; the focal length's where nothing is projected."""
     pixel = camera.project(towards[None])[0]
     if not np.isfinite(pixel).all():
-        return 1.0 / camera.focal_length_px
+        return camera.angular_resolution
     steps = camera.unproject(pixel + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     sides = np.linalg.norm(steps[1:] - steps[0], axis=1)
-    return float(sides.max()) if np.isfinite(sides).all() else 1.0 / camera.focal_length_px
+    return float(sides.max()) if np.isfinite(sides).all() else camera.angular_resolution

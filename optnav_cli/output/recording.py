@@ -193,17 +193,21 @@ class Recording:
         # A scaled picture keeps its corners, and pixel centres stand half a pixel inside them.
         cx, cy = ((c + 0.5) * factor - 0.5 for c in camera.principal_point_px)
         focal = camera.focal_length_px * factor
+        focal_y = focal * camera.aspect
         fisheye = camera.model != "pinhole"
         terms = camera.coefficients or (0.0,) * (4 if fisheye else 5)
+        if len(terms) == 4 and not fisheye:
+            terms = (*terms, 0.0)
+        pinhole = "plumb_bob" if len(terms) == 5 else "rational_polynomial"  # of 8 terms
         return {
             "frame_id": self._frame_of(camera.name),
             "width": max(1, round(camera.width_px * factor)),
             "height": max(1, round(camera.height_px * factor)),
-            "distortion_model": "kannala_brandt" if fisheye else "plumb_bob",
-            "D": list(terms),
-            "K": [focal, 0.0, cx, 0.0, focal, cy, 0.0, 0.0, 1.0],
+            "distortion_model": "kannala_brandt" if fisheye else pinhole,
+            "D": list(terms[:8]),
+            "K": [focal, 0.0, cx, 0.0, focal_y, cy, 0.0, 0.0, 1.0],
             "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-            "P": [focal, 0.0, cx, 0.0, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+            "P": [focal, 0.0, cx, 0.0, 0.0, focal_y, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         }
 
 

@@ -142,8 +142,7 @@ def find_candidates(
     large[blobs.label[blobs.area >= MIN_BLOB_PIXELS]] = True
     kept = large[label] & camera.contains(found.pixels, BORDER_PX)
     if camera.image_circle_radius_px is not None:
-        away = np.linalg.norm(found.pixels - np.array(camera.principal_point_px), axis=1)
-        kept &= away < camera.image_circle_radius_px - BORDER_PX
+        kept &= camera.radius_px(found.pixels) < camera.image_circle_radius_px - BORDER_PX
     return found.subset(kept)
 
 

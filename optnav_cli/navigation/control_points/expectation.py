@@ -110,7 +110,7 @@ def expected(frame: FrameContext, pose: Pose, whole: bool) -> ExpectedPoints:
     points, camera, limits = frame.points, frame.camera, frame.settings.view
     near = points.near(pose.position_m, limits.emission_max_deg)
     distances = np.linalg.norm(points.xyz_m[near] - pose.position_m, axis=1)
-    samples = np.maximum(distances / camera.focal_length_px, 1e-3)
+    samples = np.maximum(distances / camera.coarse_focal_px, 1e-3)
     half, beyond = np.zeros(len(near)), np.zeros(len(near))
     # far fewer distinct answers than points: steps of a tenth are finer than any level needs
     steps = np.floor(np.log(samples) / np.log(1.1))

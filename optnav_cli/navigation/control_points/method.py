@@ -177,7 +177,7 @@ def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:
     """Side of the template that a point was matched with, nodes, at the solved pose."""
     index = int(last.view.index[k])
     offset = frame.points.xyz_m[index] - last.solution.pose.position_m
-    sample = float(np.linalg.norm(offset)) / frame.camera.focal_length_px
+    sample = float(np.linalg.norm(offset)) / frame.camera.coarse_focal_px
     posting = float(frame.points.postings_m(index)[last.matches[k].level])
     known = float(frame.points.finest_postings_m(np.array([index]))[0])
     return frame.template_nodes(posting, sample, known)

@@ -13,6 +13,9 @@ from optnav_cli.camera.camera_file import preset_camera
 PRESETS = Path(__file__).parents[3] / "configs/cameras"
 BROWN = (-0.12, 0.03, 0.0011, -0.0007, -0.002)
 FISHEYE = (0.02, -0.006, 0.0015, 0.00002)
+RATIONAL = (0.21, -0.05, 0.0011, -0.0007, 0.004, 0.33, -0.02, 0.006)
+PRISM = (*RATIONAL, 0.002, -0.0006, -0.0015, 0.0004)
+TILTED = (*PRISM, 0.05, -0.03)
 
 
 def camera(model: str, coefficients: tuple[float, ...] = (), **changes: object) -> Camera:
@@ -23,9 +26,11 @@ def camera(model: str, coefficients: tuple[float, ...] = (), **changes: object) 
         "height_px": 900,
         "focal_length_px": 700.0,
         "principal_point_px": (590.3, 455.8),
-        "distortion": "brown" if model == "pinhole" and coefficients else "none",
+        "distortion": "none",
         "coefficients": coefficients,
     }
+    if model == "pinhole" and coefficients:
+        fields["distortion"] = "brown" if len(coefficients) == 5 else "opencv"
     return Camera(**{**fields, **changes})  # type: ignore[arg-type]
 
 
@@ -35,7 +40,18 @@ CAMERAS = {
     "narrow": camera("pinhole", focal_length_px=68755.0),
     "equidistant": camera("equidistant", focal_length_px=250.0),
     "kannala_brandt": camera("kannala_brandt", FISHEYE, focal_length_px=250.0),
+    "four terms": camera("pinhole", BROWN[:4]),
+    "rational": camera("pinhole", RATIONAL),
+    "prism": camera("pinhole", PRISM),
+    "tilted": camera("pinhole", TILTED),
+    "oblong": camera("pinhole", BROWN, focal_length_y_px=415.0),
+    "oblong tilted": camera("pinhole", TILTED, focal_length_y_px=1100.0),
+    "oblong fisheye": camera(
+        "kannala_brandt", FISHEYE, focal_length_px=250.0, focal_length_y_px=148.0
+    ),
 }
+FISHEYES = [name for name, cam in CAMERAS.items() if cam.model != "pinhole"]
+PINHOLES = [name for name in CAMERAS if name not in (*FISHEYES, "narrow")]
 
 
 def scattered_pixels(cam: Camera, count: int = 4000) -> np.ndarray:
@@ -70,7 +86,7 @@ def test_every_ray_returns_from_its_pixel(name: str) -> None:
     np.testing.assert_allclose(cam.unproject(cam.project(rays)), rays, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["pinhole", "brown"])
+@pytest.mark.parametrize("name", PINHOLES)
 def test_pinholes_agree_with_opencv(name: str) -> None:
     cam, points = CAMERAS[name], scattered_points()
     expected, _ = cv2.projectPoints(
@@ -79,7 +95,7 @@ def test_pinholes_agree_with_opencv(name: str) -> None:
     np.testing.assert_allclose(cam.project(points), expected[:, 0], rtol=0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", ["equidistant", "kannala_brandt"])
+@pytest.mark.parametrize("name", FISHEYES)
 def test_fisheyes_agree_with_opencv(name: str) -> None:
     cam, points = CAMERAS[name], scattered_points()
     expected, _ = cv2.fisheye.projectPoints(
@@ -94,7 +110,7 @@ def test_fisheyes_agree_with_opencv(name: str) -> None:
 
 def matrix(cam: Camera) -> np.ndarray:
     f, (cx, cy) = cam.focal_length_px, cam.principal_point_px
-    return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
+    return np.array([[f, 0.0, cx], [0.0, cam.focal_length_y_px or f, cy], [0.0, 0.0, 1.0]])
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -117,8 +133,15 @@ def test_the_jacobian_is_the_finite_difference(name: str) -> None:
 def test_the_jacobian_is_defined_on_the_axis(name: str) -> None:
     cam = CAMERAS[name]
     _, jacobian = cam.project_with_jacobian([[0.0, 0.0, 4.0]])
-    f = cam.focal_length_px / 4.0
-    np.testing.assert_allclose(jacobian[0], [[f, 0.0, 0.0], [0.0, f, 0.0]], atol=1e-9)
+    expected = np.diag(matrix(cam))[:2] / 4.0
+    if "tilted" in name:  # which stretches the middle as well
+        tilt = cv2.projectPoints(np.array([[1e-7, 0, 1], [0, 1e-7, 1.0]]), np.zeros(3), np.zeros(3),
+                                 matrix(cam), np.array(cam.coefficients))[0][:, 0]  # fmt: skip
+        expected_rows = ((tilt - cam.principal_point_px) / 4e-7).T
+        np.testing.assert_allclose(jacobian[0, :, :2], expected_rows, rtol=1e-5, atol=1e-3)
+        return
+    np.testing.assert_allclose(jacobian[0, :, :2], np.diag(expected), atol=1e-9)
+    np.testing.assert_allclose(jacobian[0, :, 2], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["equidistant", "kannala_brandt"])

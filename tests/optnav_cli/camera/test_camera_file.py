@@ -58,6 +58,24 @@ def test_a_focal_length_in_millimetres_needs_the_pitch(tmp_path: Path) -> None:
         ("[319.5, 239.5]", '[319.5, 239.5]\ndistortion = "brown"', "0 coefficients.*k1, k2, p1"),
         ("[319.5, 239.5]", "[319.5, 239.5]\ncoefficients = [0.1]", "nothing uses them"),
         ('"pinhole"', '"kannala_brandt"', "wants 4"),
+        (
+            "[319.5, 239.5]",
+            '[319.5, 239.5]\ndistortion = "opencv"\ncoefficients = [0.1, 0.0, 0.0]',
+            r"3 coefficients; distortion \"opencv\" wants 4, 5, 8, 12 or 14 of \[k1, k2",
+        ),
+        (
+            "[319.5, 239.5]",
+            f'[319.5, 239.5]\ndistortion = "opencv"\ncoefficients = {[0.0] * 13 + [30.0]}',
+            "tau_x, tau_y are .* wanted radians",
+        ),
+        ("width_px = 640", "width_px = 640\npixel_pitch_y_um = 27.0", "add that"),
+        ("width_px = 640", "width_px = 640\nfocal_length_y_px = 1e6", "sides differ at most"),
+        (
+            "focal_length_px = 500.0",
+            "focal_length_mm = 2.75\npixel_pitch_um = 5.5\npixel_pitch_y_um = 11.0\n"
+            "focal_length_y_px = 500.0",
+            "the pitches give 250.00",
+        ),
         ('"pinhole"', '"equidistant"\ndistortion = "brown"', "kannala_brandt"),
         (
             "focal_length_px = 500.0",
@@ -85,6 +103,28 @@ def test_a_wrong_camera_file_is_refused(tmp_path: Path, old: str, new: str, mess
     with pytest.raises(ConfigError, match=message) as caught:
         load_camera(written(tmp_path, GOOD.replace(old, new)))
     assert "camera.toml" in str(caught.value)
+
+
+def test_pixels_that_are_not_square_are_written_and_read(tmp_path: Path) -> None:
+    """NEAR MSI: 16 x 27 um, 167.35 mm."""
+    text = GOOD.replace(
+        "focal_length_px = 500.0",
+        "focal_length_mm = 167.35\npixel_pitch_um = 16.0\npixel_pitch_y_um = 27.0",
+    )
+    camera = load_camera(written(tmp_path, text))
+    assert camera.focal_length_px == pytest.approx(167350.0 / 16.0)
+    assert camera.focal_length_y_px == pytest.approx(167350.0 / 27.0)
+    assert camera.angular_resolution == pytest.approx(27.0 / 167350.0)
+    assert load_camera(written(tmp_path, camera_toml(camera))) == camera
+
+
+def test_every_length_of_opencvs_list_is_written_and_read(tmp_path: Path) -> None:
+    for count in (4, 5, 8, 12, 14):
+        terms = [0.001 * (i + 1) for i in range(count)]
+        text = f'{GOOD}distortion = "opencv"\ncoefficients = {terms}\n'
+        camera = load_camera(written(tmp_path, text))
+        assert camera.coefficients == tuple(terms)
+        assert load_camera(written(tmp_path, camera_toml(camera))) == camera
 
 
 def test_a_missing_camera_file_is_named(tmp_path: Path) -> None:

@@ -131,6 +131,6 @@ def test_the_bodys_own_error_is_part_of_an_attitude_against_the_stars(tmp_path: 
     assert moon.rotation_correction is not None
     for frame, error_m in ((near, moon.rotation_correction.error_m), (far, 80.0)):
         assert frame.attitude_sigma_rad == pytest.approx(error_m / moon.radius_m)
-        assert frame.body_sigma_rad == frame.attitude_sigma_rad
+        assert frame.common_sigma_rad == frame.attitude_sigma_rad
     free: Frame = read_folder(folder_of(tmp_path, written, sigma="")).frames[0]
     assert free.attitude_sigma_rad is None

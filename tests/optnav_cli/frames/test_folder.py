@@ -1,6 +1,7 @@
 """Picture folders: run.toml, cameras, frames.csv."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -257,7 +258,7 @@ def test_a_written_folder_reads_back(attitude: str, tmp_path: Path) -> None:
     assert (back.camera_from_body * rotation.inv()).magnitude() < 1e-11
     # what the body's own rotation adds to an attitude against the stars: 0.6 m of its radius
     body_sigma = 0.0 if attitude == "camera_from_body" else 0.6 / 1737400.0
-    assert back.body_sigma_rad == pytest.approx(body_sigma)
+    assert back.common_sigma_rad == pytest.approx(body_sigma)
     assert back.attitude_sigma_rad == pytest.approx(np.hypot(20.0 * ARCSEC, body_sigma))
     write_folder(tmp_path / "again", settings, [CAMERA], [back])
     assert only_frame(tmp_path / "again").attitude_sigma_rad == pytest.approx(
@@ -298,3 +299,29 @@ def test_fifty_thousand_rows_are_looked_through_once(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"'49999.png' stands in rows 50000 and 50001"):
         read_folder(folder)
     assert time.process_time() - began < 20.0
+
+
+def test_a_boresight_sigma_is_part_of_every_stated_attitude_and_not_written(tmp_path: Path) -> None:
+    """20" of the sensor and 48" of the mounting are 52"; an exact attitude is good to 48"."""
+    camera = replace(CAMERA, boresight_sigma_arcsec=48.0)
+    stated, exact, free = (
+        Frame(
+            file=f"{name}.png",
+            utc=UTC,
+            camera="wide",
+            tdb_s=utc_to_tdb_s(UTC),
+            camera_from_body=Rotation.identity(),
+            attitude_sigma_rad=sigma,
+        )
+        for name, sigma in (("a", 20.0 * ARCSEC), ("b", 0.0), ("c", None))
+    )
+    settings = RunSettings("moon", "camera_from_body")
+    write_folder(tmp_path, settings, [camera], [stated, exact, free])
+    frames = read_folder(tmp_path).frames
+    sigmas = [frame.attitude_sigma_rad for frame in frames]
+    assert sigmas[0] == pytest.approx(52.0 * ARCSEC)
+    assert sigmas[1] == pytest.approx(48.0 * ARCSEC)
+    assert sigmas[2] is None
+    write_folder(tmp_path / "again", settings, [camera], frames)
+    again = [frame.attitude_sigma_rad for frame in read_folder(tmp_path / "again").frames]
+    assert again[:2] == pytest.approx(sigmas[:2])
