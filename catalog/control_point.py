@@ -68,7 +68,7 @@ class ControlPoint:
     localisation_nodes   predicted 1-sigma match error, nodes of the finest level, worst direction
     hessian_eigenvalue   smallest eigenvalue, worst Sun azimuth, of the summed products of second
                          differences of height/posting over the finest template (dimensionless)
-    recognition_rate     share of passed recognition trials, of `trials`
+    recognition_rate     share of passed recognition trials, of the `trials` that were run
     uniqueness           (levels,) margin between the true place and its best rival
     shadow_limit_deg     (36,) Sun elevation by azimuth above which no foreign shadow reaches
                          the patch

@@ -28,7 +28,7 @@ FATAL = NOT_TRIED | Flag.NOT_UNIQUE | Flag.NOT_RECOGNISED | Flag.SHADOWED
 
 
 class Certificate:
-    """What is found out about a place; its trials are run as far as they are asked for.
+    """What is found out about a place; its trials are run until their verdict is decided.
 
     successes, trials  of the recognition trials that were run
     uniqueness         margins by level, finest first
@@ -104,17 +104,27 @@ class Certificate:
         return self.successes / self.trials if self.trials else 0.0
 
     @property
-    def merit(self) -> tuple[bool, float]:
+    def merit(self) -> tuple[bool, int]:
         """By which places of a cell are compared."""
-        return self.usable, self.recognition_rate
+        return self.usable, self.successes
+
+    @property
+    def passes_well(self) -> bool:
+        """Whether no other place of the cell need be looked at."""
+        return self.usable and self.successes >= self._enough
 
     @property
     def _least(self) -> float:
         """Successes that the place must have."""
         return self.settings.min_recognition * self.settings.trials - 1e-9
 
+    @property
+    def _enough(self) -> float:
+        """Successes that more would add nothing to."""
+        return max(self._least, self.settings.good_recognition * self.settings.trials - 1e-9, 1.0)
+
     def try_for(self, successes: int) -> None:
-        """Run trials until all are done, or so many successes or a pass are out of reach.
+        """Run trials until they are enough, or so many successes or a pass are out of reach.
 
         A place that is out already meets none. Of one that passes, rivals are looked for: they are
         rarer than failures, so that trials come first.
@@ -127,7 +137,7 @@ class Certificate:
     def finish(self) -> None:
         """Find out what is missing, also of a place that is out, if there is ground to see."""
         if not self._known & NOT_TRIED:
-            self._run(0.0)
+            self._run(self._least)
             self._look_for_rivals()
 
     def _look_for_rivals(self) -> None:
@@ -137,7 +147,7 @@ class Certificate:
 
     def _run(self, wanted: float) -> None:
         settings = self.settings
-        while self.trials < settings.trials:
+        while self.trials < settings.trials and self.successes < self._enough:
             if self.successes + settings.trials - self.trials < wanted:
                 return
             outcome = next(self._outcomes)
@@ -154,15 +164,13 @@ def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:
     """The first place that passes well; else the one recognised most often, usable or not.
 
     Earlier places win ties: they have the smaller predicted error. A place meets no more trials
-    than it takes to see that it is out, or no better than one before it; the one that is kept
-    meets them all.
+    than it takes to see that it passes well, that it is out, or no better than one before it.
     """
-    settings = context.config.check
     best: Certificate | None = None
-    for number, place in enumerate(record.places[: settings.places]):
+    for number, place in enumerate(record.places[: context.config.check.places]):
         found = Certificate(context, record, place, number)
         found.try_for(best.successes + 1 if best is not None and best.usable else 0)
-        if found.usable and found.recognition_rate >= settings.good_recognition:
+        if found.passes_well:
             return _point(context, found)
         if best is None or found.merit > best.merit:
             best = found

@@ -77,8 +77,8 @@ def quantities(catalog: Catalog) -> list[Quantity]:
         ),
         Quantity(
             "Recognition", "recognised share of the trials",
-            "Share of the recognition trials (richer terrain, noise, wrong poses) that succeeded; "
-            "more is better.",
+            "Share of the recognition trials (richer terrain, noise, wrong poses) that succeeded, "
+            "of those that it took to decide; more is better.",
             rate, True, ".0%", maps.rate_edges(trials),
         ),
         Quantity(

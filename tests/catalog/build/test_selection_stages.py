@@ -196,8 +196,10 @@ def test_every_usable_point_carries_its_certificate(context, checked, cells):
     # highland ground at twice the DEM's posting: nearly all cells have a good point
     assert len(usable) >= 0.8 * len(checked)
     for point in usable:
-        assert point.trials >= 5
-        assert point.recognition_rate >= context.config.check.min_recognition
+        # 4 of 5 are enough, 3 a pass: trials end when that is decided
+        assert (point.trials, round(point.recognition_rate * point.trials)) in {
+            (4, 4), (5, 4), (5, 3)
+        }  # fmt: skip
         assert point.hessian_eigenvalue > 0.0
         assert len(point.uniqueness) == context.levels
         assert min(point.uniqueness) >= context.config.check.min_margin
@@ -212,8 +214,9 @@ def test_every_usable_point_carries_its_certificate(context, checked, cells):
 
 def test_trials_that_are_not_run_would_not_have_changed_the_choice(mosaic, selected, monkeypatch):
     """Against all trials at all places; a small error is asked for, so that many trials fail."""
-    strict = CheckSettings(places=4, trials=8, good_recognition=1.0, max_error_nodes=0.25)
+    strict = CheckSettings(places=4, trials=8, good_recognition=0.75, max_error_nodes=0.25)
     hard = context_of(mosaic, check=strict)
+    least, enough = 5, 6  # 0.6 and 0.75 of 8
     run = []
     of_trials = check.outcomes_at
     monkeypatch.setattr(
@@ -223,21 +226,31 @@ def test_trials_that_are_not_run_would_not_have_changed_the_choice(mosaic, selec
     early, run[:] = len(run), []
     kinds = set()
     for record, kept in zip(selected, found, strict=True):
-        places = [
-            check.Certificate(hard, record, place, number)
-            for number, place in enumerate(record.places[:4])
-        ]
-        for place in places:
-            place.finish()
-        best = max(places, key=lambda place: place.merit)  # the first of equals
-        assert kept.usable == best.usable
-        assert kept.trials == 8 or Flag(kept.flags) & check.NOT_TRIED
+        best, best_of_all = None, -1
+        for number, place in enumerate(record.places[:4]):
+            whole = check.Certificate(hard, record, place, number)
+            # without the stops: every trial of the place, counted here
+            outcomes = list(whole._outcomes)
+            wins = sum(o.accepted and o.distance <= strict.max_error_nodes for o in outcomes)
+            whole._outcomes = iter(outcomes)
+            whole.finish()
+            out = whole.flags & check.FATAL & ~Flag.NOT_RECOGNISED
+            passed = wins >= least and record.spacing > 0.0 and not out
+            if passed and min(wins, enough) > best_of_all:  # the first of equals
+                best, best_of_all = place, min(wins, enough)
+        assert kept.usable == (best is not None)
+        tried = not Flag(kept.flags) & check.NOT_TRIED
+        wins = round(kept.recognition_rate * kept.trials)
+        assert kept.recognition_rate == (wins / kept.trials if tried else 0.0)
         if kept.usable:
-            assert (kept.lat_deg, kept.lon_deg) == (best.place.lat_deg, best.place.lon_deg)
-            assert kept.recognition_rate == best.recognition_rate
-        kinds.add((kept.usable, kept.recognition_rate == 1.0))
+            assert (kept.lat_deg, kept.lon_deg) == (best.lat_deg, best.lon_deg)
+            assert wins == best_of_all
+            assert kept.trials == 8 or wins == enough
+        elif Flag(kept.flags) & Flag.NOT_RECOGNISED:
+            assert kept.trials - wins == 4  # with which five of eight are out of reach
+        kinds.add((kept.usable, wins == enough))
     assert len(kinds) == 3  # passed well, passed, failed
-    assert early < 0.8 * len(run)
+    assert early < 0.7 * len(run)
 
 
 def test_a_place_in_foreign_shadow_meets_trials_only_when_it_is_kept(mosaic, selected):
@@ -251,7 +264,7 @@ def test_a_place_in_foreign_shadow_meets_trials_only_when_it_is_kept(mosaic, sel
     place.try_for(0)
     assert (place.trials, place.usable) == (0, False)
     alone = check.check_cell(dark, msgspec.structs.replace(record, places=record.places[:1]))
-    assert alone.trials == 2
+    assert alone.trials > 0
     assert not alone.usable
 
 
