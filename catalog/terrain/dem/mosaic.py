@@ -226,13 +226,15 @@ class Mosaic:
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
             found = sample_level(self.level_windows(i, level), pixels, rows_wide)
             known = ~np.isnan(found)
+            if len(self.pyramids) == 1:
+                # nothing to compose: the usual case, and it is on the hot path of a build
+                return Sampled(found, known.astype(np.int8) - np.int8(1), known[None])
             weight = known.astype(np.float64)
             feather = self._feather(i)
             if feather is not None and known.any():
                 inside = np.flatnonzero(known)
                 weight[inside] = feather.weights(pixels.part(inside))
-            if i == 0 and (len(self.pyramids) == 1 or weight.min(initial=1.0) >= 1.0):
-                # nothing to compose: the usual case, and it is on the hot path of a build
+            if i == 0 and weight.min(initial=1.0) >= 1.0:
                 return Sampled(found, known.astype(np.int8) - np.int8(1), known[None])
             layers.append((wanted, found, weight))
             wanted = wanted[weight < 1.0]

@@ -230,21 +230,25 @@ def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> Float3
         # a level of a raster whose columns cannot be halved evenly ends where the raster does
         period = base.period * base.scale
         pixels = pixels._replace(col=pixels.col - np.floor((pixels.col + 0.5) / period) * period)
-    chosen = np.arange(pixels.row.size)
-    if chosen.size and not _inside(base, _extent(*pixels, chosen)):
-        chosen = np.flatnonzero(_inside_each(base, pixels, rows_wide))
-    if not chosen.size:
+    if not out.size:
         return out
+    chosen = np.arange(out.size)
     extent = _extent(*pixels, chosen)
+    if not _inside(base, extent):
+        chosen = np.flatnonzero(_inside_each(base, pixels, rows_wide))
+        if not chosen.size:
+            return out
+        extent = _extent(*pixels, chosen)
     fewest, most = (halvings_for(wide * rows_wide, base.most_halvings) for wide in extent[4:])
     if fewest == most:
-        _in_pieces(base.halved(fewest), pixels, chosen, rows_wide, out)
+        _in_pieces(base.halved(fewest), pixels, chosen, extent, rows_wide, out)
         return out
     halvings = _halvings(pixels.column_scale, rows_wide, base.most_halvings)
     for count in range(fewest, most + 1):
         those = chosen[halvings[chosen] == count]
         if those.size:
-            _in_pieces(base.halved(count), pixels, those, rows_wide, out)
+            extent = _extent(*pixels, those)
+            _in_pieces(base.halved(count), pixels, those, extent, rows_wide, out)
     return out
 
 
@@ -270,19 +274,25 @@ def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolAr
 
 
 def _in_pieces(
-    level: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
+    level: LevelWindows,
+    pixels: Pixels,
+    chosen: IntArray,
+    extent: Extent,
+    rows_wide: float,
+    out: Float32Array,
 ) -> None:
     """Sample through one window, or through one for each part of the raster that is touched."""
-    _, _, height, width = _bounds(level, rows_wide, _extent(*pixels, chosen))
+    _, _, height, width = _bounds(level, rows_wide, extent)
     if height * width <= MAX_WINDOW:
-        _through_window(level, pixels, chosen, rows_wide, out)
+        _through_window(level, pixels, chosen, extent, rows_wide, out)
         return
     row = pixels.row[chosen] / (PIECE * level.scale)
     col = pixels.col[chosen] / (PIECE * level.scale * level.squeeze)
     key = np.floor(row) * 1e6 + np.floor(col)
     order = np.argsort(key, kind="stable")
     for those in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        _through_window(level, pixels, chosen[those], rows_wide, out)
+        extent = _extent(*pixels, chosen[those])
+        _through_window(level, pixels, chosen[those], extent, rows_wide, out)
 
 
 def _bounds(level: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int, int, int, int]:
@@ -299,9 +309,13 @@ def _bounds(level: LevelWindows, rows_wide: float, extent: Extent) -> tuple[int,
 
 
 def _through_window(
-    level: LevelWindows, pixels: Pixels, chosen: IntArray, rows_wide: float, out: Float32Array
+    level: LevelWindows,
+    pixels: Pixels,
+    chosen: IntArray,
+    extent: Extent,
+    rows_wide: float,
+    out: Float32Array,
 ) -> None:
-    extent = _extent(*pixels, chosen)
     row0, col0, height, width = _bounds(level, rows_wide, extent)
     means_over_footprints(
         level.window(row0, col0, height, width),
