@@ -256,7 +256,7 @@ class _Build:
         )
         written = find_published(self.workspace, key, output)
         if written is not None:
-            stage.kept = math.ceil(len(points) / write.CHUNK_POINTS)
+            stage.kept = len(write.point_chunks(inputs.context, points))
         else:
             results = self._results(inputs, "write", PreparedPoint)
             self.workspace.keep_only("write", {results.key})  # first, for they are as large as it

@@ -135,8 +135,7 @@ class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     search_km            where a rival may stand at the coarsest level
     min_margin           least uniqueness margin over all levels
     max_shadowed         share of Suns under which foreign shadows may reach the patch
-    trials               recognition trials of a place, at most: they end when the verdict on them is
-                         decided
+    trials               recognition trials of a place, at most: the verdict ends them
     min_recognition      share of all of them that must succeed
     good_recognition     share with which a place is taken without trying the cell's next one
     template_nodes       side of the square that is matched in a trial

@@ -72,11 +72,7 @@ def main():
         os.environ[name] = "1"
     import cv2
 
-    from catalog.build import write
-
     cv2.setNumThreads(1)
-    # several pieces of work in each stage of the small region
-    write.CHUNK_POINTS = 2
     build(config, folder, 1)
     # workers have everything loaded too; what is tested is their death, not how they begin
     forking = multiprocessing.get_context("fork")
