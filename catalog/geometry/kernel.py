@@ -6,6 +6,7 @@ there is no cache. Floating-point reordering stays off: results must not depend 
 happened to be vectorised.
 """
 
+import fcntl
 import hashlib
 import logging
 import multiprocessing
@@ -13,8 +14,9 @@ import os
 import pickle
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
@@ -28,6 +30,7 @@ R = TypeVar("R")
 
 CACHE_DIR = "NUMBA_CACHE_DIR"
 PACKAGES = "catalog", "optnav_cli"
+MAX_WAIT_S, LOOK_S = 60.0, 0.02  # for a kernel that another process compiles
 
 _log = logging.getLogger(__name__)
 _warned: set[str] = set()
@@ -62,7 +65,60 @@ def _is_cached(compiled: Any) -> bool:
     # and its key knows the kernel's own file alone, not those of the kernels that it calls
     own_key = compiled._cache._index_key
     compiled._cache._index_key = lambda *of: (*own_key(*of), _called_code(compiled.py_func))
+    _compile_in_turn(compiled._cache, compiled.py_func.__qualname__)
     return True
+
+
+def _compile_in_turn(cache: Any, name: str) -> None:
+    """Let one of the processes that need a kernel compile it, while the others wait to load it.
+
+    Kernels call each other in no circle, so that processes do not wait for each other in one.
+    """
+    load, save = cache.load_overload, cache.save_overload
+    place = int.from_bytes(hashlib.sha256(name.encode()).digest()[:6])
+
+    def load_or_wait(*of: Any) -> Any:
+        found = load(*of)
+        if found is None:
+            _take_turn(cache.cache_path, place)
+            found = load(*of)  # which another process may have saved meanwhile
+            if found is not None:
+                _end_turn(cache.cache_path, place)
+        return found
+
+    def save_for_all(*of: Any) -> None:
+        save(*of)
+        _end_turn(cache.cache_path, place)
+
+    cache.load_overload, cache.save_overload = load_or_wait, save_for_all
+
+
+def _take_turn(folder: str, place: int) -> None:
+    """Lock a place in a folder's lock file.
+
+    A process that dies lets go of its locks; one that takes longer than any kernel is not waited
+    for, and no folder or file system without locks stands in the way.
+    """
+    ends = time.monotonic() + MAX_WAIT_S
+    while time.monotonic() < ends:
+        try:
+            fcntl.lockf(_lock_file(folder), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+            return
+        except (BlockingIOError, PermissionError):
+            time.sleep(LOOK_S)
+        except OSError:
+            return
+
+
+def _end_turn(folder: str, place: int) -> None:
+    with suppress(OSError):
+        fcntl.lockf(_lock_file(folder), fcntl.LOCK_UN, 1, place)
+
+
+@cache
+def _lock_file(folder: str) -> int:
+    """Open for as long as the process lives: closing it would let go of all locks."""
+    return os.open(Path(folder) / "kernels.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
 
 
 @cache

@@ -166,3 +166,29 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(
     values = [value for value, _ in printed]
     assert values == ["12.0", "12.0", result]
     assert [hits for _, hits in printed] == ["0", "1", "0"]
+
+
+def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path: Path) -> None:
+    """The first to come takes its time and says so; the second begins after that word."""
+    (tmp_path / "some_kernel.py").write_text(KERNEL)
+    slow = (
+        "import time\nfrom some_kernel import twice\nmake = twice._compiler.compile\n"
+        "def compile(*of):\n    print('compiling', flush=True)\n    time.sleep(2.0)\n"
+        "    return make(*of)\ntwice._compiler.compile = compile\nprint(twice(2.0))\n"
+    )
+    counts = "sum(twice.stats.cache_hits.values()), sum(twice.stats.cache_misses.values())"
+    hits = f"{ONE}print({counts})"
+    env = os.environ | {
+        "PYTHONPATH": f"{CHECKOUT}{os.pathsep}{tmp_path}",
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+    }
+    with subprocess.Popen(
+        [sys.executable, "-c", slow], stdout=subprocess.PIPE, text=True, env=env
+    ) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "compiling\n"
+        second = subprocess.run(
+            [sys.executable, "-c", hits], capture_output=True, text=True, env=env, check=True
+        )
+        assert first.communicate()[0] == "4.0\n"
+    assert second.stdout.split() == ["4.0", "1", "0"]
