@@ -10,6 +10,7 @@ from typing import ClassVar
 import cv2
 import msgspec
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import Ephemeris
@@ -78,22 +79,38 @@ class Simulation:
 
     @cached_property
     def _sensors(self) -> list[SensorSettings]:
-        """The sensor of each camera as it is, off from what its file will say by its sigma."""
+        """The sensor of each camera as it is."""
         stated = self.scenario.sensor
-        if self.scenario.world.camera == "exact":
-            return [stated] * len(self.cameras)
-        found = []
+        blurs = [max(0.0, stated.psf_sigma_px + off[0]) for off in self._calibration_errors]
+        return [msgspec.structs.replace(stated, psf_sigma_px=blur) for blur in blurs]
+
+    @cached_property
+    def _calibration_errors(self) -> list[tuple[float, Rotation | None]]:
+        """How far each camera is off from what its file states, by the sigmas of the file.
+
+        The blur, px, and a turn of the whole camera that stated attitudes do not know.
+        """
+        found: list[tuple[float, Rotation | None]] = []
+        drawn = self.scenario.world.camera == "drawn"
         for number, camera in enumerate(self.cameras):
             rng = np.random.default_rng([self.scenario.seed, CALIBRATION, number])
-            off = (camera.psf_error_px or 0.0) * rng.normal()
-            blur = max(0.0, stated.psf_sigma_px + off)
-            found.append(msgspec.structs.replace(stated, psf_sigma_px=float(blur)))
+            off = rng.normal(size=4) if drawn else np.zeros(4)
+            turned = drawn and camera.boresight_sigma_rad > 0.0
+            turn = Rotation.from_rotvec(camera.boresight_sigma_rad * off[1:]) if turned else None
+            found.append((float((camera.psf_error_px or 0.0) * off[0]), turn))
         return found
 
     @cached_property
     def flight(self) -> list[Exposure]:
         """All pictures to take."""
-        return self.scenario.exposures(self.motion)
+        found = []
+        for exposure in self.scenario.exposures(self.motion):
+            turn = self._calibration_errors[exposure.camera][1]
+            if turn is not None:
+                stated = turn * exposure.reported_camera_from_body
+                exposure = replace(exposure, reported_camera_from_body=stated)
+            found.append(exposure)
+        return found
 
     @property
     def attitude(self) -> Attitude:

@@ -176,7 +176,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     albedo       "uniform", "fractal" (5 % rms an octave), or "real": albedo_map, and fractal
                  below its pixels
     phase_law    "catalog": the law that catalogs are rendered by; "other": another surface's
-    camera       "exact", or "drawn": blur, as far off as the camera file's sigma says
+    camera       "exact", or "drawn": blur and mounting as far off as the camera file's sigmas say
     """
 
     model_error: Literal["none", "gld100"] | ErrorTable = "none"
