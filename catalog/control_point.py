@@ -23,6 +23,7 @@ class Flag(IntFlag):
     CROWDED = 16
     SHADOWED = 32
     OVERHANG = 64
+    DISPLACED = 128
 
     @property
     def label(self) -> str:
@@ -40,7 +41,28 @@ FLAG_MEANINGS = {
     Flag.NOT_RECOGNISED: "recognition trials failed",
     Flag.CROWDED: "nearer to a neighbour's point than the spacing allows",
     Flag.OVERHANG: "vertical lines through the patch meet the ground several times",
+    Flag.DISPLACED: "the comparison model has it farther away than the limit",
 }
+
+
+@dataclass(frozen=True)
+class ComparisonShift:
+    """Where a second terrain model has the ground of a control point, seen from the catalog's.
+
+    east_m, north_m  NaN where nothing within the search looks like it
+    level            that was compared, 0 is the finest
+    score            correlation, mean over the Suns
+    """
+
+    east_m: float
+    north_m: float
+    level: int
+    score: float
+
+    @property
+    def distance_m(self) -> float:
+        """How far; NaN where it is not known."""
+        return float(np.hypot(self.east_m, self.north_m))
 
 
 @dataclass(frozen=True)
@@ -74,6 +96,7 @@ class ControlPoint:
                          the patch
     source               which DEMs its finest patch comes from, joined by " + ": the one that
                          counts most at the point first
+    comparison           its place in a second model; None without one, or where that has no ground
     """
 
     id: int
@@ -89,6 +112,7 @@ class ControlPoint:
     usable: bool
     flags: Flag = Flag.NONE
     source: str = ""
+    comparison: ComparisonShift | None = None
 
     @property
     def xyz_m(self) -> FloatArray:

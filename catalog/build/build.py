@@ -12,6 +12,7 @@ import msgspec
 import catalog
 from catalog.bodies.body import Body, load_body
 from catalog.build import check, render, select, write
+from catalog.build.comparison import report_fit
 from catalog.build.config import BuildConfig, ConfigText
 from catalog.build.context import DemRecord, IngestRun
 from catalog.build.ingest import Bbox, MeshRecord
@@ -232,6 +233,7 @@ class _Build:
             raise self._missing("check")
         # a cell at a model's edge may have ground, yet none where its place is: no point there
         points = [point for point in records if math.isfinite(point.radius_m)]
+        report_fit(inputs.context, points)
         self.account.judge((point.usable, point.flags) for point in points)
         return points
 
@@ -265,7 +267,9 @@ class _Build:
                 inputs.context,
                 points,
                 output,
-                extras=CatalogExtras(inputs.sources(), self.config_text, prepared, inputs.errors),
+                extras=CatalogExtras(
+                    inputs.sources(), self.config_text, prepared, inputs.errors, inputs.comparison
+                ),
                 results=results,
                 workers=self.workers,
                 progress=self.progress,

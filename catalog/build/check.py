@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
 from catalog.build import cell_map, select
+from catalog.build.comparison import compared
 from catalog.build.context import StageContext
 from catalog.build.select import SelectedCell
 from catalog.build.trials import outcomes_at
@@ -156,8 +157,8 @@ class Certificate:
 
 
 def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
-    """The point of each cell with its certificate."""
-    return [check_cell(context, record) for record in records]
+    """The point of each cell with its certificate, and its place in a comparison model."""
+    return [compared(context, check_cell(context, record)) for record in records]
 
 
 def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:

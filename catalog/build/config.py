@@ -52,11 +52,13 @@ class DemSection(DemSettings, frozen=True, forbid_unknown_fields=True):
     product        whose error is known: a name of configs/models/terrain.toml; or, in numbers,
     error_m        rms of means over 2 km on highland slopes (0.085)
     resolution_km  the shortest wave that the model holds; two postings unless stated
+    role           "ground": points are made from it; "comparison": they are compared with it
     """
 
     product: str | None = None
     error_m: Positive | None = None
     resolution_km: Positive | None = None
+    role: Literal["ground", "comparison"] = "ground"
 
 
 class MeshSection(MeshSettings, frozen=True, forbid_unknown_fields=True):
@@ -169,6 +171,16 @@ class CheckSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     relief_slope_deg: Slope = 3.0
 
 
+class ComparisonSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[comparison].
+
+    max_shift_m  a point whose ground a [[dem]] of role "comparison" has farther away is not usable;
+                 without it shifts are only stored
+    """
+
+    max_shift_m: Positive | None = None
+
+
 class SelectSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[select].
 
@@ -225,7 +237,12 @@ class BuildConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     render: RenderSettings = msgspec.field(default_factory=RenderSettings)
     select: SelectSettings = msgspec.field(default_factory=SelectSettings)
     check: CheckSettings = msgspec.field(default_factory=CheckSettings)
+    comparison: ComparisonSettings = msgspec.field(default_factory=ComparisonSettings)
     write: WriteSettings = msgspec.field(default_factory=WriteSettings)
+
+    def dems_of(self, role: str) -> list[DemSection]:
+        """The terrain models of a role, the first used first."""
+        return sorted((d for d in self.dem if d.role == role), key=lambda dem: dem.priority)
 
 
 @dataclass(frozen=True)
@@ -284,6 +301,13 @@ def _ground_problems(config: BuildConfig) -> Iterator[str]:
         yield "has [[mesh]] beside terrain models; a mesh is all of a body: choose one kind"
     if len(config.mesh) > 1:
         yield f"has {len(config.mesh)} sections [[mesh]]; wanted one: a mesh is all of a body"
+    if config.dem and not config.dems_of("ground"):
+        yield '[[dem]] has role = "comparison" alone; name the ground that is compared, too'
+    if config.comparison.max_shift_m is not None and not config.dems_of("comparison"):
+        yield '[comparison] max_shift_m is set, but no [[dem]] has role = "comparison"; add one'
+    for dem in config.dems_of("comparison"):
+        if stated_error(dem) != StatedError():
+            yield f"[[dem]] {dem.path}: has an error; that of a comparison model enters nothing"
     for dem in config.dem:
         if not dem.path:
             yield "[[dem]] path is empty; name a terrain model"

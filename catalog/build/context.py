@@ -25,6 +25,7 @@ from catalog.geometry.projection import MapProjection
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workspace import Workspace
 from catalog.progress import Progress
+from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.terrain import Terrain
 
 
@@ -83,6 +84,7 @@ class StageContext:
     mosaic     the terrain
     posting_m  of the finest patches, settled from the config or the DEM
     config     the whole build config; a stage reads its own section
+    comparison a second terrain model of the same ground; None without one
     """
 
     body: Body
@@ -90,6 +92,7 @@ class StageContext:
     grid: CellGrid
     posting_m: float
     config: BuildConfig
+    comparison: Mosaic | None = None
 
     @property
     def levels(self) -> int:
@@ -108,7 +111,7 @@ class StageContext:
 
     def files(self) -> list[Path]:
         """The terrain files that every stage reads."""
-        return self.mosaic.files()
+        return self.mosaic.files() + (self.comparison.files() if self.comparison else [])
 
     def projection(self, lat_deg: float, lon_deg: float) -> MapProjection:
         """The map projection centred on a place."""

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
-from catalog.build.config import PyramidSettings
+from catalog.build.config import DemSection, PyramidSettings
 from catalog.build.context import DemRecord, IngestRun
 from catalog.build.relief import ReliefRecord, make_or_keep
 from catalog.errors import ConfigError, DataError, UsageError
@@ -24,7 +24,7 @@ from catalog.jobs.workspace import code_key, content_hash, stage_key
 from catalog.store.relief import prepare_relief
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.mosaic import Mosaic
-from catalog.terrain.dem.source import METRES, DemSource
+from catalog.terrain.dem.source import METRES, DemSettings, DemSource
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.refine import FINEST_FACES, smooth_corners
 from catalog.terrain.mesh.shape import Shape, load_shape
@@ -39,8 +39,7 @@ LATTICE = 5  # points a side at which a cell is asked for ground
 BLOCK_CELLS = 8  # cells a side of a block whose terrain is read together
 MAX_CHUNK = 64  # cells in work at once: what a kill can lose
 CHUNKS = 32  # a small build is cut at least so finely, to keep several workers busy
-# to the overviews of a terrain model
-UNIMPORTANT = ("path", "priority", "feather_km", "product", "error_m", "resolution_km")
+UNIMPORTANT = ("path", "priority", "feather_km")  # to the overviews of a terrain model
 CORNERS, RECORD = "corners.npy", "mesh.json"
 CELLS_ACROSS = 2.0  # that the finest patch spans: a point may lie anywhere in its cell
 MAX_ARC_DEG = 30.0  # of the body that a patch may span: beyond, much of it is seen edge-on
@@ -72,14 +71,29 @@ class MeshRecord(msgspec.Struct, frozen=True):
     corners_sha256: str
 
 
-def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord]]:
-    """The mosaic of a config's [[dem]] sections; what the workspace holds already is kept.
+def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord], Mosaic | None, list[DemRecord]]:
+    """The mosaics of a config's [[dem]] sections; what the workspace holds already is kept.
 
+    Returns that of the ground, its models, and both of the comparison, None and none without one.
     Raises DataError for a file that cannot be used, OutputError for a workspace that cannot.
     """
+    ground, comparison = (_read(run, run.config.dems_of(role)) for role in ("ground", "comparison"))
+    records = [[record for _, record in found] for found in (ground, comparison)]
+    kept = {record.folder.removeprefix("dem-") for found in records for record in found}
+    run.workspace.keep_only("dem", kept)
+    mosaics = [Mosaic([p for p, _ in found]) if found else None for found in (ground, comparison)]
+    if mosaics[0] is None:
+        raise ValueError("a build needs a terrain model")
+    return mosaics[0], records[0], mosaics[1], records[1]
+
+
+def _read(run: IngestRun, sections: Sequence[DemSection]) -> list[tuple[HeightPyramid, DemRecord]]:
+    """Terrain models with their overviews, made or kept."""
     body, workspace = run.body, run.workspace
     found: list[tuple[HeightPyramid, DemRecord]] = []
-    for one in sorted(run.config.dem, key=lambda s: s.priority):
+    for section in sections:
+        # what a model is for, and how far it is wrong, does not change how it is read
+        one = DemSettings(*(getattr(section, name) for name in DemSettings.__struct_fields__))
         source = DemSource.open(one, run.folder, body)
         digest = content_hash(source.files, workspace, run.progress)
         # where the file lies, how it ranks and how it ends do not change its overviews
@@ -93,8 +107,7 @@ def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord]]:
         else:
             run.account.kept += 1
         found.append((pyramid, _record(pyramid, digest, folder)))
-    workspace.keep_only("dem", {record.folder.removeprefix("dem-") for _, record in found})
-    return Mosaic([pyramid for pyramid, _ in found]), [record for _, record in found]
+    return found
 
 
 def _record(pyramid: HeightPyramid, digest: str, folder: str) -> DemRecord:

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 import catalog
+from catalog.build.comparison import check_comparison
 from catalog.build.config import BuildConfig, DemSection, MeshSection, stated_error
 from catalog.build.context import DemRecord, IngestRun, StageContext
 from catalog.build.ingest import (
@@ -24,6 +25,8 @@ from catalog.build.relief import ReliefRecord, settle_relief
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
 from catalog.jobs.workspace import code_key, stage_key
+from catalog.store.manifest import ComparisonMeta
+from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.error_model import TerrainErrorModel
 from catalog.terrain.terrain import Terrain
 
@@ -40,6 +43,7 @@ class BuildInputs:
     keys    by stage: hash of all that its results depend on
     relief  of the whole body; None for a build of a part of it that names none
     errors  of the terrain models that state one, by name as in points' sources
+    comparison  what the catalog says of a second terrain model; None without one
     """
 
     context: StageContext
@@ -48,6 +52,7 @@ class BuildInputs:
     keys: dict[str, str]
     relief: ReliefRecord | None
     errors: dict[str, TerrainErrorModel]
+    comparison: ComparisonMeta | None
 
     @property
     def cells(self) -> int:
@@ -73,6 +78,8 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
     body, config = run.body, run.config
     grid = CellGrid(config.grid.cell_deg)
     terrain: Terrain
+    second: Mosaic | None = None
+    compared: list[DemRecord] = []
     if config.mesh:
         pyramid, posting = settle_pyramid(run)
         config = msgspec.structs.replace(config, pyramid=pyramid)
@@ -83,7 +90,7 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
         records: list[DemRecord | MeshRecord] = [mesh]
         read: list[tuple[object, ...]] = [(mesh.sha256, mesh.folder)]
     else:
-        terrain, dems = ingest(run)
+        terrain, dems, second, compared = ingest(run)
         posting = config.pyramid.posting_m or terrain.posting_m
         _check_posting(run, posting, terrain.posting_m)
         _check_cells(run, posting)
@@ -92,10 +99,17 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
         records = [*dems]
         # paths and ranks do not matter by themselves: what was read, and in which order, does
         read = [(dem.sha256, dem.folder, dem.feather_km) for dem in dems]
-    keys = _keys(stage_key(code_key(), body.name, read, cells.tolist()), config, posting)
-    context = StageContext(body, terrain, grid, posting, config)
+    first = stage_key(code_key(), body.name, read, cells.tolist())
+    keys = _keys(first, config, posting, [(dem.sha256, dem.folder) for dem in compared])
+    context = StageContext(body, terrain, grid, posting, config, second)
+    check_comparison(context, str(run.config_path), cells.tolist())
     errors = _stated_errors(run, terrain.names, records)
-    inputs = BuildInputs(context, records, chunks_of(grid, cells), keys, relief, errors)
+    comparison = None
+    if second is not None:
+        hashes = dict(zip(second.names, (dem.sha256 for dem in compared), strict=True))
+        comparison = ComparisonMeta(hashes, config.comparison.max_shift_m)
+    chunks = chunks_of(grid, cells)
+    inputs = BuildInputs(context, records, chunks, keys, relief, errors, comparison)
     manifest = {
         "software": f"optnav {catalog.__version__}",
         "body": body.name,
@@ -108,13 +122,15 @@ def prepare_inputs(run: IngestRun, bbox: Bbox | None) -> BuildInputs:
     return inputs
 
 
-def _keys(first: str, config: BuildConfig, posting_m: float) -> dict[str, str]:
+def _keys(
+    first: str, config: BuildConfig, posting_m: float, compared: list[tuple[str, str]]
+) -> dict[str, str]:
     """Keys of the stages; each depends on the one before and on the stage's own settings."""
     keys = {"ingest": first}
     parts: dict[str, tuple[Any, ...]] = {
         "render": (config.grid, config.pyramid, posting_m, config.render),
         "select": (config.select,),
-        "check": (config.check,),
+        "check": (config.check, config.comparison, compared),
         "write": (config.write,),
     }
     for stage, settings in parts.items():
@@ -146,7 +162,7 @@ def _stated_errors(
 
     Raises ConfigError for one larger than the heights themselves.
     """
-    sections: list[DemSection | MeshSection] = [*sorted(run.config.dem, key=lambda s: s.priority)]
+    sections: list[DemSection | MeshSection] = [*run.config.dems_of("ground")]
     errors = {}
     for name, section, record in zip(names, sections or run.config.mesh, records, strict=True):
         error = TerrainErrorModel.of(stated_error(section), record.posting_m)

@@ -32,7 +32,7 @@ from catalog.jobs.workers import Workers
 from catalog.jobs.workspace import Workspace
 from catalog.progress import Progress
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
-from catalog.store.manifest import CatalogMeta, PlanesMeta
+from catalog.store.manifest import CatalogMeta, ComparisonMeta, PlanesMeta
 from catalog.store.patches import PreparedPoint, prepare_point
 from catalog.store.records import rounded_point
 from catalog.store.relief import PreparedRelief
@@ -49,12 +49,14 @@ class CatalogExtras(NamedTuple):
     config_text  the build config
     relief       of the whole body, if it is known
     errors       of the terrain models that state one: name -> error
+    comparison   with a second terrain model
     """
 
     sources: Mapping[str, str]
     config_text: str
     relief: PreparedRelief | None
     errors: Mapping[str, TerrainErrorModel] = MappingProxyType({})
+    comparison: ComparisonMeta | None = None
 
 
 def remember_published(workspace: Workspace, key: str, path: Path) -> None:
@@ -114,6 +116,7 @@ def write(
         height_step_m=context.config.write.steps_m(context.postings_m)[0],
         planes=planes,
         terrain_errors=dict(extras.errors),
+        comparison=extras.comparison,
         sources=dict(extras.sources),
         config=extras.config_text,
         software=f"optnav {catalog.__version__}",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.control_point import ControlPoint, Flag
+from catalog.control_point import ComparisonShift, ControlPoint, Flag
 from catalog.errors import DataError, NothingToDoError
 from catalog.geometry.latlon import body_from_local
 from catalog.store.manifest import CatalogMeta
@@ -74,6 +74,7 @@ def catalog_document(catalog: Catalog) -> Document:
             | {"template_sigma_m": _template_sigma_m(e, meta)}
             for name, e in meta.terrain_errors.items()
         },
+        "comparison": _comparison(catalog),
         "software": meta.software,
         "created_utc": meta.created_utc,
         "size_bytes": catalog.path.stat().st_size,
@@ -158,6 +159,36 @@ def _template_sigma_m(error: TerrainErrorModel, meta: CatalogMeta) -> list[float
     return [error.point_sigma_m(side, REFERENCE_SLOPE).shift_m for side in sides]
 
 
+def _comparison(catalog: Catalog) -> Document | None:
+    """How far the comparison model moves the points."""
+    meta = catalog.meta.comparison
+    if meta is None:
+        return None
+    shifts = [(s.east_m, s.north_m) for s in catalog.shifts.values()]
+    found = np.array([shift for shift in shifts if np.isfinite(shift).all()]).reshape(-1, 2)
+    middle = np.median(found, axis=0) if len(found) else np.full(2, np.nan)
+    about = found - middle
+    return {
+        "sources": dict(meta.sources),
+        "max_shift_m": meta.max_shift_m,
+        "points_on_it": len(shifts),
+        "points_found": len(found),
+        "median_e_m": float(middle[0]),
+        "median_n_m": float(middle[1]),
+        "rms_about_median_m": float(np.sqrt(np.square(about).mean())) if len(found) else np.nan,
+    }
+
+
+def _comparison_lines(found: Document | None) -> dict[str, str]:
+    if found is None:
+        return {}
+    words = (
+        "{points_found} of {points_on_it} points found, {median_e_m:+.3g} m east, "
+        "{median_n_m:+.3g} m north (median), {rms_about_median_m:.3g} m rms an axis about that"
+    )
+    return {f"comparison with {', '.join(found['sources'])}": words.format(**found)}
+
+
 def _error_words(error: Document) -> str:
     words = "{error_m:.6g} m over 2 km, resolution {resolution_km:.6g} km; places of templates to "
     sigmas = ", ".join(f"{sigma:.3g}" for sigma in error["template_sigma_m"])
@@ -175,6 +206,7 @@ _WORDS: dict[str, Callable[[Any], dict[str, str]]] = {
     "localisation_nodes_usable": lambda s: {"localisation_nodes_usable": _spread_words(s)},
     "size_nodes": lambda size: {"size": str(size)},
     "relief": lambda relief: {"relief": _relief_words(relief)},
+    "comparison": _comparison_lines,
     "terrain_errors": lambda errors: {
         f"error of {name}": _error_words(error) for name, error in errors.items()
     },
@@ -217,6 +249,17 @@ def point_document(point: ControlPoint) -> Document:
         "uniqueness": list(point.uniqueness),
         "shadow_limit_deg": list(point.shadow_limit_deg),
         "source": point.source,
+        **_shift(point.comparison),
+    }
+
+
+def _shift(shift: ComparisonShift | None) -> Document:
+    """Where a comparison model has a point; None where it is not known."""
+    known = shift is not None and np.isfinite(shift.distance_m)
+    return {
+        "comparison_e_m": shift.east_m if shift is not None and known else None,
+        "comparison_n_m": shift.north_m if shift is not None and known else None,
+        "comparison_score": shift.score if shift is not None else None,
     }
 
 
@@ -237,7 +280,16 @@ def describe_point(document: Document) -> dict[str, str]:
         "uniqueness": " ".join(f"{margin:.4g}" for margin in found["uniqueness"]),
         "shadow_limit_deg": " ".join(f"{limit:.4g}" for limit in found["shadow_limit_deg"]),
         "source": found["source"],
-    }
+    } | _shift_words(found)
+
+
+def _shift_words(found: Document) -> dict[str, str]:
+    if found["comparison_e_m"] is None:
+        return {}
+    words = (
+        "{comparison_e_m:+.4g} m east, {comparison_n_m:+.4g} m north, score {comparison_score:.2f}"
+    )
+    return {"comparison": words.format(**found)}
 
 
 class NearPoint(NamedTuple):

@@ -81,6 +81,20 @@ class PlanesMeta:
 
 
 @dataclass(frozen=True)
+class ComparisonMeta:
+    """What a catalog says of a second terrain model that its points were compared with.
+
+    sources      of the second model: name -> hash
+    max_shift_m  beyond which points were flagged; None without a limit
+    digest       of the shifts (see `catalog.store.comparison`)
+    """
+
+    sources: Mapping[str, str]
+    max_shift_m: float | None
+    digest: str = ""
+
+
+@dataclass(frozen=True)
 class CatalogMeta:
     """What all points of a catalog share.
 
@@ -99,6 +113,7 @@ class CatalogMeta:
     relief         of the whole body; None without one
     planes         where patches lie in tangent planes; None on the sphere
     terrain_errors  of the sources whose error was stated, by name; no part of the content digest
+    comparison     with a second terrain model; no part of the content digest
     seal           of the file that it was read from (see `catalog.store.connection`); "" for none
     """
 
@@ -121,6 +136,7 @@ class CatalogMeta:
     relief: ReliefMeta | None = None
     planes: PlanesMeta | None = None
     terrain_errors: Mapping[str, TerrainErrorModel] = field(default_factory=dict)
+    comparison: ComparisonMeta | None = None
     seal: str = field(default="", compare=False)
 
     def projection(self, point: ControlPoint) -> MapProjection:
@@ -180,6 +196,8 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         rows["planes"] = json.dumps(meta.planes.rounded(), sort_keys=True)
     if meta.terrain_errors:
         rows["terrain_errors"] = msgspec.json.encode(meta.terrain_errors, order="sorted").decode()
+    if meta.comparison is not None:
+        rows["comparison"] = msgspec.json.encode(meta.comparison, order="sorted").decode()
     rows = dict(sorted(rows.items()))
     return {**rows, CHECKSUM: _checksum(rows), SEAL: OPEN_SEAL}
 
@@ -231,6 +249,7 @@ def meta_from_rows(rows: Mapping[Any, Any], where: str) -> CatalogMeta:
             terrain_errors=decode(
                 texts.get("terrain_errors", "{}"), type=dict[str, TerrainErrorModel]
             ),
+            comparison=decode(texts.get("comparison", "null"), type=ComparisonMeta | None),
             seal=texts.get(SEAL, ""),
             format_version=int(version),
         )

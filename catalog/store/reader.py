@@ -4,6 +4,7 @@ import logging
 import math
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -11,10 +12,11 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from catalog.arrays import BoolArray, FloatArray, IntArray, RecordArray
-from catalog.control_point import ControlPoint, Patch, Pyramid
+from catalog.control_point import ComparisonShift, ControlPoint, Patch, Pyramid
 from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import wrap_longitude_deg, xyz_from_latlon
+from catalog.store.comparison import read_shifts
 from catalog.store.connection import connect, read_meta
 from catalog.store.geopackage import srs_of
 from catalog.store.manifest import CatalogMeta
@@ -167,7 +169,19 @@ class Catalog:
 
     def point(self, point_id: int) -> ControlPoint:
         """A point with its certificate. Raises DataError for an id that is not there."""
-        return point_from_record(self.records[self.row_of(point_id)], self.meta.point_sources)
+        found = point_from_record(self.records[self.row_of(point_id)], self.meta.point_sources)
+        return replace(found, comparison=self.shifts.get(point_id)) if self.shifts else found
+
+    @cached_property
+    def shifts(self) -> dict[int, ComparisonShift]:
+        """Where the comparison model has points, by id; empty without one, or where damaged."""
+        if self.meta.comparison is None:
+            return {}
+        try:
+            return read_shifts(self._db, self.meta.comparison.digest)
+        except DataError as error:
+            log.warning("%s: %s; left out; run `optnav catalog verify`", self.path, error)
+            return {}
 
     def points(self) -> Iterator[ControlPoint]:
         """All points in the order of their ids."""

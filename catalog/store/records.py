@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from catalog.arrays import BoolArray, RecordArray
-from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag
+from catalog.control_point import SHADOW_AZIMUTHS, ComparisonShift, ControlPoint, Flag
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
 from catalog.store.geopackage import point_geometry
@@ -26,6 +26,7 @@ LATLON_DECIMALS = 7  # degrees: 3 mm on the Moon
 RADIUS_DECIMALS = 3  # metres
 SCORE_DECIMALS = 4  # localisation, rates and margins
 SHADOW_DECIMALS = 2  # degrees
+SHIFT_DECIMALS = 2  # metres
 EIGENVALUE_DIGITS = 6  # significant: it spans many powers of ten
 
 # fields that a record has under the names, and with the numbers, of a control point
@@ -86,7 +87,14 @@ def rounded_point(point: ControlPoint) -> ControlPoint:
         usable=bool(point.usable),
         flags=Flag(int(point.flags)),
         source=point.source,
+        comparison=None if point.comparison is None else rounded_shift(point.comparison),
     )
+
+
+def rounded_shift(shift: ComparisonShift) -> ComparisonShift:
+    """A shift with numbers as the catalog keeps them."""
+    east, north = (_rounded(value, SHIFT_DECIMALS) for value in (shift.east_m, shift.north_m))
+    return ComparisonShift(east, north, int(shift.level), _rounded(shift.score, SCORE_DECIMALS))
 
 
 def record_from_point(

@@ -5,6 +5,7 @@ optnav_records   the same points packed, 4096 a row, so that a program opens the
 optnav_patches   one compressed grid a row
 optnav_meta      the manifest
 optnav_relief    tiles of the relief of the whole body; only in a catalog that carries one
+optnav_comparison  where a second terrain model has the points; only in a catalog with one
 """
 
 import sqlite3
@@ -30,6 +31,7 @@ RECORDS = "optnav_records"
 PATCHES = "optnav_patches"
 META = "optnav_meta"
 RELIEF = "optnav_relief"
+COMPARISON = "optnav_comparison"
 
 RECORDS_A_ROW = 4096
 NO_DATA_COUNT = -32768  # of a patch: no height
@@ -86,6 +88,12 @@ CREATE TABLE {RELIEF} (
   value_offset DOUBLE NOT NULL, checksum INTEGER NOT NULL, data BLOB NOT NULL);
 """
 
+COMPARISON_TABLE = f"""
+CREATE TABLE {COMPARISON} (
+  id INTEGER PRIMARY KEY NOT NULL, comparison_e_m DOUBLE, comparison_n_m DOUBLE,
+  level INTEGER NOT NULL, score DOUBLE NOT NULL);
+"""
+
 
 def _columns(statement: str) -> tuple[str, ...]:
     """Names of the columns of a CREATE TABLE statement."""
@@ -139,6 +147,8 @@ def insert_service_rows(
         ]
         if meta.relief is not None:
             tables.append(f"{RELIEF}: Relief of the whole body")
+        if meta.comparison is not None:
+            tables.append(f"{COMPARISON}: Shifts of the points in a second terrain model")
     changed = meta.created_utc or UNDATED
     describe_geopackage(db, meta.body, meta.radius_m, changed, tables)
     POINT_LAYER.register(db, srs_of(meta.body, meta.radius_m)[0], extent, changed)

@@ -10,6 +10,7 @@ from catalog.arrays import RecordArray
 from catalog.errors import DATABASE_ERRORS, DataError
 from catalog.progress import Progress, SilentProgress, Stage
 from catalog.store.codec import decode_counts
+from catalog.store.comparison import read_shifts
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
 from catalog.store.geopackage import APPLICATION_ID, srs_of
 from catalog.store.manifest import CatalogMeta
@@ -24,6 +25,7 @@ from catalog.store.reader import SELECT_PATCHES, read_records
 from catalog.store.records import record_from_row
 from catalog.store.relief import relief_digest, tile_places
 from catalog.store.schema import (
+    COMPARISON,
     HEIGHT_LAYER,
     PATCHES,
     POINT_LAYER,
@@ -96,6 +98,11 @@ def verify(path: str | Path, progress: Progress | None = None) -> Verification:
             stages = progress or SilentProgress()
             with stages.stage("verify", len(records), "point") as stage:
                 _contents(db, _read_again(db, meta, found), records, found, stage)
+        if meta.comparison is not None:
+            try:
+                read_shifts(db, meta.comparison.digest)
+            except DataError as error:
+                found.add(COMPARISON, error)
         _service(db, meta, found)
     if found.sound:
         # with a log beside it the file is not all there is: another program is at work on it

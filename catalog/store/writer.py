@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from catalog.control_point import ControlPoint
+from catalog.control_point import ComparisonShift, ControlPoint
 from catalog.files import replacing_file
 from catalog.geometry.cells import CellGrid
+from catalog.store.comparison import insert_shifts
 from catalog.store.connection import SIDECARS, is_catalog_file, put_seal
 from catalog.store.geopackage import Box, srs_of
 from catalog.store.index import CELL_SLACK_DEG
@@ -99,6 +100,7 @@ def _fill(
     grid = CellGrid(meta.cell_deg)
     sources: dict[str, int] = {}
     digests = bytearray()
+    shifts: dict[int, ComparisonShift] = {}
     chunk: list[bytes] = []
     count = usable = chunks = 0
     last_id = -1
@@ -112,6 +114,8 @@ def _fill(
         digests += point_digest(record, prepared.patches_digest)
         db.executemany(insert_patch, prepared.rows)
         chunk.append(record)
+        if point.comparison is not None:
+            shifts[point.id] = point.comparison
         count += 1
         usable += point.usable
         if len(chunk) == RECORDS_A_ROW:
@@ -121,6 +125,9 @@ def _fill(
         _insert_records(db, chunks, chunk)
     meta = replace(meta, point_sources=tuple(sources), count=count, usable=usable)
     meta = replace(meta, digest=catalog_digest(meta, digests))
+    if meta.comparison is not None:
+        compared = replace(meta.comparison, digest=insert_shifts(db, shifts))
+        meta = replace(meta, comparison=compared)
     extent = insert_features(db, meta, _stored_points(db, meta))
     insert_service_rows(db, meta, extent)
     if relief_rows:

@@ -165,6 +165,32 @@ def source_map(catalog: Catalog, maps: Sequence[MapPanel], beside: Markup) -> Ma
     return figure(drawn, "Terrain model of each point.", extra=keys)
 
 
+def shift_map(catalog: Catalog, maps: Sequence[MapPanel]) -> Markup:
+    """Enlarged shifts of the points in the comparison model: a line from a dot at each point."""
+    rows = [row for row, number in enumerate(catalog.ids.tolist()) if number in catalog.shifts]
+    rows = rows[:: max(1, -(-len(rows) // MAX_DOTS))]
+    shifts = [catalog.shifts[number] for number in catalog.ids[rows].tolist()]
+    moved = np.array([(s.east_m, s.north_m) for s in shifts]).reshape(-1, 2)
+    known = np.isfinite(moved).all(axis=1)
+    moved, lat, lon = moved[known], catalog.lat_deg[rows][known], catalog.lon_deg[rows][known]
+    lengths = np.linalg.norm(moved, axis=1)
+    if not lengths.any():
+        return Markup()
+    # nine of ten lines are no longer than a cell is wide
+    scale = catalog.meta.cell_deg / float(np.percentile(lengths[lengths > 0.0], 90.0))
+    to_lat = np.clip(lat + scale * moved[:, 1], -90.0, 90.0)
+    to_lon = lon + scale * moved[:, 0] / np.maximum(np.cos(np.radians(lat)), 0.01)
+    view = maps[0].view
+    plot = maps[0].plot()
+    x, y = view.places(lat, lon)
+    for x0, y0, x1, y1 in zip(x, y, *view.places(to_lat, to_lon), strict=True):
+        plot.line([x0, x1], [y0, y1], "s2")
+    plot.dots(x, y, "s1", 2.0)
+    times = round(np.radians(scale) * catalog.meta.radius_m)
+    words = f"Shifts of the points in the comparison model, {grouped(times)} times enlarged."
+    return figure(plot.svg("Map of shifts in the comparison model"), words)
+
+
 def _coloured(maps: Sequence[MapPanel], colours: ByteArray, name: str, beside: Markup) -> Markup:
     """All maps of a whole body, or the small one, in the points' colours (n, 4)."""
     whole = maps[0].view.whole

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from catalog.arrays import ByteArray, Float32Array, FloatArray
-from catalog.control_point import FLAG_MEANINGS, Flag, Patch
+from catalog.control_point import FLAG_MEANINGS, ComparisonShift, Flag, Patch
 from catalog.errors import DataError
 from catalog.store.reader import Catalog
 from optnav_cli.report import catalog_maps as maps
@@ -68,7 +68,7 @@ def quantities(catalog: Catalog) -> list[Quantity]:
     # places that fail before their certificate is made have zeros in it
     certified = (trials > 0) | (margins != 0.0).any(axis=1) | (limits != 0.0).any(axis=1)
     rate = np.where(trials > 0, _finite(records["recognition_rate"]), np.nan)
-    return [
+    quantities = [
         Quantity(
             "Localisation", "predicted match error, nodes",
             "Predicted match error, 1 sigma in the worst direction, in nodes of the finest level; "
@@ -94,6 +94,15 @@ def quantities(catalog: Catalog) -> list[Quantity]:
             np.where(certified, _extreme(limits, np.fmax), np.nan), False, ".1f",
         ),
     ]  # fmt: skip
+    if catalog.meta.comparison is not None:
+        shifts, nothing = catalog.shifts, ComparisonShift(np.nan, np.nan, 0, 0.0)
+        moved = [shifts.get(number, nothing).distance_m for number in catalog.ids.tolist()]
+        names = ", ".join(catalog.meta.comparison.sources)
+        words = f"How far {names} has the ground of each point from where the catalog has it."
+        quantities.append(
+            Quantity("Comparison", "shift, m", words, np.array(moved), False, ".3g", log=True)
+        )
+    return quantities
 
 
 def _quantity(catalog: Catalog, panels: Sequence[maps.MapPanel], quantity: Quantity) -> Markup:
@@ -119,6 +128,8 @@ def _quantity(catalog: Catalog, panels: Sequence[maps.MapPanel], quantity: Quant
     parts = [maps.value_map(panels, values, scale, quantity.heading, bars, caption)]
     if quantity.heading == "Shadow limits":
         parts.append(maps.shadow_plot(catalog))
+    if quantity.heading == "Comparison":
+        parts.append(maps.shift_map(catalog, panels))
     return html.section(quantity.heading, *parts)
 
 

@@ -11,7 +11,16 @@ import numpy as np
 from catalog.arrays import ByteArray, FloatArray
 
 USABLE = "#0072b2"
-REASON_COLOURS = ("#ffffff", "#d55e00", "#cc79a7", "#000000", "#f0e442", "#009e73", "#56b4e9")
+REASON_COLOURS = (
+    "#ffffff",
+    "#d55e00",
+    "#cc79a7",
+    "#000000",
+    "#f0e442",
+    "#009e73",
+    "#56b4e9",
+    "#8c564b",
+)
 SOURCE_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#f0e442")
 OTHER = "#8a8f98"
 OUTER_PERCENT = 0.5  # of the values at either end that may share the last colour

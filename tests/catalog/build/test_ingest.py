@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rasterio.transform import Affine
 
-from catalog.build.config import BodySettings, BuildConfig
+from catalog.build.config import BodySettings, BuildConfig, DemSection
 from catalog.build.context import IngestRun
 from catalog.build.ingest import BLOCK_CELLS, chunks_of, covered_cells, ingest
 from catalog.errors import DataError, UsageError
@@ -93,7 +93,7 @@ def test_few_cells_make_many_small_chunks():
 
 
 def ingested(workspace, path, moon, **settings):
-    one = DemSettings(path=path.name, **settings)
+    one = DemSection(path=path.name, **settings)
     config = BuildConfig(BodySettings("moon"), dem=(one,))
     place, account = path.parent / "build.toml", StageAccount("ingest")
     return ingest(IngestRun(workspace, config, place, moon, 1, SilentProgress(), account))
@@ -102,7 +102,7 @@ def ingested(workspace, path, moon, **settings):
 def test_the_record_of_a_model_says_what_was_read(tmp_path, dems, moon):
     values, affine = dems.rough_region(100)
     path = dems.write(tmp_path / "r.tif", values, affine=affine)
-    _, (record,) = ingested(Workspace(tmp_path / "work"), path, moon)
+    _, (record,), *_ = ingested(Workspace(tmp_path / "work"), path, moon)
     assert (record.name, record.rows, record.cols, record.heights) == ("r.tif", 100, 100, "height")
     assert record.lowest_m == pytest.approx(values.min())
     assert record.bounds_deg == pytest.approx((19.0, 9.0, 21.0, 11.0))
@@ -116,11 +116,11 @@ def test_a_changed_file_is_read_again_and_the_old_overviews_go(tmp_path, dems, m
     values, affine = dems.rough_region(100)
     path = dems.write(tmp_path / "r.tif", values, affine=affine)
     workspace = Workspace(tmp_path / "work")
-    _, (before,) = ingested(workspace, path, moon)
-    _, (same,) = ingested(workspace, path, moon)
+    _, (before,), *_ = ingested(workspace, path, moon)
+    _, (same,), *_ = ingested(workspace, path, moon)
     assert same.folder == before.folder
     dems.write(path, values + 1.0, affine=affine)
-    _, (after,) = ingested(workspace, path, moon)
+    _, (after,), *_ = ingested(workspace, path, moon)
     assert after.folder != before.folder
     assert [p.name for p in (tmp_path / "work").glob("dem-*") if p.is_dir()] == [after.folder]
 
@@ -129,8 +129,8 @@ def test_settings_that_change_heights_change_the_overviews(tmp_path, dems, moon)
     values, affine = dems.rough_region(100)
     path = dems.write(tmp_path / "r.tif", values, affine=affine)
     workspace = Workspace(tmp_path / "work")
-    _, (plain,) = ingested(workspace, path, moon)
-    mosaic, (halved,) = ingested(workspace, path, moon, scale=0.5)
+    _, (plain,), *_ = ingested(workspace, path, moon)
+    mosaic, (halved,), *_ = ingested(workspace, path, moon, scale=0.5)
     assert halved.folder != plain.folder
     assert halved.lowest_m == pytest.approx(0.5 * plain.lowest_m)
     assert mosaic.pyramids[0].read(1, 0, 0, 1, 1)[0, 0] == pytest.approx(
@@ -157,9 +157,9 @@ def test_how_a_model_ranks_and_ends_does_not_make_its_overviews_again(tmp_path, 
     values[10, 10] = np.nan
     path = dems.write(tmp_path / "r.tif", values, affine=affine)
     workspace = Workspace(tmp_path / "work")
-    _, (plain,) = ingested(workspace, path, moon)
+    _, (plain,), *_ = ingested(workspace, path, moon)
     place = tmp_path / "work" / plain.folder / "pyramid.json"
     made = place.stat().st_mtime_ns
-    _, (other,) = ingested(workspace, path, moon, priority=3, feather_km=2.0)
+    _, (other,), *_ = ingested(workspace, path, moon, priority=3, feather_km=2.0)
     assert (other.folder, other.feather_km) == (plain.folder, 2.0)
     assert place.stat().st_mtime_ns == made

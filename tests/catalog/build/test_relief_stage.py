@@ -7,7 +7,13 @@ import pytest
 from rasterio.transform import Affine
 
 from catalog.build.build import run
-from catalog.build.config import BodySettings, BuildConfig, ReliefSettings, load_build_config
+from catalog.build.config import (
+    BodySettings,
+    BuildConfig,
+    DemSection,
+    ReliefSettings,
+    load_build_config,
+)
 from catalog.build.context import IngestRun
 from catalog.build.ingest import ingest
 from catalog.build.relief import settle_relief, stored_relief
@@ -45,12 +51,12 @@ def settled(tmp_path, moon):
 
     def run_it(paths, **named):
         workspace = Workspace(tmp_path / "work")
-        models = [DemSettings(path.name, priority=i + 1) for i, path in enumerate(paths)]
+        models = [DemSection(path.name, priority=i + 1) for i, path in enumerate(paths)]
         settings = ReliefSettings(DemSettings(**named) if named else None)
         config = BuildConfig(BodySettings("moon"), dem=tuple(models), relief=settings)
         place, account = tmp_path / "build.toml", StageAccount("ingest")
         of_all = IngestRun(workspace, config, place, moon, 1, SilentProgress(), account)
-        mosaic, dems = ingest(replace(of_all, account=StageAccount("ingest")))
+        mosaic, dems, *_ = ingest(replace(of_all, account=StageAccount("ingest")))
         record = settle_relief(of_all, mosaic, dems)
         prepared = stored_relief(workspace, record) if record is not None else None
         return record, prepared, account

@@ -75,7 +75,7 @@ def report_of(source, tmp_path):
 
 def a_catalog(path, count=40, lat=(-48.0, -38.0), lon=(-17.0, -5.0), step_deg=0.5, usable=True,
               body="moon", radius_m=RADIUS_M, change=lambda point, number: point,
-              levels=2):  # fmt: skip
+              levels=2, comparison=None):  # fmt: skip
     """A made-up catalog over a region; every fifth point is flat."""
     rng = np.random.default_rng(8)
     grid = CellGrid(step_deg)
@@ -105,7 +105,7 @@ def a_catalog(path, count=40, lat=(-48.0, -38.0), lon=(-17.0, -5.0), step_deg=0.
         pyramids.append((change(point, number), patches))
     meta = CatalogMeta(
         body, radius_m, step_deg, levels, 32, 118.0, 0.1, {"dem.tif": "<sha>"}, "[body]\n",
-        "optnav 0", "", ("dem.tif",),
+        "optnav 0", "", ("dem.tif",), comparison=comparison,
     )  # fmt: skip
     write_points(path, meta, pyramids)
     return path

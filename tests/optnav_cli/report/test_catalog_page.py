@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from catalog.control_point import Flag
+from catalog.control_point import ComparisonShift, Flag
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
-from catalog.store.manifest import CatalogMeta
+from catalog.store.manifest import CatalogMeta, ComparisonMeta
 from catalog.store.reader import Catalog
 from optnav_cli.main import run
 from optnav_cli.report import write_report
@@ -38,6 +38,19 @@ def test_a_regional_catalog_shows_points_scores_patches_and_sources(tmp_path):
     assert page.counts["img"] == 7 * 2
     assert sum("Map of" in label for label in page.labels) == MAPS
     assert "the region" in " ".join(page.labels)
+
+
+def test_shifts_in_a_second_model_are_mapped_by_size_and_direction(tmp_path):
+    def moved(point, number):
+        return replace(point, comparison=ComparisonShift(10.0 + number, -20.0, 0, 0.8))
+
+    second = ComparisonMeta({"second.tif": "<sha>"}, None)
+    page = report_of(a_catalog(tmp_path / "c.gpkg", change=moved, comparison=second), tmp_path)
+    assert "How far second.tif has the ground of each point" in page.text
+    assert "Map of shifts in the comparison model" in page.labels
+    assert "Shifts of the points in the comparison model, " in page.text
+    assert circles(tmp_path) == 2 * 40
+    assert sum("Map of Comparison" in label for label in page.labels) == 1
 
 
 def test_a_global_catalog_is_painted_with_both_poles_beside_it(tmp_path):
@@ -127,7 +140,7 @@ def test_a_point_is_coloured_by_the_first_check_it_failed(tmp_path):
 
     path = a_catalog(tmp_path / "c.gpkg", count=6, change=change)
     with Catalog.open(path) as catalog:
-        assert first_reasons(catalog).tolist() == [1, 2, 4, 8, 0, 0]
+        assert first_reasons(catalog).tolist() == [1, 2, 4, 9, 0, 0]
     page = report_of(path, tmp_path)
     assert "no reason given: 1" in page.text
     assert "a patch has holes 1 16.7 % 0 1" in page.text
