@@ -9,6 +9,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from rasterio.errors import RasterioError
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
@@ -16,17 +17,17 @@ from catalog.errors import ConfigError, DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.rasters import TERRAIN, open_raster, reading_rasters
+from catalog.rasters import TERRAIN, gdal_reason, open_raster, reading_rasters
 from catalog.rendering.rays.scene import Reflectivity
 from catalog.terrain.dem.file import path_of, place_of
 from catalog.terrain.synthetic import fractal
 from optnav_cli.simulation.sections import AlbedoMapSettings, TruthSettings
 
 SHARE = 0.05  # rms an octave
-LARGEST_M, SMALLEST_M = 60e3, 10.0  # spacings of the noise where no map is
+MAX_SPACING_M, MIN_SPACING_M = 60e3, 10.0  # spacings of the noise where no map is
 FINER_THAN_MAP = 2.0  # the longest wave of the noise below a map, in its pixels
 ALBEDO_STREAM = 1 << 41
-MAX_MAP_PIXELS = 200_000_000
+MAX_MAP_PIXELS = 64_000_000
 PARTS = 8  # of a row of pixels, for several cores
 PARTS = 8  # of a row of pixels, for several cores
 MIN_FACTOR, MAX_FACTOR = 0.3, 3.0
@@ -40,8 +41,8 @@ class Albedo:
 
     def __init__(self, settings: TruthSettings, body: Body) -> None:
         self._map = _AlbedoMap(settings.albedo_map, body) if settings.albedo_map else None
-        largest = FINER_THAN_MAP * self._map.posting_m if self._map else LARGEST_M
-        count = 1 + int(np.ceil(np.log2(largest / SMALLEST_M)))
+        largest = FINER_THAN_MAP * self._map.posting_m if self._map else MAX_SPACING_M
+        count = 1 + int(np.ceil(np.log2(largest / MIN_SPACING_M)))
         spacing = largest / 2.0 ** np.arange(count, dtype=np.float64)
         amplitude = np.full(count, SHARE / fractal.RMS_NOISE)
         self._noise = fractal.Octaves(0, spacing, amplitude, body.radius_m)
@@ -87,12 +88,17 @@ class _AlbedoMap:
                 self._extent = _extent(path, settings.extent_deg)
             else:
                 self._place = _placed(path, body, dataset)
-            bands = dataset.read(list(range(1, min(dataset.count, 3) + 1)))
-        values = _decoded(bands, settings.coding).mean(axis=0)
+            try:
+                values = _brightness(dataset, settings.coding)
+            except RasterioError as error:
+                raise DataError(
+                    f"{path}: cannot be read ({gdal_reason(error)}); the file is damaged or cut "
+                    "short, get it again"
+                ) from None
         mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         if not mean > 0.0:
             raise DataError(f"{path}: holds no brightness above 0; name another albedo_map")
-        self._values = (values / mean).astype(np.float32)
+        self._values = values / np.float32(mean)
         if self._place is None:
             self.posting_m = float(np.radians(self._extent[3] - self._extent[1])) / rows
             self.posting_m *= body.radius_m
@@ -137,15 +143,25 @@ def _extent(path: Path, edges: tuple[float, float, float, float]) -> tuple[float
     return edges
 
 
-def _decoded(bands: Any, coding: str) -> FloatArray:
-    """Linear brightness of bands; sRGB by IEC 61966-2-1."""
-    values: FloatArray = bands.astype(np.float64)
-    if coding == "linear":
-        return values
-    share = values / float(np.iinfo(bands.dtype).max if bands.dtype.kind in "iu" else 1.0)
-    curve = ((np.clip(share, 0.0, 1.0) + 0.055) / 1.055) ** 2.4
-    linear: FloatArray = np.where(share <= 0.04045, share / 12.92, curve)
-    return linear
+def _brightness(dataset: Any, coding: str) -> Float32Array:
+    """Linear brightness (rows, cols), the mean of up to three bands; NaN where there is none.
+
+    sRGB is decoded by IEC 61966-2-1.
+    """
+    bands = range(1, min(dataset.count, 3) + 1)
+    total = np.zeros(dataset.shape, np.float32)
+    for band in bands:
+        raw = dataset.read(band)
+        values = raw.astype(np.float32)
+        if coding == "srgb":
+            full = np.iinfo(raw.dtype).max if raw.dtype.kind in "iu" else 1.0
+            values = np.clip(values / np.float32(full), 0.0, 1.0)
+            curve = ((values + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+            values = np.where(values <= 0.04045, values / np.float32(12.92), curve)
+        if dataset.nodata is not None:
+            values[raw == dataset.nodata] = np.nan
+        total += values / np.float32(len(bands))
+    return total
 
 
 @parallel_kernel

@@ -4,6 +4,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+import rasterio
 
 from catalog.bodies.body import load_body
 from catalog.errors import ConfigError, DataError
@@ -123,6 +124,27 @@ def test_a_map_is_decoded_and_read_where_its_edges_say(tmp_path):
     size = np.array([1e6])  # no noise of its own is so coarse
     ratio = albedo.factors(1, east, size) / albedo.factors(1, west, size)
     assert ratio[0] == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_map_with_a_coordinate_system_needs_no_edges(tmp_path):
+    values = np.ones((1, 60, 60), np.float32)
+    values[:, :, 30:] = 3.0
+    values[:, :5] = -1.0
+    moon = "+proj=longlat +R=1737400 +no_defs"
+    place = {"crs": moon, "transform": rasterio.Affine(0.5, 0.0, 0.0, 0.0, -0.5, 30.0)}
+    shape = {"width": 60, "height": 60, "count": 1, "dtype": "float32", "nodata": -1.0}
+    with rasterio.open(tmp_path / "map.tif", "w", "GTiff", **shape, **place) as file:
+        file.write(values)
+    settings = AlbedoMapSettings(path=str(tmp_path / "map.tif"), coding="linear")
+    albedo = Albedo(TruthSettings(albedo="real", albedo_map=settings), load_body("moon"))
+    lon = np.radians([7.5, 22.5, 22.5, 200.0])
+    places = xyz_from_latlon(np.radians([15.0, 15.0, 29.0, 15.0]), lon, 1.0)
+    # holes and what lies outside are as bright as the mean
+    np.testing.assert_allclose(albedo.factors(1, places, np.full(4, 1e6)), [0.5, 1.5, 1.0, 1.0])
+    damaged = (tmp_path / "map.tif").read_bytes()
+    (tmp_path / "map.tif").write_bytes(damaged[: len(damaged) - 8000])
+    with pytest.raises(DataError, match="get it again"):
+        Albedo(TruthSettings(albedo="real", albedo_map=settings), load_body("moon"))
 
 
 def test_an_albedo_map_without_a_place_or_that_is_missing_is_refused(tmp_path):
