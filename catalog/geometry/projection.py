@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from catalog.arrays import FloatArray
+from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.vectors import unit
@@ -49,6 +49,9 @@ class MapProjection(Protocol):
 
     def points(self, x: ArrayLike, y: ArrayLike, height: ArrayLike) -> FloatArray:
         """Body-fixed points (..., 3), m, of map points x, y and heights."""
+
+    def nodes(self, heights: Float32Array, posting_m: float) -> FloatArray:
+        """Body-fixed points (n, n, 3), m, of a centred grid of heights (n, n), north up."""
 
     def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
         """Planetocentric latitude and east longitude (rad) of map points at heights (m)."""
@@ -105,6 +108,13 @@ class Stereographic:
         east, north, above = (np.ravel(part).astype(np.float64) for part in (x, y, height))
         points = points_of_map(east, north, above, self.radius_m, self.body_from_local)
         return points.reshape(*x.shape, 3)
+
+    def nodes(self, heights: Float32Array, posting_m: float) -> FloatArray:
+        """Body-fixed points (n, n, 3), m, of a centred grid of heights (n, n), north up."""
+        from catalog.geometry.map_points import points_of_nodes
+
+        offsets = node_offsets(len(heights), posting_m)
+        return points_of_nodes(offsets, heights, self.radius_m, self.body_from_local)
 
     def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
         """Latitude and east longitude (rad) of map points x, y (m), whatever their height."""
@@ -183,6 +193,10 @@ class TangentPlane:
         local = np.stack([x, y, height], axis=-1).astype(np.float64)
         points: FloatArray = local @ self.body_from_local.T + np.array(self.foot_m)
         return points
+
+    def nodes(self, heights: Float32Array, posting_m: float) -> FloatArray:
+        """Body-fixed points (n, n, 3), m, of a centred grid of heights (n, n), north up."""
+        return self.points(*node_grid(len(heights), posting_m), heights)
 
     def latlon(self, x: ArrayLike, y: ArrayLike, height: ArrayLike = 0.0) -> Angles:
         """Planetocentric latitude and east longitude (rad) of map points at heights (m)."""

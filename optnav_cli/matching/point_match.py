@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import cropped, match_masked, match_ncc, thinned, thinning
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
 from catalog.correlation.similarity import Matcher, match_similarity
+from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.matching.picture_pyramid import PicturePyramid
@@ -111,9 +111,9 @@ def match_point(
     surface = reference.surface(level, heights)
     camera_from_body = pose.camera_from_body.as_matrix()
     pixels = camera.project_from_body(surface, pose.position_m, camera_from_body)
-    window = picture.sample(pixels, posting / plan.metres_per_pixel)
-    shown = np.isfinite(cropped(window, border))
-    if shown.mean() < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
+    window = sampled = picture.sample(pixels, posting / plan.metres_per_pixel)
+    known, _ = _shares(sampled, border)
+    if known < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
         return PointMatch(level, OUTSIDE)
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
@@ -135,6 +135,7 @@ def match_point(
     place = expected + shift
     part = None
     if blur_nodes:
+        shown = np.isfinite(cropped(sampled, border))
         middle = cropped(surface, border)[shown].mean(axis=0)
         seen = camera.project_from_body(middle, pose.position_m, camera_from_body) + shift
         corners = cropped(pixels, border)[[0, 0, -1, -1], [0, -1, -1, 0]] + shift
@@ -168,12 +169,25 @@ def _common_nodes(template: Float32Array, window: Float32Array, match: Match) ->
 
 
 def _rejection_of_template(template: Float32Array) -> Reason:
-    valid = np.isfinite(template)
-    if valid.mean() < MIN_VALID_SHARE:
+    known, lit = _shares(template, 0)
+    if known < MIN_VALID_SHARE:
         return Reason(ReasonCode.NO_TERRAIN, "no terrain data")
-    if (template[valid] > 0.0).mean() < MIN_LIT_SHARE:
+    if lit < MIN_LIT_SHARE * known:
         return Reason(ReasonCode.IN_SHADOW, "in shadow")
     return NO_REASON
+
+
+@kernel
+def _shares(grid: Float32Array, margin: int) -> tuple[float, float]:
+    """Shares of a grid's nodes inside a margin that are finite, and that are above zero."""
+    rows, cols = grid.shape
+    known = lit = 0
+    for r in range(margin, rows - margin):
+        for c in range(margin, cols - margin):
+            known += np.isfinite(grid[r, c])
+            lit += grid[r, c] > 0.0
+    nodes = max((rows - 2 * margin) * (cols - 2 * margin), 1)
+    return known / nodes, lit / nodes
 
 
 def _rejection_of_match(match: Match, gates: MatchGates, samples: float) -> Reason:
@@ -207,20 +221,34 @@ def _displacement(
     row = float(np.clip(border + match.dy, 0.0, 2.0 * border - 1e-9))
     c, r = int(col), int(row)
     u, v = col - c, row - r
-    # sums from the corner on, of which a block's is a difference: nine blocks as quick as one
-    seen = np.isfinite(pixels[..., 0])
-    if not seen.all():
-        pixels = np.where(seen[..., None], pixels, 0.0)
-    sums, counts = cv2.integral(pixels), cv2.integral(seen.view(np.uint8))
     # upper left corners: four blocks about the match, and the expected one with its neighbours
     top = np.array([r, r, r + 1, r + 1, border, border, border, border - 1, border + 1])
     left = np.array([c, c + 1, c, c + 1, border, border - 1, border + 1, border, border])
-    low, right = top + template_nodes, left + template_nodes
-    total, count = (
-        part[low, right] - part[top, right] - part[low, left] + part[top, left]
-        for part in (sums, counts)
-    )
-    mean = total / count[:, None]
+    mean = _block_means(np.ascontiguousarray(pixels), top, left, template_nodes)
     weights = np.array([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u])
     slopes = np.stack([mean[6] - mean[5], mean[8] - mean[7]], axis=-1) / 2.0
     return weights @ mean[:4] - mean[4], slopes
+
+
+@kernel
+def _block_means(pixels: FloatArray, top: IntArray, left: IntArray, side: int) -> FloatArray:
+    """Mean pixels (k, 2) of square blocks of a window (n, n, 2); what is NaN takes no part."""
+    size = pixels.shape[0]
+    # sums from the corner on, of which a block's is a difference: nine blocks as quick as one
+    sums, row = np.zeros((size + 1, size + 1, 3)), np.empty(3)
+    for i in range(size):
+        row[:] = 0.0
+        for j in range(size):
+            x, y = pixels[i, j, 0], pixels[i, j, 1]
+            if np.isfinite(x):
+                row[0] += x
+                row[1] += y
+                row[2] += 1.0
+            for k in range(3):
+                sums[i + 1, j + 1, k] = sums[i, j + 1, k] + row[k]
+    means = np.empty((top.size, 2))
+    for n in range(top.size):
+        upper, lower, west, east = top[n], top[n] + side, left[n], left[n] + side
+        total = sums[lower, east] - sums[upper, east] - sums[lower, west] + sums[upper, west]
+        means[n] = total[:2] / total[2]
+    return means

@@ -8,9 +8,9 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray
 from catalog.control_point import ControlPoint, Patch
 from catalog.geometry.ellipsoid import height_above
-from catalog.geometry.grid import bicubic_at
+from catalog.geometry.grid import bicubic_at, cubic_weights
 from catalog.geometry.kernel import kernel
-from catalog.geometry.projection import MapProjection, TangentPlane, node_grid
+from catalog.geometry.projection import MapProjection, TangentPlane
 from catalog.rendering.map_view import render_map
 from catalog.rendering.shadow import shadow_field
 from catalog.rendering.swept import ShadowField
@@ -65,11 +65,10 @@ class Reference:
         Of a small body the ground goes on beyond the coarsest patch, which is hardly wider than
         what is looked for, as high above the ellipsoid as the patch's border is.
         """
-        x, y = node_grid(len(heights), self.patches[level].posting_m)
-        projection = self.projection
+        projection, posting = self.projection, self.patches[level].posting_m
         if isinstance(projection, TangentPlane) and self.planes_on_m is not None:
-            heights = _carried_on(heights, projection, x, y, self.planes_on_m)
-        return projection.points(x, y, heights)
+            heights = _carried_on(heights, projection, posting, self.planes_on_m)
+        return projection.nodes(heights, posting)
 
     def render(
         self,
@@ -113,27 +112,40 @@ def _fill_from(
     window: Float32Array, posting: float, patch: Float32Array, patch_posting: float
 ) -> None:
     """Put a patch's heights into the NaN nodes of a centred window; bicubic between the nodes."""
-    size = window.shape[0]
+    size, last = window.shape[0], patch.shape[0] - 1.0
     ratio = posting / patch_posting
-    centre = (patch.shape[0] - 1) / 2.0
-    half = (size - 1) / 2.0
+    places = last / 2.0 + (np.arange(size) - (size - 1) / 2.0) * ratio
+    inside = (places >= 0.0) & (places <= last)
+    inner = (places >= 1.0) & (places < last - 1.0)
+    weights = np.empty((size, 4))
+    for k in range(size):
+        weights[k] = cubic_weights(places[k] - int(places[k]))
     for row in range(size):
-        r = centre + (row - half) * ratio
-        if r < 0.0 or r > patch.shape[0] - 1.0:
+        if not inside[row]:
             continue
+        r, wr = int(places[row]), weights[row]
         for col in range(size):
-            c = centre + (col - half) * ratio
-            if c < 0.0 or c > patch.shape[1] - 1.0:
+            if not inside[col] or window[row, col] == window[row, col]:
                 continue
-            if window[row, col] != window[row, col]:
-                window[row, col] = bicubic_at(patch, r, c)
+            value = np.nan
+            if inner[row] and inner[col]:
+                # as bicubic_at, whose weights are the same for a whole row or column
+                c, wc = int(places[col]), weights[col]
+                value = 0.0
+                for i in range(4):
+                    line = 0.0
+                    for j in range(4):
+                        line += wc[j] * patch[r - 1 + i, c - 1 + j]
+                    value += wr[i] * line
+            if value != value:
+                value = bicubic_at(patch, places[row], places[col])
+            window[row, col] = value
 
 
 def _carried_on(
     heights: Float32Array,
     plane: TangentPlane,
-    x: FloatArray,
-    y: FloatArray,
+    posting_m: float,
     radii_m: tuple[float, ...],
 ) -> Float32Array:
     """Heights (n, n) with those of the known square's border, over the ellipsoid, beyond it."""
@@ -141,7 +153,8 @@ def _carried_on(
     if known.size in (0, heights.shape[0]):
         return heights
     inner = slice(known[0], known[-1] + 1)
-    base = height_above(plane.points(x, y, 0.0), plane.body_from_local[:, 2], radii_m)
+    level = plane.nodes(np.zeros_like(heights), posting_m)
+    base = height_above(level, plane.body_from_local[:, 2], radii_m)
     room = known[0], heights.shape[0] - 1 - known[-1]
     over = np.pad(heights[inner, inner] - base[inner, inner], (room, room), mode="edge")
     return np.where(np.isnan(heights), base + over, heights).astype(np.float32)

@@ -143,12 +143,6 @@ def _bound(bounds: Float32Array, x: float, y: float, z: float) -> float:
 
 
 @kernel
-def _cot(distance: float, radius: float, angle: float) -> float:
-    """Cotangent of the off-nadir angle of a point; the skyline has the smallest."""
-    return float((distance - radius * np.cos(angle)) / (radius * np.sin(angle)))
-
-
-@kernel
 def _direction(
     axes: FloatArray, azimuth: tuple[float, float], up: float, along: float
 ) -> tuple[float, float, float]:
@@ -171,28 +165,78 @@ def _ground_cot(
     return (outlook.distance - radius * up) / (radius * along), radius
 
 
+class _Segments(NamedTuple):
+    """What all azimuths share of the segments about the sphere's limb, rows from `first` on.
+
+    made     (n,)         whether a segment's row is filled in
+    edges    (n, 3, 3)    angle, cosine and sine of its least, middle and greatest angle
+    nearest  (n,)         the smallest cotangent that ground may have from there on, away from the
+                          limb
+    samples  (n, parts, 3) angle, cosine and sine of its samples
+    """
+
+    first: int
+    made: BoolArray
+    edges: FloatArray
+    nearest: FloatArray
+    samples: FloatArray
+
+
+@kernel
+def _smallest_cot(distance: float, radius: float, edges: FloatArray) -> float:
+    """Cotangent of the off-nadir angle of the highest point of a segment of ground at a radius."""
+    share = radius / distance
+    if share > edges[0, 1]:
+        return float((distance - radius * edges[0, 1]) / (radius * edges[0, 2]))
+    if share < edges[2, 1]:
+        return float((distance - radius * edges[2, 1]) / (radius * edges[2, 2]))
+    return float(np.sqrt(distance * distance - radius * radius) / radius)
+
+
+@kernel
+def _make_segment(
+    segments: _Segments, number: int, middle: float, distance: float, top: float
+) -> None:
+    """Fill in the row of a segment, whose number counts from the sphere's limb, at `middle`.
+
+    top  radius that no ground passes
+    """
+    row = number - segments.first
+    start, parts = middle + number * SEGMENT, segments.samples.shape[1]
+    low, high = max(start, 1e-9), min(start + SEGMENT, np.pi - 1e-9)
+    edges = segments.edges[row]
+    for k, angle in enumerate((low, 0.5 * (low + high), high)):
+        edges[k, 0], edges[k, 1], edges[k, 2] = angle, np.cos(angle), np.sin(angle)
+    # of all that lies beyond the segment's near edge, or before its far one
+    top_angle = np.arccos(top / distance)
+    near = max(low, top_angle) if number >= 0 else min(high, top_angle)
+    segments.nearest[row] = (distance - top * np.cos(near)) / (top * np.sin(near))
+    for k in range(parts):
+        angle = start + (k + 0.5) * (SEGMENT / parts)
+        samples = segments.samples[row, k]
+        samples[0], samples[1], samples[2] = angle, np.cos(angle), np.sin(angle)
+    segments.made[row] = True
+
+
 @kernel
 def _highest_of_segment(
     outlook: _Outlook,
     azimuth: tuple[float, float],
-    segment: tuple[float, float, float, float, int],
+    segment: tuple[FloatArray, FloatArray, float],
     best: tuple[float, float],
 ) -> tuple[float, float]:
-    """The smallest `_cot` of a segment's samples and its angle, or `best` where none is smaller.
+    """The smallest cotangent of a segment's samples and its angle, or `best` where none is smaller.
 
-    segment  least and greatest angle of samples, the segment's start, rad, the radius that its
-             ground stays below, and its samples
+    segment  its edges and samples, and the radius that its ground stays below
     """
-    low, high, start, top, parts = segment
-    step = SEGMENT / parts
+    edges, samples, top = segment
     best_cot, best_angle = best
-    for k in range(parts):
-        angle = start + (k + 0.5) * step
-        if not low < angle < high:
+    for k in range(samples.shape[0]):
+        angle, up, along = samples[k, 0], samples[k, 1], samples[k, 2]
+        if not edges[0, 0] < angle < edges[2, 0]:
             continue
-        up, along = np.cos(angle), np.sin(angle)
         # ground is looked up only where the highest of the segment would be the skyline
-        if (outlook.distance - top * up) / (top * along) <= best_cot:
+        if outlook.distance - top * up <= best_cot * (top * along):
             cot, _ = _ground_cot(outlook, azimuth, up, along)
             if cot < best_cot:
                 best_cot, best_angle = cot, angle
@@ -234,31 +278,47 @@ def _skyline(
     inside = distance * (1.0 - 1e-9)
     middle = np.arccos(min(sphere, inside) / distance)
     top = min(sphere + highest, inside)
-    top_angle = np.arccos(top / distance)
+    before, rows = int(middle / SEGMENT) + 2, int(np.pi / SEGMENT) + 4
+    segments = _Segments(
+        -before,
+        np.zeros(rows, np.bool_),
+        np.empty((rows, 3, 3)),
+        np.empty(rows),
+        np.empty((rows, parts, 3)),
+    )
+    likely = 0
     for n in range(azimuths.size):
         azimuth = np.cos(azimuths[n]), np.sin(azimuths[n])
         best, best_angle = np.inf, middle
-        ahead, back, number = True, True, 0
+        ahead, back, number = True, True, -1
         while ahead or back:
+            # first where the azimuth before has its crest, which lets the others be jumped; then
             # alternately beyond the sphere's limb and before it
-            beyond = number % 2 == 0
-            start = middle + (number // 2 if beyond else -(number + 1) // 2) * SEGMENT
+            here = likely
+            if number >= 0:
+                here = number // 2 if number % 2 == 0 else -(number + 1) // 2
             number += 1
-            if not (ahead if beyond else back):
+            beyond = here >= 0
+            if not (ahead if beyond else back) or (here == likely and number > 0):
                 continue
-            low, high = max(start, 1e-9), min(start + SEGMENT, np.pi - 1e-9)
-            near = max(low, top_angle) if beyond else min(high, top_angle)
-            if low >= high or (number > 2 and _cot(distance, top, near) > best):
+            row = here + before
+            if not segments.made[row]:
+                _make_segment(segments, here, middle, distance, top)
+            edges = segments.edges[row]
+            if edges[0, 0] >= edges[2, 0] or segments.nearest[row] > best:
                 # from here on no ground of this body reaches the skyline found
                 ahead, back = ahead and not beyond, back and beyond
                 continue
-            centre = 0.5 * (low + high)
-            x, y, z = _direction(axes, azimuth, np.cos(centre), np.sin(centre))
+            x, y, z = _direction(axes, azimuth, edges[1, 1], edges[1, 2])
             radius = min(sphere + _bound(bounds, x, y, z), inside)
-            if _cot(distance, radius, min(max(np.arccos(radius / distance), low), high)) > best:
+            if _smallest_cot(distance, radius, edges) > best:
                 continue
-            segment = low, high, start, radius, parts
+            found_before = best
+            segment = edges, segments.samples[row], radius
             best, best_angle = _highest_of_segment(outlook, azimuth, segment, (best, best_angle))
+            if best < found_before:
+                highest_in = here
+        likely = highest_in
         best, best_angle = _refined(outlook, azimuth, 0.5 * step, (best, best_angle))
         _, radius = _ground_cot(outlook, azimuth, np.cos(best_angle), np.sin(best_angle))
         found[0, n], found[1, n], found[2, n] = np.arctan2(1.0, best), best_angle, radius

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from pyproj import CRS, Transformer
 
 from catalog.geometry.latlon import xyz_from_latlon
-from catalog.geometry.projection import Stereographic, node_grid, node_offsets
+from catalog.geometry.projection import Stereographic, TangentPlane, node_grid, node_offsets
 
 RADIUS_M = 1737400.0
 CENTRES = [(0.0, 0.0), (-43.3, -11.2), (60.0, 180.0), (-5.0, -180.0), (90.0, 0.0), (-90.0, 30.0)]
@@ -88,3 +88,12 @@ def test_nodes_are_centred_with_north_up_and_west_left(size):
     assert_allclose(x[0], node_offsets(size, 118.0))
     assert_allclose(np.diff(x, axis=1), 118.0)
     assert_allclose(np.diff(y, axis=0), -118.0)
+
+
+@pytest.mark.parametrize(
+    "projection", [Stereographic(0.4, -2.0, RADIUS_M), TangentPlane(0.4, -2.0, (5e3, 1e3, -2e3))]
+)
+def test_nodes_with_heights_are_the_points_of_their_places(projection):
+    heights = np.random.default_rng(6).uniform(-3e3, 3e3, (7, 7)).astype(np.float32)
+    points = projection.points(*node_grid(7, 118.0), heights)
+    assert_allclose(projection.nodes(heights, 118.0), points, rtol=1e-15)

@@ -99,6 +99,17 @@ def test_no_sample_of_the_ground_stands_above_the_skyline(height):
         assert below.max() < 60.0
 
 
+@pytest.mark.parametrize("height", [2e4, 2e7])
+def test_a_crest_is_the_same_whichever_azimuth_was_searched_before(height):
+    ground, position = LimbRelief(relief_of(rough(360)), 0.0), place(height)
+    axes = nadir_axes(position)
+    together = ground.skyline(position, axes, AZIMUTHS)
+    alone = [ground.skyline(position, axes, AZIMUTHS[k : k + 1]) for k in range(len(AZIMUTHS))]
+    for name in ("off_nadir", "range", "radius_m"):
+        each = [getattr(line, name)[0] for line in alone]
+        assert getattr(together, name).tolist() == each
+
+
 def test_tops_raise_the_skyline_by_their_share():
     heights = np.full((180, 360), 100.0, np.float32)
     position = place(1e5)

@@ -301,3 +301,13 @@ def test_without_an_image_circle_all_pixels_beyond_90_degrees_are_used(
     expected = angle + powers @ np.array(cam.coefficients or [0.0] * 4)
     radius = np.linalg.norm(pixels - cam.principal_point_px, axis=1) / cam.focal_length_px
     np.testing.assert_allclose(radius, expected, rtol=0.0, atol=1e-12)
+
+
+def test_an_equidistant_lens_keeps_every_angle_to_the_last_digits() -> None:
+    """Against the library's atan2, from the axis to behind the camera, in grids and alone."""
+    cam = camera("equidistant", focal_length_px=1.0, principal_point_px=(0.0, 0.0))
+    angles = np.concatenate([np.geomspace(1e-12, 0.1, 500), np.linspace(0.1, np.pi, 5001)[:-1]])
+    rays = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
+    wanted = np.arctan2(rays[:, 0], rays[:, 2])
+    for found in (cam.project(rays), cam.project_from_body(rays, np.zeros(3), np.eye(3))):
+        np.testing.assert_allclose(found[:, 0], wanted, rtol=1e-15)
