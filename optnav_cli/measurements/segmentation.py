@@ -90,7 +90,7 @@ def measure_levels(picture: Float32Array) -> Levels:
     mean = cv2.resize(picture, (cols, rows), interpolation=cv2.INTER_AREA)
     sky_mean = float(np.quantile(mean, SKY_QUANTILE))
     # neighbouring blocks of the same level are sky too; the scatter inside the blocks shows it
-    sample = picture[::2, ::2]
+    sample = np.ascontiguousarray(picture[::2, ::2])
     below = sample[sample <= sky_mean]  # its scatter no bright thing widens
     spread = float(np.sqrt(np.mean((below - sky_mean) ** 2))) if below.size else 0.0
     near = sample[np.abs(sample - sky_mean) <= max(4.0 * spread, 1.0)]
@@ -152,6 +152,12 @@ def without_blobs(
     picture: Float32Array, blobs: Blobs, labels: Sequence[int], sky: float
 ) -> Float32Array:
     """A picture (h, w) with the sky's level in place of some lit areas and of their blur."""
-    mask = np.isin(blobs.labels, labels).astype(np.uint8)
-    wide = cv2.dilate(mask, np.ones((2 * HALO_PX + 1, 2 * HALO_PX + 1), dtype=np.uint8))
-    return np.where(wide > 0, np.float32(sky), picture)
+    filled = picture.copy()
+    wide = np.ones((2 * HALO_PX + 1, 2 * HALO_PX + 1), dtype=np.uint8)
+    for number in np.flatnonzero(np.isin(blobs.label, labels)):
+        left, top, width, height = (int(value) for value in blobs.box[number])
+        rows = slice(max(top - HALO_PX, 0), top + height + HALO_PX)
+        cols = slice(max(left - HALO_PX, 0), left + width + HALO_PX)
+        mask = blobs.labels[rows, cols] == blobs.label[number]
+        filled[rows, cols][cv2.dilate(mask.view(np.uint8), wide) > 0] = sky
+    return filled

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from catalog.arrays import FloatArray, IntArray
+from catalog.arrays import FloatArray, Int32Array, IntArray
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import Ephemeris, Neighbour
+from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import angle_between, unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.segmentation import Blobs
@@ -115,9 +116,9 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
     for number in numbers:
         left, top, wide, high = (int(value) for value in blobs.box[number])
         label = int(blobs.label[number])
-        rows, cols = np.nonzero(blobs.labels[top : top + high, left : left + wide] == label)
-        some = slice(None, None, 1 + len(rows) // MAX_PIXELS)
-        rays = camera.unproject(np.stack([cols[some] + left, rows[some] + top], axis=1) * 1.0)
+        box = blobs.labels[top : top + high, left : left + wide]
+        pixels = _some_pixels(box, label, 1 + int(blobs.area[number]) // MAX_PIXELS)
+        rays = camera.unproject(pixels + np.array([left, top]))
         rays = rays[np.isfinite(rays).all(axis=1)]
         if not len(rays):
             continue
@@ -125,6 +126,21 @@ def spots_of(camera: Camera, blobs: Blobs, numbers: IntArray) -> list[Spot]:
         extent = float(np.linalg.norm(np.cross(rays, middle), axis=1).max())
         found.append(Spot(label, middle, extent, _rad_per_px(camera, middle)))
     return found
+
+
+@kernel
+def _some_pixels(labels: Int32Array, label: int, step: int) -> FloatArray:
+    """Every so many-th pixel x, y (n, 2) of a label, row by row."""
+    rows, cols = labels.shape
+    found, count, seen = np.empty((rows * cols // step + 1, 2)), 0, 0
+    for r in range(rows):
+        for c in range(cols):
+            if labels[r, c] == label:
+                if seen % step == 0:
+                    found[count, 0], found[count, 1] = c, r
+                    count += 1
+                seen += 1
+    return found[:count]
 
 
 def is_seen(disc: PredictedDisc, spot: Spot) -> bool:

@@ -210,7 +210,7 @@ def on_limb(
     first[1:] |= np.linalg.norm(np.diff(place, axis=0), axis=1) > 30.0
     kept = np.sort(index[order[first]])
     chosen = candidates.subset(kept)
-    return chosen, PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
+    return chosen, where.subset(kept)
 
 
 def bounded_by_sky(

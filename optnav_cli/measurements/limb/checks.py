@@ -7,7 +7,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import perpendicular_basis, unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.limb.candidates import BORDER_PX, MIN_BLOB_PIXELS, Candidates
-from optnav_cli.measurements.limb.cone import Cone, find_cone, pixel_rays, stretched_rays
+from optnav_cli.measurements.limb.cone import Cone, PixelRays, find_cone, stretched_rays
 from optnav_cli.measurements.segmentation import Blobs, Levels
 from optnav_cli.reasons import ReasonCode, told_apart
 
@@ -43,7 +43,7 @@ def check_blobs(picture: Float32Array, blobs: Blobs, levels: Levels, saturation:
             f"no limb in view: the body fills the picture ({100.0 * lit / picture.size:.0f} % lit)",
             ReasonCode.NO_SKY,
         )
-    share = float((picture >= saturation).sum()) / lit
+    share = float(np.count_nonzero(picture >= saturation)) / lit
     if share > MAX_SATURATED:
         raise NoSolutionError(
             f"saturated: {100.0 * share:.0f} % of the lit pixels are at full scale, "
@@ -134,17 +134,20 @@ def check_others(
     picture: Float32Array,
     camera: Camera,
     candidates: Candidates,
+    where: PixelRays,
     cone: Cone,
     levels: Levels,
     relief: float,
 ) -> None:
-    """Raises NoSolutionError for a second body, or for more light outside the limb than a rod's."""
-    where = pixel_rays(camera, candidates.pixels, cone.stretch)
+    """Raises NoSolutionError for a second body, or for more light outside the limb than a rod's.
+
+    where  the candidates' rays in the cone's space
+    """
     pixel = np.linalg.norm(where.by_x, axis=1)
     beyond = cone.depth(where.rays) < -(10.0 * pixel + relief * np.tan(cone.angle))
     outside = candidates.subset(beyond)
     if len(outside) >= 30:
-        _check_second(camera, outside, cone, relief)
+        _check_second(camera, outside, where.subset(beyond), cone, relief)
     rows, cols = np.mgrid[0 : picture.shape[0] : GRID_PX, 0 : picture.shape[1] : GRID_PX]
     lit = picture[::GRID_PX, ::GRID_PX] > levels.threshold
     pixels = np.stack([cols[lit], rows[lit]], axis=1).astype(np.float64)
@@ -159,8 +162,9 @@ def check_others(
         )
 
 
-def _check_second(camera: Camera, outside: Candidates, cone: Cone, relief: float) -> None:
-    where = pixel_rays(camera, outside.pixels, cone.stretch)
+def _check_second(
+    camera: Camera, outside: Candidates, where: PixelRays, cone: Cone, relief: float
+) -> None:
     second = find_cone(where, outside.gradient, cone.stretch, relief)
     if second is None:
         return

@@ -64,6 +64,10 @@ class PixelRays(NamedTuple):
     by_x: FloatArray
     by_y: FloatArray
 
+    def subset(self, kept: BoolArray | IntArray) -> "PixelRays":
+        """Those that a mask or an index array keeps."""
+        return PixelRays(self.rays[kept], self.by_x[kept], self.by_y[kept])
+
 
 def stretched_rays(camera: Camera, pixels: FloatArray, stretch: FloatArray) -> FloatArray:
     """Unit rays (..., 3) of pixels (..., 2) in the stretched space."""
@@ -106,6 +110,7 @@ def _score(
     """Agreement of candidates with the cone e.s = 1, each from 0 to 1; 0 if not over `least`."""
     length2 = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
     tangent = np.sqrt(length2 - 1.0)
+    far = 2.01 * (relief * tangent * tangent) ** 2
     total = 0.0
     for i in range(rays.shape[0]):
         if total + (rays.shape[0] - i) <= least:
@@ -113,6 +118,9 @@ def _score(
         value = rays[i, 0] * s[0] + rays[i, 1] * s[1] + rays[i, 2] * s[2] - 1.0
         gx = by_x[i, 0] * s[0] + by_x[i, 1] * s[1] + by_x[i, 2] * s[2]
         gy = by_y[i, 0] * s[0] + by_y[i, 1] * s[1] + by_y[i, 2] * s[2]
+        # most are far off, which needs no root to be seen: (a + b)^2 <= 2 a^2 + 2 b^2
+        if value * value > far + 2.01 * BASE_TOLERANCE_PX**2 * (gx * gx + gy * gy):
+            continue
         size = np.sqrt(gx * gx + gy * gy)
         # |s| sin(angle) = tan(angle): turns the value into rad, and rad into px by the slope
         tolerance = BASE_TOLERANCE_PX + relief * tangent * tangent / max(size, 1e-12)

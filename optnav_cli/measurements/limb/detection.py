@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.measurements.disc.fit import MAX_BENT_LIMB_PX, edge_bias_px
@@ -104,16 +104,17 @@ def find_limb(
     levels, blobs = areas.levels, areas.blobs
     checks.check_blobs(picture, blobs, levels, full)
     candidates = find_candidates(picture, camera, levels, blobs)
-    cone, on_edge = _first_cone(
-        picture, camera, candidates, levels.threshold, sun_camera, space, relief
+    everywhere = pixel_rays(camera, candidates.pixels, space)
+    cone, kept = _first_cone(
+        picture, camera, candidates, everywhere, levels.threshold, sun_camera, relief, space
     )
-    where = pixel_rays(camera, on_edge.pixels, space)
+    on_edge, where = candidates.subset(kept), everywhere.subset(kept)
     limb, where = on_limb(on_edge, where, cone, relief)
     pixel = float(np.median(np.linalg.norm(where.by_x, axis=1))) if len(limb) else 0.0
     arc = checks.arc_deg(cone, where.rays, 3.0, pixel)
     checks.check_arc(arc, len(limb))
     checks.check_sharp(sharpness(picture, limb))
-    checks.check_others(picture, camera, candidates, cone, levels, relief)
+    checks.check_others(picture, camera, candidates, everywhere, cone, levels, relief)
     checks.check_hidden(camera, cone, where.rays, sun_camera)
 
     limb, where = _thinned(cone, limb, where)
@@ -167,13 +168,13 @@ def _first_cone(
     picture: Float32Array,
     camera: Camera,
     candidates: Candidates,
+    where: PixelRays,
     threshold: float,
     sun_camera: FloatArray | None,
-    space: FloatArray,
     relief: float,
-) -> tuple[Cone, Candidates]:
-    """A first cone, and the candidates that may be lit limb."""
-    where = pixel_rays(camera, candidates.pixels, space)
+    space: FloatArray,
+) -> tuple[Cone, BoolArray]:
+    """A first cone, and which candidates may be lit limb; where: their rays in the space."""
     if sun_camera is None:
         kept = sharpness(picture, candidates) > SHARP_SHARE
     else:
@@ -192,12 +193,11 @@ def _first_cone(
             ReasonCode.NO_LIMB,
         )
     lit = candidates.subset(kept)
-    where = PixelRays(where.rays[kept], where.by_x[kept], where.by_y[kept])
-    found = find_cone(where, lit.gradient, space, relief)
+    found = find_cone(where.subset(kept), lit.gradient, space, relief)
     if found is None or found[1].sum() < MIN_POINTS:
         text = f"no limb in view: no curve joins the {len(lit)} edges of the picture"
         raise NoSolutionError(text, ReasonCode.NO_LIMB)
-    return found[0], lit
+    return found[0], kept
 
 
 def _thinned(cone: Cone, limb: Candidates, where: PixelRays) -> tuple[Candidates, PixelRays]:
@@ -206,4 +206,4 @@ def _thinned(cone: Cone, limb: Candidates, where: PixelRays) -> tuple[Candidates
         return limb, where
     order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
     some = order[np.linspace(0, len(order) - 1, MAX_POINTS).astype(np.int64)]
-    return limb.subset(some), PixelRays(where.rays[some], where.by_x[some], where.by_y[some])
+    return limb.subset(some), where.subset(some)
