@@ -336,11 +336,11 @@ def project_body_points(
             x = r[0, 0] * dx + r[0, 1] * dy + r[0, 2] * dz
             y = r[1, 0] * dx + r[1, 1] * dy + r[1, 2] * dz
             z = r[2, 0] * dx + r[2, 1] * dy + r[2, 2] * dz
-            if model == PINHOLE:
+            if model != FISHEYE:
                 pixels[i, 0], pixels[i, 1] = _pixel(model, p, x, y, z)
             else:
                 pixels[i, 0], pixels[i, 1], across2[k], depth[k] = x, y, x * x + y * y, z
-        if model == PINHOLE:
+        if model != FISHEYE:
             continue
         # a loop of its own over plain arrays: the processor takes several points at once
         for k in range(size):
@@ -350,7 +350,7 @@ def project_body_points(
             u, v = p[0] * (across2[k] * pixels[i, 0]), p[0] * (across2[k] * pixels[i, 1])
             inside = u * u + v * v <= p[CIRCLE] * p[CIRCLE]
             pixels[i, 0] = u + p[1] if inside else math.nan
-            pixels[i, 1] = v + p[2] if inside else math.nan
+            pixels[i, 1] = p[ASPECT] * v + p[2] if inside else math.nan
 
 
 @kernel

@@ -131,7 +131,7 @@ def match_point(
         spread = match.covariance * step**2
         match = match._replace(dx=match.dx * step, dy=match.dy * step, covariance=spread)
     shift, jacobian = _displacement(pixels, match, plan.template_nodes)
-    expected = camera.project_from_body(reference.point.xyz_m, pose.position_m, camera_from_body)
+    expected = camera.project_from_body(reference.place_m, pose.position_m, camera_from_body)
     place = expected + shift
     part = None
     if blur_nodes:
@@ -217,8 +217,8 @@ def _displacement(
     must not matter, least of all at coarse levels, which flatten a crest.
     """
     border = (pixels.shape[0] - template_nodes) // 2
-    col = float(np.clip(border + match.dx, 0.0, 2.0 * border - 1e-9))
-    row = float(np.clip(border + match.dy, 0.0, 2.0 * border - 1e-9))
+    most = 2.0 * border - 1e-9
+    col, row = (min(max(border + float(by), 0.0), most) for by in (match.dx, match.dy))
     c, r = int(col), int(row)
     u, v = col - c, row - r
     # upper left corners: four blocks about the match, and the expected one with its neighbours

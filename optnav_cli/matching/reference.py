@@ -39,6 +39,11 @@ class Reference:
             return self.point.tangent_plane(self.planes_on_m)
         return self.point.projection(self.radius_m)
 
+    @cached_property
+    def place_m(self) -> FloatArray:
+        """The control point (3,), m, body frame."""
+        return self.point.xyz_m
+
     def heights(self, level: int, size: int) -> Float32Array:
         """A centred window of `size` nodes at a level's posting, coarser levels where it is wider.
 

@@ -62,6 +62,12 @@ class Blobs:
     def __len__(self) -> int:
         return len(self.area)
 
+    def reaches_border(self, number: int) -> bool:
+        """Whether an area reaches the picture's edge."""
+        left, top, width, height = (int(value) for value in self.box[number])
+        rows, cols = self.labels.shape
+        return bool(left == 0 or top == 0 or left + width == cols or top + height == rows)
+
 
 class Segmented:
     """A picture (h, w) whose levels and lit areas are made once, for all who ask for them."""
@@ -97,7 +103,7 @@ def measure_levels(picture: Float32Array) -> Levels:
     sky = float(near.mean()) if near.size else sky_mean
     variance = float(near.var()) if near.size else 0.0
     noise = float(np.sqrt(max(variance, ROUNDING_VARIANCE)))
-    peak = float(cv2.blur(picture, (3, 3)).max())
+    peak = _peak(picture)
     if peak - sky < MIN_CONTRAST_SIGMAS * noise and mean.std() > max(0.25 * noise, 1.0):
         # pixels of noise alone average out in a block
         raise NoSolutionError(
@@ -116,6 +122,22 @@ def measure_levels(picture: Float32Array) -> Levels:
     bright = float(np.median(rough[:: 1 + rough.size // 10_000])) if rough.size else peak
     rise = max(THRESHOLD_SIGMAS * noise, THRESHOLD_SHARE * (bright - sky))
     return Levels(sky, noise, bright, peak, sky + rise)
+
+
+@kernel
+def _peak(picture: Float32Array) -> float:
+    """Highest mean of 3 x 3 pixels, those beyond the edge mirrored at it."""
+    rows, cols = picture.shape
+    line, highest = np.empty(cols), -np.inf
+    for r in range(rows):
+        above, below = min(abs(r - 1), rows - 1), r + 1 if r + 1 < rows else max(rows - 2, 0)
+        for c in range(cols):
+            line[c] = float(picture[above, c]) + picture[r, c] + picture[below, c]
+        for c in range(1, cols - 1):
+            highest = max(highest, line[c - 1] + line[c] + line[c + 1])
+        first, last = min(1, cols - 1), max(cols - 2, 0)
+        highest = max(highest, line[0] + 2.0 * line[first], line[cols - 1] + 2.0 * line[last])
+    return float(np.float32(highest / 9.0))
 
 
 def lit_blobs(picture: Float32Array, threshold: float) -> Blobs:

@@ -5,6 +5,7 @@ attitude separate them: a disc taken for the Moon gives a position, and from the
 one direction and one size. Light time and aberration move it by 20" and 2 km, which is left out.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +82,12 @@ def other_body(motion: Ephemeris, tdb_s: float) -> OtherBody | None:
     if name is None:
         return None
     centre = motion.body_from_inertial(tdb_s) @ motion.position_m(name, tdb_s)
-    return OtherBody(name, np.asarray(centre), load_body(name).radius_m)
+    return OtherBody(name, np.asarray(centre), _radius_m(name))
+
+
+@cache
+def _radius_m(name: str) -> float:
+    return load_body(name).radius_m
 
 
 def predicted(

@@ -141,7 +141,6 @@ def find_limb(
     cone = fit_cone(where, np.ones(len(pixels), dtype=bool), cone) or cone
     _, inward = distances(cone, where)
     order = np.argsort(checks.azimuths(cone, where.rays), kind="stable")
-    body = blobs.labels == blobs.label[0]
     return LimbPoints(
         pixels=pixels[order],
         sigma_px=sigma[order],
@@ -152,7 +151,7 @@ def find_limb(
         cone_angle=cone.angle,
         arc_deg=checks.arc_deg(cone, where.rays, 3.0, pixel),
         lit_pixels=int(blobs.area[0]),
-        cut_by_frame=bool(body[[0, -1]].any() or body[:, [0, -1]].any()),
+        cut_by_frame=blobs.reaches_border(0),
     )
 
 

@@ -311,3 +311,10 @@ def test_an_equidistant_lens_keeps_every_angle_to_the_last_digits() -> None:
     wanted = np.arctan2(rays[:, 0], rays[:, 2])
     for found in (cam.project(rays), cam.project_from_body(rays, np.zeros(3), np.eye(3))):
         np.testing.assert_allclose(found[:, 0], wanted, rtol=1e-15)
+
+
+def test_a_fisheye_with_oblong_pixels_sees_grids_as_it_sees_single_points() -> None:
+    cam = camera("kannala_brandt", FISHEYE, focal_length_px=250.0, focal_length_y_px=275.0)
+    points = scattered_points()
+    grid = cam.project_from_body(points, np.zeros(3), np.eye(3))
+    np.testing.assert_array_equal(grid, cam.project(points))
