@@ -5,7 +5,7 @@ attitudes, those of a star sensor and flights without a prior.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from catalog.errors import NothingToDoError
 from catalog.files import starts_with, write_output
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
+from catalog.terrain.dem.file import path_of
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder, write_folder
@@ -63,6 +64,14 @@ def rows_named(rows: Sequence[R], part: str) -> list[R]:
     if not chosen:
         raise NothingToDoError(f"no row of the study is called '{part}'")
     return chosen
+
+
+def check_shared_files(scenarios: Iterable[str]) -> None:
+    """Raise ConfigError for a shared albedo map that shipped scenarios need and that is missing."""
+    for name in scenarios:
+        albedo_map = load_scenario(resource(f"configs/scenarios/{name}.toml")).world.albedo_map
+        if albedo_map:
+            path_of(albedo_map.path, Path.cwd())
 
 
 def shipped_pictures(output: Path, name: str, frames: int | None, progress: Progress) -> Path:

@@ -48,13 +48,13 @@ class FlightCase(flights.Case):
 
 REAL_SHNK = ("real_shnk_100km", "real_shnk_200km", "real_shnk_400km")
 ROWS = (
-    FlightCase("real unk 200 km, 1° cells", ("real_unk_200km",), 1.0, 30.0, 70.0),
-    FlightCase("real unk 200 km, 0.25° cells", ("real_unk_200km",), 0.25, 15.0, 60.0),
-    FlightCase("real unk 400 km, 1° cells", ("real_unk_400km",), 1.0, 20.0, 40.0),
-    FlightCase("real unk 400 km, 0.25° cells", ("real_unk_400km",), 0.25, 15.0, 20.0),
-    FlightCase("real shnk 100-400 km, 1° cells", REAL_SHNK, 1.0, 12.0, 12.0),
+    FlightCase("real, 1° cells: unk 200 km", ("real_unk_200km",), 1.0, 30.0, 70.0),
+    FlightCase("real, 0.25° cells: unk 200 km", ("real_unk_200km",), 0.25, 15.0, 60.0),
+    FlightCase("real, 1° cells: unk 400 km", ("real_unk_400km",), 1.0, 20.0, 40.0),
+    FlightCase("real, 0.25° cells: unk 400 km", ("real_unk_400km",), 0.25, 15.0, 20.0),
+    FlightCase("real, 1° cells: shnk 100-400 km", REAL_SHNK, 1.0, 12.0, 12.0),
     FlightCase(
-        "real far side 400 km, 474 m, 1° cells", ("real_farside_400km",), 1.0, 30.0, 75.0, "farside"
+        "real, 1° cells of 474 m: unk 400 km", ("real_farside_400km",), 1.0, 30.0, 75.0, "farside"
     ),
     FlightCase("unk 200 km, 1° cells", ("unk_200km",), 1.0, 30.0, 150.0),
     FlightCase("unk 200 km, 0.5° cells", ("unk_200km",), 0.5, 20.0, 80.0),
@@ -88,8 +88,10 @@ def run(
     output  folder for catalogs, pictures, runs and figures.json
     frames  pictures of a scenario, its own number when None
     rows    only rows whose name contains this
+    Raises ConfigError where a row needs shared data that are not named.
     """
     chosen = flights.rows_named(ROWS, rows)
+    flights.check_shared_files(name for row in chosen for name in row.scenarios)
     make_folder(output)
     results: list[FlightResult] = []
     for row in chosen:

@@ -183,7 +183,9 @@ STUDIES = (
         "The accuracy table, from simulated flights over richer ground.",
         """Fly, navigate and evaluate every row of the accuracy table.
 
-        All pictures take one to two hours on two cores; --frames 10 gives a first look.""",
+        Rows called real fly over ground that differs from the terrain model as the Moon differs
+        from GLD100; that of 474 m needs the map in the folder that OPTNAV_SHARED_DATA names. All
+        pictures take two to four hours on two cores; --frames 10 gives a first look.""",
         '--frames 10 --rows "unk 200"',
         _flights("navigation", _RUNS, "unk 200"),
     ),

@@ -5,11 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from catalog.config import resource
+from catalog.errors import ConfigError
+from catalog.progress import SilentProgress
 from optnav_cli.evaluation.evaluation import Evaluation
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.studies.flights import GROUNDS
-from optnav_cli.studies.navigation import ROWS, FlightResult, report
+from optnav_cli.studies.navigation import ROWS, FlightResult, report, run
 from tests.optnav_cli.rows import solved, unsolved
 
 UTC = "2026-01-01T00:00:00Z"
@@ -39,6 +41,13 @@ def test_each_ground_has_a_table_and_that_of_real_scenarios_comes_first() -> Non
     tables = report(results).tables
     assert [table.title for table in tables] == list(GROUNDS)
     assert [table.column("case") for table in tables] == [[REAL.name], [OWN.name]]
+
+
+def test_the_map_that_a_row_needs_is_asked_for_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.delenv("OPTNAV_SHARED_DATA", raising=False)
+    with pytest.raises(ConfigError, match="OPTNAV_SHARED_DATA"):
+        run(tmp_path / "out", SilentProgress(), rows="474 m")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_row_of_which_nothing_is_solved_has_a_line_of_dashes() -> None:
