@@ -51,6 +51,9 @@ COMMANDS = {
     "check": Entry(f"{_HERE}.build", "Build stage 4: check the chosen points.", "check"),
     "write": Entry(f"{_HERE}.build", "Build stage 5: write the catalog file.", "write"),
     "catalog": Entry(f"{_HERE}.catalog", "Look at, verify and export a catalog."),
+    "import": Entry(
+        _PICTURES, "Make a picture folder of an archive's pictures.", "import_pictures"
+    ),
     "simulate": Entry(_PICTURES, "Make a folder of pictures with known positions.", "simulate"),
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
     "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),

@@ -37,6 +37,12 @@ def load_scenario(path: Path) -> object:
     return load_scenario(path)
 
 
+def load_import(path: Path) -> object:
+    from optnav_cli.frames.archive_frame import load_table
+
+    return load_table(path)
+
+
 def load_navigate(path: Path) -> object:
     from optnav_cli.navigation.settings import NavigateSettings
 
@@ -55,6 +61,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "catalogs": load_build,
     "models": load_model,
     "scenarios": load_scenario,
+    "imports": load_import,
     "templates/build": load_build,
     "templates/scenario": load_scenario,
     "templates/navigate": load_navigate,

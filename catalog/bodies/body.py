@@ -255,6 +255,9 @@ def read_body(path: Path) -> Body:
             f"{path}: plausible_heights_km is [{lowest_km}, {highest_km}]; "
             "wanted [lowest, highest], the lowest above the body's centre"
         )
+    if isinstance(settings.sun, SunOrbit) and settings.sun.years[0] >= settings.sun.years[1]:
+        years = list(settings.sun.years)
+        raise ConfigError(f"{path}: [sun] years is {years}; wanted the first and the last year")
     x_km, y_km, z_km = settings.radii_km
     return Body(
         name=settings.name,

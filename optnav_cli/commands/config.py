@@ -46,6 +46,11 @@ KINDS = {
         "bundled:NAME",
         "optnav build bundled:NAME -o catalog.gpkg",
     ),
+    "imports": ShippedKind(
+        ("configs/imports/near_msi.toml", "*.toml"),
+        "NAME",
+        "optnav import FILES --table NAME -o pictures, where its labels are not recognised",
+    ),
     "data": ShippedKind(
         ("data/phobos_thomas.tab", "*.t[ai][bf]"),
         "bundled:NAME",
@@ -69,7 +74,7 @@ def command() -> None:
 @click.argument("kind", type=click.Choice([*KINDS]), required=False)
 @json_option
 def list_shipped(kind: str | None, as_json: bool) -> None:
-    """List the cameras, bodies, scenarios, catalogs and data that ship with optnav.
+    """List the cameras, bodies, scenarios, catalogs, import tables and data that ship with optnav.
 
     Each with its name, as configs and command lines take it, and what it is. KIND shows one kind.
 

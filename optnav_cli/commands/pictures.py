@@ -188,6 +188,51 @@ def evaluate(run: Path, truth: Path, as_json: bool, **limits: Any) -> None:
     check_limits(figures, wanted)
 
 
+@click.command(
+    "import", cls=OptnavCommand, short_help="Make a picture folder of an archive's pictures."
+)
+@click.argument("files", type=PATH, nargs=-1, required=True)
+@output_option("Picture folder to make; an earlier import in it is replaced.")
+@click.option("--table", metavar="NAME", help="Table of keywords: a shipped one's name or a path.")
+@click.option("--camera", metavar="NAME", help="The camera, where the table names none or another.")
+@click.option("--body", metavar="NAME", help="The body, where the labels name none or another.")
+@click.option(
+    "--picture",
+    "pictures",
+    type=PATH,
+    multiple=True,
+    help="The picture, in place of that of the label; once for each of FILES.",
+)
+@click.option(
+    "--kernel",
+    "kernels",
+    type=PATH,
+    multiple=True,
+    help="A SPICE kernel, for how the body turns; of a list of times where the camera is, too.",
+)
+def import_pictures(files: tuple[Path, ...], output: Path, **given: Any) -> None:
+    """Make a picture folder of FILES: pictures of an archive with the geometry of their labels.
+
+    FILES are ISIS cubes with the tables of spiceinit, PDS3 or PDS4 labels, FITS files, lists of
+    settings, or a .csv with the columns file and utc, whose geometry SPICE kernels have. What their
+    keywords mean says a table of the mission's camera; one that ships is taken where it fits.
+
+    The geometry becomes priors with the errors that such labels have. What is not known is said, a
+    line each; a file that cannot be used is left out, with the reason.
+
+    \b
+    Example:
+      optnav import m0126865998f4_2p_iof.fit -o eros
+      optnav import *.lbl -o comet
+      optnav import AS15-M-0297.cub --picture AS15-M-0297.png -o apollo
+      optnav import times.csv --table my.toml --kernel craft.bsp --kernel craft.bc -o pictures
+    """
+    from optnav_cli.runs.import_folder import ImportOptions, import_folder
+
+    tell(import_folder(files, output, ImportOptions(**given)).remarks)
+    click.echo(output)
+
+
 @click.command("export", cls=OptnavCommand)
 @path_argument("run")
 @output_option("The layers, a GeoPackage (.gpkg); an earlier export is replaced.", (".gpkg", ""))

@@ -68,6 +68,8 @@ FRAMES = CsvTable(
     together=(QUATERNION, POSITION, SUN),
 )
 
+TIMES = CsvTable((FILE, UTC), by_hand=True)
+
 TRUTH = CsvTable(
     (
         *(FILE, UTC, *_position("true position of the camera", ".4f", empty=False)),

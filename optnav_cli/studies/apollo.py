@@ -13,9 +13,10 @@ from catalog.config import resource
 from catalog.geometry.rotations import rnb_axes
 from catalog.places import make_folder
 from catalog.progress import Progress
-from optnav_cli.frames.isis_cube import apollo_frame, read_cube_pose, write_apollo_folder
+from optnav_cli.frames.isis_cube import read_cube_pose
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.runs.frame_worker import RunInputs
+from optnav_cli.runs.import_folder import ImportOptions, import_folder
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
@@ -33,10 +34,10 @@ def run(output: Path, progress: Progress, matcher: str = "ncc") -> tuple[Cell, .
     pictures, place = output / "pictures", output / f"run-{matcher}"
     build.run(resource("configs/catalogs/farside.toml"), output=catalog, progress=progress)
     picture, cube = resource(PICTURE), resource(CUBE)
-    write_apollo_folder(picture, cube, pictures)
+    (label,) = import_folder([cube], pictures, ImportOptions(pictures=(picture,))).frames
     navigate_folder(RunInputs(pictures, [catalog], matcher=matcher), place, progress)
     found = read_run(place)
-    solution, label = found.solutions[0], apollo_frame(cube, picture.name)
+    solution = found.solutions[0]
     if (
         solution.position_m is None
         or solution.covariance_m2 is None

@@ -18,7 +18,6 @@ from catalog.store.reader import Catalog
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import Solution
 from optnav_cli.frames.folder import Folder, read_folder, write_folder
-from optnav_cli.frames.isis_cube import write_apollo_folder
 from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import MatchGates, match_point
@@ -33,6 +32,7 @@ from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.overlay import overlay_png
 from optnav_cli.output.recording import Recording, recorded_image
 from optnav_cli.runs.frame_worker import MATCHERS, FrameWorker, RunInputs
+from optnav_cli.runs.import_folder import ImportOptions, import_folder
 from optnav_cli.runs.inputs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
@@ -64,7 +64,8 @@ def scene(tmp_path_factory) -> Iterator[Scene]:
     build.run(
         resource("configs/catalogs/farside.toml"), output=catalog, bbox=(138.0, -25.0, 150.0, -13.0)
     )
-    write_apollo_folder(resource(PICTURE), resource(CUBE), place / "pictures")
+    options = ImportOptions(pictures=(resource(PICTURE),))
+    import_folder([resource(CUBE)], place / "pictures", options)
     folder = read_folder(place / "pictures")
     with Catalog.open(catalog) as opened:
         yield Scene(folder, open_field([opened], folder.body))

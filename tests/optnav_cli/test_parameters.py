@@ -200,7 +200,7 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
     stages = {"build", "ingest", "render", "select", "check", "write"}
     assert folders == (
         {((name,), "work") for name in stages}
-        | {((name,), "output") for name in ("simulate", "navigate", "demo")}
+        | {((name,), "output") for name in ("simulate", "navigate", "demo", "import")}
         | {(("study", name), "output") for name in studies}
         | {(("config", "template"), "output")}
     )

@@ -109,3 +109,11 @@ def edited(tmp_path: Path, old: str, new: str) -> Path:
 def test_a_wrong_body_file_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         read_body(edited(tmp_path, old, new))
+
+
+def test_an_orbit_that_serves_in_no_year_is_refused(tmp_path: Path) -> None:
+    text = (BODIES / "eros.toml").read_text()
+    path = tmp_path / "eros.toml"
+    path.write_text(text.replace("[1991.0, 2006.0]", "[2006.0, 1991.0]"))
+    with pytest.raises(ConfigError, match=r"\[sun\] years is \[2006.0, 1991.0\]; wanted"):
+        read_body(path)

@@ -14,9 +14,10 @@ from catalog.geometry.projection import Stereographic, node_grid
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.frames import Frame
-from optnav_cli.frames.isis_cube import CAMERA, CAMERA_FROM_ISIS, apollo_frame, write_apollo_folder
 from optnav_cli.frames.picture import load_picture
+from optnav_cli.runs.import_folder import ImportOptions, import_folder
 
+CAMERA = "apollo15_metric"
 RADIUS = 1737400.0
 POSTING = 474.0
 NODES, TEMPLATE, MARGIN = 300, 200, 20
@@ -89,10 +90,11 @@ def best_correlation(
 
 
 def test_only_this_orientation_of_the_eight_fits_the_terrain(
-    cube: Path, photo: Path, dem: Path
+    cube: Path, photo: Path, dem: Path, tmp_path: Path
 ) -> None:
     """Measured: 0.87 at 1.7 km from the label's place, and 0.10 for the next best."""
-    frame = apollo_frame(cube, photo.name)
+    options = ImportOptions(pictures=(photo,))
+    (frame,) = import_folder([cube], tmp_path / "pictures", options).frames
     image = cv2.GaussianBlur(load_picture(photo, preset_camera(CAMERA)).values, (0, 0), 1.2)
     scores = []
     for swap in (np.eye(3), np.eye(3)[[1, 0, 2]]):
@@ -120,17 +122,11 @@ def test_the_cube_runs_as_the_picture_does(cube: Path, photo: Path) -> None:
     assert row == pytest.approx(3996.5 / 22900 * 1013, abs=2.0)
 
 
-def test_the_camera_frame_is_a_rotation_of_the_isis_one() -> None:
-    """A mirrored frame would be a mistake in the convention, not a convention."""
-    np.testing.assert_allclose(np.linalg.det(CAMERA_FROM_ISIS.as_matrix()), 1.0)
-    np.testing.assert_allclose(CAMERA_FROM_ISIS.apply([0.0, 0.0, -1.0]), [0.0, 0.0, 1.0])
-
-
 def test_the_folder_reads_back_with_its_footprint_in_the_crop(
     cube: Path, photo: Path, tmp_path: Path
 ) -> None:
-    write_apollo_folder(photo, cube, tmp_path)
-    folder = read_folder(tmp_path)
+    import_folder([cube], tmp_path / "pictures", ImportOptions(pictures=(photo,)))
+    folder = read_folder(tmp_path / "pictures")
     (frame,) = folder.frames
     assert frame.problem is None
     assert frame.attitude_sigma_rad is None
@@ -149,3 +145,24 @@ def test_the_folder_reads_back_with_its_footprint_in_the_crop(
     # north is up and east is right in the picture
     assert lat[0] > lat[3]
     assert lon[1] > lon[0]
+
+
+def test_a_cropped_cube_gets_the_camera_of_its_part(
+    cube: Path, photo: Path, tmp_path: Path
+) -> None:
+    """The same ground is seen at the same place of both pictures, to a pixel of the smaller one."""
+    import_folder([cube], tmp_path / "part")
+    import_folder([cube], tmp_path / "whole", ImportOptions(pictures=(photo,)))
+    part, whole = (read_folder(tmp_path / name) for name in ("part", "whole"))
+    (crop,), (camera,) = part.cameras.values(), whole.cameras.values()
+    assert crop.shape == (500, 500)
+    pixels = np.array([[20.0, 30.0], [470.0, 40.0], [250.0, 480.0]])
+    in_whole = camera.project(crop.unproject(pixels))
+    small = load_picture(part.picture_path(part.frames[0]), crop).values
+    large = load_picture(whole.picture_path(whole.frames[0]), camera).values
+    factor = camera.focal_length_px / crop.focal_length_px
+    back = cv2.resize(small, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    scores = cv2.matchTemplate(large, back, cv2.TM_CCOEFF_NORMED)
+    row, column = np.unravel_index(scores.argmax(), scores.shape)
+    expected = (pixels + 0.5) * factor - 0.5 + (column, row)
+    np.testing.assert_allclose(in_whole, expected, atol=1.5)

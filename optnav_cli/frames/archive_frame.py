@@ -1,0 +1,304 @@
+"""From the label of an archive's picture to a frame: a table of keywords says where things stand.
+
+A table is a TOML file, one a mission's camera (configs/imports). Vectors are put together from
+keywords, brought to metres and to the body's axes; attitudes are a quaternion against the stars, or
+right ascension and declination of the boresight with the clock angle of north.
+
+Labels of archives are off: on 75 pictures of comet 67P by 0.7 deg against the comet's shape (0.65
+deg of it in the body's axes), on Apollo 15 frame 0297 by 0.33 deg and 1.3 km. So a table's sigmas
+are those of what a label of its kind is off by, and where it states none, the defaults below.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import FloatArray
+from catalog.bodies.ephemeris import Ephemeris
+from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s, utc_to_tdb_s
+from catalog.bodies.kernels import KernelSet
+from catalog.config import load_toml
+from catalog.errors import ConfigError, DataError
+from catalog.geometry.vectors import unit
+from optnav_cli.frames.archive_label import ArchiveLabel, LabelFormat
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.isis_cube import CubePose
+
+ATTITUDE_SIGMA_DEG = 0.5  # an axis
+POSITION_SIGMA_M = 1000.0  # a component
+# The Sun and the rotation by a label and by the body file: further apart, one of both is of another
+# body, time or frame. Poles of one asteroid by two reports differ by 0.8 deg.
+MAX_APART_DEG = 2.0
+UNIX_EPOCH = "1970-01-01T00:00:00Z"
+Degrees = Annotated[float, msgspec.Meta(gt=0.0, le=180.0)]
+Sigma = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
+Scale = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
+Keys = tuple[str, ...]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
+
+
+class TimeKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Keyword of the time: UTC as text, unix seconds, or seconds of a clock that began at a UTC.
+
+    exposure  keyword of the exposure time, half of which is added; exposure_s  its unit
+    """
+
+    utc: str = ""
+    unix: str = ""
+    clock: str = ""
+    clock_began_utc: str = ""
+    exposure: str = ""
+    exposure_s: Scale = 1.0
+
+
+class VectorKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Keywords of a vector: that of `keys` less that of `minus`, "-KEY" being negated.
+
+    unit_m  metres a unit;  axes  of the stars, of the body, or of the camera
+    """
+
+    keys: Keys
+    minus: Keys = ()
+    unit_m: Scale = 1000.0
+    axes: Literal["inertial", "body", "camera"] = "inertial"
+
+
+class AttitudeKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Keywords of the attitude, one of both.
+
+    quaternion  scalar first, of the rotation taking vectors of the stars' axes to the label's frame
+    boresight   its right ascension, its declination and the clock angle of celestial north, from
+                the picture's top clockwise, deg
+    """
+
+    quaternion: Keys = ()
+    boresight: Keys = ()
+
+
+class SpiceKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How SPICE kernels name the craft (a NAIF number) and the frame of its camera."""
+
+    craft: int
+    frame: str
+
+
+class ImportTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A table of keywords.
+
+    format             of the labels; "isis": the tables of a cube; "times": a list of times, whose
+                       geometry SPICE kernels have
+    match              keywords with what their values begin with: the labels that it is for
+    camera, body       a name of those that ship, or a path from the table's folder; may be left out
+                       and named on the command line; a body may be the label's target
+    target             keyword of the body's name, which must agree with `body`
+    picture            name of the picture, "{stem}" being the label's without its ending; else the
+                       label's own file has it
+    camera_from_frame  rotation, row by row, from the label's frame to the camera's: x right, y
+                       down, z along the boresight
+    attitude_sigma_deg, position_sigma_m  what labels of this kind are off by, 1 sigma an axis
+    attitude_free      the attitude is a first guess only
+    unknown            what the labels do not say, a line each
+    """
+
+    format: LabelFormat | Literal["isis", "times"]
+    match: dict[str, str] = {}
+    camera: str = ""
+    body: str = ""
+    target: str = ""
+    picture: str = ""
+    camera_from_frame: Nine = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    time: TimeKeys = TimeKeys()
+    attitude: AttitudeKeys = AttitudeKeys()
+    position: VectorKeys | None = None
+    sun: VectorKeys | None = None
+    spice: SpiceKeys | None = None
+    attitude_sigma_deg: Degrees | None = None
+    attitude_free: bool = False
+    position_sigma_m: Sigma | None = None
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def rotation(self) -> Rotation:
+        """camera_from_frame."""
+        return Rotation.from_matrix(np.reshape(self.camera_from_frame, (3, 3)))
+
+    def missing_sigmas(self) -> list[str]:
+        """The sigmas that the table leaves to the defaults, in words."""
+        found = []
+        if self.attitude_sigma_deg is None and not self.attitude_free:
+            found.append(f"attitude {ATTITUDE_SIGMA_DEG:g} deg")
+        if self.position_sigma_m is None:
+            found.append(f"position {POSITION_SIGMA_M:g} m")
+        return found
+
+
+def load_table(path: Path) -> ImportTable:
+    """A table of keywords. Raises ConfigError for a wrong file."""
+    table = load_toml(path, ImportTable)
+    matrix = np.reshape(table.camera_from_frame, (3, 3))
+    if not np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-5 or np.linalg.det(matrix) < 0.0:
+        raise ConfigError(f"{path}: camera_from_frame is no rotation; wanted right-handed axes")
+    if table.format == "times" and table.spice is None:
+        raise ConfigError(f'{path}: format "times" needs [spice] craft and frame')
+    counts = len(table.attitude.quaternion), len(table.attitude.boresight)
+    if table.format not in ("isis", "times") and counts not in ((4, 0), (1, 0), (0, 3), (0, 1)):
+        raise ConfigError(f"{path}: [attitude] wants 4 keys of a quaternion or 3 of a boresight")
+    stated = [key for key in (table.time.utc, table.time.unix, table.time.clock) if key]
+    if table.format not in ("isis", "times") and len(stated) != 1:
+        raise ConfigError(f"{path}: [time] wants one of utc, unix, clock")
+    if table.time.clock:
+        utc_to_tdb_s(table.time.clock_began_utc)
+    return table
+
+
+@dataclass(frozen=True)
+class FrameMaker:
+    """Makes frames by one table; motion says how the body turns, kernels where the craft is."""
+
+    table: ImportTable
+    camera: str
+    motion: Ephemeris
+    kernels: KernelSet | None = None
+
+    def of_label(self, label: ArchiveLabel, file: str) -> Frame:
+        """The frame that a label describes. Raises DataError for what it does not state."""
+        table = self.table
+        utc, tdb_s = _time(label, table.time)
+        camera_from_inertial = table.rotation * _attitude(label, table.attitude)
+        body_from_inertial = Rotation.from_matrix(self.motion.body_from_inertial(tdb_s))
+        camera_from_body = camera_from_inertial * body_from_inertial.inv()
+        body_from = {
+            "inertial": body_from_inertial,
+            "body": Rotation.identity(),
+            "camera": camera_from_body.inv(),
+        }
+        position, sun = (
+            None if keys is None else body_from[keys.axes].apply(_vector(label, keys))
+            for keys in (table.position, table.sun)
+        )
+        return self._frame(label.path, file, (utc, tdb_s), camera_from_body, position, sun)
+
+    def of_cube(self, path: Path, pose: CubePose, file: str) -> Frame:
+        """The frame that the tables of an ISIS cube describe. Raises DataError."""
+        theory = Rotation.from_matrix(self.motion.body_from_inertial(pose.tdb_s))
+        apart = float(np.degrees((theory * pose.body_from_inertial.inv()).magnitude()))
+        if apart > MAX_APART_DEG:
+            raise DataError(
+                f"{path}: its body rotation is {apart:.3g} deg from that of the body "
+                f"{self.motion.body.name}; name the body that it shows (--body)"
+            )
+        attitude = self.table.rotation * pose.isis_from_body
+        time = (pose.utc + "Z", pose.tdb_s)
+        return self._frame(path, file, time, attitude, pose.position_m, pose.sun_body)
+
+    def of_time(self, path: Path, file: str, utc: str) -> Frame:
+        """The frame of a time by SPICE kernels. Raises DataError where they do not reach."""
+        spice, body, kernels = self.table.spice, self.motion.body, self.kernels
+        if spice is None or body.spice is None or kernels is None:
+            raise DataError(
+                f"{path}: a list of times needs SPICE kernels (--kernel), a table with [spice] and "
+                "a body whose file has [spice]"
+            )
+        tdb_s = utc_to_tdb_s(utc)
+        seen_from = next(filter(kernels.has_orbit, body.spice.naif), body.spice.naif[0])
+        craft = kernels.position_m(spice.craft, seen_from, tdb_s, apparent=False)
+        attitude = Rotation.from_matrix(kernels.rotation(spice.frame, tdb_s))
+        body_from_inertial = Rotation.from_matrix(self.motion.body_from_inertial(tdb_s))
+        position = body_from_inertial.apply(craft)
+        attitude = self.table.rotation * attitude * body_from_inertial.inv()
+        return self._frame(path, file, (utc, tdb_s), attitude, position, None)
+
+    def _frame(
+        self,
+        path: Path,
+        file: str,
+        time: tuple[str, float],
+        camera_from_body: Rotation,
+        position_m: FloatArray | None,
+        sun: FloatArray | None,
+    ) -> Frame:
+        table, (utc, tdb_s) = self.table, time
+        degrees = table.attitude_sigma_deg or ATTITUDE_SIGMA_DEG
+        sun_body = None if sun is None else unit(sun)
+        if sun_body is not None:
+            self._check_sun(path, tdb_s, sun_body)
+        return Frame(
+            file=file,
+            utc=utc,
+            camera=self.camera,
+            tdb_s=tdb_s,
+            camera_from_body=camera_from_body,
+            attitude_sigma_rad=None if table.attitude_free else float(np.radians(degrees)),
+            position_m=position_m,
+            position_sigma_m=None
+            if position_m is None
+            else table.position_sigma_m or POSITION_SIGMA_M,
+            sun_body=sun_body,
+        )
+
+    def _check_sun(self, path: Path, tdb_s: float, sun_body: FloatArray) -> None:
+        """Refuse a Sun that does not stand where the body's own theory has it."""
+        try:
+            theory = self.motion.sun_body(tdb_s)
+        except DataError:  # the body's file says nothing of that time
+            return
+        apart = float(np.degrees(np.arccos(np.clip(theory @ sun_body, -1.0, 1.0))))
+        if apart > MAX_APART_DEG:
+            raise DataError(
+                f"{path}: the Sun of its label is {apart:.3g} deg from that of the body "
+                f"{self.motion.body.name} at {utc_from_tdb_s(tdb_s, 0)}; name the body that it "
+                "shows (--body), or correct the table"
+            )
+
+
+def _time(label: ArchiveLabel, keys: TimeKeys) -> tuple[str, float]:
+    """UTC and TDB s of the middle of the exposure."""
+    half = 0.0
+    if keys.exposure:
+        half = 0.5 * keys.exposure_s * float(label.numbers((keys.exposure,))[0])
+    if keys.utc:
+        began, seconds = label.text(keys.utc), half
+        began = began if began.upper().endswith("Z") else began + "Z"
+    elif keys.unix:
+        # which counts no leap seconds: whole days and what is left of the last one
+        since = float(label.numbers((keys.unix,))[0]) + half
+        day = np.datetime64("1970-01-01") + np.timedelta64(int(since // 86400.0), "D")
+        began, seconds = f"{day}T00:00:00Z", since % 86400.0
+    else:
+        began, seconds = keys.clock_began_utc, float(label.numbers((keys.clock,))[0]) + half
+    tdb_s = float(tdb_s_after(began, [seconds])[0])
+    return utc_from_tdb_s(tdb_s, 3), tdb_s
+
+
+def _vector(label: ArchiveLabel, keys: VectorKeys) -> FloatArray:
+    """A vector (3,), m, in the axes that its keys say."""
+    vector = label.numbers(keys.keys)
+    if keys.minus:
+        vector = vector - label.numbers(keys.minus)
+    if vector.shape != (3,):
+        raise DataError(f"{label.path}: {', '.join(keys.keys)} are {vector.size} numbers; wanted 3")
+    return vector * keys.unit_m
+
+
+def _attitude(label: ArchiveLabel, keys: AttitudeKeys) -> Rotation:
+    """The rotation from the stars' axes to the label's frame, or to the camera's."""
+    wanted = 4 if keys.quaternion else 3
+    numbers = label.numbers(keys.quaternion or keys.boresight)
+    if numbers.shape != (wanted,):
+        raise DataError(f"{label.path}: its attitude has {numbers.size} numbers; wanted {wanted}")
+    if keys.quaternion:
+        if not abs(float(np.linalg.norm(numbers)) - 1.0) < 0.01:
+            raise DataError(f"{label.path}: its quaternion has no length of 1")
+        return Rotation.from_quat(numbers, scalar_first=True)
+    ascension, declination, clock = np.radians(numbers)
+    axis = np.array([np.cos(declination) * np.cos(ascension),
+                     np.cos(declination) * np.sin(ascension), np.sin(declination)])  # fmt: skip
+    east = np.array([-np.sin(ascension), np.cos(ascension), 0.0])
+    north = np.cross(axis, east)
+    # north stands `clock` right of the top; east, seen from inside the sphere, a quarter left of it
+    up = np.cos(clock) * north + np.sin(clock) * east
+    return Rotation.from_matrix(np.array([np.cross(-up, axis), -up, axis]))

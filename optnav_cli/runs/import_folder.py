@@ -1,0 +1,398 @@
+"""Pictures of an archive, with the geometry of their labels, to a picture folder."""
+
+import shutil
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from catalog.bodies.body import is_body_file, load_body
+from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.kernels import KernelSet
+from catalog.config import nearest_name, resource
+from catalog.errors import ConfigError, DataError, UsageError
+from catalog.files import replacing_folder
+from catalog.places import check_apart
+from catalog.rasters import PICTURES, open_raster, reading_rasters
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import load_camera, preset_camera
+from optnav_cli.frames.archive_frame import FrameMaker, ImportTable, load_table
+from optnav_cli.frames.archive_label import ArchiveLabel, fits_picture, format_of, read_label
+from optnav_cli.frames.folder import write_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.isis_cube import Label, read_cube_label, read_cube_pose
+from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.frames.tables import TIMES
+from optnav_cli.output.manifest import hash_files, write_manifest
+
+KIND = "pictures"
+TABLES = "configs/imports"
+COPIED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm")
+# Brightness as I/F is far below 1, where a navigator that thinks in counts sees nothing.
+HIGHEST = 60_000.0
+NO_VALUE = -1e30  # what ISIS and PDS write for pixels without a value is below
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What is named beside the files; None: as the table says.
+
+    table     a name of those that ship or a path; None: the one that matches a label
+    camera    a name of those that ship or a path;  body  likewise
+    pictures  pictures in place of those of the labels, one a file
+    kernels   SPICE kernels: how the body turns; of a list of times where the craft is, too
+    """
+
+    table: str | None = None
+    camera: str | None = None
+    body: str | None = None
+    pictures: tuple[Path, ...] = ()
+    kernels: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """One picture: the file that describes it, and what was read of it.
+
+    kind   a format of import tables
+    label  of FITS and PDS;  cube  the label of an ISIS cube;  utc  of a row in a list of times
+    file   the name of the picture, of a row
+    """
+
+    path: Path
+    kind: str
+    label: ArchiveLabel | None = None
+    cube: Label | None = None
+    utc: str = ""
+    file: str = ""
+
+    def text(self, key: str) -> str:
+        """What a label states for a keyword, or nothing."""
+        if self.label is not None:
+            try:
+                return self.label.text(key)
+            except DataError:
+                return ""
+        if self.cube is not None:
+            return str(self.cube.get("IsisCube", {}).get("Instrument", {}).get(key, ""))
+        return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """What came of an import: the frames, and what people must know, a line each."""
+
+    frames: list[Frame]
+    remarks: list[str]
+
+
+def import_folder(
+    files: Sequence[Path], output: Path, options: ImportOptions = ImportOptions()
+) -> Imported:
+    """Make a picture folder of an archive's pictures; a file that cannot be used is left out.
+
+    Raises DataError where none can be used, with the reason of the first, ConfigError for a wrong
+    table, camera or body, UsageError for options that do not go together, OutputError.
+    """
+    if options.pictures and len(options.pictures) != len(files):
+        raise UsageError(
+            f"{len(options.pictures)} pictures for {len(files)} files; name one --picture a file"
+        )
+    started = datetime.now(UTC)
+    check_apart(output, [*files, *options.pictures, *options.kernels])
+    with replacing_folder(output, KIND) as place:
+        importer = _Importer(options, place)
+        for number, path in enumerate(files):
+            own = options.pictures[number] if options.pictures else None
+            importer.add(path, own)
+        imported = importer.finish(output)
+        write_manifest(
+            place,
+            KIND,
+            command="import",
+            options={"table": options.table, "camera": options.camera, "body": options.body},
+            inputs=_hashes(files),
+            results={"quaternions": "camera_from_body", "frames": len(imported.frames)},
+            started=started,
+        )
+    return imported
+
+
+def _hashes(files: Sequence[Path]) -> dict[str, str | None]:
+    found: dict[str, str | None] = {}
+    for path in files:
+        found |= hash_files(path.parent, [path.name])
+    return found
+
+
+class _Importer:
+    """Collects the frames of one folder."""
+
+    def __init__(self, options: ImportOptions, place: Path) -> None:
+        self._options, self._place = options, place
+        self._tables: dict[Path, ImportTable] = {}
+        self._body: tuple[str, Ephemeris] | None = None
+        self._kernels = KernelSet(options.kernels) if options.kernels else None
+        self._cameras: dict[str, Camera] = {}
+        self._frames: dict[str, Frame] = {}
+        self._skipped: list[str] = []
+        self._notes: dict[str, None] = {}  # in order, each once
+
+    def add(self, path: Path, own_picture: Path | None) -> None:
+        """Add the picture or pictures of a file; what cannot be used is noted."""
+        try:
+            sources = list(_sources(path))
+        except DataError as error:
+            self._skipped.append(str(error))
+            return
+        for source in sources:
+            try:
+                self._add(source, own_picture)
+            except DataError as error:
+                self._skipped.append(str(error))
+
+    def _add(self, source: _Source, own_picture: Path | None) -> None:
+        where, table = self._table(source)
+        motion = self._motion_of(source, where, table)
+        camera = _camera(self._options.camera or table.camera, where, source)
+        picture = own_picture or _picture_path(source, table)
+        camera = _cropped(camera, source, picture)
+        known = self._cameras.setdefault(camera.name, camera)
+        if known != camera:  # another part of the same camera's picture
+            camera = replace(camera, name=f"{camera.name}_{len(self._cameras)}")
+        maker = FrameMaker(table, camera.name, motion, self._kernels)
+        file = picture.name if picture.suffix.lower() in COPIED else f"{picture.stem}.tif"
+        if file in self._frames:
+            raise DataError(f"{picture}: a picture of this name is there already; rename one")
+        if source.label is not None:
+            frame = maker.of_label(source.label, file)
+        elif source.cube is not None:
+            frame = maker.of_cube(source.path, read_cube_pose(source.path), file)
+        else:
+            frame = maker.of_time(source.path, file, source.utc)
+        without = _put_picture(source, picture, camera, self._place / file)
+        self._cameras[camera.name] = camera
+        self._frames[file] = frame
+        self._note(table, frame, camera)
+        if without:
+            self._notes[f"{file}: {without} pixels have no value and are 0"] = None
+
+    def _note(self, table: ImportTable, frame: Frame, camera: Camera) -> None:
+        notes = list(table.unknown)
+        if defaults := table.missing_sigmas():
+            notes.append(f"1-sigma errors are defaults: {', '.join(defaults)}")
+        if frame.attitude_sigma_rad is None:
+            notes.append("attitudes are first guesses: they are free (attitude_sigma_arcsec empty)")
+        if frame.sun_body is None:
+            notes.append("no Sun in the labels: it is computed from the time")
+        if frame.position_m is None:
+            notes.append("no position in the labels: frames are solved without a prior")
+        if camera.psf_sigma_px is None:
+            notes.append(f"no blur of camera {camera.name} (psf_sigma_px)")
+        self._notes |= dict.fromkeys(notes)
+
+    def _table(self, source: _Source) -> tuple[Path, ImportTable]:
+        """The table for a label, and its file."""
+        name = self._options.table
+        shipped = sorted(resource(f"{TABLES}/near_msi.toml").parent.glob("*.toml"))
+        if name is not None:
+            path = Path(name)
+            if not is_body_file(name):  # a path has a separator or ends in ".toml"
+                known = [each.stem for each in shipped]
+                if name not in known:
+                    near = nearest_name(name, known)
+                    hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
+                    raise ConfigError(f"no import table '{name}' ships with optnav; {hint}")
+                path = shipped[known.index(name)]
+            return path, self._read_table(path)
+        for path in shipped:
+            table = self._read_table(path)
+            stated = {key: source.text(key).upper() for key in table.match}
+            if table.format == source.kind and all(
+                text and text.startswith(table.match[key].upper()) for key, text in stated.items()
+            ):
+                return path, table
+        raise DataError(
+            f"{source.path}: no import table that ships is for its instrument; write one "
+            "(configs/imports has examples) and name it with --table"
+        )
+
+    def _read_table(self, path: Path) -> ImportTable:
+        if path not in self._tables:
+            self._tables[path] = load_table(path)
+        return self._tables[path]
+
+    def _motion_of(self, source: _Source, where: Path, table: ImportTable) -> Ephemeris:
+        """How the one body of the folder turns; a label of another one is refused."""
+        target = source.text(table.target).lower() if table.target else ""
+        shipped = resource("configs/bodies/moon.toml").parent.glob("*.toml")
+        of_target = (path.stem for path in sorted(shipped) if path.stem in target)
+        name = self._options.body or table.body or next(of_target, "")
+        if not name:
+            raise DataError(f"{source.path}: no body is named; name it with --body")
+        if is_body_file(name) and not self._options.body:
+            name = str(where.parent / name)
+        if self._body is None:
+            self._body = name, motion_of(load_body(name), self._options.kernels)
+        folder, motion = self._body
+        if name != folder or (target and motion.body.name not in target):
+            shown = target.upper() or name
+            raise DataError(
+                f"{source.path}: shows {shown} by its label, not {motion.body.name}; import it "
+                "into a folder of its own, or name the body (--body) and a table without target"
+            )
+        return motion
+
+    def finish(self, output: Path) -> Imported:
+        """Write the tables of the folder."""
+        if not self._frames or self._body is None:
+            first = self._skipped[0] if self._skipped else f"{output}: no file was named"
+            raise DataError(first)
+        used = {frame.camera for frame in self._frames.values()}
+        cameras = [camera for name, camera in self._cameras.items() if name in used]
+        frames = list(self._frames.values())
+        settings = RunSettings(body=self._body[0], attitude="camera_from_body")
+        write_folder(self._place, settings, cameras, frames)
+        remarks = [f"left out: {reason}" for reason in self._skipped]
+        remarks += [f"not known: {note}" for note in self._notes]
+        count = "1 picture" if len(frames) == 1 else f"{len(frames)} pictures"
+        return Imported(frames, [f"{output}: {count} of {self._body[1].body.name}", *remarks])
+
+
+def _sources(path: Path) -> Iterator[_Source]:
+    """What a file describes: one picture, or those of a list of times. Raises DataError."""
+    if path.suffix.lower() == ".csv":
+        for row in TIMES.rows(path):
+            yield _Source(path, "times", utc=row["utc"], file=row["file"])
+        return
+    kind = format_of(path)
+    if kind is not None:
+        yield _Source(path, kind, label=read_label(path, kind))
+        return
+    try:
+        cube = read_cube_label(path)
+    except DataError:
+        raise DataError(
+            f"{path}: no label with a geometry in it; wanted an ISIS cube, a PDS label, a FITS "
+            "file, a list of settings, or a .csv with the times of pictures"
+        ) from None
+    yield _Source(path, "isis", cube=cube)
+
+
+def _camera(name: str, where: Path, source: _Source) -> Camera:
+    if not name:
+        raise DataError(f"{source.path}: no camera is known for it; name one with --camera")
+    if is_body_file(name):
+        return load_camera(name if Path(name).exists() else where.parent / name)
+    return preset_camera(name)
+
+
+def _picture_path(source: _Source, table: ImportTable) -> Path:
+    if source.file:
+        return source.path.parent / source.file
+    if table.picture:
+        return source.path.parent / table.picture.replace("{stem}", source.path.stem)
+    return source.path
+
+
+def _cropped(camera: Camera, source: _Source, picture: Path) -> Camera:
+    """The camera of a cube that is a part of the camera's picture, enlarged or reduced."""
+    alpha = (source.cube or {}).get("IsisCube", {}).get("AlphaCube")
+    if picture != source.path or not isinstance(alpha, dict):
+        return camera
+    try:
+        whole = np.array([alpha["AlphaSamples"], alpha["AlphaLines"]], float)
+        # ISIS counts pixels from 1 at their middle: 0.5 is the picture's edge
+        start = np.array([alpha["AlphaStartingSample"], alpha["AlphaStartingLine"]], float) - 0.5
+        end = np.array([alpha["AlphaEndingSample"], alpha["AlphaEndingLine"]], float) - 0.5
+        size = np.array([alpha["BetaSamples"], alpha["BetaLines"]], int)
+    except (KeyError, TypeError, ValueError):
+        raise DataError(f"{source.path}: its AlphaCube group is damaged") from None
+    step = (end - start) / size  # pixels of the whole a pixel of the cube
+    scale = whole / (camera.width_px, camera.height_px) / step
+    if not (np.isfinite(scale).all() and (scale > 0.0).all() and (size > 0).all()):
+        raise DataError(f"{source.path}: its AlphaCube group is damaged")
+    point = (np.array(camera.principal_point_px) + 0.5) * scale - start / step - 0.5
+    along_y = camera.focal_length_px * camera.aspect * float(scale[1])
+    along_x = camera.focal_length_px * float(scale[0])
+    return replace(
+        camera,
+        name=f"{camera.name}_crop",
+        width_px=int(size[0]),
+        height_px=int(size[1]),
+        focal_length_px=along_x,
+        focal_length_y_px=None if abs(along_y / along_x - 1.0) < 1e-6 else along_y,
+        principal_point_px=(float(point[0]), float(point[1])),
+        pixel_pitch_um=None,
+        psf_sigma_px=None,
+        psf_error_px=None,
+    )
+
+
+def _put_picture(source: _Source, picture: Path, camera: Camera, place: Path) -> int:
+    """Put a picture into the folder, as it is or as a TIFF; how many pixels have no value."""
+    if picture.suffix.lower() in COPIED:
+        _check_size(picture, camera, *_raster(picture, shape_only=True).shape)
+        shutil.copyfile(picture, place)
+        return 0
+    label = source.label
+    if label is not None and source.kind == "fits" and picture == label.path:
+        values: NDArray[np.generic] = fits_picture(label)
+    else:
+        values = _raster(picture)
+    _check_size(picture, camera, *values.shape)
+    numbers = values.astype(np.float64)
+    bad = ~np.isfinite(numbers) | (numbers < NO_VALUE)
+    kind = values.dtype.name if values.dtype.name in ("uint8", "uint16") else "uint16"
+    if kind != values.dtype.name and not bad.all():
+        low = min(float(numbers[~bad].min()), 0.0)
+        high = float(numbers[~bad].max())
+        if high > low:
+            numbers = (numbers - low) * (HIGHEST / (high - low))
+    numbers[bad] = 0.0
+    numbers = np.rint(numbers)
+    profile = {"driver": "GTiff", "width": camera.width_px, "height": camera.height_px}
+    with (
+        _quiet(),
+        rasterio.open(place, "w", count=1, dtype=kind, compress="deflate", **profile) as to,
+    ):
+        to.write(numbers.astype(kind), 1)
+    return int(bad.sum())
+
+
+def _raster(path: Path, *, shape_only: bool = False) -> NDArray[np.generic]:
+    """The first band of a raster; of zeros where only its shape is wanted. Raises DataError."""
+    try:
+        with open_raster(path, PICTURES) as dataset, reading_rasters(siblings=False):
+            if shape_only:
+                return np.broadcast_to(np.zeros(1, np.uint8), dataset.shape)
+            values: NDArray[np.generic] = dataset.read(1)
+            scale, offset = dataset.scales[0], dataset.offsets[0]
+            if (scale, offset) != (1.0, 0.0):
+                missing = values == dataset.nodata if dataset.nodata is not None else False
+                values = np.where(missing, np.nan, values * scale + offset).astype(np.float32)
+            return values
+    except (RasterioError, OSError) as error:
+        raise DataError(f"{path}: the picture cannot be read: {str(error)[:200]}") from None
+
+
+def _check_size(picture: Path, camera: Camera, rows: int, columns: int) -> None:
+    if (rows, columns) != camera.shape:
+        raise DataError(
+            f"{picture}: the picture is {columns} x {rows}; camera '{camera.name}' takes "
+            f"{camera.width_px} x {camera.height_px}: name another --camera"
+        )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
