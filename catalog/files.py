@@ -18,7 +18,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -33,6 +33,7 @@ NEW, OLD, PARTIAL = "optnav-new-", "optnav-old", ".partial"
 MAX_MANIFEST_BYTES = 1 << 26  # a hash a picture: half a million pictures
 PIECE = 1_000_000  # bytes that are read at once
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
+SPARE_FILES = 4  # open folders, one in another, while one is removed
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
 SQLITE_DISK_ERRORS = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN", "SQLITE_READONLY")
 
@@ -239,14 +240,19 @@ def _writing(path: Path) -> Iterator[None]:
 def _new_folder(path: Path) -> Iterator[Path]:
     """A hidden folder beside a claimed `path` that is gone afterwards."""
     _remove_leftovers(path)
-    new = Path(tempfile.mkdtemp(prefix=beside(path, NEW).name, dir=path.parent))
-    try:
-        mask = os.umask(0)
-        os.umask(mask)
-        new.chmod(0o777 & ~mask)  # mkdtemp makes it private
-        yield new
-    finally:
-        shutil.rmtree(new, ignore_errors=True)
+    # A command that fails for want of open files wants some to remove the folder.
+    with ExitStack() as spare:
+        for _ in range(SPARE_FILES):
+            spare.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+        new = Path(tempfile.mkdtemp(prefix=beside(path, NEW).name, dir=path.parent))
+        try:
+            mask = os.umask(0)
+            os.umask(mask)
+            new.chmod(0o777 & ~mask)  # mkdtemp makes it private
+            yield new
+        finally:
+            spare.close()
+            shutil.rmtree(new, ignore_errors=True)
 
 
 def _remove_leftovers(path: Path) -> None:

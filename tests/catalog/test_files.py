@@ -3,10 +3,12 @@
 import errno
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
 import textwrap
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -288,3 +290,21 @@ def test_a_folder_of_a_work_folder_is_there_whole_or_as_it_was(tmp_path):
         fail_halfway(new / "word.txt", RuntimeError)
     assert (target / "word.txt").read_text() == "two"
     assert names(tmp_path) == ["levels"]
+
+
+def test_a_folder_is_removed_where_no_more_files_can_be_opened(tmp_path):
+    def fill_and_open_until_it_fails():
+        with ExitStack() as held, replacing_folder(tmp_path / "run", "run") as new:
+            (new / "overlays" / "deep").mkdir(parents=True)
+            (new / "overlays" / "deep" / "a.png").touch()
+            while True:
+                held.enter_context((new / "overlays" / "a.png").open("wb"))
+
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (100, limits[1]))
+    try:
+        with pytest.raises(OutputError, match="Too many open files"):
+            fill_and_open_until_it_fails()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert list(tmp_path.iterdir()) == []
