@@ -1,9 +1,14 @@
 """The error of a terrain model: its size over boxes and slopes, and that it is one field."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from catalog.bodies.body import load_body
+from catalog.config import resource
 from catalog.geometry.latlon import xyz_from_latlon
+from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.synthetic import fractal
 from catalog.terrain.synthetic.model_error import (
     BOX_RMS,
@@ -63,18 +68,31 @@ def test_a_seed_gives_the_same_ground_in_whichever_window_it_is_sampled():
     assert not np.allclose(error(2).window(-0.7, 0.3, step, step, 40, 50), turned)
 
 
-def test_below_two_thirds_of_a_kilometre_the_truth_has_what_the_model_lost():
-    """Octave for octave what continues the power law; the model itself holds 1-3 m there."""
-    octaves = GLD100.octaves(1, 1.4 * POSTING_M, RADIUS_M)
-    length = fractal.WAVELENGTH * octaves.spacing
-    rms = dict(zip(length.round(-2), octaves.amplitude * fractal.RMS_NOISE))
-    # coherence^2 of model and truth, a^2 / (a^2 + error^2), with the model's 60, 23, 3.4 and 1 m an
-    # octave about Tycho; GLD100 against LOLA: 0.98, 0.71, 0.18, 0
-    coherence = [a * a / (a * a + rms[b] ** 2) for a, b in ((60, 4000), (23, 2000), (3.4, 1000))]
-    assert coherence[0] > 0.75
-    assert 0.55 < coherence[1] < 0.8
-    assert 0.08 < coherence[2] < 0.3
-    assert 1.0 / (1.0 + rms[500.0] ** 2) < 0.1
+def test_model_and_truth_agree_at_long_waves_and_not_at_all_at_short_ones():
+    """Coherence^2 of GLD100 with LOLA: 0.98 from 3 to 6 km, 0.71, 0.18, 0 below 0.8 km.
+
+    Tycho's slopes are 0.13 rms, where the table of the errors gives more than on most highlands.
+    """
+    model = DemSettings(str(resource("data/tycho_gld100_256ppd.tif")))
+    heights = DemSource.open(model, Path(), load_body("moon")).read_window(1300, 500, 1024, 1024)
+    step = np.pi / 180.0 / 256.0
+    north = np.radians(-38.0) - 1300 * step
+    wrong = error(1, 0.13).window(north, np.radians(345.0), step, step, 1024, 1024)
+    taper = np.outer(np.hanning(1024), np.hanning(1024))
+    a = np.fft.rfft2((heights - heights.mean()) * taper)
+    b = np.fft.rfft2((heights + wrong - heights.mean()) * taper)
+    rows, cols = np.fft.fftfreq(1024, 0.1184), np.fft.rfftfreq(1024, 0.1184 * np.cos(north))
+    wave = 1.0 / np.maximum(np.hypot(rows[:, None], cols[None, :]), 1e-6)
+
+    def coherence(least_km, most_km):
+        band = (wave >= least_km) & (wave < most_km)
+        both = np.abs(np.sum(a[band] * np.conj(b[band]))) ** 2
+        return both / np.sum(np.abs(a[band]) ** 2) / np.sum(np.abs(b[band]) ** 2)
+
+    assert coherence(3.2, 6.4) > 0.8
+    assert 0.5 < coherence(1.6, 3.2) < 0.8
+    assert 0.05 < coherence(0.8, 1.6) < 0.3
+    assert coherence(0.4, 0.8) < 0.1
 
 
 def test_the_response_of_boxes_is_that_of_the_noise():
