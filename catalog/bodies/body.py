@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
+from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.config import Turn, load_toml, nearest_name, resource
 from catalog.errors import ConfigError
 
@@ -20,6 +23,7 @@ Arcsec = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 ErrorM = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
 Size = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]  # km: from a boulder to the Sun
 Naif = Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)]
+Offset = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]  # m
 Height = Annotated[float, msgspec.Meta(ge=-1e7, le=1e7)]  # km
 Year = Annotated[float, msgspec.Meta(ge=-10_000.0, le=20_000.0)]
 Polynomial = tuple[Term, Term, Term]
@@ -159,6 +163,65 @@ class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     frame_error_m: ErrorM | None = None
 
 
+class CatalogFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where catalogs and terrain models lie in the body frame that positions are stated in.
+
+    A place is stated at scale * (turned by turn_deg) + offset_m of where the catalog has it: as
+    `optnav adjust` finds from pictures whose positions and attitudes are stated.
+
+    turn_deg  rotation vector, body frame
+    """
+
+    turn_deg: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)
+    offset_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    scale: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)] = 1.0
+
+    @property
+    def stated_from_catalog(self) -> Rotation:
+        """The rotation alone."""
+        return Rotation.from_rotvec(np.radians(self.turn_deg))
+
+    @property
+    def is_same(self) -> bool:
+        """Whether both frames are one."""
+        return self == THE_SAME_FRAME
+
+    def stated(self, places_m: FloatArray) -> FloatArray:
+        """Places (..., 3) of the catalog as they are stated."""
+        if self.is_same:
+            return places_m
+        placed: FloatArray = self.scale * self.stated_direction(places_m) + np.array(self.offset_m)
+        return placed
+
+    def catalog(self, places_m: FloatArray) -> FloatArray:
+        """Stated places (..., 3) as the catalog has them."""
+        if self.is_same:
+            return places_m
+        placed: FloatArray = self.catalog_direction(places_m - np.array(self.offset_m)) / self.scale
+        return placed
+
+    def stated_direction(self, vectors: FloatArray) -> FloatArray:
+        """Vectors (..., 3) of the catalog as they are stated, of the same length."""
+        return vectors if self.is_same else vectors @ self.stated_from_catalog.as_matrix().T
+
+    def catalog_direction(self, vectors: FloatArray) -> FloatArray:
+        """Stated vectors (..., 3) as the catalog has them, of the same length."""
+        return vectors if self.is_same else vectors @ self.stated_from_catalog.as_matrix()
+
+    def stated_covariance(self, covariance_m2: FloatArray) -> FloatArray:
+        """The covariance (3, 3) of a place of the catalog as that of the stated place."""
+        turned = self.stated_direction(self.stated_direction(covariance_m2).T)
+        return turned * self.scale**2
+
+    def catalog_covariance(self, covariance_m2: FloatArray) -> FloatArray:
+        """The covariance (3, 3) of a stated place as that of the catalog's."""
+        turned = self.catalog_direction(self.catalog_direction(covariance_m2).T)
+        return turned / self.scale**2
+
+
+THE_SAME_FRAME = CatalogFrame()
+
+
 class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A body file as it is written."""
 
@@ -173,6 +236,7 @@ class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gravity: GravityField | None = None
     orbit: LockedOrbit | None = None
     spice: SpiceNames | None = None
+    catalog_frame: CatalogFrame = THE_SAME_FRAME
 
 
 @dataclass(frozen=True)
@@ -191,6 +255,7 @@ class Body:
     gravity              its field beside the point mass; None where the file has none
     orbit                about its planet, for a moon whose planet no theory here gives otherwise
     spice                its names in SPICE kernels; None where the file states none
+    catalog_frame        where its catalogs lie in the frame that positions are stated in
     """
 
     name: str
@@ -204,6 +269,7 @@ class Body:
     gravity: GravityField | None = None
     orbit: LockedOrbit | None = None
     spice: SpiceNames | None = None
+    catalog_frame: CatalogFrame = THE_SAME_FRAME
 
     def rotation_error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis; 0: not stated.
@@ -271,4 +337,5 @@ def read_body(path: Path) -> Body:
         gravity=settings.gravity,
         orbit=settings.orbit,
         spice=settings.spice,
+        catalog_frame=settings.catalog_frame,
     )

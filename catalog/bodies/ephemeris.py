@@ -160,7 +160,7 @@ class Ephemeris(ABC):
 
     @abstractmethod
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
-        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame."""
+        """Rotation (3, 3) taking inertial (ICRF) vectors to the body-fixed frame of catalogs."""
 
     @abstractmethod
     def sun_inertial(self, tdb_s: float) -> FloatArray:
@@ -174,6 +174,10 @@ class Ephemeris(ABC):
         """Unit vector (3,) to the apparent Sun from the body's centre, body frame."""
         return self.body_from_inertial(tdb_s) @ self.sun_inertial(tdb_s)
 
+    def _of_the_catalog(self, body_from_inertial: FloatArray) -> FloatArray:
+        """The rotation to the body frame that catalogs are in, of that to the stated one."""
+        return self.body.catalog_frame.catalog_direction(body_from_inertial.T).T
+
 
 class AnalyticEphemeris(Ephemeris):
     """Analytic theories: SOFA and the rotation series of the body's file."""
@@ -186,7 +190,7 @@ class AnalyticEphemeris(Ephemeris):
         return self.body.rotation_error_m(tdb_s)
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
-        return body_from_inertial(self.body, tdb_s)
+        return self._of_the_catalog(body_from_inertial(self.body, tdb_s))
 
     def sun_inertial(self, tdb_s: float) -> FloatArray:
         return sun_direction_inertial(self.body, tdb_s)
@@ -238,7 +242,7 @@ class SpiceEphemeris(Ephemeris):
 
     def body_from_inertial(self, tdb_s: float) -> FloatArray:
         """Raises DataError, with the span the kernels cover, for a time outside it."""
-        return self._kernels.rotation(self._frame, tdb_s)
+        return self._of_the_catalog(self._kernels.rotation(self._frame, tdb_s))
 
     def sun_inertial(self, tdb_s: float) -> FloatArray:
         """Raises DataError, with the span the kernels cover, for a time outside it."""

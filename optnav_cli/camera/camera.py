@@ -4,12 +4,13 @@ Camera frame: x right, y down, z along the boresight. Pixels (x, y), centre of t
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.geometry.rotations import ARCSEC
@@ -32,6 +33,8 @@ class Camera:
                             tau_y; model "kannala_brandt": k1 k2 k3 k4; else empty
     image_circle_radius_px  about the principal point, along x; pixels beyond it see nothing
     pixel_pitch_um          width of a pixel, where known; only written back to files
+    boresight_arcsec        turn of the camera from what attitudes of files state, about its x, y
+                            and z (rotation vector): camera = turned * stated
     psf_sigma_px            blur by the optics, without the pixel's own width, as calibrated;
                             psf_error_px  its 1-sigma error. Both None where not known
     boresight_sigma_arcsec  how well its mounting is known, 1 sigma an axis: an error that stated
@@ -52,6 +55,7 @@ class Camera:
     psf_error_px: float | None = None
     focal_length_y_px: float | None = None
     boresight_sigma_arcsec: float = 0.0
+    boresight_arcsec: tuple[float, float, float] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -88,6 +92,25 @@ class Camera:
         whole = math.hypot(self.psf_sigma_px, PIXEL_SIGMA_PX)
         # an optics much sharper than the pixel hardly widens it, however badly it is known
         return whole, self.psf_error_px * max(self.psf_sigma_px, self.psf_error_px) / whole
+
+    def with_focal_factor(self, factor: float) -> "Camera":
+        """The same with its focal lengths multiplied."""
+        x_px, y_px = self.focal_length_px * factor, self.focal_length_y_px
+        y_px = None if y_px is None else y_px * factor
+        return replace(self, focal_length_px=x_px, focal_length_y_px=y_px)
+
+    @property
+    def boresight(self) -> Rotation:
+        """The camera's turn from what attitudes of files state."""
+        return Rotation.from_rotvec(np.array(self.boresight_arcsec or (0.0, 0.0, 0.0)) * ARCSEC)
+
+    def aligned(self, stated: Rotation) -> Rotation:
+        """The camera's attitude where files state this one."""
+        return stated if self.boresight_arcsec is None else self.boresight * stated
+
+    def stated(self, attitude: Rotation) -> Rotation:
+        """What files state of the camera's attitude."""
+        return attitude if self.boresight_arcsec is None else self.boresight.inv() * attitude
 
     @cached_property
     def _lens(self) -> tuple[int, FloatArray]:

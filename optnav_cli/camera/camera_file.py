@@ -18,6 +18,7 @@ MAX_PSF_PX = 50.0  # beyond any lens: the key is not in pixels
 Side = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Length = Annotated[float, msgspec.Meta(ge=1e-3, le=1e9)]
 Arcsec = Annotated[float, msgspec.Meta(ge=0.0, le=180.0 * 3600.0)]
+Turned = Annotated[float, msgspec.Meta(ge=-36_000.0, le=36_000.0)]  # arcsec: 10 deg
 Pixels = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 _OPENCV = "k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]]"
 # how many coefficients there may be, by what uses them, and their names
@@ -49,6 +50,7 @@ class CameraFileSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaul
     focal_length_y_px: Length | None = None
     pixel_pitch_y_um: Length | None = None
     boresight_sigma_arcsec: Arcsec = 0.0
+    boresight_arcsec: tuple[Turned, Turned, Turned] | None = None
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -106,6 +108,9 @@ def camera_toml(camera: Camera) -> str:
             lines.append(f"{key} = {float(value)!r}")
     if camera.boresight_sigma_arcsec:
         lines.append(f"boresight_sigma_arcsec = {float(camera.boresight_sigma_arcsec)!r}")
+    if camera.boresight_arcsec is not None:
+        turns = ", ".join(repr(float(angle)) for angle in camera.boresight_arcsec)
+        lines.append(f"boresight_arcsec = [{turns}]")
     return "\n".join(lines) + "\n"
 
 

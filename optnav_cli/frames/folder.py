@@ -96,8 +96,9 @@ def write_folder(
     path = Path(path)
     (path / "cameras").mkdir(parents=True, exist_ok=True)
     write_run_settings(settings, path)
-    for camera in cameras:
+    known = {camera.name: camera for camera in cameras}
+    for camera in known.values():
         file = path / "cameras" / f"{camera.name}.toml"
         file.write_text(camera_toml(camera), encoding="utf-8")
     attitude = FileAttitude(settings.attitude, load_body(settings.body), motion)
-    write_frames(path / "frames.csv", attitude, frames)
+    write_frames(path / "frames.csv", attitude, frames, known)

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
-from catalog.bodies.body import Body
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import nearest_name
 from catalog.errors import DataError
@@ -60,7 +59,9 @@ class Frame:
 
 
 def read_frames(path: Path, attitude: FileAttitude, cameras: Mapping[str, Camera]) -> list[Frame]:
-    """Frames of a frames.csv in its order.
+    """Frames of a frames.csv in its order; stated attitudes are turned by the camera's boresight.
+
+    cameras  by name
 
     What is wrong with one row becomes that frame's problem, so that the others go on.
     Raises DataError for what is wrong with the file: it cannot be read, lacks a column, has no
@@ -80,9 +81,11 @@ def read_frames(path: Path, attitude: FileAttitude, cameras: Mapping[str, Camera
     return [_frame(row, attitude, cameras) for row in rows]
 
 
-def write_frames(path: Path, attitude: FileAttitude, frames: Iterable[Frame]) -> None:
+def write_frames(
+    path: Path, attitude: FileAttitude, frames: Iterable[Frame], cameras: Mapping[str, Camera]
+) -> None:
     """Write a frames.csv that `read_frames` reads back. The frames need a usable time."""
-    FRAMES.write(path, (_cells(frame, attitude) for frame in frames))
+    FRAMES.write(path, (_cells(frame, attitude, cameras) for frame in frames))
 
 
 def _frame(row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera]) -> Frame:
@@ -97,20 +100,24 @@ def _frame(row: CsvRow, attitude: FileAttitude, cameras: Mapping[str, Camera]) -
             hint = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
             raise DataError(f"camera '{camera}' has no file in cameras/; {hint}")
         tdb_s = utc_to_tdb_s(utc)
-        position, position_sigma = _position(row, attitude.body)
+        position, position_sigma = _position(row, attitude)
         sigma = _sigma(row, "attitude_sigma_arcsec", MIN_ATTITUDE_ARCSEC, MAX_ATTITUDE_ARCSEC)
         common = float(np.hypot(attitude.sigma_rad(tdb_s), cameras[camera].boresight_sigma_rad))
         written = _unit(row, QUATERNION, "the quaternion qw, qx, qy, qz")
         rotation = None if written is None else rotation_from_quaternion(*written)
         sun = _unit(row, SUN, "the Sun's direction sun_x, sun_y, sun_z")
         motion = attitude.ephemeris
-        sun_body = motion.sun_body(tdb_s) if sun is None else sun / float(np.linalg.norm(sun))
+        if sun is None:
+            sun_body = motion.sun_body(tdb_s)
+        else:
+            sun_body = attitude.places.catalog_direction(sun / float(np.linalg.norm(sun)))
+        turn = None if rotation is None else attitude.read(rotation, tdb_s)
         return Frame(
             file=file,
             utc=utc,
             camera=camera,
             tdb_s=tdb_s,
-            camera_from_body=None if rotation is None else attitude.read(rotation, tdb_s),
+            camera_from_body=None if turn is None else cameras[camera].aligned(turn),
             attitude_sigma_rad=None if sigma is None else float(np.hypot(sigma * ARCSEC, common)),
             common_sigma_rad=common,
             position_m=position,
@@ -151,9 +158,9 @@ def _sigma(row: CsvRow, column: str, least: float, most: float) -> float | None:
     return value
 
 
-def _position(row: CsvRow, body: Body) -> tuple[FloatArray | None, float | None]:
+def _position(row: CsvRow, attitude: FileAttitude) -> tuple[FloatArray | None, float | None]:
     sigma = _sigma(row, "position_sigma_m", 0.0, MAX_DISTANCE_M)
-    position = row.vector(POSITION)
+    position, body = row.vector(POSITION), attitude.body
     if position is None:
         return None, None
     if np.abs(position).max() > MAX_DISTANCE_M:
@@ -166,10 +173,12 @@ def _position(row: CsvRow, body: Body) -> tuple[FloatArray | None, float | None]
         )
     if sigma is None:
         raise DataError("position_sigma_m is empty; a prior position needs its sigma")
-    return position, sigma
+    return attitude.places.catalog(position), sigma / attitude.places.scale
 
 
-def _cells(frame: Frame, attitude: FileAttitude) -> dict[str, object]:
+def _cells(
+    frame: Frame, attitude: FileAttitude, cameras: Mapping[str, Camera]
+) -> dict[str, object]:
     cells: dict[str, object] = {"file": frame.file, "utc": frame.utc, "camera": frame.camera}
     sigma = frame.attitude_sigma_rad
     if sigma is not None and frame.common_sigma_rad > 0.0:
@@ -177,10 +186,14 @@ def _cells(frame: Frame, attitude: FileAttitude) -> dict[str, object]:
         sigma = float(np.sqrt(max(sigma**2 - frame.common_sigma_rad**2, 0.0)))
     cells["attitude_sigma_arcsec"] = None if sigma is None else sigma / ARCSEC
     if frame.camera_from_body is not None and frame.tdb_s is not None:
-        rotation = attitude.written(frame.camera_from_body, frame.tdb_s)
+        camera, turn = cameras.get(frame.camera), frame.camera_from_body
+        rotation = attitude.written(camera.stated(turn) if camera else turn, frame.tdb_s)
         cells |= zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)
-    cells["position_sigma_m"] = frame.position_sigma_m
-    for columns, vector in ((POSITION, frame.position_m), (SUN, frame.sun_body)):
-        if vector is not None:
-            cells |= zip(columns, vector, strict=True)
+    places = attitude.places
+    if frame.position_m is not None:
+        cells |= zip(POSITION, places.stated(frame.position_m), strict=True)
+    if frame.position_sigma_m is not None:
+        cells["position_sigma_m"] = frame.position_sigma_m * places.scale
+    if frame.sun_body is not None:
+        cells |= zip(SUN, places.stated_direction(frame.sun_body), strict=True)
     return cells

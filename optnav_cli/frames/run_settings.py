@@ -8,7 +8,7 @@ from typing import Literal
 import msgspec
 from scipy.spatial.transform import Rotation
 
-from catalog.bodies.body import Body, is_body_file, load_body
+from catalog.bodies.body import Body, CatalogFrame, is_body_file, load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml
@@ -63,7 +63,9 @@ def write_run_settings(settings: RunSettings, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class FileAttitude:
-    """How the files of one folder write attitudes; `name` is the `attitude` of run.toml.
+    """How the files of one folder write attitudes and places; `name`: `attitude` of run.toml.
+
+    Files state them in the frame that users have; read, they are in that of the body's catalogs.
 
     motion  how the body turns; by theory if None. Truth and solutions are compared by theory, which
             takes nothing from the comparison: one small rotation stands before both.
@@ -80,16 +82,24 @@ class FileAttitude:
         """How the body turns."""
         return self.motion or AnalyticEphemeris(self.body)
 
+    @property
+    def places(self) -> CatalogFrame:
+        """Where the places of the files lie in the frame of the body's catalogs."""
+        return self.body.catalog_frame
+
     def written(self, camera_from_body: Rotation, time: float | str) -> Rotation:
         """The rotation to write for an attitude at a time."""
         if self.name == "camera_from_body":
-            return camera_from_body
+            same = self.places.is_same
+            turn = self.places.stated_from_catalog
+            return camera_from_body if same else camera_from_body * turn.inv()
         return camera_from_body * self._body_from_inertial(time)
 
     def read(self, written: Rotation, time: float | str) -> Rotation:
         """camera_from_body of a written rotation at a time."""
         if self.name == "camera_from_body":
-            return written
+            same = self.places.is_same
+            return written if same else written * self.places.stated_from_catalog
         return written * self._body_from_inertial(time).inv()
 
     def sigma_rad(self, tdb_s: float) -> float:

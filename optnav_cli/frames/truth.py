@@ -68,7 +68,8 @@ def _truth(row: CsvRow, attitude: FileAttitude) -> Truth:
         raise DataError(f"the position lies more than {MAX_DISTANCE_M:g} m from the body")
     tdb_s = utc_to_tdb_s(row["utc"])
     camera_from_body = attitude.read(rotation_from_quaternion(*quaternion), tdb_s)
-    return Truth(row["file"], row["utc"], tdb_s, position, camera_from_body)
+    place = attitude.places.catalog(position)
+    return Truth(row["file"], row["utc"], tdb_s, place, camera_from_body)
 
 
 def _cells(truth: Truth, attitude: FileAttitude) -> dict[str, object]:
@@ -76,6 +77,6 @@ def _cells(truth: Truth, attitude: FileAttitude) -> dict[str, object]:
     return {
         "file": truth.file,
         "utc": truth.utc,
-        **dict(zip(POSITION, truth.position_m, strict=True)),
+        **dict(zip(POSITION, attitude.places.stated(truth.position_m), strict=True)),
         **dict(zip(QUATERNION, quaternion_from_rotation(rotation), strict=True)),
     }

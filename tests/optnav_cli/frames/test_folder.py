@@ -16,6 +16,7 @@ from catalog.config import resource
 from catalog.errors import ConfigError, DataError, OptnavError
 from catalog.geometry.rotations import ARCSEC
 from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
@@ -281,6 +282,56 @@ def test_an_inertial_attitude_turns_with_the_body(tmp_path: Path) -> None:
         assert frame.tdb_s is not None
         expected = body_from_inertial(moon, frame.tdb_s).T
         np.testing.assert_allclose(frame.camera_from_body.as_matrix(), expected, atol=1e-12)
+
+
+def body_with_a_catalog_frame(folder: Path) -> Path:
+    text = resource("configs/bodies/moon.toml").read_text()
+    frame = "turn_deg = [0.3, -0.7, 1.1]\noffset_m = [400.0, -900.0, 250.0]\nscale = 1.004\n"
+    path = folder / "moved.toml"
+    path.write_text(f"{text}\n[catalog_frame]\n{frame}")
+    return path
+
+
+@pytest.mark.parametrize("attitude", ["camera_from_body", "camera_from_inertial"])
+def test_a_catalog_in_another_frame_is_seen_where_its_stated_places_are(
+    attitude: str, tmp_path: Path
+) -> None:
+    path = body_with_a_catalog_frame(tmp_path)
+    moved, moon = load_body(str(path)), load_body("moon")
+    catalog_m = np.array([1.2e6, 1.1e6, 0.4e6])
+    stated_m = moved.catalog_frame.stated(catalog_m)
+    np.testing.assert_allclose(moved.catalog_frame.catalog(stated_m), catalog_m, rtol=1e-12)
+    turned = replace(CAMERA, boresight_arcsec=(400.0, -900.0, 3000.0))
+    position_m, tdb_s = np.array([1.5e6, 1.3e6, 0.5e6]), utc_to_tdb_s(UTC)
+    looking = Rotation.align_vectors([[0.0, 0.05, 1.0]], [catalog_m - position_m])[0]
+    frame = Frame("a.png", UTC, "wide", tdb_s, looking, 1e-4, position_m, 100.0)
+    # the folder of somebody who knows nothing of the catalog's frame nor of the boresight
+    settings = RunSettings("moon", attitude)  # type: ignore[arg-type]
+    write_folder(tmp_path / "stated", settings, [CAMERA], [frame])
+    (tmp_path / "stated/moved.toml").write_text(path.read_text())
+    (tmp_path / "stated/cameras/wide.toml").write_text(camera_toml(turned))
+    (tmp_path / "stated/run.toml").write_text(f'body = "moved.toml"\nattitude = "{attitude}"\n')
+    folder = read_folder(tmp_path / "stated")
+    (back,) = folder.frames
+    assert back.camera_from_body is not None
+    assert back.position_m is not None
+    seen = back.camera_from_body.apply(catalog_m - back.position_m) * moved.catalog_frame.scale
+    expected = turned.boresight.apply(looking.apply(stated_m - position_m))
+    np.testing.assert_allclose(seen, expected, atol=1e-3)
+    assert back.position_sigma_m == pytest.approx(100.0 / 1.004)
+    sun = AnalyticEphemeris(moon).sun_body(tdb_s)
+    np.testing.assert_allclose(
+        moved.catalog_frame.stated_direction(np.asarray(back.sun_body)), sun, atol=1e-12
+    )
+    # and written again it is what was stated
+    write_folder(tmp_path / "again", folder.settings, folder.cameras.values(), [back])
+    first, again = (read_rows(tmp_path / name / "frames.csv") for name in ("stated", "again"))
+    np.testing.assert_allclose(again, first, atol=1e-4)
+
+
+def read_rows(path: Path) -> list[float]:
+    cells = path.read_text().splitlines()[1].split(",")[3:12]
+    return [float(cell) for cell in cells]
 
 
 def test_the_same_folder_is_written_with_the_same_bytes(tmp_path: Path) -> None:

@@ -1,12 +1,13 @@
 """solution.csv and matches.csv: the contract's header, round trips, awkward places."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from catalog.bodies.body import load_body
+from catalog.bodies.body import CatalogFrame, load_body
 from catalog.errors import DataError
 from optnav_cli.fix import MatchRow
 from optnav_cli.frames.run_settings import FileAttitude
@@ -52,6 +53,26 @@ def a_solution(position, seed=1, file="a.png"):
         n_limb=812,
         arc_deg=143.25,
     )
+
+
+@pytest.fixture
+def moved(moon):
+    """The Moon whose catalogs lie elsewhere than positions are stated."""
+    return replace(moon, catalog_frame=CatalogFrame((0.1, 0.7, -0.2), (60.0, 49.0, 18.0), 1.0075))
+
+
+def test_solutions_are_written_in_the_stated_frame(tmp_path, moon, moved):
+    row = a_solution(np.array([1.2e6, -1.1e6, 0.9e6]))
+    write_solutions(tmp_path / "a.csv", [row], FileAttitude("camera_from_body", moved))
+    (back,) = read_solutions(tmp_path / "a.csv", FileAttitude("camera_from_body", moved))
+    (stated,) = read_solutions(tmp_path / "a.csv", FileAttitude("camera_from_body", moon))
+    np.testing.assert_allclose(back.position_m, row.position_m, atol=1e-3)
+    np.testing.assert_allclose(back.covariance_m2, row.covariance_m2, rtol=1e-6)
+    frame = moved.catalog_frame
+    np.testing.assert_allclose(stated.position_m, frame.stated(row.position_m), atol=1e-3)
+    along = frame.stated_from_catalog.apply([0.0, 0.6, 0.8])
+    variance = row.covariance_m2[1:, 1:] @ [0.6, 0.8] @ [0.6, 0.8]
+    assert along @ stated.covariance_m2 @ along == pytest.approx(1.0075**2 * variance)
 
 
 @pytest.mark.parametrize("name", ["camera_from_body", "camera_from_inertial"])
