@@ -121,6 +121,28 @@ MATCHES = CsvTable(
     )
 )
 
+ADJUSTED_MATCHES = CsvTable(
+    (
+        *MATCHES.columns,
+        *_pixel("stated", "measured less predicted from the stated pose"),
+        *_pixel("constants", "the same with what is common to the frames"),
+        _number("weight", "of the match, 0 to 1", "", "z.4f"),
+    )
+)
+
+COMMON_NUMBERS = CsvTable(
+    (
+        _text("name", "what it is a part of, as --solve names it"),
+        _text("camera", "of one of a camera: its name", empty=True),
+        _text("axis", "x, y or z of a vector", empty=True),
+        _number("value", "as found", "", ".9g", empty=False),
+        _number("sigma", "its 1 sigma", "", ".6g", empty=False),
+        _number("prior_sigma", "1 sigma before the frames were looked at", "", ".6g", empty=False),
+        _text("unit", "of the three", empty=True),
+        CsvColumn("observed", "whether the frames tell it from its prior and the others", "flag"),
+    )
+)
+
 EVALUATION = CsvTable(
     (
         *(FILE, UTC, STATUS, METHOD),

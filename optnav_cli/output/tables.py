@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -13,7 +13,14 @@ from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotatio
 from catalog.tables import CsvRow
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
 from optnav_cli.frames.run_settings import FileAttitude
-from optnav_cli.frames.tables import COVARIANCE, MATCHES, POSITION, QUATERNION, SOLUTION
+from optnav_cli.frames.tables import (
+    ADJUSTED_MATCHES,
+    COVARIANCE,
+    MATCHES,
+    POSITION,
+    QUATERNION,
+    SOLUTION,
+)
 from optnav_cli.reasons import Reason, ReasonCode
 
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # where COVARIANCE stands in the matrix
@@ -24,6 +31,16 @@ SAME_IN_MATCH = (
     *("file", "catalog", "level", "score", "runner_up", "sun_elevation_deg", "used"),
     *("reason", "reason_code"),
 )
+
+
+class AdjustedMatch(NamedTuple):
+    """A match of an adjustment; its residuals (2,) from the stated pose, without and with what is
+    common, NaN where no pose is stated."""
+
+    row: MatchRow
+    stated_px: FloatArray
+    constants_px: FloatArray
+    weight: float
 
 
 def write_solutions(path: Path, solutions: Iterable[Solution], attitude: FileAttitude) -> None:
@@ -41,6 +58,11 @@ def write_matches(path: Path, matches: Iterable[MatchRow]) -> None:
     MATCHES.write(path, map(_match_cells, matches))
 
 
+def write_adjusted_matches(path: Path, matches: Iterable[AdjustedMatch]) -> None:
+    """Write the matches.csv of adjusted runs."""
+    ADJUSTED_MATCHES.write(path, map(_adjusted_cells, matches))
+
+
 def read_matches(path: Path) -> list[MatchRow]:
     """Read matches.csv back. Raises DataError naming the row that is damaged."""
     return MATCHES.read(path, _match)
@@ -54,11 +76,13 @@ def fixed(value: float | None, decimals: int) -> str:
 def _solution_cells(solution: Solution, attitude: FileAttitude) -> dict[str, object]:
     cells: dict[str, object] = {name: getattr(solution, name) for name in SAME_IN_SOLUTION}
     if solution.position_m is not None:
-        cells |= zip(POSITION, solution.position_m, strict=True)
-        cells |= _place_cells(solution.position_m)
+        place = attitude.places.stated(solution.position_m)
+        cells |= zip(POSITION, place, strict=True)
+        cells |= _place_cells(place)
         cells["height_m"] = float(cast(float, cells["radius_m"])) - attitude.body.radius_m
     if solution.covariance_m2 is not None:
-        cells |= {name: solution.covariance_m2[at] for name, at in zip(COVARIANCE, UPPER)}
+        covariance = attitude.places.stated_covariance(solution.covariance_m2)
+        cells |= {name: covariance[at] for name, at in zip(COVARIANCE, UPPER)}
     if solution.camera_from_body is not None:
         written = attitude.written(solution.camera_from_body, solution.utc)
         cells |= zip(QUATERNION, quaternion_from_rotation(written), strict=True)
@@ -99,8 +123,9 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
             )
         camera_from_body = None if written is None else attitude.read(written, row["utc"])
         sigma_rad = None if sigma is None else sigma * ARCSEC
-        covariance = _covariance(upper)
-        outcome = Fix(method, position, covariance, camera_from_body, sigma_rad, evidence, reason)
+        covariance = attitude.places.catalog_covariance(_covariance(upper))
+        place = attitude.places.catalog(position)
+        outcome = Fix(method, place, covariance, camera_from_body, sigma_rad, evidence, reason)
     return Solution(row["file"], row["utc"], outcome, row["prior"])
 
 
@@ -136,6 +161,13 @@ def _match_cells(match: MatchRow) -> dict[str, object]:
         pixel = getattr(match, f"{name}_px")
         if pixel is not None:
             cells |= zip(_pixel(name), pixel, strict=True)
+    return cells
+
+
+def _adjusted_cells(match: AdjustedMatch) -> dict[str, object]:
+    cells = _match_cells(match.row) | {"weight": match.weight}
+    for name in ("stated", "constants"):
+        cells |= zip(_pixel(name), getattr(match, f"{name}_px"), strict=True)
     return cells
 
 

@@ -1,0 +1,158 @@
+"""Numbers that are common to many frames: of the body, of a camera.
+
+A place of the catalog stands at scale * (turned) + origin in the frame that positions are stated
+in; a camera is turned by its boresight from what attitudes state, and its focal length may be off.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol, Self, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import FloatArray, IntArray
+from optnav_cli.estimation.models.points import ProjectingCamera
+
+C = TypeVar("C", bound="AdjustableCamera")
+
+
+class AdjustableCamera(ProjectingCamera, Protocol):
+    """What an adjustment needs of a camera."""
+
+    @property
+    def name(self) -> str:
+        """Its name: cameras of one name are one."""
+
+    @property
+    def principal_point_px(self) -> tuple[float, float]:
+        """(x, y) where its boresight meets the picture."""
+
+    def with_focal_factor(self, factor: float) -> Self:
+        """The same with its focal length multiplied."""
+
+
+class Common(StrEnum):
+    """What may be common to frames."""
+
+    BODY_ROTATION = "body_rotation"
+    ORIGIN = "origin"
+    SCALE = "scale"
+    BORESIGHT = "boresight"
+    FOCAL = "focal"
+
+
+# Prior sigmas, wider than any honest error: rad, share of the body's radius, 1, rad, 1.
+PRIOR_SIGMAS = {
+    Common.BODY_ROTATION: np.radians(5.0),
+    Common.ORIGIN: 0.2,
+    Common.SCALE: 0.05,
+    Common.BORESIGHT: np.radians(5.0),
+    Common.FOCAL: 0.05,
+}
+# a boresight is a direction: a roll about it looks much like a turn of the body below
+AXES = {
+    Common.BODY_ROTATION: ("x", "y", "z"),
+    Common.ORIGIN: ("x", "y", "z"),
+    Common.SCALE: ("",),
+    Common.BORESIGHT: ("x", "y"),
+    Common.FOCAL: ("",),
+}
+OF_THE_CATALOG = (Common.BODY_ROTATION, Common.ORIGIN, Common.SCALE)
+
+
+@dataclass(frozen=True)
+class CommonNumber:
+    """One number common to frames: an axis of a rotation vector, rad, or of a shift, m, or a share.
+
+    camera  whose it is; empty for one of the body
+    """
+
+    kind: Common
+    axis: str = ""
+    camera: str = ""
+    prior_sigma: float = 1.0
+
+    @property
+    def label(self) -> str:
+        """What it is a part of, in words."""
+        words = {
+            Common.BODY_ROTATION: "the rotation of the body frame",
+            Common.ORIGIN: "the origin",
+            Common.SCALE: "the scale",
+            Common.BORESIGHT: f"the boresight of {self.camera}",
+            Common.FOCAL: f"the focal length of {self.camera}",
+        }
+        return words[self.kind]
+
+
+def common_numbers(
+    kinds: Sequence[Common], cameras: Sequence[str], radius_m: float
+) -> tuple[CommonNumber, ...]:
+    """The numbers to solve for, in their order in the state."""
+    numbers = []
+    for kind in Common:
+        if kind not in kinds:
+            continue
+        owners = [""] if kind in OF_THE_CATALOG else list(cameras)
+        sigma = PRIOR_SIGMAS[kind] * (radius_m if kind == Common.ORIGIN else 1.0)
+        numbers += [
+            CommonNumber(kind, axis, owner, sigma) for owner in owners for axis in AXES[kind]
+        ]
+    return tuple(numbers)
+
+
+@dataclass(frozen=True, eq=False)
+class CommonState:
+    """Values (k,) of the common numbers."""
+
+    numbers: tuple[CommonNumber, ...]
+    values: FloatArray
+
+    def part(self, kind: Common, camera: str = "") -> FloatArray:
+        """The values of one kind; empty where it is not solved for."""
+        return self.values[self.places(kind, camera)]
+
+    def places(self, kind: Common, camera: str = "") -> IntArray:
+        """Where they stand."""
+        owner = "" if kind in OF_THE_CATALOG else camera
+        found = [i for i, n in enumerate(self.numbers) if (n.kind, n.camera) == (kind, owner)]
+        return np.array(found, dtype=np.int64)
+
+    @property
+    def turn(self) -> Rotation:
+        """Of the catalog, to the frame that positions are stated in."""
+        return _rotation(self.part(Common.BODY_ROTATION))
+
+    @property
+    def origin_m(self) -> FloatArray:
+        """(3,) of the catalog, in that frame."""
+        found = self.part(Common.ORIGIN)
+        return found if found.size else np.zeros(3)
+
+    @property
+    def scale(self) -> float:
+        """Of the catalog."""
+        return 1.0 + float(self.part(Common.SCALE).sum())
+
+    def boresight(self, camera: str) -> Rotation:
+        """Of a camera, from what attitudes state."""
+        return _rotation(self.part(Common.BORESIGHT, camera))
+
+    def lens(self, camera: C) -> C:
+        """A camera with its focal length as solved for."""
+        return camera.with_focal_factor(self.focal_factor(camera.name))
+
+    def focal_factor(self, camera: str) -> float:
+        """Of a camera's focal length, to that of its file."""
+        return 1.0 + float(self.part(Common.FOCAL, camera).sum())
+
+    def places_m(self, catalog_m: FloatArray) -> FloatArray:
+        """Places (n, 3) of the catalog in the frame that positions are stated in."""
+        turned: FloatArray = self.scale * self.turn.apply(catalog_m) + self.origin_m
+        return turned
+
+
+def _rotation(vector: FloatArray) -> Rotation:
+    return Rotation.from_rotvec(np.concatenate([vector, np.zeros(3 - vector.size)]))
