@@ -97,6 +97,8 @@ class ControlPoint:
     source               which DEMs its finest patch comes from, joined by " + ": the one that
                          counts most at the point first
     comparison           its place in a second model; None without one, or where that has no ground
+    vertical_deg         latitude and longitude of the normal of the plane that its patches lie in,
+                         where that is the plane of the ground itself; None: of the body's figure
     """
 
     id: int
@@ -113,6 +115,7 @@ class ControlPoint:
     flags: Flag = Flag.NONE
     source: str = ""
     comparison: ComparisonShift | None = None
+    vertical_deg: tuple[float, float] | None = None
 
     @property
     def xyz_m(self) -> FloatArray:
@@ -124,8 +127,10 @@ class ControlPoint:
         return Stereographic(np.radians(self.lat_deg), np.radians(self.lon_deg), body_radius_m)
 
     def tangent_plane(self, radii_m: tuple[float, float, float]) -> TangentPlane:
-        """The same where it is planes on an ellipsoid of these semi-axes."""
-        return TangentPlane.below(self.xyz_m, radii_m)
+        """The same where it is planes: of the ground, or on an ellipsoid of these semi-axes."""
+        if self.vertical_deg is None:
+            return TangentPlane.below(self.xyz_m, radii_m)
+        return TangentPlane.through(self.xyz_m, *np.radians(self.vertical_deg).tolist())
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,7 @@ from catalog.geometry.projection import MapProjection
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.match_error import uniqueness_margin
+from catalog.store.records import rounded_point
 from catalog.terrain.skyline.local import skyline_limits_deg
 
 # Room on every side of the square that uniqueness describes, nodes of its level.
@@ -46,6 +48,8 @@ class Certificate:
         self.uniqueness = (0.0,) * context.levels
         self.shadow_limits_deg = np.zeros(SHADOW_AZIMUTHS)
         self._context = context
+        # elsewhere what overhangs has no height, so that much of it counts as holes
+        self._fatal = FATAL | Flag.OVERHANG if context.mosaic.own_planes else FATAL
         self._projection = context.projection(place.lat_deg, place.lon_deg)
         self._patches = context.patches(place.lat_deg, place.lon_deg)
         self._beyond = context.beyond(self._projection)
@@ -74,7 +78,7 @@ class Certificate:
         context = self._context
         if context.mosaic.overhangs(self._projection, context.posting_m, context.size):
             flags |= Flag.OVERHANG
-        if flags & FATAL:
+        if flags & self._fatal:
             return flags
         self.shadow_limits_deg = skyline_limits_deg(
             [(patch.heights_m, patch.posting_m) for patch in (*patches, *self._beyond)],
@@ -97,7 +101,7 @@ class Certificate:
     @property
     def usable(self) -> bool:
         """Whether the place passes, as far as it has been tried."""
-        return not self.flags & FATAL and self.spacing > 0.0
+        return not self.flags & self._fatal and self.spacing > 0.0
 
     @property
     def recognition_rate(self) -> float:
@@ -130,9 +134,9 @@ class Certificate:
         A place that is out already meets none. Of one that passes, rivals are looked for: they are
         rarer than failures, so that trials come first.
         """
-        if not self.flags & FATAL:
+        if not self.flags & self._fatal:
             self._run(max(self._least, successes))
-        if not self.flags & FATAL:
+        if not self.flags & self._fatal:
             self._look_for_rivals()
 
     def finish(self) -> None:
@@ -226,7 +230,7 @@ def _point(context: StageContext, found: Certificate) -> ControlPoint:
     lat, lon = math.radians(place.lat_deg), math.radians(place.lon_deg)
     height_m = float(np.nan_to_num(terrain.heights(lat, lon, context.posting_m)))
     projection = context.projection(place.lat_deg, place.lon_deg)
-    return ControlPoint(
+    point = ControlPoint(
         id=found.cell,
         lat_deg=place.lat_deg,
         lon_deg=place.lon_deg,
@@ -241,3 +245,9 @@ def _point(context: StageContext, found: Certificate) -> ControlPoint:
         flags=found.flags,
         source=terrain.provenance(projection, context.posting_m, context.size),
     )
+    if not terrain.own_planes:
+        return point
+    # of the place that the catalog will state, about which its patches are cut
+    stated = rounded_point(point)
+    plane = context.projection(stated.lat_deg, stated.lon_deg)
+    return replace(point, vertical_deg=(math.degrees(plane.lat), math.degrees(plane.lon)))

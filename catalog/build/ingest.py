@@ -41,6 +41,9 @@ MAX_CHUNK = 64  # cells in work at once: what a kill can lose
 CHUNKS = 32  # a small build is cut at least so finely, to keep several workers busy
 UNIMPORTANT = ("path", "priority", "feather_km")  # to the overviews of a terrain model
 CORNERS, RECORD = "corners.npy", "mesh.json"
+# Surface that looks towards the centre: Phobos has none, Eros little, 67P 0.09 of its own.
+MAX_HIDDEN = 0.01
+NORMALS_SHARE = 0.25  # of the finest patch's side: ground whose normal is that of its plane
 CELLS_ACROSS = 2.0  # that the finest patch spans: a point may lie anywhere in its cell
 MAX_ARC_DEG = 30.0  # of the body that a patch may span: beyond, much of it is seen edge-on
 FACE_NODES = 2.0  # of the finest patches that a face of the smooth surface may span
@@ -57,6 +60,8 @@ class MeshRecord(msgspec.Struct, frozen=True):
     halvings   of its edges, so that its surface is smooth in patches finer than it is
     corners_sha256  of the file of corners
     mended     small faults that were mended, in words
+    hidden     share of its surface that looks away from the centre: none of a body whose ground
+               has one radius at every place
     """
 
     name: str
@@ -69,6 +74,7 @@ class MeshRecord(msgspec.Struct, frozen=True):
     halvings: int
     mended: tuple[str, ...]
     corners_sha256: str
+    hidden: float
 
 
 def ingest(run: IngestRun) -> tuple[Mosaic, list[DemRecord], Mosaic | None, list[DemRecord]]:
@@ -232,6 +238,7 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
             halvings=halvings,
             mended=shape.mended,
             corners_sha256=hashlib.sha256(corners.getbuffer()).hexdigest(),
+            hidden=shape.hidden_share,
         )
         workspace.put(f"{folder}/{CORNERS}", corners.getvalue())
         workspace.put(f"{folder}/{RECORD}", msgspec.json.encode(record))
@@ -243,7 +250,10 @@ def ingest_mesh(run: IngestRun, finest_m: float) -> tuple[MeshTerrain, MeshRecor
             " they are cut from a smooth surface through these",
             *(path.name, finest_m, record.posting_m),
         )
-    return MeshTerrain(body, place, record.name, record.posting_m), record
+    # no ellipsoid follows such ground: patches lie in planes of their own
+    own = record.hidden > MAX_HIDDEN
+    normals_m = NORMALS_SHARE * run.config.pyramid.size * finest_m if own else 0.0
+    return MeshTerrain(body, place, record.name, record.posting_m, normals_m), record
 
 
 def _halvings(shape: Shape, finest_m: float) -> int:

@@ -70,7 +70,12 @@ def render_chunk(context: StageContext, cells: Sequence[int]) -> list[RenderedCe
 
 
 def _groups(context: StageContext, places: FloatArray) -> list[FloatArray]:
-    """Places that are rendered on one ground: all, or each alone where they lie far apart."""
+    """Places that are rendered on one ground: all, or each alone where they lie far apart.
+
+    Or where each has a plane of its own.
+    """
+    if context.mosaic.own_planes:
+        return [places[i : i + 1] for i in range(len(places))]
     offsets = _offsets(context, places)[1]
     alone = context.config.render.window_nodes + 2 * SHADOW_NODES
     together = 2.0 * np.abs(offsets).max() + alone

@@ -1,6 +1,5 @@
 """Select: order every cell's candidates by predicted error, kept apart from other cells' points."""
 
-import math
 from collections.abc import Sequence
 
 import msgspec
@@ -41,7 +40,8 @@ def select(context: StageContext, records: Sequence[RenderedCell]) -> list[Selec
     settings = context.config.select
     ordered = sorted(records, key=lambda record: record.cell)
     cells = [record.cell for record in ordered for _ in record.candidates]
-    places = [place for record in ordered for place in _places(record, settings.percentile)]
+    dark = context.config.check.max_shadowed if context.mosaic.own_planes else 0.0
+    places = [place for record in ordered for place in _places(record, settings.percentile, dark)]
     choices = choose_spaced(
         cells,
         np.array([place.lat_deg for place in places]),
@@ -56,14 +56,20 @@ def select(context: StageContext, records: Sequence[RenderedCell]) -> list[Selec
     ]
 
 
-def _places(record: RenderedCell, percentile: float) -> list[Place]:
-    """A cell's candidates, each with the percentile of its errors over Suns, at its worst level."""
+def _places(record: RenderedCell, percentile: float, dark: float) -> list[Place]:
+    """A cell's candidates, each with the percentile of its errors over Suns, at its worst level.
+
+    dark  share of the Suns that may leave a place without any light; these do not count
+    """
     if not record.candidates:
         return []
     errors = np.sort([candidate.error_px for candidate in record.candidates], axis=2)
     # nearest rank, not interpolated: an infinite error beside a finite one has no mean
-    rank = math.ceil((errors.shape[2] - 1) * (percentile / 100.0))
-    worst = errors[:, :, rank].max(axis=1).tolist()
+    suns = errors.shape[2]
+    lit = np.isfinite(errors).sum(axis=2)
+    counted = np.where(lit >= (1.0 - dark) * suns, np.maximum(lit, 1), suns)
+    ranks = np.ceil((counted - 1) * (percentile / 100.0)).astype(np.int64)
+    worst = np.take_along_axis(errors, ranks[..., None], axis=2)[..., 0].max(axis=1).tolist()
     return [
         Place(
             lat_deg=candidate.lat_deg,

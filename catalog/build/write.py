@@ -34,7 +34,7 @@ from catalog.progress import Progress
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
 from catalog.store.manifest import CatalogMeta, ComparisonMeta, PlanesMeta
 from catalog.store.patches import PreparedPoint, prepare_point
-from catalog.store.records import rounded_point
+from catalog.store.records import rounded_point, rounded_vertical
 from catalog.store.relief import PreparedRelief
 from catalog.store.writer import Written, write_catalog
 from catalog.terrain.error_model import TerrainErrorModel
@@ -105,7 +105,11 @@ def write(
     Raises OutputError for a place that cannot be written.
     """
     terrain = context.mosaic
-    planes = PlanesMeta(context.body.radii_m, terrain.posting_m) if terrain.in_planes else None
+    planes = None
+    if terrain.in_planes:
+        verticals = {point.id: rounded_vertical(point.vertical_deg) for point in points}
+        own = {number: vertical for number, vertical in verticals.items() if vertical is not None}
+        planes = PlanesMeta(context.body.radii_m, terrain.posting_m, own)
     meta = CatalogMeta(
         body=context.body.name,
         radius_m=context.body.radius_m,

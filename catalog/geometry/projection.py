@@ -159,7 +159,7 @@ class Stereographic:
 
 @dataclass(frozen=True)
 class TangentPlane:
-    """The plane that touches a reference ellipsoid below a point.
+    """The plane that touches a reference ellipsoid below a point, or the ground at the point.
 
     lat, lon  rad  direction of the normal: geodetic, not planetocentric
     foot_m    (3,)  where it touches, body frame
@@ -176,6 +176,12 @@ class TangentPlane:
         lat, lon, _ = latlon_from_xyz(normal_at(foot, radii_m))
         x, y, z = foot.tolist()
         return cls(float(lat), float(lon), (x, y, z))
+
+    @classmethod
+    def through(cls, point_m: FloatArray, lat: float, lon: float) -> "TangentPlane":
+        """The plane through a point (3,) m whose normal has a latitude and longitude (rad)."""
+        x, y, z = point_m.tolist()
+        return cls(lat, lon, (x, y, z))
 
     @property
     def radius_m(self) -> float:

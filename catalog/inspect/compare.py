@@ -5,6 +5,8 @@ stored, and unpacked only where that differs; one point's patches are held at a 
 both files is read with its checksum: a damaged catalog is reported and never called the same.
 """
 
+import hashlib
+import json
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -155,7 +157,12 @@ def _content(meta: CatalogMeta) -> dict[str, str]:
     if meta.relief is not None:
         relief = meta.relief
         values["relief"] = f"{relief.rows} rows of {relief.source} ({relief.digest[:12]})"
-    return values | ({"planes": str(meta.planes.rounded())} if meta.planes is not None else {})
+    if meta.planes is not None:
+        planes = meta.planes.rounded()
+        own = json.dumps(planes.pop("verticals_deg", {}), sort_keys=True)
+        digest = f", verticals {hashlib.sha256(own.encode()).hexdigest()[:12]}"
+        values["planes"] = f"{planes}{digest if meta.planes.verticals_deg else ''}"
+    return values
 
 
 def _provenance(meta: CatalogMeta) -> dict[str, str]:

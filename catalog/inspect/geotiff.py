@@ -75,6 +75,8 @@ def _patch_system(meta: CatalogMeta, point: ControlPoint) -> str:
     axes = 'UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
     if meta.planes is not None:  # no projection of a sphere: heights move a point across the plane
         name = f"Plane that touches the ellipsoid of {meta.body} below control point {point.id}"
+        if point.vertical_deg is not None:
+            name = f"Plane of the ground of {meta.body} at control point {point.id}"
         return f'LOCAL_CS["{name}",{axes}'
     sphere = srs_of(meta.body, meta.radius_m)[4]
     return (

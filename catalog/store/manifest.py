@@ -8,23 +8,32 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import msgspec
+import numpy as np
 
+from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import NAME
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
+from catalog.geometry.ellipsoid import foot_of, normal_at
+from catalog.geometry.latlon import xyz_from_latlon
 from catalog.geometry.projection import FLAT_RADIUS_M, MapProjection
 from catalog.terrain.error_model import TerrainErrorModel
 
 FORMAT = "optnav catalog"
-FORMAT_VERSION = 4  # that is written; this program reads up to it
+FORMAT_VERSION = 5  # this program reads up to it; written where points have verticals of their own
+PLAIN_VERSION = 4  # written else
 PROJECTION = "oblique stereographic on the sphere of radius_m, centred on the point, k0 = 1"
 PLANES = (
     "the plane that touches the ellipsoid of semi-axes radii_m below the point: x east, y north, "
     "heights along its normal, which goes through the point"
+)
+OWN_PLANES = (
+    "the plane through the point whose normal `verticals_deg` of `planes` gives: x east, y north, "
+    "heights along the normal, 0 at the point"
 )
 CHECKSUM = "checksum"
 SEAL = "seal"  # of all bytes of the file, see `catalog.store.connection`
@@ -69,15 +78,33 @@ class PlanesMeta:
 
     radii_m          semi-axes, along body x, y, z, of the ellipsoid that the planes touch
     model_posting_m  distance of the shape model's vertices: finer patches are oversampled
+    verticals_deg    by a point's id, latitude and longitude of the normal of its plane, where
+                     planes are those of the ground at each point; empty: they touch the ellipsoid
     """
 
     radii_m: tuple[float, float, float]
     model_posting_m: float
+    verticals_deg: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
     def rounded(self) -> dict[str, Any]:
         """As it is written."""
         radii_m = [round(float(radius), 3) for radius in self.radii_m]
-        return {"radii_m": radii_m, "model_posting_m": round(float(self.model_posting_m), 3)}
+        values = {"radii_m": radii_m, "model_posting_m": round(float(self.model_posting_m), 3)}
+        if not self.verticals_deg:
+            return values
+        verticals = {str(number): list(two) for number, two in sorted(self.verticals_deg.items())}
+        return values | {"verticals_deg": verticals}
+
+    def with_vertical(self, point: ControlPoint) -> ControlPoint:
+        """A point with the normal of its plane, where that is its own."""
+        return replace(point, vertical_deg=self.verticals_deg.get(point.id))
+
+    def verticals(self, ids: IntArray, xyz_m: FloatArray) -> FloatArray:
+        """Unit normals (n, 3) of the planes of points; their places (n, 3) m."""
+        if self.verticals_deg:
+            lat, lon = np.radians([self.verticals_deg[number] for number in ids.tolist()]).T
+            return xyz_from_latlon(lat, lon, 1.0)
+        return normal_at(foot_of(xyz_m, self.radii_m), self.radii_m)
 
 
 @dataclass(frozen=True)
@@ -132,7 +159,7 @@ class CatalogMeta:
     count: int = 0
     usable: int = 0
     digest: str = ""
-    format_version: int = FORMAT_VERSION
+    format_version: int = PLAIN_VERSION
     relief: ReliefMeta | None = None
     planes: PlanesMeta | None = None
     terrain_errors: Mapping[str, TerrainErrorModel] = field(default_factory=dict)
@@ -161,7 +188,7 @@ def content_text(meta: CatalogMeta) -> str:
     content: dict[str, object] = {
         "body": meta.body,
         **_numbers(meta),
-        "projection": PROJECTION if meta.planes is None else PLANES,
+        "projection": _projection_words(meta),
         "point_sources": list(meta.point_sources),
         "count": meta.count,
     }
@@ -179,7 +206,7 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         "format_version": str(meta.format_version),
         "body": meta.body,
         **{name: repr(number) for name, number in _numbers(meta).items()},
-        "projection": PROJECTION if meta.planes is None else PLANES,
+        "projection": _projection_words(meta),
         "sources": json.dumps(dict(meta.sources), sort_keys=True, ensure_ascii=False),
         "point_sources": json.dumps(list(meta.point_sources), ensure_ascii=False),
         "config": meta.config,
@@ -194,12 +221,20 @@ def rows_from_meta(meta: CatalogMeta) -> dict[str, str]:
         rows["relief"] = json.dumps(relief, sort_keys=True, ensure_ascii=False)
     if meta.planes is not None:
         rows["planes"] = json.dumps(meta.planes.rounded(), sort_keys=True)
+        if meta.planes.verticals_deg:
+            rows["format_version"] = str(FORMAT_VERSION)
     if meta.terrain_errors:
         rows["terrain_errors"] = msgspec.json.encode(meta.terrain_errors, order="sorted").decode()
     if meta.comparison is not None:
         rows["comparison"] = msgspec.json.encode(meta.comparison, order="sorted").decode()
     rows = dict(sorted(rows.items()))
     return {**rows, CHECKSUM: _checksum(rows), SEAL: OPEN_SEAL}
+
+
+def _projection_words(meta: CatalogMeta) -> str:
+    if meta.planes is None:
+        return PROJECTION
+    return OWN_PLANES if meta.planes.verticals_deg else PLANES
 
 
 def _numbers(meta: CatalogMeta) -> dict[str, float | int]:
@@ -272,6 +307,8 @@ def _out_of_range(meta: CatalogMeta) -> Iterator[tuple[str, object]]:
         radii = meta.planes.radii_m
         numbers += [("planes radii_m", radius, *LIMITS["radius_m"]) for radius in radii]
         numbers.append(("model_posting_m", meta.planes.model_posting_m, *LIMITS["posting_m"]))
+        for lat, lon in meta.planes.verticals_deg.values():
+            numbers += [("verticals_deg", lat, -90.0, 90.0), ("verticals_deg", lon, -180.0, 180.0)]
     if meta.relief is not None:
         numbers.append(("relief rows", meta.relief.rows, 1, MAX_RELIEF_ROWS))
     yield from ((name, n) for name, n, lowest, highest in numbers if not lowest <= n <= highest)

@@ -169,8 +169,12 @@ class Catalog:
 
     def point(self, point_id: int) -> ControlPoint:
         """A point with its certificate. Raises DataError for an id that is not there."""
-        found = point_from_record(self.records[self.row_of(point_id)], self.meta.point_sources)
+        found = self._point(self.records[self.row_of(point_id)])
         return replace(found, comparison=self.shifts.get(point_id)) if self.shifts else found
+
+    def _point(self, record: Record) -> ControlPoint:
+        point = point_from_record(record, self.meta.point_sources)
+        return point if self.meta.planes is None else self.meta.planes.with_vertical(point)
 
     @cached_property
     def shifts(self) -> dict[int, ComparisonShift]:
@@ -186,7 +190,7 @@ class Catalog:
     def points(self) -> Iterator[ControlPoint]:
         """All points in the order of their ids."""
         for record in self.records:
-            yield point_from_record(record, self.meta.point_sources)
+            yield self._point(record)
 
     def nearest(self, lat_deg: float, lon_deg: float) -> int:
         """Id of the point at the least angle from a place; of equals, the lowest.
@@ -307,6 +311,10 @@ def read_records(db: sqlite3.Connection, meta: CatalogMeta, report: Report) -> R
         raise DataError("the catalog is damaged: its points are not in order; build it again")
     sources = len(meta.point_sources)
     wrong = impossible(records, CellGrid(meta.cell_deg), meta.levels, sources, meta.radius_m)
+    if meta.planes is not None and meta.planes.verticals_deg:
+        known = np.isin(records["id"], list(meta.planes.verticals_deg))
+        for row in np.flatnonzero(~known).tolist():
+            wrong.setdefault(row, "the manifest has no vertical of it")
     for row, reason in wrong.items():
         report(f"{POINTS} {records['id'][row]}", f"left out: {reason}")
     return np.delete(records, list(wrong)) if wrong else records

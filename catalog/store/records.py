@@ -88,6 +88,7 @@ def rounded_point(point: ControlPoint) -> ControlPoint:
         flags=Flag(int(point.flags)),
         source=point.source,
         comparison=None if point.comparison is None else rounded_shift(point.comparison),
+        vertical_deg=rounded_vertical(point.vertical_deg),
     )
 
 
@@ -95,6 +96,14 @@ def rounded_shift(shift: ComparisonShift) -> ComparisonShift:
     """A shift with numbers as the catalog keeps them."""
     east, north = (_rounded(value, SHIFT_DECIMALS) for value in (shift.east_m, shift.north_m))
     return ComparisonShift(east, north, int(shift.level), _rounded(shift.score, SCORE_DECIMALS))
+
+
+def rounded_vertical(vertical_deg: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Latitude and longitude of a vertical as the catalog keeps them."""
+    if vertical_deg is None:
+        return None
+    lat, lon = (_rounded(angle, LATLON_DECIMALS) for angle in vertical_deg)
+    return lat, lon
 
 
 def record_from_point(

@@ -18,6 +18,7 @@ class Terrain(Protocol):
     body: Body
     posting_m: float  # the finest posting; a finer patch is interpolated
     in_planes: bool  # whether patches lie in tangent planes: on a small body
+    own_planes: bool  # whether each lies in the plane of its own ground
     whole: bool  # whether every place of the body has a height
     has_graticules: bool  # whether heights on a graticule cost much less than those of points
 

@@ -23,7 +23,8 @@ class Reference:
     point   the control point; patches its levels, finest first
     radius_m  the body's reference sphere, from which heights are measured
     planes_on_m  semi-axes of the ellipsoid in whose tangent planes the patches of a small body lie,
-                 with heights above them; None on the sphere
+                 with heights above them, unless the point has a plane of its own; None: on the
+                 sphere
     """
 
     point: ControlPoint
@@ -68,11 +69,13 @@ class Reference:
         """Body-fixed points (size, size, 3), m, of the nodes of a window's heights (size, size).
 
         Of a small body the ground goes on beyond the coarsest patch, which is hardly wider than
-        what is looked for, as high above the ellipsoid as the patch's border is.
+        what is looked for, as high above the ellipsoid as the patch's border is; above the plane
+        where that is the ground's own.
         """
         projection, posting = self.projection, self.patches[level].posting_m
         if isinstance(projection, TangentPlane) and self.planes_on_m is not None:
-            heights = _carried_on(heights, projection, posting, self.planes_on_m)
+            figure = self.planes_on_m if self.point.vertical_deg is None else None
+            heights = _carried_on(heights, projection, posting, figure)
         return projection.nodes(heights, posting)
 
     def render(
@@ -151,15 +154,20 @@ def _carried_on(
     heights: Float32Array,
     plane: TangentPlane,
     posting_m: float,
-    radii_m: tuple[float, ...],
+    radii_m: tuple[float, ...] | None,
 ) -> Float32Array:
-    """Heights (n, n) with those of the known square's border, over the ellipsoid, beyond it."""
+    """Heights (n, n) with those of the known square's border, over the ellipsoid, beyond it.
+
+    radii_m  semi-axes of the ellipsoid; None: over the plane
+    """
     known = np.flatnonzero(np.isfinite(heights).any(axis=1))
     if known.size in (0, heights.shape[0]):
         return heights
     inner = slice(known[0], known[-1] + 1)
-    level = plane.nodes(np.zeros_like(heights), posting_m)
-    base = height_above(level, plane.body_from_local[:, 2], radii_m)
+    base = np.zeros(heights.shape)
+    if radii_m is not None:
+        level = plane.nodes(np.zeros_like(heights), posting_m)
+        base = height_above(level, plane.body_from_local[:, 2], radii_m)
     room = known[0], heights.shape[0] - 1 - known[-1]
     over = np.pad(heights[inner, inner] - base[inner, inner], (room, room), mode="edge")
     return np.where(np.isnan(heights), base + over, heights).astype(np.float32)

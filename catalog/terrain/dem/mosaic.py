@@ -46,6 +46,7 @@ class Mosaic:
     """Pyramids in order of priority, sampled as one. Not safe across threads; pickles by path."""
 
     has_graticules = True
+    own_planes = False
     in_planes = False
 
     def __init__(self, pyramids: Sequence[HeightPyramid]) -> None:

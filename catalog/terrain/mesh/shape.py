@@ -67,6 +67,15 @@ class Shape:
         area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
         return float(np.sqrt(2.0 * area / len(self.faces)))
 
+    @property
+    def hidden_share(self) -> float:
+        """Share of the surface whose outer side looks towards the origin."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        areas = np.cross(b - a, c - a)
+        size = np.linalg.norm(areas, axis=1)
+        away = np.einsum("ij,ij->i", areas, a) < 0.0
+        return float(size[away].sum() / size.sum())
+
 
 def load_shape(
     settings: MeshSettings, base_dir: Path, body: Body, progress: Progress | None = None

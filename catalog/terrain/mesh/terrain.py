@@ -4,6 +4,12 @@ On a body under 100 km a patch is a grid in the plane that touches the reference
 heights along that plane's normal; on a larger one, as with rasters, a stereographic grid with
 radial heights. A height is where the line through a node meets the ground first from outside.
 Where it meets the ground again soon below, the ground overhangs and has no one height: NaN.
+
+No ellipsoid follows the ground of a body of which lines from its centre leave some ground
+unmet: of one with two lobes or deep hollows. Its patches lie in planes of the ground itself:
+through the point, along the mean normal of the faces about it. Rays go down from half a patch's
+width over the plane, so that a lobe that stands over the place is left out. At a cliff's foot a
+node takes the ground on top, as pictures show it; a patch with much such ground overhangs.
 """
 
 from collections.abc import Sequence
@@ -13,12 +19,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.geometry.cells import Graticule, Part
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.projection import MapProjection, Stereographic, TangentPlane, node_grid
+from catalog.geometry.vectors import unit
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.relief.relief import GlobalRelief
 
@@ -26,7 +34,12 @@ SMALL_BODY_M = 100e3  # mean diameter
 # A coarse node is the mean of so many rays a side that none covers more than a mesh's own
 # posting; more than this would cost much and change little.
 MAX_RAYS_ASIDE = 8
+SHADOW_RAYS_ASIDE = 1
 PAST = 1e-6  # of the body's reach: beyond a face that was met, before the next one is looked for
+# In a plane of the ground: surfaces over the ceiling that are passed at most, the share of nodes
+# that may have ground below ground (more and the patch overhangs), and faces that a normal is
+# the mean of at most (of a finer mesh some are left out).
+MAX_PASSED, MAX_COVERED, NORMAL_FACES = 6, 0.1, 1 << 18
 
 
 class MeshTerrain:
@@ -36,20 +49,32 @@ class MeshTerrain:
     name          of the file that the mesh came from
     posting_m     distance of neighbouring vertices
     in_planes     whether patches lie in tangent planes: on a small body
+    normals_m     radius about a point of the ground whose normal is that of its patches; 0: they
+                  lie in planes that touch the body's ellipsoid
     """
 
     whole = True
     has_graticules = False  # a ray a node costs as much anywhere
 
-    def __init__(self, body: Body, corners_file: Path, name: str, posting_m: float) -> None:
+    def __init__(
+        self,
+        body: Body,
+        corners_file: Path,
+        name: str,
+        posting_m: float,
+        normals_m: float = 0.0,
+    ) -> None:
         self.body, self.corners_file, self.name = body, corners_file, name
+        self.normals_m = normals_m
         self.posting_m = posting_m
         self.names: tuple[str, ...] = (name,)
         self.extent = f"{name} covers all of {body.name}"
         self.in_planes = 2.0 * body.radius_m < SMALL_BODY_M
+        self.own_planes = self.in_planes and normals_m > 0.0
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "rays"}
+        made = ("rays", "_faces")
+        return {name: value for name, value in self.__dict__.items() if name not in made}
 
     @cached_property
     def rays(self) -> MeshRays:
@@ -63,12 +88,33 @@ class MeshTerrain:
     def close(self) -> None:
         """Drop the mesh; it is read again at the next use."""
         self.__dict__.pop("rays", None)
+        self.__dict__.pop("_faces", None)
 
     def projection(self, lat: float, lon: float) -> MapProjection:
         """The projection of patches about the ground at a place (rad, planetocentric)."""
+        if self.own_planes:
+            point = self.points(lat, lon)
+            normal_lat, normal_lon, _ = latlon_from_xyz(self._normal_about(point))
+            return TangentPlane.through(point, float(normal_lat), float(normal_lon))
         if self.in_planes:
             return TangentPlane.below(self.points(lat, lon), self.body.radii_m)
         return Stereographic(lat, lon, self.body.radius_m)
+
+    @cached_property
+    def _faces(self) -> tuple[cKDTree, FloatArray]:
+        """Middles of faces, to be searched, and normals (n, 3) as long as twice their areas."""
+        corners = self.rays.corners[:: 1 + len(self.rays.corners) // NORMAL_FACES]
+        a, b, c = (corners[:, k] for k in range(3))
+        return cKDTree(corners.mean(axis=1)), np.cross(b - a, c - a)
+
+    def _normal_about(self, point: FloatArray) -> FloatArray:
+        """Unit mean normal (3,) of the ground about a point (3,) m, without what looks away."""
+        tree, areas = self._faces
+        _, nearest = tree.query(point)
+        normal = areas[[*tree.query_ball_point(point, self.normals_m / 4.0), nearest]].sum(axis=0)
+        about = areas[[*tree.query_ball_point(point, self.normals_m), nearest]]
+        mean = about[about @ normal > 0.0].sum(axis=0)
+        return unit(mean if mean.any() else normal)
 
     def points(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
         """Points (..., 3) m of the ground at places (rad, planetocentric), the outermost."""
@@ -99,7 +145,12 @@ class MeshTerrain:
         return self.heights(lat[:, None], graticule.lon(part.cols), posting_m)
 
     def overhangs(self, projection: MapProjection, posting_m: float, size: int) -> bool:
-        """Whether a vertical line through a node meets the ground again within the grid's width."""
+        """Whether a vertical line through a node meets the ground again within the grid's width.
+
+        In a plane of the ground: whether more than a few lines do.
+        """
+        if self.own_planes:
+            return self._covered_share(projection, posting_m, size) > MAX_COVERED
         first = self._outermost(projection, *node_grid(size, posting_m))
         single = self._outermost(projection, *node_grid(size, posting_m), size * posting_m)
         return bool((np.isnan(single) & ~np.isnan(first)).any())
@@ -109,14 +160,16 @@ class MeshTerrain:
     ) -> Sequence[tuple[Float32Array, float]]:
         """Coarser grids, each of twice the posting of the one before, until all of the body is in.
 
-        Overhanging ground enters with its outermost height: it throws shadows.
+        Overhanging ground enters with its outermost height: it throws shadows. In a plane of the
+        ground it does so up to a height of half a grid's width.
         """
         if not self.in_planes:
             return ()
         grids = []
         while size * posting_m < 4.0 * self.rays.reach_m:
             posting_m *= 2.0
-            grids.append((self._grid(projection, posting_m, size), posting_m))
+            width_m = size * posting_m if self.own_planes else 0.0
+            grids.append((self._grid(projection, posting_m, size, width_m, up=True), posting_m))
         return grids
 
     def provenance(self, projection: MapProjection, posting_m: float, size: int) -> str:
@@ -124,12 +177,27 @@ class MeshTerrain:
         return self.name
 
     def _grid(
-        self, projection: MapProjection, posting_m: float, size: int, depth_m: float = 0.0
+        self,
+        projection: MapProjection,
+        posting_m: float,
+        size: int,
+        depth_m: float = 0.0,
+        *,
+        up: bool = False,
     ) -> Float32Array:
-        """Means of heights, see `_outermost`, over the cells of a grid's nodes."""
-        aside = int(np.clip(np.ceil(posting_m / self.posting_m - 0.05), 1, MAX_RAYS_ASIDE))
+        """Means of heights, see `_outermost` and `_in_plane`, over the cells of a grid's nodes.
+
+        up  whether ground over the ceiling counts as high as that
+        """
+        # what throws shadows from afar need not be as exact as what is matched
+        most = SHADOW_RAYS_ASIDE if up and self.own_planes else MAX_RAYS_ASIDE
+        aside = int(np.clip(np.ceil(posting_m / self.posting_m - 0.05), 1, most))
         x, y = node_grid(size * aside, posting_m / aside)
-        heights = self._outermost(projection, x, y, depth_m)
+        if self.own_planes and depth_m:
+            heights, filled = self._in_plane(projection, x, y, depth_m)
+            heights[filled & up] = depth_m / 2.0
+        else:
+            heights = self._outermost(projection, x, y, depth_m)
         cells = heights.reshape(size, aside, size, aside)
         means: Float32Array = cells.mean(axis=(1, 3)).astype(np.float32)
         return means
@@ -157,6 +225,55 @@ class MeshTerrain:
             distance[met] = at[below]
         height[met] = np.nan
         return height.reshape(x.shape)
+
+    def _in_plane(
+        self, projection: MapProjection, x: FloatArray, y: FloatArray, width_m: float
+    ) -> tuple[FloatArray, BoolArray]:
+        """Heights of the first ground below a ceiling of half a width, NaN where there is none.
+
+        Also which nodes the body fills at the ceiling: their ground is higher.
+        """
+        top, ceiling = 2.0 * self.rays.reach_m, width_m / 2.0
+        starts = projection.points(x.ravel(), y.ravel(), top)
+        rays = projection.downward(starts)
+        face, distance = self.rays.first_hits(starts, rays)
+        filled = np.zeros(face.size, dtype=bool)
+        over = np.flatnonzero((face >= 0) & (top - distance > ceiling))
+        for _ in range(MAX_PASSED):
+            out, again = self._next_ground(starts[over], rays[over], distance[over])
+            filled[over] = top - out < ceiling
+            distance[over] = np.where(filled[over], np.inf, again)
+            over = over[top - distance[over] > ceiling]
+            if not over.size:
+                break
+        distance[over] = np.inf
+        height = np.where(np.isfinite(distance), top - distance, np.nan)
+        height[height < -width_m] = np.nan
+        return height.reshape(x.shape), filled.reshape(x.shape)
+
+    def _covered_share(self, projection: MapProjection, posting_m: float, size: int) -> float:
+        """Share of a grid's nodes that have more ground within its width below the first."""
+        x, y = node_grid(size, posting_m)
+        heights = self._in_plane(projection, x, y, size * posting_m)[0].ravel()
+        top = 2.0 * self.rays.reach_m
+        met = np.flatnonzero(np.isfinite(heights))
+        starts = projection.points(x.ravel()[met], y.ravel()[met], top)
+        rays = projection.downward(starts)
+        below = self._next_ground(starts, rays, top - heights[met])[1]
+        return float((top - below > heights[met] - size * posting_m).sum() / heights.size)
+
+    def _next_ground(
+        self, starts: FloatArray, rays: FloatArray, distance: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where rays that met ground at distances (n) m leave the body, and meet it once more."""
+        past, again = PAST * self.rays.reach_m, np.full(len(rays), np.inf)
+        if not len(rays):
+            return again, again
+        _, out = self.rays.next_hits(starts, rays, distance + past)
+        left = np.flatnonzero(np.isfinite(out))
+        if left.size:
+            _, again[left] = self.rays.next_hits(starts[left], rays[left], out[left] + past)
+        return out, again
 
 
 RAYS_ASIDE = 4  # a side of a cell, of which the mean is taken

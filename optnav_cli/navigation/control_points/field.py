@@ -14,7 +14,6 @@ from catalog.cache import Cache
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
 from catalog.geometry.cells import CellGrid
-from catalog.geometry.ellipsoid import foot_of, normal_at
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.vectors import unit
 from catalog.store.index import CELL_SLACK_DEG
@@ -65,10 +64,10 @@ class PointLayer:
 
     @property
     def verticals(self) -> FloatArray:
-        """(n, 3) outward normals at the points: of the ellipsoid where patches lie in planes."""
+        """(n, 3) outward normals at the points: of their planes where patches lie in such."""
         if self.planes is None:
             return unit(self.xyz_m)
-        return normal_at(foot_of(self.xyz_m, self.planes.radii_m), self.planes.radii_m)
+        return self.planes.verticals(self.ids, self.xyz_m)
 
     @property
     def known_m(self) -> float:
@@ -178,6 +177,10 @@ class ControlPointField:
         found = []
         for number, layer in enumerate(self.layers):
             if len(layer.ids) == 0:
+                continue
+            if layer.planes is not None and layer.planes.verticals_deg:
+                # ground that leans anywhere may be seen from anywhere
+                found.append(np.arange(self._first[number], self._first[number + 1]))
                 continue
             # the lower a point lies, the farther from the camera's foot it is still seen
             lowest = self._lowest_m[number]

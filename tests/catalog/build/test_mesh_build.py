@@ -1,7 +1,9 @@
 """A catalog from a shape model: the whole way, on a few cells of Phobos."""
 
 import shutil
-from contextlib import suppress
+import sqlite3
+from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import manifold3d
@@ -15,6 +17,7 @@ from catalog.build.build import run
 from catalog.control_point import Flag
 from catalog.errors import ConfigError, DataError, NothingToDoError
 from catalog.geometry.projection import FLAT_RADIUS_M, TangentPlane
+from catalog.store.manifest import rows_from_meta
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
 from catalog.terrain.mesh.rays import first_of_all
@@ -190,8 +193,8 @@ meridian_deg_by_day = [35.2, 1128.8, 0.0]
 """
 
 
-def test_cells_under_a_cliff_of_a_bilobed_body_keep_their_middle(tmp_path) -> None:
-    """No vertical line of theirs meets the ground once, and their grids' middles lie elsewhere."""
+def test_the_points_of_a_bilobed_body_have_planes_of_their_own(tmp_path) -> None:
+    """Cells under a cliff keep their middle, and say why they are not usable."""
     ball = manifold3d.Manifold.sphere(1.0, 24)
     both = ball.scale([1.577, 1.44, 1.458]).translate([1.174, 0.487, 0.133])
     both += ball.scale([1.337, 1.165, 1.34]).translate([-1.452, -0.538, 0.42])
@@ -207,8 +210,22 @@ def test_cells_under_a_cliff_of_a_bilobed_body_keep_their_middle(tmp_path) -> No
     assert verify(tmp_path / "two.gpkg").sound
     with Catalog.open(tmp_path / "two.gpkg") as catalog:
         assert len(catalog) == 2
-        assert (catalog.records["flags"] & int(Flag.OVERHANG) != 0).all()
+        assert (catalog.records["flags"] & int(Flag.OVERHANG | Flag.NO_DATA) != 0).all()
         assert not catalog.usable.any()
+        planes = catalog.meta.planes
+        assert planes is not None
+        assert catalog.meta.format_version == 5
+        assert sorted(planes.verticals_deg) == catalog.ids.tolist()
+        for point in catalog.points():
+            plane = catalog.meta.projection(point)
+            assert float(plane.height_of(point.xyz_m)) == pytest.approx(0.0, abs=1e-6)
+        kept = {point.id: planes.verticals_deg[point.id]}
+        rows = rows_from_meta(replace(catalog.meta, planes=replace(planes, verticals_deg=kept)))
+    with closing(sqlite3.connect(tmp_path / "two.gpkg")) as db, db:
+        values = [(value, key) for key, value in rows.items()]
+        db.executemany("UPDATE optnav_meta SET value = ? WHERE key = ?", values)
+    words = " ".join(str(problem) for problem in verify(tmp_path / "two.gpkg").problems)
+    assert "the manifest has no vertical of it" in words
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,24 @@ def test_a_large_body_has_radial_heights_on_its_sphere(terrain, tmp_path) -> Non
     assert body.beyond(place, 5e3, 16) == ()
 
 
+def test_a_plane_of_the_ground_leaves_out_the_lobe_that_stands_over_it(binary) -> None:
+    """On the small ball's side towards the large one lines along the normal end in the latter."""
+    own = MeshTerrain(binary.body, binary.corners_file, "binary.obj", 200.0, normals_m=300.0)
+    lat, lon = 0.55, 2.95  # on the small ball, towards the neck
+    plane = own.projection(lat, lon)
+    point = own.points(lat, lon)
+    ball = np.array([-2.4e3, 0.0, 0.0])
+    assert plane.body_from_local[:, 2] @ (point - ball) / 2.4e3 > 0.95
+    grid = own.local_grid(plane, 20.0, 40)
+    x, y = node_grid(40, 20.0)
+    placed = plane.points(x, y, grid)
+    away = np.linalg.norm(placed - ball, axis=-1)
+    assert np.isfinite(grid).all()
+    assert away == pytest.approx(2.4e3, abs=20.0)
+    assert not own.overhangs(plane, 20.0, 40)
+    assert plane.height_of(point) == pytest.approx(0.0, abs=1e-6)
+
+
 def test_ground_under_an_overhang_has_no_height_and_is_told(binary) -> None:
     neck = binary.projection(0.0, 0.72 * np.pi)  # lines past the small ball meet the large one
     assert binary.overhangs(neck, 100.0, 64)
