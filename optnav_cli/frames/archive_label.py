@@ -25,6 +25,7 @@ Values = dict[str, tuple[str, ...]]
 
 MAX_BYTES = 256 * MEGABYTE  # of a FITS picture
 MAX_LABEL = MEGABYTE
+MAX_NUMBER = 1e18  # km of a far star
 MAX_DEPTH = 64  # of elements in elements
 _BLOCK, _CARD = 2880, 80
 _TYPES = {"8": "u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
@@ -64,7 +65,7 @@ class ArchiveLabel:
     def numbers(self, keys: tuple[str, ...]) -> FloatArray:
         """The numbers of some keywords, one after another; "-KEY" is its number negated.
 
-        Raises DataError where one is not stated or is no finite number.
+        Raises DataError where one is not stated, is no number or beyond all that labels hold.
         """
         found = []
         for key in keys:
@@ -76,8 +77,8 @@ class ArchiveLabel:
                     f"{self.path}: {name} is '{self.values[name][0][:40]}'; wanted a number"
                 ) from None
             found += [-number for number in numbers] if key != name else numbers
-        if not np.isfinite(found).all():
-            raise DataError(f"{self.path}: {', '.join(keys)} are not finite numbers")
+        if not (np.abs(found) < MAX_NUMBER).all():
+            raise DataError(f"{self.path}: {', '.join(keys)} are not numbers below {MAX_NUMBER:g}")
         return np.array(found)
 
 
@@ -130,11 +131,14 @@ def fits_picture(label: ArchiveLabel) -> NDArray[np.generic]:
     if rows * columns == 0 or len(raw) < start + rows * columns * layout.itemsize:
         raise DataError(f"{path}: is cut short: {columns} x {rows} pixels do not fit")
     stored = np.frombuffer(raw, layout, rows * columns, start).reshape(rows, columns)
-    scale, zero = (float(label.values.get(key, (text,))[0] or text)
-                   for key, text in (("BSCALE", "1"), ("BZERO", "0")))  # fmt: skip
+    scale, zero = (
+        label.numbers((key,))[0] if key in label.values else default
+        for key, default in (("BSCALE", 1.0), ("BZERO", 0.0))
+    )
     if (scale, zero) == (1.0, 0.0):
         return stored.astype(layout.newbyteorder("="))
-    return (stored * scale + zero).astype(np.float32)
+    with np.errstate(over="ignore"):  # pixels without a value
+        return (stored * scale + zero).astype(np.float32)
 
 
 def _header_bytes(path: Path, raw: bytes) -> int:

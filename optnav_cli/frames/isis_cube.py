@@ -29,6 +29,7 @@ from catalog.rasters import open_raster
 
 Label = dict[str, Any]  # a block: values, lists of values, and blocks, by name
 
+MAX_NUMBER = 1e15  # of km, of seconds
 _TYPES = {"Double": "f8", "Real": "f4", "Integer": "i4"}
 
 
@@ -127,8 +128,8 @@ def _fields(path: Path, label: Label, name: str, wanted: Sequence[str]) -> Float
         raise DataError(f"its table {name} is cut short")
     values = np.frombuffer(raw, layout)[0]
     record = {field: float(values[field]) for field in layout.names or ()}
-    if not np.isfinite(list(record.values())).all():
-        raise DataError(f"its table {name} holds values that are not finite")
+    if not (np.abs(list(record.values())) < MAX_NUMBER).all():
+        raise DataError(f"its table {name} holds values that are not finite, or of no use")
     try:
         return np.array([record[field] for field in wanted])
     except KeyError as error:
@@ -147,4 +148,7 @@ def _rotation(path: Path, label: Label, name: str) -> Rotation:
         return rotation
     if np.shape(constant) != (9,) or not all(isinstance(part, int | float) for part in constant):
         raise DataError(f"its table {name} has a ConstantRotation that is not 9 numbers")
-    return Rotation.from_matrix(np.reshape(constant, (3, 3))) * rotation
+    matrix = np.reshape(np.array(constant, dtype=np.float64), (3, 3))
+    if not np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6 or np.linalg.det(matrix) < 0.0:
+        raise DataError(f"its table {name} has a ConstantRotation that is no rotation")
+    return Rotation.from_matrix(matrix) * rotation

@@ -348,7 +348,8 @@ def _put_picture(source: _Source, picture: Path, camera: Camera, place: Path) ->
     else:
         values = _raster(picture)
     _check_size(picture, camera, *values.shape)
-    numbers = values.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # of what is no number
+        numbers = values.astype(np.float64)
     bad = ~np.isfinite(numbers) | (numbers < NO_VALUE)
     kind = values.dtype.name if values.dtype.name in ("uint8", "uint16") else "uint16"
     if kind != values.dtype.name and not bad.all():

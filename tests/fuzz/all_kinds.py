@@ -6,6 +6,7 @@ from tests.fuzz.kinds import (
     configs,
     faults,
     kernels,
+    labels,
     meshes,
     pictures,
     places,
@@ -16,6 +17,6 @@ from tests.fuzz.kinds import (
 )
 
 MODULES = (
-    catalogs, command_lines, configs, faults, kernels, meshes, pictures, places, rasters, runs,
-    surroundings, tables,
+    catalogs, command_lines, configs, faults, kernels, labels, meshes, pictures, places, rasters,
+    runs, surroundings, tables,
 )  # fmt: skip

@@ -97,6 +97,7 @@ def test_what_is_no_cube_is_refused(tmp_path: Path) -> None:
         (rb"= Double", rb"= Text  ", "a field that is no number"),
         (rb"(Bytes += )64", rb"\g<1>65", "is cut short"),
         (rb"(ConstantRotation += \()0", rb"\1x", "ConstantRotation that is not 9"),
+        (rb"(ConstantRotation += \()0", rb"\g<1>7", "ConstantRotation that is no rotation"),
     ],
 )
 def test_a_damaged_label_is_refused(
