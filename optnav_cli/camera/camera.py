@@ -139,6 +139,8 @@ class Camera:
         NaN where the lens images nothing: behind a pinhole, beyond the fold of its distortion or
         the image circle. Pixels outside the picture are returned: see `contains`.
         """
+        if self._lens[0] == lens.OPENCV:
+            return self.project_with_jacobian(points_camera)[0]
         points, shape = _rows(points_camera, 3)
         pixels = np.empty((len(points), 2))
         lens.project_points(*self._lens, points, pixels)
@@ -151,6 +153,9 @@ class Camera:
 
         points_body (..., 3) and position (3,)  m, body frame;  camera_from_body (3, 3)
         """
+        if self._lens[0] == lens.OPENCV:
+            away = np.asarray(points_body, dtype=np.float64) - np.asarray(position)
+            return self.project(away @ np.asarray(camera_from_body).T)
         points, shape = _rows(points_body, 3)
         pixels = np.empty((len(points), 2))
         lens.project_body_points(
@@ -166,7 +171,11 @@ class Camera:
         """Pixels (..., 2) and derivatives (..., 2, 3) by the points (..., 3), camera frame."""
         points, shape = _rows(points_camera, 3)
         pixels, jacobians = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
-        lens.project_with_derivatives(*self._lens, points, pixels, jacobians)
+        model, parameters = self._lens
+        if model == lens.OPENCV:
+            lens.project_opencv(parameters, points, pixels, jacobians)
+        else:
+            lens.project_with_derivatives(model, parameters, points, pixels, jacobians)
         return pixels.reshape(*shape, 2), jacobians.reshape(*shape, 2, 3)
 
     def unproject(self, pixels: ArrayLike) -> FloatArray:

@@ -125,18 +125,14 @@ def _fisheye_scale(p: FloatArray, across2: float, z: float) -> float:
 
 @kernel
 def _pixel(model: int, p: FloatArray, x: float, y: float, z: float) -> tuple[float, float]:
-    """Pixel of one point in the camera frame."""
-    if model != FISHEYE:
+    """Pixel of one point in the camera frame, through a pinhole or a fisheye."""
+    if model == PINHOLE:
         if not z > 0.0:
             return math.nan, math.nan
         u, v = x / z, y / z
         if not u * u + v * v <= p[LIMIT]:
             return math.nan, math.nan
-        if model == PINHOLE:
-            u, v, _, _, _ = _brown(p, u, v)
-        else:
-            u, v, _, _, _, _ = _opencv(p, u, v)
-            u, v, _ = _tilted(p, TILT, u, v)
+        u, v, _, _, _ = _brown(p, u, v)
     else:
         scale = _fisheye_scale(p, x * x + y * y, z)
         u, v = scale * x, scale * y
@@ -147,7 +143,24 @@ def _pixel(model: int, p: FloatArray, x: float, y: float, z: float) -> tuple[flo
 
 
 @kernel
+def _opencv_pixel(p: FloatArray, x: float, y: float, z: float) -> tuple[float, float]:
+    """Pixel of one point in the camera frame, through a pinhole with all terms."""
+    if not z > 0.0:
+        return math.nan, math.nan
+    u, v = x / z, y / z
+    if not u * u + v * v <= p[LIMIT]:
+        return math.nan, math.nan
+    u, v, _, _, _, _ = _opencv(p, u, v)
+    u, v, _ = _tilted(p, TILT, u, v)
+    u, v = p[0] * u, p[0] * v
+    if u * u + v * v > p[CIRCLE] * p[CIRCLE]:
+        return math.nan, math.nan
+    return u + p[1], p[ASPECT] * v + p[2]
+
+
+@kernel
 def _opencv_derivatives(p: FloatArray, x: float, y: float, z: float) -> Derivatives:
+    """As `_derivatives`, of a pinhole with all terms."""
     a, b = x / z, y / z
     u, v, ua, ub, va, vb = _opencv(p, a, b)
     u, v, depth = _tilted(p, TILT, u, v)
@@ -167,8 +180,6 @@ def _derivatives(model: int, p: FloatArray, x: float, y: float, z: float) -> Der
     As if pixels were square.
     """
     f = p[0]
-    if model == OPENCV:
-        return _opencv_derivatives(p, x, y, z)
     if model == PINHOLE:
         a, b = x / z, y / z
         _, _, xx, xy, yy = _brown(p, a, b)
@@ -304,6 +315,26 @@ def _ray(model: int, p: FloatArray, x: float, y: float) -> tuple[float, float, f
     angle = _invert_radius(FISHEYE, p, distance, p[LIMIT])
     scale = math.sin(angle) / distance
     return u * scale, v * scale, math.cos(angle)
+
+
+@kernel
+def project_opencv(
+    p: FloatArray, points: FloatArray, pixels: FloatArray, jacobians: FloatArray
+) -> None:
+    """As `project_with_derivatives`, of a pinhole with all terms.
+
+    A kernel of its own: its length would make those of the other lenses slower by half and more.
+    """
+    q = p[ASPECT]
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        pixels[i, 0], pixels[i, 1] = _opencv_pixel(p, x, y, z)
+        if math.isnan(pixels[i, 0]):
+            jacobians[i] = math.nan
+            continue
+        d = _opencv_derivatives(p, x, y, z)
+        jacobians[i, 0, 0], jacobians[i, 0, 1], jacobians[i, 0, 2] = d[0], d[1], d[2]
+        jacobians[i, 1, 0], jacobians[i, 1, 1], jacobians[i, 1, 2] = q * d[3], q * d[4], q * d[5]
 
 
 @kernel
