@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +201,23 @@ def test_a_pds3_label_gives_position_attitude_sun_and_defaults(tmp_path: Path) -
     values = load_picture(tmp_path / "out/a.tif", made).values
     np.testing.assert_array_equal(values.ravel(), range(10, 34))
     assert any("defaults: attitude 0.5 deg, position 1000 m" in r for r in imported.remarks)
+
+
+def test_a_body_may_be_the_path_of_a_file_which_the_folder_then_carries(tmp_path: Path) -> None:
+    path = made_pds3(tmp_path, TARGET_NAME='"SELENE"')
+    text = resource("configs/bodies/moon.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text.replace('name = "moon"', 'name = "selene"'))
+    options = replace(options_of(path), body=str(tmp_path / "mine.toml"))
+    import_folder([path], tmp_path / "out", options)
+    folder = read_folder(tmp_path / "out")
+    assert folder.body.name == "selene"
+    assert (tmp_path / "out/mine.toml").read_text() == (tmp_path / "mine.toml").read_text()
+    # a table's body lies beside the table
+    table = resource("configs/imports/pds3.toml").read_text()
+    (tmp_path / "t.toml").write_text(table.replace("[time]", 'body = "mine.toml"\n[time]', 1))
+    options = replace(options_of(path), table=str(tmp_path / "t.toml"))
+    import_folder([path], tmp_path / "again", options)
+    assert read_folder(tmp_path / "again").body == folder.body
 
 
 def test_a_pds4_label_gives_the_same_frame(tmp_path: Path) -> None:
