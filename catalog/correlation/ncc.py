@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.correlation.peak import Match, locate_peak
-from catalog.geometry.grid import sample_bicubic
+from catalog.correlation.peak import Match, locate_peak, remainder_covariance
+from catalog.geometry.grid import cubic_weights, sample_bicubic
 from catalog.geometry.kernel import kernel
 
 Number = TypeVar("Number", np.float32, np.float64)
@@ -233,3 +233,46 @@ def _surface(
 def _sums(image: Float32Array, template: Float32Array) -> FloatArray:
     """Sums of products at every place where the template fits."""
     return cv2.matchTemplate(image, template, cv2.TM_CCORR).astype(np.float64)
+
+
+def with_remainder_covariance(
+    match: Match, reference: Float32Array, search: Float32Array, margin_nodes: int
+) -> Match:
+    """A match with the covariance that its remainder gives; see `remainder_covariance`.
+
+    reference, search, margin_nodes  as `match_masked` took them. A peak that is none stays so.
+    """
+    if not np.isfinite(match.covariance).all():
+        return match
+    room = (search.shape[0] - reference.shape[0]) // 2
+    row, col = int(np.rint(match.dy)), int(np.rint(match.dx))
+    rows, cols = (slice(room + at, room + at + reference.shape[0]) for at in (row, col))
+    seen = search[rows, cols]
+    both = np.isfinite(reference) & np.isfinite(seen)
+    if both.all():
+        template, patch = high_pass(reference), high_pass(seen)
+    else:
+        hole = np.float32(np.nan)
+        template, patch = (high_pass(np.where(both, g, hole)) for g in (reference, seen))
+    template = _moved(template, match.dx - col, match.dy - row)
+    inner = slice(margin_nodes, both.shape[0] - margin_nodes)
+    covariance = remainder_covariance(
+        cropped(template, margin_nodes),
+        cropped(patch, margin_nodes),
+        np.ascontiguousarray(both[inner, inner]),
+    )
+    return match._replace(covariance=covariance)
+
+
+def _moved(grid: Float32Array, x: float, y: float) -> Float32Array:
+    """A grid moved by less than a node along columns and rows; bicubic."""
+    along, down = _cubic_kernel(-x), _cubic_kernel(-y)
+    return np.asarray(cv2.sepFilter2D(grid, cv2.CV_32F, along, down), dtype=np.float32)
+
+
+def _cubic_kernel(shift: float) -> FloatArray:
+    """Weights (7,) of the nodes about one for the value at a shift of less than two nodes."""
+    whole = int(np.floor(shift))
+    weights = np.zeros(7)
+    weights[whole + 2 : whole + 6] = cubic_weights(shift - whole)
+    return weights

@@ -1,17 +1,22 @@
-"""The peak of a correlation surface: sub-node place, covariance from its curvature, best rival.
+"""The peak of a correlation surface: sub-node place, covariance, best rival.
 
 The surface near its peak is modelled as score - 1/2 d' H d. With the reference true up to gain
 and the remainder of the image behaving as noise, the share of unexplained variance is
 1 - score^2, and the covariance of the peak's place is (1 - score^2) / (score n_eff) H^-1, the
 usual least-squares result written for correlation. n_eff counts independent samples: high-passed
 terrain decorrelates over a few nodes, so it is far below the number of nodes.
+
+That is quick and right for noise alone. Relief and albedo that a reference lacks are correlated
+over many nodes: `remainder_covariance` takes their spectrum from what the match leaves over.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.geometry.kernel import kernel
 
 # Nodes of high-passed lunar relief that share one independent brightness error: fitted to the
@@ -113,3 +118,87 @@ def _runner_up(surface: Float32Array, row: int, col: int) -> float:
             ):
                 best = float(here)
     return best
+
+
+def remainder_covariance(
+    template: Float32Array, patch: Float32Array, common: BoolArray
+) -> FloatArray:
+    """Covariance (2, 2) of a match's place (x, y), nodes^2, from what the two do not share.
+
+    template, patch (n, n)  both high-passed, the template laid where it was found
+    common          (n, n)  the nodes that both have
+
+    The patch is fitted as p = a t + b t_x + c t_y + const; its rest r is taken for an error of the
+    patch that is correlated as r is. With the score s_i = sum t_i r of the slopes t_x, t_y,
+    T_ij = sum t_i t_j and J the covariance of s from the spectrum of r, the place has
+    T^-1 J T^-1 / a^2. Infinite where a <= 0: the patch does not show the template.
+    """
+    gain, normal, parts = _left_over(template, patch, common)
+    determinant = normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2
+    if not (gain > 0.0 and determinant > 1e-12 * normal[0, 0] * normal[1, 1]):
+        return np.diag([np.inf, np.inf])
+    # zeros as wide as the grids keep opposite borders apart
+    side = fft.next_fast_len(2 * max(template.shape), real=True)
+    spectra = fft.rfft2(parts, (side, side))
+    scatter = _scatter(spectra, side) / (float(common.sum()) * side**2)
+    inverse = np.linalg.inv(normal)
+    covariance: FloatArray = inverse @ scatter @ inverse / gain**2
+    return covariance
+
+
+@kernel
+def _left_over(
+    template: Float32Array, patch: Float32Array, common: BoolArray
+) -> tuple[float, FloatArray, Float32Array]:
+    """Gain a, T (2, 2), and the template's slopes and the rest (3, n, n), zero where not common."""
+    rows, cols = template.shape
+    parts = np.zeros((3, rows, cols), np.float32)
+    # sums of 1, t, t_x, t_y by themselves and by p
+    normal, right, terms = np.zeros((4, 4)), np.zeros(4), np.ones(4)
+    for r in range(rows):
+        above, below = max(r - 1, 0), min(r + 1, rows - 1)
+        for c in range(cols):
+            if not common[r, c]:
+                continue
+            left, next_to = max(c - 1, 0), min(c + 1, cols - 1)
+            terms[1] = template[r, c]
+            terms[2] = (template[r, next_to] - template[r, left]) / (next_to - left)
+            terms[3] = (template[below, c] - template[above, c]) / (below - above)
+            parts[0, r, c], parts[1, r, c] = terms[2], terms[3]
+            for i in range(4):
+                right[i] += terms[i] * patch[r, c]
+                for j in range(i, 4):
+                    normal[i, j] += terms[i] * terms[j]
+    for i in range(4):
+        for j in range(i):
+            normal[i, j] = normal[j, i]
+    # a template without contrast leaves an unknown open: then there is no gain
+    for i in range(4):
+        if not normal[i, i] > 1e-30:
+            return 0.0, normal[2:, 2:], parts
+        normal[i, i] *= 1.0 + 1e-9
+    fit = np.linalg.solve(normal, right)
+    for r in range(rows):
+        for c in range(cols):
+            if common[r, c]:
+                shown = fit[0] + fit[1] * template[r, c]
+                shown += fit[2] * parts[0, r, c] + fit[3] * parts[1, r, c]
+                parts[2, r, c] = patch[r, c] - shown
+    return float(fit[1]), normal[2:, 2:].copy(), parts
+
+
+@kernel
+def _scatter(spectra: NDArray[np.complex64], side: int) -> FloatArray:
+    """Sums (2, 2) of |R|^2 Re(T_i T_j*) over all frequencies, of the half that `rfft2` gives."""
+    xx, xy, yy = 0.0, 0.0, 0.0
+    last = spectra.shape[2] - 1
+    for i in range(spectra.shape[1]):
+        for j in range(last + 1):
+            x, y, r = spectra[0, i, j], spectra[1, i, j], spectra[2, i, j]
+            power = r.real * r.real + r.imag * r.imag
+            if j > 0 and not (j == last and side % 2 == 0):
+                power *= 2.0  # and its mirror frequency
+            xx += power * (x.real * x.real + x.imag * x.imag)
+            xy += power * (x.real * y.real + x.imag * y.imag)
+            yy += power * (y.real * y.real + y.imag * y.imag)
+    return np.array([[xx, xy], [xy, yy]])

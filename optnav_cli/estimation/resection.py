@@ -89,6 +89,7 @@ def resect_robustly(
     *,
     common_errors_px: FloatArray | None = None,
     error_correlation: FloatArray | None = None,
+    common_shares: tuple[float, float] = (0.0, 0.0),
     gate_probability: float = 0.999,
 ) -> Resection:
     """Solve for the pose with wrong matches among the sightings.
@@ -97,6 +98,8 @@ def resect_robustly(
                       them by; they are not solved for, but their effect is in the covariance
     error_correlation (n, n) of the sightings' own errors; None: each errs for itself. They are
                       weighted as if it were so, but the covariance is the true one's
+    common_shares     of the sightings' own scatter: a shift along x and along y, and a stretch at
+                      the rms distance from the middle, that all of them share beside
     gate_probability  a sighting is dropped when its normalised residual is rarer than this
     Arguments otherwise as `resect`. Raises NoSolutionError when no two (three with a free
     attitude) sightings agree.
@@ -134,10 +137,25 @@ def resect_robustly(
         covariance = covariance + factor * correlated(
             gain, roots, error_correlation[np.ix_(used, used)]
         )
+    errors = _errors_of_scatter(sightings.subset(used), factor, *common_shares)
     if common_errors_px is not None:
-        errors = common_errors_px[used]
-        covariance = covariance + considered(gain, errors.reshape(-1, errors.shape[-1]))
+        errors = np.concatenate([errors, common_errors_px[used]], axis=2)
+    covariance = covariance + considered(gain, errors.reshape(-1, errors.shape[-1]))
     pixels, _ = predict(camera, found.state, sightings.points_body_m)
     return Resection(
         found.state, covariance, found.degrees_of_freedom, used, factor, sightings.pixels - pixels
     )
+
+
+def _errors_of_scatter(
+    sightings: Sightings, factor: float, shift: float, stretch: float
+) -> FloatArray:
+    """Shifts along x and y and a stretch (n, 2, 3), px: shares of the scatter of a frame."""
+    own = np.trace(sightings.covariances_px2, axis1=1, axis2=2).mean() / 2.0
+    scatter = float(np.sqrt(factor * own))
+    outward = sightings.pixels - sightings.pixels.mean(axis=0)
+    reach = float(np.sqrt((outward**2).sum(axis=1).mean()))
+    errors = np.zeros((len(sightings), 2, 3))
+    errors[:, 0, 0] = errors[:, 1, 1] = shift * scatter
+    errors[:, :, 2] = outward * (stretch * scatter / max(reach, 1e-9))
+    return errors

@@ -25,8 +25,9 @@ MAX_GATE_ROUNDS = 15
 # A sample's own error adds to the residuals of the others: the gate is so many times as wide.
 SAMPLE_GATE_FACTOR = 9.0
 # Weight, in degrees of freedom, of the stated measurement sigmas against the scatter that a
-# frame's own residuals show: a frame with few points leans on the statement.
-STATED_DEGREES_OF_FREEDOM = 10.0
+# frame's own residuals show: a frame with few points leans on the statement. More scatter than is
+# stated is taken for true sooner than less, which neighbours that err alike show, too.
+STATED_DEGREES_OF_FREEDOM, STATED_IF_LESS = 4.0, 10.0
 # Gates follow the scatter up to twice the stated sigmas. Beyond, it is not a larger error but other
 # places, and gates that followed would open for every wrong match and certify them all.
 MAX_GATE_FACTOR = 4.0
@@ -133,8 +134,9 @@ def gated(
 
 def variance_factor(squares: FloatArray, degrees_of_freedom: int) -> float:
     """Variance of unit weight, pulled toward the stated one for lack of redundancy."""
-    total = float(squares.sum()) + STATED_DEGREES_OF_FREEDOM
-    return total / (max(degrees_of_freedom, 0) + STATED_DEGREES_OF_FREEDOM)
+    total, free = float(squares.sum()), max(degrees_of_freedom, 0)
+    stated = STATED_DEGREES_OF_FREEDOM if total > free else STATED_IF_LESS
+    return (total + stated) / (free + stated)
 
 
 def rescaled(estimate: Estimate[S], factor: float) -> FloatArray:

@@ -5,9 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
-from catalog.correlation.ncc import cropped, match_masked, match_ncc, thinned, thinning
-from catalog.correlation.peak import NODES_PER_SAMPLE, Match
-from catalog.correlation.similarity import Matcher, match_similarity
+from catalog.correlation.ncc import (
+    cropped,
+    match_masked,
+    match_ncc,
+    thinned,
+    thinning,
+    with_remainder_covariance,
+)
+from catalog.correlation.peak import Match
+from catalog.correlation.similarity import Matcher, match_similarity, turned
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
@@ -66,7 +73,7 @@ class PointMatch:
 
     reason          why the match is not used; empty when it is
     pixel           (2,) measured, None when refused before a peak was located
-    covariance_px2  (2, 2) of the pixel from the peak's curvature
+    covariance_px2  (2, 2) of the pixel, from what the match leaves over
     offset_m        (2,) east and north of the place where the pose expected it
     part            what was compared, of patches finer than what is known
     """
@@ -118,13 +125,16 @@ def match_point(
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
-        # correlation with holes leaves out what the frame cuts
-        matcher = match_masked if matcher is match_ncc else matcher
+    if matcher is match_ncc and not np.isfinite(window).all():
+        # zeros for what the frame cuts would pull the template inward
+        matcher = match_masked
     if plan.distortion == NO_DISTORTION:
         match = matcher(template, window, MARGIN_NODES)
     else:
         rolls, scales = plan.distortion.rolls, plan.distortion.scales
-        match = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES).match
+        found = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES)
+        template, match = turned(template, found.roll, found.scale), found.match
+    match = with_remainder_covariance(match, template, window, MARGIN_NODES)
     samples = 0.0
     if blur_nodes:
         samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)
@@ -142,10 +152,7 @@ def match_point(
         part = SeenPart(middle, seen, corners, samples)
     covariance = None
     if np.isfinite(match.covariance).all():
-        # White noise under a Gaussian of sigma s is correlated over 2 pi s^2 nodes: fewer
-        # samples are left.
-        each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
-        covariance = jacobian @ (match.covariance * each) @ jacobian.T
+        covariance = jacobian @ match.covariance @ jacobian.T
     reason = _rejection_of_match(match, gates, samples)
     offset = np.array([match.dx, -match.dy]) * posting
     return PointMatch(level, reason, place, covariance, offset, match.score, match.runner_up, part)

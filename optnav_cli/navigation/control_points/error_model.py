@@ -72,9 +72,8 @@ SHIFT_M = 0.5
 UNEXPLAINED_M = 8.0
 STRETCH_M = 1.1
 # Shares of the stated error of a terrain model that are added to each point's own: shift, height.
-# The curvature of the peak sees none of it; a covariance from the remainder of the match would see
-# a part of the shift, see `TerrainErrorModel.point_sigma_m`. 0 leaves it out.
-TERRAIN_SHARES = np.array([1.0, 1.0])
+# The covariance of a match, from its remainder, sees the rest of the shift; it never sees a height.
+TERRAIN_SHARES = np.array([0.5, 1.0])
 # They are common to the ground about them: points that lie further apart average them.
 REGION_M = 32e3
 # What sampling at the pixels and oblique views leave, px: shift an axis; stretch, and stretch that
@@ -83,6 +82,17 @@ REGION_M = 32e3
 SHIFT_PX = 0.0045
 STRETCH_PX = 0.005
 KEYSTONE_PX = 0.004
+# Relief and albedo that the reference lacks move a pattern away from the Sun, whatever the posting:
+# m for a score of 0 and a cotangent of 1 of the Sun's elevation. The half of it, common to a frame,
+# is left.
+SUNWARD_M = 21.0
+SUNWARD_LEFT = 0.5
+# A level coarser than the picture resolves is a mean of heights in a mean of brightness: each point
+# errs an axis by this share of what it is coarser by.
+SKIPPED_OWN = 0.014
+# Common to a frame, shares of the scatter of its points: shift an axis, stretch.
+SCATTER_SHIFT = 0.1
+SCATTER_STRETCH = 0.1
 # Below it shadows fill the picture and the cotangent runs away.
 MIN_SUN = np.radians(8.0)
 
@@ -144,6 +154,8 @@ class MatchedPoints:
     postings_m            (n,)       of the levels that were matched
     finest_postings_m     (n,)       of the terrain models that the points' catalogs were made from
     unresolved_posting_m  (n,)       posting of the terrain model where the patch is finer, else 0
+    skipped_m             (n,)       by which the level is coarser than the picture resolves
+    sizes_m               (n,)       sides of the templates on the ground
     terrain_sigmas_m      (n, 2)     shift an axis and height of each template by the stated error
                                      of its terrain model; None or 0 where none is stated
     """
@@ -155,6 +167,8 @@ class MatchedPoints:
     postings_m: FloatArray
     finest_postings_m: FloatArray
     unresolved_posting_m: FloatArray
+    skipped_m: FloatArray
+    sizes_m: FloatArray
     terrain_sigmas_m: FloatArray | None = None
 
 
@@ -188,21 +202,43 @@ def own_covariances_px2(points: MatchedPoints) -> FloatArray:
         terrain = points.terrain_sigmas_m * TERRAIN_SHARES
     lift = np.einsum("nij,nj->ni", pixel_per_metre, up) * terrain[:, 1:]
     variance: FloatArray = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
-    variance += terrain[:, 0] ** 2
+    variance += terrain[:, 0] ** 2 + (SKIPPED_OWN * points.skipped_m) ** 2
     variance = variance * np.sqrt(np.maximum(area, 0.0))
     covariances: FloatArray = rise[:, :, None] * rise[:, None, :]
     covariances += lift[:, :, None] * lift[:, None, :]
     return covariances + variance[:, None, None] * np.eye(2)
 
 
+def bias_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
+    """How far the points are found from where they are on average, (n, 2) px.
+
+    sun_body (3,) unit vector to the Sun, body frame
+    """
+    up = unit(points.points_m)
+    along = sun_body - (up @ sun_body)[:, None] * up
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+    shifts = -along * _sunward_m(points)[:, None]
+    bias: FloatArray = np.einsum("nij,nj->ni", points.pixel_per_metre, shifts)
+    return bias
+
+
+def _sunward_m(points: MatchedPoints) -> FloatArray:
+    """How far the points are found away from the Sun, (n,) m."""
+    elevation = np.clip(np.radians(points.sun_elevation_deg), MIN_SUN, np.pi / 2.0)
+    unexplained = 1.0 - np.clip(points.scores, 0.0, 1.0)
+    known = points.unresolved_posting_m == 0.0  # behind a blur the sizes below hold instead
+    shifts: FloatArray = SUNWARD_M * unexplained / np.tan(elevation) * known
+    return shifts
+
+
 def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
-    """What one sigma of each error common to a frame moves every point by, (n, 2, 17), px.
+    """What one sigma of each error common to a frame moves every point by, (n, 2, 18), px.
 
     sun_body (3,) unit vector to the Sun, body frame
     The errors are independent: shadows along the Sun, shifts along and across it, stretches of the
     ground and of the picture, two changing stretches, the three of a view round the body, shifts
     along the picture's axes, a rise of the ground, equal on all sides and different toward the Sun
-    and across it, shifts of the whole pattern.
+    and across it, shifts of the whole pattern, what is left of the shift away from the Sun.
     """
     places, pixel_per_metre = points.points_m, points.pixel_per_metre
     postings, finest_postings = points.postings_m, points.finest_postings_m
@@ -254,6 +290,8 @@ def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
     for axis, nodes in ((along, SUNWARD_SHIFT_NODES), (across, COMMON_SHIFT_NODES)):
         own_shifts = nodes * postings + HIDDEN_SHIFT * unresolved
         moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * own_shifts[:, None])
+    left = along * (SUNWARD_LEFT * _sunward_m(points))[:, None]
+    moved.append(np.einsum("nij,nj->ni", pixel_per_metre, left))
     return np.stack(moved, axis=2)
 
 

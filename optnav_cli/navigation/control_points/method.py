@@ -61,6 +61,13 @@ class _Pass:
         """Which of the points the solution keeps."""
         return list(compress(accepted(self.matches), self.solution.used))
 
+    @property
+    def chosen(self) -> dict[int, int]:
+        """Level by point: the best one, once the finest were searched."""
+        if not self.at_finest:
+            return {}
+        return {int(self.view.index[k]): self.matches[k].level for k in accepted(self.matches)}
+
 
 def navigate(
     observation: Observation,
@@ -122,7 +129,8 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         raise UnsolvedFrameError(
             why_nothing_in_view(frame, pose), replace(tried, n_used=0, residual_rms_px=None)
         )
-    matches, at_finest, searched = match_all(frame, view, pose, covariance)
+    chosen = {} if before is None else before.chosen
+    matches, at_finest, searched = match_all(frame, view, pose, covariance, chosen)
     try:
         solution = solve(frame, view, matches, pose)
     except NoSolutionError as error:

@@ -1,6 +1,7 @@
 """All control points of a frame searched from one pose, and the pose that their places give."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from optnav_cli.reasons import Reason, ReasonCode
 
 # Rolls and scales are tried this far; beyond it the search in place would miss the point too.
 DISTORTION_SIGMAS = 2.0
+# A place at the finest level that scores less is compared with those at the next two.
+CERTAIN_SCORE, COARSER_LEVELS = 0.85, 2
 # Behind a blur: score times the root of the samples that were compared.
 MIN_STRENGTH = 3.0
 DAMAGED = Reason(ReasonCode.DAMAGED_PATCH, "patch damaged in the catalog")
@@ -31,48 +34,171 @@ def accepted(matches: list[PointMatch]) -> list[int]:
     return [k for k, match in enumerate(matches) if not match.reason]
 
 
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What the points of a view are searched with from one pose.
+
+    uncertainty_m  (n,) of their places on the ground;  known_m (n,) postings of their models
+    """
+
+    frame: FrameContext
+    view: ExpectedPoints
+    pose: Pose
+    uncertainty_m: FloatArray
+    known_m: FloatArray
+    height_sigma_m: float
+    roll_sigma: float
+    gates: MatchGates
+
+    def finest(self, k: int) -> int:
+        """The finest level of a point that the picture resolves."""
+        postings = self.frame.points.postings_m(int(self.view.index[k]))
+        return self.frame.finest_level(postings, float(self.view.metres_per_pixel[k]))
+
+    def match(self, k: int, finest: int) -> PointMatch:
+        """A point at the finest level, of those from `finest` on, that the pose allows."""
+        frame, limits, index = self.frame, self.frame.settings.match, int(self.view.index[k])
+        reference = frame.points.reference(index)
+        if reference is None:
+            return PointMatch(0, DAMAGED)
+        postings, sample = frame.points.postings_m(index), float(self.view.metres_per_pixel[k])
+        spread, known = float(self.uncertainty_m[k]), float(self.known_m[k])
+        level, room = search_room(
+            postings, finest, spread, limits.search_sigmas, limits.max_search_nodes
+        )
+        posting = float(postings[level])
+        template = frame.template_nodes(posting, sample, known)
+        away = np.linalg.norm(frame.points.xyz_m[index] - self.pose.position_m)
+        scale_sigma = self.height_sigma_m / float(away)
+        distortion = plan_distortion(template, self.roll_sigma, scale_sigma, DISTORTION_SIGMAS)
+        blur = blur_nodes(posting, known)
+        plan = SearchPlan(level, template, room, sample, distortion, blur)
+        return match_point(
+            reference,
+            plan,
+            frame.picture,
+            frame.camera,
+            self.pose,
+            frame.sun_body,
+            frame.matcher,
+            self.gates,
+        )
+
+
 def match_all(
-    frame: FrameContext, view: ExpectedPoints, pose: Pose, covariance: FloatArray
+    frame: FrameContext,
+    view: ExpectedPoints,
+    pose: Pose,
+    covariance: FloatArray,
+    chosen: Mapping[int, int],
 ) -> tuple[list[PointMatch], bool, float]:
     """Match every point of a view.
 
     covariance (6, 6) of the pose that the search starts from: position m, rotation rad
+    chosen     level by point, where a pass before found it to be the best one
     Returns the matches, whether all points were searched at their finest level, and how far they
     were searched, in postings of the terrain model (median).
     """
-    points, camera, settings = frame.points, frame.camera, frame.settings
-    _, jacobian = predict(camera, pose, points.xyz_m[view.index])
+    points, settings = frame.points, frame.settings
+    _, jacobian = predict(frame.camera, pose, points.xyz_m[view.index])
     uncertainty = ground_uncertainty_m(jacobian, covariance, view.metres_per_pixel)
     known = points.finest_postings_m(view.index)
     searched_postings = settings.match.search_sigmas * float(np.median(uncertainty / known))
     boresight = pose.camera_from_body.as_matrix()[2]
     height_sigma = float(np.sqrt(boresight @ covariance[:3, :3] @ boresight))
-    roll_sigma = float(np.sqrt(covariance[5, 5]))
-    ranges = np.linalg.norm(points.xyz_m[view.index] - pose.position_m, axis=1)
     gates = MatchGates(settings.match.min_score, settings.match.rival_ratio, MIN_STRENGTH)
-    matches, at_finest = [], True
-    for k, index in enumerate(view.index):
-        reference = points.reference(int(index))
-        if reference is None:
-            matches.append(PointMatch(0, DAMAGED))
-            continue
-        sample = float(view.metres_per_pixel[k])
-        postings = points.postings_m(int(index))
-        finest = frame.finest_level(postings, sample)
-        spread, sigmas = float(uncertainty[k]), settings.match.search_sigmas
-        level, room = search_room(postings, finest, spread, sigmas, settings.match.max_search_nodes)
-        at_finest = at_finest and level == finest
-        posting = float(postings[level])
-        template = frame.template_nodes(posting, sample, float(known[k]))
-        scale_sigma = height_sigma / float(ranges[k])
-        distortion = plan_distortion(template, roll_sigma, scale_sigma, DISTORTION_SIGMAS)
-        blur = blur_nodes(posting, float(known[k]))
-        plan = SearchPlan(level, template, room, sample, distortion, blur)
-        match = match_point(
-            reference, plan, frame.picture, camera, pose, frame.sun_body, frame.matcher, gates
-        )
-        matches.append(match)
-    return matches, at_finest, searched_postings
+    roll_sigma = float(np.sqrt(covariance[5, 5]))
+    search = _Search(frame, view, pose, uncertainty, known, height_sigma, roll_sigma, gates)
+    finest = [search.finest(k) for k in range(len(view))]
+    first = [chosen.get(int(view.index[k]), level) for k, level in enumerate(finest)]
+    matches = [search.match(k, level) for k, level in enumerate(first)]
+    damaged = [match.reason == DAMAGED for match in matches]
+    at_finest = all(
+        match.level == level or no_patch
+        for match, level, no_patch in zip(matches, first, damaged, strict=True)
+    )
+    doubtful = [
+        k
+        for k, match in enumerate(matches)
+        if match.level == finest[k]
+        and match.score is not None
+        and match.score < CERTAIN_SCORE
+        and match.part is None
+        and int(view.index[k]) not in chosen
+    ]
+    return _with_best_levels(search, matches, doubtful), at_finest, searched_postings
+
+
+def _with_best_levels(
+    search: _Search, matches: list[PointMatch], doubtful: list[int]
+) -> list[PointMatch]:
+    """The matches, doubtful ones at the level whose place should be off by the least.
+
+    The finest level shows most of what the terrain model does not know.
+    """
+    best, errors = list(matches), _expected_errors_px2(search, matches, doubtful)
+    for step in range(1, COARSER_LEVELS + 1):
+        there = []
+        trial = list(matches)
+        for k in doubtful:
+            level = matches[k].level + step
+            if level < len(search.frame.points.postings_m(int(search.view.index[k]))):
+                trial[k] = search.match(k, level)
+                if trial[k].level == level:
+                    there.append(k)
+        for k, error in _expected_errors_px2(search, trial, there).items():
+            if error < errors.get(k, np.inf):
+                best[k], errors[k] = trial[k], error
+    return best
+
+
+def _expected_errors_px2(
+    search: _Search, matches: list[PointMatch], some: list[int]
+) -> dict[int, float]:
+    """Expected square of the error of those of some matches that are accepted, px^2."""
+    frame, kept = search.frame, [k for k in some if not matches[k].reason]
+    if not kept:
+        return {}
+    places = frame.points.xyz_m[search.view.index[kept]]
+    points = _matched_points(frame, search.view, matches, kept, places, search.pose)
+    own = error_model.own_covariances_px2(points)
+    stated = np.array([matches[k].covariance_px2 for k in kept])
+    bias = error_model.bias_px(points, frame.sun_body)
+    squares = np.trace(stated + own, axis1=1, axis2=2) + (bias**2).sum(axis=1)
+    return dict(zip(kept, squares.tolist(), strict=True))
+
+
+def _matched_points(
+    frame: FrameContext,
+    view: ExpectedPoints,
+    matches: list[PointMatch],
+    kept: list[int],
+    places_m: FloatArray,
+    pose: Pose,
+) -> error_model.MatchedPoints:
+    """Those kept of a view's matches, seen at places (n, 3) from a pose, as their errors go."""
+    points, index = frame.points, view.index[kept]
+    levels, resolved = np.empty(len(kept)), np.empty(len(kept))
+    sizes = np.empty(len(kept))
+    finest = points.finest_postings_m(index)
+    for i, k in enumerate(kept):
+        postings, sample = points.postings_m(int(index[i])), float(view.metres_per_pixel[k])
+        levels[i] = postings[matches[k].level]
+        resolved[i] = postings[frame.finest_level(postings, sample)]
+        sizes[i] = levels[i] * frame.template_nodes(float(levels[i]), sample, float(finest[i]))
+    _, jacobian = predict(frame.camera, pose, places_m)
+    return error_model.MatchedPoints(
+        places_m,
+        -jacobian[:, :, :3],  # a point that moves one way looks as if the camera moved
+        np.array([matches[k].score or 0.0 for k in kept]),
+        view.sun_elevation_deg[kept],
+        np.maximum(levels, finest),  # of what is known, not of the nodes
+        finest,
+        np.where(levels < finest, finest, 0.0),
+        np.maximum(levels - resolved, 0.0),
+        sizes,
+        points.terrain_sigmas_m(index, sizes),
+    )
 
 
 def solve(
@@ -93,31 +219,18 @@ def solve(
     )
     common = error_correlation = None
     if kept:
-        levels = np.array([points.postings_m(int(view.index[k]))[matches[k].level] for k in kept])
-        finest = points.finest_postings_m(index)
-        samples = view.metres_per_pixel[kept]
-        triples = zip(levels.tolist(), samples.tolist(), finest.tolist(), strict=True)
-        nodes = [frame.template_nodes(*three) for three in triples]
-        sizes_m = levels * nodes
-        error_correlation = error_model.ground_correlation(places, sizes_m)
+        errors = _matched_points(frame, view, matches, kept, places, pose)
+        error_correlation = error_model.ground_correlation(places, errors.sizes_m)
         if parts:
             size_px = frame.camera.width_px, frame.camera.height_px
             error_correlation[np.ix_(list(parts), list(parts))] = error_model.overlap_correlation(
                 error_model.footprints(list(parts.values()), size_px)
             )
-        _, jacobian = predict(frame.camera, pose, places)
-        errors = error_model.MatchedPoints(
-            places,
-            -jacobian[:, :, :3],  # a point that moves one way looks as if the camera moved
-            np.array([matches[k].score or 0.0 for k in kept]),
-            view.sun_elevation_deg[kept],
-            np.maximum(levels, finest),  # of what is known, not of the nodes
-            finest,
-            np.where(levels < finest, finest, 0.0),
-            points.terrain_sigmas_m(index, sizes_m),
+        sightings = replace(
+            sightings,
+            pixels=pixels - error_model.bias_px(errors, frame.sun_body),
+            covariances_px2=sightings.covariances_px2 + error_model.own_covariances_px2(errors),
         )
-        covariances = sightings.covariances_px2 + error_model.own_covariances_px2(errors)
-        sightings = replace(sightings, covariances_px2=covariances)
         common = error_model.common_errors_px(errors, frame.sun_body)
     free = observation.attitude_sigma_rad is None
     start = pose if free else Pose(pose.position_m, observation.camera_from_body)
@@ -128,5 +241,6 @@ def solve(
         observation.attitude_sigma_rad,
         common_errors_px=common,
         error_correlation=error_correlation,
+        common_shares=(error_model.SCATTER_SHIFT, error_model.SCATTER_STRETCH),
         gate_probability=frame.settings.solve.gate_probability,
     )

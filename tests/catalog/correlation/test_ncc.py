@@ -5,8 +5,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from catalog.correlation.ncc import correlated, filtered, high_pass, match_in, match_ncc
-from catalog.correlation.peak import RIVAL_DISTANCE, locate_peak
+from catalog.correlation.ncc import (
+    correlated,
+    filtered,
+    high_pass,
+    match_in,
+    match_ncc,
+    with_remainder_covariance,
+)
+from catalog.correlation.peak import RIVAL_DISTANCE, locate_peak, remainder_covariance
 from catalog.correlation.similarity import match_similarity, pair_scores, turned
 
 
@@ -224,3 +231,65 @@ def test_no_pair_scores_on_flat_parts_of_a_search():
     search[:, 80:] += cut(texture(13), 96)[:, 80:]
     scores = pair_scores(cut(texture(14), 32), filtered(search), [(0.0, 1.0), (0.1, 1.05)], 0)
     assert max(scores) < 0.9
+
+
+def ground(rng: np.random.Generator, steepness: float, smooth: float, size: int = 128):
+    """A periodic texture whose amplitude falls as a power of the wavelength and behind a blur."""
+    cycles = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.rfftfreq(size), indexing="ij"))
+    cycles[0, 0] = np.inf
+    damped = cycles**-steepness * np.exp(-2.0 * (np.pi * cycles * smooth) ** 2)
+    field = np.fft.irfft2(np.fft.rfft2(rng.normal(size=(size, size))) * damped, (size, size))
+    return field / field.std()
+
+
+@pytest.mark.parametrize(
+    ("steepness", "smooth", "size"), [(0.0, 1.5, 0.8), (1.0, 1.0, 0.6), (1.0, 2.0, 1.0)]
+)
+def test_the_remainder_states_the_scatter_under_correlated_errors(steepness, smooth, size):
+    """What a reference lacks is correlated as relief and albedo are; 120 pictures tell 12 %."""
+    rng = np.random.default_rng(3)
+    errors, stated, white = [], [], []
+    for _ in range(120):
+        truth = ground(rng, 0.5, 1.2)
+        unknown = size * ground(rng, steepness, smooth)
+        dx, dy = rng.uniform(-0.5, 0.5, 2)
+        reference, search = cut(truth, 96), cut(shifted(truth + unknown, dx, dy), 112)
+        match = match_ncc(reference, search, 8)
+        whole = with_remainder_covariance(match, reference, search, 8)
+        errors.append([match.dx - dx, match.dy - dy])
+        stated.append(np.trace(whole.covariance) / 2.0)
+        white.append(np.trace(match.covariance) / 2.0)
+    assert 0.8 < np.mean(np.square(errors)) / np.mean(stated) < 1.25
+    assert np.mean(np.square(errors)) > 2.0 * np.mean(white)
+
+
+def test_the_remainder_follows_the_direction_of_a_streaky_error():
+    """An error of stripes along x hides places along y and leaves those along x."""
+    rng = np.random.default_rng(4)
+    truth = ground(rng, 0.5, 1.2)
+    stripes = np.repeat(ndimage.gaussian_filter1d(rng.normal(size=(128, 1)), 1.5, axis=0), 128, 1)
+    search = cut(truth + stripes / stripes.std(), 112)
+    reference = cut(truth, 96)
+    match = with_remainder_covariance(match_ncc(reference, search, 8), reference, search, 8)
+    assert match.covariance[1, 1] > 10.0 * match.covariance[0, 0]
+
+
+def test_the_remainder_of_a_negative_is_no_match():
+    template = cut(texture(6), 64)
+    everywhere = np.ones(template.shape, dtype=bool)
+    assert np.isinf(remainder_covariance(template, -template, everywhere)[0, 0])
+    flat = np.zeros_like(template)
+    assert np.isinf(remainder_covariance(flat, template, everywhere)[0, 0])
+
+
+def test_holes_leave_the_remainder_alone():
+    rng = np.random.default_rng(5)
+    truth = ground(rng, 0.5, 1.2)
+    search = cut(truth + 0.6 * ground(rng, 1.0, 1.0), 112)
+    reference = cut(truth, 96)
+    match = match_ncc(reference, search, 8)
+    whole = with_remainder_covariance(match, reference, search, 8).covariance
+    search[:, 70:] = np.nan
+    part = with_remainder_covariance(match, reference, search, 8).covariance
+    # 54 of 80 columns are left
+    assert 1.0 < np.trace(part) / np.trace(whole) < 3.0

@@ -109,6 +109,24 @@ def test_wrong_matches_are_thrown_out_and_right_ones_kept():
         assert np.linalg.norm(found.pose.position_m - truth.position_m) < 300.0
 
 
+def test_common_errors_go_by_the_scatter_of_the_frame():
+    """A shift of a share of the scatter moves a camera with an exact attitude by as much ground."""
+    rng = np.random.default_rng(8)
+    truth, points = scene(rng, count=200)
+    added = []
+    for noise in (0.3, 0.6):
+        seen = sightings_of(truth, points, rng, sigma_px=noise)
+        alone, shared = (
+            resect_robustly(Pinhole(), seen, truth, 0.0, common_shares=shares)
+            for shares in ((0.0, 0.0), (0.5, 0.0))
+        )
+        added.append(np.trace(shared.covariance - alone.covariance))
+    # twice the scatter, four times the square; the stated sigmas are 0.3 px in both
+    assert added[1] == pytest.approx(4.0 * added[0], rel=0.15)
+    per_px = np.linalg.norm(points - truth.position_m, axis=1).mean() / Pinhole.focal_px
+    assert np.sqrt(added[0] / 2.0) == pytest.approx(0.5 * 0.3 * per_px, rel=0.25)
+
+
 def test_contradicting_matches_are_no_solution():
     rng = np.random.default_rng(5)
     truth, points = scene(rng, count=2)

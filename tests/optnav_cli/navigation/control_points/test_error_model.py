@@ -8,6 +8,7 @@ import pytest
 from catalog.geometry.latlon import body_from_local, xyz_from_latlon
 from optnav_cli.navigation.control_points.error_model import (
     MatchedPoints,
+    bias_px,
     common_errors_px,
     own_covariances_px2,
     own_sigma_m,
@@ -29,7 +30,7 @@ def sun(elevation_deg, azimuth_deg=90.0):
     return ENU @ np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
 
 
-def matched(offsets, score=1.0, unresolved_posting_m=0.0, levels=1.0):
+def matched(offsets, score=1.0, unresolved_posting_m=0.0, levels=1.0, skipped_m=0.0):
     places = points(offsets)
     n = len(places)
     ground, finest = np.tile(BY_GROUND, (n, 1, 1)), np.full(n, POSTING_M)
@@ -42,6 +43,8 @@ def matched(offsets, score=1.0, unresolved_posting_m=0.0, levels=1.0):
         POSTING_M * levels * np.ones(n),
         finest,
         unresolved,
+        np.full(n, skipped_m),
+        np.full(n, 80.0 * POSTING_M),
     )
 
 
@@ -110,16 +113,19 @@ def test_what_a_shape_model_hides_adds_to_what_is_common_and_to_what_is_a_points
 
 
 def test_a_terrain_models_error_moves_a_point_along_the_ground_and_in_height():
-    """Seen from 45 degrees the height moves a point along one axis of the picture alone."""
+    """Seen from 45 degrees the height moves a point along one axis of the picture alone.
+
+    Half of the shift is in the match's own covariance.
+    """
     oblique = BY_GROUND + np.array([[1.0], [0.0]]) * ENU[:, 2]
     plain = replace(matched(SQUARE), pixel_per_metre=np.tile(oblique, (4, 1, 1)))
-    for sigmas, wanted in (((0.0, 0.0), (0.0, 0.0)), ((30.0, 0.0), (900.0, 900.0)),
+    for sigmas, wanted in (((0.0, 0.0), (0.0, 0.0)), ((30.0, 0.0), (225.0, 225.0)),
                            ((0.0, 20.0), (400.0, 0.0))):  # fmt: skip
         stated = replace(plain, terrain_sigmas_m=np.tile(sigmas, (4, 1)))
         added = own_covariances_px2(stated) - own_covariances_px2(plain)
         # the corners lie 28 km from the middle, where the ground leans by 0.016
         assert np.diagonal(added, axis1=1, axis2=2) == pytest.approx(
-            np.tile(wanted, (4, 1)), rel=0.04, abs=0.5
+            np.tile(wanted, (4, 1)), rel=0.04, abs=3.0
         )
 
 
@@ -137,3 +143,18 @@ def test_the_pattern_moves_along_the_sun_more_than_across_it():
     assert abs(along @ across) < 1e-9
     assert abs(along[1]) < 1e-2 * abs(along[0])  # the Sun stands in the east
     assert np.linalg.norm(along) > 2.0 * np.linalg.norm(across)
+
+
+def test_a_pattern_of_poor_score_is_found_away_from_the_sun():
+    """21 m for a score of 0 and a cotangent of 1; the Sun stands in the east, 30 deg high."""
+    bias = bias_px(matched(SQUARE, score=0.5), sun(30.0))
+    assert bias[:, 0] == pytest.approx(-21.0 * 0.5 * np.sqrt(3.0), rel=0.01)
+    assert bias_px(matched(SQUARE), sun(30.0)) == pytest.approx(np.zeros((4, 2)))
+    hidden = matched(SQUARE, score=0.5, unresolved_posting_m=319.0)
+    assert bias_px(hidden, sun(30.0)) == pytest.approx(np.zeros((4, 2)))
+
+
+def test_a_level_coarser_than_the_picture_resolves_errs_by_what_it_skips():
+    plain, skipped = matched(SQUARE, levels=4.0), matched(SQUARE, levels=4.0, skipped_m=355.0)
+    wider = own_covariances_px2(skipped) - own_covariances_px2(plain)
+    assert np.trace(wider, axis1=1, axis2=2) == pytest.approx(2.0 * 5.0**2, rel=0.05)
