@@ -161,7 +161,8 @@ class _Importer:
     def _add(self, source: _Source, own_picture: Path | None) -> None:
         where, table = self._table(source)
         motion = self._motion_of(source, where, table)
-        camera = _camera(self._options.camera or table.camera, where, source)
+        named = self._options.camera
+        camera = _camera(named or table.camera, Path() if named else where.parent, source)
         picture = own_picture or _picture_path(source, table)
         camera = _cropped(camera, source, picture)
         known = self._cameras.setdefault(camera.name, camera)
@@ -286,11 +287,11 @@ def _sources(path: Path) -> Iterator[_Source]:
     yield _Source(path, "isis", cube=cube)
 
 
-def _camera(name: str, where: Path, source: _Source) -> Camera:
+def _camera(name: str, beside: Path, source: _Source) -> Camera:
     if not name:
         raise DataError(f"{source.path}: no camera is known for it; name one with --camera")
     if is_body_file(name):
-        return load_camera(name if Path(name).exists() else where.parent / name)
+        return load_camera(beside / name)
     return preset_camera(name)
 
 
