@@ -156,6 +156,9 @@ def test_every_label_of_the_comet_is_read_and_lies_over_its_picture(
         assert frame.position_m is not None
         assert frame.camera_from_body is not None
         assert frame.attitude_sigma_rad == pytest.approx(np.radians(0.4))
+        # the axes' error moves the position in the body's frame as far as it turns the attitude
+        height_m = np.linalg.norm(frame.position_m)
+        assert 0.5 < (frame.position_sigma_m or 0.0) / (np.radians(0.4) * height_m) < 1.6
         camera = read.cameras[frame.camera]
         pixels = camera.project_from_body(
             corners, frame.position_m, frame.camera_from_body.as_matrix()
