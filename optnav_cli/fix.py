@@ -26,6 +26,7 @@ class Method(StrEnum):
     HORIZON = "horizon"  # the limb on the skyline of the body's relief or shape
     HORIZON_SPHERE = "horizon_sphere"  # the limb on the bare ellipsoid
     BRIGHTNESS_CENTRE = "brightness_centre"
+    SILHOUETTE = "silhouette"  # the edges of the body's shape as it is drawn
 
     @property
     def label(self) -> str:

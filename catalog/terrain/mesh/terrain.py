@@ -303,3 +303,21 @@ def relief_of_mesh(terrain: MeshTerrain) -> GlobalRelief:
     along = ((vertex_lon + np.pi) * rows / np.pi).astype(np.int64) % (2 * rows)
     np.maximum.at(max_heights, (at, along), (out - radius).astype(np.float32))
     return GlobalRelief(means, np.maximum(max_heights, means), radius, terrain.name)
+
+
+def mesh_of_relief(relief: GlobalRelief) -> MeshRays:
+    """The surface of a relief: triangles between the middles of its cells, closed at the poles."""
+    rows, cols = relief.heights.shape
+    lat = np.pi / 2.0 - (np.arange(rows) + 0.5) * relief.step_rad
+    lon = -np.pi + (np.arange(cols) + 0.5) * relief.step_rad
+    grid = xyz_from_latlon(lat[:, None], lon[None, :], relief.radius_m + relief.heights)
+    ends = [[0.0, 0.0, end * (relief.radius_m + relief.heights[row].mean())]
+            for end, row in ((1.0, 0), (-1.0, -1))]  # fmt: skip
+    number = np.arange(rows * cols).reshape(rows, cols)
+    east = np.roll(number, -1, axis=1)
+    quads = [(number[:-1], number[1:], east[1:]), (number[:-1], east[1:], east[:-1])]
+    faces = [np.stack(triple, axis=-1).reshape(-1, 3) for triple in quads]
+    north, south = np.full(cols, rows * cols), np.full(cols, rows * cols + 1)
+    faces += [np.stack([north, number[0], east[0]], axis=1)]
+    faces += [np.stack([south, east[-1], number[-1]], axis=1)]
+    return MeshRays(np.concatenate([grid.reshape(-1, 3), ends])[np.concatenate(faces)])

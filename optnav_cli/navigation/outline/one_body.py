@@ -17,9 +17,10 @@ from optnav_cli.measurements.disc.moments import is_round
 from optnav_cli.measurements.limb.detection import LimbPoints, find_limb
 from optnav_cli.measurements.limb.sun_check import rejection_of_sun
 from optnav_cli.measurements.segmentation import Segmented
+from optnav_cli.navigation import silhouette
 from optnav_cli.navigation.disc import brightness_centre, whole_disc
 from optnav_cli.navigation.horizon import method as horizon
-from optnav_cli.navigation.horizon.shape_skyline import relief_fraction
+from optnav_cli.navigation.horizon.shape_skyline import is_shape, relief_fraction
 from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
@@ -75,6 +76,9 @@ def solve(
         doubt = _rejection_of_sun(picture, view, body, lit)
         if doubt:
             raise NoSolutionError(f"{doubt}; {no_limb}", ReasonCode.WRONG_LIGHT) from None
+        if relief is not None and is_shape(relief):
+            with suppress(NoSolutionError):
+                return silhouette.navigate(picture, view, body, relief, lit)
         return _by_centre(Reason.of(no_limb), picture, view, body, relief, lit)
     small = _by_disc(picture, view, body, relief, limb, lit)
     if small is not None:
