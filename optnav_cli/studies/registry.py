@@ -210,6 +210,21 @@ STUDIES = (
         compiles=False,
     ),
     Study(
+        "real",
+        "Real pictures of the Moon, 67P and Eros, against their labels.",
+        """Import, navigate and adjust sets of real pictures with the labels of their archives.
+
+        The Apollo 15 frame is bundled. FOLDER holds the others: rosetta/pictures/*.lbl with their
+        pictures and rosetta/67p*.obj, near/*.fit; what is not there is skipped, and said. Pictures,
+        runs with overlays and adjusted runs go into the folder of -o. All of it takes a quarter of
+        an hour.""",
+        "shared -o real --frames 10",
+        (
+            click.Argument(["folder"], type=PATH),
+            *_flights("real", "catalogs, pictures and runs with overlays", "67P"),
+        ),
+    ),
+    Study(
         "resection",
         "Position errors against number and angle of control points.",
         """Solve thousands of resections with noisy points and tabulate the errors.
