@@ -22,6 +22,7 @@ from optnav_cli.output.tables import read_matches, read_solutions
 
 SOLUTION, MATCHES = "solution.csv", "matches.csv"
 RECORDING, OVERLAYS = "run.mcap", "overlays"
+COMMON_JSON, COMMON_CSV = "common.json", "common.csv"  # of an adjusted run
 FRAMES, CAMERAS = "frames.csv", "cameras"  # copies of the picture folder's
 
 

@@ -18,8 +18,9 @@ from catalog.inputs import read_input
 from optnav_cli.evaluation.figures import method_words
 from optnav_cli.evaluation.files import EVALUATION_JSON
 from optnav_cli.fix import Solution
+from optnav_cli.frames.tables import COMMON_NUMBERS
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.run_folder import RunFolder, read_run
+from optnav_cli.output.run_folder import COMMON_CSV, COMMON_JSON, RunFolder, read_run
 from optnav_cli.output.tables import fixed
 from optnav_cli.report import page as html
 from optnav_cli.report.error_plots import error_plots
@@ -174,7 +175,7 @@ def run_page(folder: Path) -> str:
     run = read_run(folder)
     evaluation, against_truth = read_evaluation(folder)
     solved = [solution for solution in run.solutions if solution.solved]
-    sections = [_main_numbers(run, evaluation), against_truth]
+    sections = [_main_numbers(run, evaluation), against_truth, _common(folder)]
     if solved:
         sections.append(html.section("Errors and stated sigmas", *_plots(run)))
         sections.append(html.section("On the ground", ground_plot(run)))
@@ -185,6 +186,35 @@ def run_page(folder: Path) -> str:
     title = f"{run.attitude.body.name.capitalize()}: run {folder.resolve().name}"
     subtitle = f"{len(run.solutions)} frames, {len(solved)} solved. Positions in the body frame."
     return html.page(title, subtitle, filter(None, sections))
+
+
+def _common(folder: Path) -> Markup:
+    """What is common to the frames of an adjusted run; nothing for another one."""
+    if not (folder / COMMON_JSON).exists():
+        return Markup()
+    header = ("common to the frames", "axis", "value", "sigma", "unit", "observed")
+    try:
+        rows = [
+            (
+                f"{row['name'].replace('_', ' ')} {row['camera']}".strip(),
+                row["axis"],
+                f"{row.number('value'):.6g}",
+                f"{row.number('sigma'):.2g}",
+                row["unit"],
+                "yes" if row.flag("observed") else "no",
+            )
+            for row in COMMON_NUMBERS.rows(folder / COMMON_CSV)
+        ]
+        document = json.loads(read_input(folder / COMMON_JSON), parse_constant=_finite)
+        stages = [f"{name} {value:.2f}" for name, value in document["residual_rms_px"].items()]
+        notes = [f"{note[:1].upper()}{note[1:]}." for note in document["not_observed"]]
+    except (DataError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        text = f"{COMMON_JSON} or {COMMON_CSV} is damaged ({error}); run `optnav adjust` again."
+        return html.section("Common to the frames", html.paragraph(text, "note"))
+    words = f"Residuals of the matches, rms a coordinate, px: {', '.join(stages)}."
+    table = [html.table(header, rows, text_columns=2)] if rows else []
+    parts = [*table, *map(html.paragraph, [words, *notes])]
+    return html.section("Common to the frames", *parts)
 
 
 def _plots(run: RunFolder) -> list[Markup]:

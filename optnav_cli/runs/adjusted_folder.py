@@ -31,6 +31,8 @@ from optnav_cli.frames.run_settings import RunSettings, write_run_settings
 from optnav_cli.frames.tables import COMMON_NUMBERS
 from optnav_cli.output.run_folder import (
     CAMERAS,
+    COMMON_CSV,
+    COMMON_JSON,
     FRAMES,
     MATCHES,
     SOLUTION,
@@ -40,7 +42,6 @@ from optnav_cli.output.tables import AdjustedMatch, write_adjusted_matches, writ
 from optnav_cli.output.wording import table_lines
 from optnav_cli.reasons import Reason, ReasonCode
 
-COMMON_JSON, COMMON_CSV = "common.json", "common.csv"
 NOT_ADJUSTED = Reason(ReasonCode.FEW_POINTS, "not adjusted: too few control points")
 UNITS = {
     Common.BODY_ROTATION: ("deg", math.degrees(1.0)),

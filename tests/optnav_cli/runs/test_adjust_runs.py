@@ -100,7 +100,12 @@ def test_an_adjusted_run_holds_what_is_common(tmp_path: Path) -> None:
     assert [s.file for s in after.solutions] == [s.file for s in before.solutions]
     assert all(m.residual_px is not None for m in after.matches)
     write_report(out, tmp_path / "page.html")
-    assert "the boresight" not in (tmp_path / "page.html").read_text()
+    page = (tmp_path / "page.html").read_text()
+    assert "Common to the frames" in page
+    assert f"{float(found['scale', '']['value']):.6g}" in page
+    (out / "common.json").write_text("{}")
+    write_report(out, tmp_path / "page.html")
+    assert "run `optnav adjust` again" in (tmp_path / "page.html").read_text()
 
 
 def test_navigate_reads_what_was_found(tmp_path: Path) -> None:
