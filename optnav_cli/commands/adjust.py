@@ -6,7 +6,7 @@ import click
 
 from optnav_cli.console import tell
 from optnav_cli.options import OptnavCommand, output_option
-from optnav_cli.parameters import PATH
+from optnav_cli.parameters import PATH, Number
 
 SOLVABLE = ("body_rotation", "origin", "scale", "boresight", "focal")
 
@@ -44,8 +44,21 @@ class SolveOption(click.ParamType):  # type: ignore[type-arg] # generic since 8.
     help="What is common to the frames: rotation of the body frame, origin and scale of the "
     "catalog, boresight and focal length (focal) of each camera; or none.",
 )
+@click.option(
+    "--position-sigma-m",
+    type=Number(0.001, 1e9),
+    help="What stated positions scatter by, a component, where frames.csv states more: sigmas for "
+    "a search hold what all frames have in common, too.",
+)
+@click.option(
+    "--attitude-sigma-arcsec",
+    type=Number(1e-3, 648_000.0),
+    help="The same of stated attitudes, an axis.",
+)
 @output_option("Folder for the adjusted run; an earlier one in it is replaced.")
-def command(runs: tuple[Path, ...], solve: tuple[str, ...], output: Path) -> None:
+def command(
+    runs: tuple[Path, ...], solve: tuple[str, ...], output: Path, **scatter: float | None
+) -> None:
     """Adjust all frames of RUNS, which `optnav navigate` solved, in one least squares.
 
     The positions and attitudes of frames.csv count with their sigmas, matches with what the runs
@@ -57,11 +70,13 @@ def command(runs: tuple[Path, ...], solve: tuple[str, ...], output: Path) -> Non
     \b
     Example:
       optnav adjust run -o adjusted
+      optnav adjust run --position-sigma-m 60 --attitude-sigma-arcsec 60 -o adjusted
       optnav adjust run-1 run-2 --solve body_rotation,boresight -o adjusted
     """
     from optnav_cli.estimation.models.common import Common
-    from optnav_cli.runs.adjust_runs import adjust_runs
+    from optnav_cli.runs.adjust_runs import LabelScatter, adjust_runs
 
-    found = adjust_runs(runs, output, [kind for kind in Common if kind.value in solve])
+    kinds = [kind for kind in Common if kind.value in solve]
+    found = adjust_runs(runs, output, kinds, LabelScatter(**scatter))
     tell(found.lines())
     click.echo(output)

@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError, NoSolutionError, NothingToDoError
 from catalog.files import MANIFEST, replacing_folder
+from catalog.geometry.rotations import ARCSEC
 from catalog.places import check_apart
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.adjustment import (
@@ -54,10 +56,29 @@ MIN_MATCHES = 3
 MIN_SIGMA_PX = 0.02  # of a match, whatever the residuals say
 
 
-def adjust_runs(runs: Sequence[Path], output: Path, kinds: Sequence[Common]) -> AdjustedRuns:
+class LabelScatter(NamedTuple):
+    """What statements scatter by, 1 sigma a component; None: as frames.csv says.
+
+    A search needs sigmas that hold what all statements have in common as well.
+    """
+
+    position_sigma_m: float | None = None
+    attitude_sigma_arcsec: float | None = None
+
+
+AS_STATED = LabelScatter()
+
+
+def adjust_runs(
+    runs: Sequence[Path],
+    output: Path,
+    kinds: Sequence[Common],
+    scatter: LabelScatter = AS_STATED,
+) -> AdjustedRuns:
     """Adjust the frames of runs together and write the folder of the adjusted run.
 
-    kinds  what is common to the frames and to be solved for
+    kinds    what is common to the frames and to be solved for
+    scatter  of the stated positions and attitudes once that is taken out
     Raises DataError for runs that do not belong together, NothingToDoError without a frame to
     adjust, NoSolutionError when the frames leave something open.
     """
@@ -70,6 +91,7 @@ def adjust_runs(runs: Sequence[Path], output: Path, kinds: Sequence[Common]) -> 
     rows = _rows(read, cameras)
     if Common.BORESIGHT in kinds or Common.BODY_ROTATION in kinds:
         rows = [_without_common_sigma(row) for row in rows]
+    rows = [_scattering(row, scatter) for row in rows]
     frames = [row.adjusted for row in rows if row.adjusted is not None]
     if not frames:
         raise NothingToDoError(
@@ -94,7 +116,7 @@ def adjust_runs(runs: Sequence[Path], output: Path, kinds: Sequence[Common]) -> 
             place,
             KIND,
             command="adjust",
-            options={"solve": [kind.value for kind in kinds]},
+            options={"solve": [kind.value for kind in kinds], **scatter._asdict()},
             inputs={
                 "runs": [
                     {
@@ -267,6 +289,21 @@ def _weighed(rows: Sequence[AdjustedRow]) -> list[AdjustedRow]:
                 frame = None
         found.append(replace(row, adjusted=frame))
     return found
+
+
+def _scattering(row: AdjustedRow, scatter: LabelScatter) -> AdjustedRow:
+    """A frame with other sigmas of its statements, where they are given."""
+    frame = row.adjusted
+    if frame is None:
+        return row
+    position_m, attitude = frame.position_sigma_m, frame.attitude_sigma_rad
+    if scatter.position_sigma_m is not None and position_m is not None:
+        position_m = scatter.position_sigma_m
+    if scatter.attitude_sigma_arcsec is not None and attitude is not None:
+        attitude = scatter.attitude_sigma_arcsec * ARCSEC
+    return replace(
+        row, adjusted=replace(frame, position_sigma_m=position_m, attitude_sigma_rad=attitude)
+    )
 
 
 def _without_common_sigma(row: AdjustedRow) -> AdjustedRow:

@@ -25,7 +25,7 @@ from optnav_cli.estimation.models.common import Common
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.output.run_folder import CAMERAS, RunFolder, read_run
-from optnav_cli.runs.adjust_runs import adjust_runs
+from optnav_cli.runs.adjust_runs import LabelScatter, adjust_runs
 from optnav_cli.runs.adjusted_folder import AdjustedRuns
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.import_folder import ImportOptions, import_folder
@@ -37,6 +37,8 @@ MIN_SET = 5  # frames from which what is common to them can be told
 BEYOND_SIGMAS = 5.0
 # Of labels that were corrected: what is asked of a navigator at 67P.
 CORRECTED_M, CORRECTED_RAD = 300.0, 200.0 * ARCSEC
+# What the labels of 67P scatter by once that is taken out, from frame to frame: 0.7 px, 23 arcsec.
+SCATTER = LabelScatter(20.0, 20.0)
 KINDS = (Common.BODY_ROTATION, Common.ORIGIN, Common.SCALE, Common.BORESIGHT)
 
 
@@ -73,7 +75,8 @@ class SetResult:
 
     first, last  the run with the labels as they are, and the one with the corrected ones
     common       what is common to the labels, where there are frames enough
-    nees         (n,) of the solved frames against the corrected labels, a degree of freedom
+    nees         (n,) of the solved frames against the corrected labels, a degree of freedom;
+                 nothing where labels are not corrected
     skipped      why there is nothing
     """
 
@@ -118,7 +121,7 @@ def _of_set(
     first = _navigated(pictures, catalogs, place / "run", progress)
     common = _adjusted(first, place / "adjusted")
     if common is None or common.frames < MIN_SET:
-        return SetResult(one.name, first, first, None, _nees(first, read_folder(pictures).frames))
+        return SetResult(one.name, first, first)
     corrected = _corrected(pictures, place / "adjusted", place / "pictures-corrected")
     last = _navigated(corrected, catalogs, place / "run-corrected", progress)
     again = _adjusted(last, place / "adjusted-corrected")
@@ -149,7 +152,7 @@ def _navigated(
 
 def _adjusted(run_folder: RunFolder, place: Path) -> AdjustedRuns | None:
     with suppress(NothingToDoError, NoSolutionError):
-        return adjust_runs([run_folder.path], place, KINDS)
+        return adjust_runs([run_folder.path], place, KINDS, SCATTER)
     return None
 
 

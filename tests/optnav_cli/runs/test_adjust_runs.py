@@ -158,6 +158,18 @@ def rms_of_stated(folder: Path) -> float:
     return float(np.sqrt(np.mean(np.square(off))))
 
 
+def test_what_labels_scatter_by_counts_in_place_of_the_sigmas_of_a_search(tmp_path: Path) -> None:
+    """Sigmas of frames.csv are for the search and hold what all frames have in common."""
+    run = write_run(tmp_path / "run", 20)
+    scatter = ("--position-sigma-m", 30, "--attitude-sigma-arcsec", 20)
+    assert adjusted(run, "-o", tmp_path / "wide") == 0
+    assert adjusted(run, *scatter, "-o", tmp_path / "tight") == 0
+    wide, tight = (numbers(tmp_path / name) for name in ("wide", "tight"))
+    for key in wide:
+        assert float(tight[key]["sigma"]) < float(wide[key]["sigma"])
+    assert float(tight["origin", "x"]["sigma"]) < 0.3 * float(wide["origin", "x"]["sigma"])
+
+
 def test_one_frame_is_adjusted_and_says_what_it_cannot_tell(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", 1)
     assert adjusted(run, "-o", tmp_path / "out") == 0
