@@ -199,7 +199,7 @@ COMMON = columns("set; common to the labels; axis; value .5g; sigma .2g; unit")
 
 def report(results: Sequence[SetResult]) -> StudyReport:
     """The table of sets, what is common to their labels, and what was left out or unsolved."""
-    tables = [StudyTable("", COLUMNS, tuple(_cells(result) for result in results))]
+    tables = [StudyTable("Real pictures", COLUMNS, tuple(_cells(result) for result in results))]
     rows: list[tuple[Cell, ...]] = []
     notes = []
     for result in results:

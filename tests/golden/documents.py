@@ -172,7 +172,9 @@ def _report(path: Path) -> StudyReport:
 def _stored(path: Path, command: str) -> str:
     report = _report(path)
     words = [command.format(report.study)]
-    words += [f"--{name} {value}" for name, value in report.arguments.items() if value is not None]
+    words += [
+        f"--{name} {value}" for name, value in report.arguments.items() if value not in (None, "")
+    ]
     origin = f"From the run of `{' '.join(words)}` at commit {report.commit}, {report.date}."
     shown = [f"*{table.title}*\n\n{table.to_markdown()}" for table in report.tables]
     return "\n\n".join([*shown, *report.notes, origin])
