@@ -21,7 +21,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.arc import GATE
-from optnav_cli.fix import Evidence, Fix, NoFix, PositionPrior, Solution
+from optnav_cli.fix import Evidence, Fix, Method, NoFix, PositionPrior, Solution
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
@@ -77,8 +77,32 @@ class Navigator:
             return NO_REASON
         row = methods.by_points(prior)
         if not row.solved:
-            return self._with_inverse_attitude(row, methods, prior)
+            return self._from_silhouette(methods, prior, row) or self._with_inverse_attitude(
+                row, methods, prior
+            )
         return self._accept_points(methods.observation, row, confirmed=True)
+
+    def _from_silhouette(
+        self, methods: FrameMethods, prior: PositionPrior, tried: Solution
+    ) -> Solution | None:
+        """A body's silhouette where the prior holds it, and control points from there.
+
+        tried  the control points' row from the prior, which is unsolved
+        """
+        fix = methods.outline()
+        if isinstance(fix, NoFix) or fix.method is not Method.SILHOUETTE:
+            return None
+        if rejection_of_place(fix.position_m, fix.covariance_m2, prior):
+            return None
+        start = PositionPrior(fix.position_m, fix.covariance_m2, fix.method)
+        points = methods.by_points(start)
+        if points.solved:
+            return self._accept_points(methods.observation, points, confirmed=True)
+        alone = replace(fix, evidence=replace(fix.evidence, matches=tried.evidence.matches))
+        row = replace(tried, outcome=alone)
+        why = tried.outcome.reason
+        remark = why.worded(f"control points: {why}")
+        return self._accept_outline(methods, row.with_remark(remark))
 
     def _from_same_time(self, methods: FrameMethods) -> Solution | Reason:
         """Control points from the fix of another camera at the same time."""

@@ -65,6 +65,7 @@ class Sky:
         self.point_sun_deg = 30.0
         self.priors: list = []
         self.right = TURN
+        self.method = Method.HORIZON
         self.frame = None
         monkeypatch.setattr(answers.outline, "navigate", self.outline)
         monkeypatch.setattr(answers.control_points, "navigate", self.points)
@@ -81,7 +82,7 @@ class Sky:
             )
         place = self.truth[self.frame] + known
         evidence = Evidence(residual_rms_px=0.1, n_limb=900, arc_deg=200.0, outline=MARKS)
-        return Fix(Method.HORIZON, place, np.eye(3) * 200.0**2, camera_from_body, 0.0, evidence)
+        return Fix(self.method, place, np.eye(3) * 200.0**2, camera_from_body, 0.0, evidence)
 
     def points(self, observation, prior, *_):
         self.priors.append(prior)
@@ -294,6 +295,27 @@ def test_a_prior_of_the_file_is_used_and_says_so(sky):
     failed = sky.see(1, position_m=sky.truth[1], position_sigma_m=3e3)
     assert not failed.solved
     assert failed.reason == "no 2 matches agree on a position"
+
+
+def test_a_silhouette_that_the_prior_holds_stands_in_for_missed_points(sky):
+    """Its own position is searched from, and stands where that finds no point either."""
+    sky.method = Method.SILHOUETTE
+    sky.no_points[0] = 24
+    sky.outlines[0] = np.array([300.0, -200.0, 100.0])
+    row = sky.see(0, position_m=sky.truth[0] + 2e3, position_sigma_m=3e3)
+    assert row.solved
+    assert (row.method, row.prior) == ("silhouette", "frames.csv")
+    assert row.reason == "control points: no 2 matches agree on a position"
+    assert [prior.source for prior in sky.priors] == ["frames.csv", "silhouette"]
+    assert row.n_limb == 900
+
+
+@pytest.mark.parametrize(("method", "off_m"), [(Method.SILHOUETTE, 60e3), (Method.HORIZON, 0.0)])
+def test_other_outlines_do_not_overrule_missed_points_of_a_prior(sky, method, off_m):
+    sky.method = method
+    sky.no_points[0] = 24
+    sky.outlines[0] = np.array([off_m, 0.0, 0.0])
+    assert not sky.see(0, position_m=sky.truth[0], position_sigma_m=3e3).solved
 
 
 @pytest.mark.parametrize("prior", [True, False])
