@@ -73,7 +73,7 @@ UNEXPLAINED_M = 8.0
 STRETCH_M = 1.1
 # Shares of the stated error of a terrain model that are added to each point's own: shift, height.
 # The covariance of a match, from its remainder, sees the rest of the shift; it never sees a height.
-TERRAIN_SHARES = np.array([0.5, 1.0])
+TERRAIN_SHARES = np.array([0.25, 1.0])
 # They are common to the ground about them: points that lie further apart average them.
 REGION_M = 32e3
 # What sampling at the pixels and oblique views leave, px: shift an axis; stretch, and stretch that
@@ -83,13 +83,16 @@ SHIFT_PX = 0.0045
 STRETCH_PX = 0.005
 KEYSTONE_PX = 0.004
 # Relief and albedo that the reference lacks move a pattern away from the Sun, whatever the posting:
-# m for a score of 0 and a cotangent of 1 of the Sun's elevation. The half of it, common to a frame,
-# is left.
-SUNWARD_M = 21.0
-SUNWARD_LEFT = 0.5
+# m for a score of 0 and a cotangent of 1 of the Sun's elevation. It is corrected; this share of it,
+# common to a frame, is left. Over ground twice as far from its model as GLD100 it is 22 m.
+SUNWARD_M = 12.0
+SUNWARD_LEFT = 1.0
 # A level coarser than the picture resolves is a mean of heights in a mean of brightness: each point
 # errs an axis by this share of what it is coarser by.
 SKIPPED_OWN = 0.014
+# A terrain model that errs in what a template shows errs over its whole width, too, which moves the
+# template as one: a point's own, m an axis for a score of 0 and a template of WARPED_SIZE_M.
+WARPED_M, WARPED_SIZE_M = 35.0, 9.5e3
 # Common to a frame, shares of the scatter of its points: shift an axis, stretch.
 SCATTER_SHIFT = 0.1
 SCATTER_STRETCH = 0.1
@@ -203,6 +206,7 @@ def own_covariances_px2(points: MatchedPoints) -> FloatArray:
     lift = np.einsum("nij,nj->ni", pixel_per_metre, up) * terrain[:, 1:]
     variance: FloatArray = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
     variance += terrain[:, 0] ** 2 + (SKIPPED_OWN * points.skipped_m) ** 2
+    variance += _warped_m(points) ** 2
     variance = variance * np.sqrt(np.maximum(area, 0.0))
     covariances: FloatArray = rise[:, :, None] * rise[:, None, :]
     covariances += lift[:, :, None] * lift[:, None, :]
@@ -229,6 +233,14 @@ def _sunward_m(points: MatchedPoints) -> FloatArray:
     known = points.unresolved_posting_m == 0.0  # behind a blur the sizes below hold instead
     shifts: FloatArray = SUNWARD_M * unexplained / np.tan(elevation) * known
     return shifts
+
+
+def _warped_m(points: MatchedPoints) -> FloatArray:
+    """How far templates are moved as a whole, (n,) m an axis."""
+    known = points.unresolved_posting_m == 0.0
+    unexplained = 1.0 - np.clip(points.scores, 0.0, 1.0)
+    sigmas: FloatArray = WARPED_M * unexplained * (WARPED_SIZE_M / points.sizes_m) * known
+    return sigmas
 
 
 def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
