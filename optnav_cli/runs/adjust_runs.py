@@ -45,6 +45,7 @@ from optnav_cli.output.run_folder import (
 )
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.runs.adjusted_folder import (
+    MIN_MATCHES,
     AdjustedRow,
     AdjustedRuns,
     StatedResiduals,
@@ -52,7 +53,6 @@ from optnav_cli.runs.adjusted_folder import (
 )
 
 KIND = "adjusted run"
-MIN_MATCHES = 3
 MIN_SIGMA_PX = 0.02  # of a match, whatever the residuals say
 
 
@@ -135,14 +135,16 @@ def adjust_runs(
 def _check_together(runs: Sequence[RunFolder], kinds: Sequence[Common]) -> None:
     """Raise DataError for runs of several bodies, or that have nothing in common."""
     first = runs[0]
+    places = Counter(run.path.resolve() for run in runs)
+    for run in runs:
+        if places[run.path.resolve()] > 1:
+            raise DataError(f"{run.path}: is named twice; name each run once")
     for run in runs[1:]:
         if run.attitude.body != first.attitude.body:
             raise DataError(
                 f"{run.path}: its body ({run.attitude.body.name}) is not that of {first.path} "
                 f"({first.attitude.body.name}), or of another file; adjust runs of one body file"
             )
-        if run.path.resolve() == first.path.resolve():
-            raise DataError(f"{run.path}: is named twice; name each run once")
         catalogs, others = _catalogs(run), _catalogs(first)
         apart = not catalogs & others
         shared = {c.name for c in run.cameras.values()} & {c.name for c in first.cameras.values()}

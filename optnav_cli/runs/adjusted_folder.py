@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.estimation.adjustment import (
     AdjustedFrame,
     Adjustment,
+    FrameResult,
 )
 from optnav_cli.estimation.models.common import (
     OF_THE_CATALOG,
@@ -25,7 +27,7 @@ from optnav_cli.estimation.models.common import (
     CommonNumber,
     CommonState,
 )
-from optnav_cli.fix import Evidence, Fix, MatchRow, Method, Solution
+from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
 from optnav_cli.frames.frames import Frame, write_frames
 from optnav_cli.frames.run_settings import RunSettings, write_run_settings
 from optnav_cli.frames.tables import COMMON_NUMBERS
@@ -42,6 +44,12 @@ from optnav_cli.output.tables import AdjustedMatch, write_adjusted_matches, writ
 from optnav_cli.output.wording import table_lines
 from optnav_cli.reasons import Reason, ReasonCode
 
+MIN_MATCHES = 3  # of a frame
+OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")
+DISAGREES = Reason(
+    ReasonCode.POINTS_DISAGREE, "its control points disagree with those of the other frames"
+)
+SECTION = re.compile(r"\s*\[{1,2}([\w.-]+)\]{1,2}\s*(#.*)?")  # the head of one, in a TOML file
 NOT_ADJUSTED = Reason(ReasonCode.FEW_POINTS, "not adjusted: too few control points")
 UNITS = {
     Common.BODY_ROTATION: ("deg", math.degrees(1.0)),
@@ -106,7 +114,7 @@ class AdjustedRuns:
         rows: list[dict[str, object]] = []
         columns = zip(common.numbers, common.values, self.adjustment.sigmas, strict=True)
         for number, value, sigma in columns:
-            unit, per = self._unit(number)
+            unit, per = self.unit_of(number)
             zero = per if number.kind in (Common.SCALE, Common.FOCAL) else 0.0
             rows.append(
                 {
@@ -122,7 +130,8 @@ class AdjustedRuns:
             )
         return rows
 
-    def _unit(self, number: CommonNumber) -> tuple[str, float]:
+    def unit_of(self, number: CommonNumber) -> tuple[str, float]:
+        """The unit that a number is written in, and how many make one of the state's."""
         if number.kind == Common.FOCAL:
             return "px", self.cameras[number.camera].focal_length_px
         return UNITS[number.kind]
@@ -178,43 +187,54 @@ def write_adjusted(
             solutions.append(note)
             continue
         found, stage = next(results)
-        own = []
-        for k, match in enumerate(row.matches):
-            kept = bool(found.weights[k] > 0.0)
-            predicted = row.adjusted.sightings.pixels[k] - found.residuals_px[k]
-            outlier = Reason(ReasonCode.OUTLIER, "disagrees with the others")
-            reason = Reason() if kept else outlier
-            changed = replace(
-                match,
-                used=kept,
-                predicted_px=predicted,
-                residual_px=found.residuals_px[k],
-                reason=reason.text,
-                reason_code=reason.code,
-            )
-            weight = float(found.weights[k])
-            own.append(AdjustedMatch(changed, stage.stated[k], stage.constants[k], weight))
-        matches += own
-        kept_px = found.residuals_px[found.weights > 0.0]
-        evidence = Evidence(
-            n_predicted=row.solution.n_predicted,
-            n_matched=row.solution.n_matched,
-            n_used=len(kept_px),
-            residual_rms_px=float(np.sqrt(np.mean(kept_px**2))),
-        )
-        outcome = Fix(
-            Method.CONTROL_POINTS,
-            found.pose.position_m,
-            found.covariance[:3, :3],
-            found.pose.camera_from_body,
-            float(np.sqrt(np.trace(found.covariance[3:, 3:]) / 3.0)),
-            evidence,
-        )
-        solutions.append(replace(row.solution, outcome=outcome))
+        matches += _matches(row, row.adjusted, found, stage)
+        solutions.append(replace(row.solution, outcome=_outcome(row.solution, found)))
     write_solutions(place / SOLUTION, solutions, first.attitude)
     write_adjusted_matches(place / MATCHES, matches)
     COMMON_NUMBERS.write(place / COMMON_CSV, result.rows())
     (place / COMMON_JSON).write_text(_document(result), encoding="utf-8")
+
+
+def _matches(
+    row: AdjustedRow, frame: AdjustedFrame, found: FrameResult, stage: StatedResiduals
+) -> list[AdjustedMatch]:
+    """The matches of a frame with their residuals."""
+    made = []
+    for k, match in enumerate(row.matches):
+        kept = bool(found.weights[k] > 0.0)
+        reason = Reason() if kept else OUTLIER
+        changed = replace(
+            match,
+            used=kept,
+            predicted_px=frame.sightings.pixels[k] - found.residuals_px[k],
+            residual_px=found.residuals_px[k],
+            reason=reason.text,
+            reason_code=reason.code,
+        )
+        weight = float(found.weights[k])
+        made.append(AdjustedMatch(changed, stage.stated[k], stage.constants[k], weight))
+    return made
+
+
+def _outcome(before: Solution, found: FrameResult) -> Fix | NoFix:
+    """What became of a frame."""
+    kept_px = found.residuals_px[found.weights > 0.0]
+    evidence = Evidence(
+        n_predicted=before.n_predicted,
+        n_matched=before.n_matched,
+        n_used=len(kept_px),
+        residual_rms_px=float(np.sqrt(np.mean(kept_px**2))) if len(kept_px) else None,
+    )
+    if len(kept_px) < MIN_MATCHES:
+        return NoFix(DISAGREES, Method.CONTROL_POINTS, evidence)
+    return Fix(
+        Method.CONTROL_POINTS,
+        found.pose.position_m,
+        found.covariance[:3, :3],
+        found.pose.camera_from_body,
+        float(np.sqrt(np.trace(found.covariance[3:, 3:]) / 3.0)),
+        evidence,
+    )
 
 
 def _bare(frame: Frame) -> Frame:
@@ -223,7 +243,7 @@ def _bare(frame: Frame) -> Frame:
 
 def _document(result: AdjustedRuns) -> str:
     adjustment = result.adjustment
-    scale = np.array([result._unit(number)[1] for number in adjustment.common.numbers])
+    scale = np.array([result.unit_of(number)[1] for number in adjustment.common.numbers])
     document = {
         "numbers": result.rows(),
         "covariance": (adjustment.covariance * np.outer(scale, scale)).tolist(),
@@ -268,8 +288,8 @@ def _write_body(place: Path, run: RunFolder, common: CommonState) -> None:
     source = Path(settings.body) if named else resource(f"configs/bodies/{settings.body}.toml")
     kept, inside = [], False
     for line in source.read_text(encoding="utf-8").splitlines():
-        if line.lstrip().startswith("["):
-            inside = line.strip().startswith("[catalog_frame]")
+        if head := SECTION.fullmatch(line):
+            inside = head[1] == "catalog_frame"
         if not inside:
             kept.append(line)
     text = "\n".join(kept).rstrip("\n") + "\n\n[catalog_frame]  # by optnav adjust\n"

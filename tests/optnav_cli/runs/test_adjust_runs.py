@@ -14,6 +14,8 @@ from catalog.geometry.rotations import ARCSEC
 from optnav_cli import main
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
+from optnav_cli.estimation.adjustment import FrameResult
+from optnav_cli.estimation.models.points import Pose
 from optnav_cli.estimation.resection import resect_robustly
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
 from optnav_cli.frames.folder import read_folder, write_folder
@@ -23,6 +25,7 @@ from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import write_matches, write_solutions
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.report.write import write_report
+from optnav_cli.runs import adjusted_folder
 from tests.optnav_cli.estimation.test_adjustment import (
     ATTITUDE,
     CAMERA,
@@ -237,6 +240,18 @@ def test_a_run_without_matches_or_twice_is_refused(
     assert adjusted(run, run, "-o", tmp_path / "out") == 3
     assert "is named twice" in capsys.readouterr().err
     assert adjusted(run, "-o", run) == 3
+
+
+def test_a_frame_whose_matches_disagree_with_the_others_is_unsolved(tmp_path: Path) -> None:
+    before = read_run(write_run(tmp_path / "run", 1)).solutions[0]
+    assert before.fix is not None
+    pose = Pose(before.fix.position_m, before.fix.camera_from_body)
+    for kept in (2, 3):
+        weights = np.array([1.0] * kept + [0.0] * (12 - kept))
+        found = FrameResult(pose, np.eye(6), np.ones((12, 2)), weights)
+        outcome = adjusted_folder._outcome(before, found)
+        assert isinstance(outcome, Fix) == (kept == 3)
+        assert outcome.evidence.n_used == kept
 
 
 def test_predicted_pixels_of_the_adjusted_matches_are_those_of_the_pose(tmp_path: Path) -> None:
