@@ -110,6 +110,18 @@ class OutlineMarks:
         return np.split(fitted - enlarged * residuals * inward, gaps)
 
 
+@dataclass(frozen=True)
+class GateMargins:
+    """How far a pose from control points lies inside the gates that accept one.
+
+    chance_decades  powers of ten against chance beyond those asked for; refused below 0
+    scatter         how wide the matches scatter over the widest accepted; refused above 1
+    """
+
+    chance_decades: float
+    scatter: float
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What a fix rests on, or what was tried for one; None where it does not apply.
@@ -122,6 +134,7 @@ class Evidence:
     arc_deg          of the limb that they cover, about the nadir
     matches          the control points tried; not read back with a table
     outline          of the body in the picture; not read back with a table
+    margins          of the pose that the matches gave; not read back with a table
     """
 
     n_predicted: int | None = None
@@ -132,6 +145,7 @@ class Evidence:
     arc_deg: float | None = None
     matches: tuple[MatchRow, ...] = ()
     outline: OutlineMarks | None = None
+    margins: GateMargins | None = None
 
 
 NO_EVIDENCE = Evidence()

@@ -29,6 +29,7 @@ from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
+from optnav_cli.simulation.scenario_base import ScenarioBase
 from optnav_cli.studies.tables import Cell, StudyTable, columns
 
 GLOBE = "shared:moon/moon_gld100_32ppd.tif"  # the ground of shipped scenarios
@@ -82,7 +83,11 @@ def shipped_pictures(output: Path, name: str, frames: int | None, progress: Prog
     scenario = load_scenario(resource(f"configs/scenarios/{name}.toml"))
     if frames is not None:
         scenario = scenario.shortened(frames)
-    place = output / "pictures" / name
+    return made_pictures(scenario, output / "pictures" / name, progress)
+
+
+def made_pictures(scenario: ScenarioBase, place: Path, progress: Progress) -> Path:
+    """The picture folder of a scenario; made unless the same one is there."""
     place.parent.mkdir(exist_ok=True)
     mark = place / "scenario.json"
     if not (mark.is_file() and mark.read_bytes() == scenario_copy(scenario)):

@@ -76,6 +76,24 @@ _RUNS = "catalogs, pictures, runs and figures.json"
 
 STUDIES = (
     Study(
+        "acceptance",
+        "Wrong pictures that are solved and right ones that are refused.",
+        """Navigate right and wrong situations of simulated and real pictures and count the answers.
+
+        Wrong ones are other ground, mirrored and turned pictures, a wrong Sun, noise, another body.
+        The folder gets the curves of both shares against the limits (acceptance.svg). Uses pictures
+        of 67P where OPTNAV_SHARED_DATA names the folder that has them. Takes half an hour;
+        --frames 2 gives a first look.""",
+        "--frames 2 --rows Apollo",
+        (
+            *_flights("acceptance", "catalogs, pictures, figures and acceptance.svg", "Apollo"),
+            _seed("Of windows, priors and errors."),
+            _option(
+                "--fit", bool, False, "Other grounds and draws: to set limits with.", is_flag=True
+            ),
+        ),
+    ),
+    Study(
         "apollo",
         "Navigate a real Apollo 15 picture over bundled terrain.",
         """Build the catalog below Apollo 15 metric frame 0297 and navigate the frame.

@@ -16,7 +16,15 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.estimation.resection import Resection
-from optnav_cli.fix import Evidence, Fix, MatchRow, Method, PositionPrior, UnsolvedFrameError
+from optnav_cli.fix import (
+    Evidence,
+    Fix,
+    GateMargins,
+    MatchRow,
+    Method,
+    PositionPrior,
+    UnsolvedFrameError,
+)
 from optnav_cli.matching.picture_pyramid import PicturePyramid
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.navigation.control_points import acceptance
@@ -88,19 +96,20 @@ def navigate(
     while len(passes) < settings.solve.max_passes and not _is_settled(passes):
         passes.append(_search(frame, prior, passes[-1] if passes else None))
     last = passes[-1]
-    reason = _rejection(frame, last, passes[0].searched_postings)
+    reason, margins = _rejection(frame, last, passes[0].searched_postings)
+    evidence = replace(last.evidence, margins=margins)
     if reason:
         refused = tuple(
             replace(row, used=False, reason=reason.text, reason_code=reason.code)
             if row.used
             else row
-            for row in last.evidence.matches
+            for row in evidence.matches
         )
-        tried = replace(last.evidence, n_used=0, residual_rms_px=None, matches=refused)
+        tried = replace(evidence, n_used=0, residual_rms_px=None, matches=refused)
         raise UnsolvedFrameError(reason, tried)
     pose, turn = last.solution.pose, last.solution.pose.camera_from_body
     covariance, sigma = last.solution.position_covariance_m2, last.solution.attitude_sigma_rad
-    return Fix(Method.CONTROL_POINTS, pose.position_m, covariance, turn, sigma, last.evidence)
+    return Fix(Method.CONTROL_POINTS, pose.position_m, covariance, turn, sigma, evidence)
 
 
 def _is_settled(passes: list[_Pass]) -> bool:
@@ -147,8 +156,10 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
     return _Pass(view, matches, solution, evidence, moved, at_finest, searched)
 
 
-def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Reason:
-    """Why the last pass's solution is refused; empty when it is accepted.
+def _rejection(
+    frame: FrameContext, last: _Pass, searched_postings: float
+) -> tuple[Reason, GateMargins]:
+    """Why the last pass's solution is refused, empty when it is accepted; and how narrowly.
 
     searched_postings  of the first pass
     """
@@ -158,7 +169,9 @@ def _rejection(frame: FrameContext, last: _Pass, searched_postings: float) -> Re
     near = parts and searched_postings <= acceptance.NEAR_POSTINGS
     least = acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_DECADES
     most = acceptance.MAX_PART_FACTOR if parts else acceptance.MAX_VARIANCE_FACTOR
-    return acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
+    reason = acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
+    scatter = float(np.sqrt(last.solution.variance_factor / most))
+    return reason, GateMargins(decades - least, scatter)
 
 
 def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings: float) -> float:
