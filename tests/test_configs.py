@@ -51,8 +51,13 @@ def load_navigate(path: Path) -> object:
 
 def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
+    from optnav_cli.navigation.control_points.error_model import RealGroundErrors
 
-    return load_toml(path, {"terrain": TerrainLaws}[path.stem])
+    types: dict[str, type[object]] = {
+        "terrain": TerrainLaws,
+        "control_points": RealGroundErrors,
+    }
+    return load_toml(path, types[path.stem])
 
 
 LOADERS: dict[str, Callable[[Path], object]] = {

@@ -8,18 +8,21 @@ pattern away from a low Sun; shading and sampling leave a small shift across it 
 the frame's middle. Without the common part the covariance of many points together would come out
 too small.
 
-The numbers are fitted to simulated frames over ground richer than the catalog's (study navigation,
-study autonomous).
+The numbers here are fitted to simulated frames over ground richer than the catalog's (study
+navigation, study autonomous); those over ground that is not as its model says are in FILE.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import BoolArray, FloatArray
+from catalog.config import Positive, load_toml, resource
 from catalog.geometry.vectors import unit
 from optnav_cli.matching.point_match import SeenPart
 
@@ -71,9 +74,6 @@ SHADOW_M = 0.85
 SHIFT_M = 0.5
 UNEXPLAINED_M = 8.0
 STRETCH_M = 1.1
-# Shares of the stated error of a terrain model that are added to each point's own: shift, height.
-# The covariance of a match, from its remainder, sees the rest of the shift; it never sees a height.
-TERRAIN_SHARES = np.array([0.25, 1.0])
 # They are common to the ground about them: points that lie further apart average them.
 REGION_M = 32e3
 # What sampling at the pixels and oblique views leave, px: shift an axis; stretch, and stretch that
@@ -82,22 +82,31 @@ REGION_M = 32e3
 SHIFT_PX = 0.0045
 STRETCH_PX = 0.005
 KEYSTONE_PX = 0.004
-# Relief and albedo that the reference lacks move a pattern away from the Sun, whatever the posting:
-# m for a score of 0 and a cotangent of 1 of the Sun's elevation. It is corrected; this share of it,
-# common to a frame, is left. Over ground twice as far from its model as GLD100 it is 22 m.
-SUNWARD_M = 12.0
-SUNWARD_LEFT = 1.0
-# A level coarser than the picture resolves is a mean of heights in a mean of brightness: each point
-# errs an axis by this share of what it is coarser by.
-SKIPPED_OWN = 0.014
-# A terrain model that errs in what a template shows errs over its whole width, too, which moves the
-# template as one: a point's own, m an axis for a score of 0 and a template of WARPED_SIZE_M.
-WARPED_M, WARPED_SIZE_M = 35.0, 9.5e3
-# Common to a frame, shares of the scatter of its points: shift an axis, stretch.
-SCATTER_SHIFT = 0.1
-SCATTER_STRETCH = 0.1
+# Of a template, that `warped_m` is stated for.
+WARPED_SIZE_M = 9.5e3
 # Below it shadows fill the picture and the cotangent runs away.
 MIN_SUN = np.radians(8.0)
+
+FILE = "configs/models/control_points.toml"
+
+
+class RealGroundErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Errors over ground that is not as its model says: what the file says beside each number."""
+
+    sunward_m: Positive
+    sunward_left: Positive
+    skipped_share: Positive
+    warped_m: Positive
+    scatter_shift: Positive
+    scatter_stretch: Positive
+    terrain_shift: Positive
+    terrain_height: Positive
+
+
+@cache
+def real_ground() -> RealGroundErrors:
+    """The errors that ship with optnav. Raises ConfigError for a wrong file."""
+    return load_toml(resource(FILE), RealGroundErrors)
 
 
 def footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> BoolArray:
@@ -200,12 +209,12 @@ def own_covariances_px2(points: MatchedPoints) -> FloatArray:
     flat = pixel_per_metre @ level
     area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
     sigmas = own_sigma_m(points.postings_m, points.finest_postings_m, points.sun_elevation_deg)
-    terrain = np.zeros((len(places), 2))
+    real, terrain = real_ground(), np.zeros((len(places), 2))
     if points.terrain_sigmas_m is not None:
-        terrain = points.terrain_sigmas_m * TERRAIN_SHARES
+        terrain = points.terrain_sigmas_m * [real.terrain_shift, real.terrain_height]
     lift = np.einsum("nij,nj->ni", pixel_per_metre, up) * terrain[:, 1:]
     variance: FloatArray = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
-    variance += terrain[:, 0] ** 2 + (SKIPPED_OWN * points.skipped_m) ** 2
+    variance += terrain[:, 0] ** 2 + (real.skipped_share * points.skipped_m) ** 2
     variance += _warped_m(points) ** 2
     variance = variance * np.sqrt(np.maximum(area, 0.0))
     covariances: FloatArray = rise[:, :, None] * rise[:, None, :]
@@ -231,7 +240,7 @@ def _sunward_m(points: MatchedPoints) -> FloatArray:
     elevation = np.clip(np.radians(points.sun_elevation_deg), MIN_SUN, np.pi / 2.0)
     unexplained = 1.0 - np.clip(points.scores, 0.0, 1.0)
     known = points.unresolved_posting_m == 0.0  # behind a blur the sizes below hold instead
-    shifts: FloatArray = SUNWARD_M * unexplained / np.tan(elevation) * known
+    shifts: FloatArray = real_ground().sunward_m * unexplained / np.tan(elevation) * known
     return shifts
 
 
@@ -239,8 +248,8 @@ def _warped_m(points: MatchedPoints) -> FloatArray:
     """How far templates are moved as a whole, (n,) m an axis."""
     known = points.unresolved_posting_m == 0.0
     unexplained = 1.0 - np.clip(points.scores, 0.0, 1.0)
-    sigmas: FloatArray = WARPED_M * unexplained * (WARPED_SIZE_M / points.sizes_m) * known
-    return sigmas
+    sigmas: FloatArray = unexplained * (WARPED_SIZE_M / points.sizes_m) * known
+    return real_ground().warped_m * sigmas
 
 
 def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
@@ -302,7 +311,7 @@ def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
     for axis, nodes in ((along, SUNWARD_SHIFT_NODES), (across, COMMON_SHIFT_NODES)):
         own_shifts = nodes * postings + HIDDEN_SHIFT * unresolved
         moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * own_shifts[:, None])
-    left = along * (SUNWARD_LEFT * _sunward_m(points))[:, None]
+    left = along * (real_ground().sunward_left * _sunward_m(points))[:, None]
     moved.append(np.einsum("nij,nj->ni", pixel_per_metre, left))
     return np.stack(moved, axis=2)
 

@@ -232,6 +232,7 @@ def solve(
             covariances_px2=sightings.covariances_px2 + error_model.own_covariances_px2(errors),
         )
         common = error_model.common_errors_px(errors, frame.sun_body)
+    real = error_model.real_ground()
     free = observation.attitude_sigma_rad is None
     start = pose if free else Pose(pose.position_m, observation.camera_from_body)
     return resect_robustly(
@@ -241,6 +242,6 @@ def solve(
         observation.attitude_sigma_rad,
         common_errors_px=common,
         error_correlation=error_correlation,
-        common_shares=(error_model.SCATTER_SHIFT, error_model.SCATTER_STRETCH),
+        common_shares=(real.scatter_shift, real.scatter_stretch),
         gate_probability=frame.settings.solve.gate_probability,
     )
