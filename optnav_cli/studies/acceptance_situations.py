@@ -24,9 +24,10 @@ from optnav_cli.navigation.observation import FROM_FILE, Observation
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import ReasonCode
 
-RIGHT = "right"
+RIGHT, WRONG_SUN = "right", "wrong Sun"
 WINDOW = (0.6, 1.0)  # side of the part of a picture that is shown, over its shorter side
 STAR_SENSOR_RAD = 10.0 * ARCSEC  # half of the exact attitudes become as uncertain as this
+MIN_POINTS = 4  # in view: with fewer a right situation is not counted as one
 SUN_TURN = (np.pi / 2.0, np.pi)  # about the vertical: the light comes from another side
 
 
@@ -64,6 +65,7 @@ class SituationOutcome:
     kind     RIGHT or a key of WRONG
     code     why it is unsolved, empty when it is solved
     margins  of the pose; None where there was none to judge
+    points   expected in view, from the pose that was reached; None where none was searched
     sigmas   distance of the position from the truth in its own sigmas, where both are known
     """
 
@@ -72,6 +74,12 @@ class SituationOutcome:
     code: str
     margins: GateMargins | None = None
     sigmas: float | None = None
+    points: int | None = None
+
+    @property
+    def is_poor(self) -> bool:
+        """Whether it is unsolved with so few points in view that no gate was asked."""
+        return not self.solved and self.points is not None and self.points < MIN_POINTS
 
     @property
     def solved(self) -> bool:
@@ -189,13 +197,13 @@ WRONG: dict[str, Spoiled] = {
     "other ground": other_ground,
     "mirrored": mirrored,
     "turned": turned,
-    "wrong Sun": wrong_sun,
+    WRONG_SUN: wrong_sun,
     "noise": noise,
     "other body": other_body,
 }
 
 
-TRUE_PLACE = (RIGHT, "wrong Sun")  # a position near the truth is possible, and right
+TRUE_PLACE = (RIGHT, WRONG_SUN)  # a position near the truth is possible, and right
 
 
 def situations(
@@ -220,14 +228,17 @@ def outcome(
             situation.observation, situation.prior, points, NavigateSettings(), match_ncc
         )
     except UnsolvedFrameError as error:
-        return SituationOutcome(case, kind, error.code, error.evidence.margins)
+        tried = error.evidence
+        return SituationOutcome(case, kind, error.code, tried.margins, points=tried.n_predicted)
     except NoSolutionError as error:
         return SituationOutcome(case, kind, error.code)
     sigmas = None
     if kind in TRUE_PLACE and view.camera_from_body is not None:
         off = fix.position_m - view.position_m
         sigmas = float(np.sqrt(squared_distance(off, fix.covariance_m2)))
-    return SituationOutcome(case, kind, ReasonCode.NONE, fix.evidence.margins, sigmas)
+    return SituationOutcome(
+        case, kind, ReasonCode.NONE, fix.evidence.margins, sigmas, fix.evidence.n_predicted
+    )
 
 
 def _window(seen: Observation, rng: np.random.Generator) -> Observation:

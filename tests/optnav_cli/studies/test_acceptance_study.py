@@ -153,12 +153,13 @@ def test_an_archive_s_label_is_taken_as_it_is(view):
 
 
 def outcomes():
-    """Twenty right ones, two of them refused, and 2000 wrong ones, three of them solved."""
+    """20 right ones, two of them refused, one too poor; 2000 wrong ones, three of them solved."""
     good = [SituationOutcome("a", RIGHT, "", GateMargins(10.0, 0.5), 1.0)] * 18
     good += [
         SituationOutcome("a", RIGHT, ReasonCode.BY_CHANCE, GateMargins(-2.0, 0.5)),
         SituationOutcome("a", RIGHT, ReasonCode.POINTS_DISAGREE, GateMargins(5.0, 1.2)),
     ]
+    good.append(SituationOutcome("a", RIGHT, ReasonCode.NO_SOLUTION, points=3))
     bad = [
         SituationOutcome("a", "noise", "", GateMargins(margin, 0.9)) for margin in (0.5, 1.0, 1.5)
     ]
@@ -171,7 +172,7 @@ def test_the_tables_count_what_is_refused_and_what_is_solved():
     good, bad = outcomes()
     right, wrong = acceptance.report(Acceptance(good + bad, False)).tables
     assert right.column("case") == wrong.column("case") == ["a", "all"]
-    assert right.rows[1][1:7] == (20, 2, 10.0, 1, 1, 0)
+    assert right.rows[1][1:8] == (1, 20, 2, 10.0, 1, 1, 0)
     assert (right.column("within")[0], right.column("nees")[0]) == (100.0, pytest.approx(1 / 3))
     assert wrong.rows[1][1:4] == (2000, 3, 0.15)
     assert (wrong.column("noise")[0], wrong.column("mirrored")[0]) == ("3 of 13", "0 of 1987")
@@ -184,7 +185,8 @@ def test_the_limit_is_the_least_that_solves_one_wrong_one_in_a_thousand():
     assert sum(is_accepted(one, least) for one in bad) == 2
     assert sum(is_accepted(one, -2.0) for one in good) == 19
     assert sum(is_accepted(one, 0.0, 1.3) for one in good) == 19
-    (note,) = acceptance.report(Acceptance(good + bad, True)).notes[2:]
+    note, same = acceptance.report(Acceptance(good + bad, True)).notes[2:]
+    assert same == note.replace("all kinds", "all but a wrong Sun")
     assert "+0.5 powers of ten" in note
     assert "refuses 10.0 %" in note
     assert chance_limit([]) == -np.inf
