@@ -284,7 +284,9 @@ class ConfigText:
     def load(self) -> BuildConfig:
         """Check it. Raises ConfigError naming file, section and key."""
         config = parse_toml(self.text, BuildConfig, self.path)
-        for problem in chain(_ground_problems(config), _size_problems(config)):
+        for problem in chain(
+            _ground_problems(config), _comparison_problems(config), _size_problems(config)
+        ):
             raise ConfigError(f"{self.path}: {problem}")
         return config
 
@@ -301,13 +303,6 @@ def _ground_problems(config: BuildConfig) -> Iterator[str]:
         yield "has [[mesh]] beside terrain models; a mesh is all of a body: choose one kind"
     if len(config.mesh) > 1:
         yield f"has {len(config.mesh)} sections [[mesh]]; wanted one: a mesh is all of a body"
-    if config.dem and not config.dems_of("ground"):
-        yield '[[dem]] has role = "comparison" alone; name the ground that is compared, too'
-    if config.comparison.max_shift_m is not None and not config.dems_of("comparison"):
-        yield '[comparison] max_shift_m is set, but no [[dem]] has role = "comparison"; add one'
-    for dem in config.dems_of("comparison"):
-        if stated_error(dem) != StatedError():
-            yield f"[[dem]] {dem.path}: has an error; that of a comparison model enters nothing"
     for dem in config.dem:
         if not dem.path:
             yield "[[dem]] path is empty; name a terrain model"
@@ -320,6 +315,16 @@ def _ground_problems(config: BuildConfig) -> Iterator[str]:
             yield f"{'[[mesh]]' if config.mesh else '[[dem]]'} {section.path}: {problem}"
     if config.relief.dem is not None and not config.relief.dem.path:
         yield "[relief] dem path is empty; name a terrain model of the whole body"
+
+
+def _comparison_problems(config: BuildConfig) -> Iterator[str]:
+    if config.dem and not config.dems_of("ground"):
+        yield '[[dem]] has role = "comparison" alone; name the ground that is compared, too'
+    if config.comparison.max_shift_m is not None and not config.dems_of("comparison"):
+        yield '[comparison] max_shift_m is set, but no [[dem]] has role = "comparison"; add one'
+    for dem in config.dems_of("comparison"):
+        if stated_error(dem) != StatedError():
+            yield f"[[dem]] {dem.path}: has an error; that of a comparison model enters nothing"
 
 
 def _size_problems(config: BuildConfig) -> Iterator[str]:

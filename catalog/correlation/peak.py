@@ -169,9 +169,7 @@ def _left_over(
                 right[i] += terms[i] * patch[r, c]
                 for j in range(i, 4):
                     normal[i, j] += terms[i] * terms[j]
-    for i in range(4):
-        for j in range(i):
-            normal[i, j] = normal[j, i]
+    normal += np.triu(normal, 1).T
     # a template without contrast leaves an unknown open: then there is no gain
     for i in range(4):
         if not normal[i, i] > 1e-30:
