@@ -95,9 +95,11 @@ class Navigator:
         if rejection_of_place(fix.position_m, fix.covariance_m2, prior):
             return None
         start = PositionPrior(fix.position_m, fix.covariance_m2, fix.method)
-        points = methods.by_points(start)
-        if points.solved:
-            return self._accept_points(methods.observation, points, confirmed=True)
+        # a free attitude is searched about the stated one, which the silhouette has left behind
+        if methods.observation.attitude_sigma_rad is not None:
+            points = methods.by_points(start)
+            if points.solved:
+                return self._accept_points(methods.observation, points, confirmed=True)
         alone = replace(fix, evidence=replace(fix.evidence, matches=tried.evidence.matches))
         row = replace(tried, outcome=alone)
         why = tried.outcome.reason

@@ -308,6 +308,12 @@ def test_a_silhouette_that_the_prior_holds_stands_in_for_missed_points(sky):
     assert row.reason == "control points: no 2 matches agree on a position"
     assert [prior.source for prior in sky.priors] == ["frames.csv", "silhouette"]
     assert row.n_limb == 900
+    # of a free attitude the stated one is no place to search from
+    sky.no_points[1], sky.outlines[1] = 24, np.zeros(3)
+    known = {"position_m": sky.truth[1] + 2e3, "position_sigma_m": 3e3}
+    free = sky.see(1, attitude_sigma_rad=None, **known)
+    assert free.method == "silhouette"
+    assert len(sky.priors) == 3
 
 
 @pytest.mark.parametrize(("method", "off_m"), [(Method.SILHOUETTE, 60e3), (Method.HORIZON, 0.0)])
