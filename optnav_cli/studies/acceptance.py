@@ -305,6 +305,8 @@ def _limit_note(
     kinds: str, good: Sequence[SituationOutcome], bad: Sequence[SituationOutcome]
 ) -> str:
     least = chance_limit(bad)
+    if not np.isfinite(least):
+        return f"of {kinds} hardly any reach the test against chance, and no limit is needed"
     kept = percent([is_accepted(one, least) for one in good])
     return (
         f"of {kinds} {100.0 * MAX_WRONG:g} % are met by asking for {least:+.1f} powers of ten "

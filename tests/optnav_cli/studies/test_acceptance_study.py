@@ -190,6 +190,8 @@ def test_the_limit_is_the_least_that_solves_one_wrong_one_in_a_thousand():
     assert "+0.5 powers of ten" in note
     assert "refuses 10.0 %" in note
     assert chance_limit([]) == -np.inf
+    unjudged = [one for one in bad if one.margins is None]
+    assert "no limit is needed" in acceptance.report(Acceptance(good + unjudged, True)).notes[2]
 
 
 def test_both_curves_are_drawn_and_end_at_what_is_refused_today():
