@@ -4,15 +4,17 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.config import Turn, load_toml, nearest_name, resource
 from catalog.errors import ConfigError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 SunTheory = Literal[
     "moon", "earth", "mercury", "venus", "mars", "jupiter", "saturn", "uranus", "neptune"
@@ -177,8 +179,11 @@ class CatalogFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scale: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)] = 1.0
 
     @property
-    def stated_from_catalog(self) -> Rotation:
+    def stated_from_catalog(self) -> "Rotation":
         """The rotation alone."""
+        # here, because what only reads a catalog's head would wait half of its time for scipy
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_rotvec(np.radians(self.turn_deg))
 
     @property

@@ -96,9 +96,9 @@ def run(
     folder  where sets lie in folders of their own, as rosetta/pictures and near
     frames  pictures of a set, evenly taken; all when None
     """
-    make_folder(output)
     if not folder.is_dir():
         raise DataError(f"{folder}: there is no such folder; name the one that holds the sets")
+    make_folder(output)
     return [
         _of_set(one, folder, output, progress, frames) for one in flights.rows_named(SETS, rows)
     ]

@@ -196,11 +196,11 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
         for param in command.params
         if isinstance(param, OutputOption) and not param.endings
     }
-    studies = {"apollo", "autonomous", "horizon", "navigation", "phobos"}
+    studies = {"acceptance", "apollo", "autonomous", "horizon", "navigation", "phobos", "real"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
     assert folders == (
         {((name,), "work") for name in stages}
-        | {((name,), "output") for name in ("simulate", "navigate", "demo", "import")}
+        | {((name,), "output") for name in ("simulate", "navigate", "demo", "import", "adjust")}
         | {(("study", name), "output") for name in studies}
         | {(("config", "template"), "output")}
     )

@@ -108,7 +108,8 @@ def test_show_draws_the_body_with_its_points_and_reasons(phobos, tmp_path, capsy
     assert capsys.readouterr().out == f"picture: {place}\n"
     picture = cv2.imread(str(place))
     tiles = picture[body_sides.HEAD_PX : -60]
-    for colour in (USABLE, REASON_COLOURS[-1]):  # the last reason is the overhang
+    overhang = REASON_COLOURS[list(Flag).index(Flag.OVERHANG)]
+    for colour in (USABLE, overhang):
         assert (tiles == bgr_of(colour)).all(axis=2).sum() > 30
 
 
