@@ -13,7 +13,7 @@ from catalog.correlation.ncc import (
     thinning,
     with_remainder_covariance,
 )
-from catalog.correlation.peak import Match
+from catalog.correlation.peak import NODES_PER_SAMPLE, Match
 from catalog.correlation.similarity import Matcher, match_similarity, turned
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
@@ -73,7 +73,7 @@ class PointMatch:
 
     reason          why the match is not used; empty when it is
     pixel           (2,) measured, None when refused before a peak was located
-    covariance_px2  (2, 2) of the pixel, from what the match leaves over
+    covariance_px2  (2, 2) of the pixel, from what the match leaves over; behind a blur by its peak
     offset_m        (2,) east and north of the place where the pose expected it
     part            what was compared, of patches finer than what is known
     """
@@ -134,11 +134,15 @@ def match_point(
         rolls, scales = plan.distortion.rolls, plan.distortion.scales
         found = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES)
         template, match = turned(template, found.roll, found.scale), found.match
-    match = with_remainder_covariance(match, template, window, MARGIN_NODES)
     samples = 0.0
-    if blur_nodes:
+    if not blur_nodes:
+        match = with_remainder_covariance(match, template, window, MARGIN_NODES)
+    else:
         samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)
-        spread = match.covariance * step**2
+        # A template behind a blur of s nodes has few independent samples, too few for a spectrum of
+        # what it leaves over. White noise under the blur is correlated over 2 pi s^2 nodes.
+        each = 1.0 + 2.0 * np.pi * (blur_nodes / step) ** 2 / NODES_PER_SAMPLE
+        spread = match.covariance * each * step**2
         match = match._replace(dx=match.dx * step, dy=match.dy * step, covariance=spread)
     shift, jacobian = _displacement(pixels, match, plan.template_nodes)
     expected = camera.project_from_body(reference.place_m, pose.position_m, camera_from_body)
