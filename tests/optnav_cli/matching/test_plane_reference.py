@@ -138,6 +138,7 @@ def test_behind_a_blur_points_are_found_in_relief_that_the_model_hides(
     turn = pose.camera_from_body.as_matrix()
     blur = blur_nodes(POSTING_M, shape.posting_m)
     scores: dict[float, list[float]] = {0.0: [], blur: []}
+    squares = []  # errors squared over stated variances
     for reference in references:
         gsd = float(np.linalg.norm(reference.point.xyz_m - pose.position_m))
         gsd /= camera.focal_length_px
@@ -155,8 +156,11 @@ def test_behind_a_blur_points_are_found_in_relief_that_the_model_hides(
             )
             found.append(match.score)
         # the last one, behind the blur
-        assert np.linalg.norm(match.pixel - truth) * gsd < 0.5 * shape.posting_m
+        error = match.pixel - truth
+        assert np.linalg.norm(error) * gsd < 0.5 * shape.posting_m
+        squares.append(error @ np.linalg.solve(match.covariance_px2, error) / 2.0)
     assert (np.array(scores[blur]) > 1.5 * np.array(scores[0.0])).all()
+    assert np.mean(squares) < 2.0  # 2.5 by the remainder
 
 
 def test_ground_goes_on_beyond_the_only_patch(body, scene) -> None:
