@@ -125,16 +125,11 @@ def match_point(
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
-    if matcher is match_ncc and not np.isfinite(window).all():
+    laid, match = _found(template, window, plan, matcher)
+    if matcher is match_ncc and _is_cut(laid, window, match):
         # zeros for what the frame cuts would pull the template inward
-        matcher = match_masked
-    if plan.distortion == NO_DISTORTION:
-        match = matcher(template, window, MARGIN_NODES)
-    else:
-        rolls, scales = plan.distortion.rolls, plan.distortion.scales
-        found = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES)
-        template, match = turned(template, found.roll, found.scale), found.match
-    samples = 0.0
+        match = match_masked(laid, window, MARGIN_NODES)
+    template, samples = laid, 0.0
     if not blur_nodes:
         match = with_remainder_covariance(match, template, window, MARGIN_NODES)
     else:
@@ -168,6 +163,23 @@ def nodes_a_sample(blur_nodes: float) -> float:
     White noise under a Gaussian of sigma s is correlated over an area of 2 pi s^2 nodes.
     """
     return CHANCE_NODES_PER_SAMPLE + 2.0 * np.pi * blur_nodes**2
+
+
+def _found(
+    template: Float32Array, window: Float32Array, plan: SearchPlan, matcher: Matcher
+) -> tuple[Float32Array, Match]:
+    """A template, turned as it fits best, and where it is in a window."""
+    if plan.distortion == NO_DISTORTION:
+        return template, matcher(template, window, MARGIN_NODES)
+    rolls, scales = plan.distortion.rolls, plan.distortion.scales
+    found = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES)
+    return turned(template, found.roll, found.scale), found.match
+
+
+def _is_cut(template: Float32Array, window: Float32Array, match: Match) -> bool:
+    """Whether the window lacks nodes of a template where it was found."""
+    known = int(np.isfinite(cropped(template, MARGIN_NODES)).sum())
+    return _common_nodes(template, window, match) < known
 
 
 def _common_nodes(template: Float32Array, window: Float32Array, match: Match) -> int:
