@@ -112,7 +112,17 @@ def test_shipped_files_are_found() -> None:
     assert resource("data/moon_gld100_4ppd.tif").stat().st_size > 100_000
 
 
-@pytest.mark.parametrize("name", ["configs/../pyproject.toml", "errors.py", "/etc/passwd", "data"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "configs/../pyproject.toml",
+        "errors.py",
+        "/etc/passwd",
+        "data",
+        "data/nul\0",
+        "configs/bodies/\0.toml",
+    ],
+)
 def test_only_data_and_configs_are_resources(name: str) -> None:
     with pytest.raises(ConfigError, match="optnav ships no file"):
         resource(name)
