@@ -9,10 +9,26 @@ import sqlite3
 DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 
+# Of a message: a name out of a damaged table, which it quotes, may have any length.
+MAX_LETTERS = 3000
+KEPT_LETTERS = 1000  # at each end of a longer one
+
+
 class OptnavError(Exception):
     """Base of all reported failures; the message says where, what was found, wanted and to do."""
 
     exit_code = 1
+
+    def __init__(self, message: str) -> None:
+        super().__init__(bounded(message))
+
+
+def bounded(message: str) -> str:
+    """A message whose middle is left out if it is longer than any person reads."""
+    left_out = len(message) - 2 * KEPT_LETTERS
+    if len(message) <= MAX_LETTERS:
+        return message
+    return f"{message[:KEPT_LETTERS]}...({left_out} letters)...{message[-KEPT_LETTERS:]}"
 
 
 class UsageError(OptnavError):
