@@ -18,7 +18,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+from rasterio._err import CPLE_BaseError
+from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input
@@ -36,6 +37,9 @@ CACHE_BYTES = 96 << 20
 # A raster is read in blocks, each held whole: 40,000 rows of a strip of 90,000 floats are 1.4 GB.
 MAX_BLOCK_BYTES = 1 << 30
 MAX_PIXELS = 4 * 10**12  # the whole Moon at 4.4 m
+# GDAL reads some of a header only when asked for it, so any property of a damaged file may raise
+# one of these; rasterio hands some of GDAL's own errors on as they are.
+RASTER_ERRORS = (RasterioError, CRSError, CPLE_BaseError)
 HEAD_BYTES = MEGABYTE  # of a file, in which its kind shows and a label ends
 MAX_VRT_BYTES = 64 * MEGABYTE
 MAX_NESTING = 8  # mosaics of mosaics
@@ -104,7 +108,7 @@ def open_raster(path: Path, drivers: tuple[str, ...], remedy: str = "check the p
 def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
     """A rasterio dataset of a file that `open_raster` has checked before. Raises DataError."""
     try:
-        with reading_rasters(siblings="VRT" in drivers), warnings.catch_warnings():
+        with _gdal(siblings="VRT" in drivers), warnings.catch_warnings():
             # a file without a place on the map gets an error of our own, with a remedy
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             return rasterio.DatasetReader(_followed(path), driver=list(drivers))
@@ -112,7 +116,7 @@ def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
         raise DataError(
             f"{path}: a text of its header is not UTF-8 ({error.reason}); get the file again"
         ) from None
-    except RasterioIOError as error:
+    except RASTER_ERRORS as error:
         kinds = "GeoTIFF, PDS3, PDS4, ISIS cube"
         kinds += ", VRT" if "VRT" in drivers else ", PNG"
         remedy = f"broken or of no known kind; optnav reads {kinds}"
@@ -122,8 +126,24 @@ def reopen_raster(path: Path, drivers: tuple[str, ...]) -> Any:
 
 
 @contextmanager
-def reading_rasters(siblings: bool = True) -> Iterator[None]:
-    """GDAL's settings while files are opened and read: offline, with a bounded cache."""
+def reading_raster(path: Path, siblings: bool = True, what: str = "") -> Iterator[None]:
+    """GDAL's settings while an open file is read: offline, with a bounded cache.
+
+    what  is read of it, for the message
+    Raises DataError for a file that turns out to be damaged, in its header too.
+    """
+    try:
+        with _gdal(siblings):
+            yield
+    except RASTER_ERRORS as error:
+        raise DataError(
+            f"{path}: {what}cannot be read ({gdal_reason(error)}); the file is damaged or cut "
+            "short, get it again"
+        ) from None
+
+
+@contextmanager
+def _gdal(siblings: bool) -> Iterator[None]:
     # pictures need no files beside them: world files, masks, metadata
     beside = "FALSE" if siblings else "EMPTY_DIR"
     with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, GDAL_DISABLE_READDIR_ON_OPEN=beside, **OFFLINE):

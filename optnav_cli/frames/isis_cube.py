@@ -19,13 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rasterio.errors import RasterioError
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.errors import DataError
 from catalog.inputs import check_input
-from catalog.rasters import open_raster
+from catalog.rasters import open_raster, reading_raster
 
 Label = dict[str, Any]  # a block: values, lists of values, and blocks, by name
 
@@ -95,11 +94,11 @@ def read_cube_label(path: str | Path) -> Label:
     path = Path(path)
     check_input(path)
     try:
-        with open_raster(path, ("ISIS3",)) as cube:
+        with open_raster(path, ("ISIS3",)) as cube, reading_raster(path):
             # rasterio takes the text before the first colon for the name of a tag
             ((start, rest),) = cube.tags(ns="json:ISIS3").items()
         label: Label = json.loads(f"{start}:{rest}")
-    except (DataError, RasterioError, ValueError, RecursionError):
+    except (DataError, ValueError, RecursionError):
         raise DataError(f"{path}: not an ISIS cube, or its label is damaged") from None
     return label
 

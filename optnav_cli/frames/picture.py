@@ -14,12 +14,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
-from rasterio.errors import RasterioError
 
 from catalog.arrays import Float32Array
 from catalog.errors import DataError
 from catalog.inputs import check_input
-from catalog.rasters import PICTURES, open_raster, reading_rasters
+from catalog.rasters import PICTURES, open_raster, reading_raster
 from optnav_cli.camera.camera import Camera
 
 # the highest value of the integer types pictures are taken with
@@ -105,18 +104,14 @@ def _check_chunks(path: Path, file: BinaryIO) -> None:
 
 def _read(path: Path, camera: Camera) -> tuple[NDArray[np.generic], str]:
     """The values, all bands being the same, and the name of their type."""
-    try:
-        with open_raster(path, PICTURES) as dataset, reading_rasters(siblings=False):
-            # before its pixels are decoded: a small file can hold a huge picture
-            if dataset.shape != camera.shape:
-                raise DataError(
-                    f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
-                    f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
-                )
-            return _gray(path, dataset), dataset.dtypes[0]
-    except (RasterioError, OSError) as error:
-        reason = str(error.__cause__ or error).splitlines()[0].replace(f"{path}: ", "")
-        raise DataError(f"{path}: the picture is broken or of no known kind: {reason}") from None
+    with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
+        # before its pixels are decoded: a small file can hold a huge picture
+        if dataset.shape != camera.shape:
+            raise DataError(
+                f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
+                f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
+            )
+        return _gray(path, dataset), dataset.dtypes[0]
 
 
 def _gray(path: Path, dataset: Any) -> NDArray[np.generic]:

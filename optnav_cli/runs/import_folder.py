@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning
 
 from catalog.bodies.body import is_body_file, load_body
 from catalog.bodies.ephemeris import Ephemeris, motion_of
@@ -20,7 +20,7 @@ from catalog.config import nearest_name, resource
 from catalog.errors import ConfigError, DataError, UsageError
 from catalog.files import replacing_folder
 from catalog.places import check_apart
-from catalog.rasters import PICTURES, open_raster, reading_rasters
+from catalog.rasters import PICTURES, open_raster, reading_raster
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.frames.archive_frame import FrameMaker, ImportTable, load_table
@@ -371,18 +371,15 @@ def _put_picture(source: _Source, picture: Path, camera: Camera, place: Path) ->
 
 def _raster(path: Path, *, shape_only: bool = False) -> NDArray[np.generic]:
     """The first band of a raster; of zeros where only its shape is wanted. Raises DataError."""
-    try:
-        with open_raster(path, PICTURES) as dataset, reading_rasters(siblings=False):
-            if shape_only:
-                return np.broadcast_to(np.zeros(1, np.uint8), dataset.shape)
-            values: NDArray[np.generic] = dataset.read(1)
-            scale, offset = dataset.scales[0], dataset.offsets[0]
-            if (scale, offset) != (1.0, 0.0):
-                missing = values == dataset.nodata if dataset.nodata is not None else False
-                values = np.where(missing, np.nan, values * scale + offset).astype(np.float32)
-            return values
-    except (RasterioError, OSError) as error:
-        raise DataError(f"{path}: the picture cannot be read: {str(error)[:200]}") from None
+    with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
+        if shape_only:
+            return np.broadcast_to(np.zeros(1, np.uint8), dataset.shape)
+        values: NDArray[np.generic] = dataset.read(1)
+        scale, offset = dataset.scales[0], dataset.offsets[0]
+        if (scale, offset) != (1.0, 0.0):
+            missing = values == dataset.nodata if dataset.nodata is not None else False
+            values = np.where(missing, np.nan, values * scale + offset).astype(np.float32)
+        return values
 
 
 def _check_size(picture: Path, camera: Camera, rows: int, columns: int) -> None:

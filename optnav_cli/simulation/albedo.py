@@ -9,7 +9,6 @@ from typing import Any
 
 import numba
 import numpy as np
-from rasterio.errors import RasterioError
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
@@ -17,7 +16,7 @@ from catalog.errors import ConfigError, DataError
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import parallel_kernel
 from catalog.geometry.latlon import latlon_from_xyz
-from catalog.rasters import TERRAIN, gdal_reason, open_raster, reading_rasters
+from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.rendering.rays.scene import Reflectivity
 from catalog.terrain.dem.file import path_of, place_of
 from catalog.terrain.synthetic import fractal
@@ -76,7 +75,7 @@ class _AlbedoMap:
     def __init__(self, settings: AlbedoMapSettings, body: Body) -> None:
         path = path_of(settings.path, Path.cwd())
         dataset = open_raster(path, TERRAIN, "check `albedo_map` in [truth]")
-        with dataset, reading_rasters():
+        with dataset, reading_raster(path):
             rows, cols = dataset.shape
             if rows * cols > MAX_MAP_PIXELS:
                 raise DataError(
@@ -88,13 +87,7 @@ class _AlbedoMap:
                 self._extent = _extent(path, settings.extent_deg)
             else:
                 self._place = _placed(path, body, dataset)
-            try:
-                values = _brightness(dataset, settings.coding)
-            except RasterioError as error:
-                raise DataError(
-                    f"{path}: cannot be read ({gdal_reason(error)}); the file is damaged or cut "
-                    "short, get it again"
-                ) from None
+            values = _brightness(dataset, settings.coding)
         mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         if not mean > 0.0:
             raise DataError(f"{path}: holds no brightness above 0; name another albedo_map")

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.rotations import ARCSEC
-from catalog.rasters import TERRAIN, open_raster
+from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.terrain.dem.file import path_of
 from catalog.terrain.dem.source import DemSettings
 from optnav_cli.camera.camera import Camera
@@ -63,7 +63,8 @@ class Simulation:
         self.scenario.with_files(FileNames(raster, noted, noted, noted, noted))
         found = {path for name in names if (path := path_of(name, Path())).is_file()}
         for name in rasters:
-            with open_raster(path_of(name, Path()), TERRAIN) as dataset:
+            path = path_of(name, Path())
+            with open_raster(path, TERRAIN) as dataset, reading_raster(path):
                 found.update(map(Path, dataset.files))  # of a label its image, the parts of a VRT
         return sorted(found)
 

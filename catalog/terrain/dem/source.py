@@ -14,13 +14,12 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rasterio.enums import ColorInterp
-from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError
-from catalog.rasters import TERRAIN, gdal_reason, open_raster, reading_rasters, reopen_raster
+from catalog.rasters import TERRAIN, open_raster, reading_raster, reopen_raster
 from catalog.terrain.dem.conversion import Conversion
 from catalog.terrain.dem.file import (
     RADIUS_TOLERANCE,
@@ -95,7 +94,8 @@ class DemSource:
         path = label_of(path_of(settings.path, base_dir))
         dataset = open_raster(path, TERRAIN, "check `path` in its [[dem]] section")
         try:
-            return cls._read_header(path, settings, body, dataset)
+            with reading_raster(path):
+                return cls._read_header(path, settings, body, dataset)
         except BaseException:
             dataset.close()
             raise
@@ -223,21 +223,15 @@ class DemSource:
 
     def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:
         """Counts as they are stored; the window must lie inside. Raises DataError."""
-        try:
-            with self._reading() as dataset:
-                raw: NDArray[Any] = dataset.read(1, window=Window(col, row, width, height))
-        except RasterioError as error:
-            raise DataError(
-                f"{self.path}: rows {row}-{row + height - 1} cannot be read "
-                f"({gdal_reason(error)}); the file is damaged or cut short, get it again"
-            ) from None
+        with self._reading(f"rows {row}-{row + height - 1} ") as dataset:
+            raw: NDArray[Any] = dataset.read(1, window=Window(col, row, width, height))
         return raw
 
     @contextmanager
-    def _reading(self) -> Iterator[Any]:
+    def _reading(self, what: str = "") -> Iterator[Any]:
         if self._dataset is None:
             self._dataset = reopen_raster(self.path, TERRAIN)
-        with reading_rasters():
+        with reading_raster(self.path, what=what):
             yield self._dataset
 
     def reopen(self) -> "DemSource":

@@ -11,7 +11,6 @@ from typing import Any
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from catalog.arrays import BoolArray, Float32Array
@@ -19,7 +18,7 @@ from catalog.bodies.body import Body
 from catalog.errors import DataError, OutputError
 from catalog.files import putting_folder, stored_json
 from catalog.progress import Progress, SilentProgress
-from catalog.rasters import OWN, reading_rasters, reopen_raster
+from catalog.rasters import OWN, reading_raster, reopen_raster
 from catalog.terrain.dem.conversion import HEIGHTS, Conversion
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.overviews import (
@@ -90,11 +89,11 @@ class HeightPyramid:
             return self.source.read_raw(row, col, height, width), self.source.convert
         path = level_path(self.folder, level)
         try:
-            with reading_rasters():
+            with reading_raster(path):
                 if level not in self._open:
                     self._open[level] = reopen_raster(path, OWN)
                 raw = self._open[level].read(1, window=Window(col, row, width, height))
-        except (RasterioError, DataError):
+        except DataError:
             raise DataError(_torn(path, self.folder)) from None
         return raw, HEIGHTS if level else self.source.convert
 

@@ -1,6 +1,7 @@
 """What is wrong with a terrain model is said with the file's name and a remedy."""
 
 import shutil
+import struct
 
 import numpy as np
 import pytest
@@ -89,6 +90,29 @@ def test_a_pds3_image_cut_short(shared_data, tmp_path, moon):
 def test_no_coordinate_system(tmp_path, dems, moon):
     path = dems.write(tmp_path / "bare.tif", dems.smooth_grid(64).astype(np.float32), crs=None)
     refused(path, moon, "no coordinate system", "crs = ")
+
+
+@pytest.mark.parametrize("when", ["opened", "asked later"])
+def test_a_coordinate_system_of_damaged_numbers(tmp_path, dems, moon, when):
+    """GDAL raises errors of its own for these, which rasterio hands on as they are."""
+    path = dems.write(tmp_path / "bad.tif", dems.smooth_grid(64).astype(np.float32))
+    data = bytearray(path.read_bytes())
+    (start,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, start)
+    entries = [start + 2 + 12 * number for number in range(count)]
+    scale, keys, numbers = (
+        next(at for at in entries if struct.unpack_from("<H", data, at)[0] == tag)
+        for tag in (33550, 34735, 34736)
+    )
+    if when == "opened":
+        (place,) = struct.unpack_from("<I", data, numbers + 8)
+        struct.pack_into("<d", data, place + 8 * 2, float("nan"))  # the prime meridian
+    else:
+        (place,) = struct.unpack_from("<I", data, keys + 8)
+        struct.pack_into("<H", data, place + 2 * 43, 5)  # its number, of three
+        struct.pack_into("<I", data, scale + 4, 1)  # a number too few
+    path.write_bytes(data)
+    refused(path, moon, *(["cannot be opened", "broken"] if when == "opened" else ["damaged"]))
 
 
 def test_a_crs_in_the_config_stands_in(tmp_path, dems, moon):
