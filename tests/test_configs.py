@@ -51,11 +51,11 @@ def load_navigate(path: Path) -> object:
 
 def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
-    from optnav_cli.navigation.control_points.error_model import RealGroundErrors
+    from optnav_cli.navigation.control_points.error_model import PointErrorSizes
 
     types: dict[str, type[object]] = {
         "terrain": TerrainLaws,
-        "control_points": RealGroundErrors,
+        "control_points": PointErrorSizes,
     }
     return load_toml(path, types[path.stem])
 

@@ -8,8 +8,7 @@ pattern away from a low Sun; shading and sampling leave a small shift across it 
 the frame's middle. Without the common part the covariance of many points together would come out
 too small.
 
-The numbers here are fitted to simulated frames over ground richer than the catalog's (study
-navigation, study autonomous); those over ground that is not as its model says are in FILE.
+The sizes are fitted numbers, in FILE (study fit).
 """
 
 from collections.abc import Sequence
@@ -28,60 +27,10 @@ from optnav_cli.matching.point_match import SeenPart
 
 # Side of the grid on which parts of the frame are counted: a template spans dozens of its cells.
 CELLS = 128
-# A point's own, 1 sigma an axis: in nodes of the level that was matched, and, m for a terrain model
-# of REFERENCE_M, at any Sun and for a cotangent of 1 of the Sun's elevation: grows with its square.
-OWN_LEVEL_NODES = 0.005
-OWN_M = 1.0
-OWN_SHADOW_M = 0.15
-# Relief between the nodes of a level that was matched, in nodes: seen obliquely, its lit crests
-# stand for the ground, which then looks higher or lower; a point's own and common to a frame. Both
-# grow with the secant of the emission angle, as more of the ground is hidden.
-OWN_HEIGHT_NODES = 0.015
-COMMON_HEIGHT_NODES = 0.003
-# The same relief moves the whole pattern of a frame, in nodes, however far it reaches: away from
-# the Sun, whose light falls on it from one side, by 0.01 on average over catalogs of 118 m and
-# 948 m whatever the Sun's elevation, and less in other directions.
-SUNWARD_SHIFT_NODES = 0.016
-COMMON_SHIFT_NODES = 0.006
 MIN_COS_EMISSION = 0.1
-# A coarse level is a mean of heights, a picture of it a mean of brightness. Over a view that
-# reaches round the body Sun and line of sight change from point to point, and with them how the
-# relief is seen that the mean took away: the pattern stretches, alike or changing from side to
-# side, in nodes beyond the terrain model's own posting, at the points' rms distance from their
-# middle for a distance of 1 rad. From 800 km heights and attitudes were off by as much; from
-# 400 km, with the finest level in most places, by no more than the rest allows.
-CURVED_STRETCH_NODES = 0.10
-CURVED_KEYSTONE_NODES = 0.07
-# What is left of it at the finest level, in its nodes, with the square of that distance: narrow
-# frames from 3000 km, which tell a shift from a turn of the camera by little else.
-ROUND_STRETCH_NODES = 0.02
-ROUND_KEYSTONE_NODES = 0.08
-# The same where a shape model is coarser than the patches that were cut from it, shares of its
-# posting: a point's own shift an axis, shared with templates of the same ground (`overlap`), and
-# a rise, a shift and stretches that are common to a frame. Fitted at Phobos, with relief of 20 m
-# rms below 319 m.
-HIDDEN_OWN = 0.12
-HIDDEN_RISE = 0.009
-HIDDEN_SHIFT = 0.004
-HIDDEN_STRETCH = 0.018
-HIDDEN_KEYSTONE = 0.012
-# Common to a frame, m for a terrain model of REFERENCE_M: shift along the Sun for a cotangent of 1
-# of its elevation, shift in any direction, what relief that the reference does not explain adds to
-# the shift, for a score of 0, and stretch at the points' rms distance from their middle. Catalogs
-# of 118 m and 474 m on the same pictures show that they grow as the root of the posting.
+# Of a terrain model, that sizes in metres are stated for. Catalogs of 118 m and 474 m on the same
+# pictures show that they grow as the root of the posting.
 REFERENCE_M = 118.45
-SHADOW_M = 0.85
-SHIFT_M = 0.5
-UNEXPLAINED_M = 8.0
-STRETCH_M = 1.1
-# They are common to the ground about them: points that lie further apart average them.
-REGION_M = 32e3
-# What sampling at the pixels and oblique views leave, px: shift an axis; stretch, and stretch that
-# changes from side to side, at the points' rms distance from their middle. The last looks like a
-# tilt of the camera, so it decides what a picture may say about a star sensor's attitude.
-SHIFT_PX = 0.0045
-STRETCH_PX = 0.005
-KEYSTONE_PX = 0.004
 # Of a template, that `warped_m` is stated for.
 WARPED_SIZE_M = 9.5e3
 # Below it shadows fill the picture and the cotangent runs away.
@@ -90,23 +39,92 @@ MIN_SUN = np.radians(8.0)
 FILE = "configs/models/control_points.toml"
 
 
-class RealGroundErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Errors over ground that is not as its model says: what the file says beside each number."""
+class _Sizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A section of FILE, which says what each number is."""
 
-    sunward_m: Positive
-    sunward_left: Positive
+
+class OwnSizes(_Sizes, frozen=True):
+    """Of errors of each point's own."""
+
+    level_nodes: Positive
+    fixed_m: Positive
+    shadow_m: Positive
+    height_nodes: Positive
     skipped_share: Positive
     warped_m: Positive
+
+
+class CommonSizes(_Sizes, frozen=True):
+    """Of errors common to a frame."""
+
+    height_nodes: Positive
+    sunward_nodes: Positive
+    shift_nodes: Positive
+    shadow_m: Positive
+    shift_m: Positive
+    unexplained_m: Positive
+    stretch_m: Positive
+    shift_px: Positive
+    stretch_px: Positive
+    keystone_px: Positive
     scatter_shift: Positive
     scatter_stretch: Positive
-    terrain_shift: Positive
-    terrain_height: Positive
+
+
+class CurvedSizes(_Sizes, frozen=True):
+    """Of errors common to a frame that sees round the body.
+
+    A coarse level is a mean of heights, a picture of it a mean of brightness. Sun and line of sight
+    change from point to point, and with them how the relief is seen that the mean took away: the
+    pattern stretches, alike or changing from side to side.
+    """
+
+    stretch_nodes: Positive
+    keystone_nodes: Positive
+    finest_stretch_nodes: Positive
+    finest_keystone_nodes: Positive
+
+
+class HiddenSizes(_Sizes, frozen=True):
+    """Of errors where a shape model is coarser than the patches that were cut from it."""
+
+    own: Positive
+    rise: Positive
+    shift: Positive
+    stretch: Positive
+    keystone: Positive
+
+
+class SunwardSizes(_Sizes, frozen=True):
+    """Of the shift away from the Sun, and of what is left of it."""
+
+    bias_m: Positive
+    left: Positive
+
+
+class TerrainSizes(_Sizes, frozen=True):
+    """Shares of stated errors of terrain models."""
+
+    shift: Positive
+    height: Positive
+
+
+class PointErrorSizes(_Sizes, frozen=True):
+    """All fitted numbers of FILE."""
+
+    region_km: Positive
+    own: OwnSizes
+    common: CommonSizes
+    curved: CurvedSizes
+    hidden: HiddenSizes
+    sunward: SunwardSizes
+    terrain: TerrainSizes
 
 
 @cache
-def real_ground() -> RealGroundErrors:
-    """The errors that ship with optnav. Raises ConfigError for a wrong file."""
-    return load_toml(resource(FILE), RealGroundErrors)
+def shipped_sizes() -> PointErrorSizes:
+    """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
+    return load_toml(resource(FILE), PointErrorSizes)
 
 
 def footprints(parts: Sequence[SeenPart], frame_size_px: tuple[int, int]) -> BoolArray:
@@ -185,44 +203,52 @@ class MatchedPoints:
 
 
 def own_sigma_m(
-    posting_m: ArrayLike, finest_posting_m: ArrayLike, sun_elevation_deg: ArrayLike
+    posting_m: ArrayLike,
+    finest_posting_m: ArrayLike,
+    sun_elevation_deg: ArrayLike,
+    sizes: PointErrorSizes | None = None,
 ) -> FloatArray:
     """One-sigma ground errors per axis, m, of points' own that their peaks do not show.
 
     posting_m  of the level that was matched; sun_elevation_deg at the point
     """
+    own = (sizes or shipped_sizes()).own
     elevation = np.clip(np.radians(sun_elevation_deg), MIN_SUN, np.pi / 2.0)
-    own = (OWN_M + OWN_SHADOW_M / np.tan(elevation) ** 2) * _scale(finest_posting_m)
-    sigmas: FloatArray = np.hypot(np.multiply(OWN_LEVEL_NODES, posting_m), own)
+    fixed = (own.fixed_m + own.shadow_m / np.tan(elevation) ** 2) * _scale(finest_posting_m)
+    sigmas: FloatArray = np.hypot(np.multiply(own.level_nodes, posting_m), fixed)
     return sigmas
 
 
-def own_covariances_px2(points: MatchedPoints) -> FloatArray:
+def own_covariances_px2(points: MatchedPoints, sizes: PointErrorSizes | None = None) -> FloatArray:
     """The errors of the points' own that their peaks do not show, (n, 2, 2), px^2."""
+    sizes = sizes or shipped_sizes()
     places, pixel_per_metre = points.points_m, points.pixel_per_metre
     up = unit(places)
-    sigma = OWN_HEIGHT_NODES * points.postings_m
+    sigma = sizes.own.height_nodes * points.postings_m
     sigma = sigma / _cos_emission(_lines_of_sight(pixel_per_metre, up), up)
     rise = np.einsum("nij,nj->ni", pixel_per_metre, up) * sigma[:, None]
     # along the ground in every direction, by its mean scale in the picture
     level = np.eye(3) - up[:, :, None] * up[:, None, :]
     flat = pixel_per_metre @ level
     area = np.linalg.det(flat @ np.swapaxes(flat, 1, 2))
-    sigmas = own_sigma_m(points.postings_m, points.finest_postings_m, points.sun_elevation_deg)
-    real, terrain = real_ground(), np.zeros((len(places), 2))
+    finest, elevations = points.finest_postings_m, points.sun_elevation_deg
+    sigmas = own_sigma_m(points.postings_m, finest, elevations, sizes)
+    terrain = np.zeros((len(places), 2))
     if points.terrain_sigmas_m is not None:
-        terrain = points.terrain_sigmas_m * [real.terrain_shift, real.terrain_height]
+        terrain = points.terrain_sigmas_m * [sizes.terrain.shift, sizes.terrain.height]
     lift = np.einsum("nij,nj->ni", pixel_per_metre, up) * terrain[:, 1:]
-    variance: FloatArray = sigmas**2 + (HIDDEN_OWN * points.unresolved_posting_m) ** 2
-    variance += terrain[:, 0] ** 2 + (real.skipped_share * points.skipped_m) ** 2
-    variance += _warped_m(points) ** 2
+    variance: FloatArray = sigmas**2 + (sizes.hidden.own * points.unresolved_posting_m) ** 2
+    variance += terrain[:, 0] ** 2 + (sizes.own.skipped_share * points.skipped_m) ** 2
+    variance += _warped_m(points, sizes) ** 2
     variance = variance * np.sqrt(np.maximum(area, 0.0))
     covariances: FloatArray = rise[:, :, None] * rise[:, None, :]
     covariances += lift[:, :, None] * lift[:, None, :]
     return covariances + variance[:, None, None] * np.eye(2)
 
 
-def bias_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
+def bias_px(
+    points: MatchedPoints, sun_body: FloatArray, sizes: PointErrorSizes | None = None
+) -> FloatArray:
     """How far the points are found from where they are on average, (n, 2) px.
 
     sun_body (3,) unit vector to the Sun, body frame
@@ -230,29 +256,31 @@ def bias_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
     up = unit(points.points_m)
     along = sun_body - (up @ sun_body)[:, None] * up
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
-    shifts = -along * _sunward_m(points)[:, None]
+    shifts = -along * _sunward_m(points, sizes or shipped_sizes())[:, None]
     bias: FloatArray = np.einsum("nij,nj->ni", points.pixel_per_metre, shifts)
     return bias
 
 
-def _sunward_m(points: MatchedPoints) -> FloatArray:
+def _sunward_m(points: MatchedPoints, sizes: PointErrorSizes) -> FloatArray:
     """How far the points are found away from the Sun, (n,) m."""
     elevation = np.clip(np.radians(points.sun_elevation_deg), MIN_SUN, np.pi / 2.0)
     unexplained = 1.0 - np.clip(points.scores, 0.0, 1.0)
     known = points.unresolved_posting_m == 0.0  # behind a blur the sizes below hold instead
-    shifts: FloatArray = real_ground().sunward_m * unexplained / np.tan(elevation) * known
+    shifts: FloatArray = sizes.sunward.bias_m * unexplained / np.tan(elevation) * known
     return shifts
 
 
-def _warped_m(points: MatchedPoints) -> FloatArray:
+def _warped_m(points: MatchedPoints, sizes: PointErrorSizes) -> FloatArray:
     """How far templates are moved as a whole, (n,) m an axis."""
     known = points.unresolved_posting_m == 0.0
     unexplained = 1.0 - np.clip(points.scores, 0.0, 1.0)
     sigmas: FloatArray = unexplained * (WARPED_SIZE_M / points.sizes_m) * known
-    return real_ground().warped_m * sigmas
+    return sizes.own.warped_m * sigmas
 
 
-def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
+def common_errors_px(
+    points: MatchedPoints, sun_body: FloatArray, sizes: PointErrorSizes | None = None
+) -> FloatArray:
     """What one sigma of each error common to a frame moves every point by, (n, 2, 18), px.
 
     sun_body (3,) unit vector to the Sun, body frame
@@ -261,6 +289,8 @@ def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
     along the picture's axes, a rise of the ground, equal on all sides and different toward the Sun
     and across it, shifts of the whole pattern, what is left of the shift away from the Sun.
     """
+    sizes = sizes or shipped_sizes()
+    common, curved, hidden = sizes.common, sizes.curved, sizes.hidden
     places, pixel_per_metre = points.points_m, points.pixel_per_metre
     postings, finest_postings = points.postings_m, points.finest_postings_m
     unresolved = points.unresolved_posting_m
@@ -273,14 +303,16 @@ def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
     across = np.cross(up, along)
     elevation = max(float(np.arcsin(np.clip(sun_body @ up, -1.0, 1.0))), MIN_SUN)
     unexplained = float(1.0 - np.clip(points.scores, 0.0, 1.0).mean())
-    shift = SHIFT_M + UNEXPLAINED_M * unexplained
+    shift = common.shift_m + common.unexplained_m * unexplained
     outward = places - middle
     outward = outward - (outward @ up)[:, None] * up
     reach = float(np.sqrt((outward**2).sum(axis=1).mean()))
-    region = _scale(finest_postings)[:, None] / float(np.hypot(1.0, reach / REGION_M))
+    region = _scale(finest_postings)[:, None] / float(
+        np.hypot(1.0, reach / (1e3 * sizes.region_km))
+    )
     one = np.ones((len(places), 1))
     fields = [
-        along * (region * SHADOW_M / np.tan(elevation)),
+        along * (region * common.shadow_m / np.tan(elevation)),
         along * (region * shift),
         across * (region * shift),
         outward,
@@ -289,29 +321,29 @@ def common_errors_px(points: MatchedPoints, sun_body: FloatArray) -> FloatArray:
     *shifts, stretch, one_way, other_way = [
         np.einsum("nij,nj->ni", pixel_per_metre, f) for f in fields
     ]
-    moved = [*shifts, stretch * (region * STRETCH_M / max(reach, 1.0))]
-    moved += [_of_size(stretch, STRETCH_PX)]
-    moved += [_of_size(one_way, KEYSTONE_PX), _of_size(other_way, KEYSTONE_PX)]
+    moved = [*shifts, stretch * (region * common.stretch_m / max(reach, 1.0))]
+    moved += [_of_size(stretch, common.stretch_px)]
+    moved += [_of_size(field, common.keystone_px) for field in (one_way, other_way)]
     averaged, distance = postings - finest_postings, float(np.linalg.norm(middle))
     finest = (unresolved == 0.0) & (averaged == 0.0)
     round_m = np.where(finest, finest_postings, 0.0) * (reach / distance)
-    even = CURVED_STRETCH_NODES * averaged + HIDDEN_STRETCH * unresolved
-    even += ROUND_STRETCH_NODES * round_m
-    changing = CURVED_KEYSTONE_NODES * averaged + HIDDEN_KEYSTONE * unresolved
-    changing += ROUND_KEYSTONE_NODES * round_m
+    even = curved.stretch_nodes * averaged + hidden.stretch * unresolved
+    even += curved.finest_stretch_nodes * round_m
+    changing = curved.keystone_nodes * averaged + hidden.keystone * unresolved
+    changing += curved.finest_keystone_nodes * round_m
     moved.append(stretch * (even / distance)[:, None])
     moved += [field * (changing / distance)[:, None] for field in (one_way, other_way)]
-    moved += [one * np.array([SHIFT_PX, 0.0]), one * np.array([0.0, SHIFT_PX])]
+    moved += [one * common.shift_px * axis for axis in np.eye(2)]
     verticals = unit(places)
     sight = _lines_of_sight(pixel_per_metre, verticals)
-    sigma = COMMON_HEIGHT_NODES * postings + HIDDEN_RISE * unresolved
+    sigma = common.height_nodes * postings + hidden.rise * unresolved
     sigma = sigma / _cos_emission(sight, verticals)
     rise = np.einsum("nij,nj->ni", pixel_per_metre, verticals) * sigma[:, None]
     moved += [rise, rise * (sight @ along)[:, None], rise * (sight @ across)[:, None]]
-    for axis, nodes in ((along, SUNWARD_SHIFT_NODES), (across, COMMON_SHIFT_NODES)):
-        own_shifts = nodes * postings + HIDDEN_SHIFT * unresolved
+    for axis, nodes in ((along, common.sunward_nodes), (across, common.shift_nodes)):
+        own_shifts = nodes * postings + hidden.shift * unresolved
         moved.append(np.einsum("nij,j->ni", pixel_per_metre, axis) * own_shifts[:, None])
-    left = along * (real_ground().sunward_left * _sunward_m(points))[:, None]
+    left = along * (sizes.sunward.left * _sunward_m(points, sizes))[:, None]
     moved.append(np.einsum("nij,nj->ni", pixel_per_metre, left))
     return np.stack(moved, axis=2)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.correlation.ncc import blur_nodes
-from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
 from optnav_cli.estimation.resection import Resection, resect_robustly
 from optnav_cli.matching.point_match import MatchGates, PointMatch, match_point
 from optnav_cli.matching.search_plan import (
@@ -201,14 +201,39 @@ def _matched_points(
     )
 
 
-def solve(
+@dataclass(frozen=True, eq=False)
+class MatchedFrame:
+    """A frame's accepted matches, before the errors that matches do not show are added.
+
+    errors       what these go by;  correlation (n, n) of the points' own errors
+    sun_body     (3,) unit vector to the Sun, body frame
+    """
+
+    sightings: Sightings
+    errors: error_model.MatchedPoints | None
+    correlation: FloatArray | None
+    sun_body: FloatArray
+
+    def weighed(self, sizes: error_model.PointErrorSizes) -> tuple[Sightings, FloatArray | None]:
+        """The sightings with errors of these sizes, and those common to all (n, 2, k), px."""
+        if self.errors is None:
+            return self.sightings, None
+        seen, errors, sun = self.sightings, self.errors, self.sun_body
+        own = error_model.own_covariances_px2(errors, sizes)
+        seen = replace(
+            seen,
+            pixels=seen.pixels - error_model.bias_px(errors, sun, sizes),
+            covariances_px2=seen.covariances_px2 + own,
+        )
+        return seen, error_model.common_errors_px(errors, sun, sizes)
+
+
+def matched_frame(
     frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], pose: Pose
-) -> Resection:
-    """Resect from the accepted matches, from a pose. Raises NoSolutionError."""
-    points, observation = frame.points, frame.observation
+) -> MatchedFrame:
+    """The accepted matches of a view, their errors as seen from a pose."""
     kept = accepted(matches)
-    index = view.index[kept]
-    places = points.xyz_m[index]
+    places = frame.points.xyz_m[view.index[kept]]
     pixels = np.array([matches[k].pixel for k in kept]).reshape(-1, 2)
     parts = {i: part for i, k in enumerate(kept) if (part := matches[k].part) is not None}
     for i, part in parts.items():
@@ -217,31 +242,51 @@ def solve(
     sightings = Sightings(
         places, pixels, np.array([matches[k].covariance_px2 for k in kept]).reshape(-1, 2, 2)
     )
-    common = error_correlation = None
-    if kept:
-        errors = _matched_points(frame, view, matches, kept, places, pose)
-        error_correlation = error_model.ground_correlation(places, errors.sizes_m)
-        if parts:
-            size_px = frame.camera.width_px, frame.camera.height_px
-            error_correlation[np.ix_(list(parts), list(parts))] = error_model.overlap_correlation(
-                error_model.footprints(list(parts.values()), size_px)
-            )
-        sightings = replace(
-            sightings,
-            pixels=pixels - error_model.bias_px(errors, frame.sun_body),
-            covariances_px2=sightings.covariances_px2 + error_model.own_covariances_px2(errors),
+    if not kept:
+        return MatchedFrame(sightings, None, None, frame.sun_body)
+    errors = _matched_points(frame, view, matches, kept, places, pose)
+    correlation = error_model.ground_correlation(places, errors.sizes_m)
+    if parts:
+        size_px = frame.camera.width_px, frame.camera.height_px
+        correlation[np.ix_(list(parts), list(parts))] = error_model.overlap_correlation(
+            error_model.footprints(list(parts.values()), size_px)
         )
-        common = error_model.common_errors_px(errors, frame.sun_body)
-    real = error_model.real_ground()
+    return MatchedFrame(sightings, errors, correlation, frame.sun_body)
+
+
+def solve(
+    frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], pose: Pose
+) -> Resection:
+    """Resect from the accepted matches, from a pose. Raises NoSolutionError."""
+    observation = frame.observation
     free = observation.attitude_sigma_rad is None
-    start = pose if free else Pose(pose.position_m, observation.camera_from_body)
-    return resect_robustly(
+    return resect_matches(
         frame.camera,
+        matched_frame(frame, view, matches, pose),
+        pose if free else Pose(pose.position_m, observation.camera_from_body),
+        observation.attitude_sigma_rad,
+        frame.settings.solve.gate_probability,
+        error_model.shipped_sizes(),
+    )
+
+
+def resect_matches(
+    camera: ProjectingCamera,
+    matched: MatchedFrame,
+    start: Pose,
+    attitude_sigma_rad: float | None,
+    gate_probability: float,
+    sizes: error_model.PointErrorSizes,
+) -> Resection:
+    """Resect from matches with errors of these sizes. Raises NoSolutionError."""
+    sightings, common = matched.weighed(sizes)
+    return resect_robustly(
+        camera,
         sightings,
         start,
-        observation.attitude_sigma_rad,
+        attitude_sigma_rad,
         common_errors_px=common,
-        error_correlation=error_correlation,
-        common_shares=(real.scatter_shift, real.scatter_stretch),
-        gate_probability=frame.settings.solve.gate_probability,
+        error_correlation=matched.correlation,
+        common_shares=(sizes.common.scatter_shift, sizes.common.scatter_stretch),
+        gate_probability=gate_probability,
     )
