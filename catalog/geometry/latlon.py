@@ -1,9 +1,34 @@
 """Latitude, longitude, radius and body-fixed vectors; all angles in radians."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import FloatArray
+
+
+class Lattice(NamedTuple):
+    """A grid of equal steps of latitude and longitude, of the body or of a turned frame.
+
+    north, west  the first node; rows run south, columns east
+    """
+
+    north: float
+    west: float
+    step: float
+    rows: int
+    cols: int
+
+    @property
+    def lat(self) -> FloatArray:
+        """Latitudes (rows,)."""
+        return self.north - self.step * np.arange(self.rows, dtype=np.float64)
+
+    @property
+    def lon(self) -> FloatArray:
+        """Longitudes (cols,)."""
+        return self.west + self.step * np.arange(self.cols, dtype=np.float64)
 
 
 def xyz_from_latlon(lat: ArrayLike, lon: ArrayLike, radius: ArrayLike) -> FloatArray:

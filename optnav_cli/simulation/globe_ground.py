@@ -17,7 +17,7 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.cache import Cache
 from catalog.geometry.kernel import parallel_kernel
-from catalog.geometry.latlon import xyz_from_latlon
+from catalog.geometry.latlon import Lattice, xyz_from_latlon
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings
@@ -64,17 +64,6 @@ class GroundView:
     posting_m: float
 
 
-@dataclass(frozen=True)
-class Lattice:
-    """Nodes of a grid of latitudes and longitudes in a turned frame: first row and column, rad."""
-
-    north: float
-    west: float
-    step: float
-    rows: int
-    cols: int
-
-
 class GlobeTerrain:
     """Windows of one ground.
 
@@ -115,8 +104,7 @@ class GlobeTerrain:
             grid = Lattice(north, west, step, rows, cols)
         heights = self._ground(grid_from_body, grid, view.posting_m)
         if view.box is None:
-            lat = grid.north - step * np.arange(rows)
-            heights += self._raise(view.posting_m, lat)[:, None]
+            heights += self._raise(view.posting_m, grid.lat)[:, None]
         return make_ground(heights, grid.north, grid.west, step, step, self._heights.radius_m)
 
     def _raise(self, posting_m: float, lat: FloatArray) -> Float32Array:
@@ -136,7 +124,7 @@ class GlobeTerrain:
         step = posting_m / self._heights.radius_m
         rows, cols = int(2.0 * SAMPLE_REACH / step) + 1, int(SAMPLE_WIDTH / step) + 1
         grid = Lattice(SAMPLE_REACH, 0.0, step, rows, cols)
-        lat = SAMPLE_REACH - step * np.arange(rows)
+        lat = grid.lat
         for _ in range(SAMPLES):
             frame = facing_frame(*(v / np.linalg.norm(v) for v in rng.normal(size=(2, 3))))
             heights = self._ground(frame, grid, posting_m)
@@ -154,20 +142,17 @@ class GlobeTerrain:
     def _ground(self, grid_from_body: FloatArray, grid: Lattice, posting_m: float) -> Float32Array:
         heights = self._sample(grid_from_body, grid, posting_m)
         if self._detail is not None:
-            heights += self._detail.turned_window(
-                grid_from_body.T, grid.north, grid.west, grid.step, grid.rows, grid.cols
-            )
+            heights += self._detail.turned_window(grid_from_body.T, grid)
         return heights
 
     def _sample(self, grid_from_body: FloatArray, grid: Lattice, posting_m: float) -> Float32Array:
         level = self._heights.level_for(posting_m)
-        lon = grid.west + grid.step * np.arange(grid.cols, dtype=np.float64)
+        lat, lon = grid.lat, grid.lon
         out = np.empty((grid.rows, grid.cols), np.float32)
         for top in range(0, grid.rows, CHUNK):
-            rows = np.arange(top, min(top + CHUNK, grid.rows), dtype=np.float64)
-            lat = grid.north - grid.step * rows
-            places = np.empty((2, lat.size, grid.cols))
-            _body_latlon(grid_from_body, lat, lon, places[0], places[1])
+            part = lat[top : top + CHUNK]
+            places = np.empty((2, part.size, grid.cols))
+            _body_latlon(grid_from_body, part, lon, places[0], places[1])
             out[top : top + CHUNK] = self._heights.sample(level, places[0], places[1])
         return out
 

@@ -20,6 +20,7 @@ from catalog.bodies.body import Body
 from catalog.cache import Cache
 from catalog.errors import ConfigError, DataError
 from catalog.geometry.kernel import kernel, parallel_kernel
+from catalog.geometry.latlon import Lattice
 from catalog.rendering.rays.ground import Ground, make_ground, whole_sphere
 from catalog.terrain.dem.source import DemSettings, DemSource
 
@@ -149,16 +150,8 @@ class GlobeHeights:
 class Relief(Protocol):
     """What is added to the heights of a body; see `SyntheticRelief` and `ModelError`."""
 
-    def turned_window(
-        self,
-        body_from_grid: FloatArray,
-        north: float,
-        west: float,
-        step: float,
-        rows: int,
-        cols: int,
-    ) -> Float32Array:
-        """Heights to add (rows, cols), m, on a grid of equal steps in a turned frame."""
+    def turned_window(self, body_from_grid: FloatArray, grid: Lattice) -> Float32Array:
+        """Heights to add (rows, cols), m, on a grid in a turned frame."""
         ...
 
 
@@ -167,19 +160,11 @@ class ReliefSum(NamedTuple):
 
     parts: tuple[Relief, ...]
 
-    def turned_window(
-        self,
-        body_from_grid: FloatArray,
-        north: float,
-        west: float,
-        step: float,
-        rows: int,
-        cols: int,
-    ) -> Float32Array:
+    def turned_window(self, body_from_grid: FloatArray, grid: Lattice) -> Float32Array:
         """The sum of all."""
-        out = np.zeros((rows, cols), np.float32)
+        out = np.zeros((grid.rows, grid.cols), np.float32)
         for part in self.parts:
-            out += part.turned_window(body_from_grid, north, west, step, rows, cols)
+            out += part.turned_window(body_from_grid, grid)
         return out
 
 
@@ -260,9 +245,8 @@ class WideGround:
         left, right = self._columns(fine)
         for row in range(top, bottom, CHUNK):
             part = heights[row : min(row + CHUNK, bottom), left:right]
-            part += detail.turned_window(
-                np.eye(3), fine.north - row * step, fine.west + left * step, step, *part.shape
-            )
+            north, west = fine.north - row * step, fine.west + left * step
+            part += detail.turned_window(np.eye(3), Lattice(north, west, step, *part.shape))
         return make_ground(heights, fine.north, fine.west, step, step, self._radius_m)
 
     def _columns(self, fine: Ground) -> tuple[int, int]:
@@ -280,10 +264,9 @@ class WideGround:
         shift = np.floor(np.mod(self._seam, ALL_ROUND) / step)
         north, west = 0.5 * np.pi + 1.5 * step, float(shift - 1.5) * step
         splines = GlobeHeights(self._heights, self._radius_m)
-        heights = np.empty((rows + 4, 2 * rows + 4), np.float32)
-        lon = west + step * np.arange(heights.shape[1], dtype=np.float64)
-        for top in range(0, len(heights), CHUNK):
-            lat = north - step * np.arange(top, min(top + CHUNK, len(heights)), dtype=np.float64)
-            places = np.meshgrid(lat, lon, indexing="ij")
+        grid = Lattice(north, west, step, rows + 4, 2 * rows + 4)
+        heights = np.empty((grid.rows, grid.cols), np.float32)
+        for top in range(0, grid.rows, CHUNK):
+            places = np.meshgrid(grid.lat[top : top + CHUNK], grid.lon, indexing="ij")
             heights[top : top + CHUNK] = splines.sample(0, *places)
         return make_ground(heights, north, west, step, step, self._radius_m)

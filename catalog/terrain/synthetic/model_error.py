@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.grid import sample_bicubic
-from catalog.geometry.latlon import xyz_from_latlon
+from catalog.geometry.latlon import Lattice, xyz_from_latlon
 from catalog.terrain.synthetic import fractal
 
 # rms of means of one octave of noise, amplitude and spacing 1, over squares of these sides; found
@@ -189,26 +189,16 @@ class ModelError:
         fractal.add_noise_window(out, noise, lat, lon)
         return self._scaled(out, *np.meshgrid(lat, lon, indexing="ij"))
 
-    def turned_window(
-        self,
-        body_from_grid: FloatArray,
-        north: float,
-        west: float,
-        step: float,
-        rows: int,
-        cols: int,
-    ) -> Float32Array:
-        """Heights to add (rows, cols), m, on a grid of equal steps in a turned frame.
+    def turned_window(self, body_from_grid: FloatArray, grid: Lattice) -> Float32Array:
+        """Heights to add (rows, cols), m, on a grid in a turned frame.
 
-        body_from_grid     (3, 3) rotation from the grid's frame to the body's
-        north, west, step  rad  as in `window`, latitudes and longitudes of the grid's frame
+        body_from_grid  (3, 3) rotation from the grid's frame to the body's
         """
-        lat = north - step * np.arange(rows, dtype=np.float64)
-        lon = west + step * np.arange(cols, dtype=np.float64)
-        out = np.zeros((rows, cols), np.float32)
-        noise = fractal.resolved(self._octaves, self.radius_m * step)
+        lat, lon = grid.lat, grid.lon
+        out = np.zeros((grid.rows, grid.cols), np.float32)
+        noise = fractal.resolved(self._octaves, self.radius_m * grid.step)
         fractal.add_noise_turned(out, noise, lat, lon, body_from_grid)
-        for top in range(0, rows, 256):  # places of all nodes at once would be gigabytes
+        for top in range(0, grid.rows, 256):  # places of all nodes at once would be gigabytes
             part = slice(top, top + 256)
             x = xyz_from_latlon(lat[part, None], lon[None, :], 1.0) @ body_from_grid.T
             places = np.arcsin(np.clip(x[..., 2], -1.0, 1.0)), np.arctan2(x[..., 1], x[..., 0])

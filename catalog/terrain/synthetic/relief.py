@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.geometry.latlon import wrap_longitude, xyz_from_latlon
+from catalog.geometry.latlon import Lattice, wrap_longitude, xyz_from_latlon
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.terrain.synthetic import craters, fractal
 
@@ -99,26 +99,16 @@ class SyntheticRelief:
         craters.stamp(out, row, col, table, np.full(rows, posting), step_x)
         return out
 
-    def turned_window(
-        self,
-        body_from_grid: FloatArray,
-        north: float,
-        west: float,
-        step: float,
-        rows: int,
-        cols: int,
-    ) -> Float32Array:
-        """Heights to add on a grid of equal steps in a turned frame, means over a node's cell.
+    def turned_window(self, body_from_grid: FloatArray, grid: Lattice) -> Float32Array:
+        """Heights to add on a grid in a turned frame, means over a node's cell.
 
-        body_from_grid     (3, 3) rotation from the grid's frame to the body's
-        north, west, step  rad  as in `window`, latitudes and longitudes of the grid's frame; the
-                           grid may go all round, and up to half a step from the frame's poles
+        body_from_grid  (3, 3) rotation from the grid's frame to the body's
+        grid            may go all round, and up to half a step from the frame's poles
         Returns (rows, cols) float32, m. Craters smaller than a step, and those nearer than 10
         diameters to the frame's poles, where the grid's cells are slivers, are left out.
         """
+        rows, cols, step, lat, lon = grid.rows, grid.cols, grid.step, grid.lat, grid.lon
         out = np.zeros((rows, cols), np.float32)
-        lat = north - step * np.arange(rows, dtype=np.float64)
-        lon = west + step * np.arange(cols, dtype=np.float64)
         posting = self.radius_m * step
         noise = self._resolved(posting)
         if noise.spacing.size:
@@ -131,8 +121,8 @@ class SyntheticRelief:
         )
         own = xyz_from_latlon(table[:, craters.LAT], table[:, craters.LON], 1.0) @ body_from_grid
         own_lat = np.arcsin(np.clip(own[:, 2], -1.0, 1.0))
-        row = (north - own_lat) / step
-        col = np.mod(np.arctan2(own[:, 1], own[:, 0]) - west, 2.0 * np.pi) / step
+        row = (grid.north - own_lat) / step
+        col = np.mod(np.arctan2(own[:, 1], own[:, 0]) - grid.west, 2.0 * np.pi) / step
         reach = craters.REACH * table[:, craters.DIAMETER] / posting
         wide = reach / np.cos(own_lat)
         turn = 2.0 * np.pi / step

@@ -7,7 +7,7 @@ import pytest
 
 from catalog.bodies.body import load_body
 from catalog.config import resource
-from catalog.geometry.latlon import xyz_from_latlon
+from catalog.geometry.latlon import Lattice, xyz_from_latlon
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.synthetic import fractal
 from catalog.terrain.synthetic.model_error import (
@@ -63,7 +63,7 @@ def test_a_seed_gives_the_same_ground_in_whichever_window_it_is_sampled():
     whole = error().window(-0.7, 0.3, step, 1.3 * step, 90, 110)
     part = error().window(-0.7 - 30 * step, 0.3 + 40 * 1.3 * step, step, 1.3 * step, 20, 30)
     np.testing.assert_allclose(part, whole[30:50, 40:70], atol=1e-3)
-    turned = error().turned_window(np.eye(3), -0.7, 0.3, step, 40, 50)
+    turned = error().turned_window(np.eye(3), Lattice(-0.7, 0.3, step, 40, 50))
     np.testing.assert_allclose(turned, error().window(-0.7, 0.3, step, step, 40, 50), atol=1e-3)
     assert not np.allclose(error(2).window(-0.7, 0.3, step, step, 40, 50), turned)
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.errors import ConfigError, DataError
-from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
+from catalog.geometry.latlon import Lattice, latlon_from_xyz, xyz_from_latlon
 from catalog.photometry import hapke
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.synthetic.relief import SyntheticRelief
@@ -212,14 +212,13 @@ def test_relief_in_a_turned_frame_is_that_of_the_body():
     step = 300.0 / RADIUS_M
     for centre in ([0.1, -0.2, 1.0], [-1.0, 1e-3, 0.05]):
         turned = level_frame(np.array(centre) / np.linalg.norm(centre))
-        grid = detail.turned_window(turned.T, 0.02, -0.03, step, 150, 200)
-        lat = 0.02 - step * np.arange(150)
-        lon = -0.03 + step * np.arange(200)
-        directions = xyz_from_latlon(lat[:, None], lon[None, :], 1.0) @ turned
+        grid = Lattice(0.02, -0.03, step, 150, 200)
+        heights = detail.turned_window(turned.T, grid)
+        directions = xyz_from_latlon(grid.lat[:, None], grid.lon[None, :], 1.0) @ turned
         body_lat, body_lon, _ = latlon_from_xyz(directions)
         points = detail.heights(body_lat, body_lon)
         assert points.std() > 20.0
-        assert np.sqrt(((grid - points) ** 2).mean()) < 0.1 * points.std()
+        assert np.sqrt(((heights - points) ** 2).mean()) < 0.1 * points.std()
 
 
 def test_neighbouring_windows_hold_the_same_ground():
