@@ -121,7 +121,7 @@ class Camera:
         parameters[lens.ASPECT] = self.aspect
         if self.model == "pinhole":
             parameters[lens.TERMS : lens.TERMS + len(more)] = more
-            tilt = lens.tilt(*tilts) if tilts else np.eye(3)
+            tilt = _tilt(*tilts) if tilts else np.eye(3)
             parameters[lens.TILT : lens.TILT + 9] = tilt.ravel()
             parameters[lens.LEVEL :] = np.linalg.inv(tilt).ravel()
             model = lens.OPENCV if any(more) or any(tilts) else lens.PINHOLE
@@ -221,3 +221,19 @@ def _rows(values: ArrayLike, width: int) -> tuple[FloatArray, tuple[int, ...]]:
     if array.shape[-1:] != (width,):
         raise ValueError(f"expected an array (..., {width}), got {array.shape}")
     return np.ascontiguousarray(array).reshape(-1, width), array.shape[:-1]
+
+
+def _tilt(tau_x: float, tau_y: float) -> FloatArray:
+    """How a sensor that is turned about x, then about y, rad, moves the picture plane: (3, 3).
+
+    As OpenCV defines its tilted sensor.
+    """
+    cx, sx, cy, sy = math.cos(tau_x), math.sin(tau_x), math.cos(tau_y), math.sin(tau_y)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]])
+    about_y = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
+    turned = about_y @ about_x
+    onto = np.array(
+        [[turned[2, 2], 0.0, -turned[0, 2]], [0.0, turned[2, 2], -turned[1, 2]], [0.0, 0.0, 1.0]]
+    )
+    moved: FloatArray = onto @ turned
+    return moved
