@@ -99,8 +99,10 @@ def resource(name: str) -> Path:
     In a checkout configs/ lies beside the package, in an installed wheel inside it.
     Raises ConfigError, naming the neighbours that exist, when there is no such file.
     """
+    if "\0" in name:
+        raise ConfigError(f"optnav ships no file {name!r}; no name of a file has a null byte")
     package = Path(str(files("catalog")))
-    for base in (package, package.parent) if "\0" not in name else ():  # no file is named so
+    for base in (package, package.parent):
         path = base / name
         # only data/ and configs/ are shipped: a name must not climb out of them
         inside = any(path.resolve().is_relative_to(base / top) for top in ("data", "configs"))
@@ -109,7 +111,6 @@ def resource(name: str) -> Path:
     wanted = Path(name)
     folders = (package / wanted.parent, package.parent / wanted.parent)
     shipped = wanted.parts[:1] in (("data",), ("configs",)) and ".." not in wanted.parts
-    shipped = shipped and "\0" not in name
     there = sorted(p.name for f in folders if shipped for p in f.glob("*" + wanted.suffix))
     known = f"it has {', '.join(there)}" if there else "the installation may be incomplete"
     raise ConfigError(f"optnav ships no file {name!r}; {known}")

@@ -152,7 +152,8 @@ def _sampled(values: Float32Array, places: FloatArray) -> FloatArray:
     """Values (n) between pixels (n, 2), x and y; those of the border beyond it."""
     x, y = (np.ascontiguousarray(places[:, k], np.float32)[None] for k in range(2))
     found = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found[0], dtype=np.float64)
+    sampled: FloatArray = found[0].astype(np.float64)
+    return sampled
 
 
 def find_edges(

@@ -136,7 +136,7 @@ def _lit_mask(lit: Segmented) -> BoolArray:
     if not len(blobs):
         raise NoSolutionError("nothing lit stands out of the sky", ReasonCode.NO_BODY)
     kept = blobs.label[blobs.area >= LEAST_BLOB * blobs.area[0]]
-    mask = np.isin(blobs.labels, kept)
+    mask: BoolArray = np.isin(blobs.labels, kept)
     if np.sqrt(mask.sum()) < MIN_ACROSS_PX:
         text = f"the lit shape is {np.sqrt(mask.sum()):.0f} px across; a silhouette wants more"
         raise NoSolutionError(text, ReasonCode.SMALL_DISC)
@@ -144,7 +144,7 @@ def _lit_mask(lit: Segmented) -> BoolArray:
     if inner.sum() < mask.sum():
         text = "the frame cuts the lit shape: its silhouette is not whole"
         raise NoSolutionError(text, ReasonCode.CUT_DISC)
-    return np.asarray(mask)
+    return mask
 
 
 def _by_moments(mask: BoolArray, mesh: MeshRays, view: CameraView) -> FloatArray:
@@ -173,7 +173,8 @@ def _placed(camera: Camera, turn: Rotation, towards: FloatArray, distance: float
     ray = camera.unproject(towards)
     if not np.isfinite(ray).all():
         raise NoSolutionError("the lens has no ray for the lit shape", ReasonCode.BAD_PICTURE)
-    return np.asarray(-distance * turn.apply(ray, inverse=True))
+    position: FloatArray = -distance * turn.apply(ray, inverse=True)
+    return position
 
 
 def _drawn(mesh: MeshRays, view: CameraView, turn: Rotation, position: FloatArray) -> DrawnShape:
