@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from catalog.arrays import FloatArray
 from catalog.config import Positive, load_toml, nearest_name, resource
 from catalog.errors import ConfigError
+from catalog.terrain.synthetic.model_error import ErrorSpectrum
 
 FILE = "configs/models/terrain.toml"
 BOX_KM = 2.0  # that error_m of a raster is the rms over
@@ -79,6 +80,7 @@ class TerrainLaws(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     slope: SlopeLaw
     product: dict[str, TerrainProduct]
     mesh: MeshProduct
+    spectrum: dict[str, ErrorSpectrum]
 
 
 class StatedError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -12,7 +12,8 @@ from catalog.bodies.body import Body
 from catalog.config import NotNegative, Slope, Turn
 from catalog.errors import ConfigError
 from catalog.photometry.hapke import LUNAR, HapkeParameters
-from catalog.terrain.synthetic.model_error import GLD100, ErrorSpectrum, ModelError, SlopeMap
+from catalog.terrain.error_model import terrain_laws
+from catalog.terrain.synthetic.model_error import ErrorSpectrum, ModelError, SlopeMap
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
 Inclination = Annotated[float, Meta(ge=0.0, le=180.0)]
@@ -202,7 +203,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         """The error of the terrain model, None for none."""
         if isinstance(self.model_error, ErrorTable):
             return self.model_error.spectrum()
-        return GLD100 if self.model_error == "gld100" else None
+        return terrain_laws().spectrum.get(self.model_error)
 
     @property
     def surface(self) -> HapkeParameters:

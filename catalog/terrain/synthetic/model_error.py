@@ -9,6 +9,7 @@ the slope of the ground about a place. Its finest octaves are the relief that th
 from dataclasses import dataclass
 from functools import cached_property
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
@@ -29,8 +30,7 @@ SLOPE_REACH_M = 6000.0  # standard deviation of the neighbourhood whose rms slop
 STREAM = 1 << 40  # keeps the noise apart from that of relief with the same seed
 
 
-@dataclass(frozen=True)
-class ErrorSpectrum:
+class ErrorSpectrum(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Rms error of a model against the size of the ground that is averaged, and against slope.
 
     box_km, rms_m          sides of squares, rising, and the rms of the error's means over them, on
@@ -71,16 +71,6 @@ class ErrorSpectrum:
         amplitude = np.sqrt(np.concatenate([power[:0:-1], power[0] * shape**2]))
         held = amplitude > 0.0
         return fractal.Octaves(seed + STREAM, spacing[held], amplitude[held], radius_m)
-
-
-# LROC WAC GLD100 against LOLA (LDEM_16 and a 118 m crop): rms of box means of the difference on
-# highlands, and at 2 km by slope. The fall from 2 to 8 km and the floor are smoothed to a curve.
-GLD100 = ErrorSpectrum(
-    box_km=(2.0, 4.0, 8.0, 15.0, 30.0, 61.0, 121.0, 243.0),
-    rms_m=(28.0, 15.0, 9.5, 8.0, 7.5, 7.5, 7.0, 7.0),
-    slope=(0.02, 0.03, 0.055, 0.085, 0.12, 0.15),
-    slope_rms_m=(9.0, 15.0, 22.0, 28.0, 32.0, 34.0),
-)
 
 
 def box_rms(boxes_m: FloatArray, spacing_m: FloatArray) -> FloatArray:

@@ -47,6 +47,17 @@ def test_heights_err_more_on_steep_ground_and_places_less():
     assert error_of().point_sigma_m(2e3, math.nan) == error_of().point_sigma_m(2e3, 0.085)
 
 
+def test_simulated_ground_is_off_by_what_is_stated_of_the_model():
+    """But for what a sum of octaves adds where the fall meets the floor; see terrain.toml."""
+    for name, spectrum in terrain_laws().spectrum.items():
+        for side_km, rms_m in zip(spectrum.box_km, spectrum.rms_m, strict=True):
+            stated = error_of(name).point_sigma_m(side_km * 1e3, REFERENCE_SLOPE).height_m
+            assert 0.8 < rms_m / stated < 1.4, side_km
+        for slope, rms_m in zip(spectrum.slope, spectrum.slope_rms_m, strict=True):
+            stated = error_of(name).point_sigma_m(2e3, slope).height_m
+            assert rms_m == pytest.approx(stated, rel=0.01), slope
+
+
 def test_a_template_below_the_resolution_has_the_error_of_one_as_wide():
     model = error_of()
     assert model.point_sigma_m(500.0, 0.085) == model.point_sigma_m(1600.0, 0.085)

@@ -9,11 +9,11 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.geometry.latlon import Lattice, xyz_from_latlon
 from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.error_model import terrain_laws
 from catalog.terrain.synthetic import fractal
 from catalog.terrain.synthetic.model_error import (
     BOX_RMS,
     BOX_SIDES,
-    GLD100,
     ModelError,
     SlopeMap,
     rms_slope,
@@ -30,7 +30,9 @@ def even(slope):
 
 
 def error(seed=1, slope=0.085):
-    return ModelError(seed, GLD100, 1.4 * POSTING_M, RADIUS_M, even(slope))
+    return ModelError(
+        seed, terrain_laws().spectrum["gld100"], 1.4 * POSTING_M, RADIUS_M, even(slope)
+    )
 
 
 def box_means(field, nodes):
