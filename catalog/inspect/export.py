@@ -23,6 +23,8 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import DataError, OutputError
 from catalog.files import check_file, replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
+from catalog.inspect.summary import shift_document
+from catalog.store.comparison import insert_shifts
 from catalog.store.connection import SIDECARS, is_points_file
 from catalog.store.geopackage import new_geopackage, srs_of
 from catalog.store.reader import Catalog
@@ -70,8 +72,11 @@ def export(catalog: Catalog, path: str | Path) -> int:
     return len(catalog)
 
 
-def point_properties(point: ControlPoint) -> Properties:
-    """Attributes of a point under the names that the feature layer uses, lists spread out."""
+def point_properties(catalog: Catalog, point: ControlPoint) -> Properties:
+    """Attributes of a point under the names that the feature layer uses, lists spread out.
+
+    With where the comparison model has it, in a catalog with one.
+    """
     properties: Properties = {
         "id": point.id,
         "lon_deg": point.lon_deg,
@@ -90,6 +95,8 @@ def point_properties(point: ControlPoint) -> Properties:
         properties[f"uniqueness_{level}"] = unknown_as_none(margin)
     for (name, _), limit in zip(SHADOW_COLUMNS, point.shadow_limit_deg):
         properties[name] = unknown_as_none(limit)
+    if catalog.meta.comparison is not None:
+        properties |= shift_document(catalog.shifts.get(point.id))
     return properties
 
 
@@ -103,7 +110,7 @@ def _geojson_lines(catalog: Catalog) -> Iterator[str]:
             "type": "Feature",
             "id": point.id,
             "geometry": {"type": "Point", "coordinates": [point.lon_deg, point.lat_deg]},
-            "properties": point_properties(point),
+            "properties": point_properties(catalog, point),
         }
         yield (",\n" if number else "\n") + json.dumps(feature, separators=(",", ":"))
     yield "\n]}\n"
@@ -115,13 +122,21 @@ def _write_geojson(catalog: Catalog, path: Path) -> None:
         file.writelines(_geojson_lines(catalog))
 
 
-def points_table(levels: int) -> CsvTable:
-    """The columns of the CSV layer of a catalog whose points have so many levels."""
+def points_table(levels: int, compared: bool) -> CsvTable:
+    """The columns of the CSV layer of a catalog whose points have so many levels.
+
+    compared  whether a second terrain model has been compared
+    """
 
     def number(name: str, meaning: str, unit: str = "") -> CsvColumn:
         return CsvColumn(name, meaning, unit=unit, empty=True)
 
-    shadow = "Sun elevation without shadow"
+    shadow, shift = "Sun elevation without shadow", "from here to its place in the comparison model"
+    shifts = (
+        number("comparison_e_m", f"eastward {shift}", "m"),
+        number("comparison_n_m", f"northward {shift}", "m"),
+        number("comparison_score", "correlation with the comparison model"),
+    )
     return CsvTable(
         (
             CsvColumn("id", "the control point's id", "count"),
@@ -138,12 +153,13 @@ def points_table(levels: int) -> CsvTable:
             CsvColumn("source", "terrain models of its finest patch", "text", empty=True),
             *(number(f"uniqueness_{k}", f"uniqueness margin, level {k}") for k in range(levels)),
             *(number(name, f"{shadow}, azimuth {a}", "deg") for name, a in SHADOW_COLUMNS),
+            *(shifts if compared else ()),
         )
     )
 
 
 def _write_csv(catalog: Catalog, path: Path) -> None:
-    table = points_table(catalog.meta.levels)
+    table = points_table(catalog.meta.levels, catalog.meta.comparison is not None)
     kinds = {"lon_deg": "CoordX", "lat_deg": "CoordY", "text": "String", "number": "Real"}
     columns = ((column.name, kinds.get(column.kind, "Integer64")) for column in table.columns)
     types = ",".join(kinds.get(name, kind) for name, kind in columns)
@@ -155,7 +171,7 @@ def _write_csv(catalog: Catalog, path: Path) -> None:
         ours = (lambda _: True) if again else starts_with(wkt.encode(), types.encode())
         for place in sides:
             check_file(place, ours)
-        table.write(new, map(point_properties, catalog.points()))
+        table.write(new, (point_properties(catalog, point) for point in catalog.points()))
         for place, text in sides.items():
             write_output(place, f"{text}\n".encode(), ours)
 
@@ -164,6 +180,8 @@ def _write_geopackage(catalog: Catalog, path: Path) -> None:
     with replacing_file(path, is_points_file, SIDECARS) as partial, new_geopackage(partial) as db:
         POINT_LAYER.create(db)
         extent = insert_features(db, catalog.meta, zip(catalog.points(), catalog.records))
+        if catalog.meta.comparison is not None:
+            insert_shifts(db, catalog.shifts)
         insert_service_rows(db, catalog.meta, extent, with_patches=False)
 
 

@@ -249,11 +249,11 @@ def point_document(point: ControlPoint) -> Document:
         "uniqueness": list(point.uniqueness),
         "shadow_limit_deg": list(point.shadow_limit_deg),
         "source": point.source,
-        **_shift(point.comparison),
+        **shift_document(point.comparison),
     }
 
 
-def _shift(shift: ComparisonShift | None) -> Document:
+def shift_document(shift: ComparisonShift | None) -> Document:
     """Where a comparison model has a point; None where it is not known."""
     known = shift is not None and np.isfinite(shift.distance_m)
     return {

@@ -147,8 +147,8 @@ def insert_service_rows(
         ]
         if meta.relief is not None:
             tables.append(f"{RELIEF}: Relief of the whole body")
-        if meta.comparison is not None:
-            tables.append(f"{COMPARISON}: Shifts of the points in a second terrain model")
+    if meta.comparison is not None:
+        tables.append(f"{COMPARISON}: Shifts of the points in a second terrain model")
     changed = meta.created_utc or UNDATED
     describe_geopackage(db, meta.body, meta.radius_m, changed, tables)
     POINT_LAYER.register(db, srs_of(meta.body, meta.radius_m)[0], extent, changed)

@@ -1,6 +1,10 @@
 """A second model of the same ground: the shifts that it shows are found, stored and judged."""
 
+import csv
+import json
 import logging
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -12,6 +16,7 @@ from catalog.build.build import run
 from catalog.config import resource
 from catalog.control_point import Flag
 from catalog.errors import ConfigError, DataError
+from catalog.inspect.export import export
 from catalog.inspect.summary import catalog_document, describe, describe_point, point_document
 from catalog.store.reader import Catalog
 from catalog.store.verify import verify
@@ -79,6 +84,24 @@ def test_shifts_are_shown_and_are_no_content(folder):
         other = point_document(plain.point(int(plain.ids[0])))
         assert other["comparison_e_m"] is None
         assert "comparison" not in describe_point(other)
+
+
+def test_a_layer_has_the_shifts_of_a_catalog_with_a_comparison(folder, tmp_path):
+    with Catalog.open(folder / "c.gpkg") as catalog:
+        for ending in (".csv", ".geojson", ".gpkg"):
+            export(catalog, tmp_path / f"layer{ending}")
+        shifts = [(s.east_m, s.north_m, s.score) for _, s in sorted(catalog.shifts.items())]
+    names = ["comparison_e_m", "comparison_n_m", "comparison_score"]
+    with (tmp_path / "layer.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [tuple(float(row[name]) for name in names) for row in rows] == shifts
+    features = json.loads((tmp_path / "layer.geojson").read_text())["features"]
+    assert [tuple(f["properties"][name] for name in names) for f in features] == shifts
+    with closing(sqlite3.connect(tmp_path / "layer.gpkg")) as db:
+        listed = "SELECT data_type FROM gpkg_contents WHERE table_name = 'optnav_comparison'"
+        assert db.execute(listed).fetchall() == [("attributes",)]
+        stored = "SELECT comparison_e_m, comparison_n_m, score FROM optnav_comparison ORDER BY id"
+        assert db.execute(stored).fetchall() == shifts
 
 
 def test_damaged_shifts_are_left_out_and_reported(folder, tmp_path):
