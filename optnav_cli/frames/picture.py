@@ -4,6 +4,7 @@ GDAL reads all of them, because it fails where a file breaks off, while some oth
 rest with zeros. With a PNG it does not fail, so the checksums of a PNG's chunks are checked here.
 """
 
+import math
 import struct
 import zlib
 from collections.abc import Callable
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 
-from catalog.arrays import Float32Array
+from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import DataError
 from catalog.inputs import check_input
 from catalog.rasters import PICTURES, open_raster, reading_raster
@@ -23,6 +24,8 @@ from optnav_cli.camera.camera import Camera
 
 # the highest value of the integer types pictures are taken with
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
+# No camera's counts end so low, and no surface but a specular one is as bright as I/F.
+HIGHEST_FRACTION = 16.0
 PIECE = 1 << 20  # bytes that are read at once
 _RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -32,7 +35,8 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 class Picture:
     """A picture's values and where they saturate.
 
-    values      (height, width) float32, in the units of the file
+    values      (height, width) float32, in the units of the file, or counts of 16 bits where those
+                are fractions
     saturation  the highest value the file can hold; None where its type has no such limit
     """
 
@@ -72,7 +76,21 @@ def load_picture(path: str | Path, camera: Camera) -> Picture:
     values, kind = _read(path, camera)
     saturation = _SATURATION.get(kind)
     _check_content(path, values, saturation)
-    return Picture(values.astype(np.float32), saturation)
+    return Picture(_counts(values).astype(np.float32), saturation)
+
+
+def _counts(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Values as they are, or brightness as I/F brought to counts, by a power of two.
+
+    What is lit is told from the sky's noise, which is taken for a rounding to whole counts at
+    least.
+    """
+    highest = float(values.max())
+    fractions = values.dtype.kind == "f" and bool((values != np.rint(values)).any())
+    if not fractions or not 0.0 < highest < HIGHEST_FRACTION:
+        return values
+    scaled: FloatArray = np.ldexp(values.astype(np.float64), 16 - math.frexp(highest)[1])
+    return scaled
 
 
 def _check_png(path: Path) -> None:

@@ -16,6 +16,7 @@ import rasterio
 from catalog.errors import DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import load_picture
+from optnav_cli.measurements.segmentation import measure_levels
 
 CAMERA = Camera("test", "pinhole", 200, 160, 300.0, (99.5, 79.5))
 
@@ -55,6 +56,24 @@ def test_a_float_tiff_has_no_saturation(tmp_path: Path) -> None:
     picture = load_picture(path, CAMERA)
     np.testing.assert_array_equal(picture.values, values)
     assert picture.saturation is None
+
+
+@pytest.mark.parametrize(("brightest", "exponent"), [(1.2, 15), (0.3, 17), (2e-4, 28)])
+def test_a_picture_of_brightness_below_a_count_is_not_empty(
+    brightest: float, exponent: int, tmp_path: Path
+) -> None:
+    rows, cols = np.indices(CAMERA.shape)
+    disc = np.hypot(rows - 80.0, cols - 100.0) < 40.0
+    noise = np.random.default_rng(3).normal(0.0, 0.002, CAMERA.shape)
+    values = (brightest * (0.7 * disc + noise)).astype(np.float32)
+    values[80, 100] = brightest
+    picture = load_picture(coloured(tmp_path / "a.tif", values[None], None), CAMERA)
+    np.testing.assert_array_equal(picture.values, values * np.float32(2.0**exponent))
+    threshold = measure_levels(picture.values).threshold
+    np.testing.assert_array_equal(picture.values > threshold, disc)
+    # whole numbers are counts, however few
+    whole = coloured(tmp_path / "b.tif", disc[None].astype(np.float32), None)
+    np.testing.assert_array_equal(load_picture(whole, CAMERA).values, disc)
 
 
 def coloured(path: Path, bands: np.ndarray, palette: dict[int, tuple[int, ...]] | None) -> Path:
