@@ -7,6 +7,7 @@ same names do. All errors that a user can mend are an `OptnavError`.
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -47,6 +48,7 @@ __all__ = [
     "NoFix",
     "OptnavError",
     "Patch",
+    "PictureKnowledge",
     "Reason",
     "ReasonCode",
     "Solution",
@@ -68,6 +70,22 @@ def load_camera(name: str | Path) -> Camera:
     return load_camera_file(path) if path.suffix == ".toml" else preset_camera(str(name))
 
 
+class PictureKnowledge(TypedDict, total=False):
+    """What may be known of a picture besides its camera, time and attitude.
+
+    attitude_sigma_arcsec  error of the attitude, 1 sigma an axis; 0: exact, as without it; None: a
+                           first guess only
+    position_m             (3,) prior position of the camera, body-fixed, m; without it by the limb
+    position_sigma_m       its error, 1 sigma a component
+    body                   path of the body's file, where it is none that ships with optnav
+    """
+
+    attitude_sigma_arcsec: float | None
+    position_m: Sequence[float] | None
+    position_sigma_m: float | None
+    body: str | Path | None
+
+
 def navigate_picture(
     picture: str | Path,
     camera: Camera,
@@ -75,35 +93,34 @@ def navigate_picture(
     *,
     utc: str,
     camera_from_body: Sequence[float],
-    attitude_sigma_arcsec: float | None = 0.0,
-    position_m: Sequence[float] | None = None,
-    position_sigma_m: float | None = None,
+    **known: Unpack[PictureKnowledge],
 ) -> Solution:
     """Find where a camera was when it took a picture of the body that the catalogs are of.
 
-    picture                a gray picture of the camera's size
-    catalogs               catalog files of one body that ships with optnav; the first has priority
-    utc                    time of the picture, as 2026-01-01T00:00:00Z; gives the Sun, by theory
-    camera_from_body       quaternion, scalar first, of the rotation that takes body-fixed vectors
-                           to the camera's axes: x right, y down, z into the picture
-    attitude_sigma_arcsec  its error, 1 sigma an axis; 0: exact; None: a first guess only
-    position_m             (3,) prior position of the camera, body-fixed, m; None: found by the limb
-    position_sigma_m       its error, 1 sigma a component
+    picture           a gray picture of the camera's size
+    catalogs          catalog files of one body; the first has priority
+    utc               time of the picture, as 2026-01-01T00:00:00Z; gives the Sun, by theory
+    camera_from_body  quaternion, scalar first, of the rotation that takes body-fixed vectors to the
+                      camera's axes: x right, y down, z into the picture
+    known             see `PictureKnowledge`
 
     Returns the fix or, in its place, the reason why there is none.
-    Raises DataError for a file that cannot be used, UsageError for a prior without its error and
-    for no catalog.
+    Raises DataError for a file that cannot be used, ConfigError for a body's, UsageError for a
+    prior without its error and for no catalog.
     """
+    if unknown := known.keys() - PictureKnowledge.__annotations__:
+        raise TypeError(f"navigate_picture takes no {', '.join(sorted(unknown))}")
+    position_m, position_sigma_m = known.get("position_m"), known.get("position_sigma_m")
     if (position_m is None) != (position_sigma_m is None):
         raise UsageError("position_m and position_sigma_m belong together: give both or none")
     if not catalogs:
         raise UsageError("name a catalog: it says which body the picture shows")
     picture, tdb_s = Path(picture), utc_to_tdb_s(utc)
-    sigma_rad = None
+    sigma_rad, attitude_sigma_arcsec = None, known.get("attitude_sigma_arcsec", 0.0)
     if attitude_sigma_arcsec is not None:
         sigma_rad = math.hypot(attitude_sigma_arcsec, camera.boresight_sigma_arcsec) * ARCSEC
     with open_catalogs([Path(path) for path in catalogs]) as found:
-        body = load_body(found[0].meta.body)
+        body = load_body(str(known.get("body") or found[0].meta.body))
         motion = AnalyticEphemeris(body)
         points = open_field(found, body)
         relief = whole_relief(found, None, body)

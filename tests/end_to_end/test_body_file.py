@@ -8,6 +8,7 @@ import pytest
 from catalog.build import build
 from catalog.config import resource
 from catalog.progress import SilentProgress
+from optnav_cli import api
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.runs.frame_worker import RunInputs
@@ -59,6 +60,20 @@ def test_a_body_of_a_file_is_built_flown_and_navigated(place: Path) -> None:
     build.run(place / "build.toml", output=catalog, bbox=BBOX, workers=1, progress=progress)
     simulate_folder(place / "scenario.toml", pictures, progress, workers=1)
     assert 'body = "selene.toml"' in (pictures / "run.toml").read_text(encoding="utf-8")
+    frame = read_folder(pictures).frames[0]
+    assert frame.camera_from_body is not None
+    assert frame.position_m is not None
+    solution = api.navigate_picture(
+        pictures / frame.file,
+        read_folder(pictures).cameras[frame.camera],
+        [catalog],
+        utc=frame.utc,
+        camera_from_body=frame.camera_from_body.as_quat(scalar_first=True).tolist(),
+        position_m=frame.position_m.tolist(),
+        position_sigma_m=frame.position_sigma_m,
+        body=place / "bodies/selene.toml",
+    )
+    assert solution.status == "solved"
     shutil.rmtree(place / "bodies")  # the folder of pictures has its own copy
     assert read_folder(pictures).body.name == "selene"
     navigate_folder(RunInputs(pictures, [catalog]), run, progress)
