@@ -96,7 +96,7 @@ def test_what_cannot_be_used_is_said(place, tmp_path):
         api.navigate_picture(
             picture, camera, catalogs, utc=UTC, camera_from_body=attitude, position_sigma_m=1.0
         )
-    with pytest.raises(TypeError, match="takes no position_sigma$"):
+    with pytest.raises(TypeError, match=r"takes no position_sigma$"):
         api.navigate_picture(
             picture, camera, catalogs, utc=UTC, camera_from_body=attitude, position_sigma=1.0
         )
