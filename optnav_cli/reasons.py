@@ -68,6 +68,7 @@ class ReasonCode(StrEnum):
     FEW_POINTS = "few_points", "too few control points were matched"
     POINTS_DISAGREE = "points_disagree", "the matches do not belong to one position"
     BY_CHANCE = "by_chance", "no more control points agree than chance offers"
+    WRONG_SUN = "wrong_sun", "the ground is lit from another side than the stated Sun"
     FAR_FROM_PRIOR = "far_from_prior", "the matches give a position that the prior excludes"
     POINTS_MISSING = "points_missing", "well-lit control points are not where the outline puts them"
     TOO_COARSE = "too_coarse", "a pixel sees more ground than the catalog's coarsest level resolves"

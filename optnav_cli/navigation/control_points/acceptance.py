@@ -2,16 +2,22 @@
 
 Least squares gives a pose for any matches, and searching again around a wrong pose finds new
 matches that agree with it. A pose is refused when the places scatter more than their stated
-errors, when chance finds such scores too, or when it lies where it cannot be. The second is an
-a-contrario test (Desolneux, Moisan, Morel, "Meaningful alignments", IJCV 2000): how often would
-unrelated ground offer as many scores as good as these?
+errors, when chance finds such scores too, when the ground is lit from another side than the Sun
+that is stated, or when it lies where it cannot be. The second is an a-contrario test (Desolneux,
+Moisan, Morel, "Meaningful alignments", IJCV 2000): how often would unrelated ground offer as many
+scores as good as these? The third is ours: the same ground lit from another side still correlates,
+a crater's width aside, and in many points at once, which no test against chance refuses.
 """
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri, gammaln
 
-from catalog.arrays import FloatArray
+from catalog.arrays import Float32Array, FloatArray
+from catalog.correlation.ncc import correlated, filtered
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import PositionPrior
@@ -38,6 +44,15 @@ MAX_VARIANCE_FACTOR = 9.0
 # Behind a blur what the model hides is in the sigmas: right frames of Phobos scatter 0.7 to 1.1
 # times as wide, and one that scattered 2.6 times as wide was off by 4 sigmas.
 MAX_PART_FACTOR = 2.25
+# Under a Sun of another azimuth the ground was found within so many nodes of the place that the
+# stated Sun gives: a pattern lit from another side is looked for so far.
+LIGHT_NODES = 10
+# So many points at most tell where the light comes from: each to a few degrees.
+LIGHT_POINTS = 6
+# Light from another side must explain so many times as much of the contrast as the stated Sun.
+LIGHT_GAIN = 2.0
+# And come from so far aside, deg.
+MIN_LIGHT_TURN_DEG = 45.0
 # As improbable is a distance from the prior that this share of right priors exceeds.
 PRIOR_PROBABILITY = 1e-6
 # A search always has room for a few nodes more, so a prior with a tiny sigma may be off by so much.
@@ -123,4 +138,61 @@ def rejection_of_place(
         ReasonCode.FAR_FROM_PRIOR,
         f"the matches put the camera {np.linalg.norm(offset) / 1e3:.1f} km from the prior, whose "
         f"sigma is {sigma / 1e3:.1f} km: the prior, its sigma or the camera file is wrong",
+    )
+
+
+class PointLight(NamedTuple):
+    """Where the light on a point's ground comes from, as its picture shows.
+
+    stated  share of the contrast that the template under the stated Sun explains, at its best place
+    free    share that light of any azimuth explains, at the best place of that
+    along, across  that light: as much of the stated Sun, as much of one 90 deg counter-clockwise
+    """
+
+    stated: float
+    free: float
+    along: float
+    across: float
+
+
+def point_light(
+    template: Float32Array, aside: Float32Array, window: Float32Array, margin_nodes: int
+) -> PointLight:
+    """The light on the ground of a template, from the picture about the place where it was found.
+
+    template, aside (n, n)  under the stated Sun and under one whose azimuth is 90 deg on
+    window (m, m)           of the picture, m - n even;  margin_nodes  of all three, as `match_ncc`
+
+    Shading is linear in the horizontal part of the Sun's direction, but for shadows: whatever the
+    azimuth, the contrast is nearly a sum of the two templates, and is fitted as one.
+    """
+    image = filtered(window, margin_nodes=margin_nodes)
+    pair = [filtered(grid, margin_nodes=margin_nodes) for grid in (template, aside)]
+    first, second = (np.maximum(correlated(grid, image), -0.999) for grid in pair)
+    values = [grid.values - grid.values.mean() for grid in pair]
+    size = [float(np.sqrt(np.mean(grid**2))) for grid in values]
+    if min(size) <= max(grid.floor for grid in pair):
+        return PointLight(0.0, 0.0, 0.0, 0.0)  # a plain has no side
+    common = float(np.mean(values[0] * values[1])) / (size[0] * size[1])
+    alone = max(1.0 - common**2, 0.1)  # else the azimuth shows in hardly anything
+    shares = (first**2 + second**2 - 2.0 * common * first * second) / alone
+    at = np.unravel_index(int(np.argmax(shares)), shares.shape)
+    one, other = float(first[at]), float(second[at])
+    stated = max(float(first.max()), 0.0) ** 2
+    along, across = (one - common * other) / size[0], (other - common * one) / size[1]
+    length = max(float(np.hypot(along, across)), 1e-30)
+    return PointLight(stated, float(shares[at]), along / length, across / length)
+
+
+def rejection_of_light(lights: Sequence[PointLight]) -> Reason:
+    """Why the picture of some points contradicts the stated Sun; empty when it does not."""
+    stated, free, along, across = np.reshape(lights, (-1, 4)).T
+    turn_deg = float(np.degrees(np.arctan2(free @ across, free @ along)))
+    if free.sum() <= LIGHT_GAIN * stated.sum() or abs(turn_deg) < MIN_LIGHT_TURN_DEG:
+        return NO_REASON
+    way = "counter-clockwise" if turn_deg > 0.0 else "clockwise"
+    return Reason(
+        ReasonCode.WRONG_SUN,
+        f"the ground is lit from about {abs(turn_deg):.0f} deg {way} (seen from above) of the "
+        "stated Sun: the direction to the Sun, the time or the attitude is wrong",
     )

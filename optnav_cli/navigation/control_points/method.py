@@ -11,9 +11,10 @@ from itertools import compress
 import numpy as np
 from scipy.linalg import block_diag
 
+from catalog.correlation.ncc import blur_nodes, cropped, thinned, thinning
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
-from catalog.geometry.vectors import squared_distance
+from catalog.geometry.vectors import squared_distance, unit
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import (
@@ -26,7 +27,7 @@ from optnav_cli.fix import (
     UnsolvedFrameError,
 )
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import PointMatch
+from optnav_cli.matching.point_match import MARGIN_NODES, PointMatch
 from optnav_cli.navigation.control_points import acceptance
 from optnav_cli.navigation.control_points.error_model import footprints, own_shares
 from optnav_cli.navigation.control_points.expectation import (
@@ -170,6 +171,7 @@ def _rejection(
     least = acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_DECADES
     most = acceptance.MAX_PART_FACTOR if parts else acceptance.MAX_VARIANCE_FACTOR
     reason = acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
+    reason = reason or acceptance.rejection_of_light(_lights(frame, last))
     scatter = float(np.sqrt(last.solution.variance_factor / most))
     return reason, GateMargins(decades - least, scatter)
 
@@ -192,6 +194,45 @@ def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings:
             strengths, shares, searched - len(whole), searched_postings
         )
     return decades
+
+
+def _lights(frame: FrameContext, last: _Pass) -> list[acceptance.PointLight]:
+    """Where the light on some of the used points comes from; none where scores leave no doubt."""
+    scores = np.array([last.matches[k].score or 0.0 for k in last.used])
+    if np.mean(scores**2) >= 1.0 / acceptance.LIGHT_GAIN:
+        return []  # no other light can explain so many times as much
+    step = max(len(scores) / acceptance.LIGHT_POINTS, 1.0)
+    some = [last.used[int(at)] for at in np.arange(0.0, len(scores) - 0.5, step)]
+    return [_light(frame, last, k) for k in some]
+
+
+def _light(frame: FrameContext, last: _Pass, k: int) -> acceptance.PointLight:
+    """The light on the ground of a used point at the solved pose."""
+    index, level, pose = int(last.view.index[k]), last.matches[k].level, last.solution.pose
+    reference = frame.points.reference(index)
+    if reference is None:
+        raise ValueError(f"point {index} was matched and has no patches")
+    posting, side = reference.patches[level].posting_m, _template_side(frame, last, k)
+    blur = blur_nodes(posting, float(frame.points.finest_postings_m(np.array([index]))[0]))
+    margin, room = (
+        int(np.ceil(nodes * thinning(blur))) for nodes in (MARGIN_NODES, acceptance.LIGHT_NODES)
+    )
+    heights = reference.heights(level, side + 2 * (margin + room))
+    turn = pose.camera_from_body.as_matrix()
+    pixels = frame.camera.project_from_body(
+        reference.surface(level, heights), pose.position_m, turn
+    )
+    window = frame.picture.sample(pixels, posting / float(last.view.metres_per_pixel[k]))
+    up, sun = unit(frame.points.verticals[index]), frame.sun_body
+    aside = np.cross(up, sun) + up * (up @ sun)
+    template, other = (
+        reference.render(level, cropped(heights, room), light, pose.position_m)
+        for light in (sun, aside)
+    )
+    if blur:
+        even = side % 2 == 0
+        template, other, window = (thinned(g, blur, even) for g in (template, other, window))
+    return acceptance.point_light(template, other, window, MARGIN_NODES)
 
 
 def _template_side(frame: FrameContext, last: _Pass, k: int) -> int:

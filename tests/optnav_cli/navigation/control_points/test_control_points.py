@@ -4,6 +4,7 @@ The truth must lie inside the stated covariance; and whatever is no picture of t
 this Sun, from near the prior, must never be solved.
 """
 
+import re
 from copy import copy
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from catalog.correlation.ncc import match_ncc
+from catalog.correlation.peak import Match
 from catalog.correlation.surf64 import match_surf
 from catalog.errors import DataError
 from catalog.terrain.error_model import TerrainErrorModel
@@ -20,10 +22,12 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.picture import Picture
+from optnav_cli.matching import point_match
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.control_points.method import navigate
 from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, SolveSettings
+from optnav_cli.reasons import ReasonCode
 
 SETTINGS = NavigateSettings(
     match=MatchSettings(template_nodes=48), solve=SolveSettings(free_attitude_deg=0.2)
@@ -337,6 +341,38 @@ def test_a_sun_from_the_wrong_side_is_never_solved(rough_world, field_of, scene,
     picture, pose, _ = scene
     sun = rough_world.sun(SUN[0], SUN[1] + turn_deg)
     reason(rough_world, field_of(rough_world), picture, pose, sun)
+
+
+def in_place(template, window, margin_nodes=0):
+    """Finds every template in the middle, and not well."""
+    return Match(0.0, 0.0, 0.4, -1.0, np.eye(2) * 1e-2)
+
+
+@pytest.mark.parametrize(
+    ("elevation_deg", "turn_deg"),
+    [(8.0, 0.0), (55.0, 0.0), (8.0, 150.0), (30.0, 90.0), (30.0, 180.0), (55.0, -100.0)],
+)
+def test_weak_matches_that_agree_are_refused_under_a_wrong_sun_alone(
+    rough_world, field_of, elevation_deg, turn_deg, monkeypatch
+):
+    """They are where they were found, in a noisy picture: nothing but the light can be wrong."""
+    monkeypatch.setattr(point_match, "with_remainder_covariance", lambda match, *_: match)
+    pose = rough_world.pose(100e3, roll=0.3, tilt=(0.01, -0.008))
+    picture = rough_world.picture(pose, rough_world.sun(elevation_deg, 65.0), snr=5.0)
+    prior = PositionPrior.isotropic(pose.position_m, 100.0, "test")
+    stated = rough_world.sun(elevation_deg, 65.0 + turn_deg)
+    seen = Observation("a.png", "", 0.0, rough_world.camera, Picture(picture, 255.0),
+                       pose.camera_from_body, 0.0, stated)  # fmt: skip
+    field = field_of(rough_world)
+    if turn_deg == 0.0:
+        navigate(seen, prior, field, SETTINGS, in_place)
+        return
+    with pytest.raises(UnsolvedFrameError, match="is lit from about") as caught:
+        navigate(seen, prior, field, SETTINGS, in_place)
+    assert caught.value.code == ReasonCode.WRONG_SUN
+    degrees, way = re.search(r"about (\d+) deg (counter-)?clockwise", str(caught.value)).groups()
+    found = float(degrees) if way else -float(degrees)  # azimuths count clockwise
+    assert abs((found - turn_deg + 180.0) % 360.0 - 180.0) < 15.0
 
 
 def test_a_focal_length_that_is_wrong_by_a_tenth_is_refused_by_the_prior(
