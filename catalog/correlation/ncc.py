@@ -235,6 +235,29 @@ def _sums(image: Float32Array, template: Float32Array) -> FloatArray:
     return cv2.matchTemplate(image, template, cv2.TM_CCORR).astype(np.float64)
 
 
+def match_cut(
+    reference: Float32Array, search: Float32Array, margin_nodes: int, remainder: bool
+) -> Match:
+    """As `match_ncc`, or as `match_masked` where the search grid lacks nodes of the reference.
+
+    remainder  whether the covariance is that of `with_remainder_covariance`
+    """
+    soft, image = high_pass(reference), filtered(search, margin_nodes)
+    template = Filtered(cropped(soft, margin_nodes), MIN_CONTRAST * _greatest_size(reference))
+    known = np.isfinite(cropped(reference, margin_nodes))
+    match = locate_peak(correlated(template, image), int(known.sum()))
+    inner = _place(search, template.values, match)
+    if (known & ~np.isfinite(inner)).any():
+        # zeros for what the grid lacks would pull the reference inward
+        match = match_masked(reference, search, margin_nodes)
+    elif remainder and np.isfinite(match.covariance).all():
+        both = np.isfinite(reference) & np.isfinite(_place(search, reference, match))
+        if both.all():
+            patch = _place(image.values, template.values, match)
+            return _by_remainder(match, soft, patch, both, margin_nodes)
+    return with_remainder_covariance(match, reference, search, margin_nodes) if remainder else match
+
+
 def with_remainder_covariance(
     match: Match, reference: Float32Array, search: Float32Array, margin_nodes: int
 ) -> Match:
@@ -244,24 +267,27 @@ def with_remainder_covariance(
     """
     if not np.isfinite(match.covariance).all():
         return match
-    room = (search.shape[0] - reference.shape[0]) // 2
-    row, col = int(np.rint(match.dy)), int(np.rint(match.dx))
-    rows, cols = (slice(room + at, room + at + reference.shape[0]) for at in (row, col))
-    seen = search[rows, cols]
-    both = np.isfinite(reference) & np.isfinite(seen)
-    if both.all():
-        template, patch = high_pass(reference), high_pass(seen)
-    else:
-        hole = np.float32(np.nan)
-        template, patch = (high_pass(np.where(both, g, hole)) for g in (reference, seen))
-    template = _moved(template, match.dx - col, match.dy - row)
-    inner = slice(margin_nodes, both.shape[0] - margin_nodes)
-    covariance = remainder_covariance(
-        cropped(template, margin_nodes),
-        cropped(patch, margin_nodes),
-        np.ascontiguousarray(both[inner, inner]),
-    )
-    return match._replace(covariance=covariance)
+    seen = _place(search, reference, match)
+    both, hole = np.isfinite(reference) & np.isfinite(seen), np.float32(np.nan)
+    template, patch = (high_pass(np.where(both, grid, hole)) for grid in (reference, seen))
+    return _by_remainder(match, template, cropped(patch, margin_nodes), both, margin_nodes)
+
+
+def _by_remainder(
+    match: Match, template: Float32Array, patch: Float32Array, both: BoolArray, margin_nodes: int
+) -> Match:
+    """With high-passed grids; the patch and what both have: about the nearest node of the match."""
+    x, y = match.dx - np.rint(match.dx), match.dy - np.rint(match.dy)
+    laid, inner = cropped(_moved(template, x, y), margin_nodes), slice(margin_nodes, -margin_nodes)
+    common = np.ascontiguousarray(both[inner, inner])
+    return match._replace(covariance=remainder_covariance(laid, patch, common))
+
+
+def _place(search: Float32Array, reference: Float32Array, match: Match) -> Float32Array:
+    """The nodes (n, n) of a search grid on which a reference lies where it was found."""
+    room, side = (search.shape[0] - reference.shape[0]) // 2, reference.shape[0]
+    row, col = room + int(np.rint(match.dy)), room + int(np.rint(match.dx))
+    return search[row : row + side, col : col + side]
 
 
 def _moved(grid: Float32Array, x: float, y: float) -> Float32Array:

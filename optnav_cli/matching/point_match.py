@@ -7,7 +7,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import (
     cropped,
-    match_masked,
+    match_cut,
     match_ncc,
     thinned,
     thinning,
@@ -125,14 +125,9 @@ def match_point(
     if blur_nodes:
         even = plan.template_nodes % 2 == 0
         template, window = thinned(template, blur_nodes, even), thinned(window, blur_nodes, even)
-    laid, match = _found(template, window, plan, matcher)
-    if matcher is match_ncc and _is_cut(laid, window, match):
-        # zeros for what the frame cuts would pull the template inward
-        match = match_masked(laid, window, MARGIN_NODES)
-    template, samples = laid, 0.0
-    if not blur_nodes:
-        match = with_remainder_covariance(match, template, window, MARGIN_NODES)
-    else:
+    template, match = _found(template, window, plan, matcher)
+    samples = 0.0
+    if blur_nodes:
         samples = _common_nodes(template, window, match) / nodes_a_sample(blur_nodes / step)
         # A template behind a blur of s nodes has few independent samples, too few for a spectrum of
         # what it leaves over. White noise under the blur is correlated over 2 pi s^2 nodes.
@@ -169,17 +164,16 @@ def _found(
     template: Float32Array, window: Float32Array, plan: SearchPlan, matcher: Matcher
 ) -> tuple[Float32Array, Match]:
     """A template, turned as it fits best, and where it is in a window."""
-    if plan.distortion == NO_DISTORTION:
-        return template, matcher(template, window, MARGIN_NODES)
-    rolls, scales = plan.distortion.rolls, plan.distortion.scales
-    found = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES)
-    return turned(template, found.roll, found.scale), found.match
-
-
-def _is_cut(template: Float32Array, window: Float32Array, match: Match) -> bool:
-    """Whether the window lacks nodes of a template where it was found."""
-    known = int(np.isfinite(cropped(template, MARGIN_NODES)).sum())
-    return _common_nodes(template, window, match) < known
+    if plan.distortion != NO_DISTORTION:
+        rolls, scales = plan.distortion.rolls, plan.distortion.scales
+        found = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES)
+        template = turned(template, found.roll, found.scale)
+    if matcher is match_ncc:
+        return template, match_cut(template, window, MARGIN_NODES, remainder=not plan.blur_nodes)
+    match = matcher(template, window, MARGIN_NODES)
+    if not plan.blur_nodes:
+        match = with_remainder_covariance(match, template, window, MARGIN_NODES)
+    return template, match
 
 
 def _common_nodes(template: Float32Array, window: Float32Array, match: Match) -> int:
@@ -258,17 +252,19 @@ def _block_means(pixels: FloatArray, top: IntArray, left: IntArray, side: int) -
     """Mean pixels (k, 2) of square blocks of a window (n, n, 2); what is NaN takes no part."""
     size = pixels.shape[0]
     # sums from the corner on, of which a block's is a difference: nine blocks as quick as one
-    sums, row = np.zeros((size + 1, size + 1, 3)), np.empty(3)
+    sums = np.zeros((size + 1, size + 1, 3))
     for i in range(size):
-        row[:] = 0.0
+        sum_x = sum_y = known = 0.0
         for j in range(size):
             x, y = pixels[i, j, 0], pixels[i, j, 1]
             if np.isfinite(x):
-                row[0] += x
-                row[1] += y
-                row[2] += 1.0
-            for k in range(3):
-                sums[i + 1, j + 1, k] = sums[i, j + 1, k] + row[k]
+                sum_x += x
+                sum_y += y
+                known += 1.0
+            above, below = sums[i, j + 1], sums[i + 1, j + 1]
+            below[0] = above[0] + sum_x
+            below[1] = above[1] + sum_y
+            below[2] = above[2] + known
     means = np.empty((top.size, 2))
     for n in range(top.size):
         upper, lower, west, east = top[n], top[n] + side, left[n], left[n] + side
