@@ -236,13 +236,18 @@ def _sums(image: Float32Array, template: Float32Array) -> FloatArray:
 
 
 def match_cut(
-    reference: Float32Array, search: Float32Array, margin_nodes: int, remainder: bool
+    reference: Float32Array,
+    search: Float32Array,
+    image: Filtered,
+    margin_nodes: int,
+    remainder: bool,
 ) -> Match:
     """As `match_ncc`, or as `match_masked` where the search grid lacks nodes of the reference.
 
+    image      of the search grid, `filtered`
     remainder  whether the covariance is that of `with_remainder_covariance`
     """
-    soft, image = high_pass(reference), filtered(search, margin_nodes)
+    soft = high_pass(reference)
     template = Filtered(cropped(soft, margin_nodes), MIN_CONTRAST * _greatest_size(reference))
     known = np.isfinite(cropped(reference, margin_nodes))
     match = locate_peak(correlated(template, image), int(known.sum()))

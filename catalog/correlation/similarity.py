@@ -60,25 +60,43 @@ def match_similarity(
     halved  for `match_ncc`: roll and scale from grids of half as many nodes, at a third of the time
     Raises ValueError for no roll or no scale.
     """
-    if not rolls or not scales:
-        raise ValueError("no roll or no scale to try")
-    pairs = [(roll, scale) for roll in rolls for scale in scales]
     if matcher is match_ncc:
         image = filtered(search, margin_nodes=margin_nodes)
-        score = half_pair_scores if halved else pair_scores
-        scored = score(reference, image, pairs, margin_nodes)
-        find: Callable[[Float32Array], Match] = partial(
-            match_in, image=image, margin_nodes=margin_nodes
-        )
-    else:
-        find = partial(matcher, search=search, margin_nodes=margin_nodes)
-        scored = [find(turned(reference, *pair)).score for pair in pairs]
+        roll, scale = best_pair(reference, image, rolls, scales, margin_nodes, halved)
+        match = match_in(turned(reference, roll, scale), image, margin_nodes)
+        return SimilarityMatch(match, roll, scale)
+    find = partial(matcher, search=search, margin_nodes=margin_nodes)
+    roll, scale = _refined_pair(
+        rolls, scales, lambda pairs: [find(turned(reference, *pair)).score for pair in pairs]
+    )
+    return SimilarityMatch(find(turned(reference, roll, scale)), roll, scale)
+
+
+def best_pair(
+    reference: Float32Array,
+    image: Filtered,
+    rolls: Sequence[float],
+    scales: Sequence[float],
+    margin_nodes: int,
+    halved: bool = False,
+) -> tuple[float, float]:
+    """Roll and scale of `match_similarity` by `match_ncc` in a filtered search grid."""
+    scores = half_pair_scores if halved else pair_scores
+    return _refined_pair(rolls, scales, lambda pairs: scores(reference, image, pairs, margin_nodes))
+
+
+def _refined_pair(
+    rolls: Sequence[float],
+    scales: Sequence[float],
+    scores_of: Callable[[list[tuple[float, float]]], Sequence[float]],
+) -> tuple[float, float]:
+    if not rolls or not scales:
+        raise ValueError("no roll or no scale to try")
+    scored = scores_of([(roll, scale) for roll in rolls for scale in scales])
     scores = np.reshape(scored, (len(rolls), len(scales)))
     i, j = divmod(int(np.argmax(scores)), len(scales))
     # a parabola's peak is less than half a step from the best pair: as good, or better
-    roll = _parabola_peak(rolls, scores[:, j], i)
-    scale = _parabola_peak(scales, scores[i, :], j)
-    return SimilarityMatch(find(turned(reference, roll, scale)), roll, scale)
+    return _parabola_peak(rolls, scores[:, j], i), _parabola_peak(scales, scores[i, :], j)
 
 
 def pair_scores(

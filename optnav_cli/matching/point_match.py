@@ -7,6 +7,7 @@ import numpy as np
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import (
     cropped,
+    filtered,
     match_cut,
     match_ncc,
     thinned,
@@ -14,7 +15,7 @@ from catalog.correlation.ncc import (
     with_remainder_covariance,
 )
 from catalog.correlation.peak import NODES_PER_SAMPLE, Match
-from catalog.correlation.similarity import Matcher, match_similarity, turned
+from catalog.correlation.similarity import Matcher, best_pair, match_similarity, turned
 from catalog.geometry.kernel import kernel
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
@@ -164,14 +165,19 @@ def _found(
     template: Float32Array, window: Float32Array, plan: SearchPlan, matcher: Matcher
 ) -> tuple[Float32Array, Match]:
     """A template, turned as it fits best, and where it is in a window."""
-    if plan.distortion != NO_DISTORTION:
-        rolls, scales = plan.distortion.rolls, plan.distortion.scales
-        found = match_similarity(template, window, rolls, scales, matcher, MARGIN_NODES)
-        template = turned(template, found.roll, found.scale)
+    turns = plan.distortion.rolls, plan.distortion.scales
+    remainder = not (plan.blur_nodes or plan.interim)
     if matcher is match_ncc:
-        return template, match_cut(template, window, MARGIN_NODES, remainder=not plan.blur_nodes)
-    match = matcher(template, window, MARGIN_NODES)
-    if not plan.blur_nodes:
+        image = filtered(window, MARGIN_NODES)
+        if plan.distortion != NO_DISTORTION:
+            template = turned(template, *best_pair(template, image, *turns, MARGIN_NODES))
+        return template, match_cut(template, window, image, MARGIN_NODES, remainder)
+    if plan.distortion == NO_DISTORTION:
+        match = matcher(template, window, MARGIN_NODES)
+    else:
+        match, *turn = match_similarity(template, window, *turns, matcher, MARGIN_NODES)
+        template = turned(template, *turn)
+    if remainder:
         match = with_remainder_covariance(match, template, window, MARGIN_NODES)
     return template, match
 

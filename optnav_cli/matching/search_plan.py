@@ -41,6 +41,7 @@ class SearchPlan:
     metres_per_pixel  ground sample distance at the point
     distortion        rolls and scales to try, where the pose may be off by so much that it shows
     blur_nodes        sigma of a blur on both sides, where patches are finer than what is known
+    interim           whether finer levels follow, for which a rough covariance will do
     """
 
     level: int
@@ -49,6 +50,7 @@ class SearchPlan:
     metres_per_pixel: float
     distortion: Distortion = NO_DISTORTION
     blur_nodes: float = 0.0
+    interim: bool = False
 
 
 def finest_level(

@@ -15,7 +15,7 @@ from catalog.correlation.ncc import blur_nodes, cropped, thinned, thinning
 from catalog.correlation.similarity import Matcher
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance, unit
-from optnav_cli.estimation.models.points import Pose
+from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.estimation.resection import Resection
 from optnav_cli.fix import (
     Evidence,
@@ -43,8 +43,10 @@ from optnav_cli.navigation.observation import Observation
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
-# The pose stands still when a pass moves it by less than this share of its sigma.
-SETTLED_SIGMAS = 0.1
+# The pose stands still when a pass moves it by less than this share of its sigma, or the points in
+# the picture by so little (rms, nodes of their levels) that the next one would compare the same
+# pixels: a tenth of the way is left to it, below the 0.006 nodes that a frame has in common.
+SETTLED_SIGMAS, SETTLED_NODES = 0.1, 0.05
 NO_POINTS = Evidence(n_predicted=0, n_matched=0, n_used=0)
 OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")
 
@@ -54,6 +56,7 @@ class _Pass:
     """All points of a frame searched once from one pose, and the pose that they gave.
 
     moved              how far that is from the pose before, sigmas
+    moved_nodes        and the points in the picture, rms, nodes of their levels
     searched_postings  how far the points were searched, postings of the terrain model
     """
 
@@ -62,6 +65,7 @@ class _Pass:
     solution: Resection
     evidence: Evidence
     moved: float
+    moved_nodes: float
     at_finest: bool
     searched_postings: float
 
@@ -117,8 +121,10 @@ def _is_settled(passes: list[_Pass]) -> bool:
     """Whether the finest levels were searched and the pose moves no more."""
     if not passes or not passes[-1].at_finest:
         return False
-    again = len(passes) > 1 and passes[-2].at_finest
-    return passes[-1].moved < (1.0 if again else SETTLED_SIGMAS)
+    last, again = passes[-1], len(passes) > 1 and passes[-2].at_finest
+    if len(passes) > 1 and last.moved_nodes < SETTLED_NODES:  # the first takes some points only
+        return True
+    return last.moved < (1.0 if again else SETTLED_SIGMAS)
 
 
 def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> _Pass:
@@ -154,7 +160,20 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         raise UnsolvedFrameError(reason, _evidence(frame, prior, view, matches, None))
     moved = float(np.sqrt(squared_distance(position - pose.position_m, covariance_m2)))
     evidence = _evidence(frame, prior, view, matches, solution)
-    return _Pass(view, matches, solution, evidence, moved, at_finest, searched)
+    nodes = _moved_nodes(frame, view, matches, solution.pose)
+    return _Pass(view, matches, solution, evidence, moved, nodes, at_finest, searched)
+
+
+def _moved_nodes(
+    frame: FrameContext, view: ExpectedPoints, matches: list[PointMatch], pose: Pose
+) -> float:
+    """How far matched points lie at a pose from where they were searched, rms, nodes."""
+    kept = accepted(matches)
+    pixels, _ = predict(frame.camera, pose, frame.points.xyz_m[view.index[kept]])
+    postings = [frame.points.postings_m(int(view.index[k]))[matches[k].level] for k in kept]
+    nodes = view.metres_per_pixel[kept] / np.array(postings)
+    away = np.linalg.norm(pixels - view.pixels[kept], axis=1) * nodes
+    return float(np.sqrt(np.mean(away**2)))
 
 
 def _rejection(

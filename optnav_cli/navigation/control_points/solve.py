@@ -72,7 +72,7 @@ class _Search:
         scale_sigma = self.height_sigma_m / float(away)
         distortion = plan_distortion(template, self.roll_sigma, scale_sigma, DISTORTION_SIGMAS)
         blur = blur_nodes(posting, known)
-        plan = SearchPlan(level, template, room, sample, distortion, blur)
+        plan = SearchPlan(level, template, room, sample, distortion, blur, level > finest)
         return match_point(
             reference,
             plan,

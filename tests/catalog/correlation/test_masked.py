@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from catalog.correlation.ncc import match_masked, match_ncc
+from catalog.correlation.ncc import (
+    filtered,
+    match_cut,
+    match_masked,
+    match_ncc,
+    with_remainder_covariance,
+)
 
 MARGIN, SIDE, ROOM = 8, 40, 6
 
@@ -56,3 +62,23 @@ def test_a_search_without_ground_matches_nowhere():
     template, search = scene()
     match = match_masked(template, np.full_like(search, np.nan), MARGIN)
     assert match.score == -1.0
+
+
+def test_a_grid_is_compared_in_part_where_it_is_cut_and_whole_where_it_is_not():
+    template, search = scene()
+    cut = search.copy()
+    cut[:, 44:] = np.nan
+    for grid, match in ((search, match_ncc), (cut, match_masked)):
+        plain = match(template, grid, MARGIN)
+        again = match_cut(template, grid, filtered(grid, MARGIN), MARGIN, remainder=False)
+        assert again[:4] == plain[:4]
+        assert np.array_equal(again.covariance, plain.covariance)
+
+
+def test_a_filtered_search_grid_gives_the_covariance_of_the_remainder():
+    template, search = scene()
+    search += gaussian_filter(np.random.default_rng(8).normal(size=search.shape), 2.0) / 20.0
+    apart = with_remainder_covariance(match_ncc(template, search, MARGIN), template, search, MARGIN)
+    at_once = match_cut(template, search, filtered(search, MARGIN), MARGIN, remainder=True)
+    assert np.allclose(at_once.covariance, apart.covariance, rtol=0.1, atol=1e-5)
+    assert at_once[:2] == apart[:2]

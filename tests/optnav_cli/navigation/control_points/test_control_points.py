@@ -23,6 +23,7 @@ from optnav_cli.estimation.models.points import Pose
 from optnav_cli.fix import PositionPrior, UnsolvedFrameError
 from optnav_cli.frames.picture import Picture
 from optnav_cli.matching import point_match
+from optnav_cli.navigation.control_points import method
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.control_points.method import navigate
 from optnav_cli.navigation.observation import Observation
@@ -127,6 +128,22 @@ def test_with_an_exact_attitude_the_truth_lies_inside_four_sigma(
     used = [point for point in fix.evidence.matches if point.used]
     assert len(used) >= 0.9 * len(fix.evidence.matches) >= 12
     assert np.sqrt(np.mean([point.residual_px**2 for point in used])) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("passes", "settled"),
+    [
+        (((9.0, 0.01, True),), False),  # of some of the points only
+        (((9.0, 2.0, False), (3.0, 0.04, True)), True),
+        (((9.0, 2.0, False), (3.0, 0.06, True)), False),
+        (((9.0, 2.0, False), (3.0, 0.04, False)), False),
+        (((9.0, 2.0, True), (0.9, 0.06, True)), True),
+    ],
+)
+def test_no_pass_repeats_what_the_one_before_saw(passes, settled):
+    """Passes by how far they moved the pose, sigmas and nodes, and whether at the finest levels."""
+    none = None, [], None, method.NO_POINTS
+    assert method._is_settled([method._Pass(*none, *one, 0.0) for one in passes]) == settled
 
 
 def test_the_stated_error_of_the_terrain_model_widens_the_sigmas(rough_world, field_of, scene):
