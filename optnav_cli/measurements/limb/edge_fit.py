@@ -206,9 +206,9 @@ def common_shape(profiles: Profiles, levels: Levels, saturation: float) -> EdgeS
     gain = START_GAIN_SHARE**2 * (levels.bright - levels.sky)
     shape = EdgeShape(START_BLUR_PX, (MIXTURE_PRIOR, MIXTURE_PRIOR), levels.noise**2, gain)
     for _ in range(2):
-        shape = _better(fitter, shape)
-        shape = replace(shape, gain=_gain(fitter, shape))
-    return shape
+        found, jacobian, residual = _better(fitter, shape)
+        shape = replace(found, gain=_gain(fitter, found))
+    return replace(shape, common_sigma_px=_common_sigma(fitter, found, jacobian, residual))
 
 
 def locate_edges(
@@ -228,8 +228,11 @@ def locate_edges(
     return depth, np.sqrt(spread * np.maximum(factor, 0.5) + MODEL_SIGMA_PX**2)
 
 
-def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
-    """The shape whose edges leave the smallest residuals, by Gauss-Newton with differences."""
+def _better(fitter: _Fitter, start: EdgeShape) -> tuple[EdgeShape, FloatArray, FloatArray]:
+    """The shape whose edges leave the smallest residuals, by Gauss-Newton with differences.
+
+    Also returns the last Jacobian and the residuals.
+    """
 
     def residuals(values: FloatArray) -> FloatArray:
         second, third = float(values[1]), float(values[2])
@@ -265,7 +268,7 @@ def _better(fitter: _Fitter, start: EdgeShape) -> EdgeShape:
         if (np.abs(move) < SHAPE_STEPS).all():
             break
     found = replace(start, blur_px=float(best[0]), mixture=(float(best[1]), float(best[2])))
-    return replace(found, common_sigma_px=_common_sigma(fitter, found, jacobian, at_best))
+    return found, jacobian, at_best
 
 
 def _common_sigma(

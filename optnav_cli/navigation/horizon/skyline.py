@@ -20,6 +20,9 @@ SETTLING_PASSES = 4
 # After these a skyline that must converge is given up when a pass moves the position by more than
 # this share of the pass before.
 MAX_MOVE_SHARE = 0.8
+# Moves over a relief shrink from pass to pass at about one rate; the next one is expected at most
+# so many times as large as that says.
+RATE_MARGIN = 3.0
 
 
 class SkylineFit(NamedTuple):
@@ -103,6 +106,8 @@ def follow(
         step = fit.estimate.state - position
         before, moved = moved, float(np.linalg.norm(step))
         position = fit.estimate.state
+        if not skyline.must_converge and passes > 1:
+            step = step * min(1.0, RATE_MARGIN * moved / before)
         if skyline.stands_still(step, fit.estimate):
             return Followed(fit, passes, moved, True)
         slow = skyline.must_converge and passes > SETTLING_PASSES
