@@ -65,8 +65,22 @@ def _is_cached(compiled: Any) -> bool:
     # and its key knows the kernel's own file alone, not those of the kernels that it calls
     own_key = compiled._cache._index_key
     compiled._cache._index_key = lambda *of: (*own_key(*of), _called_code(compiled.py_func))
+    _forget_moved_types(compiled._cache._cache_file)
     _compile_in_turn(compiled._cache, compiled.py_func.__qualname__)
     return True
+
+
+def _forget_moved_types(file: Any) -> None:
+    """Take a cache of a former version that names types of modules gone since for an empty one."""
+    load_index = file._load_index
+
+    def load_or_forget() -> Any:
+        try:
+            return load_index()
+        except (ImportError, AttributeError):
+            return {}
+
+    file._load_index = load_or_forget
 
 
 def _compile_in_turn(cache: Any, name: str) -> None:

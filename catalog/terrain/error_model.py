@@ -18,12 +18,11 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from catalog.arrays import FloatArray
 from catalog.config import Positive, load_toml, nearest_name, resource
 from catalog.errors import ConfigError
-from catalog.terrain.synthetic.model_error import ErrorSpectrum
 
 FILE = "configs/models/terrain.toml"
 BOX_KM = 2.0  # that error_m of a raster is the rms over
@@ -70,6 +69,29 @@ class MeshProduct(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     error: Positive
     resolution: Positive
     source: str
+
+
+class ErrorSpectrum(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Rms error of a model against the size of the ground that is averaged, and against slope.
+
+    box_km, rms_m          sides of squares, rising, and the rms of the error's means over them, on
+                           ground of the reference slope
+    slope, slope_rms_m     rms slopes, rising, and the rms error of the smallest box on such ground;
+                           it stays the same below the first and above the last
+    reference_slope        of the ground that rms_m is for
+    """
+
+    box_km: tuple[float, ...]
+    rms_m: tuple[float, ...]
+    slope: tuple[float, ...] = (0.085,)
+    slope_rms_m: tuple[float, ...] = (1.0,)
+    reference_slope: float = 0.085
+
+    def factor(self, slope: ArrayLike) -> FloatArray:
+        """By how much the error on ground of an rms slope exceeds that of `rms_m`."""
+        at = np.interp(np.asarray(slope, np.float64), self.slope, self.slope_rms_m)
+        whole: FloatArray = at / np.interp(self.reference_slope, self.slope, self.slope_rms_m)
+        return whole
 
 
 class TerrainLaws(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -21,9 +21,9 @@ from catalog.geometry.grid import sample_bicubic
 from catalog.rendering.rays.ground import Ground, make_ground
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.error_model import ErrorSpectrum
 from catalog.terrain.synthetic.model_error import (
     SLOPE_BASE_M,
-    ErrorSpectrum,
     ModelError,
     SlopeMap,
     rms_slope,

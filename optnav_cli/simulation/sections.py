@@ -12,8 +12,8 @@ from catalog.bodies.body import Body
 from catalog.config import NotNegative, Slope, Turn
 from catalog.errors import ConfigError
 from catalog.photometry.hapke import LUNAR, HapkeParameters
-from catalog.terrain.error_model import terrain_laws
-from catalog.terrain.synthetic.model_error import ErrorSpectrum, ModelError, SlopeMap
+from catalog.terrain.error_model import ErrorSpectrum, terrain_laws
+from catalog.terrain.synthetic.model_error import ModelError, SlopeMap
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
 Inclination = Annotated[float, Meta(ge=0.0, le=180.0)]

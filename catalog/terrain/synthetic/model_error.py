@@ -9,7 +9,6 @@ the slope of the ground about a place. Its finest octaves are the relief that th
 from dataclasses import dataclass
 from functools import cached_property
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
@@ -18,6 +17,7 @@ from scipy.optimize import nnls
 from catalog.arrays import Float32Array, FloatArray
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.latlon import Lattice, xyz_from_latlon
+from catalog.terrain.error_model import ErrorSpectrum
 from catalog.terrain.synthetic import fractal
 
 # rms of means of one octave of noise, amplitude and spacing 1, over squares of these sides; found
@@ -30,47 +30,27 @@ SLOPE_REACH_M = 6000.0  # standard deviation of the neighbourhood whose rms slop
 STREAM = 1 << 40  # keeps the noise apart from that of relief with the same seed
 
 
-class ErrorSpectrum(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Rms error of a model against the size of the ground that is averaged, and against slope.
-
-    box_km, rms_m          sides of squares, rising, and the rms of the error's means over them, on
-                           ground of the reference slope
-    slope, slope_rms_m     rms slopes, rising, and the rms error of the smallest box on such ground;
-                           it stays the same below the first and above the last
-    reference_slope        of the ground that rms_m is for
-    """
-
-    box_km: tuple[float, ...]
-    rms_m: tuple[float, ...]
-    slope: tuple[float, ...] = (0.085,)
-    slope_rms_m: tuple[float, ...] = (1.0,)
-    reference_slope: float = 0.085
-
-    def factor(self, slope: ArrayLike) -> FloatArray:
-        """By how much the error on ground of an rms slope exceeds that of `rms_m`."""
-        at = np.interp(np.asarray(slope, np.float64), self.slope, self.slope_rms_m)
-        whole: FloatArray = at / np.interp(self.reference_slope, self.slope, self.slope_rms_m)
-        return whole
-
-    def octaves(self, seed: int, smallest_m: float, radius_m: float) -> fractal.Octaves:
-        """Noise with this spectrum, down to a smallest lattice spacing."""
-        boxes = 1e3 * np.array(self.box_km)
-        # of the waves that are twice as long as the smallest box and so just show in it
-        first = 2.0 * boxes[0] / fractal.WAVELENGTH
-        coarse = first * 2.0 ** np.arange(1, 2 + np.ceil(np.log2(boxes[-1] / boxes[0])))
-        count = max(1, 1 + int(np.floor(np.log2(first / smallest_m))))
-        fine = first / 2.0 ** np.arange(count)
-        # the fine ones stand in a fixed proportion, as relief of a power law does
-        shape = (fine / fine[0]) ** HURST
-        own = (box_rms(boxes, fine) ** 2 @ shape**2)[:, None]
-        parts = np.concatenate([own, box_rms(boxes, coarse) ** 2], axis=1)
-        # between shares of the variance and metres: small boxes, whose error is large, count more
-        weights = np.array(self.rms_m) ** -1.0
-        power, _ = nnls(parts * weights[:, None], np.array(self.rms_m) ** 2 * weights)
-        spacing = np.concatenate([coarse[::-1], fine])
-        amplitude = np.sqrt(np.concatenate([power[:0:-1], power[0] * shape**2]))
-        held = amplitude > 0.0
-        return fractal.Octaves(seed + STREAM, spacing[held], amplitude[held], radius_m)
+def octaves_of(
+    spectrum: ErrorSpectrum, seed: int, smallest_m: float, radius_m: float
+) -> fractal.Octaves:
+    """Noise with a spectrum, down to a smallest lattice spacing."""
+    boxes = 1e3 * np.array(spectrum.box_km)
+    # of the waves that are twice as long as the smallest box and so just show in it
+    first = 2.0 * boxes[0] / fractal.WAVELENGTH
+    coarse = first * 2.0 ** np.arange(1, 2 + np.ceil(np.log2(boxes[-1] / boxes[0])))
+    count = max(1, 1 + int(np.floor(np.log2(first / smallest_m))))
+    fine = first / 2.0 ** np.arange(count)
+    # the fine ones stand in a fixed proportion, as relief of a power law does
+    shape = (fine / fine[0]) ** HURST
+    own = (box_rms(boxes, fine) ** 2 @ shape**2)[:, None]
+    parts = np.concatenate([own, box_rms(boxes, coarse) ** 2], axis=1)
+    # between shares of the variance and metres: small boxes, whose error is large, count more
+    weights = np.array(spectrum.rms_m) ** -1.0
+    power, _ = nnls(parts * weights[:, None], np.array(spectrum.rms_m) ** 2 * weights)
+    spacing = np.concatenate([coarse[::-1], fine])
+    amplitude = np.sqrt(np.concatenate([power[:0:-1], power[0] * shape**2]))
+    held = amplitude > 0.0
+    return fractal.Octaves(seed + STREAM, spacing[held], amplitude[held], radius_m)
 
 
 def box_rms(boxes_m: FloatArray, spacing_m: FloatArray) -> FloatArray:
@@ -162,7 +142,7 @@ class ModelError:
 
     @cached_property
     def _octaves(self) -> fractal.Octaves:
-        return self.spectrum.octaves(self.seed, self.smallest_m, self.radius_m)
+        return octaves_of(self.spectrum, self.seed, self.smallest_m, self.radius_m)
 
     def window(
         self, north: float, west: float, step_lat: float, step_lon: float, rows: int, cols: int

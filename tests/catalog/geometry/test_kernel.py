@@ -168,6 +168,27 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(
     assert [hits for _, hits in printed] == ["0", "1", "0"]
 
 
+def test_a_kernel_of_a_type_whose_module_was_renamed_is_compiled_anew(tmp_path: Path) -> None:
+    pair = "from typing import NamedTuple\nclass Pair(NamedTuple):\n    a: float\n    b: float\n"
+    env = os.environ | {"PYTHONPATH": f"{CHECKOUT}{os.pathsep}{tmp_path}"}
+    env |= {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    printed = []
+    for name in ("former", "later", "later"):
+        (tmp_path / f"{name}.py").write_text(pair)
+        (tmp_path / "outer.py").write_text(
+            f"from {name} import Pair\nfrom catalog.geometry.kernel import kernel\n"
+            "@kernel\ndef outer(pair):\n    return pair.a + pair.b\n"
+            "print(outer(Pair(1.0, 2.0)), sum(outer.stats.cache_hits.values()))\n"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", "import outer"],
+            cwd=tmp_path, capture_output=True, text=True, env=env, check=True,
+        )  # fmt: skip
+        printed.append(done.stdout.split() + done.stderr.splitlines())
+        (tmp_path / "former.py").unlink(missing_ok=True)
+    assert printed == [["3.0", "0"], ["3.0", "0"], ["3.0", "1"]]
+
+
 def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path: Path) -> None:
     """The first to come takes its time and says so; the second begins after that word."""
     (tmp_path / "some_kernel.py").write_text(KERNEL)
