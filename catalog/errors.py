@@ -10,8 +10,7 @@ DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 
 # Of a message: a name out of a damaged table, which it quotes, may have any length.
-MAX_LETTERS = 3000
-KEPT_LETTERS = 1000  # at each end of a longer one
+MAX_LETTERS = 2000
 
 
 class OptnavError(Exception):
@@ -25,10 +24,9 @@ class OptnavError(Exception):
 
 def bounded(message: str) -> str:
     """A message whose middle is left out if it is longer than any person reads."""
-    left_out = len(message) - 2 * KEPT_LETTERS
     if len(message) <= MAX_LETTERS:
         return message
-    return f"{message[:KEPT_LETTERS]}...({left_out} letters)...{message[-KEPT_LETTERS:]}"
+    return f"{message[: MAX_LETTERS // 2]} [...] {message[-MAX_LETTERS // 2 :]}"
 
 
 class UsageError(OptnavError):

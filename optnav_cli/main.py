@@ -16,14 +16,13 @@ from typing import NoReturn
 import click
 
 import catalog
-from catalog.errors import OptnavError, OutputError
+from catalog.errors import OptnavError, OutputError, bounded
+from optnav_cli.console import is_set_up, make_patient, undelivered
 from optnav_cli.options import IN_FILES, Entry, LazyGroup
-from optnav_cli.streams import make_patient, undelivered
 
 COMPLETE, SHELLS = "_OPTNAV_COMPLETE", ("bash", "zsh", "fish")
 INTERRUPTED = 130
 BAD_PLACE = 3
-MAX_MESSAGE = 2000  # letters
 
 # Errors of the operating system when an output place cannot be used, and what to do about it.
 PLACE_ERRORS = {
@@ -56,7 +55,7 @@ COMMANDS = {
     ),
     "simulate": Entry(_PICTURES, "Make a folder of pictures with known positions.", "simulate"),
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
-    "adjust": Entry(f"{_HERE}.adjust", "Adjust the frames of runs, and what is common to them."),
+    "adjust": Entry(_PICTURES, "Adjust the frames of runs, and what is common to them.", "adjust"),
     "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),
     "export": Entry(_PICTURES, "Write a run as layers for GIS programs.", "export"),
     "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),
@@ -135,10 +134,8 @@ def _fail(message: str, code: int) -> int:
     """Write why the command ends to stderr, and to the log file if there is one."""
     import logging
 
-    if len(message) > MAX_MESSAGE:  # it quotes a name or a value of the input
-        message = f"{message[: MAX_MESSAGE // 2]} [...] {message[-MAX_MESSAGE // 2 :]}"
-    console = sys.modules.get("optnav_cli.console")
-    if console is not None and console.is_set_up():
+    message = bounded(message)  # it quotes a name or a value of the input
+    if is_set_up():
         logging.getLogger(__name__).error("%s", message)
     else:  # the command line was wrong: no logging yet
         click.echo(f"optnav: {message}", err=True)

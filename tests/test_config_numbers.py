@@ -25,8 +25,7 @@ from optnav_cli.frames.archive_frame import ImportTable, load_table
 from optnav_cli.navigation.settings import NavigateSettings, load_settings
 from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.inertial_path import InertialPath
-from optnav_cli.simulation.passes import Scenario
-from optnav_cli.simulation.portraits import Portraits
+from optnav_cli.simulation.passes import Portraits, Scenario
 from optnav_cli.simulation.scenario import load_scenario, scenario_cameras, scenario_motion
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"

@@ -25,11 +25,10 @@ from catalog.control_point import ControlPoint
 from catalog.errors import ConfigError, NothingToDoError, UsageError
 from catalog.files import check_file
 from catalog.jobs import MAX_WORKERS, usage
-from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import Account, StageAccount
 from catalog.jobs.workers import available_cores, workers_of
-from catalog.jobs.workspace import MARK, Workspace, encode_records, stage_key
+from catalog.jobs.workspace import MARK, ChunkResults, Workspace, encode_records, stage_key
 from catalog.places import claimed
 from catalog.progress import Progress, SilentProgress, logged_stage
 from catalog.store.connection import SIDECARS, is_catalog_file

@@ -17,7 +17,7 @@ from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.geometry.projection import MapProjection
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
-from catalog.selection.match_error import uniqueness_margin
+from catalog.selection.localisation import uniqueness_margin
 from catalog.store.records import rounded_point
 from catalog.terrain.skyline.local import skyline_limits_deg
 

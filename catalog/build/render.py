@@ -17,8 +17,7 @@ from catalog.build.shortlist import shortlists
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import MapProjection
 from catalog.rendering.map_view import render_map_quickly
-from catalog.selection.localisation import hessian_eigenvalue
-from catalog.selection.match_error import predict_match
+from catalog.selection.localisation import hessian_eigenvalue, predict_match
 
 # Ground about all windows that throws shadows into them. Farther relief is left out: under a Sun of
 # 8 deg what stands higher than a seventh of its distance would count.

@@ -12,6 +12,7 @@ from catalog.correlation.ncc import blur_nodes
 from catalog.geometry.projection import MapProjection, Stereographic
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.trial import (
+    FINER,
     Gate,
     Level,
     Outcome,
@@ -20,7 +21,6 @@ from catalog.selection.trial import (
     run_trial,
     truth_size,
 )
-from catalog.selection.trial_picture import FINER
 from catalog.terrain.synthetic.relief import SyntheticRelief
 
 TRIAL_LEVELS = 2  # the search starts one level above the finest

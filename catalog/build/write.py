@@ -26,10 +26,9 @@ from catalog.build.ingest import chunks_of
 from catalog.control_point import ControlPoint
 from catalog.errors import DataError
 from catalog.files import stored_json
-from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers
-from catalog.jobs.workspace import Workspace
+from catalog.jobs.workspace import ChunkResults, Workspace
 from catalog.progress import Progress
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
 from catalog.store.manifest import CatalogMeta, ComparisonMeta, PlanesMeta

@@ -11,16 +11,19 @@ optnav_comparison  where a second terrain model has the points; only in a catalo
 import sqlite3
 
 from catalog.store.geopackage import (
+    GREEN,
+    RED,
     UNDATED,
     Box,
     FeatureLayer,
+    Rule,
     create_geopackage,
     describe_geopackage,
     srs_of,
+    style_qml,
     system_rows,
 )
 from catalog.store.manifest import CatalogMeta
-from catalog.store.style import GREEN, RED, Rule, style_qml
 
 # A row of 3-9 kB lies whole within a page of 64 kB, nine to a page; with 4 kB pages each row
 # would chain pages of its own and leave half of its last one empty: a third more file.

@@ -337,21 +337,20 @@ def catalog_export(catalog: Path, output: Path, point_id: int | None, level: int
     """
     from catalog.errors import UsageError
     from catalog.inspect import export as layers
-    from catalog.inspect import geotiff
     from catalog.store.reader import Catalog
 
     ending = output.suffix.lower()
-    if point_id is not None and ending not in (*geotiff.ENDINGS, *layers.PATCH_ENDINGS):
+    if point_id is not None and ending not in (*layers.RASTER_ENDINGS, *layers.PATCH_ENDINGS):
         raise UsageError(
             f"{output}: a patch of --point is written as .tif, .obj or .glb; choose one of these "
             "endings, or leave --point out for a layer of all points"
         )
     with Catalog.open(catalog) as opened:
-        if ending in geotiff.ENDINGS and point_id is not None:
-            side = geotiff.export_patch_heights(opened, point_id, level, output)
+        if ending in layers.RASTER_ENDINGS and point_id is not None:
+            side = layers.export_patch_heights(opened, point_id, level, output)
             click.echo(f"{output}: {side} x {side} nodes")
-        elif ending in geotiff.ENDINGS:
-            rows = geotiff.export_relief(opened, output)
+        elif ending in layers.RASTER_ENDINGS:
+            rows = layers.export_relief(opened, output)
             click.echo(f"{output}: {rows} x {2 * rows} cells")
         elif ending in layers.PATCH_ENDINGS:
             if point_id is None:

@@ -15,7 +15,7 @@ from scipy.special import chdtri  # chi-square that is exceeded with a probabili
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import squared_distance
-from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.dynamics.forces import OrbitMotion
 from optnav_cli.estimation.least_squares import (
     Iteration,
     Linearisation,

@@ -15,10 +15,9 @@ from catalog.files import replacing_file, starts_with
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import logged_stage
 from catalog.tables import CsvRow
-from optnav_cli.evaluation.attitude_frame import other_frame
 from optnav_cli.evaluation.evaluation import Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures
-from optnav_cli.evaluation.motion import TimedPlace, directions_of_motion
+from optnav_cli.evaluation.motion import TimedPlace, directions_of_motion, other_frame
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
 from optnav_cli.output.document import json_text

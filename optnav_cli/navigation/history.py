@@ -8,8 +8,7 @@ import numpy as np
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.dynamics.arc import GATE, ArcDisagreement, OrbitArc, TimedPosition
-from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.fix import Fix, PositionPrior
 
 # Cameras that are triggered together; a low orbit goes 2 m in it.

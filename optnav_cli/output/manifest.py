@@ -1,20 +1,29 @@
-"""manifest.json: what an output was made from, by which versions; the mark of optnav's outputs."""
+"""manifest.json: what an output was made from, by which versions; the mark of optnav's outputs.
+
+And what a stopped command leaves: its finished pieces, in a work folder beside the output.
+"""
 
 import importlib.metadata
 import json
+import os
 import platform
-from collections.abc import Iterable, Mapping
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from catalog.errors import DataError
-from catalog.files import MADE_BY, MANIFEST, MAX_MANIFEST_BYTES, hash_file, put_file
+from catalog.files import MADE_BY, MANIFEST, MAX_MANIFEST_BYTES, check_folder, hash_file, put_file
 from catalog.inputs import read_input
 from catalog.jobs.workspace import LIBRARIES as OF_THE_CATALOG
+from catalog.jobs.workspace import Workspace
+from catalog.places import beside, claimed
 
 FORMAT = 1
 LIBRARIES = (*OF_THE_CATALOG, "msgspec", "mcap", "pyerfa")
+MAX_NAME_BYTES = 255
 
 
 def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str | None]:
@@ -105,3 +114,32 @@ def _plain(value: object) -> object:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"{value!r} has no place in a manifest")
+
+
+@contextmanager
+def unfinished(output: Path, kind: str) -> Iterator[Workspace]:
+    """The work folder OUTPUT.work of an output folder, which no other process writes meanwhile.
+
+    It is gone when the body ends well; a stopped command leaves it, and the next one goes on.
+    Raises OutputError for a place where the output cannot be.
+    """
+    check_folder(output, kind)  # before any work is done for a place that cannot be used
+    with claimed(output):
+        name = f"{output.name}.work"
+        long = len(os.fsencode(name)) > MAX_NAME_BYTES
+        workspace = Workspace(beside(output, "work") if long else output.with_name(name))
+        with workspace.locked():
+            yield workspace
+            shutil.rmtree(workspace.folder, ignore_errors=True)
+
+
+def is_finished(output: Path, key: str) -> bool:
+    """Whether an output folder was made by work of this key, and its files are as they were."""
+    try:
+        manifest = read_manifest(output)
+    except DataError:
+        return False
+    files = manifest.get("outputs_sha256")
+    if manifest.get("key") != key or not isinstance(files, dict):
+        return False
+    return hash_files(output, files) == files

@@ -1,15 +1,23 @@
-"""A run folder: the names of its files, what it takes over from the picture folder, reading it."""
+"""A run folder: the names of its files, what it takes over from the picture folder, reading it.
 
+And what came of a run, as a few lines for people.
+"""
+
+import math
 import shutil
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from catalog.bodies.body import is_body_file
 from catalog.errors import ConfigError, DataError
 from catalog.tables import CsvTable
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
-from optnav_cli.fix import MatchRow, Solution
+from optnav_cli.fix import MatchRow, Method, Solution
 from optnav_cli.frames.run_settings import (
     RUN_TOML,
     FileAttitude,
@@ -19,6 +27,7 @@ from optnav_cli.frames.run_settings import (
 )
 from optnav_cli.frames.tables import CAMERA, FILE
 from optnav_cli.output.tables import read_matches, read_solutions
+from optnav_cli.output.wording import length_unit, plural, table_lines
 
 SOLUTION, MATCHES = "solution.csv", "matches.csv"
 RECORDING, OVERLAYS = "run.mcap", "overlays"
@@ -82,3 +91,24 @@ def _cameras(path: Path) -> dict[str, Camera]:
         if camera is not None:
             cameras[row["file"]] = camera
     return cameras
+
+
+def run_lines(solutions: Sequence[Solution]) -> list[str]:
+    """How many frames are solved, by which method and how well, and why others are not."""
+    sigmas: dict[str, list[float]] = {}
+    for s in solutions:
+        if s.covariance_m2 is not None:
+            sigma = math.sqrt(max(float(np.trace(s.covariance_m2)), 0.0) / 3.0)
+            sigmas.setdefault(Method(s.method).label, []).append(sigma)
+    solved = sum(map(len, sigmas.values()))
+    lines = [f"solved {solved} of {len(solutions)} {plural('frame', len(solutions))}"]
+    if sigmas:
+        unit = length_unit(max(map(max, sigmas.values())))
+        rows = [("method", "frames", f"median sigma an axis, {unit.name}", "largest")]
+        for method, found in sorted(sigmas.items()):
+            median, largest = unit.text(float(np.median(found))), unit.text(max(found))
+            rows.append((method, str(len(found)), median, largest))
+        lines += table_lines(rows)
+    reasons = Counter(s.reason_code.label for s in solutions if not s.solved)
+    lines += [f"unsolved, {reason}: {count}" for reason, count in reasons.most_common()]
+    return lines

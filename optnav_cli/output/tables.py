@@ -12,6 +12,7 @@ from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow
 from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
+from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import (
     ADJUSTED_MATCHES,
@@ -23,6 +24,7 @@ from optnav_cli.frames.tables import (
 )
 from optnav_cli.reasons import Reason, ReasonCode
 
+MAX_SOLVED_M = 1e3 * MAX_DISTANCE_M  # a wrong solution may lie beyond any prior
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # where COVARIANCE stands in the matrix
 # Columns that hold what the attributes of the same names do.
 EVIDENCE = ("n_predicted", "n_matched", "n_used", "residual_rms_px", "n_limb", "arc_deg")
@@ -116,6 +118,8 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
     )
     method = _method(row)
     outcome: Fix | NoFix = NoFix(reason, method, evidence)
+    if position is not None and not 0.0 < np.abs(position).max() <= MAX_SOLVED_M:
+        raise DataError(f"the position lies at the centre or beyond {MAX_SOLVED_M:g} m")
     if row["status"] == "solved":
         if position is None or upper is None or method is None:
             raise DataError(

@@ -21,9 +21,8 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.output.canvas import FONT, SUBPIXEL_BITS
 from optnav_cli.report.catalog_maps import POINT_COLOURS, first_reasons, legend_entries, titles_of
 from optnav_cli.report.page import counted, data_uri, figure, legend, side_by_side
-from optnav_cli.report.shades import bgr_of
 from optnav_cli.report.svg import Plot
-from optnav_cli.report.views import THIRD
+from optnav_cli.report.views import THIRD, bgr_of
 
 # Where the viewer stands, what is up for him, what the side is called.
 SIDES = (

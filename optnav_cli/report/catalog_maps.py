@@ -12,17 +12,20 @@ from catalog.control_point import FLAG_MEANINGS, SHADOW_AZIMUTHS
 from catalog.store.reader import Catalog
 from optnav_cli.report.page import data_uri, figure, grouped, legend, side_by_side
 from optnav_cli.report.relief import GRAY, relief
-from optnav_cli.report.shades import (
+from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis
+from optnav_cli.report.views import (
     OTHER,
     REASON_COLOURS,
     SOURCE_COLOURS,
+    THIRD,
     USABLE,
+    MapView,
     Scale,
     bgr_of,
     blended,
+    rows_of_pixels,
+    views,
 )
-from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis
-from optnav_cli.report.views import THIRD, MapView, rows_of_pixels, views
 
 MAX_DOTS = 1500  # more points are shown by their cells instead of one by one
 TINT, STRONG_TINT, SOLID = 105, 205, 255  # of 255, over the relief

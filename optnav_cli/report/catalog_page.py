@@ -17,7 +17,7 @@ from optnav_cli.report import catalog_maps as maps
 from optnav_cli.report import page as html
 from optnav_cli.report.body_sides import has_sides, sides_figure
 from optnav_cli.report.relief import shaded
-from optnav_cli.report.shades import Scale
+from optnav_cli.report.views import Scale
 
 SHOWN = 3  # best points, and as many of the worst
 SIDE_PX = 176  # of a picture, about; nodes are enlarged by a whole number

@@ -14,17 +14,16 @@ import msgspec
 from catalog.bodies.body import is_body_file
 from catalog.errors import NothingToDoError, OutputError
 from catalog.files import hash_file, replacing_folder
-from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers, available_cores, workers_of
-from catalog.jobs.workspace import Workspace, code_key, encode_records, stage_key
+from catalog.jobs.workspace import ChunkResults, Workspace, code_key, encode_records, stage_key
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.history import SAME_TIME_S
-from optnav_cli.output.manifest import hash_files, versions, write_manifest
+from optnav_cli.output.manifest import hash_files, is_finished, unfinished, versions, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.run_folder import (
@@ -47,7 +46,6 @@ from optnav_cli.runs.frame_worker import (
     look_at,
     unpacked_row,
 )
-from optnav_cli.runs.unfinished import is_finished, unfinished
 
 log = logging.getLogger(__name__)
 

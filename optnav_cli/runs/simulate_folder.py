@@ -1,7 +1,8 @@
-"""A scenario to a folder of pictures: everything that `optnav simulate` does, in one step."""
+"""A scenario to a folder of pictures, as `optnav simulate` does, and an example to start from."""
 
 import hashlib
 import logging
+import shutil
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,17 +10,18 @@ from pathlib import Path
 import msgspec
 import numba
 
+from catalog.config import resource
+from catalog.errors import OutputError
 from catalog.files import hash_file, replacing_folder
-from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import SerialWorkers, Workers
-from catalog.jobs.workspace import Workspace, code_key, content_hash, stage_key
+from catalog.jobs.workspace import ChunkResults, Workspace, code_key, content_hash, stage_key
 from catalog.places import check_apart
 from catalog.progress import Progress, SilentProgress, logged_stage
 from optnav_cli.camera.camera_file import camera_toml
-from optnav_cli.output.manifest import versions, write_manifest
-from optnav_cli.runs.unfinished import is_finished, unfinished
+from optnav_cli.frames.tables import FRAMES
+from optnav_cli.output.manifest import is_finished, unfinished, versions, write_manifest
 from optnav_cli.simulation.run import Simulation, Taken, take
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.simulation.scenario_base import ScenarioBase
@@ -27,6 +29,7 @@ from optnav_cli.simulation.scenario_base import ScenarioBase
 log = logging.getLogger(__name__)
 
 KIND, STAGE = "pictures", "simulate"
+TEMPLATE = "folder template"
 
 
 def simulate_folder(
@@ -118,3 +121,20 @@ def _key(simulation: Simulation, workspace: Workspace) -> str:
         repr(simulation.motion.body),
         content_hash(simulation.files(), workspace, SilentProgress()),
     )
+
+
+def write_template_folder(place: Path) -> None:
+    """Copy the example folder that ships with optnav; its README lists the columns of frames.csv.
+
+    Raises OutputError for a place that holds anything: somebody may have worked on it.
+    """
+    if place.is_dir() and any(place.iterdir()):
+        raise OutputError(f"{place}: the folder is not empty; name another place")
+    started = datetime.now(UTC)
+    example = resource("data/picture_folder/run.toml").parent
+    with replacing_folder(place, TEMPLATE) as new:
+        shutil.copytree(example, new, dirs_exist_ok=True, copy_function=shutil.copyfile)
+        readme = new / "README.md"
+        text = readme.read_text(encoding="utf-8").replace("COLUMNS", FRAMES.markdown())
+        readme.write_text(text, encoding="utf-8")
+        write_manifest(new, TEMPLATE, command="config", options={}, inputs={}, started=started)

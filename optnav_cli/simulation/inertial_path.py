@@ -16,8 +16,7 @@ from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import tdb_s_after, utc_to_tdb_s
 from catalog.config import Count, Seconds, Turn
 from catalog.errors import ConfigError
-from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.simulation.exposure import ROUGHNESS, Epoch
 from optnav_cli.simulation.scenario_base import ScenarioBase
 from optnav_cli.simulation.sections import Distance, Inclination

@@ -15,8 +15,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.inertial_path import InertialPath
-from optnav_cli.simulation.passes import Scenario
-from optnav_cli.simulation.portraits import Portraits
+from optnav_cli.simulation.passes import Portraits, Scenario
 from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
 
 # Of which kind a file is by its sections, the first that it has; reading it as that kind reports

@@ -16,8 +16,7 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
 from optnav_cli.camera.camera import Camera
-from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings

@@ -153,7 +153,7 @@ HALF_DONE = ("navigate", "pictures", "--catalog", "moon.gpkg", "-o", "half")
 def _stop_half_way(*args: str) -> None:
     """Leave what a command leaves that was killed before its output stood: OUTPUT.work."""
     output = Path(args[-1])
-    with mock.patch("optnav_cli.runs.unfinished.shutil.rmtree"):
+    with mock.patch("optnav_cli.output.manifest.shutil.rmtree"):
         run(["-q", *args])
     shutil.rmtree(output)
 

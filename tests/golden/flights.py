@@ -21,7 +21,7 @@ from optnav_cli.report.catalog_maps import POINT_COLOURS, first_reasons, legend_
 from optnav_cli.report.page import grouped
 from optnav_cli.report.relief import GRAY, relief
 from optnav_cli.report.run_page import read_evaluation
-from optnav_cli.report.shades import bgr_of, blended
+from optnav_cli.report.views import bgr_of, blended
 from tests.golden import sketch
 
 MOON = """[body]

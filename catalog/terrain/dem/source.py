@@ -20,9 +20,9 @@ from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError
 from catalog.rasters import TERRAIN, open_raster, reading_raster, reopen_raster
-from catalog.terrain.dem.conversion import Conversion
 from catalog.terrain.dem.file import (
     RADIUS_TOLERANCE,
+    Conversion,
     file_units,
     label_of,
     path_of,

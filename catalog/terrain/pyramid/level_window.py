@@ -5,7 +5,7 @@ import numpy as np
 from catalog.arrays import Float32Array
 from catalog.cache import Cache
 from catalog.geometry.kernel import kernel
-from catalog.terrain.dem.conversion import HEIGHTS
+from catalog.terrain.dem.file import HEIGHTS
 from catalog.terrain.dem.georeference import Georeference, column_spans
 from catalog.terrain.pyramid.pyramid import POLE_TOLERANCE, HeightPyramid
 

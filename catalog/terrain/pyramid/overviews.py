@@ -24,7 +24,7 @@ from catalog.errors import DataError, OutputError
 from catalog.geometry.kernel import kernel
 from catalog.progress import Progress
 from catalog.rasters import OWN, reopen_raster
-from catalog.terrain.dem.conversion import HEIGHTS, Conversion, is_height
+from catalog.terrain.dem.file import HEIGHTS, Conversion, is_height
 from catalog.terrain.dem.source import DemSettings, DemSource
 
 FORMAT = 2  # of the overview folder; another number means: make it again

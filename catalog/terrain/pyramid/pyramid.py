@@ -19,7 +19,7 @@ from catalog.errors import DataError, OutputError
 from catalog.files import putting_folder, stored_json
 from catalog.progress import Progress, SilentProgress
 from catalog.rasters import OWN, reading_raster, reopen_raster
-from catalog.terrain.dem.conversion import HEIGHTS, Conversion
+from catalog.terrain.dem.file import HEIGHTS, Conversion
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.pyramid.overviews import (
     FORMAT,

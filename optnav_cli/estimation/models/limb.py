@@ -6,6 +6,10 @@ angle chi: e_i . e_0 = cos chi. With s = e_0 / cos chi that is linear, e_i . s =
 answer is biased on short arcs, so it only starts a least-squares fit of true angles: those between
 the measured rays and the body's tangent cone, by their first-order distance F / |grad F|, exact
 for the sphere up to the cube of the angle.
+
+Beside a silhouette of any shape, which the caller predicts anew after each step, a position is
+corrected from angles alone. Robust weights are Tukey's there, about a width that follows the
+scatter: wide while the position is far off, narrow in the end.
 """
 
 from operator import add
@@ -22,11 +26,12 @@ from optnav_cli.estimation.least_squares import (
     Iteration,
     Linearisation,
     inverse_of,
+    linearised,
     mirrored,
     solve,
 )
-from optnav_cli.estimation.robust import tukey
-from optnav_cli.reasons import Reason, ReasonCode
+from optnav_cli.estimation.robust import TUKEY, scatter, tukey, tukey_weights
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 MIN_LIMB_POINTS = 4  # three unknowns, one equation a point, and one left to see an error by
 MIN_DETERMINANT = 1e-14  # of the linear fit's normal matrix, over its diagonal's product
@@ -34,6 +39,10 @@ _UNSETTLED = Reason(
     ReasonCode.NOT_SETTLED, "the fit of the limb does not settle on a position outside the body"
 )
 ITERATION = Iteration(20, 1e-3, undetermined=_UNSETTLED, unsettled=_UNSETTLED)
+ROUNDS = 6  # of weights and solution; later ones change a thousandth of a sigma
+# Of weights that are given: the step that they make is the only one.
+_OPEN = Reason(ReasonCode.DEGENERATE, "the limb points leave a direction of the position open")
+ONE_STEP = Iteration(1, np.inf, undetermined=_OPEN, unsettled=NO_REASON)
 
 
 class LimbModel:
@@ -219,3 +228,62 @@ def _equations(
     normal[2, 0], normal[2, 1], normal[2, 2] = n02, n12, n22
     gradient[0], gradient[1], gradient[2] = g0, g1, g2
     return normal, gradient, cost, residuals, rows, weights
+
+
+class SilhouetteModel:
+    """Angles beside a silhouette, known to first order about a position (3,), m.
+
+    offsets (n,) rad there;  jacobian (n, 3) of the offsets, their sign turned;  weights (n,)
+    """
+
+    def __init__(
+        self, position: FloatArray, offsets: FloatArray, jacobian: FloatArray, weights: FloatArray
+    ) -> None:
+        self._position, self._weights = position, weights
+        self._offsets, self._jacobian = offsets, jacobian
+
+    def linearise(self, state: FloatArray) -> Linearisation:
+        """The angles from a position (3,)."""
+        residuals = self._offsets - self._jacobian @ (state - self._position)
+        return linearised(residuals, self._jacobian, self._weights)
+
+
+def silhouette_step(
+    position: FloatArray,
+    offsets: FloatArray,
+    rates: FloatArray,
+    sigmas: FloatArray,
+    azimuths: FloatArray,
+    least_cut: float,
+) -> Estimate[FloatArray]:
+    """The position (3,), m, after a step, with its covariance as if it were the last.
+
+    position  (3,)   m, where the silhouette was predicted
+    offsets   (n,)   rad, rays beyond the silhouette along its normal
+    rates     (n, 3) d offset / d position, rad a m
+    sigmas    (n,)   rad, stated error of each, independent of the others
+    azimuths  (n,)   rad about the nadir
+    least_cut rad    errors below it are never outvoted as a whole
+
+    The residuals are those after the step, to first order. Raises NoSolutionError for too few
+    points or points that leave a direction open.
+    """
+    if len(offsets) < MIN_LIMB_POINTS:
+        raise NoSolutionError(
+            f"{len(offsets)} limb points; {MIN_LIMB_POINTS} are needed", ReasonCode.NOISY_LIMB
+        )
+    stated = 1.0 / (sigmas * sigmas)
+    # begun by the absolute values' minimum, which a third of outliers does not carry away
+    weights = stated
+    for number in range(2 * ROUNDS):
+        model = SilhouetteModel(position, offsets, -rates, weights)
+        fit = solve([model], position, add, ONE_STEP)
+        after = model.linearise(fit.state)
+        sigma = scatter(after.residuals)
+        if number < ROUNDS:
+            size = max(sigma, least_cut / TUKEY)
+            weights = stated / np.maximum(np.abs(after.residuals) / size, 1.0)
+        elif number < 2 * ROUNDS - 1:
+            weights = stated * tukey_weights(after.residuals, max(TUKEY * sigma, least_cut))
+    covariance = azimuth_correlated(after, fit.noise, azimuths)
+    return Estimate(fit.state, covariance, fit.noise, (after,))

@@ -22,7 +22,7 @@ from catalog.geometry.vectors import squared_distance
 from catalog.terrain.relief.relief import GlobalRelief
 from catalog.terrain.skyline.limb import LimbRelief, nadir_axes
 from optnav_cli.estimation.least_squares import Estimate
-from optnav_cli.estimation.models.silhouette import silhouette_step
+from optnav_cli.estimation.models.limb import silhouette_step
 from optnav_cli.estimation.robust import scatter
 from optnav_cli.measurements.limb.detection import RELIEF
 from optnav_cli.navigation.horizon.limb_rays import LimbRays

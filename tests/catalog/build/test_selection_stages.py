@@ -26,7 +26,7 @@ from catalog.geometry.cells import CellGrid
 from catalog.geometry.latlon import angular_distance
 from catalog.jobs.workspace import decode_records, encode_records
 from catalog.rendering.map_view import render_map, render_map_quickly
-from catalog.selection.match_error import predict_match
+from catalog.selection.localisation import predict_match
 from catalog.terrain.dem.mosaic import Mosaic
 from catalog.terrain.dem.source import DemSettings
 

@@ -15,10 +15,9 @@ from catalog.config import parse_toml
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Patch
 from catalog.errors import ConfigError
 from catalog.geometry.cells import CellGrid
-from catalog.jobs.chunks import ChunkResults
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import SerialWorkers
-from catalog.jobs.workspace import Workspace
+from catalog.jobs.workspace import ChunkResults, Workspace
 from catalog.progress import SilentProgress
 from catalog.store.patches import PreparedPoint
 from catalog.store.reader import Catalog

@@ -13,7 +13,7 @@ import rasterio
 from catalog.errors import DataError, OutputError
 from catalog.geometry.cells import CellGrid
 from catalog.geometry.projection import node_grid
-from catalog.inspect.geotiff import export_patch_heights
+from catalog.inspect.export import export_patch_heights
 from catalog.store.manifest import PlanesMeta
 from catalog.store.reader import Catalog
 

@@ -9,11 +9,10 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from catalog.jobs import chunks
-from catalog.jobs.chunks import ChunkResults
+from catalog.jobs import workspace as jobs
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import SerialWorkers, workers_of
-from catalog.jobs.workspace import Workspace
+from catalog.jobs.workspace import ChunkResults, Workspace
 from catalog.progress import SilentProgress
 
 
@@ -68,19 +67,19 @@ def test_worker_processes_hand_over_the_same(results):
 def test_an_answer_through_a_pipe_is_too_short_to_be_torn_by_a_kill(results, monkeypatch):
     # as in a worker process whose parent coordinates
     monkeypatch.setattr(
-        chunks.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
+        jobs.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
     )
     here = (socket.gethostname(), os.getpid())
-    answer = chunks._made(things, results.workspace, here, 10**6, (results.name(0), [7]))
+    answer = jobs._made(things, results.workspace, here, 10**6, (results.name(0), [7]))
     assert len(pickle.dumps(answer)) < select.PIPE_BUF / 2
     assert [thing.cell for thing in results.records(0)] == [7]
 
 
 def test_a_worker_elsewhere_answers_with_the_bytes_and_writes_nothing(results, monkeypatch):
     monkeypatch.setattr(
-        chunks.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
+        jobs.multiprocessing, "parent_process", lambda: SimpleNamespace(pid=os.getpid())
     )
     elsewhere = ("another-machine", os.getpid())
-    data, _ = chunks._made(things, results.workspace, elsewhere, 100, (results.name(0), [7]))
+    data, _ = jobs._made(things, results.workspace, elsewhere, 100, (results.name(0), [7]))
     assert data is not None
     assert results.records(0) is None

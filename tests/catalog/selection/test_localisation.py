@@ -12,9 +12,9 @@ from catalog.selection.localisation import (
     azimuth_products,
     hessian_eigenvalue,
     hessian_eigenvalue_map,
+    predict_match,
     sun_products,
 )
-from catalog.selection.match_error import predict_match
 
 POSTING_M = 118.45
 MOON_M = 1_737_400.0

@@ -5,16 +5,19 @@ import numpy as np
 import pytest
 
 from catalog.selection.trial import (
+    FINER,
     Circumstances,
     Gate,
     Level,
     Search,
     distortion,
     draw_circumstances,
+    exposed,
+    picture_of,
     run_trial,
+    side_under,
     truth_size,
 )
-from catalog.selection.trial_picture import FINER, exposed, picture_of, side_under
 
 MOON_M = 1_737_400.0
 POSTING_M = 100.0

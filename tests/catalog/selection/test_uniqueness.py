@@ -6,7 +6,7 @@ import pytest
 from scipy import ndimage
 
 from catalog.build.check import shadowed_share
-from catalog.selection.match_error import best_rival, uniqueness_margin
+from catalog.selection.localisation import best_rival, uniqueness_margin
 
 
 def relief(size, seed):

@@ -17,7 +17,7 @@ from catalog.arrays import Float32Array
 from catalog.errors import DataError, OutputError
 from catalog.inspect.compare import compare, require_whole
 from catalog.inspect.differences import lines, summary
-from catalog.inspect.geotiff import export_relief
+from catalog.inspect.export import export_relief
 from catalog.inspect.summary import catalog_document, describe
 from catalog.store import relief as stored
 from catalog.store.connection import SealState

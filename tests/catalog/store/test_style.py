@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 import pytest
 
 from catalog.inspect.export import export
+from catalog.store.geopackage import BLUE, GREEN, RED, Rule, style_qml
 from catalog.store.reader import Catalog
-from catalog.store.style import BLUE, GREEN, RED, Rule, style_qml
 from catalog.store.writer import Written
 
 pyogrio = pytest.importorskip("pyogrio", reason="needs pyogrio to read vector layers")

@@ -16,8 +16,7 @@ from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.inertial_path import InertialPath
-from optnav_cli.simulation.passes import Scenario
-from optnav_cli.simulation.portraits import Portraits
+from optnav_cli.simulation.passes import Portraits, Scenario
 from tests.fuzz.cases import DATA, NOTHING, OK, OPEN, REFUSED, Case, Place, kind
 from tests.fuzz.damage import damaged
 from tests.fuzz.materials import BOX

@@ -6,8 +6,7 @@ import pytest
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.dynamics.arc import OrbitArc, TimedPosition
-from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
 
 MOON = load_body("moon")
 START_S = 8.2e8

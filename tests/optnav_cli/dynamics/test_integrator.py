@@ -7,8 +7,7 @@ import pytest
 
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
-from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
 
 MOON = load_body("moon")
 GM = MOON.gm_m3_s2

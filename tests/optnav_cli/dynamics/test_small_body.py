@@ -11,8 +11,7 @@ from scipy.integrate import solve_ivp
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from optnav_cli.dynamics.arc import OrbitArc, TimedPosition
-from optnav_cli.dynamics.forces import Forces, even_field
-from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.dynamics.forces import Forces, OrbitMotion, even_field
 from optnav_cli.simulation.approach import Approach, approach_states
 from optnav_cli.simulation.scenario import load_scenario
 

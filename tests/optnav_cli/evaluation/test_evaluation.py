@@ -10,13 +10,13 @@ from catalog.config import resource
 from catalog.errors import DataError, DifferenceError, NothingToDoError
 from catalog.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from optnav_cli.evaluation.evaluation import pool
+from optnav_cli.evaluation.figures import Limits, check_limits
 from optnav_cli.evaluation.files import (
     evaluate_run,
     read_error_rows,
     stated_rows,
     write_evaluation,
 )
-from optnav_cli.evaluation.limits import Limits, check_limits
 from optnav_cli.evaluation.table import format_table
 from optnav_cli.frames.run_settings import FileAttitude, read_run_settings
 from optnav_cli.output.run_folder import copy_inputs, read_run

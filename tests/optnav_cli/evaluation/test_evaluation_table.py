@@ -7,8 +7,7 @@ import pytest
 
 from optnav_cli.evaluation.files import evaluate_run
 from optnav_cli.evaluation.table import format_table
-from optnav_cli.output.run_folder import read_run
-from optnav_cli.output.run_summary import run_lines
+from optnav_cli.output.run_folder import read_run, run_lines
 from tests.optnav_cli.output.approach import write_approach
 
 

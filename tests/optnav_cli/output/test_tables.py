@@ -205,6 +205,7 @@ def test_matches_come_back_as_they_were_written(tmp_path):
     [
         (",solved,", ",maybe,", "status is 'maybe'"),
         ("1900000.0000", "nan", "x_m is nan"),
+        ("1900000.0000", "1e200", "the position lies at the centre or beyond 1e"),
         ("1900000.0000", "", "x_m is empty, but"),
         ("cov_xy_m2", "cov", "no column 'cov_xy_m2'; is 'cov' meant"),
         (",19,", ",-19,", "n_used is '-19'"),

@@ -17,7 +17,7 @@ from catalog.terrain.relief.relief import GlobalRelief
 from optnav_cli.main import run
 from optnav_cli.report import body_sides
 from optnav_cli.report.body_sides import relief_corners, sides
-from optnav_cli.report.shades import REASON_COLOURS, USABLE, bgr_of
+from optnav_cli.report.views import REASON_COLOURS, USABLE, bgr_of
 from tests.optnav_cli.report.pages import a_catalog, report_of
 
 RADII_M = (13000.0, 11400.0, 9100.0)

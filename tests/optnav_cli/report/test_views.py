@@ -9,8 +9,7 @@ from pyproj import CRS, Transformer
 from catalog.geometry.cells import CellGrid
 from catalog.store.reader import Catalog
 from optnav_cli.report.relief import MOON_WORDS, OWN_WORDS, relief, shaded
-from optnav_cli.report.shades import STEPS, Scale, blended
-from optnav_cli.report.views import corners_deg, rows_of_pixels, views
+from optnav_cli.report.views import STEPS, Scale, blended, corners_deg, rows_of_pixels, views
 from tests.optnav_cli.report.pages import RADIUS_M, a_catalog
 
 GLOBAL = CellGrid(10.0)

@@ -18,8 +18,7 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import OutputError
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.progress import SilentProgress
-from optnav_cli.dynamics.forces import Forces
-from optnav_cli.dynamics.integrator import OrbitMotion
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings

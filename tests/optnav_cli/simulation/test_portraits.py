@@ -15,7 +15,7 @@ from catalog.errors import ConfigError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.mesh_ground import MeshGround
-from optnav_cli.simulation.portraits import Portraits, PortraitSettings
+from optnav_cli.simulation.passes import Portraits, PortraitSettings
 from optnav_cli.simulation.scenario import load_scenario
 from tests.optnav_cli.simulation.simulated import simulate
 

@@ -12,7 +12,7 @@ from catalog.jobs.usage import Account, StageAccount
 from catalog.progress import SilentProgress
 from optnav_cli.evaluation.figures import FrameError
 from optnav_cli.simulation.approach import Approach
-from optnav_cli.simulation.portraits import Portraits
+from optnav_cli.simulation.passes import Portraits
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.studies.phobos import ROWS, PhobosCase, PhobosResults, report, run
 from tests.optnav_cli.rows import solved, unsolved
