@@ -17,7 +17,6 @@ from catalog.files import replacing_file, starts_with
 from optnav_cli.output.recording import topic_of
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.output.scene import CAMERA_COLOURS
-from optnav_cli.report.svg import MOST
 
 Panel = dict[str, Any]
 BEGINNING = b'{\n  "configById"'
@@ -72,7 +71,7 @@ def layout(run: RunFolder) -> Panel:
 def _scene(run: RunFolder, cameras: list[str]) -> Panel:
     body, radius = run.attitude.body.name, run.attitude.body.radius_m
     known = [s.position_m for s in run.solutions if s.position_m is not None]
-    distances = [d for d in (math.hypot(*place) for place in known) if d < MOST]
+    distances = [math.hypot(*place) for place in known]
     farthest = max(float(max(distances, default=0.0)), radius)
     height = max(float(np.median(distances)) - radius, 1e-3 * radius) if distances else radius
     size = AXES_SHARE * min(height, 2.0 * radius)
