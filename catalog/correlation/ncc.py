@@ -8,7 +8,7 @@ Source: D. Padfield, "Masked object registration in the Fourier domain", IEEE Tr
 21 (2012). A frame that shows a part of a template's ground is compared in that part.
 """
 
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from catalog.correlation.peak import Match, locate_peak, remainder_covariance
 from catalog.geometry.grid import cubic_weights, sample_bicubic
 from catalog.geometry.kernel import kernel
 
-Number = TypeVar("Number", np.float32, np.float64)
+Number = TypeVar("Number", np.float32, np.float64, np.bool_)
 
 # Standard deviation of the Gaussian that is subtracted, nodes.
 HIGH_PASS_NODES = 5.0
@@ -247,16 +247,16 @@ def match_cut(
     image      of the search grid, `filtered`
     remainder  whether the covariance is that of `with_remainder_covariance`
     """
-    soft = high_pass(reference)
+    soft, has = high_pass(reference), np.isfinite(reference)
     template = Filtered(cropped(soft, margin_nodes), MIN_CONTRAST * _greatest_size(reference))
-    known = np.isfinite(cropped(reference, margin_nodes))
-    match = locate_peak(correlated(template, image), int(known.sum()))
-    inner = _place(search, template.values, match)
-    if (known & ~np.isfinite(inner)).any():
+    known = cropped(has, margin_nodes)
+    match = locate_peak(correlated(template, image), int(np.count_nonzero(known)))
+    shows = np.isfinite(search)
+    if not shows.all() and (known & ~_place(shows, known, match)).any():
         # zeros for what the grid lacks would pull the reference inward
         match = match_masked(reference, search, margin_nodes)
     elif remainder and np.isfinite(match.covariance).all():
-        both = np.isfinite(reference) & np.isfinite(_place(search, reference, match))
+        both = has & _place(shows, has, match)
         if both.all():
             patch = _place(image.values, template.values, match)
             return _by_remainder(match, soft, patch, both, margin_nodes)
@@ -283,14 +283,14 @@ def _by_remainder(
 ) -> Match:
     """With high-passed grids; the patch and what both have: about the nearest node of the match."""
     x, y = match.dx - np.rint(match.dx), match.dy - np.rint(match.dy)
-    laid, inner = cropped(_moved(template, x, y), margin_nodes), slice(margin_nodes, -margin_nodes)
-    common = np.ascontiguousarray(both[inner, inner])
+    laid, common = cropped(_moved(template, x, y), margin_nodes), cropped(both, margin_nodes)
     return match._replace(covariance=remainder_covariance(laid, patch, common))
 
 
-def _place(search: Float32Array, reference: Float32Array, match: Match) -> Float32Array:
+def _place(search: NDArray[Number], reference: NDArray[Any], match: Match) -> NDArray[Number]:
     """The nodes (n, n) of a search grid on which a reference lies where it was found."""
-    room, side = (search.shape[0] - reference.shape[0]) // 2, reference.shape[0]
+    side = reference.shape[0]
+    room = (search.shape[0] - side) // 2
     row, col = room + int(np.rint(match.dy)), room + int(np.rint(match.dx))
     return search[row : row + side, col : col + side]
 

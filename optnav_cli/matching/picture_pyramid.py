@@ -56,13 +56,13 @@ def _sample(
     out = np.full(pixels.shape[0], np.nan, np.float32)
     rows, cols = level.shape
     # the centre of the first block of `factor` pixels lies at (factor - 1) / 2
-    shift = (factor - 1) / 2.0
+    shift, inverse = (factor - 1) / 2.0, 1.0 / factor
     for i in range(out.size):
         x, y = pixels[i, 0], pixels[i, 1]
         if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
             continue
         # the last rows and columns that fill no whole block take the nearest block's value
-        row, col = min((y - shift) / factor, rows - 0.5), min((x - shift) / factor, cols - 0.5)
+        row, col = min((y - shift) * inverse, rows - 0.5), min((x - shift) * inverse, cols - 0.5)
         if not (1.0 <= row < rows - 2.0 and 1.0 <= col < cols - 2.0):
             out[i] = bicubic_at(level, row, col)
             continue
