@@ -153,14 +153,3 @@ def _sweep_of(sun: FloatArray) -> Sweep:
 def _refuse_shape(grid: Float32Array, what: str) -> None:
     if grid.ndim != 2 or grid.shape[0] != grid.shape[1] or grid.shape[0] < 2:
         raise ValueError(f"lit_mask: {what} is square, at least 2 x 2, not {grid.shape}")
-
-
-def halo(relief_m: float, elevation: float) -> float:
-    """How far (m) ground relief_m above a tile can throw a shadow at a Sun elevation (rad).
-
-    Flat-body value, an upper bound: the body's curvature only shortens shadows.
-    Raises ValueError for a Sun at or below the horizon.
-    """
-    if not elevation > 0.0:
-        raise ValueError("halo: the Sun must stand above the horizon")
-    return float(relief_m / np.tan(elevation))

@@ -123,12 +123,6 @@ class Adjustment:
         sigmas: FloatArray = np.sqrt(np.diag(self.covariance))
         return sigmas
 
-    @property
-    def shares_left(self) -> FloatArray:
-        """(k,) each sigma over that of its prior."""
-        shares: FloatArray = self.sigmas / np.array([n.prior_sigma for n in self.common.numbers])
-        return shares
-
     def not_separable(self) -> list[tuple[str, ...]]:
         """What the frames tell little of: names that stand together cannot be told apart."""
         if not self.common.numbers:

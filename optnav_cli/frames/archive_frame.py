@@ -33,7 +33,6 @@ POSITION_SIGMA_M = 1000.0  # a component
 # The Sun and the rotation by a label and by the body file: further apart, one of both is of another
 # body, time or frame. Poles of one asteroid by two reports differ by 0.8 deg.
 MAX_APART_DEG = 2.0
-UNIX_EPOCH = "1970-01-01T00:00:00Z"
 Degrees = Annotated[float, msgspec.Meta(gt=0.0, le=180.0)]
 Sigma = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]
 Scale = Annotated[float, msgspec.Meta(gt=0.0, le=1e12)]

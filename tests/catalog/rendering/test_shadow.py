@@ -10,7 +10,7 @@ import trimesh
 
 from catalog.config import resource
 from catalog.geometry.projection import Stereographic, node_grid
-from catalog.rendering.shadow import halo, lit_mask, shadow_field
+from catalog.rendering.shadow import lit_mask, shadow_field
 
 MOON_M = 1_737_400.0
 POSTING_M = 118.45
@@ -141,9 +141,3 @@ def test_a_grid_that_is_not_square_is_refused():
         lit_mask(np.zeros((4, 5), np.float32), 1.0, sun(10, 0), MOON_M)
     with pytest.raises(ValueError, match="no length"):
         lit_mask(np.zeros((4, 4), np.float32), 1.0, np.zeros(3), MOON_M)
-
-
-def test_the_halo_is_relief_over_tangent():
-    assert halo(4000.0, math.radians(15.0)) == pytest.approx(14928.2, abs=0.1)
-    with pytest.raises(ValueError, match="horizon"):
-        halo(4000.0, 0.0)
