@@ -63,7 +63,7 @@ study-%: $(READY) ## one long experiment behind the figures, such as study-selec
 	$(BIN)/optnav study $* $(ARGS)
 
 bench: $(READY) ## speed, as ratios to well-known tools on this machine
-	OPTNAV_BENCH=full $(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)
+	OPTNAV_BENCH=full OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/bench -m bench -q -s $(ARGS)
 
 bench-global: $(if $(DIR),$(READY)) ## a catalog of the whole Moon at full size (DIR=/some/folder, 19 GB; an hour)
 	@[ -n "$(DIR)" ] || \
