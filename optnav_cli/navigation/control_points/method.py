@@ -47,6 +47,8 @@ from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 # the picture by so little (rms, nodes of their levels) that the next one would compare the same
 # pixels: a tenth of the way is left to it, below the 0.006 nodes that a frame has in common.
 SETTLED_SIGMAS, SETTLED_NODES = 0.1, 0.05
+# With fewer points there is no position, whatever is known of the attitude.
+FEWEST = 2
 NO_POINTS = Evidence(n_predicted=0, n_matched=0, n_used=0)
 OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")
 
@@ -139,7 +141,10 @@ def _search(frame: FrameContext, prior: PositionPrior, before: _Pass | None) -> 
         pose, most = before.solution.pose, limits.max_points
         solved = before.solution.covariance
         covariance = np.pad(solved, (0, 6 - len(solved)))
-    view = select_evenly(expected(frame, pose, whole=before is not None), most)
+    view = expected(frame, pose, whole=before is not None)
+    if len(view) < FEWEST:  # a frame hardly wider than its templates: parts of them must do
+        view = expected(frame, pose, whole=False)
+    view = select_evenly(view, most)
     if len(view) == 0:
         tried = NO_POINTS if before is None else before.evidence
         raise UnsolvedFrameError(
@@ -186,8 +191,10 @@ def _rejection(
     searched = sum(match.score is not None for match in last.matches)
     decades = _decades(frame, last, searched, searched_postings)
     parts = all(last.matches[k].part is not None for k in last.used)
-    near = parts and searched_postings <= acceptance.NEAR_POSTINGS
-    least = acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_DECADES
+    least = acceptance.MIN_DECADES
+    if parts:
+        near = searched_postings <= acceptance.NEAR_POSTINGS
+        least = acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_PART_DECADES
     most = acceptance.MAX_PART_FACTOR if parts else acceptance.MAX_VARIANCE_FACTOR
     reason = acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
     reason = reason or acceptance.rejection_of_light(_lights(frame, last))

@@ -242,6 +242,20 @@ def test_two_points_are_enough_when_the_attitude_is_known(rough_world, field_of,
     assert mahalanobis(fix, pose) < 4.0
 
 
+@pytest.mark.parametrize("first_px", [160, 208])
+def test_a_frame_with_fewer_than_two_whole_templates_is_solved_by_parts(
+    rough_world, field_of, scene, first_px
+):
+    """128 px hold one template of 58 px whole, or none, and most of three or four."""
+    picture, pose, sun = scene
+    cut, centre = slice(first_px, first_px + 128), 255.5 - first_px
+    camera = replace(
+        rough_world.camera, width_px=128, height_px=128, principal_point_px=(centre, centre)
+    )
+    fix = solve(rough_world, field_of(rough_world), picture[cut, cut], pose, sun, camera=camera)
+    assert mahalanobis(fix, pose) < 4.0
+
+
 def reason(*arguments, **options):
     with pytest.raises(UnsolvedFrameError) as caught:
         solve(*arguments, **options)
