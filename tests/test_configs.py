@@ -51,11 +51,13 @@ def load_navigate(path: Path) -> object:
 
 def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
+    from optnav_cli.measurements.disc.size import DiscErrorSizes
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes
 
     types: dict[str, type[object]] = {
         "terrain": TerrainLaws,
         "control_points": PointErrorSizes,
+        "disc": DiscErrorSizes,
     }
     return load_toml(path, types[path.stem])
 

@@ -3,8 +3,9 @@
 Discs of the Moon and of Phobos, 2.2 to 40 pixels across, each over its own ground, from its own
 side, at its own phase (0-120 deg), blur (0.5-1.2 px), noise (SNR 20-100) and depth of counts (8 or
 12 bits), by the shipped cameras. Each is solved as `optnav navigate` solves a lone frame with an
-exact attitude, once with its blur calibrated to 0.05 px and once without. No size of the error
-model was set by these discs.
+exact attitude, once with its blur calibrated to 0.05 px and once without: then it is blurred by a
+gaussian of 0.3-1.0 px, by a defocused lens of the same widths, or by a lens so sharp that hardly
+more than the pixels blur. No size of the error model was set by these discs.
 
 The light is blurred before it falls on the pixels, on a grid of finer pixels, so that a blur is the
 one that a camera file states; pictures of the simulator are blurred pixel by pixel.
@@ -15,7 +16,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +24,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from catalog.arrays import FloatArray
+from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.config import resource
 from catalog.errors import NoSolutionError
@@ -59,6 +60,10 @@ OFF_AXIS = 0.35  # the part's middle lies up to here from the picture's, in side
 PHASE_DEG = (0.0, 120.0)
 PSF_PX = (0.5, 1.2)
 PSF_ERROR_PX = 0.05  # of the calibration
+# Of blurs that are not stated: sigma of the light on the pixels.
+OTHER_PSF_PX, SHARP_PX = (0.3, 1.0), 0.15
+KNOWN = "known"
+BLURS = ("gaussian", "defocus", "sharp")  # not stated
 SNR = (20.0, 100.0)
 BITS = (8, 12)
 FULL = {8: 255.0, 12: 65535.0}  # where their files saturate
@@ -75,6 +80,7 @@ class DrawnDisc:
     camera            of the part that is drawn, with its blur as calibrated
     position_m        (3,) body frame;  sun_body (3,) unit vector
     diameter_px       of the body's mean sphere
+    radiance          on pixels FINE times finer, before any blur
     """
 
     picture: Picture
@@ -84,6 +90,35 @@ class DrawnDisc:
     sun_body: FloatArray
     diameter_px: float
     phase_deg: float
+    radiance: Float32Array
+
+    def blurred_anew(self, blur: str, rng: np.random.Generator) -> "DrawnDisc":
+        """The same disc behind another of BLURS, which the camera does not state."""
+        sigma = SHARP_PX if blur == "sharp" else rng.uniform(*OTHER_PSF_PX)
+        camera = replace(self.camera, psf_sigma_px=None, psf_error_px=None)
+        return replace(self, picture=_exposed(self.radiance, blur, sigma, rng), camera=camera)
+
+
+def _exposed(
+    radiance: Float32Array, blur: str, sigma_px: float, rng: np.random.Generator
+) -> Picture:
+    """A picture of light that a lens blurs before it falls on the pixels."""
+    sigma = sigma_px * FINE
+    if blur == "defocus":  # a disc: its second moments are those of half its radius
+        reach = int(2.0 * sigma) + 2
+        y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+        disc = np.clip(2.0 * sigma + 0.5 - np.hypot(x, y), 0.0, 1.0)
+        blurred = cv2.filter2D(radiance, -1, disc / disc.sum(), borderType=cv2.BORDER_REPLICATE)
+        # of the Fourier transform by which it is done
+        blurred[blurred < 1e-5 * blurred.max()] = 0.0
+    else:
+        blurred = cv2.GaussianBlur(radiance, (0, 0), sigma)
+    size = (radiance.shape[1] // FINE, radiance.shape[0] // FINE)
+    light = cv2.resize(blurred, size, interpolation=cv2.INTER_AREA)
+    bits = int(rng.choice(BITS))
+    sensor = SensorSettings(psf_sigma_px=0.0, snr=float(rng.uniform(*SNR)), bits=bits)
+    counts = expose(light.astype(np.float32), sensor, rng).astype(np.float32)
+    return Picture(counts, FULL[bits])
 
 
 class DiscScene:
@@ -127,13 +162,8 @@ class DiscScene:
             **vars(epoch), camera_from_body=attitude, reported_camera_from_body=attitude
         )
         radiance = self._ground.radiance(_finer(camera), exposure)
-        blurred = cv2.GaussianBlur(radiance, (0, 0), psf * FINE)
-        light = cv2.resize(blurred, (side, side), interpolation=cv2.INTER_AREA)
-        bits = int(rng.choice(BITS))
-        sensor = SensorSettings(psf_sigma_px=0.0, snr=float(rng.uniform(*SNR)), bits=bits)
-        counts = expose(light.astype(np.float32), sensor, rng).astype(np.float32)
-        picture, phase_deg = Picture(counts, FULL[bits]), float(np.degrees(phase))
-        return DrawnDisc(picture, camera, position, attitude, sun, diameter_px, phase_deg)
+        picture, phase_deg = _exposed(radiance, KNOWN, psf, rng), float(np.degrees(phase))
+        return DrawnDisc(picture, camera, position, attitude, sun, diameter_px, phase_deg, radiance)
 
 
 def _relief(model: MeshSettings, body: Body) -> GlobalRelief:
@@ -174,13 +204,14 @@ def _rad_per_px(camera: Camera, towards: FloatArray) -> float:
 class DiscResult:
     """A disc solved, or why not.
 
+    blur           KNOWN or one of BLURS
     direction_px   error of the direction to the centre, rms of an axis, in pixels
     range_share    of the range, over it
     direction_nees, range_nees  squared errors over their expectation
     """
 
     shape: str
-    blur_known: bool
+    blur: str
     diameter_px: float
     phase_deg: float
     method: str = ""
@@ -209,7 +240,9 @@ def run(progress: Progress, discs: int, output: Path | None) -> list[DiscResult]
                 low, high = bins[number % len(bins)]
                 diameter = float(np.exp(rng.uniform(np.log(low), np.log(high))))
                 disc = scene.draw(diameter, GROUNDS[number * len(GROUNDS) // total], rng)
-                found += [solve(scene, disc, blur_known) for blur_known in (True, False)]
+                found.append(solve(scene, disc, KNOWN))
+                blur = BLURS[(number // len(bins)) % len(BLURS)]
+                found.append(solve(scene, disc.blurred_anew(blur, rng), blur))
                 bar.advance()
     if output is not None:
         text = json.dumps([asdict(result) for result in found], indent=1)
@@ -217,12 +250,10 @@ def run(progress: Progress, discs: int, output: Path | None) -> list[DiscResult]
     return found
 
 
-def solve(scene: DiscScene, disc: DrawnDisc, blur_known: bool) -> DiscResult:
+def solve(scene: DiscScene, disc: DrawnDisc, blur: str) -> DiscResult:
     """Solve a disc and compare it with its truth."""
     body, camera = scene.body, disc.camera
-    if not blur_known:
-        camera = replace(camera, psf_sigma_px=None, psf_error_px=None)
-    result = DiscResult(body.name, blur_known, disc.diameter_px, disc.phase_deg)
+    result = DiscResult(body.name, blur, disc.diameter_px, disc.phase_deg)
     try:
         fix = outline.navigate(
             disc.picture, camera, disc.camera_from_body, 0.0, disc.sun_body, body, scene.relief
@@ -253,13 +284,19 @@ COLUMNS = columns(
 
 
 def report(results: Sequence[DiscResult]) -> StudyReport:
-    """One line a body, knowledge of the blur and bin of diameter."""
+    """One line a body, knowledge of the blur and bin of diameter; one for each unknown blur."""
     rows = []
-    for shape, blur_known, (low, high) in product(SHAPES, (True, False), pairwise(EDGES_PX)):
-        own = [r for r in results if (r.shape, r.blur_known) == (shape, blur_known)]
-        own = [r for r in own if low <= r.diameter_px < high]
-        name = f"{shape}, {low:g}-{high:g} px" + ("" if blur_known else ", blur unknown")
-        rows.append(_cells(name, own))
+    pooled: list[tuple[str, tuple[str, ...], tuple[float, float]]]
+    pooled = [(f"blur unknown, {blur}", (blur,), (EDGES_PX[0], 10.0)) for blur in BLURS]
+    for shape in SHAPES:
+        cases: list[tuple[str, tuple[str, ...], tuple[float, float]]]
+        cases = [("", (KNOWN,), edges) for edges in pairwise(EDGES_PX)]
+        cases += [("blur unknown", BLURS, edges) for edges in pairwise(EDGES_PX)]
+        for words, blurs, (low, high) in cases + pooled:
+            own = [r for r in results if r.shape == shape and r.blur in blurs]
+            own = [r for r in own if low <= r.diameter_px < high]
+            name = f"{shape}, {low:g}-{high:g} px" + (f", {words}" if words else "")
+            rows.append(_cells(name, own))
     reasons = Counter(r.reason.rpartition("; ")[2][:90] for r in results if not r.method)
     notes = [f"wanted: NEES {NEES[0]}-{NEES[1]}; worst: of direction or range"]
     notes += [f"{count} not solved: {reason}" for reason, count in reasons.most_common(6)]

@@ -16,6 +16,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.least_squares import Iteration, Linearisation, VectorPrior, solve
+from optnav_cli.measurements.disc.size import blur_prior, disc_sizes
 from optnav_cli.measurements.limb.cone import Cone, stretched_rays
 from optnav_cli.measurements.limb.edge_fit import EdgeShape, Profiles, locate_edges
 from optnav_cli.measurements.limb.photometry import three_laws
@@ -30,7 +31,6 @@ ABOUT_PX = 6  # of sky about the disc that is fitted
 MIN_BLUR_PX = 0.36  # the smallest that `draw_disc` can draw
 # Of a pixel of ground over its brightness: patterns and slopes that the law does not model.
 TEXTURE, SHOT = 0.08, 1.0 / 50.0**2
-BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.3  # where it is not calibrated
 MIXTURE_SIGMA = 0.1  # of the shares of the second and the third law
 STEPS = np.array([0.03, 0.03, 0.03, 0.03, 0.05, 0.05])  # x, y, radius, blur: px; the two shares
 MAX_MOVE = np.array([1.0, 1.0, 1.0, 0.3, 0.2, 0.2])
@@ -198,7 +198,7 @@ def fit_disc(
     levels = measure_levels(picture)
     use = np.ones(values.shape, bool) if saturation is None else values < saturation
     model = DiscModel(camera, sun_camera, per_px, corner, values - levels.sky, use, levels.noise)
-    blur, blur_sigma = camera.known_blur_px or (BLUR_PX, BLUR_SIGMA_PX)
+    blur, blur_sigma = blur_prior(camera.known_blur_px)
     expected = np.array([blur, 0.0, 0.0])
     prior = VectorPrior(3, expected, np.array([blur_sigma, MIXTURE_SIGMA, MIXTURE_SIGMA]), 6)
     start = np.concatenate([start, expected])
@@ -207,6 +207,10 @@ def fit_disc(
     )
     misfit = float(np.sqrt(np.mean(fit.measured.residuals**2)))
     spread = max(misfit, 1.0) ** 2 * fit.covariance[:3, :3]
+    if camera.known_blur_px is None:
+        sizes = disc_sizes()
+        moved = fit.state[3] * np.array([sizes.blur_centre, sizes.blur_centre, sizes.blur_shape])
+        spread += np.diag(moved**2)
     return DiscFit(fit.state[:2], float(fit.state[2]), spread, misfit)
 
 

@@ -5,23 +5,48 @@ fit the second moments are weighed by their likelihood.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
+import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray
+from catalog.config import Positive, load_toml, resource
 from optnav_cli.measurements.disc.moments import DiscMoments, LightMoments
 
 # Of radii, of which equal steps of the logarithm are equally likely.
 MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX = 0.3, 30.0
 RADII = 200  # first over all of them, then over the likely ones
 UNLIKELY = 1e-6  # of the likeliest
-# Sigma of the blur, the pixel's own width included: that of common optics, for a camera
-# whose file does not say.
-BLUR_PX, BLUR_SIGMA_PX = 0.85, 0.17
 BLUR_STEPS, BLUR_REACH = 51, 3.5  # blurs that are weighed, up to so many sigmas away
-# Prior probability of LAWS: Hapke's, Lommel-Seeliger's, Lambert's, and Hapke's for smoother and
-# rougher ground: ground without air is dark and rough.
-LAW_PRIOR = (0.60, 0.01, 0.01, 0.19, 0.19)
+FILE = "configs/models/disc.toml"
+
+
+class DiscErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Fitted numbers of FILE, which says what each is; law_prior is in the order of LAWS."""
+
+    blur_px: Positive
+    blur_sigma_px: Positive
+    blur_shape: Positive
+    blur_centre: Positive
+    law_prior: tuple[Positive, Positive, Positive, Positive, Positive]
+    figure: Positive
+    relief: Positive
+    ellipsoid: Positive
+    shadow_power: Positive
+    drawing_px: Positive
+
+
+@cache
+def disc_sizes() -> DiscErrorSizes:
+    """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
+    return load_toml(resource(FILE), DiscErrorSizes)
+
+
+def blur_prior(known_blur_px: tuple[float, float] | None) -> tuple[float, float]:
+    """Blur with the pixel's own width and its 1-sigma error, px, also where it is not known."""
+    sizes = disc_sizes()
+    return known_blur_px or (sizes.blur_px, sizes.blur_sigma_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +86,7 @@ def radius_posterior(
     )
     second, noise = turn @ disc.second, turn @ disc.second_covariance @ turn.T
     round_blur = turn @ np.array([1.0, 1.0, 0.0])
-    middle, sigma = known_blur_px or (BLUR_PX, BLUR_SIGMA_PX)
+    middle, sigma = blur_prior(known_blur_px)
     reach = BLUR_REACH * sigma
     blurs = np.linspace(max(middle - reach, 0.0), middle + reach, BLUR_STEPS)
 
@@ -83,7 +108,7 @@ def radius_posterior(
             total = np.einsum("rbi,rij,rbj->rb", miss, inverse, miss) + blur_misfit
             squares[k] = total.min(axis=1)
             each = -0.5 * (total + np.log(np.linalg.det(covariance))[:, None])
-            logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(LAW_PRIOR[k])
+            logs[k] = np.logaddexp.reduce(each, axis=1) + np.log(disc_sizes().law_prior[k])
         return logs, squares
 
     radii = np.geomspace(MIN_DISC_RADIUS_PX, MAX_DISC_RADIUS_PX, RADII)

@@ -18,20 +18,13 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.moments import is_round, light_moments, measure_disc
-from optnav_cli.measurements.disc.size import radius_posterior
+from optnav_cli.measurements.disc.size import disc_sizes, radius_posterior
 from optnav_cli.measurements.segmentation import Segmented
 from optnav_cli.navigation.horizon.limb_rays import attitude_covariance
 from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import Reason, ReasonCode, told_apart
 
 MAX_PHASE_DEG = 150.0  # beyond it relief, not the sphere, shapes what is lit
-# What relief moves the light by, of the radius: the Moon's figure is 1.8 km off its centre of mass
-# (Smith et al., JGR 102, 1997). Maria, which are in no law, are not in it.
-SHAPE_SIGMA = 0.0012
-# The same of a body that is no sphere: the ground below its known relief, at a full phase, and the
-# ground over its ellipsoid. What the first throws shadows on grows as the lit share shrinks.
-RELIEF_SIGMA, ELLIPSOID_SIGMA = 0.004, 0.05
-SHADOW_POWER = 1.3  # of one over the lit share
 MAX_MISFIT = 5.0  # sigmas of the three second moments together
 SMALL_ANGLE = 1e-5
 
@@ -65,10 +58,13 @@ def navigate(
         )
     body_from_camera = camera_from_body.inv().as_matrix()
     pixel_from_angle, scale, axes = _tangent(camera, towards, sun)
-    shape_sigma = SHAPE_SIGMA
+    sizes = disc_sizes()
+    shape_sigma = sizes.figure
     if not is_round(body):
         share = np.cos(0.5 * phase) ** 2
-        shape_sigma = ELLIPSOID_SIGMA if relief is None else RELIEF_SIGMA / share**SHADOW_POWER
+        shape_sigma = (
+            sizes.ellipsoid if relief is None else sizes.relief / share**sizes.shadow_power
+        )
     seen = np.vstack([axes, -towards]) @ body_from_camera.T
     moments = light_moments(body, relief, seen, sun_body, phase)
     pixel_from_disc = pixel_from_angle / scale

@@ -15,12 +15,12 @@ from optnav_cli.fix import Evidence, Fix, Method, OutlineMarks
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.fit import ABOUT_PX, fit_disc, rad_per_px
 from optnav_cli.measurements.disc.moments import MAX_SMALL_DISC_PX
+from optnav_cli.measurements.disc.size import disc_sizes
 from optnav_cli.measurements.limb.detection import LimbPoints
-from optnav_cli.navigation.disc.brightness_centre import SHAPE_SIGMA, disc_fix
+from optnav_cli.navigation.disc.brightness_centre import disc_fix
 from optnav_cli.navigation.neighbour import CameraView
 from optnav_cli.reasons import ReasonCode
 
-DRAWING_SIGMA_PX = 0.01  # what drawing leaves
 # Of 100 drawn discs the misfit was 0.7-1.1 under their own Sun, and over 1.25 or without a solution
 # under one turned by 45 or 180 deg about the line of sight from a phase of 15 deg on. Ground of two
 # kinds may cost as much, so that only the larger one refuses.
@@ -68,8 +68,9 @@ def navigate(picture: Picture, view: CameraView, body: Body, limb: LimbPoints) -
     lit = 0.5 * (1.0 + float(position @ sun) / float(np.linalg.norm(position)))
     # the figure moves the fitted centre and radius; shadows on its ground do more as the lit share
     # shrinks
-    shape_px = SHAPE_SIGMA * fit.radius_px / max(lit, 0.1)
-    spread = fit.covariance + (shape_px**2 + DRAWING_SIGMA_PX**2) * np.eye(3)
+    sizes = disc_sizes()
+    shape_px = sizes.figure * fit.radius_px / max(lit, 0.1)
+    spread = fit.covariance + (shape_px**2 + sizes.drawing_px**2) * np.eye(3)
     covariance = change @ spread @ change.T
     marks = OutlineMarks(limb.pixels, limb.inward, np.zeros(len(limb)))
     evidence = Evidence(n_limb=len(limb), arc_deg=limb.arc_deg, outline=marks)

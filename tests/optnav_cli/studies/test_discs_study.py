@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from optnav_cli.studies.discs import DiscResult, DiscScene, report, solve
+from optnav_cli.studies.discs import KNOWN, DiscResult, DiscScene, report, solve
 
 
 def result(**values):
-    return DiscResult("moon", True, 5.0, 40.0, **values)
+    return DiscResult("moon", KNOWN, 5.0, 40.0, **values)
 
 
 def test_the_table_keeps_direction_and_range_apart_and_counts_refusals():
@@ -34,6 +34,27 @@ def test_a_drawn_disc_has_the_place_and_size_that_its_truth_says():
     values = disc.picture.values - np.median(disc.picture.values)
     rows, cols = np.nonzero(values > 0.3 * values.max())
     assert np.hypot(cols - centre[0], rows - centre[1]).max() == pytest.approx(6.0, abs=1.2)
-    found = solve(scene, disc, blur_known=True)
+    found = solve(scene, disc, KNOWN)
     assert found.direction_px < 0.2
     assert abs(found.range_share) < 0.05
+
+
+def test_discs_behind_a_defocused_lens_that_nobody_states_are_as_far_off_as_they_say():
+    """9.5 px across, fitted whole: as if behind a gaussian, the ranges were 10 sigmas off."""
+    scene = DiscScene("moon")
+    for seed in (5, 21):
+        disc = scene.draw(9.5, 7302, np.random.default_rng(seed))
+        found = solve(scene, disc.blurred_anew("defocus", np.random.default_rng(seed)), "defocus")
+        assert found.method == "horizon_sphere"
+        assert found.range_nees < 9.0
+        assert 2.0 * found.direction_nees < 11.8  # 99.7 % of two
+
+
+def test_discs_behind_a_sharp_lens_that_nobody_states_are_as_far_off_as_they_say():
+    """Too small a blur is taken for a smaller disc: expected at 0.85 +- 0.17 px, NEES is 2.2."""
+    scene, squares = DiscScene("moon"), []
+    for seed, diameter in enumerate((6.5, 8.0, 9.0, 9.5)):
+        disc = scene.draw(diameter, 7302, np.random.default_rng(seed))
+        found = solve(scene, disc.blurred_anew("sharp", np.random.default_rng(seed)), "sharp")
+        squares.append(found.range_nees)
+    assert np.mean(squares) < 1.5

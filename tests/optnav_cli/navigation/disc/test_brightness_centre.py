@@ -9,7 +9,8 @@ from catalog.bodies.body import load_body
 from catalog.errors import NoSolutionError
 from optnav_cli.frames.picture import Picture
 from optnav_cli.measurements.disc.moments import sphere_moments
-from optnav_cli.navigation.disc.brightness_centre import SHAPE_SIGMA, navigate
+from optnav_cli.measurements.disc.size import disc_sizes
+from optnav_cli.navigation.disc.brightness_centre import navigate
 from optnav_cli.navigation.neighbour import CameraView
 from tests.optnav_cli.measurements.disc.drawn_discs import blurred_disc, expose, far_camera, placed
 
@@ -41,7 +42,7 @@ def test_positions_of_300_discs_are_as_good_as_they_say():
         picture, centre, sun = drawn(rng, radius, rng.uniform(0.0, 120.0), rng.uniform(0.5, 1.1))
         turn = Rotation.random(random_state=rng)
         fix, _ = centre_fix(picture, CAMERA, turn, 0.0, turn.inv().apply(sun), saturation=255.0)
-        mass = centre + rng.normal(0.0, SHAPE_SIGMA * BODY.radius_m, 3)
+        mass = centre + rng.normal(0.0, disc_sizes().figure * BODY.radius_m, 3)
         error = fix.position_m + turn.inv().apply(mass)
         normalised.append(error @ np.linalg.solve(fix.covariance_m2, error) / 3.0)
         missed.append(np.linalg.norm(centre_px(fix) - CAMERA.project(centre)))
