@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
-from catalog.correlation.peak import Match, locate_peak, remainder_covariance
-from catalog.geometry.grid import cubic_weights, sample_bicubic
+from catalog.correlation.peak import Match, locate_peak, refined_by_remainder
+from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.kernel import kernel
 
 Number = TypeVar("Number", np.float32, np.float64, np.bool_)
@@ -29,6 +29,10 @@ MIN_CONTRAST = 1e-5
 # 319 m, 97 % of lit points are found behind this blur and 53 % without. Twice as much finds 99 %,
 # but leaves a fourth of the evidence against chance.
 BLUR_SHARE = 0.3
+# By what a match leaves over its place moves by no more than this.
+MAX_STEP_NODES = 0.7
+# Coefficients by power of the polynomial through nodes -2 to 3.
+_THROUGH_SIX = np.linalg.inv(np.vander(np.arange(-2.0, 4.0), increasing=True))
 # A place where both have less than this share of the nodes that they have at the best is none:
 # a few nodes correlate by chance.
 MIN_COMMON_SHARE = 0.7
@@ -266,7 +270,7 @@ def match_cut(
 def with_remainder_covariance(
     match: Match, reference: Float32Array, search: Float32Array, margin_nodes: int
 ) -> Match:
-    """A match with the covariance that its remainder gives; see `remainder_covariance`.
+    """A match with the covariance that its remainder gives; see `refined_by_remainder`.
 
     reference, search, margin_nodes  as `match_masked` took them. A peak that is none stays so.
     """
@@ -283,8 +287,13 @@ def _by_remainder(
 ) -> Match:
     """With high-passed grids; the patch and what both have: about the nearest node of the match."""
     x, y = match.dx - np.rint(match.dx), match.dy - np.rint(match.dy)
-    laid, common = cropped(_moved(template, x, y), margin_nodes), cropped(both, margin_nodes)
-    return match._replace(covariance=remainder_covariance(laid, patch, common))
+    laid, slopes = _moved(template, x, y, margin_nodes)
+    found = refined_by_remainder(laid, slopes, patch, cropped(both, margin_nodes))
+    if not np.isfinite(found.covariance).all():
+        return match._replace(covariance=found.covariance)
+    # a step of more than a node is beyond what slopes can tell
+    x, y = found.shift * min(1.0, MAX_STEP_NODES / max(float(np.hypot(*found.shift)), 1e-9))
+    return match._replace(dx=match.dx + x, dy=match.dy + y, covariance=found.covariance)
 
 
 def _place(search: NDArray[Number], reference: NDArray[Any], match: Match) -> NDArray[Number]:
@@ -295,15 +304,27 @@ def _place(search: NDArray[Number], reference: NDArray[Any], match: Match) -> ND
     return search[row : row + side, col : col + side]
 
 
-def _moved(grid: Float32Array, x: float, y: float) -> Float32Array:
-    """A grid moved by less than a node along columns and rows; bicubic."""
-    along, down = _cubic_kernel(-x), _cubic_kernel(-y)
-    return np.asarray(cv2.sepFilter2D(grid, cv2.CV_32F, along, down), dtype=np.float32)
+def _moved(
+    grid: Float32Array, x: float, y: float, margin: int
+) -> tuple[Float32Array, Float32Array]:
+    """A grid moved by less than two nodes along columns and rows, and its slopes (n, n, 2).
+
+    By polynomials through six nodes a side: slopes of neighbours' differences would be too small
+    for short waves, which move a place by too much. margin is taken off.
+    """
+    (along, slope), (down, fall) = (_six_nodes(-by) for by in (x, y))
+    parts = [
+        cropped(np.asarray(cv2.sepFilter2D(grid, cv2.CV_32F, *pair), np.float32), margin)
+        for pair in ((along, down), (slope, down), (along, fall))
+    ]
+    return parts[0], np.stack(parts[1:], axis=-1)
 
 
-def _cubic_kernel(shift: float) -> FloatArray:
-    """Weights (7,) of the nodes about one for the value at a shift of less than two nodes."""
+def _six_nodes(shift: float) -> tuple[FloatArray, FloatArray]:
+    """Weights (9,) of the nodes about one for value and slope at a shift of less than two nodes."""
     whole = int(np.floor(shift))
-    weights = np.zeros(7)
-    weights[whole + 2 : whole + 6] = cubic_weights(shift - whole)
-    return weights
+    powers = (shift - whole) ** np.arange(6.0)
+    weights = np.zeros((2, 9))
+    weights[0, whole + 2 : whole + 8] = powers @ _THROUGH_SIX
+    weights[1, whole + 2 : whole + 8] = (np.arange(1.0, 6.0) * powers[:5]) @ _THROUGH_SIX[1:]
+    return weights[0], weights[1]

@@ -81,4 +81,4 @@ def test_a_filtered_search_grid_gives_the_covariance_of_the_remainder():
     apart = with_remainder_covariance(match_ncc(template, search, MARGIN), template, search, MARGIN)
     at_once = match_cut(template, search, filtered(search, MARGIN), MARGIN, remainder=True)
     assert np.allclose(at_once.covariance, apart.covariance, rtol=0.1, atol=1e-5)
-    assert at_once[:2] == apart[:2]
+    assert np.allclose(at_once[:2], apart[:2], atol=2e-3)

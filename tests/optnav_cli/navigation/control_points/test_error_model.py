@@ -146,9 +146,9 @@ def test_the_pattern_moves_along_the_sun_more_than_across_it():
 
 
 def test_a_pattern_of_poor_score_is_found_away_from_the_sun():
-    """12 m for a score of 0 and a cotangent of 1; the Sun stands in the east, 30 deg high."""
+    """6 m for a score of 0 and a cotangent of 1; the Sun stands in the east, 30 deg high."""
     bias = bias_px(matched(SQUARE, score=0.5), sun(30.0))
-    assert bias[:, 0] == pytest.approx(-12.0 * 0.5 * np.sqrt(3.0), rel=0.01)
+    assert bias[:, 0] == pytest.approx(-6.0 * 0.5 * np.sqrt(3.0), rel=0.01)
     assert bias_px(matched(SQUARE), sun(30.0)) == pytest.approx(np.zeros((4, 2)))
     hidden = matched(SQUARE, score=0.5, unresolved_posting_m=319.0)
     assert bias_px(hidden, sun(30.0)) == pytest.approx(np.zeros((4, 2)))
