@@ -1,8 +1,8 @@
 """A comet with less and less stated: position and attitude, a turned attitude, no position.
 
-The pictures' positions and attitudes are taken for the truth (`studies.real` corrects labels so).
-What is stated is drawn about them with the sigmas of a case, by a fixed seed. Errors across the
-line of sight hold those of the attitude, which moves the camera about the body.
+The labels of the archive, corrected by what is common to them (`studies.real`), are taken for the
+truth. What is stated is drawn about them with the sigmas of a case, by a fixed seed. Errors across
+the line of sight hold those of the attitude, which moves the camera about the body.
 """
 
 import os
@@ -15,13 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC
-from catalog.places import make_folder
 from catalog.progress import Progress
 from optnav_cli.evaluation.figures import FrameError, figures_of
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.truth import Truth, write_truth
-from optnav_cli.studies import flights
+from optnav_cli.studies import flights, real
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms, tally
 
 SEED = 7
@@ -48,18 +47,20 @@ CASES = (
 
 
 def run(
-    pictures: Path, catalogs: Sequence[Path], output: Path, progress: Progress
+    folder: Path, output: Path, progress: Progress, frames: int | None = None, rows: str = ""
 ) -> list[tuple[Stated, tuple[FrameError, ...]]]:
-    """Navigate the pictures of a folder in each case; all files go into `output`.
+    """Correct the labels of 67P, and navigate its pictures in each case; files go into `output`.
 
-    pictures  a picture folder whose positions and attitudes are the truth
+    folder, frames  as in `studies.real`;  rows  only cases whose name contains this
     """
-    make_folder(output)
+    chosen = flights.rows_named(CASES, rows)
+    pictures, catalogs = real.corrected_set("67P", folder, output, progress, frames)
     results = []
-    for number, case in enumerate(CASES):
-        folder = stated_folder(pictures, output / f"pictures-{number}", case)
+    for case in chosen:
+        number = CASES.index(case)
+        stated = stated_folder(pictures, output / f"pictures-{number}", case)
         run_folder = output / f"run-{number}"
-        results.append((case, flights.navigated(folder, catalogs, run_folder, progress)))
+        results.append((case, flights.navigated(stated, catalogs, run_folder, progress)))
     return results
 
 

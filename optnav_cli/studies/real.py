@@ -35,6 +35,7 @@ from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 MIN_SET = 5  # frames from which what is common to them can be told
 BEYOND_SIGMAS = 5.0
+CORRECTED = "pictures-corrected"
 # Of labels that were corrected: what is asked of a navigator at 67P.
 CORRECTED_M, CORRECTED_RAD = 300.0, 200.0 * ARCSEC
 # What the labels of 67P scatter by once that is taken out, from frame to frame: 0.7 px, 23 arcsec.
@@ -96,18 +97,44 @@ def run(
     folder  where sets lie in folders of their own, as rosetta/pictures and near
     frames  pictures of a set, evenly taken; all when None
     """
-    if not folder.is_dir():
-        raise DataError(f"{folder}: there is no such folder; name the one that holds the sets")
-    make_folder(output)
+    _begin(folder, output)
     return [
         _of_set(one, folder, output, progress, frames) for one in flights.rows_named(SETS, rows)
     ]
 
 
+def corrected_set(
+    name: str, folder: Path, output: Path, progress: Progress, frames: int | None
+) -> tuple[Path, list[Path]]:
+    """Pictures of the set whose name contains a text, with corrected labels, and its catalogs.
+
+    Arguments otherwise as `run`. Raises DataError where labels cannot be corrected.
+    """
+    _begin(folder, output)
+    (one,) = flights.rows_named(SETS, name)
+    result, place = _of_set(one, folder, output, progress, frames), _place(one, output)
+    if result.last is result.first:
+        few = f"fewer than {MIN_SET} frames are solved as labelled"
+        raise DataError(
+            f"{folder}: {one.name}: {result.skipped or few}; the labels stay as they are"
+        )
+    return place / CORRECTED, [place / "catalog.gpkg"]
+
+
+def _begin(folder: Path, output: Path) -> None:
+    if not folder.is_dir():
+        raise DataError(f"{folder}: there is no such folder; name the one that holds the sets")
+    make_folder(output)
+
+
+def _place(one: RealSet, output: Path) -> Path:
+    return output / one.name.lower().replace(", ", "-").replace(" ", "-")
+
+
 def _of_set(
     one: RealSet, folder: Path, output: Path, progress: Progress, most: int | None
 ) -> SetResult:
-    place = output / one.name.lower().replace(", ", "-").replace(" ", "-")
+    place = _place(one, output)
     files = sorted(folder.glob(one.labels)) if one.labels else [resource(apollo.CUBE)]
     if not files:
         return SetResult(one.name, skipped=f"{folder / one.labels}: no such file")
@@ -122,7 +149,7 @@ def _of_set(
     common = _adjusted(first, place / "adjusted")
     if common is None or common.frames < MIN_SET:
         return SetResult(one.name, first, first)
-    corrected = _corrected(pictures, place / "adjusted", place / "pictures-corrected")
+    corrected = _corrected(pictures, place / "adjusted", place / CORRECTED)
     last = _navigated(corrected, catalogs, place / "run-corrected", progress)
     again = _adjusted(last, place / "adjusted-corrected")
     found = _nees(last, read_folder(corrected).frames)

@@ -132,6 +132,20 @@ STUDIES = (
         _flights("autonomous", _RUNS, "wide"),
     ),
     Study(
+        "comet",
+        "67P with position and attitude stated, turned, or not at all.",
+        """Navigate the pictures of 67P with less and less stated.
+
+        Position to 300 m with the attitude to 200 arc seconds; the same with the attitude free and
+        0.7 deg off; no position. FOLDER holds rosetta/pictures/*.lbl with their pictures and
+        rosetta/67p*.obj, as for the study real, whose corrected labels are the truth.""",
+        "shared -o comet --frames 10",
+        (
+            click.Argument(["folder"], type=PATH),
+            *_flights("comet", "the catalog, pictures and runs with overlays", "free"),
+        ),
+    ),
+    Study(
         "discs",
         "Direction and range of discs of 2 to 40 px, and their covariance.",
         """Draw small discs of the Moon and of Phobos, solve them, and compare with the truth.
