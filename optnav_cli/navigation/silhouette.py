@@ -12,11 +12,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
+import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from catalog.bodies.body import Body
+from catalog.config import Positive, load_toml, resource
 from catalog.errors import NoSolutionError
 from catalog.terrain.mesh.rays import MeshRays
 from catalog.terrain.mesh.terrain import mesh_of_relief
@@ -51,15 +53,24 @@ CUT_PX = 2
 EXACT_RAD = 1e-7  # an attitude that is known better is taken to be known so well
 LEAST_SCATTER = 0.2  # px; no shape is known better
 EDGE_LENGTH_PX = 12.0  # along which an edge errs as one
-# Errors of light and shape that go with the slopes of the ground are taken for a turn: residuals do
-# not show them. From ten even frames of 67P, whose errors were 1.6 times as large as without it.
-ABSORBED = 1.7
 # By the light on the shape: steps of the grid that pieces are searched, how many are needed, blocks
 # a side whose pieces err together.
 LIGHT_REACHES, MIN_PIECES, MAX_LIGHT_SCATTER_PX, BLOCKS = (8, 4, 3), 25, 1.5, 5
-# That all edges may stand too far out (half light is not the edge of a rough body, and a shape of
-# flat faces is too lean), px; errors of a shape's scale, of its edges and of its ground.
-EDGE_PX, EDGE_SCALE, SCALE = 0.5, 0.005, 0.002
+FILE = "configs/models/silhouette.toml"
+
+
+class SilhouetteErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the file says beside each number."""
+
+    absorbed: Positive
+    edge_px: Positive
+    edge_scale: Positive
+    ground_scale: Positive
+
+
+@lru_cache(maxsize=1)
+def _errors() -> SilhouetteErrors:
+    return load_toml(resource(FILE), SilhouetteErrors)
 
 
 class _Rows(NamedTuple):
@@ -268,7 +279,7 @@ def _fitted(
     for _ in range(8):
         rest = np.abs(offsets - rows @ change) / scatter
         weights = np.where(rest < 4.0, 1.0, 0.0) / np.maximum(rest / 1.5, 1.0)
-        weights *= thinning / (ABSORBED * scatter) ** 2
+        weights *= thinning / (_errors().absorbed * scatter) ** 2
         normal = (rows * weights[:, None]).T @ rows + hold
         wanted = (rows * weights[:, None]).T @ offsets
         wanted[3:] -= prior * turned
@@ -339,14 +350,14 @@ def _fix(last: _Step, fit: _Rows, turn: Rotation, position: FloatArray, view: Ca
     names, number = np.unique(fit.groups, return_inverse=True)
     sums = np.zeros((len(names), 6))
     np.add.at(sums, number, pulls)
-    spread = sums.T @ sums * (ABSORBED**2 * len(names) / max(len(names) - 6.0, 1.0))
+    spread = sums.T @ sums * (_errors().absorbed**2 * len(names) / max(len(names) - 6.0, 1.0))
     prior = 1.0 / max(view.attitude_sigma_rad, EXACT_RAD) ** 2
     spread[3:, 3:] += prior * np.eye(3)
     covariance = inverse @ spread @ inverse
-    share = SCALE
+    share = _errors().ground_scale
     if fit is last.fit:
-        share = EDGE_SCALE
-        wide = inverse @ (fit.rows.T @ fit.weights) * EDGE_PX
+        share = _errors().edge_scale
+        wide = inverse @ (fit.rows.T @ fit.weights) * _errors().edge_px
         covariance = covariance + np.outer(wide, wide)
     larger = np.concatenate([share * position, np.zeros(3)])
     covariance = covariance + np.outer(larger, larger)
