@@ -53,11 +53,13 @@ def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
     from optnav_cli.measurements.disc.size import DiscErrorSizes
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes
+    from optnav_cli.navigation.silhouette import SilhouetteErrors
 
     types: dict[str, type[object]] = {
         "terrain": TerrainLaws,
         "control_points": PointErrorSizes,
         "disc": DiscErrorSizes,
+        "silhouette": SilhouetteErrors,
     }
     return load_toml(path, types[path.stem])
 

@@ -350,7 +350,7 @@ def _fix(last: _Step, fit: _Rows, turn: Rotation, position: FloatArray, view: Ca
     names, number = np.unique(fit.groups, return_inverse=True)
     sums = np.zeros((len(names), 6))
     np.add.at(sums, number, pulls)
-    spread = sums.T @ sums * (_errors().absorbed**2 * len(names) / max(len(names) - 6.0, 1.0))
+    spread = sums.T @ sums * (_errors().absorbed ** 2 * len(names) / max(len(names) - 6.0, 1.0))
     prior = 1.0 / max(view.attitude_sigma_rad, EXACT_RAD) ** 2
     spread[3:, 3:] += prior * np.eye(3)
     covariance = inverse @ spread @ inverse

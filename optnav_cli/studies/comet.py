@@ -112,7 +112,7 @@ def report(results: Sequence[tuple[Stated, Sequence[FrameError]]]) -> StudyRepor
         reasons = [f.solution.reason.partition(";")[0] for f in frames if f.nees is None]
         notes += flights.not_solved(case.name, reasons)
     rows = tuple(_cells(case, frames) for case, frames in results)
-    return StudyReport((StudyTable("", COLUMNS, rows),), tuple(notes))
+    return StudyReport((StudyTable("67P with less and less stated", COLUMNS, rows),), tuple(notes))
 
 
 def _cells(case: Stated, frames: Sequence[FrameError]) -> tuple[Cell, ...]:
