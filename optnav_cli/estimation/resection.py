@@ -8,7 +8,7 @@ from scipy.special import gammaincinv
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from optnav_cli.estimation.consider import considered, correlated
-from optnav_cli.estimation.least_squares import Estimate, Iteration, Model, solve
+from optnav_cli.estimation.least_squares import Estimate, Iteration, Linearisation, Model, solve
 from optnav_cli.estimation.models.points import (
     AttitudeModel,
     PointsModel,
@@ -130,24 +130,43 @@ def resect_robustly(
     found, used, factor = gated(
         agreeing, fewest, lambda mask: solved(mask, attitude_sigma_rad), squares_of, gate
     )
-    covariance = rescaled(found, factor)
-    gain = found.measured.gain(covariance / factor)
-    if error_correlation is not None:
-        roots = np.linalg.cholesky(sightings.covariances_px2[used]).astype(np.float64)
-        covariance = covariance + factor * correlated(
-            gain, roots, error_correlation[np.ix_(used, used)]
-        )
-    errors = _errors_of_scatter(sightings.subset(used), factor, *common_shares)
+    kept = sightings.subset(used)
+    errors = errors_of_scatter(kept, factor, *common_shares)
     if common_errors_px is not None:
         errors = np.concatenate([errors, common_errors_px[used]], axis=2)
-    covariance = covariance + considered(gain, errors.reshape(-1, errors.shape[-1]))
+    if error_correlation is not None:
+        error_correlation = error_correlation[np.ix_(used, used)]
+    covariance = with_dependent_errors(
+        rescaled(found, factor), found.measured, factor, kept, errors, error_correlation
+    )
     pixels, _ = predict(camera, found.state, sightings.points_body_m)
     return Resection(
         found.state, covariance, found.degrees_of_freedom, used, factor, sightings.pixels - pixels
     )
 
 
-def _errors_of_scatter(
+def with_dependent_errors(
+    covariance: FloatArray,
+    measured: Linearisation,
+    factor: float,
+    sightings: Sightings,
+    errors_px: FloatArray,
+    correlation: FloatArray | None,
+) -> FloatArray:
+    """A covariance (k, k) for which each sighting erred for itself, with the errors that do not.
+
+    factor       by which the stated covariances of the sightings, `measured`, were scaled for it
+    errors_px    (n, 2, m) one sigma of each of m errors that all sightings share
+    correlation  (n, n) of their own errors; None: none
+    """
+    gain = measured.gain(covariance / factor)
+    if correlation is not None:
+        roots = np.linalg.cholesky(sightings.covariances_px2).astype(np.float64)
+        covariance = covariance + factor * correlated(gain, roots, correlation)
+    return covariance + considered(gain, errors_px.reshape(-1, errors_px.shape[-1]))
+
+
+def errors_of_scatter(
     sightings: Sightings, factor: float, shift: float, stretch: float
 ) -> FloatArray:
     """Shifts along x and y and a stretch (n, 2, 3), px: shares of the scatter of a frame."""

@@ -95,11 +95,7 @@ def run(
     make_folder(output)
     results: list[FlightResult] = []
     for row in chosen:
-        config = output / f"{row.catalog}-{row.cell_deg:g}deg.toml"
-        text = resource(f"configs/catalogs/{row.catalog}.toml").read_text(encoding="utf-8")
-        catalog = flights.built_catalog(
-            config, f"{text}\n[grid]\ncell_deg = {row.cell_deg}\n", progress
-        )
+        catalog = case_catalog(output, row.catalog, row.cell_deg, progress)
         for star_sensor in (False, True):
             parts = []
             for name in row.scenarios:
@@ -120,6 +116,13 @@ def run(
             single = flights.frames_table({r.case: r.evaluation.frames for r in results})
             StudyReport((*report(results).tables, single)).write(output / flights.FIGURES)
     return results
+
+
+def case_catalog(output: Path, name: str, cell_deg: float, progress: Progress) -> Path:
+    """The catalog of a shipped configuration at a cell size, in the study's folder."""
+    config = output / f"{name}-{cell_deg:g}deg.toml"
+    text = resource(f"configs/catalogs/{name}.toml").read_text(encoding="utf-8")
+    return flights.built_catalog(config, f"{text}\n[grid]\ncell_deg = {cell_deg}\n", progress)
 
 
 COLUMNS = columns(

@@ -180,6 +180,31 @@ STUDIES = (
         ),
     ),
     Study(
+        "fit",
+        "The sizes of errors of matches, fitted and scored on other ground.",
+        """Fit the sizes of a model of errors, configs/models/NAME.toml, by maximum likelihood.
+
+        Frames over ground that differs from the terrain model as the Moon's does from GLD100 are
+        matched from their true poses. NEES of frames held back, and of other ground, is that of the
+        present sizes and of the new ones. Catalogs and pictures are those of `optnav study
+        navigation`; with them it takes a minute.""",
+        "control_points -o sizes.toml",
+        (
+            click.Argument(["name"], type=click.Choice(["control_points"])),
+            _output(None, "TOML file for the sizes.", ".toml"),
+            _option(
+                "--folder",
+                PATH,
+                "optnav-navigation",
+                "For catalogs and pictures; what is in it is used again.",
+            ),
+            _option(
+                "--frames", click.IntRange(1, MANY), None, "Pictures of each scenario; all if left."
+            ),
+            _option("--rows", str, "", "Only scenarios whose name contains this, such as 'unk'."),
+        ),
+    ),
+    Study(
         "horizon",
         "Positions from the limb alone, sphere against terrain-aware.",
         """Solve single pictures from 50 to 100 000 km by their limb, and compare with the truth.

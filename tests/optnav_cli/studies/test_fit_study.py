@@ -1,0 +1,179 @@
+"""The fit of the sizes of errors: known ones are found again, and what it writes is their file."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from catalog.config import load_toml, resource, toml_text
+from catalog.correlation.ncc import match_ncc
+from catalog.errors import NothingToDoError, OutputError
+from catalog.geometry.latlon import body_from_local, xyz_from_latlon
+from catalog.progress import SilentProgress
+from optnav_cli.estimation.models.points import Sightings
+from optnav_cli.estimation.resection import errors_of_scatter
+from optnav_cli.frames.picture import Picture
+from optnav_cli.frames.truth import Truth
+from optnav_cli.main import cli
+from optnav_cli.navigation.control_points import error_model
+from optnav_cli.navigation.control_points.error_model import (
+    FILE,
+    MatchedPoints,
+    PointErrorSizes,
+    ground_correlation,
+    shipped_sizes,
+)
+from optnav_cli.navigation.control_points.solve import MatchedFrame
+from optnav_cli.navigation.observation import Observation
+from optnav_cli.navigation.settings import NavigateSettings
+from optnav_cli.studies import fit
+
+ENU = body_from_local(-0.75, -0.2)
+FOOT = xyz_from_latlon(-0.75, -0.2, 1_737_400.0)
+HEIGHT_M, PIXEL_M, POINTS, FRAMES = 400e3, 95.0, 16, 30
+# What differs from the shipped sizes: a point's own, and common to a frame.
+KNOWN = {"own.warped_m": 2.0, "sunward.bias_m": 2.0, "common.sunward_nodes": 2.5}
+LEAST_DROP = 2.0  # of the logarithm of the likelihood: seven times less likely
+
+
+def frame(rng, sizes):
+    """A frame from the zenith whose points are missed as these sizes say."""
+    east, north = rng.uniform(-60e3, 60e3, (2, POINTS))
+    places = FOOT + np.column_stack([east, north]) @ ENU[:, :2].T
+    pixels = 512.0 + np.column_stack([east, -north]) / PIXEL_M
+    by_ground = np.tile(np.stack([ENU[:, 0], -ENU[:, 1]]) / PIXEL_M, (POINTS, 1, 1))
+    # what rises moves away from the middle
+    by_ground += (pixels - 512.0)[:, :, None] / HEIGHT_M * ENU[:, 2]
+    finest = np.full(POINTS, 118.45)
+    elevation, azimuth = np.radians(rng.uniform(15.0, 45.0)), rng.uniform(0.0, 2.0 * np.pi)
+    flat = np.cos(elevation)
+    sun = ENU @ [flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)]
+    points = MatchedPoints(
+        points_m=places,
+        pixel_per_metre=by_ground,
+        scores=rng.uniform(0.4, 0.95, POINTS),
+        sun_elevation_deg=np.full(POINTS, np.degrees(elevation)),
+        postings_m=finest * rng.choice([1, 2, 4], POINTS),
+        finest_postings_m=finest,
+        unresolved_posting_m=np.zeros(POINTS),
+        skipped_m=np.zeros(POINTS),
+        sizes_m=np.full(POINTS, 9.5e3),
+    )
+    stated = np.tile(0.05**2 * np.eye(2), (POINTS, 1, 1))
+    own = stated + error_model.own_covariances_px2(points, sizes)
+    seen = Sightings(places, pixels, own)
+    scatter = errors_of_scatter(seen, 1.0, sizes.common.scatter_shift, sizes.common.scatter_stretch)
+    common = error_model.common_errors_px(points, sun, sizes)
+    together = np.concatenate([scatter, common], axis=2)
+    correlation = ground_correlation(places, points.sizes_m)
+    alike = np.linalg.cholesky(correlation) @ rng.normal(size=(POINTS, 2))
+    missed = np.einsum("nij,nj->ni", np.linalg.cholesky(own), alike)
+    missed += together @ rng.normal(size=together.shape[2])
+    missed += error_model.bias_px(points, sun, sizes)
+    measured = Sightings(places, pixels + missed, stated)
+    return fit.TrueFrame("made", MatchedFrame(measured, points, correlation, sun), pixels)
+
+
+@pytest.fixture(scope="session")
+def known():
+    """Sizes, and frames that are missed by them."""
+    sizes = fit.scaled(shipped_sizes(), KNOWN)
+    rng = np.random.default_rng(7)
+    return sizes, [frame(rng, sizes) for _ in range(FRAMES)]
+
+
+@pytest.fixture
+def look(rough_world, field_of):
+    """Matches a picture of rough ground from a pose that is off by so much, m."""
+    pose, sun = rough_world.pose(100e3), rough_world.sun(30.0, 65.0)
+    taken = Picture(rough_world.picture(pose, sun, noise_seed=4), 255.0)
+    turn = pose.camera_from_body
+    seen = Observation("a.png", "", 0.0, rough_world.camera, taken, turn, 0.0, sun)
+
+    def matched(off_m, keep=slice(None)):
+        inputs = SimpleNamespace(
+            points=field_of(rough_world, keep), settings=NavigateSettings(), matcher=match_ncc
+        )
+        truth = Truth("a.png", "", 0.0, pose.position_m + off_m, turn)
+        return fit.of_frame(inputs, seen, truth, "rough")
+
+    return matched
+
+
+def test_matches_from_the_true_pose_are_missed_by_little(look):
+    found = look(np.zeros(3))
+    missed = found.matched.sightings.pixels - found.pixels
+    assert len(missed) > 5
+    assert np.sqrt((missed**2).mean()) < 0.3
+    assert len(fit.subset(found, np.arange(len(missed)) < 3).pixels) == 3
+
+
+def test_frames_with_wrong_matches_or_few_points_are_left_out(look):
+    assert look(np.array([0.0, 0.0, 0.0]), keep=slice(2)) is None
+    assert look(np.array([2e3, -2e3, 0.0])) is None
+
+
+@pytest.mark.calibration
+def test_sizes_that_frames_were_made_with_are_found_again(known):
+    sizes, frames = known
+    found, wanted = fit.numbers(fit.fitted(frames, shipped_sizes())), fit.numbers(sizes)
+    for name in KNOWN:
+        assert 1 / 1.5 < found[name] / wanted[name] < 1.5, name
+
+
+@pytest.mark.calibration
+def test_half_and_twice_a_size_that_matters_are_less_likely(known):
+    sizes, frames = known
+    drops = fit.drops(frames, sizes)
+    for name in KNOWN:
+        assert min(drops[name]) > LEAST_DROP, name
+    # nothing here is behind a blur
+    assert drops["hidden.rise"] == (0.0, 0.0)
+
+
+@pytest.mark.calibration
+def test_positions_are_off_by_what_the_right_sizes_say(known):
+    sizes, frames = known
+    nees = np.mean([fit.position_nees(one, sizes) for one in frames])
+    assert 0.6 < nees < 1.5
+    assert np.mean([fit.position_nees(one, shipped_sizes()) for one in frames]) > 1.5 * nees
+
+
+def test_a_file_with_other_sizes_loads_and_keeps_its_comments(tmp_path):
+    sizes = fit.scaled(shipped_sizes(), {"own.warped_m": 2.0, "common.shift_px": 0.5})
+    text = fit.with_sizes(toml_text(resource(FILE)), sizes)
+    (tmp_path / "sizes.toml").write_text(text, encoding="utf-8")
+    found = load_toml(tmp_path / "sizes.toml", PointErrorSizes)
+    assert (found.own.warped_m, found.common.shift_px) == (70.0, pytest.approx(0.0022, rel=0.05))
+    assert found.common.height_nodes == shipped_sizes().common.height_nodes
+    assert text.startswith(fit.BEGINNING.decode())
+    lines = zip(text.splitlines(), toml_text(resource(FILE)).splitlines(), strict=True)
+    changed = [line.split() for line, was in lines if line != was]
+    assert [words[:3] for words in changed] == [
+        ["warped_m", "=", "70"],
+        ["shift_px", "=", "0.0022"],
+    ]
+    assert all(words[3] == "#" for words in changed)
+
+
+def test_an_output_that_is_no_file_of_sizes_stays_and_is_refused(tmp_path):
+    place = tmp_path / "mine.toml"
+    place.write_text("mine\n", encoding="utf-8")
+    with pytest.raises(OutputError, match=r"mine\.toml: exists and was not made by optnav"):
+        fit.run(SilentProgress(), "control_points", tmp_path / "study", output=place)
+    assert place.read_text(encoding="utf-8") == "mine\n"
+    assert not (tmp_path / "study").exists()
+
+
+def test_scenarios_without_one_to_fit_with_are_refused(tmp_path):
+    with pytest.raises(NothingToDoError, match="'farside'"):
+        fit.run(SilentProgress(), "control_points", tmp_path, rows="farside")
+
+
+def test_another_model_is_wrong_usage(tmp_path):
+    command = ["study", "fit", "discs", "--folder", str(tmp_path / "study")]
+    said = CliRunner().invoke(cli, command)
+    assert said.exit_code == 2
+    assert "control_points" in said.output
+    assert not (tmp_path / "study").exists()
