@@ -242,7 +242,8 @@ def _horizontals(verticals: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _above_skyline(up: FloatArray, to_camera: FloatArray, skyline_deg: FloatArray) -> BoolArray:
     east, north = _horizontals(up)
     distance = np.linalg.norm(to_camera, axis=1)
-    elevation = np.degrees(np.arcsin(np.einsum("ni,ni->n", up, to_camera) / distance))
+    sine = np.einsum("ni,ni->n", up, to_camera) / distance
+    elevation = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))  # rounding, right below the camera
     x, y = (np.einsum("ni,ni->n", axis, to_camera) for axis in (north, east))
     azimuth = np.degrees(np.arctan2(y, x))
     bins = skyline_deg.shape[1]

@@ -102,3 +102,11 @@ def test_a_camera_below_the_skyline_of_its_azimuth_sees_nothing_of_the_point(lat
 def test_of_no_points_none_is_seen():
     assert len(seen(np.empty((0, 3)), nadir(0.0, 0.0))) == 0
     assert len(seen(np.empty((0, 3)), nadir(0.0, 0.0), skyline=np.empty((0, 36)))) == 0
+
+
+def test_points_right_below_the_camera_are_above_every_skyline():
+    """Rounding makes some sines of 90 degrees larger than 1."""
+    rng = np.random.default_rng(1)
+    for lat, lon in rng.uniform(-1.5, 1.5, (40, 2)):
+        point = xyz_from_latlon([lat], [lon], RADIUS_M)
+        assert len(seen(point, nadir(lat, lon), skyline=np.zeros((1, 36)))) == 1
