@@ -52,7 +52,10 @@ def words_with(names: tuple[str, ...], param: click.Parameter, value: str) -> li
     words = [*names]
     given: list[str] = []
     for other in COMMANDS[names].params:
-        values = [value] if other is param else ["1" if "float" in other.type.name else "x"]
+        fine = "1" if "float" in other.type.name else "x"
+        if isinstance(other.type, click.Choice):
+            fine = str(other.type.choices[0])
+        values = [value] if other is param else [fine]
         if isinstance(other, click.Argument):
             given += values * max(other.nargs, 1) if other is param or other.required else []
         elif other is param:
@@ -196,7 +199,8 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
         for param in command.params
         if isinstance(param, OutputOption) and not param.endings
     }
-    studies = {"acceptance", "apollo", "autonomous", "horizon", "navigation", "phobos", "real"}
+    studies = {"acceptance", "apollo", "autonomous", "comet", "horizon", "navigation", "phobos"}
+    studies |= {"real"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
     assert folders == (
         {((name,), "work") for name in stages}
