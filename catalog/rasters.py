@@ -7,6 +7,7 @@ lie in the folder of the file that names it, and be no description of something 
 """
 
 import html
+import os
 import re
 import stat
 import warnings
@@ -52,6 +53,7 @@ OFFLINE = {
     "GDAL_HTTP_MAX_RETRY": "0",
     "PROJ_NETWORK": "OFF",
 }
+DATA_FOLDERS = ("GDAL_DATA", "PROJ_DATA", "PROJ_LIB")  # variables of the environment
 _VRT = re.compile(rb"\s*<VRTDataset[\s>]")
 _PDS4 = re.compile(rb"(\s*<\?xml[^>]*>|\s*<\?[^>]*>|\s*<!--.*?-->)*\s*<Product_Observational", re.S)
 # what describes a place to read from, in XML or JSON; pixels do not begin so by chance
@@ -146,8 +148,15 @@ def reading_raster(path: Path, siblings: bool = True, what: str = "") -> Iterato
 def _gdal(siblings: bool) -> Iterator[None]:
     # pictures need no files beside them: world files, masks, metadata
     beside = "FALSE" if siblings else "EMPTY_DIR"
+    for name in DATA_FOLDERS:  # rasterio hands them to GDAL as UTF-8, and fails where they are not
+        if not _is_utf8(os.environ.get(name, "")):
+            del os.environ[name]
     with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, GDAL_DISABLE_READDIR_ON_OPEN=beside, **OFFLINE):
         yield
+
+
+def _is_utf8(text: str) -> bool:
+    return not any("\udc80" <= letter <= "\udcff" for letter in text)
 
 
 def gdal_reason(error: BaseException) -> str:

@@ -345,3 +345,13 @@ def test_a_pipe_in_the_place_of_metadata_is_not_waited_for(tmp_path: Path, name:
     os.mkfifo(tmp_path / name)
     with pytest.raises(DataError, match="is a pipe or a device beside a raster"):
         open_raster(path, TERRAIN)
+
+
+@pytest.mark.parametrize("name", ["GDAL_DATA", "PROJ_DATA", "PROJ_LIB"])
+def test_a_folder_of_the_environment_that_is_no_utf_8_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    path = dem(tmp_path / "dem.tif")
+    monkeypatch.setenv(name, "\udcff")
+    with open_raster(path, TERRAIN) as dataset:
+        assert dataset.count == 1

@@ -140,7 +140,7 @@ def environments(place: Place) -> Case:
         try:
             return run(args)
         finally:
-            del os.environ[name]
+            os.environ.pop(name, None)  # one that is not UTF-8 is dropped by the reader of rasters
             if before is not None:
                 os.environ[name] = before
 
