@@ -52,10 +52,12 @@ def load_navigate(path: Path) -> object:
 def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
     from optnav_cli.measurements.disc.size import DiscErrorSizes
+    from optnav_cli.navigation.control_points.acceptance import AcceptanceLimits
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes
     from optnav_cli.navigation.silhouette import SilhouetteErrors
 
     types: dict[str, type[object]] = {
+        "acceptance": AcceptanceLimits,
         "terrain": TerrainLaws,
         "control_points": PointErrorSizes,
         "disc": DiscErrorSizes,

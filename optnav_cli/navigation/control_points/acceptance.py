@@ -7,16 +7,21 @@ that is stated, or when it lies where it cannot be. The second is an a-contrario
 Moisan, Morel, "Meaningful alignments", IJCV 2000): how often would unrelated ground offer as many
 scores as good as these? The third is ours: the same ground lit from another side still correlates,
 a crater's width aside, and in many points at once, which no test against chance refuses.
+
+The limits are fitted numbers, in FILE.
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri, gammaln
 
 from catalog.arrays import Float32Array, FloatArray
+from catalog.config import Positive, load_toml, resource
 from catalog.correlation.ncc import correlated, filtered
 from catalog.geometry.vectors import squared_distance
 from optnav_cli.estimation.resection import Resection
@@ -24,43 +29,68 @@ from optnav_cli.fix import PositionPrior
 from optnav_cli.matching.point_match import CHANCE_NODES_PER_SAMPLE
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
-# Best scores on unrelated ground, from 14 000 searches of other, mirrored and random pictures
-# with templates of 80 and 32 nodes: score x nodes a side / sqrt(6) passes CHANCE_LEVEL + d
-# CHANCE_DECADE in at most one search of 10^d.
-CHANCE_LEVEL = 4.0
-CHANCE_DECADE = 2.1
-# Behind a blur, searched over NEAR_POSTINGS of the model to every side, score x root of the samples
-# passes PART_LEVEL + d PART_DECADE as often: from 7900 searches for other and mirrored patches in
-# pictures of Phobos from 20 km that cut them, under the same Sun.
-PART_LEVEL = 2.0
-PART_DECADE = 1.15
-NEAR_POSTINGS = 1.5
-# Matches that chance could offer more often than once in so many powers of ten of frames are no
-# evidence. Right situations of the study acceptance reach 24 and more from two good points; wrong
-# ones (mirrored, another Sun) reached 8 to 12, and so do three points that score 0.34.
-MIN_DECADES = 12.0
-# Behind a blur: right ones of 67P reach 6.6, wrong ones -1.3 (--fit).
-MIN_PART_DECADES = 6.0
-# From so near a prior that it leaves no other place: then the prior would have to be wrong too.
-MIN_NEAR_DECADES = 4.0
-# Small templates under a low Sun err by twice their stated sigma and are still right.
-MAX_VARIANCE_FACTOR = 9.0
-# Behind a blur what the model hides is in the sigmas: right frames of Phobos scatter 0.7 to 1.1
-# times as wide, and one that scattered 2.6 times as wide was off by 4 sigmas.
-MAX_PART_FACTOR = 2.25
-# Under a Sun of another azimuth the ground was found within so many nodes of the place that the
-# stated Sun gives: a pattern lit from another side is looked for so far.
-LIGHT_NODES = 10
-# So many points at most tell where the light comes from: each to a few degrees.
-LIGHT_POINTS = 6
-# Light from another side must explain so many times as much of the contrast as the stated Sun.
-LIGHT_GAIN = 2.0
-# And come from so far aside, deg.
-MIN_LIGHT_TURN_DEG = 45.0
-# As improbable is a distance from the prior that this share of right priors exceeds.
-PRIOR_PROBABILITY = 1e-6
-# A search always has room for a few nodes more, so a prior with a tiny sigma may be off by so much.
-PRIOR_FLOOR_M = 1000.0
+FILE = "configs/models/acceptance.toml"
+
+
+class _Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A section of FILE, which says what each number is."""
+
+
+class ChanceLaw(_Limits, frozen=True):
+    """How good a score unrelated ground offers."""
+
+    level: Positive
+    decade: Positive
+    part_level: Positive
+    part_decade: Positive
+    near_postings: Positive
+
+
+class DecadeLimits(_Limits, frozen=True):
+    """Powers of ten against chance that matches must have."""
+
+    least: Positive
+    least_of_parts: Positive
+    least_of_near_parts: Positive
+
+
+class ScatterLimits(_Limits, frozen=True):
+    """Variance factors that matches may have."""
+
+    points: Positive
+    parts: Positive
+
+
+class LightLimits(_Limits, frozen=True):
+    """When the light contradicts the stated Sun."""
+
+    nodes: Positive
+    points: Positive
+    gain: Positive
+    turn_deg: Positive
+
+
+class PriorLimits(_Limits, frozen=True):
+    """When a place contradicts the prior."""
+
+    probability: Positive
+    floor_m: Positive
+
+
+class AcceptanceLimits(_Limits, frozen=True):
+    """The numbers of FILE."""
+
+    chance: ChanceLaw
+    decades: DecadeLimits
+    scatter: ScatterLimits
+    light: LightLimits
+    prior: PriorLimits
+
+
+@cache
+def acceptance_limits() -> AcceptanceLimits:
+    """The limits that ship with optnav. Raises ConfigError for a wrong file."""
+    return load_toml(resource(FILE), AcceptanceLimits)
 
 
 def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: float) -> float:
@@ -70,9 +100,10 @@ def log10_false_alarms(scores: ArrayLike, tried: int, template_nodes: float) -> 
     tried           number of points searched, k or more: picking k of them helps chance
     template_nodes  side of the reference, of nodes that err each for itself
     """
+    chance = acceptance_limits().chance
     scores = np.asarray(scores, dtype=np.float64)
     strength = scores * template_nodes / np.sqrt(CHANCE_NODES_PER_SAMPLE)
-    each = np.maximum(strength - CHANCE_LEVEL, 0.0) / CHANCE_DECADE
+    each = np.maximum(strength - chance.level, 0.0) / chance.decade
     return float(each.sum()) - _choices(len(scores), tried)
 
 
@@ -86,10 +117,13 @@ def decades_of_parts(
     tried       number of points searched, k or more
     searched_postings  how far the first search went, in postings of the terrain model
     """
+    chance = acceptance_limits().chance
     strengths = np.asarray(strengths, dtype=np.float64)
-    each = np.maximum(strengths - PART_LEVEL, 0.0) / PART_DECADE
+    each = np.maximum(strengths - chance.part_level, 0.0) / chance.part_decade
     # so many times as many places were offered as where the law was measured
-    each = np.maximum(each - 2.0 * np.log10(max(searched_postings / NEAR_POSTINGS, 1.0)), 0.0)
+    each = np.maximum(
+        each - 2.0 * np.log10(max(searched_postings / chance.near_postings, 1.0)), 0.0
+    )
     shares = np.asarray(own_shares, dtype=np.float64)
     # points that see the same ground are not chosen one by one either
     return float((each * shares).sum() - _choices(len(strengths), tried) * shares.mean())
@@ -106,8 +140,8 @@ def rejection_of_matches(
     solution: Resection,
     decades: float,
     tried: int,
-    min_decades: float = MIN_DECADES,
-    max_factor: float = MAX_VARIANCE_FACTOR,
+    min_decades: float,
+    max_factor: float,
 ) -> Reason:
     """Why the matches do not carry the solution; empty when they do.
 
@@ -133,9 +167,10 @@ def rejection_of_place(
     position_m: FloatArray, covariance_m2: FloatArray, prior: PositionPrior
 ) -> Reason:
     """Why a position (3,) with covariance (3, 3) contradicts its prior; empty when it does not."""
+    limits = acceptance_limits().prior
     offset = position_m - prior.position_m
-    spread = covariance_m2 + prior.covariance_m2 + np.eye(3) * PRIOR_FLOOR_M**2
-    if squared_distance(offset, spread) < chdtri(3, PRIOR_PROBABILITY):
+    spread = covariance_m2 + prior.covariance_m2 + np.eye(3) * limits.floor_m**2
+    if squared_distance(offset, spread) < chdtri(3, limits.probability):
         return NO_REASON
     sigma = float(np.sqrt(np.trace(prior.covariance_m2) / 3.0))
     return Reason(
@@ -193,7 +228,8 @@ def rejection_of_light(lights: Sequence[PointLight]) -> Reason:
     """Why the picture of some points contradicts the stated Sun; empty when it does not."""
     stated, free, along, across = np.reshape(lights, (-1, 4)).T
     turn_deg = float(np.degrees(np.arctan2(free @ across, free @ along)))
-    if free.sum() <= LIGHT_GAIN * stated.sum() or abs(turn_deg) < MIN_LIGHT_TURN_DEG:
+    limits = acceptance_limits().light
+    if free.sum() <= limits.gain * stated.sum() or abs(turn_deg) < limits.turn_deg:
         return NO_REASON
     way = "counter-clockwise" if turn_deg > 0.0 else "clockwise"
     return Reason(

@@ -191,11 +191,12 @@ def _rejection(
     searched = sum(match.score is not None for match in last.matches)
     decades = _decades(frame, last, searched, searched_postings)
     parts = all(last.matches[k].part is not None for k in last.used)
-    least = acceptance.MIN_DECADES
+    limits = acceptance.acceptance_limits()
+    least, most = limits.decades.least, limits.scatter.points
     if parts:
-        near = searched_postings <= acceptance.NEAR_POSTINGS
-        least = acceptance.MIN_NEAR_DECADES if near else acceptance.MIN_PART_DECADES
-    most = acceptance.MAX_PART_FACTOR if parts else acceptance.MAX_VARIANCE_FACTOR
+        near = searched_postings <= limits.chance.near_postings
+        least = limits.decades.least_of_near_parts if near else limits.decades.least_of_parts
+        most = limits.scatter.parts
     reason = acceptance.rejection_of_matches(last.solution, decades, searched, least, most)
     reason = reason or acceptance.rejection_of_light(_lights(frame, last))
     scatter = float(np.sqrt(last.solution.variance_factor / most))
@@ -224,10 +225,11 @@ def _decades(frame: FrameContext, last: _Pass, searched: int, searched_postings:
 
 def _lights(frame: FrameContext, last: _Pass) -> list[acceptance.PointLight]:
     """Where the light on some of the used points comes from; none where scores leave no doubt."""
+    limits = acceptance.acceptance_limits().light
     scores = np.array([last.matches[k].score or 0.0 for k in last.used])
-    if np.mean(scores**2) >= 1.0 / acceptance.LIGHT_GAIN:
+    if np.mean(scores**2) >= 1.0 / limits.gain:
         return []  # no other light can explain so many times as much
-    step = max(len(scores) / acceptance.LIGHT_POINTS, 1.0)
+    step = max(len(scores) / limits.points, 1.0)
     some = [last.used[int(at)] for at in np.arange(0.0, len(scores) - 0.5, step)]
     return [_light(frame, last, k) for k in some]
 
@@ -240,9 +242,8 @@ def _light(frame: FrameContext, last: _Pass, k: int) -> acceptance.PointLight:
         raise ValueError(f"point {index} was matched and has no patches")
     posting, side = reference.patches[level].posting_m, _template_side(frame, last, k)
     blur = blur_nodes(posting, float(frame.points.finest_postings_m(np.array([index]))[0]))
-    margin, room = (
-        int(np.ceil(nodes * thinning(blur))) for nodes in (MARGIN_NODES, acceptance.LIGHT_NODES)
-    )
+    aside_nodes = acceptance.acceptance_limits().light.nodes
+    margin, room = (int(np.ceil(n * thinning(blur))) for n in (MARGIN_NODES, aside_nodes))
     heights = reference.heights(level, side + 2 * (margin + room))
     turn = pose.camera_from_body.as_matrix()
     pixels = frame.camera.project_from_body(

@@ -7,13 +7,14 @@ import pytest
 
 from optnav_cli.fix import PositionPrior
 from optnav_cli.navigation.control_points.acceptance import (
-    MIN_DECADES,
-    MIN_NEAR_DECADES,
+    acceptance_limits,
     decades_of_parts,
     log10_false_alarms,
     rejection_of_matches,
     rejection_of_place,
 )
+
+DECADES = acceptance_limits().decades
 
 
 @dataclass
@@ -27,31 +28,36 @@ def robust(count, freedom=3, factor=1.0):
     return Robust(freedom, np.ones(count, dtype=bool), factor)
 
 
+def rejection(solution, decades, tried):
+    factor = acceptance_limits().scatter.points
+    return rejection_of_matches(solution, decades, tried, DECADES.least, factor)
+
+
 def test_two_good_matches_of_two_are_a_solution():
-    assert log10_false_alarms([0.85, 0.8], 2, 80) > MIN_DECADES + 8.0
-    assert not rejection_of_matches(robust(2, freedom=1), MIN_DECADES + 0.1, 2)
+    assert log10_false_alarms([0.85, 0.8], 2, 80) > DECADES.least + 8.0
+    assert not rejection(robust(2, freedom=1), DECADES.least + 0.1, 2)
 
 
 def test_two_weak_matches_of_twenty_are_what_chance_offers():
-    assert log10_false_alarms([0.34, 0.31], 20, 80) < MIN_DECADES
-    assert "by chance" in rejection_of_matches(robust(2, freedom=1), MIN_DECADES - 0.1, 20).text
+    assert log10_false_alarms([0.34, 0.31], 20, 80) < DECADES.least
+    assert "by chance" in rejection(robust(2, freedom=1), DECADES.least - 0.1, 20).text
 
 
 def test_three_matches_just_over_the_score_gate_are_no_solution():
     """Over rough ground such a frame was off by 618 m at a sigma of 113 m."""
-    assert log10_false_alarms([0.34, 0.33, 0.31], 3, 80) < MIN_DECADES
-    assert log10_false_alarms([0.5, 0.5, 0.45], 3, 80) > MIN_DECADES
+    assert log10_false_alarms([0.34, 0.33, 0.31], 3, 80) < DECADES.least
+    assert log10_false_alarms([0.5, 0.5, 0.45], 3, 80) > DECADES.least
 
 
 def test_many_weak_matches_among_many_more_are_no_evidence():
     """Scores as a wrong pose found them with templates of 32 nodes: 23 of 116 'agreed'."""
     scores = np.linspace(0.31, 0.62, 23)
-    assert log10_false_alarms(scores, 116, 32) < MIN_DECADES
+    assert log10_false_alarms(scores, 116, 32) < DECADES.least
 
 
 def test_a_real_frame_with_poor_scores_still_stands():
-    assert log10_false_alarms([0.45] * 8, 20, 80) > MIN_DECADES
-    assert log10_false_alarms([0.85] * 6, 7, 32) > MIN_DECADES
+    assert log10_false_alarms([0.45] * 8, 20, 80) > DECADES.least
+    assert log10_false_alarms([0.85] * 6, 7, 32) > DECADES.least
 
 
 def test_evidence_grows_with_scores_points_and_template_and_falls_with_points_tried():
@@ -64,13 +70,13 @@ def test_evidence_grows_with_scores_points_and_template_and_falls_with_points_tr
 
 
 def test_three_points_cannot_check_a_free_attitude():
-    assert "at least 4" in rejection_of_matches(robust(3, freedom=0), 30.0, 3).text
-    assert not rejection_of_matches(robust(4, freedom=2), 30.0, 4)
+    assert "at least 4" in rejection(robust(3, freedom=0), 30.0, 3).text
+    assert not rejection(robust(4, freedom=2), 30.0, 4)
 
 
 def test_matches_that_scatter_far_beyond_their_sigmas_are_no_solution():
-    assert "scatter 5.0 times" in rejection_of_matches(robust(9, factor=25.0), 30.0, 9).text
-    assert not rejection_of_matches(robust(9, factor=4.0), 30.0, 9)
+    assert "scatter 5.0 times" in rejection(robust(9, factor=25.0), 30.0, 9).text
+    assert not rejection(robust(9, factor=4.0), 30.0, 9)
 
 
 def test_ground_that_two_templates_show_is_evidence_once():
@@ -82,7 +88,7 @@ def test_ground_that_two_templates_show_is_evidence_once():
 
 def test_a_wide_search_offers_more_places_by_chance():
     near = decades_of_parts([7.0, 7.0], [1.0, 1.0], 2, 1.0)
-    assert near > MIN_NEAR_DECADES
+    assert near > DECADES.least_of_near_parts
     # ten times as far to either side are a hundred times as many places for each template
     assert decades_of_parts([7.0, 7.0], [1.0, 1.0], 2, 15.0) == pytest.approx(near - 4.0)
 
