@@ -1,0 +1,332 @@
+"""One state for a descent: the errors of an inertial track, of its attitude, and of points seen.
+
+Source of the task: Zhukov 2025, ch. 3, whose landmarks enter the position as independent points. An
+error made before lives in *every* landmark, so that their covariance with the pose must be kept:
+treated as independent they are many times too sure (study descent). Here windows of the terrain
+model and landmarks are unknown ground points in the state of one iterated extended Kalman filter
+(Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+ch. 10.5). A window's error stays with its ground from frame to frame, as a landmark's does.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import BoolArray, FloatArray, IndexArray
+from catalog.errors import NoSolutionError
+from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
+from optnav_cli.reasons import ReasonCode
+
+# The first unknowns: errors of the track's position (m) and velocity (m/s), and of its attitude in
+# the camera's axes: bias (rad) and drift (rad/s). Three more follow for each ground point (m).
+POSITION, VELOCITY, BIAS, DRIFT = (slice(k, k + 3) for k in (0, 3, 6, 9))
+TRACK = 12
+# Relinearisations of one update, each from the prediction: an update repeated from its own result
+# counts the same pixels twice.
+ROUNDS = 3
+# A sighting whose residual is wider than this, squared and in units of its covariance with two
+# degrees of freedom, is left out: one right one in 3000 is.
+GATE = 16.0
+
+
+@dataclass(frozen=True)
+class TrackErrors:
+    """What an inertial track is wrong by, 1 sigma.
+
+    position_m            at its start, a component
+    velocity_m_s          a constant error, a component
+    acceleration_m_s2     white noise of the acceleration, per root second, a component
+    attitude_rad          bias, an axis of the camera
+    attitude_drift_rad_s  its growth
+    attitude_noise_rad    fresh in each frame
+    """
+
+    position_m: float
+    velocity_m_s: float
+    acceleration_m_s2: float
+    attitude_rad: float
+    attitude_drift_rad_s: float
+    attitude_noise_rad: float
+
+    def covariance(self) -> FloatArray:
+        """(12, 12) of the track's unknowns at its start."""
+        sigmas = self.position_m, self.velocity_m_s, self.attitude_rad, self.attitude_drift_rad_s
+        return np.diag(np.repeat(np.square(sigmas), 3)).astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """What an update made of a frame's sightings.
+
+    used          (n,) which of them it kept
+    residuals_px  (n, 2) measured less predicted, after the update
+    squares       (n,) the residuals squared in units of their covariance
+    """
+
+    used: BoolArray
+    residuals_px: FloatArray
+    squares: FloatArray
+
+
+class DescentFilter:
+    """The joint state and its covariance.
+
+    errors  of the track at its start
+    Ground points are known by their place in `places_m` (k, 3), m, body frame; dropping some moves
+    the others up.
+    """
+
+    def __init__(self, errors: TrackErrors) -> None:
+        self._errors = errors
+        self.state: FloatArray = np.zeros(TRACK)
+        self.covariance: FloatArray = errors.covariance()
+        self._nominal: FloatArray = np.zeros((0, 3))
+
+    def copy(self) -> "DescentFilter":
+        """The same, to try an update on."""
+        other = DescentFilter(self._errors)
+        other.state, other.covariance = self.state.copy(), self.covariance.copy()
+        other._nominal = self._nominal.copy()
+        return other
+
+    @property
+    def count(self) -> int:
+        """Ground points in the state."""
+        return len(self._nominal)
+
+    @property
+    def places_m(self) -> FloatArray:
+        """(k, 3) ground points, m, body frame."""
+        places: FloatArray = self._nominal + self.state[TRACK:].reshape(-1, 3)
+        return places
+
+    @property
+    def offsets_m(self) -> FloatArray:
+        """(k, 3) of the ground points from where they were when they joined."""
+        return self.state[TRACK:].reshape(-1, 3)
+
+    def point_covariance(self, number: int) -> FloatArray:
+        """(3, 3) of a ground point, m^2."""
+        own = slice(TRACK + 3 * number, TRACK + 3 * number + 3)
+        return self.covariance[own, own]
+
+    def propagate(self, seconds: float) -> None:
+        """Carry the errors on over a time."""
+        step = np.eye(TRACK)
+        step[POSITION, VELOCITY] = step[BIAS, DRIFT] = seconds * np.eye(3)
+        self.state[:TRACK] = step @ self.state[:TRACK]
+        self.covariance[:TRACK] = step @ self.covariance[:TRACK]
+        self.covariance[:, :TRACK] = self.covariance[:, :TRACK] @ step.T
+        noise = self._errors.acceleration_m_s2**2 * np.eye(3)
+        self.covariance[POSITION, POSITION] += noise * seconds**3 / 3.0
+        self.covariance[POSITION, VELOCITY] += noise * seconds**2 / 2.0
+        self.covariance[VELOCITY, POSITION] += noise * seconds**2 / 2.0
+        self.covariance[VELOCITY, VELOCITY] += noise * seconds
+
+    def jumped(self, position_m: float, velocity_m_s: float) -> None:
+        """Forget where the track was to so many m and m/s, 1 sigma a component."""
+        self.covariance[POSITION, POSITION] += position_m**2 * np.eye(3)
+        self.covariance[VELOCITY, VELOCITY] += velocity_m_s**2 * np.eye(3)
+
+    def pose(self, stated: Pose) -> Pose:
+        """The pose where the track states one."""
+        turn = Rotation.from_rotvec(self.state[BIAS]) * stated.camera_from_body
+        return Pose(stated.position_m + self.state[POSITION], turn)
+
+    def pose_covariance(self) -> FloatArray:
+        """(6, 6) of position (m) and attitude (rad), this frame's attitude noise included."""
+        which = np.r_[POSITION, BIAS]
+        covariance: FloatArray = self.covariance[np.ix_(which, which)].copy()
+        covariance[3:, 3:] += self._errors.attitude_noise_rad**2 * np.eye(3)
+        return covariance
+
+    def add_points(
+        self, places_m: FloatArray, covariance_m2: FloatArray, by_state: FloatArray | None = None
+    ) -> IndexArray:
+        """Add ground points and return their numbers.
+
+        places_m       (k, 3) m, body frame
+        covariance_m2  (3 k, 3 k) of what is the points' own
+        by_state       (3 k, n) derivative of their places by the state so far; None for none
+        """
+        old, new = len(self.state), 3 * len(places_m)
+        covariance = np.zeros((old + new, old + new))
+        covariance[:old, :old] = self.covariance
+        covariance[old:, old:] = covariance_m2
+        if by_state is not None:
+            across = by_state @ self.covariance
+            covariance[old:, :old], covariance[:old, old:] = across, across.T
+            covariance[old:, old:] += across @ by_state.T
+        self.covariance = covariance
+        self.state = np.concatenate([self.state, np.zeros(new)])
+        first = self.count
+        self._nominal = np.concatenate([self._nominal, places_m])
+        return np.arange(first, self.count)
+
+    def add_sighted(
+        self,
+        camera: ProjectingCamera,
+        stated: Pose,
+        places_m: FloatArray,
+        covariances_px2: FloatArray,
+        ground_sigmas_m: FloatArray,
+    ) -> IndexArray:
+        """Add ground points that this frame shows for the first time; returns their numbers.
+
+        places_m         (k, 3) where the rays of their pixels at `pose` meet the ground
+        covariances_px2  (k, 2, 2) of these pixels
+        ground_sigmas_m  (k,) how well the ground's height is known
+        """
+        pose, count = self.pose(stated), len(places_m)
+        _, by_pose = predict(camera, pose, places_m)
+        ups = places_m / np.linalg.norm(places_m, axis=1, keepdims=True)
+        # two pixels and the height are three equations for the place
+        equations = np.concatenate([-by_pose[:, :, :3], ups[:, None]], axis=1)
+        inverse = np.linalg.inv(equations)
+        by_state = np.zeros((3 * count, len(self.state)))
+        moved = -inverse[:, :, :2] @ by_pose
+        by_state[:, POSITION] = moved[:, :, :3].reshape(-1, 3)
+        by_state[:, BIAS] = moved[:, :, 3:].reshape(-1, 3)
+        # the frame's attitude noise moves all of them together
+        turns = by_state[:, BIAS]
+        own = self._errors.attitude_noise_rad**2 * turns @ turns.T
+        for k in range(count):
+            spread = np.zeros((3, 3))
+            spread[:2, :2], spread[2, 2] = covariances_px2[k], ground_sigmas_m[k] ** 2
+            rows = slice(3 * k, 3 * k + 3)
+            own[rows, rows] += inverse[k] @ spread @ inverse[k].T
+        return self.add_points(places_m, own, by_state)
+
+    def add_offsets(self, numbers: IndexArray, offsets_m: FloatArray) -> None:
+        """Move ground points by (k, 3) m from where they joined: a correlated prior's mean."""
+        self.state[_columns(numbers)] += offsets_m.ravel()
+
+    def loosen(self, number: int, covariance_m2: FloatArray) -> None:
+        """Add a (3, 3) covariance to a ground point: its patch was cut anew, with a fresh error."""
+        own = slice(TRACK + 3 * number, TRACK + 3 * number + 3)
+        self.covariance[own, own] += covariance_m2
+
+    def keep(self, kept: BoolArray) -> None:
+        """Marginalise the ground points that are not kept (k,)."""
+        columns = np.concatenate([np.ones(TRACK, dtype=bool), np.repeat(kept, 3)])
+        self.state = self.state[columns]
+        self.covariance = self.covariance[np.ix_(columns, columns)]
+        self._nominal = self._nominal[kept]
+
+    def predict(
+        self, camera: ProjectingCamera, stated: Pose, numbers: IndexArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Pixels (n, 2) of some ground points and the covariance (n, 2, 2) of the prediction."""
+        pixels, by_pose = predict(camera, self.pose(stated), self.places_m[numbers])
+        rows = _Rows(by_pose, numbers)
+        noise = self._errors.attitude_noise_rad
+        spread = np.empty((len(numbers), 2, 2))
+        for k in range(len(numbers)):
+            row = rows.of(k)
+            wanted = row.columns
+            spread[k] = row.values @ self.covariance[np.ix_(wanted, wanted)] @ row.values.T
+            spread[k] += noise**2 * by_pose[k, :, 3:] @ by_pose[k, :, 3:].T
+        return pixels, spread
+
+    def update(
+        self, camera: ProjectingCamera, stated: Pose, numbers: IndexArray, seen: Sightings
+    ) -> Update:
+        """Update by all sightings of a frame at once; what contradicts the others is left out.
+
+        numbers  (n,) of the ground points seen; the places in `seen` are not read
+        Raises NoSolutionError for a point that leaves the view, or for sightings none of which
+        agrees with the state; the state is then as it was.
+        """
+        used = np.ones(len(numbers), dtype=bool)
+        for _ in range(len(numbers) + 1):
+            kept = np.flatnonzero(used)
+            if kept.size == 0:
+                text = "no window or landmark agrees with the inertial track"
+                raise NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
+            state, covariance, squares = self._updated(
+                camera, stated, numbers[kept], seen.subset(kept)
+            )
+            wide = squares > GATE
+            if not wide.any():
+                break
+            # the worst drag others along: first those that are at least half as wide
+            used[kept[wide & (squares > 0.5 * squares.max())]] = False
+        self.state, self.covariance = state, covariance
+        pixels, _ = predict(camera, self.pose(stated), self.places_m[numbers])
+        all_squares = np.full(len(numbers), np.inf)
+        all_squares[used] = squares
+        return Update(used, seen.pixels - pixels, all_squares)
+
+    def _updated(
+        self, camera: ProjectingCamera, stated: Pose, numbers: IndexArray, seen: Sightings
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """State, covariance, and the squared normalised residuals (n,) of an update."""
+        prior, noise = self.state, self._errors.attitude_noise_rad
+        state = prior
+        for _ in range(ROUNDS):
+            turn = Rotation.from_rotvec(state[BIAS]) * stated.camera_from_body
+            pose = Pose(stated.position_m + state[POSITION], turn)
+            places = self._nominal[numbers] + state[_columns(numbers)].reshape(-1, 3)
+            pixels, by_pose = predict(camera, pose, places)
+            if not np.isfinite(pixels).all():
+                text = "a window or landmark left the camera's view during the update"
+                raise NoSolutionError(text, ReasonCode.NOT_SETTLED)
+            rows = _Rows(by_pose, numbers)
+            cross = rows.times(self.covariance).T  # (state, 2 n)
+            turns = by_pose[:, :, 3:].reshape(-1, 3)
+            own = noise**2 * turns @ turns.T
+            for k, covariance in enumerate(seen.covariances_px2):
+                own[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += covariance
+            total = rows.times(cross) + own
+            factor = cho_factor(0.5 * (total + total.T))
+            away = (seen.pixels - pixels).ravel() + rows.times((state - prior)[:, None])[:, 0]
+            step = cross @ cho_solve(factor, away)
+            state = prior + step
+        covariance = self.covariance - cross @ cho_solve(factor, cross.T)
+        # a residual after the update has the covariance R S^-1 R
+        left = own @ cho_solve(factor, away)
+        spread = own @ cho_solve(factor, own)
+        count = len(numbers)
+        blocks = spread.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
+        both = left.reshape(-1, 2)
+        squares = np.einsum("ni,nij,nj->n", both, np.linalg.pinv(blocks), both)
+        return state, 0.5 * (covariance + covariance.T), squares
+
+
+@dataclass(frozen=True)
+class _Row:
+    """The two rows of a sighting's derivative: values (2, 9) in columns (9,) of the state."""
+
+    values: FloatArray
+    columns: IndexArray
+
+
+class _Rows:
+    """Derivatives of sightings by the state, of which each depends on nine unknowns."""
+
+    def __init__(self, by_pose: FloatArray, numbers: IndexArray) -> None:
+        # a pose's step and the ground's opposite one move a pixel alike
+        self._by_pose, self._by_place = by_pose, -by_pose[:, :, :3]
+        self._numbers = numbers
+
+    def of(self, k: int) -> _Row:
+        """Of one sighting."""
+        columns = np.r_[POSITION, BIAS, _columns(self._numbers[k : k + 1])]
+        return _Row(np.concatenate([self._by_pose[k], self._by_place[k]], axis=1), columns)
+
+    def times(self, matrix: NDArray[np.floating]) -> FloatArray:
+        """The derivative (2 n, state) times a matrix (state, m)."""
+        pose = self._by_pose.reshape(-1, 6)
+        product = pose @ matrix[np.r_[POSITION, BIAS]]
+        ground = matrix[_columns(self._numbers)].reshape(len(self._numbers), 3, -1)
+        product += np.matmul(self._by_place, ground).reshape(product.shape)
+        return np.asarray(product, dtype=np.float64)
+
+
+def _columns(numbers: IndexArray) -> IndexArray:
+    """(3 k,) columns of ground points in the state."""
+    columns: IndexArray = (TRACK + 3 * np.asarray(numbers)[:, None] + np.arange(3)).ravel()
+    return columns
