@@ -24,6 +24,7 @@ from optnav_cli.camera.camera_file import CameraFileSettings, camera_toml, load_
 from optnav_cli.frames.archive_frame import ImportTable, load_table
 from optnav_cli.navigation.settings import NavigateSettings, load_settings
 from optnav_cli.simulation.approach import Approach
+from optnav_cli.simulation.descent import Descent
 from optnav_cli.simulation.inertial_path import InertialPath
 from optnav_cli.simulation.passes import Portraits, Scenario
 from optnav_cli.simulation.scenario import load_scenario, scenario_cameras, scenario_motion
@@ -82,6 +83,7 @@ CASES: dict[str, tuple[type, Callable[[Path], object]]] = {
     "templates/navigate": (NavigateSettings, load_settings),
     "scenarios/demo": (Scenario, use_scenario),
     "scenarios/structure_100km": (Scenario, use_scenario),
+    "scenarios/descent_118m": (Descent, use_scenario),
     "scenarios/transfer": (InertialPath, use_scenario),
     "scenarios/horizon_100km": (InertialPath, use_scenario),
     "scenarios/phobos_disc": (Portraits, use_scenario),

@@ -3,9 +3,10 @@
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import Body, CatalogFrame, is_body_file, load_body
@@ -24,15 +25,36 @@ class SpiceSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     kernels: tuple[str, ...] = ()
 
 
+class InertialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[inertial]: frames.csv is one inertial track, whose errors are common to its rows; 1 sigma.
+
+    position_sigma_m         at the start, a component
+    velocity_sigma_m_s       a constant error, a component
+    acceleration_sigma_m_s2  white noise, per root second, a component
+    attitude_sigma_arcsec    bias, an axis of the camera
+    attitude_drift_arcsec_s  its growth, an axis
+    attitude_noise_arcsec    fresh in each frame, an axis
+    """
+
+    position_sigma_m: Annotated[float, Meta(ge=0.0, le=1e6)] = 300.0
+    velocity_sigma_m_s: Annotated[float, Meta(ge=0.0, le=1e4)] = 0.8
+    acceleration_sigma_m_s2: Annotated[float, Meta(ge=0.0, le=1e3)] = 0.0
+    attitude_sigma_arcsec: Annotated[float, Meta(ge=0.0, le=36_000.0)] = 12.0
+    attitude_drift_arcsec_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.08
+    attitude_noise_arcsec: Annotated[float, Meta(ge=0.0, le=36_000.0)] = 3.0
+
+
 class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """run.toml.
 
     body      a name of configs/bodies, or the path of a body file, from the folder of run.toml
     attitude  which rotation the quaternions of the folder's tables are
+    inertial  what the one inertial track of frames.csv is wrong by; unset: each row by itself
     """
 
     body: str
     attitude: Attitude
+    inertial: InertialSettings | msgspec.UnsetType = msgspec.UNSET
 
 
 def read_run_settings(path: Path) -> tuple[RunSettings, Body]:
@@ -58,6 +80,10 @@ def write_run_settings(settings: RunSettings, folder: Path) -> None:
         if not (folder / body).exists():
             shutil.copyfile(settings.body, folder / body)
     text = f'body = "{body}"\nattitude = "{settings.attitude}"\n'
+    if settings.inertial:
+        errors = msgspec.structs.asdict(settings.inertial)
+        lines = (f"{name} = {float(value)!r}\n" for name, value in errors.items())
+        text += "\n[inertial]\n" + "".join(lines)
     (folder / RUN_TOML).write_text(text, encoding="utf-8")
 
 

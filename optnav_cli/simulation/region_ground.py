@@ -18,6 +18,7 @@ from catalog.cache import Cache
 from catalog.errors import ConfigError
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.grid import sample_bicubic
+from catalog.geometry.latlon import latlon_from_xyz
 from catalog.rendering.rays.ground import Ground, make_ground
 from catalog.rendering.rays.scene import Scene
 from catalog.terrain.dem.source import DemSettings, DemSource
@@ -48,6 +49,10 @@ SLOPE_ROWS = 64  # of a slope map, made at once
 PROBE_PX = 64  # distance of the rays that find out which ground a picture shows
 NARROW = np.radians(60.0)  # wider cameras get all the fine ground there is
 SHARED_NODES = 40_000_000  # a scene of several pictures holds no more than this
+NEAR_FACTOR = 32  # times finer than the terrain model at most, where pictures are from low heights
+NEAR_NODES_PX = 1.25  # nodes at two thirds of a pixel are enough, and here a pixel or so must do
+NEAR_REACH = 2.5  # heights that such a camera sees aside
+NEAR_MARGIN_M = 300.0
 WHOLE: Box = (-np.pi, -0.5 * np.pi, np.pi, 0.5 * np.pi)
 
 
@@ -281,7 +286,11 @@ class RegionGround:
         cameras: Sequence[Camera],
         flight: Sequence[Exposure],
         truth: TruthSettings = TruthSettings(),
+        *,
+        near: bool = False,
     ) -> None:
+        self._near, self._finest = near, NEAR_FACTOR if near else 4
+        self._nodes_px = NEAR_NODES_PX if near else 1.0 / 1.5
         self._terrain, self._surface = terrain, truth.surface
         self._albedo = None if truth.albedo == "uniform" else Albedo(truth, terrain.body)
         self._corners = lru_cache(maxsize=CAMERAS)(corner_rays)
@@ -312,8 +321,10 @@ class RegionGround:
         shared: Box = WHOLE
         for exposure in flight:
             box, gsd = self._footprint(camera, exposure)
-            # times finer than the terrain model: nodes at two thirds of a pixel are enough
-            factor = 4 if self._terrain.posting_m / 2.0 > gsd / 1.5 else 2
+            # times finer than the terrain model
+            factor = 2
+            while factor < self._finest and self._terrain.posting_m / factor > gsd * self._nodes_px:
+                factor *= 2
             last = group[-1] if group else None
             joined = _around(shared, box) if last else box
             if (
@@ -336,6 +347,8 @@ class RegionGround:
         gsd = max(height, 1.0) * camera.angular_resolution
         probes = every_px(self._corners(camera), PROBE_PX)
         rays = probes @ exposure.camera_from_body.as_matrix()
+        if self._near:
+            return self._near_box(position, rays), self._near_gsd(camera, position)
         along = distance_to_sphere(position, rays, radius)
         cosine = rays.reshape(-1, 3) @ (-position / np.linalg.norm(position))
         if not np.isfinite(along).all() or np.nanmin(cosine) < np.cos(NARROW):
@@ -352,6 +365,45 @@ class RegionGround:
         wider = margin / np.cos(min(np.abs(lat).max() + margin, 1.5))
         west, east = float(lon.min() - wider), float(lon.max() + wider)
         return (west, float(lat.min() - margin), east, float(lat.max() + margin)), gsd
+
+    def _heights_m(self, position: FloatArray) -> tuple[float, float]:
+        """Lowest and highest ground about the camera's foot, as far as it may see."""
+        body = self._terrain.body
+        lat, lon, distance = (float(v) for v in latlon_from_xyz(position))
+        height = distance - body.radius_m
+        lowest, highest = body.plausible_heights_m
+        for _ in range(2):  # the second time about no more than is seen
+            reach = NEAR_REACH * (height - lowest) / body.radius_m
+            wide = reach / np.cos(min(abs(lat) + reach, 1.5))
+            ground = self._terrain.window(
+                None, 1, (lon - wide, lat - reach, lon + wide, lat + reach)
+            )
+            lowest, highest = ground.lowest_m, ground.highest_m
+        return lowest, highest
+
+    def _near_gsd(self, camera: Camera, position: FloatArray) -> float:
+        """Of the highest ground that the camera may see: never coarser than what is seen."""
+        height = float(np.linalg.norm(position)) - self._terrain.body.radius_m
+        lowest, highest = self._heights_m(position)
+        over = max(height - highest, 0.3 * (height - lowest), 1.0)
+        return over * camera.angular_resolution
+
+    def _near_box(self, position: FloatArray, rays: FloatArray) -> Box:
+        """What rays (..., 3) from low over the ground may meet, between its lowest and highest."""
+        radius = self._terrain.body.radius_m
+        points = []
+        for height in self._heights_m(position):
+            along = distance_to_sphere(position, rays, radius + height)
+            met = np.isfinite(along)
+            points.append((position + along[met][:, None] * rays[met]).reshape(-1, 3))
+        points.append(position[None])
+        lat, lon, _ = latlon_from_xyz(np.concatenate(points))
+        middle = np.arctan2(position[1], position[0])
+        lon = middle + np.mod(lon - middle + np.pi, 2.0 * np.pi) - np.pi
+        margin = NEAR_MARGIN_M / radius
+        wider = margin / np.cos(min(np.abs(lat).max() + margin, 1.5))
+        west, east = float(lon.min() - wider), float(lon.max() + wider)
+        return west, float(lat.min() - margin), east, float(lat.max() + margin)
 
 
 def _around(a: Box, b: Box) -> Box:

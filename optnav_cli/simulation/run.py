@@ -140,7 +140,7 @@ class Simulation:
     def write_tables(self, folder: Path) -> None:
         """Write frames.csv, truth.csv, the cameras and the scenario into a folder."""
         scenario, cameras, motion = self.scenario, self.cameras, self.motion
-        settings = RunSettings(body=scenario.body, attitude=self.attitude)
+        settings = RunSettings(scenario.body, self.attitude, scenario.track)
         frames = [_frame(e, scenario, cameras[e.camera].name) for e in self.flight]
         # cameras as their calibration knows them: of a known blur, that of these pictures
         psf = scenario.sensor.psf_sigma_px
@@ -178,7 +178,7 @@ def truth_ground(
         return MeshGround(scenario.shape, scenario.detail, body)
     if scenario.dem:
         terrain = truth_terrain(scenario, body, flight)
-        return RegionGround(terrain, cameras, flight, scenario.world)
+        return RegionGround(terrain, cameras, flight, scenario.world, near=scenario.is_near_ground)
     model = DemSettings(scenario.globe.path)
     return GlobeGround.of_model(model, scenario.detail, body, len(cameras), scenario.world)
 

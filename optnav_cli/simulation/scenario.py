@@ -14,6 +14,7 @@ from catalog.terrain.dem.file import SHARED, path_of
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.simulation.approach import Approach
+from optnav_cli.simulation.descent import Descent
 from optnav_cli.simulation.inertial_path import InertialPath
 from optnav_cli.simulation.passes import Portraits, Scenario
 from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
@@ -22,6 +23,7 @@ from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
 # what is wrong in it.
 KINDS: dict[str, type[ScenarioBase]] = {
     "approach": Approach,
+    "descent": Descent,
     "mesh": Portraits,
     "portraits": Portraits,
     "flight": InertialPath,

@@ -12,12 +12,13 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import ConfigError
 from catalog.terrain.dem.source import DemSettings
 from catalog.terrain.mesh.file import MeshSettings
-from optnav_cli.frames.run_settings import SpiceSettings
+from optnav_cli.frames.run_settings import InertialSettings, SpiceSettings
 from optnav_cli.simulation import sections
 from optnav_cli.simulation.exposure import ATTITUDE, POINTING, PRIOR, Epoch, Exposure
 
@@ -62,6 +63,16 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     def shape(self) -> MeshSettings | None:
         """The shape model that is flown over; None for the ground of terrain models."""
         return None
+
+    @property
+    def track(self) -> InertialSettings | msgspec.UnsetType:
+        """[inertial] of run.toml: the pictures are of one inertial track; unset for none."""
+        return msgspec.UNSET
+
+    @property
+    def is_near_ground(self) -> bool:
+        """Whether the ground is drawn as finely as pictures from low heights resolve."""
+        return False
 
     @property
     def world(self) -> sections.TruthSettings:
@@ -129,12 +140,8 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         digits = max(4, len(str(len(epochs))))
         found: list[Exposure] = []
         for epoch in epochs:
-            truth = _ship_attitude(self, epoch)
-            sigma = np.radians(self.attitude.sigma_arcsec / 3600.0)
-            slip = np.random.default_rng([self.seed, ATTITUDE, epoch.number]).normal(size=3)
-            stated = Rotation.from_rotvec(sigma * slip) * truth
-            noise = np.random.default_rng([self.seed, PRIOR, epoch.number]).normal(size=3)
-            prior = epoch.position_m + self.prior.position_sigma_m * noise
+            truth = self.ship_attitude(epoch)
+            stated, prior = self.stated(epoch, truth)
             for number, own_from_ship in enumerate(mounted):
                 which = f"_{names[number]}" if len(mounted) > 1 else ""
                 own = truth if own_from_ship is None else own_from_ship * truth
@@ -153,6 +160,18 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                     )
                 )
         return found
+
+    def ship_attitude(self, epoch: Epoch) -> Rotation:
+        """The true attitude of the first camera, camera_from_body."""
+        return _ship_attitude(self, epoch)
+
+    def stated(self, epoch: Epoch, truth: Rotation) -> tuple[Rotation, FloatArray]:
+        """Attitude of the first camera and position (3,), m, as frames.csv states them."""
+        sigma = np.radians(self.attitude.sigma_arcsec / 3600.0)
+        slip = np.random.default_rng([self.seed, ATTITUDE, epoch.number]).normal(size=3)
+        noise = np.random.default_rng([self.seed, PRIOR, epoch.number]).normal(size=3)
+        prior = epoch.position_m + self.prior.position_sigma_m * noise
+        return Rotation.from_rotvec(sigma * slip) * truth, prior
 
     def mounts(self) -> tuple[sections.MountedCamera, ...]:
         """All cameras, the first one as [pointing] turns the ship."""

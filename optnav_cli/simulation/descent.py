@@ -1,0 +1,240 @@
+"""A powered descent: from a height to a low place over the ground, under a Sun put where wanted.
+
+The path is drawn, not flown by forces: the speed falls evenly, the height with the way that is
+left, so that the path comes down at one angle. With [inertial] all pictures are of one inertial
+track, whose errors are common to its rows.
+"""
+
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Self
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import FloatArray
+from catalog.bodies.ephemeris import Ephemeris
+from catalog.bodies.epochs import tdb_s_after
+from catalog.config import Seconds, Turn
+from catalog.errors import ConfigError
+from catalog.geometry.grid import sample_bicubic
+from catalog.geometry.latlon import body_from_local
+from catalog.geometry.rotations import ARCSEC
+from catalog.terrain.dem.source import DemSource
+from optnav_cli.frames.run_settings import InertialSettings
+from optnav_cli.simulation.exposure import ATTITUDE, PLACE, PRIOR, Epoch
+from optnav_cli.simulation.passes import SunSettings, sun_over
+from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.sections import Distance, Latitude
+
+Speed = Annotated[float, Meta(ge=0.1, le=1e5)]
+Tilt = Annotated[float, Meta(ge=-80.0, le=80.0)]
+Wobble = Annotated[float, Meta(ge=0.0, le=30.0)]
+Duration = Annotated[float, Meta(ge=1.0, le=1e5)]
+MAX_FRAMES = 10_000
+MIN_HEIGHT_M, CHECKED = 50.0, 16  # over the ground that is flown over, at so many places of it
+
+
+class DescentSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A descent to a place.
+
+    from_km, to_km  heights of the first and the last picture over the ground at the end
+    speed_m_s       over the ground, first and last; it falls evenly
+    heading_deg     of the flight at the end, east of north
+    end_deg         longitude and latitude of the end
+    tilt_deg        of the boresight off nadir, forward positive, first and last
+    wobble_deg      1 sigma of the camera's own turns about two axes, fresh in each picture
+    spacing_s       between pictures; or pairs of a height above which it holds, km, and a spacing
+    """
+
+    from_km: Distance = 20.0
+    to_km: Distance = 2.0
+    duration_s: Duration = 240.0
+    speed_m_s: tuple[Speed, Speed] = (1700.0, 70.0)
+    heading_deg: Turn = 270.0
+    end_deg: tuple[Turn, Latitude] = (345.0, -43.5)
+    tilt_deg: tuple[Tilt, Tilt] = (28.0, 0.0)
+    wobble_deg: Wobble = 0.0
+    spacing_s: Seconds | tuple[tuple[float, Seconds], ...] = 5.0
+    start_utc: str = "2026-01-01T00:00:00Z"
+
+
+class Descent(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A powered descent, of one inertial track where there is [inertial]."""
+
+    descent: DescentSettings
+    sun: SunSettings = SunSettings(elevation_deg=(10.0, 20.0))
+    inertial: InertialSettings | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def track(self) -> InertialSettings | msgspec.UnsetType:
+        return self.inertial
+
+    @property
+    def is_near_ground(self) -> bool:
+        return True
+
+    def check(self) -> None:
+        super().check()
+        descent = self.descent
+        if descent.to_km >= descent.from_km:
+            raise ConfigError(
+                f"[descent] to_km is {descent.to_km:g}, not below from_km {descent.from_km:g}; "
+                "the path comes from above"
+            )
+        if not self.dem:
+            raise ConfigError("[descent] needs ground that is known well; name a [[dem]]")
+        if self.beside and self.inertial:
+            raise ConfigError("[inertial] is of one camera, and there is [[beside]]; leave it out")
+        pairs = descent.spacing_s
+        if not isinstance(pairs, float | int) and not _fall_to_zero([high for high, _ in pairs]):
+            raise ConfigError(
+                "[descent] spacing_s has pairs of heights that do not fall to 0; "
+                "wanted the highest first, as [[6.0, 10.0], [0.0, 5.0]]"
+            )
+        if len(picture_times(self.descent)) > MAX_FRAMES:
+            raise ConfigError(
+                f"[descent] has more than {MAX_FRAMES} pictures; raise spacing_s or end earlier"
+            )
+
+    def shortened(self, frames: int) -> Self:
+        """The same path in larger steps."""
+        each = max(1.0, self.descent.duration_s / max(frames - 1, 1))
+        if len(picture_times(self.descent)) <= frames:
+            return self
+        descent = msgspec.structs.replace(self.descent, spacing_s=each)
+        return msgspec.structs.replace(self, descent=descent)
+
+    def epochs(self, motion: Ephemeris) -> list[Epoch]:
+        """Raises ConfigError for a path that meets the ground, DataError for its model."""
+        settings, radius = self.descent, motion.body.radius_m
+        source = DemSource.open(self.dem[0], Path.cwd(), motion.body)
+        lon, lat = np.radians(settings.end_deg)
+        base = _height_at(source, float(lat), float(lon))
+        axes = body_from_local(float(lat), float(lon))
+        heading = np.radians(settings.heading_deg)
+        end, ahead = axes[:, 2], axes @ np.array([np.sin(heading), np.cos(heading), 0.0])
+        rng = np.random.default_rng([self.seed, PLACE, 0])
+        sun = sun_over(self.sun, float(lat), float(lon), 0, 1, rng)
+        seed = next(iter(self.detail.seeds), None)
+        found: list[Epoch] = []
+        times = picture_times(settings)
+        step = max(1, len(times) // CHECKED)
+        for number, time in enumerate(times):
+            left = _way_left_m(settings, time) / radius
+            up = np.cos(left) * end - np.sin(left) * ahead
+            forward = np.cos(left) * ahead + np.sin(left) * end
+            height = base + 1e3 * _height_km(settings, time)
+            if number % step == 0 or time == times[-1]:
+                _check_height(source, up, height)
+            tdb_s = float(tdb_s_after(settings.start_utc, time)[0])
+            found.append(Epoch(number, 0, tdb_s, (radius + height) * up, forward, sun, True, seed))
+        return found
+
+    def ship_attitude(self, epoch: Epoch) -> Rotation:
+        first, last = self.descent.tilt_deg
+        share = picture_times(self.descent)[epoch.number] / self.descent.duration_s
+        forward = self.pointing.forward_deg + first + (last - first) * share
+        wobble = float(np.hypot(self.pointing.tilt_sigma_deg, self.descent.wobble_deg))
+        pointing = msgspec.structs.replace(
+            self.pointing, forward_deg=forward, tilt_sigma_deg=wobble
+        )
+        level = msgspec.structs.replace(self, pointing=pointing)
+        return super(Descent, level).ship_attitude(epoch)
+
+    def stated(self, epoch: Epoch, truth: Rotation) -> tuple[Rotation, FloatArray]:
+        """Attitude and position as the track has them; with their own errors without [inertial]."""
+        if not self.inertial:
+            return super().stated(epoch, truth)
+        times = picture_times(self.descent)
+        places, turns = track_errors(self.inertial, times, self.seed)
+        off = Rotation.from_rotvec(turns[epoch.number])
+        return off.inv() * truth, epoch.position_m - places[epoch.number]
+
+
+@lru_cache(maxsize=8)
+def picture_times(settings: DescentSettings) -> tuple[float, ...]:
+    """When pictures are taken, s from the start, MAX_FRAMES and one at most."""
+    times = [0.0]
+    while len(times) <= MAX_FRAMES:
+        spacing, height = settings.spacing_s, _height_km(settings, times[-1])
+        if not isinstance(spacing, float | int):
+            spacing = next((s for above, s in spacing if height > above), spacing[-1][1])
+        if times[-1] + spacing > settings.duration_s + 1e-6:
+            break
+        times.append(times[-1] + float(spacing))
+    return tuple(times)
+
+
+@lru_cache(maxsize=8)
+def track_errors(
+    track: InertialSettings, times: tuple[float, ...], seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """True less stated positions (n, 3), m, and attitudes (n, 3), rad, an axis of the camera."""
+    rng = np.random.default_rng([seed, PRIOR])
+    place, velocity = track.position_sigma_m * rng.normal(size=3), rng.normal(size=3)
+    velocity = track.velocity_sigma_m_s * velocity
+    places = [place]
+    for before, time in pairwise(times):
+        step = time - before
+        # white noise of the acceleration over a step: its share of velocity and of place
+        one, other = track.acceleration_sigma_m_s2 * rng.normal(size=(2, 3))
+        place = place + velocity * step + step**1.5 * (one / 2.0 + other / np.sqrt(12.0))
+        velocity = velocity + np.sqrt(step) * one
+        places.append(place)
+    rng = np.random.default_rng([seed, ATTITUDE])
+    bias, drift = rng.normal(size=(2, 3))
+    turns = track.attitude_sigma_arcsec * bias
+    turns = turns + track.attitude_drift_arcsec_s * drift * np.array(times)[:, None]
+    turns += track.attitude_noise_arcsec * rng.normal(size=(len(times), 3))
+    return np.array(places), ARCSEC * turns
+
+
+def _way_left_m(settings: DescentSettings, time: float) -> float:
+    first, last = settings.speed_m_s
+    left = settings.duration_s - time
+    return left * (last + 0.5 * (first - last) * left / settings.duration_s)
+
+
+def _height_km(settings: DescentSettings, time: float) -> float:
+    """Over the ground at the end."""
+    share = _way_left_m(settings, time) / _way_left_m(settings, 0.0)
+    return settings.to_km + (settings.from_km - settings.to_km) * share
+
+
+def _fall_to_zero(heights: list[float]) -> bool:
+    falling = all(a > b for a, b in pairwise(heights))
+    return bool(heights) and falling and heights[-1] == 0.0
+
+
+def _height_at(source: DemSource, lat: float, lon: float) -> float:
+    """A model's height, m. Raises ConfigError for a place outside it."""
+    col, row = (float(v) for v in source.pixel_from_latlon(np.array(lat), np.array(lon)))
+    rows, cols = source.shape
+    if source.wraps:
+        col = float(np.mod(col, cols))
+    inside = 2.0 <= row <= rows - 3.0 and 2.0 <= col <= cols - 3.0
+    if inside:
+        top, left = int(row) - 2, int(col) - 2
+        heights = source.read_window(top, left, 6, 6)
+        height = float(sample_bicubic(heights, np.array([row - top]), np.array([col - left]))[0])
+        if np.isfinite(height):
+            return height
+    raise ConfigError(
+        f"[descent] flies over {np.degrees(lat):.2f} deg N, {np.degrees(lon):.2f} deg E, where "
+        "the first [[dem]] has no ground; move end_deg, or shorten the way"
+    )
+
+
+def _check_height(source: DemSource, up: FloatArray, height_m: float) -> None:
+    """Raise ConfigError for a place in or near the ground."""
+    lat, lon = float(np.arcsin(up[2])), float(np.arctan2(up[1], up[0]))
+    ground = _height_at(source, lat, lon)
+    if height_m - ground < MIN_HEIGHT_M:
+        raise ConfigError(
+            f"[descent] comes to {height_m - ground:.0f} m over the ground at "
+            f"{np.degrees(lat):.2f} deg N, {np.degrees(lon):.2f} deg E; raise to_km or move end_deg"
+        )
