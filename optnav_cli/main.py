@@ -56,6 +56,7 @@ COMMANDS = {
     "simulate": Entry(_PICTURES, "Make a folder of pictures with known positions.", "simulate"),
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
     "adjust": Entry(_PICTURES, "Adjust the frames of runs, and what is common to them.", "adjust"),
+    "stereo": Entry(f"{_HERE}.stereo", "Height and side velocity from two cameras on a base."),
     "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),
     "export": Entry(_PICTURES, "Write a run as layers for GIS programs.", "export"),
     "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),

@@ -14,6 +14,7 @@ from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml
 from catalog.errors import ConfigError
+from optnav_cli.frames.stereo_mount import MountSettings, check_mounts
 
 RUN_TOML = "run.toml"
 Attitude = Literal["camera_from_body", "camera_from_inertial"]
@@ -50,11 +51,13 @@ class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     body      a name of configs/bodies, or the path of a body file, from the folder of run.toml
     attitude  which rotation the quaternions of the folder's tables are
     inertial  what the one inertial track of frames.csv is wrong by; unset: each row by itself
+    mount     where cameras stand in the ship, for stereo
     """
 
     body: str
     attitude: Attitude
     inertial: InertialSettings | msgspec.UnsetType = msgspec.UNSET
+    mount: tuple[MountSettings, ...] = ()
 
 
 def read_run_settings(path: Path) -> tuple[RunSettings, Body]:
@@ -64,6 +67,7 @@ def read_run_settings(path: Path) -> tuple[RunSettings, Body]:
     """
     settings = load_toml(path, RunSettings)
     try:
+        check_mounts(settings.mount)
         body = load_body(settings.body, path.parent)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
@@ -84,6 +88,7 @@ def write_run_settings(settings: RunSettings, folder: Path) -> None:
         errors = msgspec.structs.asdict(settings.inertial)
         lines = (f"{name} = {float(value)!r}\n" for name, value in errors.items())
         text += "\n[inertial]\n" + "".join(lines)
+    text += "".join(mount.toml() for mount in settings.mount)
     (folder / RUN_TOML).write_text(text, encoding="utf-8")
 
 

@@ -162,3 +162,19 @@ EVALUATION = CsvTable(
         *(REASON, REASON_CODE),
     )
 )
+
+HEIGHTS = CsvTable(
+    (
+        _text("file_left", "picture of the camera of the first [[mount]]", empty=True),
+        _text("file_right", "picture of that of the second", empty=True),
+        UTC,
+        _number("height_m", "of the ship over the mean ground below it", "m", "z.4f"),
+        _number("sigma_m", "its 1 sigma by the windows: noise, and relief", "m", "z.5f"),
+        _number("sigma_mounting_m", "what the mounting's error adds, in all rows", "m", "z.5f"),
+        _count("n_windows", "windows that the height rests on; they overlap"),
+        _number("velocity_x_m_s", "against the pair before, ship frame, x", "m/s", "z.5f"),
+        _number("velocity_y_m_s", "the same, y", "m/s", "z.5f"),
+        _number("velocity_sigma_m_s", "1 sigma of these, a component", "m/s", "z.5f"),
+        *(STATUS, REASON),
+    )
+)

@@ -31,6 +31,7 @@ from optnav_cli.simulation.scenario import scenario_cameras, scenario_copy, scen
 from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import Counts, expose
+from optnav_cli.simulation.stereo_path import StereoScenario, StereoTerrain
 from optnav_cli.simulation.surroundings import Surroundings
 
 SENSOR, CALIBRATION = 17, 31  # streams of random numbers, apart from those of the trajectory
@@ -140,7 +141,8 @@ class Simulation:
     def write_tables(self, folder: Path) -> None:
         """Write frames.csv, truth.csv, the cameras and the scenario into a folder."""
         scenario, cameras, motion = self.scenario, self.cameras, self.motion
-        settings = RunSettings(scenario.body, self.attitude, scenario.track)
+        mount = scenario.mount if isinstance(scenario, StereoScenario) else ()
+        settings = RunSettings(scenario.body, self.attitude, scenario.track, mount)
         frames = [_frame(e, scenario, cameras[e.camera].name) for e in self.flight]
         # cameras as their calibration knows them: of a known blur, that of these pictures
         psf = scenario.sensor.psf_sigma_px
@@ -174,6 +176,8 @@ def truth_ground(
     scenario: ScenarioBase, body: Body, cameras: list[Camera], flight: list[Exposure]
 ) -> TruthGround:
     """The ground that a scenario's cameras share: a shape model, a region's or the whole body's."""
+    if isinstance(scenario, StereoScenario):
+        return StereoTerrain(scenario, body, flight)
     if scenario.shape is not None:
         return MeshGround(scenario.shape, scenario.detail, body)
     if scenario.dem:

@@ -1,6 +1,7 @@
 """Scenario files: what is flown over, with which cameras, in which light. One TOML file."""
 
 import tomllib
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from optnav_cli.simulation.descent import Descent
 from optnav_cli.simulation.inertial_path import InertialPath
 from optnav_cli.simulation.passes import Portraits, Scenario
 from optnav_cli.simulation.scenario_base import FileNames, ScenarioBase
+from optnav_cli.simulation.stereo_path import StereoScenario
 
 # Of which kind a file is by its sections, the first that it has; reading it as that kind reports
 # what is wrong in it.
@@ -28,6 +30,7 @@ KINDS: dict[str, type[ScenarioBase]] = {
     "portraits": Portraits,
     "flight": InertialPath,
     "transfer": InertialPath,
+    "stereo": StereoScenario,
 }
 
 
@@ -77,6 +80,10 @@ def scenario_cameras(scenario: ScenarioBase) -> list[Camera]:
     """
     names = [mount.name for mount in scenario.mounts()]
     cameras = [load_camera(n) if n.endswith(".toml") else preset_camera(n) for n in names]
+    if isinstance(scenario, StereoScenario):  # copies of one
+        cameras = [
+            replace(c, name=n) for c, n in zip(cameras, scenario.camera_names(), strict=True)
+        ]
     for number, camera in enumerate(cameras):
         if camera.name in [other.name for other in cameras[:number]]:
             raise ConfigError(f"[[beside]] has the camera '{camera.name}' again; wanted another")

@@ -134,9 +134,9 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         Raises ConfigError for a path that cannot be flown.
         """
         epochs = self.epochs(motion)
-        mounts = self.mounts()
         mounted = [None, *(_turned(m.forward_deg, m.right_deg, m.roll_deg) for m in self.beside)]
-        names = [mount.name.rpartition("/")[2].removesuffix(".toml") for mount in mounts]
+        mounted += [None] * (len(self.mounts()) - len(mounted))
+        names = self.camera_names()
         digits = max(4, len(str(len(epochs))))
         found: list[Exposure] = []
         for epoch in epochs:
@@ -176,6 +176,10 @@ class ScenarioBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     def mounts(self) -> tuple[sections.MountedCamera, ...]:
         """All cameras, the first one as [pointing] turns the ship."""
         return (sections.MountedCamera(self.camera.name), *self.beside)
+
+    def camera_names(self) -> list[str]:
+        """What the files of the cameras' pictures are called by."""
+        return [m.name.rpartition("/")[2].removesuffix(".toml") for m in self.mounts()]
 
 
 class ShapeScenario(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=True):

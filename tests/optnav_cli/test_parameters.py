@@ -202,9 +202,10 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
     studies = {"acceptance", "apollo", "autonomous", "comet", "horizon", "navigation", "phobos"}
     studies |= {"real"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
+    makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo"}
     assert folders == (
         {((name,), "work") for name in stages}
-        | {((name,), "output") for name in ("simulate", "navigate", "demo", "import", "adjust")}
+        | {((name,), "output") for name in makers}
         | {(("study", name), "output") for name in studies}
         | {(("config", "template"), "output")}
     )

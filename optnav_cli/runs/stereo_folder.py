@@ -1,0 +1,259 @@
+"""A folder of stereo pairs to heights.csv: height and side velocity of each pair."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.errors import ConfigError, DataError, NoSolutionError, NothingToDoError
+from catalog.files import replacing_folder
+from catalog.places import check_apart
+from catalog.progress import Progress, logged_stage
+from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.run_settings import RUN_TOML
+from optnav_cli.frames.stereo_mount import MountSettings, stereo_pair
+from optnav_cli.frames.tables import HEIGHTS
+from optnav_cli.navigation.history import SAME_TIME_S
+from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.wording import table_lines
+from optnav_cli.stereo.height import StereoHeight, stereo_height
+from optnav_cli.stereo.rig import Eye, Rig
+from optnav_cli.stereo.velocity import SideVelocity, Step, side_velocity
+
+KIND, STAGE = "stereo heights", "stereo"
+HEIGHTS_CSV = "heights.csv"
+MAX_STEP_S = 60.0  # between pairs whose ground is looked for in each other
+SHIP_DOWN = np.array([0.0, 0.0, 1.0])
+LEVEL = "no attitude and position: the height is along the ship's z axis"
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRow:
+    """A row of heights.csv: a pair, or a picture that has none.
+
+    first, second  names of the pictures, empty where one is missing
+    """
+
+    first: str
+    second: str
+    utc: str
+    height: StereoHeight | None = None
+    velocity: SideVelocity | None = None
+    reason: str = ""
+
+    def cells(self) -> dict[str, object]:
+        """The row as the file has it."""
+        cells: dict[str, object] = {"file_left": self.first, "file_right": self.second}
+        cells |= {"utc": self.utc, "reason": self.reason}
+        cells["status"] = "unsolved" if self.height is None else "solved"
+        if self.height is not None:
+            cells["height_m"] = self.height.height_m
+            cells["sigma_m"] = self.height.sigma_m
+            cells["sigma_mounting_m"] = self.height.sigma_mounting_m
+            cells["n_windows"] = self.height.windows
+        if self.velocity is not None:
+            cells["velocity_x_m_s"], cells["velocity_y_m_s"] = self.velocity.velocity_m_s[:2]
+            cells["velocity_sigma_m_s"] = self.velocity.side_sigma_m_s
+        return cells
+
+
+@dataclass(frozen=True, eq=False)
+class PairState:
+    """What a later pair needs of an earlier one."""
+
+    tdb_s: float
+    picture: Float32Array
+    height: StereoHeight
+    ship_from_body: Rotation | None
+    turn_sigma_rad: float
+
+
+def stereo_folder(folder: Path, output: Path, progress: Progress) -> list[StereoRow]:
+    """Measure all pairs of a folder and write OUT with heights.csv.
+
+    Raises ConfigError for a run.toml without two mounts on a base, DataError for a folder that
+    cannot be used, NothingToDoError, after the output is written, when no pair gives a height.
+    """
+    started = datetime.now(UTC)
+    check_apart(output, [folder])
+    with logged_stage(STAGE):
+        read = read_folder(folder)
+        mounts, rig = rig_of(read)
+        pairs = list(paired(read.frames, mounts))
+        rows: list[StereoRow] = []
+        with replacing_folder(output, KIND) as place:
+            with progress.stage(STAGE, len(pairs), "pair") as bar:
+                before: PairState | None = None
+                for pair in pairs:
+                    row, state = _measured(read, rig, pair, before)
+                    before = state or before
+                    rows.append(row)
+                    bar.advance()
+            HEIGHTS.write(place / HEIGHTS_CSV, (row.cells() for row in rows))
+            files = [frame.file for frame in read.frames]
+            write_manifest(
+                place,
+                KIND,
+                command="stereo",
+                options={},
+                inputs={"folder": folder, "pictures_sha256": hash_files(folder, files)},
+                results={"pairs": len(rows), "solved": sum(r.height is not None for r in rows)},
+                started=started,
+            )
+    if not any(row.height for row in rows):
+        raise NothingToDoError(
+            f"{folder}: no pair gives a height; the first says: {rows[0].reason}"
+        )
+    return rows
+
+
+def rig_of(folder: Folder) -> tuple[tuple[MountSettings, MountSettings], Rig]:
+    """The mounts and the rig of a folder. Raises ConfigError where run.toml states none."""
+    where = folder.path / RUN_TOML
+    try:
+        mounts = stereo_pair(folder.settings.mount)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    for mount in mounts:
+        if mount.camera not in folder.cameras:
+            raise ConfigError(
+                f"{where}: [[mount]] names the camera '{mount.camera}', which has no file in "
+                f"cameras/; there are {', '.join(sorted(folder.cameras))}"
+            )
+    first, second = (Eye.of(mount, folder.cameras[mount.camera]) for mount in mounts)
+    return mounts, Rig(first, second)
+
+
+def paired(
+    frames: Sequence[Frame], mounts: tuple[MountSettings, MountSettings]
+) -> Iterator[tuple[Frame | None, Frame | None, str]]:
+    """Pictures of one time by both cameras, in order of time, and why a picture has no partner."""
+    names = [mount.camera for mount in mounts]
+    usable = [f for f in frames if f.problem is None and f.tdb_s is not None and f.camera in names]
+    usable.sort(key=lambda frame: (frame.tdb_s or 0.0, names.index(frame.camera)))
+    taken: set[str] = set()
+    for frame in usable:
+        if frame.file in taken:
+            continue
+        side = names.index(frame.camera)
+        others = [f for f in usable if f.camera == names[1 - side] and f.file not in taken]
+        nearest = min(others, key=lambda other: _apart_s(frame, other), default=None)
+        taken.add(frame.file)
+        if nearest is not None and _apart_s(frame, nearest) <= SAME_TIME_S:
+            taken.add(nearest.file)
+            yield (frame, nearest, "") if side == 0 else (nearest, frame, "")
+            continue
+        if nearest is None:
+            why = f"camera '{names[1 - side]}' has no picture left for this one"
+        else:
+            why = (
+                f"camera '{names[1 - side]}' has no picture of this time: the nearest, "
+                f"{nearest.file}, is {_apart_s(frame, nearest):.3g} s away"
+            )
+        yield (frame, None, why) if side == 0 else (None, frame, why)
+    for frame in frames:
+        if frame.problem is not None:
+            yield frame, None, frame.problem
+
+
+def _apart_s(one: Frame, other: Frame) -> float:
+    return abs((one.tdb_s or 0.0) - (other.tdb_s or 0.0))
+
+
+def _measured(
+    folder: Folder,
+    rig: Rig,
+    pair: tuple[Frame | None, Frame | None, str],
+    before: PairState | None,
+) -> tuple[StereoRow, PairState | None]:
+    """The row of a pair, and what the next one needs of it."""
+    first, second, why = pair
+    names = first.file if first else "", second.file if second else ""
+    utc = next((frame.utc for frame in (first, second) if frame), "")
+    if first is None or second is None:
+        return StereoRow(*names, utc, reason=why), None
+    try:
+        one = _brightness(folder, first)
+        other = _brightness(folder, second)
+        ship = _ship_from_body(rig.first, first)
+        down, remark = _down(ship, first)
+        height = stereo_height(one, other, rig, down)
+    except (DataError, NoSolutionError) as error:
+        return StereoRow(*names, utc, reason=str(error)), None
+    tdb_s = first.tdb_s or 0.0
+    state = PairState(tdb_s, one, height, ship, _own_sigma_rad(first))
+    row = StereoRow(*names, utc, height, reason=remark)
+    if before is None:
+        return row, state
+    try:
+        velocity = _velocity(before, state, rig.first, down)
+    except NoSolutionError as error:
+        said = f"{remark}; " if remark else ""
+        return StereoRow(*names, utc, height, reason=f"{said}no velocity: {error}"), state
+    return StereoRow(*names, utc, height, velocity, remark), state
+
+
+def _brightness(folder: Folder, frame: Frame) -> Float32Array:
+    return load_picture(folder.picture_path(frame), folder.cameras[frame.camera]).values
+
+
+def _ship_from_body(eye: Eye, frame: Frame) -> Rotation | None:
+    turn = frame.camera_from_body
+    return None if turn is None else eye.ship_from_camera * turn
+
+
+def _own_sigma_rad(frame: Frame) -> float:
+    """Of an attitude, without what neighbouring frames have in common."""
+    sigma = frame.attitude_sigma_rad
+    if sigma is None:
+        return float("inf")
+    return float(np.sqrt(max(sigma**2 - frame.common_sigma_rad**2, 0.0)))
+
+
+def _down(ship_from_body: Rotation | None, frame: Frame) -> tuple[FloatArray, str]:
+    """The way down (3,) in the ship's frame, and a remark where it is assumed."""
+    if ship_from_body is None or frame.position_m is None:
+        return SHIP_DOWN, LEVEL
+    up = frame.position_m / np.linalg.norm(frame.position_m)
+    found: FloatArray = ship_from_body.apply(-up)
+    return found, ""
+
+
+def _velocity(before: PairState, now: PairState, eye: Eye, down: FloatArray) -> SideVelocity:
+    seconds = now.tdb_s - before.tdb_s
+    if seconds > MAX_STEP_S:
+        raise NoSolutionError(f"the pair before is {seconds:.0f} s old")
+    if before.ship_from_body is None or now.ship_from_body is None:
+        raise NoSolutionError("the pictures have no attitude: a turn looks like a motion")
+    sigma = float(np.hypot(before.turn_sigma_rad, now.turn_sigma_rad))
+    if not np.isfinite(sigma):
+        raise NoSolutionError("the attitudes have no sigma: a turn looks like a motion")
+    turn = before.ship_from_body * now.ship_from_body.inv()
+    step = Step(seconds, turn, sigma, down)
+    return side_velocity((before.picture, before.height), (now.picture, now.height), eye, step)
+
+
+def stereo_lines(rows: Sequence[StereoRow]) -> list[str]:
+    """A summary for people."""
+    head = ("pair", "height, m", "sigma", "mounting", "side velocity, m/s", "sigma", "")
+    table: list[tuple[str, ...]] = []
+    for row in rows:
+        height, velocity = row.height, row.velocity
+        cells = ["", "", ""] if height is None else _three(height)
+        speed = ("", "")
+        if velocity is not None:
+            x, y = velocity.velocity_m_s[:2]
+            speed = (f"{x:.3f} {y:.3f}", f"{velocity.side_sigma_m_s:.3f}")
+        table.append((row.first or row.second, *cells, *speed, row.reason))
+    return table_lines([head, *table], left=(0, 6))
+
+
+def _three(height: StereoHeight) -> list[str]:
+    values = height.height_m, height.sigma_m, height.sigma_mounting_m
+    return [f"{value:.3f}" for value in values]

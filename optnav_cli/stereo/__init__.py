@@ -1,0 +1,1 @@
+"""Height and side velocity from two cameras that stand on a base."""

@@ -1,0 +1,318 @@
+"""Height over the ground from two pictures of one time, by plane sweep and windows.
+
+h = f B / d: the second picture is laid on the first through the ground found so far, windows tell
+what is missing, and so on from wide blurred windows to sharp ones of 64 px. The height is that of
+the ship's origin over the mean ground below it, of an area of 192 px.
+
+An error of the mounting moves all windows alike: it is stated apart from the scatter.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray
+from catalog.errors import NoSolutionError
+from catalog.geometry.rotations import cross_matrix
+from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
+from optnav_cli.reasons import ReasonCode
+from optnav_cli.stereo.rig import Rig, warped
+from optnav_cli.stereo.windows import STEP_PX, Shifts, window_shifts
+
+# Windows and blur, px, of the rounds: wide and blurred ones bear the shifts that relief leaves.
+ROUNDS = ((160, 4.0), (96, 2.0), (64, 1.0), (64, 0.0), (64, 0.0))
+TEMPLATE_PX = 192  # of the first search
+MIN_PEAK, MIN_LEAD = 0.4, 1.1  # correlation there, and how much a rival's must stay below
+RIVAL_PX = 12.0  # farther from the peak another one is a rival
+BAND_PX = 5.0  # from the line on which the second camera sees a ray: 400" of mounting
+MAX_SHARE = 0.45  # of the picture's width that the parallax may take
+AREA_PX = 96.0  # about the point below: the ground that the height is over
+MIN_WINDOWS = 6
+MAX_LEFT_PX = 1.0  # a window that is still off by more in the last round found something else
+FARTHEST_SIGMAS = 3.0  # a parallax smaller than so many sigmas tells no height
+MAX_ASIDE_PX = 3.0  # mean shift across the base: the mounting is not what it is said to be
+SPREAD_NODES = 2.0  # sigma of the smoothing between rounds, windows
+
+
+@dataclass(frozen=True, eq=False)
+class StereoGround:
+    """The ground on the grid of the first camera's picture.
+
+    inverse_m    (rows, cols) 1/m along the rays
+    points_m     (n, 3) middles of the windows, ship frame
+    pixels       (n, 2) of these
+    """
+
+    inverse_m: FloatArray
+    points_m: FloatArray
+    pixels: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class StereoHeight:
+    """A height of the ship's origin over the mean ground below it.
+
+    sigma_m           by the windows: noise, and the relief about the plane through them
+    sigma_mounting_m  by the mounting's stated error, the same in all pairs
+    """
+
+    height_m: float
+    sigma_m: float
+    sigma_mounting_m: float
+    windows: int
+    ground: StereoGround
+
+    @property
+    def whole_sigma_m(self) -> float:
+        """Both together."""
+        return float(np.hypot(self.sigma_m, self.sigma_mounting_m))
+
+
+def stereo_height(
+    first: Float32Array, second: Float32Array, rig: Rig, down: FloatArray
+) -> StereoHeight:
+    """The height that a pair of pictures shows.
+
+    first, second  (rows, cols) brightness of the cameras of the rig
+    down           (3,) unit vector, ship frame
+    Raises NoSolutionError, with the reason, where the pictures tell none.
+    """
+    rays = rig.grid_rays()
+    inverse = _first_guess(first, second, rig, rays, down)
+    for size, blur in ROUNDS:
+        through = warped(second, _second_pixels(rig, rays, inverse))
+        shifts = window_shifts(first, through, size, blur)
+        nodes = _Nodes.of(rig, rays, inverse, shifts)
+        inverse = nodes.smoothed(inverse.shape)
+    return _height(rig, nodes, down, inverse)
+
+
+def _first_guess(
+    first: Float32Array, second: Float32Array, rig: Rig, rays: FloatArray, down: FloatArray
+) -> FloatArray:
+    """(rows, cols) inverse distances, 1/m, of level ground at the height of one large window."""
+    rows, cols = first.shape
+    there = rig.first.pixels(down[None, :])[0]
+    half = TEMPLATE_PX // 2
+    if min(rows, cols) < TEMPLATE_PX + 2:
+        raise NoSolutionError(
+            f"pictures of {cols} x {rows} px are too small; wanted {TEMPLATE_PX + 2} px a side",
+            ReasonCode.FEW_POINTS,
+        )
+    if not rig.first.camera.contains(there, half + 1.0):
+        text = "the ground below lies outside the picture, or at its edge"
+        raise NoSolutionError(text, ReasonCode.OUTSIDE_FRAME)
+    column, row = (round(float(value)) for value in there)
+    # what the second camera would see were it turned as the first one: parallax alone is left
+    far = warped(second, rig.second.pixels(rays))
+    level = float(np.nanmean(far)) if np.isfinite(far).any() else 0.0
+    template = first[row - half : row + half, column - half : column + half]
+    filled = np.where(np.isfinite(far), far, level).astype(np.float32)
+    scores = cv2.matchTemplate(filled, template, cv2.TM_CCOEFF_NORMED)
+    middle = rays[row, column]
+    base = rig.second.place_m - rig.first.place_m
+    _, by_vector = rig.first.seen(middle[None, :])
+    along = -(by_vector[0] @ base)  # px for one 1/m
+    y, x = np.mgrid[: scores.shape[0], : scores.shape[1]].astype(np.float64)
+    x, y = x + half - column, y + half - row
+    length = float(np.linalg.norm(along))
+    forward = (x * along[0] + y * along[1]) / length
+    aside = (x * along[1] - y * along[0]) / length
+    ours = (np.abs(aside) <= BAND_PX) & (forward > -BAND_PX) & (forward < MAX_SHARE * cols)
+    limited = np.where(ours, scores, -1.0)
+    best = int(np.argmax(limited))
+    peak, parallax = float(limited.flat[best]), float(forward.flat[best])
+    rival = float(np.max(np.where(np.abs(forward - parallax) > RIVAL_PX, limited, -1.0)))
+    if peak < MIN_PEAK:
+        text = f"the pictures do not show one ground: the best correlation is {peak:.2f}"
+        raise NoSolutionError(text, ReasonCode.LOW_SCORE)
+    if peak < MIN_LEAD * rival:
+        text = f"a second parallax correlates nearly as well ({rival:.2f} and {peak:.2f})"
+        raise NoSolutionError(text, ReasonCode.RIVAL)
+    inverse = max(parallax, 0.5) / length
+    # level ground: P . down is the same along all rays
+    depth = float(middle @ down) / inverse
+    found: FloatArray = np.maximum(rays @ down, 0.05) / depth
+    return found
+
+
+def _second_pixels(rig: Rig, rays: FloatArray, inverse: FloatArray) -> FloatArray:
+    """Pixels (rows, cols, 2) of the second camera that show what those of the first do."""
+    base = rig.second.place_m - rig.first.place_m
+    return rig.second.pixels(rays - base * inverse[..., None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes:
+    """Windows on their grid (rows, cols): inverse distances with sigmas, 1/m."""
+
+    shifts: Shifts
+    rays: FloatArray
+    inverse: FloatArray
+    sigma: FloatArray
+    px_per_inverse: FloatArray
+    along_px: FloatArray
+    aside_px: FloatArray
+    usable: BoolArray
+
+    @classmethod
+    def of(cls, rig: Rig, rays: FloatArray, inverse: FloatArray, shifts: Shifts) -> "_Nodes":
+        at = np.stack([shifts.y, shifts.x]).astype(np.float32)
+        here = cv2.remap(inverse.astype(np.float64), at[1], at[0], cv2.INTER_LINEAR)
+        own = rig.first.rays(np.stack([shifts.x, shifts.y], axis=-1))
+        flat = own.reshape(-1, 3)
+        base = rig.second.place_m - rig.first.place_m
+        seen_from = flat - base * here.reshape(-1, 1)
+        _, by_vector = rig.first.seen(seen_from)
+        # px of the first camera's grid for one 1/m: the second camera turned as the first
+        move = -(by_vector @ base).reshape(*here.shape, 2)
+        information = np.linalg.inv(shifts.covariance + 1e-9 * np.eye(2))
+        weight = np.einsum("...i,...ij,...j->...", move, information, move)
+        gained = np.einsum("...i,...ij,...j->...", move, information, shifts.shift_px) / weight
+        length = np.linalg.norm(move, axis=-1)
+        aside = move[..., 0] * shifts.shift_px[..., 1] - move[..., 1] * shifts.shift_px[..., 0]
+        return cls(
+            shifts,
+            own,
+            here + gained,
+            1.0 / np.sqrt(weight),
+            length,
+            gained * length,
+            aside / length,
+            shifts.usable & np.isfinite(weight),
+        )
+
+    def smoothed(self, shape: tuple[int, ...]) -> FloatArray:
+        """(rows, cols) inverse distances of all pixels, smoothed over neighbouring windows."""
+        if int(self.usable.sum()) < MIN_WINDOWS:
+            raise NoSolutionError(
+                f"only {int(self.usable.sum())} windows show one ground in both pictures",
+                ReasonCode.FEW_POINTS,
+            )
+        # a plane bears the holes; what the windows have beyond it fades out there
+        design = np.stack(
+            [np.ones(self.inverse.size), self.shifts.x.ravel(), self.shifts.y.ravel()]
+        )
+        plane, kept = _robust_plane(design.T, self.inverse.ravel(), self.usable.ravel())
+        weights = (self.usable & kept.reshape(self.usable.shape)).astype(np.float64)
+        beyond = np.where(
+            weights > 0.0, self.inverse - (plane @ design).reshape(self.inverse.shape), 0
+        )
+        share = cv2.GaussianBlur(weights, (0, 0), SPREAD_NODES, borderType=cv2.BORDER_CONSTANT)
+        mean = cv2.GaussianBlur(
+            beyond * weights, (0, 0), SPREAD_NODES, borderType=cv2.BORDER_CONSTANT
+        )
+        mean = mean / np.maximum(share, 0.05)
+        rows, cols = shape
+        x, y = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
+        on_grid = (
+            ((x - self.shifts.x[0, 0]) / STEP_PX).astype(np.float32),
+            ((y - self.shifts.y[0, 0]) / STEP_PX).astype(np.float32),
+        )
+        more = cv2.remap(mean, *on_grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        whole: FloatArray = plane[0] + plane[1] * x + plane[2] * y + more
+        return np.maximum(whole, 0.2 * float(np.median(self.inverse[self.usable])))
+
+
+def _robust_plane(
+    design: FloatArray, values: FloatArray, usable: BoolArray
+) -> tuple[FloatArray, BoolArray]:
+    """The plane (k,) through values (n,) by a design (n, k), and which of them it rests on."""
+    weights: FloatArray = usable.astype(np.float64)
+    found: FloatArray = np.zeros(design.shape[1])
+    for _ in range(6):
+        root = np.sqrt(weights)
+        found = np.asarray(np.linalg.lstsq(design * root[:, None], values * root)[0])
+        off = values - design @ found
+        spread = max(scatter(off[usable]), 1e-12)
+        weights = np.where(usable, tukey_weights(off, TUKEY * spread), 0.0).astype(np.float64)
+    return found, weights > 0.0
+
+
+def _height(rig: Rig, nodes: _Nodes, down: FloatArray, inverse: FloatArray) -> StereoHeight:
+    """The height over the windows about the point below."""
+    _check_parallax(rig, nodes)
+    aside = float(np.median(nodes.aside_px[nodes.usable]))
+    if abs(aside) > MAX_ASIDE_PX:
+        raise NoSolutionError(
+            f"the pictures are shifted by {aside:.1f} px across the base: the mounting is not as "
+            "run.toml says",
+            ReasonCode.POINTS_DISAGREE,
+        )
+    steady = nodes.usable & (nodes.inverse > 0.0)
+    steady &= np.abs(nodes.along_px) <= MAX_LEFT_PX
+    points = rig.first.place_m + nodes.rays / np.maximum(nodes.inverse, 1e-9)[..., None]
+    depth = points @ down
+    level = points - depth[..., None] * down
+    focal = rig.first.camera.coarse_focal_px
+    distance = np.linalg.norm(level, axis=-1) / np.maximum(depth, 1e-9) * focal
+    chosen = steady & (distance <= AREA_PX)
+    count = int(chosen.sum())
+    if count < MIN_WINDOWS:
+        text = f"only {count} windows of the ground below agree in both pictures"
+        raise NoSolutionError(text, ReasonCode.FEW_POINTS)
+    at, z = level[chosen], depth[chosen]
+    across = _level_axes(down)
+    design = np.column_stack([np.ones(count), at @ across.T])
+    _, kept = _robust_plane(design, z, np.ones(count, bool))
+    # d depth / d inverse distance along the ray
+    slope = (nodes.rays[chosen] @ down) / nodes.inverse[chosen] ** 2
+    noise = slope * nodes.sigma[chosen]
+    weight = np.where(kept, 1.0 / noise**2, 0.0)
+    normal = design.T @ (weight[:, None] * design)
+    covariance = np.linalg.inv(normal)
+    plane = covariance @ design.T @ (weight * z)
+    off = (z - design @ plane)[kept]
+    # of so many windows that share ground only a part errs by itself
+    apart = max(float(kept.sum()) / nodes.shifts.overlap, 1.0)
+    excess = max(1.0, float(np.mean(off**2 * weight[kept])) * apart / max(apart - 3.0, 1.0))
+    sigma = float(np.sqrt(covariance[0, 0] * nodes.shifts.overlap * excess))
+    mounting = _mounting_sigma_m(rig, nodes, chosen, slope)
+    usable = steady.ravel()
+    ground = StereoGround(
+        inverse,
+        points.reshape(-1, 3)[usable],
+        np.stack([nodes.shifts.x, nodes.shifts.y], axis=-1).reshape(-1, 2)[usable],
+    )
+    return StereoHeight(float(plane[0]), sigma, mounting, int(kept.sum()), ground)
+
+
+def _check_parallax(rig: Rig, nodes: _Nodes) -> None:
+    """Raise NoSolutionError where all windows together do not tell the ground from the sky."""
+    weight = np.where(nodes.usable, nodes.sigma**-2, 0.0)
+    total = float(weight.sum())
+    mean = float((weight * nodes.inverse).sum()) / total
+    sigma = float(np.sqrt(nodes.shifts.overlap / total))
+    if mean < FARTHEST_SIGMAS * sigma:
+        per = float(np.median(nodes.px_per_inverse[nodes.usable]))
+        raise NoSolutionError(
+            f"the parallax is {mean * per:.3f} px with a sigma of {sigma * per:.3f}: the ground is "
+            f"too far off for a base of {rig.base_m:g} m, or the mounting is not as run.toml says",
+            ReasonCode.DEGENERATE,
+        )
+
+
+def _mounting_sigma_m(rig: Rig, nodes: _Nodes, chosen: BoolArray, slope: FloatArray) -> float:
+    """What the stated errors of both mountings make of the height, m."""
+    rays, inverse = nodes.rays[chosen], nodes.inverse[chosen]
+    base = rig.second.place_m - rig.first.place_m
+    away = rays - base * inverse[:, None]
+    _, by_vector = rig.first.seen(away)
+    move = -(by_vector @ base)
+    length = np.linalg.norm(move, axis=1)
+    variance = 0.0
+    for vectors, error in ((away, rig.second.error_rad), (rays, rig.first.error_rad)):
+        # a turn w of the camera moves what it sees by w x v
+        turned = np.einsum("nij,njk->nik", by_vector, -cross_matrix(vectors))
+        along = np.einsum("ni,nik->nk", move, turned) / (length**2)[:, None]
+        variance += float(((slope @ along / len(slope)) ** 2).sum()) * error**2
+    return float(np.sqrt(variance))
+
+
+def _level_axes(down: FloatArray) -> FloatArray:
+    """Two unit vectors (2, 3) square to `down`."""
+    start = np.array([1.0, 0.0, 0.0]) if abs(down[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    one = start - (start @ down) * down
+    one = one / np.linalg.norm(one)
+    return np.stack([one, np.cross(down, one)])

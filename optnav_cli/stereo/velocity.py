@@ -1,0 +1,174 @@
+"""Side velocity from two pictures of one camera, a step of time apart, over ground of known shape.
+
+A ground point P of the later ship frame was at R P + T in the earlier one: R by the attitudes, the
+shift T of the ship by the windows. Errors: of the windows, of the turn between the attitudes (the
+height times it: it dominates), and of the height, which scales the shift.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.errors import NoSolutionError
+from catalog.geometry.rotations import cross_matrix
+from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
+from optnav_cli.reasons import ReasonCode
+from optnav_cli.stereo.height import MIN_LEAD, MIN_PEAK, MIN_WINDOWS, RIVAL_PX, StereoHeight
+from optnav_cli.stereo.rig import Eye, warped
+from optnav_cli.stereo.windows import window_shifts
+
+TEMPLATE_PX = 256  # of the search
+ROUNDS = ((96, 2.0), (64, 1.0), (64, 0.0))
+MAX_LEFT_PX = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What is known between two pictures.
+
+    seconds         from the earlier to the later
+    before_from_now rotation of ship frames by the attitudes;  turn_sigma_rad its error an axis
+    down            (3,) unit vector, later ship frame
+    """
+
+    seconds: float
+    before_from_now: Rotation
+    turn_sigma_rad: float
+    down: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SideVelocity:
+    """Velocity (3,) of the ship over the ground, later ship frame, m/s, and its covariance."""
+
+    velocity_m_s: FloatArray
+    covariance: FloatArray
+
+    @property
+    def side_sigma_m_s(self) -> float:
+        """1 sigma of x and y, a component."""
+        return float(np.sqrt(0.5 * np.trace(self.covariance[:2, :2])))
+
+
+def side_velocity(
+    before: tuple[Float32Array, StereoHeight],
+    now: tuple[Float32Array, StereoHeight],
+    eye: Eye,
+    step: Step,
+) -> SideVelocity:
+    """The velocity between two pictures of a camera, each with the height of its time.
+
+    Raises NoSolutionError where the pictures share too little ground.
+    """
+    picture, height = now
+    turn = step.before_from_now.as_matrix()
+    ground = height.ground
+    shift = turn @ step.down * (before[1].height_m - height.height_m)
+    shift = shift + _search(before[0], now, eye, turn, shift)
+    inverse = ground.inverse_m
+    for size, blur in ROUNDS:
+        through = _through(before[0], inverse, eye, turn, shift)
+        found = window_shifts(picture, through, size, blur)
+        at = np.stack([found.x, found.y]).astype(np.float32)
+        here = cv2.remap(inverse, at[0], at[1], cv2.INTER_LINEAR)[found.usable]
+        pixels = np.stack([found.x, found.y], axis=-1)[found.usable]
+        if len(pixels) < MIN_WINDOWS:
+            raise NoSolutionError(
+                f"only {len(pixels)} windows show one ground in the pictures of both times",
+                ReasonCode.FEW_POINTS,
+            )
+        places = eye.place_m + eye.rays(pixels) / here[:, None]
+        _, by_vector = eye.seen(places - turn.T @ (eye.place_m - shift))
+        by_shift = by_vector @ turn.T
+        moved = found.shift_px[found.usable]
+        covariances = found.covariance[found.usable] + 1e-9 * np.eye(2)
+        information = np.linalg.inv(covariances).astype(np.float64)
+        change, normal, weights = _robust_shift(by_shift, moved, information)
+        shift = shift + change
+    left = moved - by_shift @ change
+    covariance = np.linalg.inv(normal)
+    squares = np.einsum("ni,nij,nj->n", left, information, left) * weights
+    excess = max(1.0, float(squares.sum()) / max(2.0 * float(weights.sum()), 1.0))
+    noise = covariance * found.overlap * excess  # windows share ground: their errors, too
+    # a turn w of the earlier frame moves R P by w x R P
+    turned = -cross_matrix(places @ turn.T)
+    weighing = information * weights[:, None, None]
+    by_turn = covariance @ np.einsum("nia,nij,njk,nkb->ab", by_shift, weighing, by_shift, turned)
+    of_turn = by_turn @ by_turn.T * step.turn_sigma_rad**2
+    scale = height.whole_sigma_m / height.height_m
+    whole = noise + of_turn + np.outer(shift, shift) * scale**2
+    back = turn.T / step.seconds
+    # where the ship is now, less where it was: the shift, seen along the axes of now
+    return SideVelocity(back @ shift, back @ whole @ back.T)
+
+
+def _through(
+    before: Float32Array, inverse: FloatArray, eye: Eye, turn: FloatArray, shift: FloatArray
+) -> Float32Array:
+    """The earlier picture on the grid of the later one, over the ground and through a shift."""
+    rows, cols = inverse.shape
+    x, y = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    places = eye.place_m + eye.rays(np.stack([x, y], axis=-1)) / inverse[..., None]
+    return warped(before, eye.pixels(places @ turn.T + (shift - eye.place_m)))
+
+
+def _search(
+    before: Float32Array,
+    now: tuple[Float32Array, StereoHeight],
+    eye: Eye,
+    turn: FloatArray,
+    shift: FloatArray,
+) -> FloatArray:
+    """What is to be added (3,) to a shift, by one large window in the middle of the picture."""
+    picture, height = now
+    through = _through(before, height.ground.inverse_m, eye, turn, shift)
+    seen = np.isfinite(through)
+    if not seen.any():
+        raise NoSolutionError("the pictures of both times share no ground", ReasonCode.FEW_POINTS)
+    filled = np.where(seen, through, float(through[seen].mean())).astype(np.float32)
+    rows, cols = picture.shape
+    half = min(TEMPLATE_PX, rows - 2, cols - 2) // 2
+    row, column = rows // 2, cols // 2
+    template = picture[row - half : row + half, column - half : column + half]
+    scores = cv2.matchTemplate(filled, template, cv2.TM_CCOEFF_NORMED)
+    best_row, best_column = np.unravel_index(int(np.argmax(scores)), scores.shape)
+    peak = float(scores[best_row, best_column])
+    y, x = np.mgrid[: scores.shape[0], : scores.shape[1]]
+    away = np.hypot(y - best_row, x - best_column) > RIVAL_PX
+    rival = float(scores[away].max(initial=-1.0))
+    if peak < MIN_PEAK or peak < MIN_LEAD * rival:
+        raise NoSolutionError(
+            f"the ground of the pair before is not found (correlation {peak:.2f}, the next "
+            f"{rival:.2f})",
+            ReasonCode.LOW_SCORE,
+        )
+    moved = np.array([best_column + half - column, best_row + half - row], dtype=np.float64)
+    middle = np.array([[float(column), float(row)]])
+    inverse = float(height.ground.inverse_m[row, column])
+    place = eye.place_m + eye.rays(middle) / inverse
+    _, by_vector = eye.seen(place - turn.T @ (eye.place_m - shift))
+    found: FloatArray = np.linalg.pinv(by_vector[0] @ turn.T) @ moved
+    return found
+
+
+def _robust_shift(
+    by_shift: FloatArray, moved: FloatArray, information: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A change of the shift (3,) by windows, its normal matrix (3, 3), weights (n,)."""
+    weights = np.ones(len(moved))
+    change, normal = np.zeros(3), np.eye(3)
+    for _ in range(6):
+        weighing = information * weights[:, None, None]
+        normal = np.einsum("nia,nij,njb->ab", by_shift, weighing, by_shift)
+        change = np.linalg.solve(normal, np.einsum("nia,nij,nj->a", by_shift, weighing, moved))
+        left = moved - by_shift @ change
+        size = np.sqrt(0.5 * np.einsum("ni,nij,nj->n", left, information, left))
+        weights = tukey_weights(size, TUKEY * max(scatter(size), 1.0))
+        if not weights.any():
+            raise NoSolutionError(
+                "the windows of both times contradict each other", ReasonCode.POINTS_DISAGREE
+            )
+    return change, normal, weights

@@ -1,0 +1,160 @@
+"""A folder of stereo pairs to heights.csv, and what is wrong with such folders."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.epochs import tdb_s_after
+from catalog.config import resource
+from catalog.errors import ConfigError, NothingToDoError
+from catalog.progress import SilentProgress
+from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.frames.folder import read_folder, write_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.frames.stereo_mount import MountSettings
+from optnav_cli.frames.tables import HEIGHTS
+from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.runs.stereo_folder import stereo_folder
+from optnav_cli.simulation.scenario import load_scenario
+from tests.optnav_cli.stereo.pairs import CAMERA, picture, rig
+
+LEFT = MountSettings(camera="left", position_m=(0.0, 0.0, 0.0))
+RIGHT = MountSettings(camera="right", position_m=(1.0, 0.0, 0.0), error_arcsec=20.0)
+# the ship level over the north pole of the body, z down
+SHIP_FROM_BODY = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+PLACE = np.array([0.0, 0.0, 1_737_500.0])
+STEP_M = np.array([0.6, -0.4, 0.0])
+
+
+def folder(
+    place: Path,
+    *,
+    times: tuple[tuple[float, float], ...] = ((0.0, 0.0), (1.0, 1.0)),
+    mounts: tuple[MountSettings, ...] = (LEFT, RIGHT),
+    attitude: bool = True,
+) -> Path:
+    """Pairs of pictures 30 m over a plane, the second one farther on; times in s of each pair."""
+    pair = rig()
+    frames = []
+    for number, both in enumerate(times):
+        for eye, seconds in zip((pair.first, pair.second), both, strict=True):
+            name = f"{number}_{eye.camera.name}.png"
+            values = picture(eye, 30.0, at_m=number * STEP_M, noise=0.5, seed=number)
+            place.mkdir(exist_ok=True)
+            cv2.imwrite(str(place / name), np.clip(np.rint(values), 0, 255).astype(np.uint8))
+            frame = Frame(name, f"2026-01-01T00:00:0{seconds:.3f}Z", eye.camera.name)
+            if attitude:
+                frame = replace(
+                    frame,
+                    tdb_s=float(tdb_s_after("2026-01-01T00:00:00Z", seconds)[0]),
+                    camera_from_body=SHIP_FROM_BODY,
+                    attitude_sigma_rad=1e-6,
+                    position_m=PLACE,
+                    position_sigma_m=100.0,
+                )
+            frames.append(frame)
+    settings = RunSettings("moon", "camera_from_body", mount=mounts)
+    cameras = [CAMERA, replace(CAMERA, name="right")]
+    write_folder(place, settings, cameras, frames)
+    return place
+
+
+def test_a_folder_of_pairs_becomes_heights_and_velocities(tmp_path: Path) -> None:
+    pictures = folder(tmp_path / "pairs")
+    first, second = stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    assert first.velocity is None
+    assert first.height is not None
+    assert first.height.height_m == pytest.approx(30.0, abs=4.0 * first.height.sigma_m)
+    assert second.velocity is not None
+    np.testing.assert_allclose(second.velocity.velocity_m_s[:2], STEP_M[:2], atol=3e-3)
+    rows = HEIGHTS.rows(tmp_path / "out" / "heights.csv")
+    assert [row["status"] for row in rows] == ["solved", "solved"]
+    assert float(rows[1]["velocity_x_m_s"]) == pytest.approx(0.6, abs=3e-3)
+    assert rows[0]["velocity_x_m_s"] == ""
+    assert (tmp_path / "out" / "manifest.json").exists()
+
+
+def test_the_same_pairs_give_the_same_bytes(tmp_path: Path) -> None:
+    pictures = folder(tmp_path / "pairs", times=((0.0, 0.0),))
+    for name in ("a", "b"):
+        stereo_folder(pictures, tmp_path / name, SilentProgress())
+    one, other = ((tmp_path / name / "heights.csv").read_bytes() for name in ("a", "b"))
+    assert one == other
+
+
+def test_mounts_are_read_back_as_they_were_written(tmp_path: Path) -> None:
+    pictures = folder(tmp_path / "pairs", times=((0.0, 0.0),))
+    assert read_folder(pictures).settings.mount == (LEFT, RIGHT)
+
+
+def test_pictures_of_different_times_are_rows_with_a_reason(tmp_path: Path) -> None:
+    pictures = folder(tmp_path / "pairs", times=((0.0, 0.0), (1.0, 1.4)))
+    rows = stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    assert [row.height is not None for row in rows] == [True, False, False]
+    assert "no picture of this time: the nearest" in rows[1].reason
+    assert "0.4 s away" in rows[1].reason
+
+
+def test_without_attitudes_there_is_a_height_and_no_velocity(tmp_path: Path) -> None:
+    pictures = folder(tmp_path / "pairs", attitude=False)
+    rows = stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    assert rows[1].height is not None
+    assert rows[1].velocity is None
+    assert "along the ship's z axis" in rows[1].reason
+    assert "a turn looks like a motion" in rows[1].reason
+
+
+@pytest.mark.parametrize(
+    ("mounts", "said"),
+    [
+        ((LEFT, msgspec.structs.replace(RIGHT, position_m=(0.0, 0.0, 0.0))), "needs a base"),
+        ((LEFT,), "1 .*sections; wanted two"),
+        ((LEFT, msgspec.structs.replace(RIGHT, camera="other")), "which has no file"),
+        ((LEFT, LEFT), "twice"),
+        (
+            (LEFT, msgspec.structs.replace(RIGHT, ship_from_camera=(1.0, 1.0, 0.0, 0.0))),
+            "wanted a unit quaternion",
+        ),
+    ],
+)
+def test_mounts_that_are_no_pair_are_refused(
+    tmp_path: Path, mounts: tuple[MountSettings, ...], said: str
+) -> None:
+    pictures = folder(tmp_path / "pairs", times=((0.0, 0.0),), mounts=mounts)
+    with pytest.raises(ConfigError, match=said):
+        stereo_folder(pictures, tmp_path / "out", SilentProgress())
+
+
+def test_a_damaged_picture_is_a_row_with_its_reason_and_nothing_solved_is_said(
+    tmp_path: Path,
+) -> None:
+    pictures = folder(tmp_path / "pairs", times=((0.0, 0.0),))
+    (pictures / "0_right.png").write_bytes(b"")
+    with pytest.raises(NothingToDoError, match="empty file"):
+        stereo_folder(pictures, tmp_path / "out", SilentProgress())
+    assert (tmp_path / "out" / "heights.csv").exists()
+
+
+def test_a_drawn_pair_over_craters_is_measured_within_its_sigmas(tmp_path: Path) -> None:
+    scenario = load_scenario(resource("configs/scenarios/stereo_100m.toml"))
+    small = replace(CAMERA, name="small", focal_length_px=800.0)
+    (tmp_path / "small.toml").write_text(camera_toml(small), encoding="utf-8")
+    names = {"camera": type(scenario.camera)(str(tmp_path / "small.toml"))}
+    few = msgspec.structs.replace(scenario.shortened(1), **names)
+    simulate_folder(few, tmp_path / "pairs", SilentProgress())
+    rows = stereo_folder(tmp_path / "pairs", tmp_path / "out", SilentProgress())
+    height = rows[0].height
+    assert height is not None
+    # straight below stands the ground that the scenario puts 100 m under the ship
+    assert abs(height.height_m - 100.0) < 3.0 * height.whole_sigma_m
+    velocity = rows[1].velocity
+    assert velocity is not None
+    # ship frame: x to the right, y backward
+    assert abs(velocity.velocity_m_s[0] - 1.0) < 4.0 * velocity.side_sigma_m_s
+    assert abs(velocity.velocity_m_s[1] + 2.0) < 4.0 * velocity.side_sigma_m_s
