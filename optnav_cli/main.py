@@ -57,6 +57,8 @@ COMMANDS = {
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
     "adjust": Entry(_PICTURES, "Adjust the frames of runs, and what is common to them.", "adjust"),
     "stereo": Entry(f"{_HERE}.stereo", "Height and side velocity from two cameras on a base."),
+    "slopes": Entry(f"{_HERE}.hazard", "How steep a terrain model is.", "slopes"),
+    "hazard": Entry(f"{_HERE}.hazard", "Map the risk of landing, choose pads.", "hazard"),
     "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),
     "export": Entry(_PICTURES, "Write a run as layers for GIS programs.", "export"),
     "report": Entry(_PICTURES, "Make a page about a run or a catalog.", "report"),

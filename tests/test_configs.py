@@ -49,8 +49,15 @@ def load_navigate(path: Path) -> object:
     return load_toml(path, NavigateSettings)
 
 
+def load_hazard(path: Path) -> object:
+    from optnav_cli.hazard.settings import HazardSettings
+
+    return load_toml(path, HazardSettings)
+
+
 def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
+    from optnav_cli.hazard.model import HazardModel
     from optnav_cli.measurements.disc.size import DiscErrorSizes
     from optnav_cli.navigation.control_points.acceptance import AcceptanceLimits
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes
@@ -62,6 +69,7 @@ def load_model(path: Path) -> object:
         "control_points": PointErrorSizes,
         "disc": DiscErrorSizes,
         "silhouette": SilhouetteErrors,
+        "hazard": HazardModel,
     }
     return load_toml(path, types[path.stem])
 
@@ -76,6 +84,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "templates/build": load_build,
     "templates/scenario": load_scenario,
     "templates/navigate": load_navigate,
+    "templates/hazard": load_hazard,
 }
 SHIPPED = {
     path.relative_to(CONFIGS).with_suffix("").as_posix(): path
@@ -140,12 +149,16 @@ def config_type(kind: str) -> type[msgspec.Struct]:
         from optnav_cli.navigation.settings import NavigateSettings
 
         return NavigateSettings
+    if kind == "hazard":
+        from optnav_cli.hazard.settings import HazardSettings
+
+        return HazardSettings
     from optnav_cli.simulation.passes import Scenario
 
     return Scenario
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate"])
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard"])
 def test_a_template_shows_every_setting(kind: str) -> None:
     text = SHIPPED[f"templates/{kind}"].read_text(encoding="utf-8")
     assert wanted(config_type(kind)) - documented(text) == set()

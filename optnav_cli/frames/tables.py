@@ -178,3 +178,28 @@ HEIGHTS = CsvTable(
         *(STATUS, REASON),
     )
 )
+
+PADS = CsvTable(
+    (
+        FILE,
+        _count("square_row", "row of the square, from the upper left; empty: no squares"),
+        _count("square_col", "column of the square"),
+        *(
+            _number(f"{axis}_px", f"the pad's middle in the picture, {axis}", "px", "z.3f")
+            for axis in "xy"
+        ),
+        _number("lat_deg", "its latitude, planetocentric; empty without a pose", "deg", "z.9f"),
+        _number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f"),
+        _number("expected_dangerous_share", "expected share above 7 deg", "", "z.5f"),
+        _number("expected_critical_share", "expected share above 15 deg", "", "z.5f"),
+        _number("shadow_share", "share in shadow", "", "z.5f"),
+        _number("mean_slope_deg", "mean slope", "deg", "z.3f"),
+        _number("prior_slope_deg", "mean slope by --slopes", "deg", "z.3f"),
+        *(
+            _number(f"dir_camera_{i}", f"direction to it, camera frame, {i}", "", "z.9f")
+            for i in "xyz"
+        ),
+        *(_number(f"dir_body_{i}", f"the same, body frame, {i}", "", "z.9f") for i in "xyz"),
+        _text("reason", "why the square has no pad", empty=True),
+    )
+)

@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
@@ -51,8 +52,74 @@ DISC = (1.0, 0.85, 0.2)
 _CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
 
 
-class Recording:
-    """Writes run.mcap frame by frame; a context manager that completes the file at its end."""
+class MessageLog:
+    """An MCAP file of Foxglove messages; a context manager that completes it at its end."""
+
+    def __init__(self, path: Path, about: Mapping[str, str] | None = None) -> None:
+        """about: what it was made by and from, the file's metadata record."""
+        self._path, self._about = path, dict(about or {})
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._sequence = 0
+        self._last_ns = 0
+
+    def __enter__(self) -> Self:
+        self._file = self._path.open("wb")
+        self._writer = Writer(self._file)
+        self._writer.start(library="optnav")
+        if self._about:
+            self._writer.add_metadata("optnav", self._about)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._file.close()
+
+    def set_time(self, utc: str) -> None:
+        """The time of the messages that follow; one that is none, or is earlier, changes nothing.
+
+        A leap second's readings come twice: time stands still rather than going back.
+        """
+        self._last_ns = max(nanoseconds(utc, self._last_ns), self._last_ns)
+
+    def add(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
+        """Add one message, stamped with the time that was set."""
+        data = json.dumps(self._stamped(content), allow_nan=False).encode()
+        self._put(topic, schema, data)
+
+    def _put(self, topic: str, schema: foxglove.Schema, data: bytes) -> None:
+        title = schema["title"]
+        if title not in self._schemas:
+            self._schemas[title] = self._writer.register_schema(
+                title, SchemaEncoding.JSONSchema, json.dumps(schema).encode()
+            )
+        if topic not in self._channels:
+            self._channels[topic] = self._writer.register_channel(
+                topic, MessageEncoding.JSON, self._schemas[title]
+            )
+        self._writer.add_message(
+            self._channels[topic],
+            log_time=self._last_ns,
+            publish_time=self._last_ns,
+            sequence=self._sequence,
+            data=data,
+        )
+        self._sequence += 1
+
+    @property
+    def _stamp(self) -> Message:
+        seconds, nanoseconds = divmod(self._last_ns, 10**9)
+        return {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
+
+    def _stamped(self, content: Message) -> Message:
+        return {**self._stamp, **content}
+
+
+class Recording(MessageLog):
+    """Writes run.mcap frame by frame."""
 
     def __init__(
         self,
@@ -69,28 +136,10 @@ class Recording:
         cameras  names of the run's cameras, in the order of their colours
         about    what the run was made by and from: the file's metadata record
         """
-        self._path, self._body, self._relief = path, body, relief
-        self._scene, self._about = Scene(body, cameras), dict(about or {})
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
+        super().__init__(path, about)
+        self._body, self._relief = body, relief
+        self._scene = Scene(body, cameras)
         self._made: list[tuple[str, foxglove.Schema, bytes]] = []
-        self._sequence = 0
-        self._last_ns = 0
-
-    def __enter__(self) -> "Recording":
-        self._file = self._path.open("wb")
-        self._writer = Writer(self._file)
-        self._writer.start(library="optnav")
-        if self._about:
-            self._writer.add_metadata("optnav", self._about)
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
-            if kind is None:
-                self._writer.finish()  # type: ignore[no-untyped-call]
-        finally:
-            self._file.close()
 
     def add_frame(
         self,
@@ -106,8 +155,7 @@ class Recording:
         marks    of the body's outline in it
         A frame whose time cannot be understood keeps the time of the frame before.
         """
-        # a leap second's readings come twice: time stands still rather than going back
-        self._last_ns = max(nanoseconds(solution.utc, self._last_ns), self._last_ns)
+        self.set_time(solution.utc)
         self._made = []
         name, matches = camera.name if camera else NO_CAMERA, list(matches)
         place = topic_of(name, "")
@@ -161,33 +209,6 @@ class Recording:
 
     def _write(self, topic: str, schema: foxglove.Schema, content: Message) -> None:
         self._made.append((topic, schema, json.dumps(content, allow_nan=False).encode()))
-
-    def _put(self, topic: str, schema: foxglove.Schema, data: bytes) -> None:
-        title = schema["title"]
-        if title not in self._schemas:
-            self._schemas[title] = self._writer.register_schema(
-                title, SchemaEncoding.JSONSchema, json.dumps(schema).encode()
-            )
-        if topic not in self._channels:
-            self._channels[topic] = self._writer.register_channel(
-                topic, MessageEncoding.JSON, self._schemas[title]
-            )
-        self._writer.add_message(
-            self._channels[topic],
-            log_time=self._last_ns,
-            publish_time=self._last_ns,
-            sequence=self._sequence,
-            data=data,
-        )
-        self._sequence += 1
-
-    @property
-    def _stamp(self) -> Message:
-        seconds, nanoseconds = divmod(self._last_ns, 10**9)
-        return {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
-
-    def _stamped(self, content: Message) -> Message:
-        return {**self._stamp, **content}
 
     def _calibration(self, camera: Camera, factor: float) -> Message:
         # A scaled picture keeps its corners, and pixel centres stand half a pixel inside them.

@@ -1,0 +1,115 @@
+"""`optnav slopes | hazard`: slopes of terrain models, the risk of landing by pictures."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
+from optnav_cli.options import OptnavCommand, json_option, output_option, path_argument
+from optnav_cli.parameters import PATH, Number
+
+METRES = Number(0.1, 1e5)
+
+
+@click.command("slopes", cls=OptnavCommand, short_help="How steep a terrain model is.")
+@path_argument("dem")
+@click.option(
+    "--base-m",
+    type=Number(1e-3, 1e6),
+    default=3.0,
+    show_default=True,
+    help="Distance over which the ground rises; at least two postings are taken.",
+)
+@click.option("--body", default="moon", show_default=True, help="Whose ground it is.")
+@output_option(
+    "The slopes: .tif (degrees, on the model's coordinate system) or .png (map and histogram).",
+    (".tif", ".png"),
+    required=False,
+)
+@json_option
+def slopes(dem: Path, base_m: float, body: str, output: Path | None, as_json: bool) -> None:
+    """Print the shares of the terrain model DEM above 7 deg and above 15 deg, and its rms slope.
+
+    DEM is a raster of heights, or `bundled:NAME` for one that ships with optnav. Shares are of the
+    area that has slopes: holes and their borders have none.
+
+    \b
+    Example:
+      optnav slopes bundled:tycho_gld100_256ppd.tif --base-m 240
+      optnav slopes site.tif -o slopes.tif
+    """
+    from optnav_cli.output.document import json_text
+    from optnav_cli.runs.slope_files import measure_slopes
+
+    announce_compilation()
+    found = measure_slopes(dem, base_m, body, output)
+    if as_json:
+        click.echo(json_text(found.figures()))
+    else:
+        click.echo(found.to_text())
+        if output is not None:
+            click.echo(output)
+
+
+@click.command("hazard", cls=OptnavCommand, short_help="Map the risk of landing, choose pads.")
+@path_argument("pictures")
+@output_option("Folder for the maps and pads; earlier ones in it are replaced.")
+@click.option("--catalog", type=PATH, help="Heights of the ground: a control-point catalog.")
+@click.option("--dem", type=PATH, help="Heights of the ground: a terrain model.")
+@click.option(
+    "--slopes",
+    type=PATH,
+    help="A slope map from orbit, as `optnav slopes -o` writes it: brightness does not tell the "
+    "tilt of all that a picture shows.",
+)
+@click.option("--camera", type=PATH, help="The camera of a single picture, a TOML file.")
+@click.option("--height-m", type=Number(0.1, 1e7), help="Of the camera over the ground.")
+@click.option(
+    "--sun-elevation-deg", type=Number(0.0, 90.0), help="Of a single picture: the Sun's height."
+)
+@click.option(
+    "--sun-azimuth-deg",
+    type=Number(0.0, 360.0),
+    help="Of a single picture: direction to the Sun, clockwise from its upper edge.",
+)
+@click.option(
+    "--method",
+    type=click.Choice(["shading", "variance"]),
+    help="Slopes from brightness (default), or variance of brightness.",
+)
+@click.option("--pad-m", type=METRES, help="Side of a pad; 20 by default.")
+@click.option("--square-m", type=METRES, help="Side of the squares of one pad each; 200.")
+@click.option(
+    "--config", type=PATH, help="Settings; `optnav config template hazard` prints the defaults."
+)
+@pass_progress
+def hazard(
+    progress: ConsoleProgress,
+    /,
+    pictures: Path,
+    output: Path,
+    config: Path | None,
+    camera: Path | None,
+    **given: Any,
+) -> None:
+    """Map how risky landing is on the ground that PICTURES show, and choose a pad in each square.
+
+    PICTURES is a picture folder whose frames.csv states positions and attitudes; or one picture of
+    a camera that looks straight down, with --camera, --height-m and where the Sun stands.
+
+    OUTPUT gets risk.tif (254 x the expected share of slopes above 7 deg on a pad, 255 refused),
+    slopes.tif, risk.png, hazard.png, pads.csv, hazard.mcap and manifest.json; of several frames,
+    each in a folder of its own. Ends with exit code 4 when no square has a pad.
+
+    \b
+    Example:
+      optnav hazard pictures --dem site.tif --slopes slopes.tif -o hazard
+      optnav hazard site.png --camera tsnn2_narrow.toml --height-m 500 --sun-elevation-deg 5
+        --sun-azimuth-deg 120 -o hazard
+    """
+    from optnav_cli.runs.hazard_folder import map_pictures
+
+    announce_compilation()
+    tell(map_pictures(pictures, output, config, camera, given, progress))
+    click.echo(output)

@@ -1,0 +1,137 @@
+"""A prior slope map with the slopes from shading: what brightness does not tell, the tilt of all.
+
+Shading finds how slopes differ from place to place and takes their mean over a picture for zero.
+A map of slopes from orbit, coarser, knows the mean slope of each of its pixels, though not its
+direction. Over the width of such a pixel the slope is taken from both, by their errors; its
+direction is that of shading, and what is finer is shading's alone.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from catalog.arrays import Float32Array
+from catalog.bodies.body import Body
+from catalog.errors import DataError
+from catalog.geometry.grid import sample_bicubic
+from catalog.rasters import TERRAIN, open_raster, reading_raster
+from catalog.terrain.dem.file import place_of
+from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.slopes import DANGEROUS_DEG
+from optnav_cli.hazard.ground_view import GroundView, box_means
+from optnav_cli.hazard.model import HazardModel
+from optnav_cli.hazard.shading import SlopeMap, rated
+
+MAX_PIXELS = 400_000_000
+MAX_SLOPE_DEG = 90.0
+MIN_COVERED = 0.05  # of a view; less is no overlap
+SMALLEST = 1e-4  # tangent: flatter ground has no direction
+
+
+@dataclass(frozen=True, eq=False)
+class PriorSlopes:
+    """A slope map, deg, NaN for no data, and where it lies."""
+
+    path: Path
+    degrees: Float32Array
+    place: Georeference
+    posting_m: float
+
+    def on(self, view: GroundView) -> Float32Array:
+        """The map's slopes (rows, cols), deg, at the cells of a view; NaN outside.
+
+        Raises DataError for a view without a place on the body, or ground that the map lacks.
+        """
+        if view.projection is None:
+            raise DataError(
+                f"{self.path}: a slope map needs a place on the body; give a folder whose "
+                "frames have positions, not a single picture"
+            )
+        rows, cols = view.brightness.shape
+        x, y = np.meshgrid(view.xy_m(0.0, np.arange(cols))[0], view.xy_m(np.arange(rows), 0.0)[1])
+        col, row = self.place.pixel_from_latlon(*view.projection.latlon(x, y))
+        if self.place.wraps:
+            col = np.mod(col, self.degrees.shape[1])
+        outside = ~(np.isfinite(row) & np.isfinite(col))
+        row[outside] = col[outside] = -10.0
+        found = sample_bicubic(self.degrees, row, col)
+        if np.isfinite(found).mean() < MIN_COVERED:
+            raise DataError(
+                f"{self.path}: does not cover the ground that the picture shows; name a map that "
+                "overlaps it"
+            )
+        return np.clip(found, 0.0, MAX_SLOPE_DEG)
+
+
+def read_slopes(path: Path, body: Body) -> PriorSlopes:
+    """Read a slope map as `optnav slopes` writes it: degrees in the first band.
+
+    Raises DataError for a file that is no such map.
+    """
+    with open_raster(path, TERRAIN, "check --slopes") as dataset, reading_raster(path):
+        rows, cols = dataset.shape
+        if rows * cols > MAX_PIXELS:
+            raise DataError(
+                f"{path}: has {rows} x {cols} pixels; wanted up to {MAX_PIXELS}: cut it with "
+                "gdal_translate -projwin"
+            )
+        try:
+            place = place_of(path, None, "east", body, dataset)
+        except DataError as error:
+            cause, _, _ = str(error).partition("; set `crs`")
+            raise DataError(f"{cause}; give it one with gdal_edit.py -a_srs") from None
+        degrees = dataset.read(1, masked=True).astype(np.float32).filled(np.nan)
+    known = degrees[np.isfinite(degrees)]
+    if not known.size:
+        raise DataError(f"{path}: holds no slope; name another map")
+    low, high = float(known.min()), float(known.max())
+    if low < 0.0 or high > MAX_SLOPE_DEG:
+        raise DataError(
+            f"{path}: its values run from {low:g} to {high:g}; wanted slopes in degrees, 0..90, "
+            "not in percent"
+        )
+    return PriorSlopes(path, degrees, place, place.row_angle * body.radius_m)
+
+
+def fuse(
+    view: GroundView,
+    slopes: SlopeMap,
+    prior_deg: Float32Array,
+    posting_m: float,
+    model: HazardModel,
+) -> SlopeMap:
+    """Slopes whose means over a pixel of the prior follow that, too; where it is NaN, as they are.
+
+    prior_deg  (rows, cols) at the cells of the view
+    """
+    cells = 2 * max(1, round(0.5 * posting_m / view.cell_m)) + 1
+    known = np.isfinite(prior_deg)
+    prior = np.tan(np.radians(np.where(known, prior_deg, 0.0)))
+    means = [box_means(part, cells) for part in (slopes.toward, slopes.across)]
+    length = np.maximum(np.hypot(*means), SMALLEST)
+    own, other = model.tilt_sigma_deg**2, model.prior_sigma_deg**2
+    weight = own / (own + other)
+    wanted = length + weight * (prior - length)
+    factor = np.where(known, wanted / length - 1.0, 0.0).astype(np.float32)
+    toward = slopes.toward + factor * means[0]
+    across = slopes.across + factor * means[1]
+    return rated(view, toward, across, slopes.shadow, model)
+
+
+def too_steep(
+    prior_deg: Float32Array, cells: int, model: HazardModel
+) -> tuple[Float32Array, Float32Array]:
+    """Mean prior slopes (deg) of pads, NaN where none is known, and 1 where the pad is refused.
+
+    Refused is what the prior, with its error, has above the dangerous slope.
+    """
+    known = np.isfinite(prior_deg).astype(np.float32)
+    filled = np.where(known > 0, prior_deg, 0.0).astype(np.float32)
+    cells += 1 - cells % 2
+    total, share = box_means(filled, cells), box_means(known, cells)
+    means = np.divide(total, share, out=np.full_like(total, math.nan), where=share > 0.5)
+    limit = DANGEROUS_DEG - model.prior_sigma_deg
+    steep = np.where(np.isfinite(means), means > limit, False).astype(np.float32)
+    return means, steep

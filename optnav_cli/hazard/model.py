@@ -1,0 +1,87 @@
+"""The fitted numbers of the hazard map, configs/models/hazard.toml, which says what each is."""
+
+from functools import cache
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from catalog.config import NotNegative, Positive, load_toml, resource
+from catalog.errors import ConfigError
+
+FILE = "configs/models/hazard.toml"
+
+Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
+Numbers = Annotated[tuple[float, ...], msgspec.Meta(min_length=1, max_length=50)]
+
+
+class ErrorOfSlopes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How likely a slope is above a limit, one number for each elevation of the Sun.
+
+    It is the normal distribution of (slope - limit * level + local * r + regional * R + dark * f)
+    over (sigma + sigma_local * r + sigma_dark * f), tangents; r and R are rms slopes about a cell,
+    f the share of shadow there.
+    """
+
+    limit: Numbers
+    local: Numbers
+    regional: Numbers
+    dark: Numbers
+    sigma: Numbers
+    sigma_local: Numbers
+    sigma_dark: Numbers
+
+
+class ShadingNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Numbers of the slopes from brightness."""
+
+    noise: Positive
+    spectrum: Annotated[float, msgspec.Meta(ge=0.0, le=6.0)]
+    local_m: Positive
+    regional_m: Positive
+    sun_elevation_deg: Numbers
+    dangerous: ErrorOfSlopes
+    critical: ErrorOfSlopes
+
+
+class VarianceNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Thresholds of the variance of brightness."""
+
+    cell_m: Positive
+    high_sun_deg: Positive
+    low_sun_deg: Positive
+    darkest_high: Positive
+    brightest_high: Positive
+    darkest_low: Positive
+    brightest_low: Positive
+
+
+class HazardModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What configs/models/hazard.toml holds."""
+
+    shadow: Share
+    max_shadow: Share
+    shading: ShadingNumbers
+    variance: VarianceNumbers
+    prior_sigma_deg: NotNegative
+    tilt_sigma_deg: Positive
+
+
+@cache
+def hazard_model() -> HazardModel:
+    """The numbers that ship with optnav. Raises ConfigError for a wrong file."""
+    model = load_toml(resource(FILE), HazardModel)
+    count = len(model.shading.sun_elevation_deg)
+    for part in (model.shading.dangerous, model.shading.critical):
+        for name in part.__struct_fields__:
+            if len(getattr(part, name)) != count:
+                raise ConfigError(f"{FILE}: {name} has not {count} numbers, one an elevation")
+    return model
+
+
+def error_terms(part: ErrorOfSlopes, elevations: Numbers, elevation_deg: float) -> list[float]:
+    """Its numbers at an elevation of the Sun, in their order, between those of the table."""
+    return [
+        float(np.interp(elevation_deg, elevations, getattr(part, name)))
+        for name in part.__struct_fields__
+    ]

@@ -1,0 +1,340 @@
+"""Slopes from shading: the risk of a pad as the share of it that is expected to be dangerous.
+
+Under a low Sun brightness tells the slope along the Sun nearly exactly, and a surface ties the
+other component to it: heights h of the spectrum P_h that fit the measured slopes p along the Sun
+are, in Fourier space, p k_p / (i (k_p^2 + N / P_h)). Where the picture does not show the ground
+(beyond its edges, in holes) p is what those heights say, found by iterating; a picture that is
+merely mirrored or cut off there puts streaks along the Sun into the other component.
+
+A pixel in shadow is as dark as ground that the Sun just grazes, and is taken for it: from the crest
+to the shadow's end the ground falls by just as much.
+
+Approximations, ours: the mean slope of a picture is taken for zero, as brightness does not tell it.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+
+from catalog.arrays import Float32Array, FloatArray, IntArray
+from catalog.errors import NoSolutionError
+from catalog.geometry.kernel import kernel
+from catalog.geometry.vectors import unit
+from catalog.photometry.laws import law_by_name
+from catalog.terrain.slopes import BASE_M, CRITICAL_DEG, DANGEROUS_DEG
+from optnav_cli.hazard.ground_view import GroundView, box_means, resized
+from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, error_terms
+
+MARGIN_CELLS = 64  # around the picture, which its ground is continued over
+PASSES = 8  # of continuing it: more gain little
+MAX_ASIDE = 0.02  # slopes across the Sun change brightness by less than this of those along it
+STEEPEST = 1.5  # tangent of ground that faces the Sun; brightness of steeper ground is no guide
+STEPS = 512  # of a table of slopes by brightness
+PROBE = 7  # cells between those that the brightness of level ground is found from
+CIRCLE_CELL = 20.0  # m, the wavelength at which the noise of slopes is stated
+ROOT_HALF = math.sqrt(0.5)
+
+
+class SlopeMap(NamedTuple):
+    """What shading tells of the ground, (rows, cols) each.
+
+    toward, across  tangents of the slope on BASE_M: along the direction to the Sun, and along that
+                    turned left by 90 deg
+    dangerous, critical  probabilities that the slope is above 7 and 15 deg
+    sigma           1-sigma error of the slope, a tangent
+    shadow          1 where the picture is dark, else 0
+    """
+
+    toward: Float32Array
+    across: Float32Array
+    dangerous: Float32Array
+    critical: Float32Array
+    sigma: Float32Array
+    shadow: Float32Array
+
+
+def map_slopes(view: GroundView, model: HazardModel, law: str = "hapke") -> SlopeMap:
+    """Slopes of the ground that a picture shows.
+
+    law  of brightness, as `catalog.photometry` names it
+    Raises NoSolutionError for a picture without contrast or light.
+    """
+    curves = _curves(view, law)
+    level = level_brightness(view, curves)
+    toward, shadow = np.empty((2, *view.brightness.shape), np.float32)
+    _invert(view.brightness, curves.slopes, 1.0 / level, model.shadow, toward, shadow)
+    numbers = model.shading
+    toward, across = _complete(view, toward, curves, numbers.noise, numbers.spectrum)
+    across_base = max(1, round(BASE_M / view.cell_m))
+    toward, across = box_means(toward, across_base), box_means(across, across_base)
+    return rated(view, toward, across, shadow, model)
+
+
+def rated(
+    view: GroundView,
+    toward: Float32Array,
+    across: Float32Array,
+    shadow: Float32Array,
+    model: HazardModel,
+) -> SlopeMap:
+    """The slopes with how likely they are dangerous."""
+    numbers, cell = model.shading, view.cell_m
+    squares = toward * toward + across * across
+    local = box_means(squares, _cells(numbers.local_m, cell))
+    regional = box_means(squares, _cells(numbers.regional_m, cell))
+    dark = box_means(shadow, _cells(numbers.local_m, cell))
+    dangerous, critical, sigma = np.empty((3, *squares.shape), np.float32)
+    for part, limit, out in (
+        (numbers.dangerous, DANGEROUS_DEG, dangerous),
+        (numbers.critical, CRITICAL_DEG, critical),
+    ):
+        terms = _terms(part, model, view.sun_elevation_deg, limit)
+        _rate(squares, local, regional, dark, terms, out, sigma)
+    terms = _terms(numbers.dangerous, model, view.sun_elevation_deg, DANGEROUS_DEG)
+    _rate(squares, local, regional, dark, terms, dangerous, sigma)
+    return SlopeMap(toward, across, dangerous, critical, sigma, shadow)
+
+
+class Curves(NamedTuple):
+    """Slopes along the Sun by brightness at 3 x 3 places of a view.
+
+    slopes  (3, 3, STEPS) by brightness over that of level ground at the middle of the view, from 0
+            up; [..., 0] is the Sun's own slope
+    aside   (3, 3) how a slope across the Sun passes for one along it: the ratio of what they do
+    """
+
+    slopes: Float32Array
+    aside: FloatArray
+
+
+MAX_RATIO = 8.0  # brightness that tables reach to, over that of level ground
+
+
+def _curves(view: GroundView, law: str) -> Curves:
+    """Tables of a law at the corners, edges and middle of a view."""
+    rows, cols = view.brightness.shape
+    azimuth, reflectance = view.sun_azimuth, law_by_name(law)
+    toward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
+    left = np.array([-toward[1], toward[0], 0.0])
+    grazing = view.sun[2] / math.hypot(view.sun[0], view.sun[1])
+    p = np.linspace(grazing, -STEEPEST, 4 * STEPS)
+    q = np.array([-0.02, 0.02])
+    slopes, aside = np.empty((3, 3, STEPS), np.float32), np.empty((3, 3))
+
+    def brightness(along: FloatArray, over: FloatArray, to_camera: FloatArray) -> FloatArray:
+        normals = np.array([0.0, 0.0, 1.0]) - along[:, None] * toward - over[:, None] * left
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        return reflectance(normals @ view.sun, normals @ to_camera, float(view.sun @ to_camera))
+
+    zero = np.zeros(1)
+    middle = float(brightness(zero, zero, unit(view.camera_m))[0])
+    for i, row in enumerate((0.0, 0.5 * (rows - 1), rows - 1.0)):
+        for j, col in enumerate((0.0, 0.5 * (cols - 1), cols - 1.0)):
+            x, y = view.xy_m(row, col)
+            to_camera = unit(view.camera_m - np.array([float(x), float(y), 0.0]))
+            ratio = brightness(p, np.zeros(p.size), to_camera) / middle
+            ratio[0] = 0.0
+            top = int(np.argmax(ratio)) + 1  # ground beyond gets darker again
+            rising = np.maximum.accumulate(ratio[:top]) + 1e-9 * np.arange(top)
+            slopes[i, j] = np.interp(np.linspace(0.0, MAX_RATIO, STEPS) ** 1, rising, p[:top])
+            level = np.zeros(2)
+            by_p, by_q = brightness(q, level, to_camera), brightness(level, q, to_camera)
+            aside[i, j] = (by_q[1] - by_q[0]) / (by_p[1] - by_p[0])
+    return Curves(slopes, aside)
+
+
+def level_brightness(view: GroundView, curves: Curves) -> float:
+    """The brightness of level ground at the middle of the view: that which makes the mean slope
+    along the Sun vanish.
+
+    Raises NoSolutionError for a picture without light.
+    """
+    probes = np.ix_(*(_probes(size) for size in view.valid.shape))
+    rows, cols = np.nonzero(view.valid[probes])
+    if not rows.size:
+        raise NoSolutionError("the picture shows no ground that can be used", "no_ground")
+    values = np.ascontiguousarray(view.brightness[probes])
+    low, high = np.log(np.maximum(np.quantile(values[rows, cols], [0.02, 0.995]), 1e-9))
+    if not high > math.log(1e-6):
+        raise NoSolutionError("the picture holds no light", "night")
+    low = min(low, high - 6.0)
+    out, shadow = np.empty((2, *values.shape), np.float32)
+    high += 3.0
+    for _ in range(18):
+        level = math.exp(0.5 * (low + high))
+        _invert(values, curves.slopes, 1.0 / level, 0.0, out, shadow)
+        if float(out[rows, cols].mean()) > 0.0:
+            high = math.log(level)
+        else:
+            low = math.log(level)
+    return math.exp(0.5 * (low + high))
+
+
+def _probes(size: int) -> IntArray:
+    """Cells about PROBE apart, alike from both sides: a turned picture has the same ones."""
+    first = np.arange(0, (size + 1) // 2, PROBE)
+    return np.unique(np.concatenate([first, size - 1 - first]))
+
+
+@kernel
+def _invert(
+    brightness: Float32Array,
+    tables: Float32Array,
+    scale: float,
+    dark: float,
+    out: Float32Array,
+    shadow: Float32Array,
+) -> None:
+    """Fill slopes along the Sun, and 1 where the brightness is below `dark` of level ground's."""
+    rows, cols = brightness.shape
+    last = tables.shape[2] - 1
+    per_step = np.float32(last / 8.0)
+    for i in range(rows):
+        y = 2.0 * i / max(rows - 1, 1)
+        top = min(int(y), 1)
+        for j in range(cols):
+            x = 2.0 * j / max(cols - 1, 1)
+            left = min(int(x), 1)
+            ratio = brightness[i, j] * np.float32(scale)
+            shadow[i, j] = np.float32(1.0) if ratio < dark else np.float32(0.0)
+            at = min(max(ratio * per_step, np.float32(0.0)), np.float32(last) - np.float32(1e-3))
+            k = int(at)
+            f = at - np.float32(k)
+            total = np.float32(0.0)
+            for a in range(2):
+                down = np.float32(y - top if a else 1.0 - (y - top))
+                for b in range(2):
+                    weight = down * np.float32(x - left if b else 1.0 - (x - left))
+                    low, high = tables[top + a, left + b, k], tables[top + a, left + b, k + 1]
+                    total += weight * (low + f * (high - low))
+            out[i, j] = total
+
+
+def _complete(
+    view: GroundView, toward: Float32Array, curves: Curves, noise: float, spectrum: float
+) -> tuple[Float32Array, Float32Array]:
+    """Slopes along and across the Sun of the whole picture, from what brightness says of the first.
+
+    The ground beyond is continued at half the resolution: what it does to the picture is smooth.
+    """
+    rows, cols = toward.shape
+    aside = resized(curves.aside.astype(np.float32), (cols, rows))  # smooth: places hardly count
+    slanted = float(np.abs(curves.aside).max()) > MAX_ASIDE
+    continued, across = _continued(view, toward, aside if slanted else None, (noise, spectrum))
+    toward = toward - aside * across if slanted else toward
+    margin = MARGIN_CELLS
+    big = resized(continued, (continued.shape[1] * 2, continued.shape[0] * 2))
+    inside = big[margin : margin + rows, margin : margin + cols]
+    np.copyto(inside, toward, where=view.valid)
+    spread = fft.rfft2(big)
+    filters = _filters(big.shape, view.cell_m, view.sun_azimuth, noise, spectrum)
+    found = fft.irfft2(spread * filters.across, s=big.shape)
+    across = found[margin : margin + rows, margin : margin + cols]
+    return np.where(view.valid, toward, inside), np.ascontiguousarray(across)
+
+
+def _continued(
+    view: GroundView, toward: Float32Array, aside: Float32Array | None, numbers: tuple[float, float]
+) -> tuple[Float32Array, Float32Array]:
+    """Slopes along the Sun of the picture and its surroundings, every second cell; and those across
+    it of the picture (zeros where `aside` is None)."""
+    rows, cols = toward.shape
+    half = MARGIN_CELLS // 2
+    shape = tuple(_fast(size + 2 * MARGIN_CELLS) // 2 for size in (rows, cols))
+    high, wide = (rows + 1) // 2, (cols + 1) // 2
+    place = slice(half, half + high), slice(half, half + wide)
+    weights = view.valid.astype(np.float32)
+    padding = ((0, 2 * high - rows), (0, 2 * wide - cols))
+    if padding != ((0, 0), (0, 0)):
+        toward, weights = np.pad(toward, padding, "edge"), np.pad(weights, padding)
+    sums = resized(toward * weights, (wide, high))
+    share = resized(weights, (wide, high))
+    known = share > 0.5
+    data = np.divide(sums, share, out=np.zeros_like(sums), where=known)
+    small = None if aside is None else resized(aside, (wide, high))
+    filters = _filters(shape, 2.0 * view.cell_m, view.sun_azimuth, *numbers)
+    field, before = np.zeros(shape, np.float32), None
+    field[place] = data
+    across = np.zeros((high, wide), np.float32)
+    for number in range(PASSES):
+        spread = fft.rfft2(field)
+        smooth = fft.irfft2(spread * filters.toward, s=shape)
+        if small is not None:
+            across = fft.irfft2(spread * filters.across, s=shape)[place]
+        # Nesterov's momentum: what lies far from the picture settles in fewer passes
+        ahead = 0.0 if before is None else number / (number + 3.0)
+        field = smooth if before is None else smooth + np.float32(ahead) * (smooth - before)
+        before = smooth
+        measured = data if small is None else data - small * across
+        field[place] = np.where(known, measured, field[place])
+    full = resized(across, (2 * wide, 2 * high))[:rows, :cols]
+    return field, full
+
+
+class Filters(NamedTuple):
+    """What takes the spectrum of slopes along the Sun to those of the heights that fit them."""
+
+    toward: Float32Array
+    across: Float32Array
+
+
+@lru_cache(maxsize=4)
+def _filters(
+    shape: tuple[int, int], cell_m: float, azimuth: float, noise: float, spectrum: float
+) -> Filters:
+    rows, cols = shape
+    # rows run against y
+    k_y = -2.0 * np.pi * np.fft.fftfreq(rows, cell_m)[:, None]
+    k_x = 2.0 * np.pi * np.fft.rfftfreq(cols, cell_m)[None, :]
+    along = k_x * math.sin(azimuth) + k_y * math.cos(azimuth)
+    left = -k_x * math.cos(azimuth) + k_y * math.sin(azimuth)
+    square = k_x**2 + k_y**2
+    square[0, 0] = 1.0
+    per_height = (
+        noise * square * (square * (CIRCLE_CELL / (2.0 * np.pi)) ** 2) ** (0.5 * spectrum - 1.0)
+    )
+    gain = along / (along**2 + per_height)
+    return Filters((along * gain).astype(np.float32), (left * gain).astype(np.float32))
+
+
+def _fast(size: int) -> int:
+    """An even length at least this, of which a transform is quick and so is that of its half."""
+    return 2 * int(fft.next_fast_len((size + 1) // 2, real=True))
+
+
+def _cells(length_m: float, cell_m: float) -> int:
+    """The odd number of cells that is nearest to a length."""
+    return max(1, 2 * round(0.5 * (length_m / cell_m - 1.0)) + 1)
+
+
+def _terms(
+    part: ErrorOfSlopes, model: HazardModel, elevation_deg: float, limit_deg: float
+) -> FloatArray:
+    terms = error_terms(part, model.shading.sun_elevation_deg, elevation_deg)
+    terms[0] *= math.tan(math.radians(limit_deg))
+    return np.array(terms)
+
+
+@kernel
+def _rate(
+    squares: Float32Array,
+    local: Float32Array,
+    regional: Float32Array,
+    dark: Float32Array,
+    terms: FloatArray,
+    out: Float32Array,
+    sigma: Float32Array,
+) -> None:
+    """Fill how likely slopes (their squares) are above a limit; terms as ErrorOfSlopes has them."""
+    for i in range(squares.shape[0]):
+        for j in range(squares.shape[1]):
+            s, r = math.sqrt(squares[i, j]), math.sqrt(local[i, j])
+            f = dark[i, j]
+            above = s - terms[0] + terms[1] * r + terms[2] * math.sqrt(regional[i, j])
+            above += terms[3] * f
+            width = max(terms[4] + terms[5] * r + terms[6] * f, 0.01)
+            sigma[i, j] = width
+            out[i, j] = 0.5 + 0.5 * math.erf(ROOT_HALF * above / width)

@@ -1,0 +1,115 @@
+"""Pictures of a hazard map: the risk in colours, and all of it side by side."""
+
+import math
+
+import cv2
+import numpy as np
+
+from catalog.arrays import ByteArray, Float32Array
+from catalog.terrain.slopes import slope_degrees
+from optnav_cli.frames.picture import Picture
+from optnav_cli.hazard.hazard_map import HazardMap
+from optnav_cli.hazard.pads import REFUSED
+from optnav_cli.output.canvas import Canvas, dimmed, eight_bits
+
+PANEL_PX = 420  # of a square one, side by side
+GAP_PX, TITLE_PX = 8, 22
+MAX_SLOPE_DEG = 20.0  # the brightest of the colours
+MAX_RISK_PX = 1024
+PAD_COLOUR, SQUARE_COLOUR, TEXT_COLOUR = (255, 255, 255), (150, 150, 150), (235, 235, 235)
+REFUSED_COLOUR, OUTSIDE_COLOUR = (60, 40, 50), (24, 24, 24)
+# A safe pad is green, a dangerous one red: stops of a scale, BGR, and readable in gray as well
+SCALE = np.array([[80, 170, 60], [90, 210, 190], [70, 190, 245], [50, 100, 235], [60, 20, 140]])
+
+
+def coloured(values: Float32Array, highest: float) -> ByteArray:
+    """Colours (rows, cols, 3), BGR, of numbers from 0 to `highest`."""
+    at = np.clip(np.nan_to_num(values) / highest, 0.0, 1.0) * (len(SCALE) - 1)
+    near = np.minimum(at.astype(np.int64), len(SCALE) - 2)
+    share = (at - near)[..., None]
+    mixed: ByteArray = np.rint(SCALE[near] * (1.0 - share) + SCALE[near + 1] * share).astype(
+        np.uint8
+    )
+    return mixed
+
+
+def draw_risk(mapped: HazardMap) -> ByteArray:
+    """The risk map in colours, refused pads dark, with the squares and the chosen pads."""
+    rows, cols = mapped.view.brightness.shape
+    factor = min(1.0, MAX_RISK_PX / max(rows, cols))
+    colours = coloured(mapped.risk.code.astype(np.float32), 0.6 * REFUSED)
+    colours[mapped.risk.code == REFUSED] = REFUSED_COLOUR
+    full = _on_cells(mapped, colours)
+    full[~mapped.view.valid] = OUTSIDE_COLOUR
+    return _with_pads(mapped, _scaled(full, factor), factor)
+
+
+def draw_overview(mapped: HazardMap, picture: Picture | None) -> ByteArray:
+    """Picture, risk and slopes side by side, the pads in all of them; captions say what is what."""
+    view = mapped.view
+    factor = PANEL_PX / max(view.brightness.shape)
+    gray = eight_bits(np.where(view.valid, view.brightness, np.float32(0.0)))
+    panels = [
+        ("picture on the ground", _with_pads(mapped, _scaled(dimmed(gray), factor), factor)),
+        ("risk: green 0, red 0.6; dark refused", _scaled(draw_risk(mapped), None)),
+    ]
+    if mapped.slopes is not None:
+        degrees = slope_degrees(np.stack([mapped.slopes.toward, mapped.slopes.across]))
+        colours = coloured(degrees, MAX_SLOPE_DEG)
+        colours[~view.valid] = OUTSIDE_COLOUR
+        title = f"slopes on 3 m: green 0, red {MAX_SLOPE_DEG:g} deg"
+        panels.append((title, _with_pads(mapped, _scaled(colours, factor), factor)))
+    height = TITLE_PX + max(len(panel) for _, panel in panels)
+    width = sum(panel.shape[1] for _, panel in panels) + GAP_PX * (len(panels) - 1)
+    canvas = Canvas(np.full((height, width, 3), 16, np.uint8), 1.0)
+    left = 0
+    for title, panel in panels:
+        canvas.image[TITLE_PX : TITLE_PX + len(panel), left : left + panel.shape[1]] = panel
+        canvas.text(title, left + 4, TITLE_PX - 7, TEXT_COLOUR)
+        left += panel.shape[1] + GAP_PX
+    return canvas.image
+
+
+def _on_cells(mapped: HazardMap, colours: ByteArray) -> ByteArray:
+    """Colours of pads, each at the cells about the pad's middle; the border is refused."""
+    risk, (rows, cols) = mapped.risk, mapped.view.brightness.shape
+    places = [
+        np.rint((np.arange(size) - risk.origin) / risk.step).astype(np.int64)
+        for size in (rows, cols)
+    ]
+    full = np.empty((rows, cols, 3), np.uint8)
+    full[:] = REFUSED_COLOUR
+    inside = [(at >= 0) & (at < size) for at, size in zip(places, risk.code.shape, strict=True)]
+    chosen = [at[good] for at, good in zip(places, inside, strict=True)]
+    full[np.ix_(*inside)] = colours[np.ix_(*chosen)]
+    return full
+
+
+def _scaled(picture: ByteArray, factor: float | None) -> ByteArray:
+    """A picture scaled; without a factor to the size of a panel."""
+    factor = PANEL_PX / max(picture.shape[:2]) if factor is None else factor
+    if factor == 1.0:
+        return picture.copy()
+    high, wide = (max(1, round(size * factor)) for size in picture.shape[:2])
+    how = cv2.INTER_AREA if factor < 1.0 else cv2.INTER_NEAREST
+    return cv2.resize(picture, (wide, high), interpolation=how).astype(np.uint8, copy=False)
+
+
+def _with_pads(mapped: HazardMap, picture: ByteArray, factor: float) -> ByteArray:
+    """The same with a box at each chosen pad; factor: pixels a cell."""
+    half = 0.5 * mapped.risk.cells
+    for pad in mapped.pads:
+        if pad.cell is None:
+            continue
+        row, col = ((middle + 0.5) * factor for middle in pad.cell)
+        reach = max(half * factor, 3.0)
+        low, high = (
+            (math.floor(col - reach), math.floor(row - reach)),
+            (
+                math.ceil(col + reach),
+                math.ceil(row + reach),
+            ),
+        )
+        cv2.rectangle(picture, low, high, (0, 0, 0), 3)
+        cv2.rectangle(picture, low, high, PAD_COLOUR, 1)
+    return picture

@@ -1,0 +1,327 @@
+"""Pictures to hazard maps and pads, as `optnav hazard` does."""
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.body import Body
+from catalog.errors import DataError, NoSolutionError, NothingToDoError, UsageError
+from catalog.files import hash_file, replacing_folder
+from catalog.geometry.grid import sample_bicubic
+from catalog.geometry.projection import Stereographic
+from catalog.places import check_apart
+from catalog.progress import Progress, logged_stage
+from catalog.store.reader import Catalog
+from catalog.terrain.dem.source import DemSettings, DemSource
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import load_camera
+from optnav_cli.frames.folder import Folder, read_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import Picture, load_picture
+from optnav_cli.hazard.fusion import PriorSlopes, read_slopes
+from optnav_cli.hazard.ground_view import Heights, Pose, look_down, look_from
+from optnav_cli.hazard.hazard_map import HazardMap, check_settings, map_hazard
+from optnav_cli.hazard.settings import OPTIONS, HazardSettings, load_settings
+from optnav_cli.output.manifest import write_manifest
+from optnav_cli.runs.hazard_output import KIND, HazardOutput, MappedFrame
+
+log = logging.getLogger(__name__)
+
+MAX_WINDOW = 100_000_000  # heights that one picture's ground is read from
+MARGIN = 4  # pixels of a terrain model around what is asked for
+HEIGHT_TOLERANCE = 0.2  # by which --height-m may differ from a pose over a terrain model
+
+
+@dataclass(frozen=True)
+class Light:
+    """A picture without a pose: height over the ground and where the Sun stands.
+
+    azimuth_deg  clockwise from the picture's upper edge
+    """
+
+    height_m: float
+    elevation_deg: float
+    azimuth_deg: float
+
+
+@dataclass(frozen=True)
+class HazardInputs:
+    """What a hazard map is made of, besides the pictures.
+
+    catalog, dem  heights of the ground: one of them, or none
+    height_m      over the ground, where neither is named
+    """
+
+    settings: HazardSettings
+    slopes: Path | None = None
+    catalog: Path | None = None
+    dem: Path | None = None
+    height_m: float | None = None
+
+    def files(self) -> list[Path]:
+        return [path for path in (self.slopes, self.catalog, self.dem) if path is not None]
+
+
+def map_pictures(
+    pictures: Path,
+    output: Path,
+    config: Path | None,
+    camera: Path | None,
+    given: Mapping[str, Any],
+    progress: Progress,
+) -> list[str]:
+    """What `optnav hazard` does with its options; returns what to tell of each picture.
+
+    Raises UsageError for options that do not go together, and as the functions below.
+    """
+    options = dict(given)
+    settings = load_settings(config, {key: options.pop(key) for key in OPTIONS})
+    sun = options.pop("sun_elevation_deg"), options.pop("sun_azimuth_deg")
+    inputs = HazardInputs(settings, **options)
+    alone = {"--camera": camera, "--sun-elevation-deg": sun[0], "--sun-azimuth-deg": sun[1]}
+    if pictures.is_dir():
+        for name, value in alone.items():
+            if value is not None:
+                raise UsageError(
+                    f"{name} is for a single picture; {pictures} is a folder, whose files say it"
+                )
+        return _told(hazard_folder(pictures, inputs, output, progress))
+    for name, value in {**alone, "--height-m": inputs.height_m}.items():
+        if value is None:
+            raise UsageError(f"{pictures} is no folder: a single picture needs {name}, too")
+    light = Light(float(inputs.height_m or 0.0), float(sun[0] or 0.0), float(sun[1] or 0.0))
+    return _told([hazard_picture(pictures, Path(str(camera)), light, inputs, output)])
+
+
+def _told(frames: list[MappedFrame]) -> list[str]:
+    return [
+        f"{frame.file}: {frame.reason}"
+        if frame.summary is None
+        else f"{frame.file}: pads in {frame.summary.found} of {frame.summary.squares} squares"
+        for frame in frames
+    ]
+
+
+def hazard_picture(
+    picture: Path, camera_file: Path, light: Light, inputs: HazardInputs, output: Path
+) -> MappedFrame:
+    """Map the hazards of one picture whose camera looks straight down.
+
+    Raises DataError for files that cannot be used, NothingToDoError without a pad in any square;
+    the output folder is written then, too.
+    """
+    started = datetime.now(UTC)
+    settings = inputs.settings
+    check_settings(settings)
+    check_apart(output, [picture, camera_file])
+    if inputs.files():
+        raise UsageError(
+            f"{inputs.files()[0]}: needs a place on the body; a single picture has none: give a "
+            "folder whose frames have poses"
+        )
+    camera = load_camera(camera_file)
+    image = load_picture(picture, camera)
+    frame = MappedFrame(picture.name, camera, image)
+    try:
+        view = look_down(image, camera, light.height_m, light.elevation_deg, light.azimuth_deg)
+        frame.mapped = map_hazard(view, settings)
+    except NoSolutionError as error:
+        frame.reason = str(error)
+    origin = {"picture": picture, "sha256": hash_file(picture), "camera": camera_file.name}
+    options = msgspec.to_builtins(settings) | msgspec.to_builtins(light)
+    with logged_stage("hazard"), replacing_folder(output, KIND) as place:
+        with HazardOutput(place, None, settings, many=False) as out:
+            out.add(frame)
+        write_manifest(
+            place, KIND, command="hazard", options=options, inputs=origin,
+            results=_results([frame]), started=started,
+        )  # fmt: skip
+    _check_found([frame])
+    return frame
+
+
+def hazard_folder(
+    path: Path, inputs: HazardInputs, output: Path, progress: Progress
+) -> list[MappedFrame]:
+    """Map the hazards of the pictures of a folder by the poses of its frames.csv.
+
+    Raises as `hazard_picture`; what is wrong with one frame is its reason.
+    """
+    started = datetime.now(UTC)
+    settings = inputs.settings
+    check_settings(settings)
+    check_apart(output, [path, *inputs.files()])
+    folder = read_folder(path)
+    frames = []
+    with ExitStack() as stack:
+        ground = _ground(inputs, folder.body, stack)
+        prior = None if inputs.slopes is None else read_slopes(inputs.slopes, folder.body)
+        stack.enter_context(logged_stage("hazard"))
+        place = stack.enter_context(replacing_folder(output, KIND))
+        many = len(folder.frames) > 1
+        out = stack.enter_context(HazardOutput(place, folder.body, settings, many=many))
+        bar = stack.enter_context(progress.stage("hazard", len(folder.frames), "picture"))
+        for row in folder.frames:
+            frame = _map_frame(folder, row, ground, inputs, prior)
+            out.add(frame)
+            frames.append(frame.without_pixels())
+            bar.advance()
+        out.close()
+        write_manifest(
+            place,
+            KIND,
+            command="hazard",
+            options=msgspec.to_builtins(settings),
+            inputs={"folder": path, **{p.name: hash_file(p) for p in inputs.files()}},
+            results=_results(frames),
+            started=started,
+        )
+    _check_found(frames)
+    return frames
+
+
+def _map_frame(
+    folder: Folder,
+    row: Frame,
+    ground: Heights | None,
+    inputs: HazardInputs,
+    prior: PriorSlopes | None,
+) -> MappedFrame:
+    """The hazards of one frame, or why there are none."""
+    camera = folder.cameras.get(row.camera)
+    frame = MappedFrame(row.file, camera, None, row)
+    try:
+        if row.problem or camera is None:
+            raise NoSolutionError(row.problem or f"there is no camera '{row.camera}'", "bad_row")
+        frame.picture = load_picture(folder.picture_path(row), camera)
+        frame.mapped = _mapped(folder, row, camera, frame.picture, ground, inputs, prior)
+    except (NoSolutionError, DataError) as error:
+        frame.reason = str(error)
+        log.warning("%s: %s", row.file, error)
+    return frame
+
+
+def _mapped(
+    folder: Folder,
+    row: Frame,
+    camera: Camera,
+    picture: Picture,
+    ground: Heights | None,
+    inputs: HazardInputs,
+    prior: PriorSlopes | None,
+) -> HazardMap:
+    if row.position_m is None or row.camera_from_body is None or row.sun_body is None:
+        raise NoSolutionError(
+            "frames.csv has no position or attitude for it; fill them in, or take it alone with "
+            "--height-m, --sun-elevation-deg and --sun-azimuth-deg",
+            "no_pose",
+        )
+    pose = Pose(row.position_m, row.camera_from_body, row.sun_body, folder.body.radius_m)
+    above = float(np.linalg.norm(row.position_m)) - pose.radius_m
+    heights: Heights | float = 0.0 if ground is None else ground
+    if ground is None and inputs.height_m is not None:
+        heights = above - inputs.height_m
+    view = look_from(picture, camera, pose, heights)
+    if ground is not None and inputs.height_m is not None:
+        found = float(view.camera_m[2])
+        if abs(found - inputs.height_m) > HEIGHT_TOLERANCE * inputs.height_m:
+            raise NoSolutionError(
+                f"--height-m is {inputs.height_m:g} m, by its pose over the terrain model the "
+                f"camera is {found:.6g} m high; leave --height-m out, or mend the pose",
+                "height",
+            )
+    return map_hazard(view, inputs.settings, prior)
+
+
+def _ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | None:
+    """Heights of the ground above the body's sphere, by the model or catalog that is named."""
+    if inputs.dem is not None and inputs.catalog is not None:
+        raise UsageError("--dem and --catalog both give heights of the ground; name one of them")
+    if inputs.dem is not None:
+        source = DemSource.open(DemSettings(str(inputs.dem)), Path.cwd(), body)
+        stack.callback(source.close)
+        return lambda lat, lon: _model_heights(source, lat, lon)
+    if inputs.catalog is not None:
+        catalog = stack.enter_context(Catalog.open(inputs.catalog))
+        if catalog.meta.body != body.name or catalog.meta.planes is not None:
+            raise DataError(
+                f"{inputs.catalog}: is no catalog of {body.name} on its sphere; name another one"
+            )
+        return lambda lat, lon: _catalog_heights(catalog, lat, lon)
+    return None
+
+
+def _model_heights(source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
+    """Heights of places (rad) by a terrain model, NaN where it has none."""
+    col, row = source.pixel_from_latlon(lat, lon)
+    rows, cols = source.shape
+    inside = np.isfinite(col) & (row > -0.5) & (row < rows - 0.5)
+    if not source.wraps:
+        inside &= (col > -0.5) & (col < cols - 0.5)
+    found = np.full(np.shape(lat), np.nan)
+    if not inside.any():
+        return found
+    spans = []
+    for at, limit in ((row[inside], rows), (col[inside], cols)):
+        first = max(int(at.min()) - MARGIN, 0)
+        spans.append((first, min(int(at.max()) + MARGIN + 2, limit) - first))
+    (top, high), (left, wide) = spans
+    if high * wide > MAX_WINDOW:
+        raise DataError(
+            f"{source.path}: a picture shows {high} x {wide} of its heights; name a coarser model"
+        )
+    window = source.read_window(top, left, high, wide)
+    found[inside] = sample_bicubic(window, row[inside] - top, col[inside] - left)
+    return found
+
+
+def _catalog_heights(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> FloatArray:
+    """Heights of places (rad) by the patches of the nearest point, the finest that reach them."""
+    lat, lon = np.asarray(lat), np.asarray(lon)
+    middle = float(np.degrees(lat.mean())), float(np.degrees(lon.ravel()[lon.size // 2]))
+    point = catalog.point(catalog.nearest(*middle))
+    radius = catalog.meta.radius_m
+    x, y = Stereographic.xy_from_latlon(point.projection(radius), lat, lon)
+    found = np.full(lat.shape, np.nan)
+    for patch in reversed(catalog.patches(point.id)):
+        half = 0.5 * (patch.size - 1)
+        heights = sample_bicubic(
+            patch.heights_m, half - y / patch.posting_m, half + x / patch.posting_m
+        )
+        found = np.where(np.isfinite(heights), heights, found)
+    return found
+
+
+def _results(frames: list[MappedFrame]) -> dict[str, object]:
+    mapped = [frame.summary for frame in frames if frame.summary is not None]
+    return {
+        "pictures": len(frames),
+        "mapped": len(mapped),
+        "squares": sum(one.squares for one in mapped),
+        "pads": sum(one.found for one in mapped),
+    }
+
+
+def _check_found(frames: list[MappedFrame]) -> None:
+    if any(frame.summary is not None and frame.summary.found for frame in frames):
+        return
+    reasons = list(_reasons(frames))
+    raise NothingToDoError(
+        f"no square has a pad: {'; '.join(reasons[:3])}" + (" ..." if len(reasons) > 3 else "")
+    )
+
+
+def _reasons(frames: list[MappedFrame]) -> Iterator[str]:
+    for frame in frames:
+        if frame.summary is None:
+            yield f"{frame.file}: {frame.reason}"
+        else:
+            yield f"{frame.file}: {frame.summary.first_reason}"

@@ -1,0 +1,264 @@
+"""The output folder of `optnav hazard`: rasters, pads, pictures and the recording."""
+
+import base64
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import rasterio
+from affine import Affine
+from rasterio.io import MemoryFile
+
+from catalog.arrays import FloatArray
+from catalog.bodies.body import Body
+from catalog.store.geopackage import srs_of
+from catalog.terrain.slopes import slope_degrees
+from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import Picture
+from optnav_cli.frames.tables import PADS
+from optnav_cli.hazard.hazard_map import HazardMap
+from optnav_cli.hazard.pads import REFUSED, Pad
+from optnav_cli.hazard.settings import HazardSettings
+from optnav_cli.output import foxglove
+from optnav_cli.output.canvas import encoded
+from optnav_cli.output.recording import MessageLog, recorded_image, topic_of
+from optnav_cli.runs.hazard_drawing import draw_overview, draw_risk
+
+KIND = "hazard"
+PADS_FILE = "pads.csv"
+NO_TIME = "1970-01-01T00:00:00Z"  # of a single picture: it has none
+PAD_PX = 24.0  # the least diameter of a mark in the recording
+
+
+@dataclass(frozen=True)
+class MapSummary:
+    """What is left of a map when its pixels are gone."""
+
+    squares: int
+    found: int
+    first_reason: str
+
+
+@dataclass
+class MappedFrame:
+    """A picture and its map, or the reason why it has none.
+
+    row  of frames.csv; None for a single picture
+    """
+
+    file: str
+    camera: Camera | None
+    picture: Picture | None
+    row: Frame | None = None
+    mapped: HazardMap | None = None
+    reason: str = ""
+    kept: MapSummary | None = field(default=None, repr=False)
+
+    @property
+    def summary(self) -> MapSummary | None:
+        """How many pads were found; None where there is no map."""
+        if self.mapped is None:
+            return self.kept
+        reasons = [pad.reason for pad in self.mapped.pads if pad.cell is None]
+        return MapSummary(len(self.mapped.pads), self.mapped.found, reasons[0] if reasons else "")
+
+    def without_pixels(self) -> "MappedFrame":
+        """The same for a list of many."""
+        return replace(self, picture=None, mapped=None, kept=self.summary)
+
+
+class HazardOutput:
+    """Writes a hazard folder frame by frame.
+
+    body  None where the picture has no place on one
+    many  the files of each frame go into a folder of its own
+    """
+
+    def __init__(
+        self, folder: Path, body: Body | None, settings: HazardSettings, *, many: bool
+    ) -> None:
+        self._folder, self._body, self._settings, self._many = folder, body, settings, many
+        self._rows: list[dict[str, object]] = []
+        self._log = MessageLog(folder / "hazard.mcap", {"made_by": "optnav hazard"})
+        self._open = False
+
+    def __enter__(self) -> Self:
+        self._log.__enter__()
+        self._open = True
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._open:
+            self._open = False
+            self._log.__exit__(kind, error, trace)
+
+    def close(self) -> None:
+        """Complete all files."""
+        self.__exit__(None, None, None)
+
+    def add(self, frame: MappedFrame) -> None:
+        """Write what is known of one frame."""
+        if frame.mapped is None:
+            self._rows.append({"file": frame.file, "reason": frame.reason})
+        else:
+            place = self._folder / _stem(frame.file) if self._many else self._folder
+            place.mkdir(exist_ok=True)
+            self._write_rasters(place, frame.mapped)
+            pictures = draw_risk(frame.mapped), draw_overview(frame.mapped, frame.picture)
+            for name, picture in zip(("risk.png", "hazard.png"), pictures, strict=True):
+                (place / name).write_bytes(encoded(picture, ".png"))
+            self._rows += [_cells(frame, pad) for pad in frame.mapped.pads]
+        self._record(frame)
+        PADS.write(self._folder / PADS_FILE, self._rows)
+
+    def _write_rasters(self, place: Path, mapped: HazardMap) -> None:
+        risk, view = mapped.risk, mapped.view
+        a, b, c, d, e, f = view.affine
+        corner = risk.origin + 0.5 - 0.5 * risk.step  # of the first pad's pixel, in cells
+        grid = Affine(a, b, c + corner * a, d, e, f + corner * e) @ Affine.scale(risk.step)
+        crs = _crs(self._body, mapped)
+        code = {"dtype": "uint8", "crs": crs, "transform": grid, "nodata": None}
+        words = "seed's code" if mapped.slopes is None else "254 x expected dangerous share"
+        tags = {"CODE": f"{words}; {REFUSED} refused", "METHOD": self._settings.method}
+        _write_raster(place / "risk.tif", {"risk of a pad about the pixel": risk.code}, code, tags)
+        if mapped.slopes is None:
+            return
+        slopes = mapped.slopes
+        degrees = slope_degrees(np.stack([slopes.toward, slopes.across]))
+        hidden = ~view.valid
+        per_tangent = np.degrees(1.0 / (1.0 + np.tan(np.radians(degrees)) ** 2))
+        bands = {
+            "slope, deg": degrees,
+            "its 1 sigma, deg": (slopes.sigma * per_tangent).astype(np.float32),
+            "share of shadow": slopes.shadow,
+        }
+        bands = {name: np.where(hidden, np.float32(np.nan), grid) for name, grid in bands.items()}
+        real = {
+            "dtype": "float32",
+            "predictor": 3,
+            "crs": crs,
+            "transform": Affine(*view.affine),
+            "nodata": np.nan,
+        }
+        _write_raster(place / "slopes.tif", bands, real, {"BASE_M": "3"})
+
+    def _record(self, frame: MappedFrame) -> None:
+        log, camera = self._log, frame.camera
+        log.set_time(frame.row.utc if frame.row else NO_TIME)
+        name = camera.name if camera else "camera"
+        message = frame.reason
+        if frame.mapped is not None and camera is not None and frame.picture is not None:
+            image = recorded_image(frame.picture.values, camera)
+            _add_image(log, topic_of(name, "image"), name, image, "jpeg")
+            risk = encoded(draw_risk(frame.mapped), ".png")
+            _add_image(log, topic_of(name, "risk"), name, risk, "png")
+            found, squares = frame.mapped.found, len(frame.mapped.pads)
+            message = f"{frame.file}: pads in {found} of {squares} squares"
+            factor = min(1.0, 2048 / max(camera.shape))
+            log.add(
+                topic_of(name, "pads"), foxglove.IMAGE_ANNOTATIONS, _circles(frame.mapped, factor)
+            )
+        content = {"level": foxglove.INFO, "message": message, "name": "optnav"}
+        log.add("/log", foxglove.LOG, {**content, "file": frame.file, "line": 0})
+
+
+def _stem(file: str) -> str:
+    """The folder of a frame: its name without an ending, on one level."""
+    return Path(file.replace("\\", "/")).with_suffix("").as_posix().replace("/", "_")
+
+
+def _cells(frame: MappedFrame, pad: Pad) -> dict[str, object]:
+    """A row of pads.csv."""
+    row, col = pad.square
+    cells: dict[str, object] = {"file": frame.file, "square_row": row, "square_col": col}
+    cells["reason"] = pad.reason
+    if pad.cell is None or frame.mapped is None or frame.camera is None:
+        return cells
+    view = frame.mapped.view
+    x, y = view.pixels(*pad.cell)
+    cells |= {"x_px": x, "y_px": y}
+    cells |= {name: value for name, value in pad.shares.items() if math.isfinite(value)}
+    direction = frame.camera.unproject([x, y])
+    cells |= _vector("dir_camera", direction)
+    if view.projection is not None and frame.row is not None:
+        lat, lon = view.projection.latlon(*view.xy_m(*pad.cell))
+        cells |= {"lat_deg": math.degrees(float(lat)), "lon_deg": math.degrees(float(lon))}
+        if frame.row.camera_from_body is not None:
+            cells |= _vector("dir_body", frame.row.camera_from_body.inv().apply(direction))
+    return cells
+
+
+def _vector(name: str, vector: FloatArray) -> dict[str, float]:
+    return {f"{name}_{axis}": float(value) for axis, value in zip("xyz", vector, strict=True)}
+
+
+def _crs(body: Body | None, mapped: HazardMap) -> Any:
+    projection = mapped.view.projection
+    if body is None or projection is None:
+        return None
+    sphere = srs_of(body.name, projection.radius_m)[4]
+    lat, lon = math.degrees(projection.lat), math.degrees(projection.lon)
+    return rasterio.CRS.from_wkt(
+        f'PROJCS["{body.name.capitalize()}, stereographic about the view",{sphere},'
+        f'PROJECTION["Stereographic"],PARAMETER["latitude_of_origin",{lat!r}],'
+        f'PARAMETER["central_meridian",{lon!r}],PARAMETER["scale_factor",1],'
+        'PARAMETER["false_easting",0],PARAMETER["false_northing",0],'
+        'UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
+    )
+
+
+def _write_raster(
+    path: Path, bands: dict[str, Any], profile: dict[str, Any], tags: dict[str, str]
+) -> None:
+    height, width = next(iter(bands.values())).shape
+    whole = {"driver": "GTiff", "compress": "deflate", "count": len(bands)}
+    whole |= {"height": height, "width": width, **profile}
+    # in the memory first: GDAL takes no name that is not UTF-8, and tells no full disk from damage
+    with MemoryFile() as memory:
+        with memory.open(**whole) as file:
+            file.update_tags(**tags)
+            for band, (text, grid) in enumerate(bands.items(), 1):
+                file.write(grid, band)
+                file.set_band_description(band, text)
+        path.write_bytes(memory.getbuffer())
+
+
+def _add_image(log: MessageLog, topic: str, frame_id: str, image: bytes, kind: str) -> None:
+    data = base64.b64encode(image).decode("ascii")
+    log.add(topic, foxglove.COMPRESSED_IMAGE, {"data": data, "format": kind, "frame_id": frame_id})
+
+
+def _circles(mapped: HazardMap, factor: float) -> dict[str, Any]:
+    """The pads as circles in the recorded picture."""
+    none = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
+    view, circles = mapped.view, []
+    for pad in mapped.pads:
+        if pad.cell is None:
+            continue
+        row, col = pad.cell
+        x, y = view.pixels(row, col)
+        aside = view.pixels(row, col + 0.5 * mapped.risk.cells)
+        wide = max(2.0 * math.dist((x, y), aside) * factor, PAD_PX * factor)
+        circles.append(
+            {
+                "timestamp": {"sec": 0, "nsec": 0},
+                "position": {"x": (x + 0.5) * factor, "y": (y + 0.5) * factor},
+                "diameter": wide,
+                "thickness": 2.0,
+                "fill_color": none,
+                "outline_color": {"r": 0.2, "g": 1.0, "b": 0.3, "a": 1.0},
+                "metadata": [
+                    {"key": key, "value": f"{value:.4g}"} for key, value in pad.shares.items()
+                ],
+            }
+        )
+    return {"circles": circles, "points": [], "texts": []}

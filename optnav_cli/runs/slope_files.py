@@ -1,0 +1,146 @@
+"""How steep a terrain model is, and its slopes as a raster or a picture: `optnav slopes`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rasterio
+from affine import Affine
+from rasterio.io import MemoryFile
+
+from catalog.arrays import ByteArray, Float32Array
+from catalog.bodies.body import load_body
+from catalog.errors import DataError
+from catalog.files import check_file, replacing_file, starts_with
+from catalog.places import check_apart
+from catalog.rasters import OWN, open_raster
+from catalog.terrain.dem.georeference import Georeference
+from catalog.terrain.dem.source import DemSettings, DemSource
+from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarize
+from optnav_cli.output.canvas import Canvas, encoded
+from optnav_cli.output.wording import table_lines
+from optnav_cli.runs.hazard_drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, coloured
+
+MADE = "Slopes by optnav"
+DESCRIPTION = "TIFFTAG_IMAGEDESCRIPTION"
+PNG = b"\x89PNG\r\n\x1a\n"
+MAX_PX = 900
+GRAPH_PX, MARGIN_PX = 240, 24  # the histogram's width and the room for its words
+STEPS = 40  # of the histogram
+
+
+@dataclass(frozen=True)
+class MeasuredSlopes:
+    """What a model's slopes are."""
+
+    dem: Path
+    summary: SlopeSummary
+
+    def figures(self) -> dict[str, object]:
+        """For programs."""
+        summary = self.summary
+        return {
+            "dem": self.dem,
+            "base_m": summary.base_m,
+            "share_above_7_deg": summary.share_above(DANGEROUS_DEG),
+            "share_above_15_deg": summary.share_above(CRITICAL_DEG),
+            "rms_deg": summary.rms_deg,
+            "median_deg": summary.quantile_deg(0.5),
+            "p95_deg": summary.quantile_deg(0.95),
+            "covered": summary.covered,
+        }
+
+    def to_text(self) -> str:
+        """For people."""
+        s = self.summary
+        rows = [
+            ("slopes on a base of", f"{s.base_m:.6g} m"),
+            (f"above {DANGEROUS_DEG:g} deg", f"{s.share_above(DANGEROUS_DEG):.1%}"),
+            (f"above {CRITICAL_DEG:g} deg", f"{s.share_above(CRITICAL_DEG):.1%}"),
+            ("rms", f"{s.rms_deg:.2f} deg"),
+            ("median, 95 %", f"{s.quantile_deg(0.5):.2f}, {s.quantile_deg(0.95):.2f} deg"),
+            ("share with a slope", f"{s.covered:.1%}"),
+        ]
+        return "\n".join(table_lines(rows, left=(0, 1)))
+
+
+def measure_slopes(
+    dem: Path, base_m: float, body: str, output: Path | None = None
+) -> MeasuredSlopes:
+    """Measure the slopes of a terrain model, and write them to a .tif or .png where one is named.
+
+    Raises DataError for a model that cannot be used, OutputError for the place.
+    """
+    if output is not None:
+        check_file(output, starts_with(PNG) if output.suffix.lower() == ".png" else _is_ours)
+        check_apart(output, [dem])
+    source = DemSource.open(DemSettings(str(dem)), Path.cwd(), load_body(body))
+    try:
+        summary, degrees = summarize(source, base_m)
+        place = source.place
+    finally:
+        source.close()
+    if output is not None and output.suffix.lower() == ".png":
+        with replacing_file(output, starts_with(PNG)) as path:
+            path.write_bytes(encoded(_drawn(degrees, summary), ".png"))
+    elif output is not None:
+        _write(output, degrees, place)
+    return MeasuredSlopes(dem, summary)
+
+
+def _write(path: Path, degrees: Float32Array, place: Georeference) -> None:
+    """Write slopes as a GeoTIFF on the coordinate system of their model; NaN for none."""
+    rows, cols = degrees.shape
+    profile = {"driver": "GTiff", "dtype": "float32", "compress": "deflate", "predictor": 3}
+    profile |= {"height": rows, "width": cols, "count": 1, "nodata": np.nan}
+    profile |= {"crs": rasterio.CRS.from_wkt(place.wkt), "transform": Affine(*place.affine)}
+    # in the memory first: GDAL takes no name that is not UTF-8, and tells no full disk from damage
+    with replacing_file(path, _is_ours) as partial, MemoryFile() as memory:
+        with memory.open(**profile) as file:
+            file.update_tags(**{DESCRIPTION: MADE})
+            file.write(degrees, 1)
+            file.set_band_description(1, "slope, deg")
+        partial.write_bytes(memory.getbuffer())
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        with open_raster(path, OWN) as file:
+            return str(file.tags().get(DESCRIPTION, "")).startswith(MADE)
+    except DataError:
+        return False
+
+
+def _drawn(degrees: Float32Array, summary: SlopeSummary) -> ByteArray:
+    """The map in colours and, beside it, the histogram in the same ones."""
+    factor = min(1.0, MAX_PX / max(degrees.shape))
+    size = tuple(max(1, round(side * factor)) for side in degrees.shape[::-1])
+    hole = ~np.isfinite(degrees)
+    colours = coloured(degrees, MAX_SLOPE_DEG)
+    colours[hole] = OUTSIDE_COLOUR
+    panel = cv2.resize(colours, size, interpolation=cv2.INTER_AREA)
+    height = max(len(panel), GRAPH_PX)
+    width = panel.shape[1] + GRAPH_PX + 2 * MARGIN_PX
+    canvas = Canvas(np.full((height, width, 3), 16, np.uint8), 1.0)
+    canvas.image[: len(panel), : panel.shape[1]] = panel
+    shares = [
+        summary.share_above(a) - summary.share_above(a + MAX_SLOPE_DEG / STEPS)
+        for a in np.arange(STEPS) * MAX_SLOPE_DEG / STEPS
+    ]
+    left, bottom = panel.shape[1] + MARGIN_PX, GRAPH_PX - 2 * MARGIN_PX
+    wide = GRAPH_PX // STEPS
+    scale = (bottom - MARGIN_PX) / max(shares)
+    tints = coloured(np.arange(STEPS, dtype=np.float32)[None] + 0.5, STEPS)[0]
+    for number, share in enumerate(shares):
+        x = left + number * wide
+        tint = [int(part) for part in tints[number]]
+        cv2.rectangle(
+            canvas.image, (x, bottom - round(share * scale)), (x + wide - 2, bottom), tint, -1
+        )
+    for degrees_at in (0.0, DANGEROUS_DEG, CRITICAL_DEG):
+        x = left + degrees_at / MAX_SLOPE_DEG * STEPS * wide
+        canvas.text(f"{degrees_at:g}", x - 3, bottom + 16, TEXT_COLOUR)
+    words = f"deg; {summary.share_above(DANGEROUS_DEG):.1%} > 7, rms {summary.rms_deg:.1f}"
+    canvas.text(words, left, bottom + 34, TEXT_COLOUR)
+    return canvas.image

@@ -1,0 +1,330 @@
+"""`optnav slopes` and `optnav hazard`: what they write, and what they refuse."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from scipy.spatial.transform import Rotation
+
+from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
+from catalog.rasters import OWN, open_raster
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.frames.folder import write_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.run_settings import RunSettings
+from optnav_cli.frames.tables import PADS
+from optnav_cli.main import run
+from tests.optnav_cli.hazard.views import bumps, drawn
+
+RADIUS = 1737400.0
+LAT, LON = np.radians(-70.0), np.radians(20.0)
+SIZE, HEIGHT = 180, 2000.0
+CAMERA = Camera("cam", "pinhole", SIZE, SIZE, HEIGHT, (0.5 * (SIZE - 1), 0.5 * (SIZE - 1)))
+ELEVATION, AZIMUTH = 20.0, 60.0
+ALONE = (
+    *("--camera", "cam.toml", "--height-m", str(HEIGHT)),
+    *("--sun-elevation-deg", str(ELEVATION), "--sun-azimuth-deg", str(AZIMUTH)),
+)
+ANYWHERE = rasterio.Affine(2.0, 0.0, 5.0, 0.0, -2.0, 7.0)  # rasterio warns of a raster without any
+FILES = {"risk.tif", "slopes.tif", "risk.png", "pads.csv", "hazard.png", "manifest.json"}
+
+
+def write_picture(path: Path, values: np.ndarray) -> None:
+    with rasterio.open(path, "w", "GTiff", SIZE, SIZE, 1, None, ANYWHERE, "uint16") as file:
+        file.write(np.clip(values, 0, 65535).astype(np.uint16), 1)
+
+
+def picture_values() -> np.ndarray:
+    bright = drawn(bumps(SIZE, height_m=1.0), ELEVATION, AZIMUTH).brightness
+    return 20000.0 * bright / bright.mean()
+
+
+def frame(name: str, roll_deg: float = 0.0, **more: object) -> Frame:
+    """A frame that looks straight down at (LAT, LON)."""
+    local = body_from_local(LAT, LON)
+    e, a = np.radians([ELEVATION, AZIMUTH])
+    sun = local @ (np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e))
+    turn = Rotation.from_euler("z", roll_deg, degrees=True)
+    down = turn * Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]) @ local.T)
+    given = {
+        "utc": "2026-01-01T00:00:00Z",
+        "camera": "cam",
+        "tdb_s": 8.2e8,
+        "camera_from_body": down,
+        "attitude_sigma_rad": 0.0,
+        "position_m": xyz_from_latlon(LAT, LON, RADIUS + HEIGHT),
+        "position_sigma_m": 10.0,
+        "sun_body": sun,
+    }
+    return Frame(file=name, **{**given, **more})  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cam.toml").write_text(camera_toml(CAMERA))
+    write_picture(tmp_path / "site.tif", picture_values())
+    return tmp_path
+
+
+def folder(place: Path, *frames: Frame) -> Path:
+    write_folder(place / "pictures", RunSettings("moon", "camera_from_body"), [CAMERA], frames)
+    for one in frames:
+        write_picture(place / "pictures" / one.file, picture_values())
+    return place / "pictures"
+
+
+def test_a_single_picture_gets_its_maps_and_pads(place: Path) -> None:
+    assert run(["hazard", "site.tif", *ALONE, "--square-m", "80", "-o", "out"]) == 0
+    assert {path.name for path in (place / "out").iterdir()} >= FILES | {"hazard.mcap"}
+    rows = PADS.rows(place / "out" / "pads.csv")
+    assert [(row["square_row"], row["square_col"]) for row in rows] == [
+        (a, b) for a in "01" for b in "01"
+    ]
+    for row in rows:
+        assert not row["lat_deg"]
+        assert 0.0 <= row.number("expected_dangerous_share") < 0.5
+        ray = [row.number(f"dir_camera_{axis}") for axis in "xyz"]
+        pixel = CAMERA.project(ray)
+        assert pixel == pytest.approx([row.number("x_px"), row.number("y_px")], abs=1e-2)
+    with open_raster(place / "out" / "risk.tif", OWN) as risk:
+        codes = risk.read(1)
+        assert risk.crs is None
+    chosen = rows[0]
+    at = codes[round(chosen.number("y_px")), round(chosen.number("x_px"))]
+    assert at == pytest.approx(254 * chosen.number("expected_dangerous_share"), abs=3)
+    assert json.loads((place / "out" / "manifest.json").read_text())["results"]["pads"] == 4
+
+
+def test_a_folder_with_a_pose_has_its_pads_on_the_body(place: Path) -> None:
+    pictures = folder(place, frame("a.tif"))
+    assert run(["hazard", str(pictures), "--square-m", "80", "-o", "out"]) == 0
+    rows = PADS.rows(place / "out" / "pads.csv")
+    assert len(rows) == 4
+    camera = xyz_from_latlon(LAT, LON, RADIUS + HEIGHT)
+    for row in rows:
+        direction = np.array([row.number(f"dir_body_{axis}") for axis in "xyz"])
+        along = -camera @ direction - np.sqrt(
+            RADIUS**2 - camera @ camera + (camera @ direction) ** 2
+        )
+        lat, lon, _ = latlon_from_xyz(camera + along * direction)
+        metres = RADIUS * np.radians(
+            [row.number("lat_deg") - np.degrees(lat), row.number("lon_deg") - np.degrees(lon)]
+        )
+        assert np.abs(metres).max() < 0.2
+    with open_raster(place / "out" / "slopes.tif", OWN) as slopes:
+        assert slopes.count == 3
+        assert slopes.crs.to_dict()["lat_0"] == pytest.approx(-70.0, abs=1e-3)
+
+
+def test_a_turned_camera_finds_the_same_pads(place: Path) -> None:
+    """The map is north up whatever the camera's roll."""
+    pictures = folder(place, frame("a.tif"), frame("b.tif", roll_deg=90.0))
+    # a camera that is turned clockwise sees the ground turned the other way
+    values = np.rot90(picture_values(), 3)
+    write_picture(pictures / "b.tif", values)
+    write_picture(pictures / "a.tif", picture_values())
+    assert run(["hazard", str(pictures), "--square-m", "80", "-o", "out"]) == 0
+    rows = PADS.rows(place / "out" / "pads.csv")
+    assert (place / "out" / "a" / "risk.tif").is_file()
+    first, second = rows[:4], rows[4:]
+    for one, other in zip(first, second, strict=True):
+        for name in ("lat_deg", "lon_deg"):
+            gap = np.radians(one.number(name) - other.number(name)) * RADIUS
+            assert abs(gap) < 4.0
+
+
+def test_the_same_input_gives_the_same_bytes(place: Path) -> None:
+    for out in ("one", "two"):
+        assert run(["hazard", "site.tif", *ALONE, "-o", out]) == 0
+    for name in (FILES | {"hazard.mcap"}) - {"manifest.json"}:
+        assert (place / "one" / name).read_bytes() == (place / "two" / name).read_bytes()
+
+
+def test_variance_maps_the_same_picture(place: Path) -> None:
+    assert run(["hazard", "site.tif", *ALONE, "--method", "variance", "-o", "out"]) == 0
+    assert not (place / "out" / "slopes.tif").exists()
+    (row,) = PADS.rows(place / "out" / "pads.csv")
+    assert row["x_px"]
+    assert not row["expected_dangerous_share"]
+
+
+def test_a_prior_slope_map_is_fused_and_refuses(place: Path) -> None:
+    pictures = folder(place, frame("a.tif"))
+    crs = rasterio.CRS.from_proj4(f"+proj=stere +lat_0=-70 +lon_0=20 +R={RADIUS} +units=m")
+    slopes = np.full((40, 40), 2.0, np.float32)
+    slopes[:, 20:] = 9.0
+    with rasterio.open(
+        "prior.tif",
+        "w",
+        "GTiff",
+        40,
+        40,
+        1,
+        crs,
+        rasterio.Affine(10, 0, -200, 0, -10, 200),
+        "float32",
+    ) as file:
+        file.write(slopes, 1)
+    words = ["hazard", str(pictures), "--slopes", "prior.tif", "--square-m", "80", "-o", "out"]
+    assert run(words) == 0
+    west, east, *_ = PADS.rows(place / "out" / "pads.csv")
+    assert west.number("prior_slope_deg") == pytest.approx(2.0, abs=0.1)
+    assert "too steep by --slopes" in east["reason"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        ({"--pad-m": "2"}, 4, "under 3 cells"),
+        ({"--pad-m": "190", "--square-m": "400"}, 4, "wider than the picture"),
+        ({"--square-m": "10"}, 3, "is under the pad"),
+        ({"--height-m": "0"}, 2, "--height-m"),
+        ({"--sun-elevation-deg": "-3"}, 2, "--sun-elevation-deg"),
+        ({"--sun-elevation-deg": "0.1"}, 4, "night"),
+        ({"--sun-elevation-deg": "75"}, 4, "tells no slopes"),
+        ({"--camera": None}, 2, "needs --camera"),
+        ({"--slopes": "prior.tif"}, 2, "needs a place on the body"),
+    ],
+)
+def test_what_cannot_be_mapped_says_why(
+    place: Path,
+    changes: dict[str, str | None],
+    code: int,
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    options = dict(zip(ALONE[::2], ALONE[1::2], strict=True)) | changes
+    given = [word for pair in options.items() if pair[1] is not None for word in pair]
+    assert run(["hazard", "site.tif", *map(str, given), "-o", "out"]) == code
+    assert words in capsys.readouterr().err
+
+
+def picture_of(kind: str) -> np.ndarray:
+    values = picture_values()
+    if kind == "saturated":
+        values[:30] = 65535
+    if kind == "night":
+        values[:] = 0
+        values[3, 3] = 1
+    return values
+
+
+@pytest.mark.parametrize(("kind", "words"), [("saturated", "is saturated"), ("night", "")])
+def test_pictures_that_show_too_little_are_refused(
+    place: Path, kind: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_picture(place / "site.tif", picture_of(kind))
+    assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 4
+    assert words in capsys.readouterr().err
+
+
+def test_a_picture_with_holes_or_of_another_size_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = picture_values().astype(np.float32)
+    values[4, 4] = np.nan
+    with rasterio.open("site.tif", "w", "GTiff", SIZE, SIZE, 1, None, ANYWHERE, "float32") as file:
+        file.write(values, 1)
+    assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 3
+    assert "not finite" in capsys.readouterr().err
+    with rasterio.open("site.tif", "w", "GTiff", 1, 1, 1, None, ANYWHERE, "uint8") as file:
+        file.write(np.ones((1, 1), np.uint8), 1)
+    assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 3
+    assert "takes 180 x 180" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"position_m": None, "position_sigma_m": None}, "no position or attitude"),
+        ({"position_m": xyz_from_latlon(LAT, LON, RADIUS - 500.0)}, "not above the ground"),
+        ({"position_m": xyz_from_latlon(LAT, LON, RADIUS + 1e6)}, "from less height"),
+        ({"sun_body": -xyz_from_latlon(LAT, LON, 1.0)}, "night"),
+        (
+            {"camera_from_body": Rotation.from_matrix(body_from_local(LAT, LON)[:, [2, 0, 1]].T)},
+            "off the vertical",
+        ),
+    ],
+)
+def test_a_frame_that_cannot_be_mapped_is_a_row_with_its_reason(
+    place: Path, more: dict[str, object], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = folder(place, frame("a.tif", **more))
+    assert run(["hazard", str(pictures), "-o", "out"]) == 4
+    assert words in capsys.readouterr().err
+    (row,) = PADS.rows(place / "out" / "pads.csv")
+    assert words in row["reason"]
+
+
+def test_a_height_against_the_pose_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = folder(place, frame("a.tif"))
+    dem(place / "dem.tif", np.zeros((64, 64), np.float32))
+    words = ["hazard", str(pictures), "--dem", "dem.tif", "--height-m", "700", "-o", "out"]
+    assert run(words) == 4
+    assert "by its pose" in capsys.readouterr().err
+    assert run(["hazard", str(pictures), "--dem", "dem.tif", "-o", "out"]) == 0
+
+
+def dem(path: Path, heights: np.ndarray, step: float = 20.0) -> None:
+    crs = rasterio.CRS.from_proj4(f"+proj=stere +lat_0=-70 +lon_0=20 +R={RADIUS} +units=m")
+    rows, cols = heights.shape
+    transform = rasterio.Affine(step, 0, -0.5 * cols * step, 0, -step, 0.5 * rows * step)
+    with rasterio.open(path, "w", "GTiff", cols, rows, 1, crs, transform, "float32") as file:
+        file.write(heights, 1)
+
+
+@pytest.mark.parametrize(
+    ("values", "crs", "words"),
+    [
+        (300.0, True, "not in percent"),
+        (5.0, False, "no coordinate system"),
+        (np.nan, True, "holds no slope"),
+    ],
+)
+def test_a_slope_map_that_is_none_is_refused(
+    place: Path, values: float, crs: bool, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = folder(place, frame("a.tif"))
+    grid = np.full((64, 64), values, np.float32)
+    if crs:
+        dem(place / "prior.tif", grid)
+    else:
+        with rasterio.open("prior.tif", "w", "GTiff", 64, 64, 1, None, ANYWHERE, "float32") as file:
+            file.write(grid, 1)
+    assert run(["hazard", str(pictures), "--slopes", "prior.tif", "-o", "out"]) == 3
+    assert words in capsys.readouterr().err
+
+
+def test_a_slope_map_of_other_ground_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = folder(place, frame("a.tif"))
+    crs = rasterio.CRS.from_proj4(f"+proj=stere +lat_0=-10 +lon_0=20 +R={RADIUS} +units=m")
+    transform = rasterio.Affine(10, 0, 0, 0, -10, 0)
+    with rasterio.open("p.tif", "w", "GTiff", 40, 40, 1, crs, transform, "float32") as file:
+        file.write(np.full((40, 40), 3.0, np.float32), 1)
+    assert run(["hazard", str(pictures), "--slopes", "p.tif", "-o", "out"]) == 4
+    assert "overlaps" in capsys.readouterr().err
+
+
+def test_slopes_prints_and_writes_what_a_model_has(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x = np.arange(64, dtype=np.float32)
+    dem(place / "dem.tif", np.broadcast_to(x * 2.0, (64, 64)).copy(), 10.0)
+    assert run(["slopes", "dem.tif", "-o", "s.tif", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rms_deg"] == pytest.approx(np.degrees(np.arctan(0.2)), rel=1e-3)
+    assert (found["share_above_7_deg"], found["share_above_15_deg"]) == (1.0, 0.0)
+    assert run(["slopes", "dem.tif", "-o", "s.png"]) == 0
+    assert "above 7 deg" in capsys.readouterr().out
+    with open_raster(place / "s.tif", OWN) as file:
+        assert np.nanmax(file.read(1)) == pytest.approx(11.31, abs=0.01)
+    assert (place / "s.png").read_bytes().startswith(b"\x89PNG")
+    assert run(["slopes", "dem.tif", "-o", "dem.tif"]) == 3
