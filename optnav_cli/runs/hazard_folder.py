@@ -17,6 +17,7 @@ from catalog.errors import DataError, NoSolutionError, NothingToDoError, UsageEr
 from catalog.files import hash_file, replacing_folder
 from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.projection import Stereographic
+from catalog.inputs import check_input
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from catalog.store.reader import Catalog
@@ -94,6 +95,7 @@ def map_pictures(
                     f"{name} is for a single picture; {pictures} is a folder, whose files say it"
                 )
         return _told(hazard_folder(pictures, inputs, output, progress))
+    check_input(pictures, "picture", "name a picture, or a folder of them")
     for name, value in {**alone, "--height-m": inputs.height_m}.items():
         if value is None:
             raise UsageError(f"{pictures} is no folder: a single picture needs {name}, too")

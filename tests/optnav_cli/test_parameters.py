@@ -202,7 +202,7 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
     studies = {"acceptance", "apollo", "autonomous", "comet", "horizon", "navigation", "phobos"}
     studies |= {"real"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
-    makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo"}
+    makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo", "hazard"}
     assert folders == (
         {((name,), "work") for name in stages}
         | {((name,), "output") for name in makers}
