@@ -27,6 +27,8 @@ class Method(StrEnum):
     HORIZON_SPHERE = "horizon_sphere"  # the limb on the bare ellipsoid
     BRIGHTNESS_CENTRE = "brightness_centre"
     SILHOUETTE = "silhouette"  # the edges of the body's shape as it is drawn
+    DESCENT = "descent"  # an inertial track, windows of the terrain model and landmarks, jointly
+    RELATIVE_LANDMARKS = "relative_landmarks"  # the same where a frame shows landmarks alone
 
     @property
     def label(self) -> str:
@@ -35,9 +37,17 @@ class Method(StrEnum):
         return "horizon of a smooth body" if smooth else self.value.replace("_", " ")
 
 
+class MatchKind(StrEnum):
+    """What was sought in a frame, as matches.csv names it."""
+
+    CONTROL_POINT = "control_point"
+    WINDOW = "window"  # a part of the terrain model, by its number on the descent's lattice
+    LANDMARK = "landmark"  # what an earlier frame showed, by its number in landmarks.csv
+
+
 @dataclass(frozen=True, eq=False)
 class MatchRow:
-    """One control point tried in one frame: a row of matches.csv.
+    """One control point, window or landmark tried in one frame: a row of matches.csv.
 
     file               the frame's name
     cp_id              the point's id in its catalog
@@ -53,6 +63,7 @@ class MatchRow:
     prior_px           (2,)  where the pose expected it from which the search began
     catalog            the catalog's file name
     reason_code        the code of `reason`
+    kind               what was sought
     """
 
     file: str
@@ -70,6 +81,7 @@ class MatchRow:
     prior_px: FloatArray | None = None
     catalog: str = ""
     reason_code: ReasonCode = ReasonCode.NONE
+    kind: MatchKind = MatchKind.CONTROL_POINT
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +147,8 @@ class Evidence:
     matches          the control points tried; not read back with a table
     outline          of the body in the picture; not read back with a table
     margins          of the pose that the matches gave; not read back with a table
+    n_windows        windows of the terrain model that a descent's solution keeps
+    n_landmarks      landmarks that it keeps
     """
 
     n_predicted: int | None = None
@@ -146,6 +160,8 @@ class Evidence:
     matches: tuple[MatchRow, ...] = ()
     outline: OutlineMarks | None = None
     margins: GateMargins | None = None
+    n_windows: int | None = None
+    n_landmarks: int | None = None
 
 
 NO_EVIDENCE = Evidence()
@@ -310,6 +326,16 @@ class Solution:
     def arc_deg(self) -> float | None:
         """Arc of the limb that they cover, about the nadir."""
         return self.evidence.arc_deg
+
+    @property
+    def n_windows(self) -> int | None:
+        """Windows of the terrain model that a descent's solution keeps."""
+        return self.evidence.n_windows
+
+    @property
+    def n_landmarks(self) -> int | None:
+        """Landmarks that it keeps."""
+        return self.evidence.n_landmarks
 
     def event(self, stage: str, seconds: float | None = None) -> dict[str, object]:
         """The fields of the frame's event in the log."""

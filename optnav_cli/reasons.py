@@ -79,6 +79,10 @@ class ReasonCode(StrEnum):
     CONTRADICTS_ARC = "contradicts_arc", "the position does not lie where the orbit arc leads"
     TOO_FAST = "too_fast", "no craft comes from the fix before to this position in the time"
     NEIGHBOUR_IN_VIEW = "neighbour_in_view", "a second body in the picture was recognised"
+    # a descent
+    TRACK_JUMP = "track_jump", "the inertial track jumps, or the ground lies where it does not lead"
+    OUT_OF_VIEW = "out_of_view", "a landmark left the picture"
+    LOST = "lost", "a landmark was not found again"
     # a single control point
     DAMAGED_PATCH = "damaged_patch", "the point's patches are damaged in the catalog"
     NO_TERRAIN = "no_terrain", "the catalog has too little terrain about the point"

@@ -61,12 +61,14 @@ def load_model(path: Path) -> object:
     from optnav_cli.measurements.disc.size import DiscErrorSizes
     from optnav_cli.navigation.control_points.acceptance import AcceptanceLimits
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes
+    from optnav_cli.navigation.descent_state import DescentErrorSizes
     from optnav_cli.navigation.silhouette import SilhouetteErrors
 
     types: dict[str, type[object]] = {
         "acceptance": AcceptanceLimits,
         "terrain": TerrainLaws,
         "control_points": PointErrorSizes,
+        "descent": DescentErrorSizes,
         "disc": DiscErrorSizes,
         "silhouette": SilhouetteErrors,
         "hazard": HazardModel,

@@ -61,7 +61,28 @@ def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
     attitude = FileAttitude(settings.attitude, body, motion_of(body, kernels))
     cameras = read_cameras(path / "cameras")
     frames = read_frames(path / "frames.csv", attitude, cameras)
+    if settings.inertial:
+        _check_track(path / "frames.csv", frames)
     return Folder(path, settings, attitude.ephemeris, cameras, frames)
+
+
+def _check_track(path: Path, frames: Sequence[Frame]) -> None:
+    """Raise DataError for frames that are not of one inertial track of one camera."""
+    last: Frame | None = None
+    for frame in frames:
+        if frame.tdb_s is None:
+            continue  # its row says what is wrong
+        if last is not None and last.tdb_s is not None and frame.tdb_s <= last.tdb_s:
+            raise DataError(
+                f"{path}: '{frame.file}' is not later than '{last.file}' before it; [inertial] of "
+                "run.toml wants one track, its rows in order of time"
+            )
+        if last is not None and frame.camera != last.camera:
+            raise DataError(
+                f"{path}: has the cameras '{last.camera}' and '{frame.camera}'; [inertial] of "
+                "run.toml wants the pictures of one camera"
+            )
+        last = frame
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:

@@ -18,8 +18,8 @@ def _text(name: str, meaning: str, empty: bool = False) -> CsvColumn:
     return CsvColumn(name, meaning, "text", empty=empty)
 
 
-def _count(name: str, meaning: str, empty: bool = True) -> CsvColumn:
-    return CsvColumn(name, meaning, "count", empty=empty)
+def _count(name: str, meaning: str, empty: bool = True, newer: bool = False) -> CsvColumn:
+    return CsvColumn(name, meaning, "count", empty=empty, newer=newer)
 
 
 def _number(
@@ -96,6 +96,8 @@ SOLUTION = CsvTable(
         _count("n_limb", "limb points that the solution rests on"),
         _number("arc_deg", "of the limb that they cover, about the nadir", "deg", "z.2f"),
         *(REASON, REASON_CODE),
+        _count("n_windows", "windows of the terrain model that a descent keeps", newer=True),
+        _count("n_landmarks", "landmarks that it keeps", newer=True),
     )
 )
 
@@ -118,6 +120,34 @@ MATCHES = CsvTable(
         _text("reason", "why not", empty=True),
         REASON_CODE,
         *_pixel("prior", "where the pose predicted it from which the search began", newer=True),
+        CsvColumn(
+            "kind",
+            "control_point, window or landmark; empty: control_point",
+            "text",
+            empty=True,
+            newer=True,
+        ),
+    )
+)
+
+GROUND_COVARIANCE = ("cov_ee_m2", "cov_en_m2", "cov_eu_m2", "cov_nn_m2", "cov_nu_m2", "cov_uu_m2")
+LANDMARKS = CsvTable(
+    (
+        _count("id", "the landmark's number", empty=False),
+        _text("first_file", "the picture in which it was chosen"),
+        _text("last_file", "the last one in which it was found"),
+        _count("n_seen", "pictures in which it was found, the first one too", empty=False),
+        _number("lat_deg", "its latitude, planetocentric", "deg", "z.9f", empty=False),
+        _number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
+        _number("radius_m", "its distance from the body's centre", "m", "z.4f", empty=False),
+        *(
+            _number(
+                name, f"covariance at its end, {name[4:6]}: east, north, up", "m²", ".9e", False
+            )
+            for name in GROUND_COVARIANCE
+        ),
+        _text("status", "tracked to the end, or retired"),
+        _text("reason", "why it was retired", empty=True),
     )
 )
 

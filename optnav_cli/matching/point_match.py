@@ -8,6 +8,7 @@ from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.correlation.ncc import (
     cropped,
     filtered,
+    low_pass,
     match_cut,
     match_ncc,
     thinned,
@@ -120,6 +121,8 @@ def match_point(
     camera_from_body = pose.camera_from_body.as_matrix()
     pixels = camera.project_from_body(surface, pose.position_m, camera_from_body)
     window = sampled = picture.sample(pixels, posting / plan.metres_per_pixel)
+    if plan.soft_nodes:
+        window = low_pass(window, plan.soft_nodes)
     known, _ = _shares(sampled, border)
     if known < (MIN_CUT_SHARE if blur_nodes else MIN_VALID_SHARE):
         return PointMatch(level, OUTSIDE)

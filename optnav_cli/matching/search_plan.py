@@ -42,6 +42,7 @@ class SearchPlan:
     distortion        rolls and scales to try, where the pose may be off by so much that it shows
     blur_nodes        sigma of a blur on both sides, where patches are finer than what is known
     interim           whether finer levels follow, for which a rough covariance will do
+    soft_nodes        sigma of a blur of the picture alone, where the terrain model is oversampled
     """
 
     level: int
@@ -51,6 +52,7 @@ class SearchPlan:
     distortion: Distortion = NO_DISTORTION
     blur_nodes: float = 0.0
     interim: bool = False
+    soft_nodes: float = 0.0
 
 
 def finest_level(

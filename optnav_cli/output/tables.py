@@ -11,7 +11,7 @@ from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow
-from optnav_cli.fix import Evidence, Fix, MatchRow, Method, NoFix, Solution
+from optnav_cli.fix import Evidence, Fix, MatchKind, MatchRow, Method, NoFix, Solution
 from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import (
@@ -28,10 +28,21 @@ MAX_SOLVED_M = 1e3 * MAX_DISTANCE_M  # a wrong solution may lie beyond any prior
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # where COVARIANCE stands in the matrix
 # Columns that hold what the attributes of the same names do.
 EVIDENCE = ("n_predicted", "n_matched", "n_used", "residual_rms_px", "n_limb", "arc_deg")
-SAME_IN_SOLUTION = (*EVIDENCE, "file", "utc", "status", "method", "prior", "reason", "reason_code")
+DESCENT_EVIDENCE = ("n_windows", "n_landmarks")
+SAME_IN_SOLUTION = (
+    *EVIDENCE,
+    *DESCENT_EVIDENCE,
+    "file",
+    "utc",
+    "status",
+    "method",
+    "prior",
+    "reason",
+    "reason_code",
+)
 SAME_IN_MATCH = (
     *("file", "catalog", "level", "score", "runner_up", "sun_elevation_deg", "used"),
-    *("reason", "reason_code"),
+    *("reason", "reason_code", "kind"),
 )
 
 
@@ -115,6 +126,8 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
         residual_rms_px=row.number("residual_rms_px"),
         n_limb=row.count("n_limb"),
         arc_deg=row.number("arc_deg"),
+        n_windows=row.count("n_windows"),
+        n_landmarks=row.count("n_landmarks"),
     )
     method = _method(row)
     outcome: Fix | NoFix = NoFix(reason, method, evidence)
@@ -198,7 +211,15 @@ def _match(row: CsvRow) -> MatchRow:
         prior_px=row.vector(_pixel("prior")),
         catalog=row["catalog"],
         reason_code=reason_code(row),
+        kind=_kind(row),
     )
+
+
+def _kind(row: CsvRow) -> MatchKind:
+    try:
+        return MatchKind(row["kind"]) if row["kind"] else MatchKind.CONTROL_POINT
+    except ValueError:
+        raise DataError(f"kind is '{row['kind']}'; wanted {', '.join(MatchKind)}") from None
 
 
 def _pixel(name: str) -> tuple[str, str]:

@@ -28,7 +28,7 @@ from catalog.jobs.workspace import pack, unpack
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
-from optnav_cli.fix import NoFix, Solution
+from optnav_cli.fix import MatchKind, NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import LaterPicture, Picture, load_picture
@@ -36,13 +36,14 @@ from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.descent import DescentNavigator
 from optnav_cli.navigation.history import NeedsPastError, UnseenPast
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.overlay import overlay_png, patch_outlines
 from optnav_cli.output.recording import recorded_image
 from optnav_cli.output.run_folder import FRAMES
 from optnav_cli.reasons import Reason, ReasonCode
-from optnav_cli.runs.inputs import open_catalogs, open_field, whole_relief
+from optnav_cli.runs.inputs import open_catalogs, open_field, open_ground, whole_relief
 
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 # A patch that takes up more of the picture's width than this is not outlined.
@@ -168,6 +169,16 @@ class FrameWorker:
             points, folder.motion, ground, given.settings, MATCHERS[matcher], inertial
         )
 
+    def descent(self) -> DescentNavigator | None:
+        """What flies the folder as a descent; None where its frames are not of one track."""
+        folder, track = self.folder, self.folder.settings.inertial
+        if not track:
+            return None
+        places = [frame.position_m for frame in folder.frames if frame.position_m is not None]
+        middle = places[-1] if places else np.array([folder.body.radius_m, 0.0, 0.0])
+        ground = open_ground(self.catalogs, folder.body)
+        return DescentNavigator(self.inputs, ground, track, middle)
+
     def close(self) -> None:
         """Close the catalogs."""
         self._opened.close()
@@ -184,7 +195,7 @@ class FrameWorker:
         return self._record(task.frame, answers, row, settled=failed or not answers)
 
     def finish(
-        self, frame: Frame, navigator: Navigator, record: FrameRecord
+        self, frame: Frame, navigator: Navigator | DescentNavigator, record: FrameRecord
     ) -> tuple[Solution, FrameRecord]:
         """A frame's row after those before it, and its record, the same where nothing changed."""
         if record.settled:
@@ -201,7 +212,9 @@ class FrameWorker:
         self._details = before.details if before else ""
         self._started = time.monotonic() - (before.seconds if before else 0.0)
 
-    def _row(self, frame: Frame, navigator: Navigator, answers: Answers) -> tuple[Solution, bool]:
+    def _row(
+        self, frame: Frame, navigator: Navigator | DescentNavigator, answers: Answers
+    ) -> tuple[Solution, bool]:
         """A frame's row, and whether something failed; what is wrong with it becomes a reason."""
         if frame.problem:
             return _unsolved(frame, ReasonCode.BAD_FRAME, frame.problem), True
@@ -262,6 +275,11 @@ class FrameWorker:
         return self._pictures.get(frame.file, lambda: load_picture(path, camera))
 
 
+def unseen_record() -> FrameRecord:
+    """The record of a frame that was not looked at ahead of time."""
+    return FrameRecord({}, b"", False, b"", b"", "", "", 0.0)
+
+
 def look_at(worker: FrameWorker, tasks: Sequence[FrameTask]) -> list[FrameRecord]:
     """Records of some frames."""
     return [worker.look(task) for task in tasks]
@@ -293,6 +311,8 @@ def _patch_outlines(
     if fix is None or fix.camera_from_body is None or points is None:
         return {}
     for match in row.evidence.matches:
+        if match.kind is not MatchKind.CONTROL_POINT:
+            continue
         index = points.index_of(match.catalog, match.cp_id)
         reference = points.reference(index)
         if reference is None:

@@ -40,6 +40,12 @@ def open_field(catalogs: Sequence[Catalog], body: Body) -> ControlPointField | N
     return ControlPointField(layers) if layers else None
 
 
+def open_ground(catalogs: Sequence[Catalog], body: Body) -> ControlPointField | None:
+    """The same with all points that have patches: ground to cut windows from."""
+    layers = [_layer(catalog, body, whole=True) for catalog in catalogs]
+    return ControlPointField(layers) if layers else None
+
+
 def whole_relief(
     catalogs: Sequence[Catalog], named: Path | None, body: Body
 ) -> GlobalRelief | None:
@@ -53,8 +59,10 @@ def whole_relief(
     return min(carried, key=lambda relief: relief.posting_m, default=None)
 
 
-def _layer(catalog: Catalog, body: Body) -> PointLayer:
+def _layer(catalog: Catalog, body: Body, *, whole: bool = False) -> PointLayer:
     meta, usable = catalog.meta, catalog.usable
+    if whole:
+        usable = catalog.records["levels"] > 0
     if meta.body != body.name:
         raise DataError(
             f"{catalog.path}: is a catalog of {meta.body}; the pictures show {body.name}: "

@@ -22,6 +22,7 @@ from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.navigation.autonomous import Navigator
+from optnav_cli.navigation.descent import DescentNavigator
 from optnav_cli.navigation.history import SAME_TIME_S
 from optnav_cli.output.manifest import hash_files, is_finished, unfinished, versions, write_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -45,6 +46,7 @@ from optnav_cli.runs.frame_worker import (
     in_order,
     look_at,
     unpacked_row,
+    unseen_record,
 )
 
 log = logging.getLogger(__name__)
@@ -173,6 +175,10 @@ class _Run:
 
     def _in_time_order(self, progress: Progress) -> Iterator[tuple[int, Solution, FrameRecord]]:
         """Place in frames.csv, row and record of each frame, as soon as those before are done."""
+        descent = self._worker.descent()
+        if descent is not None:
+            yield from self._flown(descent, progress)
+            return
         navigator = Navigator(self._worker.inputs)
         tasks, next_one = self._tasks(), 0
         waiting: set[int] = set()
@@ -188,6 +194,18 @@ class _Run:
                         row, record = self._finished(next_one, tasks[next_one], navigator)
                         yield self._order[next_one], row, record
                         next_one += 1
+
+    def _flown(
+        self, descent: DescentNavigator, progress: Progress
+    ) -> Iterator[tuple[int, Solution, FrameRecord]]:
+        """The same of a descent, each frame of which needs those before."""
+        with progress.stage(STAGE, len(self._order), "frame") as bar:
+            for position, number in enumerate(self._order):
+                row, record = self._worker.finish(self._frames[number], descent, unseen_record())
+                name = self._results.name(position)
+                self._results.workspace.put(name, encode_records([record]))
+                bar.advance()
+                yield number, row, record
 
     def _finished(
         self, position: int, task: FrameTask, navigator: Navigator

@@ -111,6 +111,7 @@ class ControlPointField:
         self.skyline_deg = np.concatenate([layer.skyline_deg for layer in kept])
         self.radius_m = kept[0].radius_m
         self.damaged: dict[tuple[str, int], str] = {}
+        self._tree: cKDTree | None = None
         self._references: Cache[int, Reference] = Cache(MAX_REFERENCES)
         ranges = (np.linalg.norm(layer.xyz_m, axis=1) for layer in kept)
         self._lowest_m = [float(each.min(initial=np.inf)) for each in ranges]
@@ -215,6 +216,14 @@ class ControlPointField:
         except DataError as error:
             self.damaged[name] = str(error)
             return None
+
+    def nearest(self, place_m: FloatArray, count: int, reach_m: float) -> list[int]:
+        """The nearest points to a place (3,), m, within a reach, nearest first."""
+        if self._tree is None:
+            self._tree = cKDTree(self.xyz_m)
+        away, found = self._tree.query(place_m, k=count, distance_upper_bound=reach_m)
+        near = np.atleast_1d(found)[np.isfinite(np.atleast_1d(away))]
+        return [int(k) for k in near]
 
     def half_sizes_m(self, index: int, level: int) -> list[float]:
         """Half a side of a point's patches from a level up, m."""

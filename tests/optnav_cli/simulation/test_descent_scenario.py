@@ -107,7 +107,8 @@ def test_a_folder_of_a_track_reads_back_with_its_errors(tmp_path: Path) -> None:
     camera = tmp_path / "small.toml"
     camera.write_text(
         'name = "small"\nmodel = "pinhole"\nwidth_px = 64\nheight_px = 64\n'
-        "principal_point_px = [31.5, 31.5]\nfocal_length_px = 41.0\npsf_sigma_px = 0.7\npsf_error_px = 0.05\n"
+        "principal_point_px = [31.5, 31.5]\nfocal_length_px = 41.0\n"
+        "psf_sigma_px = 0.7\npsf_error_px = 0.05\n"
     )
     scenario = Descent(
         camera=MainCamera(str(camera)),

@@ -1,0 +1,347 @@
+"""A descent: all frames of one inertial track, solved jointly in the order of time.
+
+Each frame is matched with windows of the terrain model, sought where the track, corrected by the
+frames before, puts them. Where the picture shows ground without a window, landmarks carry on. All
+that a frame shows enters one update of the joint filter (`estimation/descent_filter.py`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.errors import NoSolutionError
+from catalog.geometry.rotations import ARCSEC
+from catalog.geometry.vectors import unit
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.descent_filter import TrackErrors
+from optnav_cli.estimation.models.points import Pose, predict
+from optnav_cli.fix import (
+    Evidence,
+    Fix,
+    MatchKind,
+    MatchRow,
+    Method,
+    NoFix,
+    PositionPrior,
+    Solution,
+)
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import Picture
+from optnav_cli.frames.run_settings import InertialSettings
+from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.matching.point_match import MatchGates, PointMatch
+from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
+from optnav_cli.navigation.control_points.expectation import FrameContext
+from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.navigation.descent_state import JointState, Sighting, window_error
+from optnav_cli.navigation.descent_windows import (
+    MAX_SEARCH_NODES,
+    OVERSAMPLED,
+    Window,
+    WindowField,
+    WindowKey,
+    choose_windows,
+    match_window,
+)
+from optnav_cli.navigation.observation import observation_of
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
+
+# A wider search than so many nodes is repeated about its own result, so that templates fit.
+WIDE_NODES = 5.0
+# So many windows must agree at first, when nothing but they bears the position out.
+MIN_FIRST = 5
+# With at least so many windows found, most of which the track contradicts, the track is wrong.
+MIN_AGAINST = 6
+# No craft turns its velocity faster than by so many m/s^2; a track that does so jumps.
+MAX_ACCELERATION, MIN_JUMP_M = 20.0, 50.0
+PRIOR_SOURCE = "inertial track"
+OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")
+
+
+@dataclass(frozen=True, eq=False)
+class _Sought:
+    """A window that was looked for, and where, px."""
+
+    window: Window
+    match: PointMatch
+    expected_px: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Updated:
+    """The state after a frame, which windows it kept by their keys, and a remark."""
+
+    state: JointState
+    used: dict[WindowKey, bool]
+    remark: Reason = NO_REASON
+
+
+def track_errors(settings: InertialSettings) -> TrackErrors:
+    """[inertial] in SI units."""
+    return TrackErrors(
+        settings.position_sigma_m,
+        settings.velocity_sigma_m_s,
+        settings.acceleration_sigma_m_s2,
+        settings.attitude_sigma_arcsec * ARCSEC,
+        settings.attitude_drift_arcsec_s * ARCSEC,
+        settings.attitude_noise_arcsec * ARCSEC,
+    )
+
+
+class DescentNavigator:
+    """Solves the frames of a descent one after the other.
+
+    ground  all points of the catalog that have patches; None without a catalog
+    middle_m (3,) a place that the descent goes over, m, body frame
+    """
+
+    def __init__(
+        self,
+        inputs: NavigationInputs,
+        ground: ControlPointField | None,
+        track: InertialSettings,
+        middle_m: FloatArray,
+    ) -> None:
+        self._inputs, self._ground = inputs, ground
+        self._windows = None if ground is None else WindowField(ground, middle_m)
+        self._state = JointState(track_errors(track))
+        self._solved = False
+        self._last: tuple[float, FloatArray] | None = None
+        self._velocity: FloatArray | None = None
+
+    def solve(
+        self, frame: Frame, camera: Camera, picture: Picture, answers: Answers | None = None
+    ) -> Solution:
+        """A frame's row; what is wrong with it is the reason of an unsolved one.
+
+        answers  none are kept: a frame of a track depends on all before it
+        """
+        try:
+            observation = observation_of(frame, camera, picture)
+            if observation.prior is None:
+                raise NoSolutionError(
+                    "no position: [inertial] says that frames.csv is a track", ReasonCode.NO_PRIOR
+                )
+            if self._ground is None or self._windows is None:
+                raise NoSolutionError("no catalog was given", ReasonCode.NO_CATALOG)
+        except NoSolutionError as error:
+            return Solution(frame.file, frame.utc, NoFix(Reason.of(error)))
+        stated = Pose(observation.prior.position_m, observation.camera_from_body)
+        jump = self._advance(observation.tdb_s, stated.position_m)
+        loaded = replace(observation, picture=picture.loaded())
+        values = PicturePyramid(loaded.picture.values)
+        inputs = self._inputs
+        context = FrameContext(loaded, values, self._ground, inputs.settings, inputs.matcher)
+        row = self._row(context, self._windows, stated)
+        return row.with_remark(jump) if jump else row
+
+    def _advance(self, tdb_s: float, position_m: FloatArray) -> Reason:
+        """Carry the filter to a frame; why the track there is no continuous one, if so."""
+        if self._last is None:
+            self._last = tdb_s, position_m
+            return NO_REASON
+        seconds = tdb_s - self._last[0]
+        self._state.filter.propagate(seconds)
+        velocity = (position_m - self._last[1]) / max(seconds, 1e-3)
+        self._last = tdb_s, position_m
+        known, self._velocity = self._velocity, velocity
+        if known is None:
+            return NO_REASON
+        away = float(np.linalg.norm(velocity - known)) * seconds
+        if away < MIN_JUMP_M + MAX_ACCELERATION * seconds * seconds:
+            return NO_REASON
+        self._state.filter.jumped(away, 0.0)
+        self._velocity = None
+        text = (
+            f"the inertial track jumps by {away / 1e3:.1f} km in {seconds:.0f} s: a manoeuvre that "
+            "it does not hold, or rows of another track"
+        )
+        return Reason(ReasonCode.TRACK_JUMP, text)
+
+    def _row(self, frame: FrameContext, windows: WindowField, stated: Pose) -> Solution:
+        seen = frame.observation
+        prior_m = self._state.filter.pose(stated).position_m
+        sought = self._search(frame, windows, stated)
+        found = [one for one in sought if not one.match.reason]
+        outcome: Fix | NoFix
+        try:
+            made = self._updated(frame, stated, found)
+        except NoSolutionError as error:
+            rows = _match_rows(frame, sought, {}, self._state.filter.pose(stated))
+            evidence = Evidence(len(sought), len(found), 0, matches=rows)
+            outcome = NoFix(Reason.of(error), Method.DESCENT, evidence)
+        else:
+            self._state, self._solved = made.state, True
+            outcome = self._fix(frame, stated, sought, made)
+        return Solution(seen.file, seen.utc, outcome, PRIOR_SOURCE, prior_m)
+
+    def _fix(
+        self, frame: FrameContext, stated: Pose, sought: Sequence[_Sought], made: _Updated
+    ) -> Fix:
+        """The frame's fix after its update."""
+        pose, covariance = made.state.filter.pose(stated), made.state.filter.pose_covariance()
+        rows = _match_rows(frame, sought, made.used, pose)
+        residuals = [r.residual_px for r in rows if r.used and r.residual_px is not None]
+        rms = float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None
+        windows = sum(row.used for row in rows)
+        evidence = Evidence(
+            len(sought),
+            len(made.used),
+            windows,
+            rms,
+            matches=rows,
+            n_windows=windows,
+            n_landmarks=0,
+        )
+        sigma = float(np.sqrt(np.trace(covariance[3:, 3:]) / 3.0))
+        place, turn = pose.position_m, pose.camera_from_body
+        return Fix(Method.DESCENT, place, covariance[:3, :3], turn, sigma, evidence, made.remark)
+
+    def _search(self, frame: FrameContext, windows: WindowField, stated: Pose) -> list[_Sought]:
+        """The windows of a frame, sought from the filter's pose or one nearer to the truth."""
+        joint = self._state.filter
+        pose, covariance = joint.pose(stated), joint.pose_covariance()
+        sigma_m = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+        finest = windows.posting_m(0) / OVERSAMPLED
+        if sigma_m * frame.settings.match.search_sigmas > MAX_SEARCH_NODES * finest:
+            fix = self._by_points(frame, pose, sigma_m)
+            if fix is not None:
+                pose = Pose(fix.position_m, pose.camera_from_body)
+                covariance[:3, :3] = fix.covariance_m2 + finest**2 * np.eye(3)
+                sigma_m = finest
+        sought = self._sought(frame, windows, pose, covariance)
+        if sigma_m < WIDE_NODES * finest:
+            return sought
+        try:
+            found = [one for one in sought if not one.match.reason]
+            trial = self._updated(frame, stated, found).state.filter
+        except NoSolutionError:
+            return sought
+        # the same pixels again, better laid: the update that counts begins from before them
+        return self._sought(frame, windows, trial.pose(stated), trial.pose_covariance())
+
+    def _by_points(self, frame: FrameContext, pose: Pose, sigma_m: float) -> Fix | None:
+        """A position from whole control points where the track leads too uncertainly."""
+        if self._inputs.points is None:
+            return None
+        prior = PositionPrior.isotropic(pose.position_m, sigma_m, PRIOR_SOURCE)
+        return FrameMethods(self._inputs, frame.observation, {}).by_points(prior).fix
+
+    def _sought(
+        self, frame: FrameContext, windows: WindowField, pose: Pose, covariance: FloatArray
+    ) -> list[_Sought]:
+        """The windows of a frame matched about a pose with its covariance (6, 6)."""
+        chosen = choose_windows(frame, pose, windows, self._state.windows)
+        if not chosen:
+            return []
+        places = np.array([window.place_m for window in chosen])
+        pixels, by_pose = predict(frame.camera, pose, places)
+        spread = by_pose @ covariance @ np.swapaxes(by_pose, 1, 2)
+        sigmas = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0))
+        gates = MatchGates(rival_ratio=frame.settings.match.rival_ratio)
+        return [
+            _Sought(window, match_window(frame, pose, window, float(sigma), gates), expected)
+            for window, sigma, expected in zip(chosen, sigmas, pixels, strict=True)
+        ]
+
+    def _updated(self, frame: FrameContext, stated: Pose, found: Sequence[_Sought]) -> _Updated:
+        """The state after the windows that were found. Raises NoSolutionError."""
+        if not found:
+            raise NoSolutionError("no window of the terrain model was found", ReasonCode.FEW_POINTS)
+        if not self._solved and len(found) < MIN_FIRST:
+            text = f"{len(found)} windows were found; the first frame needs {MIN_FIRST}"
+            raise NoSolutionError(text, ReasonCode.FEW_POINTS)
+        try:
+            made = _joined(self._state, frame, stated, found)
+            agreeing = sum(made.used.values())
+            if 2 * agreeing >= len(found) and (self._solved or agreeing >= MIN_FIRST):
+                return made
+            text = f"{agreeing} of {len(found)} windows agree with the inertial track"
+            raise NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
+        except NoSolutionError:
+            if not self._solved or len(found) < MIN_AGAINST:
+                raise
+        return self._after_jump(frame, stated, found)
+
+    def _after_jump(self, frame: FrameContext, stated: Pose, found: Sequence[_Sought]) -> _Updated:
+        """The update with a track that is free to have jumped. Raises NoSolutionError."""
+        offsets = np.array([one.match.pixel for one in found]) - [one.expected_px for one in found]
+        camera_m = self._state.filter.pose(stated).position_m
+        distance = float(np.linalg.norm(found[0].window.place_m - camera_m))
+        away = float(np.median(np.linalg.norm(offsets, axis=1)))
+        away = away * distance / frame.camera.coarse_focal_px
+        free = self._state.copy()
+        free.filter.jumped(3.0 * away, 0.0)
+        made = _joined(free, frame, stated, found)
+        agreeing = sum(made.used.values())
+        if agreeing < max(MIN_FIRST, len(found) // 2):
+            text = f"{agreeing} of {len(found)} windows agree with each other"
+            raise NoSolutionError(text, ReasonCode.POINTS_DISAGREE)
+        text = (
+            f"the ground lies {away:.0f} m from where the inertial track leads: it has jumped, by "
+            "a manoeuvre that it does not hold"
+        )
+        return replace(made, remark=Reason(ReasonCode.TRACK_JUMP, text))
+
+
+def _joined(
+    state: JointState, frame: FrameContext, stated: Pose, found: Sequence[_Sought]
+) -> _Updated:
+    """A copy of a state updated by windows, of which it keeps those that agree."""
+    state = state.copy()
+    new = [one for one in found if one.window.key not in state.keys]
+    if new:
+        places = np.array([one.window.place_m for one in new])
+        _, by_pose = predict(frame.camera, state.filter.pose(stated), places)
+        errors = [
+            window_error(one.window, one.match, rows[:, :3], state.sizes)
+            for one, rows in zip(new, by_pose, strict=True)
+        ]
+        state.join_windows(errors, places)
+    seen = [
+        Sighting(one.window.key, one.match.pixel, state.fresh_covariance_px2(one.match))
+        for one in found
+        if one.match.pixel is not None
+    ]
+    used = state.update(frame.camera, stated, seen).used
+    kept = {one.window.key: bool(good) for one, good in zip(found, used, strict=True)}
+    state.keep({key for key, good in kept.items() if good})
+    return _Updated(state, kept)
+
+
+def _match_rows(
+    frame: FrameContext, sought: Sequence[_Sought], used: dict[WindowKey, bool], pose: Pose
+) -> tuple[MatchRow, ...]:
+    """The rows of matches.csv; used: of the windows found, whether the solution keeps them."""
+    rows = []
+    for one in sought:
+        place, match = one.window.place_m, one.match
+        predicted = frame.camera.project_from_body(
+            place, pose.position_m, pose.camera_from_body.as_matrix()
+        )
+        good = used.get(one.window.key, False)
+        found = match.pixel is not None and not match.reason
+        sine = float(frame.sun_body @ unit(place))
+        reason = match.reason or (NO_REASON if good else OUTLIER)
+        rows.append(
+            MatchRow(
+                file=frame.observation.file,
+                cp_id=one.window.key.number,
+                level=one.window.key.level,
+                cp_position_m=place,
+                predicted_px=predicted,
+                measured_px=match.pixel if found else None,
+                score=match.score,
+                runner_up=match.runner_up,
+                used=good,
+                reason=reason.text,
+                sun_elevation_deg=float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))),
+                residual_px=match.pixel - predicted if good and match.pixel is not None else None,
+                prior_px=one.expected_px,
+                reason_code=reason.code,
+                kind=MatchKind.WINDOW,
+            )
+        )
+    return tuple(rows)

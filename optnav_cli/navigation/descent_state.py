@@ -1,0 +1,173 @@
+"""The joint filter with what its ground points are: windows of the terrain model and landmarks.
+
+A window's error is that of its ground: the mean of a random field over its square, and a part that
+a region has in common. So two windows err alike as far as they share ground, and one that joins
+the state is tied to those that are in it; else many windows of the same ground would count as many
+witnesses. The sizes are fitted numbers, in FILE.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from catalog.arrays import FloatArray, IndexArray
+from catalog.config import Positive, load_toml, resource
+from catalog.geometry.latlon import body_from_local, latlon_from_xyz
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.descent_filter import DescentFilter, TrackErrors, Update
+from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.matching.point_match import PointMatch
+from optnav_cli.navigation.descent_windows import OVERSAMPLED, SIDE, Window, WindowKey, overlap
+
+FILE = "configs/models/descent.toml"
+Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
+
+
+class DescentErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All fitted numbers of FILE, which says what each is."""
+
+    own_postings: Positive
+    slope_postings: Positive
+    remainder: Positive
+    common: Share
+    height_postings: Positive
+    fresh_px: Positive
+    fresh_share: Share
+
+
+@cache
+def shipped_sizes() -> DescentErrorSizes:
+    """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
+    return load_toml(resource(FILE), DescentErrorSizes)
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A ground point of the state in a frame: a window's key or a landmark's number."""
+
+    key: WindowKey | int
+    pixel: FloatArray
+    covariance_px2: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class WindowError:
+    """What a window's ground may be off by: (3, 3) root of its covariance, m, body frame."""
+
+    key: WindowKey
+    root_m: FloatArray
+
+
+def window_error(
+    window: Window, match: PointMatch, by_position: FloatArray, sizes: DescentErrorSizes
+) -> WindowError:
+    """The error of a window's ground, from its slopes and what the match leaves over.
+
+    by_position (2, 3) derivative of its pixel by the camera's position
+    """
+    axes = body_from_local(*(float(v) for v in latlon_from_xyz(window.place_m)[:2]))
+    left = np.zeros((2, 2))
+    if match.covariance_px2 is not None:
+        inverse = np.linalg.pinv(by_position @ axes[:, :2])
+        left = inverse @ match.covariance_px2 @ inverse.T
+    side, posting = window.key.side, window.posting_m
+    slope = 0.0
+    if window.reference is not None:
+        heights = window.reference.heights(0, OVERSAMPLED * side).astype(np.float64)
+        down, across = np.gradient(heights, posting / OVERSAMPLED)
+        slope = float(np.sqrt(np.nanmean(down**2 + across**2)))
+    own = np.hypot(sizes.own_postings * SIDE / side, sizes.slope_postings * slope) * posting
+    level = np.sqrt(own**2 + sizes.remainder * 0.5 * float(np.trace(left)))
+    sigmas = np.array([level, level, sizes.height_postings * posting])
+    return WindowError(window.key, axes * sigmas @ axes.T)
+
+
+class JointState:
+    """The filter of a descent, and which ground point is what."""
+
+    def __init__(self, errors: TrackErrors, sizes: DescentErrorSizes | None = None) -> None:
+        self.filter = DescentFilter(errors)
+        self.sizes = sizes or shipped_sizes()
+        self.keys: list[WindowKey | int] = []
+        self._errors: dict[WindowKey, WindowError] = {}
+
+    def copy(self) -> "JointState":
+        """The same, to try an update on."""
+        other = object.__new__(JointState)
+        other.filter, other.sizes = self.filter.copy(), self.sizes
+        other.keys, other._errors = list(self.keys), dict(self._errors)
+        return other
+
+    @property
+    def windows(self) -> list[WindowKey]:
+        """The windows in the state."""
+        return [key for key in self.keys if isinstance(key, WindowKey)]
+
+    def place_m(self, key: WindowKey | int) -> FloatArray | None:
+        """(3,) where a ground point of the state is by now; None for one that is not in it."""
+        return self.filter.places_m[self.keys.index(key)] if key in self.keys else None
+
+    def join_windows(self, errors: Sequence[WindowError], places_m: FloatArray) -> None:
+        """Add windows at places (k, 3), their errors tied to those that share ground with them."""
+        known = [number for number, key in enumerate(self.keys) if isinstance(key, WindowKey)]
+        old = [self._errors[key] for key in self.windows]
+        of_new = self._covariance(errors, errors)
+        by_state = np.zeros((3 * len(errors), len(self.filter.state)))
+        mean = np.zeros(3 * len(errors))
+        if known:
+            first = len(self.filter.state) - 3 * self.filter.count
+            columns = (first + 3 * np.array(known)[:, None] + np.arange(3)).ravel()
+            across = self._covariance(errors, old)
+            gain = np.linalg.solve(self._covariance(old, old), across.T).T
+            by_state[:, columns] = gain
+            of_new = of_new - gain @ across.T
+            mean = gain @ self.filter.state[columns]
+        numbers = self.filter.add_points(places_m, 0.5 * (of_new + of_new.T), by_state)
+        self.filter.add_offsets(numbers, mean.reshape(-1, 3))
+        self.keys += [error.key for error in errors]
+        self._errors |= {error.key: error for error in errors}
+
+    def update(self, camera: Camera, stated: Pose, seen: Sequence[Sighting]) -> Update:
+        """Update by all sightings of a frame. Raises NoSolutionError, the filter as it was."""
+        numbers: IndexArray = np.array([self.keys.index(one.key) for one in seen])
+        pixels = np.array([one.pixel for one in seen])
+        covariances = np.array([one.covariance_px2 for one in seen])
+        places = self.filter.places_m[numbers]
+        return self.filter.update(camera, stated, numbers, Sightings(places, pixels, covariances))
+
+    def keep(self, kept: set[WindowKey | int]) -> None:
+        """Marginalise all ground points but some."""
+        self.filter.keep(np.array([key in kept for key in self.keys], dtype=bool))
+        self.keys = [key for key in self.keys if key in kept]
+        self._errors = {key: error for key, error in self._errors.items() if key in kept}
+
+    def predicted_sigmas_px(self, camera: Camera, stated: Pose, places_m: FloatArray) -> FloatArray:
+        """(n,) largest sigma of where the pose puts places (n, 3), px."""
+        _, by_pose = predict(camera, self.filter.pose(stated), places_m)
+        spread = by_pose @ self.filter.pose_covariance() @ np.swapaxes(by_pose, 1, 2)
+        sigmas: FloatArray = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0))
+        return sigmas
+
+    def fresh_covariance_px2(self, match: PointMatch) -> FloatArray:
+        """(2, 2) of a window's match that another frame would not repeat."""
+        fresh: FloatArray = self.sizes.fresh_px**2 * np.eye(2)
+        if match.covariance_px2 is not None:
+            fresh = fresh + self.sizes.fresh_share * match.covariance_px2
+        return fresh
+
+    def _covariance(self, some: Sequence[WindowError], others: Sequence[WindowError]) -> FloatArray:
+        """(3 k, 3 n) of the errors of windows with those of others."""
+        common, ties = self.sizes.common, np.empty((len(some), len(others)))
+        for i, one in enumerate(some):
+            for j, other in enumerate(others):
+                ties[i, j] = common + (1.0 - common) * overlap(one.key, other.key)
+                if one.key == other.key:
+                    ties[i, j] = 1.0 + 1e-6
+        left = np.array([one.root_m for one in some])
+        right = np.array([one.root_m for one in others])
+        blocks = np.einsum("ij,iab,jcb->iajc", ties, left, right)
+        return np.asarray(blocks.reshape(3 * len(some), 3 * len(others)), dtype=np.float64)

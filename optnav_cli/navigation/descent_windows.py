@@ -1,0 +1,336 @@
+"""Windows of the terrain model for low heights: parts of patches, oversampled and joined.
+
+A patch of a control point is wider than a picture from 5 km shows. Its catalog tiles the ground, so
+any square of it can be cut from the patches about it and matched as a control point is: at half the
+model's posting, with the picture blurred to what the model knows. Windows lie on a fixed lattice,
+so that those of one frame are sought again in the next one, with the same error of their ground.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from catalog.arrays import Float32Array, FloatArray, IndexArray
+from catalog.cache import Cache
+from catalog.control_point import ControlPoint, Patch
+from catalog.errors import DataError
+from catalog.geometry.ellipsoid import distance_to_sphere
+from catalog.geometry.grid import sample_bicubic
+from catalog.geometry.latlon import latlon_from_xyz
+from catalog.geometry.projection import Stereographic, node_grid
+from catalog.geometry.vectors import unit
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.models.points import Pose
+from optnav_cli.matching.point_match import MARGIN_NODES, MatchGates, PointMatch, match_point
+from optnav_cli.matching.reference import Reference
+from optnav_cli.matching.search_plan import SearchPlan
+from optnav_cli.navigation.control_points.expectation import FrameContext
+from optnav_cli.navigation.control_points.field import ControlPointField
+from optnav_cli.reasons import Reason, ReasonCode
+
+# A window's side, postings, and the least one; of the square seen it takes at most this share.
+SIDE, MIN_SIDE, MAX_SHARE = 24, 12, 0.6
+STEP = 4  # postings between places of the lattice
+OVERSAMPLED = 2  # nodes of a window a posting of the model
+SOFT_NODES = 0.9
+# A level is used whose posting is so many times the ground that a pixel sees, or more.
+MIN_POSTING_PX = 2.5
+MAX_SEARCH_NODES = 24
+MAX_EMISSION, MIN_SUN = np.radians(60.0), np.radians(3.0)
+SQUARES = 6  # along a side of the picture: one window in each
+FRAME_NODES = 24  # rays along a border that the ground in view is found from
+NEAREST, KEPT_WINDOWS = 16, 500
+REACH_NODES = 110  # of patches that a grid is joined from: half its side and half of theirs
+SHADOW_NODES, SHADOW_LEVELS = 100, 3  # of the grids about a window that throw shadows into it
+WELL_INSIDE = 8.0  # nodes from a patch's border: then no other patch is needed
+MIN_KNOWN = 0.95  # share of a window that the patches must cover
+NO_GROUND = Reason(ReasonCode.NO_TERRAIN, "no terrain data")
+
+
+class WindowKey(NamedTuple):
+    """A window of the lattice: level of the catalog, side in postings, and its place in STEPs."""
+
+    level: int
+    side: int
+    row: int
+    col: int
+
+    @property
+    def number(self) -> int:
+        """The same in one number: matches.csv's id."""
+        row, col = self.row + 50_000, self.col + 50_000
+        return ((self.level * 100 + self.side) * 100_000 + row) * 100_000 + col
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A square of ground to be matched; place_m (3,) its middle on the ground, m, body frame."""
+
+    key: WindowKey
+    place_m: FloatArray
+    projection: Stereographic
+    posting_m: float
+    field: "WindowField"
+
+    @cached_property
+    def reference(self) -> Reference | None:
+        """The ground ready to render; None where the catalog has too little of it."""
+        return self.field.reference(self)
+
+
+class WindowField:
+    """The windows of a catalog about a descent.
+
+    middle_m  (3,) a place that the descent goes over; the lattice is flat about it
+    Raises DataError for a catalog whose patches do not lie on a sphere.
+    """
+
+    def __init__(self, points: ControlPointField, middle_m: FloatArray) -> None:
+        if points.layers[0].planes is not None:
+            raise DataError(
+                "the catalog's patches lie in tangent planes, and a descent is flown over those of "
+                "a large body; leave [inertial] out of run.toml"
+            )
+        lat, lon, _ = (float(v) for v in latlon_from_xyz(middle_m))
+        self._points = points
+        self.map = Stereographic(lat, lon, points.radius_m)
+        self._windows: Cache[WindowKey, Window | None] = Cache(KEPT_WINDOWS)
+
+    def posting_m(self, level: int) -> float:
+        """Of a level of the catalog."""
+        return float(self._points.layers[0].postings_m[level])
+
+    def window(self, key: WindowKey) -> Window | None:
+        """A window of the lattice; None where the catalog has no ground."""
+        return self._windows.get(key, lambda: self._made(key))
+
+    def ground_m(self, place_m: FloatArray) -> float | None:
+        """Height over the sphere of the model at a place (3,); None outside the catalog."""
+        for level in range(len(self._points.layers[0].postings_m)):
+            found = self._sampled(place_m, place_m[None], level, joined=False)
+            if np.isfinite(found[0]):
+                return float(found[0])
+        return None
+
+    def level(self, metres_per_pixel: float) -> int | None:
+        """The finest level that a picture resolves well; None for none."""
+        postings = self._points.layers[0].postings_m
+        fit = np.flatnonzero(postings >= MIN_POSTING_PX * metres_per_pixel)
+        return int(fit[0]) if fit.size else None
+
+    def reference(self, window: Window) -> Reference | None:
+        """The ground of a window; None where the catalog has too little of it."""
+        key, posting = window.key, window.posting_m
+        lat, lon = window.projection.lat, window.projection.lon
+        radius = float(np.linalg.norm(window.place_m))
+        point = _bare_point(np.degrees(lat), np.degrees(lon), radius)
+        room = 2 * (MAX_SEARCH_NODES + MARGIN_NODES)
+        own = _Grid(posting / OVERSAMPLED, OVERSAMPLED * key.side + room)
+        last = min(key.level + SHADOW_LEVELS, len(self._points.layers[0].postings_m))
+        grids = [(key.level, own)]
+        # coarser patches throw shadows in
+        grids += [(n, _Grid(self.posting_m(n), SHADOW_NODES)) for n in range(key.level, last)]
+        patches = []
+        for number, (level, grid) in enumerate(grids):
+            heights = self._heights(point, grid, level, joined=number == 0)
+            if number == 0 and np.isfinite(heights).mean() < MIN_KNOWN:
+                return None
+            patches.append(Patch(grid.posting_m, heights))
+        return Reference(point, tuple(patches), self._points.radius_m)
+
+    def _made(self, key: WindowKey) -> Window | None:
+        posting = self.posting_m(key.level)
+        x, y = STEP * posting * key.col, STEP * posting * key.row
+        middle = self.map.points(x, y, 0.0)
+        height = self.ground_m(middle)
+        if height is None:
+            return None
+        lat, lon = (float(v) for v in self.map.latlon(x, y))
+        projection = Stereographic(lat, lon, self._points.radius_m)
+        return Window(key, projection.points(0.0, 0.0, height), projection, posting, self)
+
+    def _heights(
+        self, point: ControlPoint, grid: "_Grid", level: int, *, joined: bool
+    ) -> Float32Array:
+        """Heights (n, n) of a grid about a place; joined: with neighbours weighted into each other.
+
+        Else each node is of the nearest patch that has it: what throws shadows need not be smooth.
+        """
+        projection = point.projection(self._points.radius_m)
+        places = projection.points(*node_grid(grid.size, grid.posting_m), 0.0).reshape(-1, 3)
+        found = self._sampled(point.xyz_m, places, level, joined=joined)
+        return found.reshape(grid.size, grid.size)
+
+    def _sampled(
+        self, middle_m: FloatArray, places: FloatArray, level: int, *, joined: bool
+    ) -> Float32Array:
+        """Heights (n,) at places (n, 3) from the patches about a middle; NaN outside them."""
+        total, weight = np.zeros(len(places)), np.zeros(len(places))
+        reach = REACH_NODES * self.posting_m(level)
+        for index in self._points.nearest(middle_m, NEAREST, reach):
+            reference = self._points.reference(index)
+            if reference is None or level >= len(reference.patches):
+                continue
+            wanted = np.flatnonzero(weight == 0.0) if not joined else np.arange(len(places))
+            if wanted.size == 0:
+                break
+            patch = reference.patches[level]
+            if joined and weight.min() > WELL_INSIDE:
+                break
+            x, y = reference.projection.xy_from_xyz(places[wanted])
+            half = (patch.size - 1) / 2.0
+            row, col = half - y / patch.posting_m, half + x / patch.posting_m
+            # less and less toward a patch's border, so that neighbours join without a step
+            inward = half - np.maximum(np.abs(row - half), np.abs(col - half))
+            inside = inward > 0.0
+            heights = sample_bicubic(patch.heights_m, row[inside], col[inside])
+            known = np.isfinite(heights)
+            at, share = wanted[inside][known], inward[inside][known]
+            total[at] += share * heights[known]
+            weight[at] += share
+        found = np.where(weight > 0.0, total / np.maximum(weight, 1e-9), np.nan)
+        return found.astype(np.float32)
+
+
+class _Grid(NamedTuple):
+    """Nodes of a window's level."""
+
+    posting_m: float
+    size: int
+
+
+class View(NamedTuple):
+    """What a picture shows of the ground.
+
+    middle_m         (3,) below its middle
+    metres_per_pixel there, square to the line of sight
+    border_m         (n, 3) the ground at its border, as far as it is seen under MAX_EMISSION
+    """
+
+    middle_m: FloatArray
+    metres_per_pixel: float
+    border_m: FloatArray
+
+
+def view_of(camera: Camera, pose: Pose, windows: WindowField) -> View | None:
+    """The ground in a picture; None where its middle shows none of the catalog."""
+    turn = pose.camera_from_body.as_matrix()
+    middle_px = np.array([[camera.width_px - 1, camera.height_px - 1]]) / 2.0
+    pixels = np.concatenate([middle_px, camera.border(FRAME_NODES)])
+    rays = camera.unproject(pixels) @ turn
+    rays = rays[np.isfinite(rays).all(axis=1)]
+    radius = windows.map.radius_m
+    height = 0.0
+    for _ in range(3):  # the ground's height under the middle
+        along = distance_to_sphere(pose.position_m, rays, radius + height)
+        if not np.isfinite(along[0]):
+            return None
+        middle = pose.position_m + along[0] * rays[0]
+        ground = windows.ground_m(middle)
+        if ground is None:
+            return None
+        height = ground
+    met = np.isfinite(along)
+    places = pose.position_m + along[met][:, None] * rays[met]
+    emission = np.einsum("ni,ni->n", -rays[met], unit(places))
+    seen = places[emission > np.cos(MAX_EMISSION)]
+    return View(middle, float(along[0]) / camera.coarse_focal_px, seen)
+
+
+def choose_windows(
+    frame: FrameContext, pose: Pose, windows: WindowField, known: Sequence[WindowKey]
+) -> list[Window]:
+    """One window in each square of the picture, those that are known already first."""
+    camera = frame.camera
+    view = view_of(camera, pose, windows)
+    if view is None or len(view.border_m) < 3:
+        return []
+    level = windows.level(view.metres_per_pixel)
+    if level is None:
+        return []
+    posting = windows.posting_m(level)
+    seen = view.metres_per_pixel * min(camera.width_px, camera.height_px) / posting
+    side = min(SIDE, int(MAX_SHARE * seen) // STEP * STEP)
+    if side < MIN_SIDE:
+        return []
+    step = STEP * posting
+    x, y = windows.map.xy_from_xyz(np.concatenate([view.border_m, view.middle_m[None]]))
+    cols = np.arange(int(np.ceil(x.min() / step)), int(np.floor(x.max() / step)) + 1)
+    rows = np.arange(int(np.ceil(y.min() / step)), int(np.floor(y.max() / step)) + 1)
+    col, row = (grid.ravel() for grid in np.meshgrid(cols, rows))
+    height = float(windows.map.height_of(view.middle_m))
+    places = windows.map.points(step * col, step * row, height)
+    pixels = camera.project_from_body(places, pose.position_m, pose.camera_from_body.as_matrix())
+    size = np.array([camera.width_px, camera.height_px])
+    with np.errstate(invalid="ignore"):
+        square = np.floor(pixels / size * SQUARES)
+        off = np.abs(pixels / size * SQUARES - square - 0.5).max(axis=1)
+        inside = ((square >= 0) & (square < SQUARES)).all(axis=1)
+    taken = {(key.row, key.col) for key in known if (key.level, key.side) == (level, side)}
+    fresh = np.array([(int(r), int(c)) not in taken for r, c in zip(row, col, strict=True)])
+    chosen: list[Window] = []
+    order: IndexArray = np.lexsort((col, row, off, fresh))
+    full: set[tuple[int, int]] = set()
+    for k in order:
+        if not inside[k] or (place := (int(square[k, 0]), int(square[k, 1]))) in full:
+            continue
+        window = windows.window(WindowKey(level, side, int(row[k]), int(col[k])))
+        if window is None or not _is_seen(frame, pose, window) or window.reference is None:
+            continue
+        full.add(place)
+        chosen.append(window)
+    return chosen
+
+
+def match_window(
+    frame: FrameContext, pose: Pose, window: Window, sigma_px: float, gates: MatchGates
+) -> PointMatch:
+    """Search a window about where the pose expects it, to sigma_px."""
+    if window.reference is None:
+        return PointMatch(window.key.level, NO_GROUND)
+    sample = float(np.linalg.norm(window.place_m - pose.position_m)) / frame.camera.coarse_focal_px
+    posting = window.posting_m / OVERSAMPLED
+    room = int(np.ceil(frame.settings.match.search_sigmas * sigma_px * sample / posting + 2.0))
+    plan = SearchPlan(
+        0,
+        OVERSAMPLED * window.key.side,
+        min(room, MAX_SEARCH_NODES),
+        sample,
+        soft_nodes=SOFT_NODES,
+    )
+    args = window.reference, plan, frame.picture, frame.camera, pose, frame.sun_body
+    return match_point(*args, frame.matcher, gates)
+
+
+def overlap(one: WindowKey, other: WindowKey) -> float:
+    """Correlation of the errors of two windows: their common ground over the root of both areas."""
+    if one.level != other.level:
+        return 0.0
+    share = 1.0
+    for a, b in ((one.row, other.row), (one.col, other.col)):
+        common = min(0.5 * (one.side + other.side) - STEP * abs(a - b), one.side, other.side)
+        share *= max(common, 0.0) / np.sqrt(one.side * other.side)
+    return float(share)
+
+
+def _is_seen(frame: FrameContext, pose: Pose, window: Window) -> bool:
+    """Whether a window lies whole in the picture, lit and not too oblique."""
+    place, up = window.place_m, unit(window.place_m)
+    sight = unit(pose.position_m - place)
+    if sight @ up < np.cos(MAX_EMISSION) or frame.sun_body @ up < np.sin(MIN_SUN):
+        return False
+    half = window.key.side * window.posting_m / 2.0
+    height = float(window.projection.height_of(place))
+    x, y = np.array([-1.0, 1.0, 1.0, -1.0]) * half, np.array([-1.0, -1.0, 1.0, 1.0]) * half
+    corners = window.projection.points(x, y, height)
+    turn = pose.camera_from_body.as_matrix()
+    pixels = frame.camera.project_from_body(corners, pose.position_m, turn)
+    return bool(np.isfinite(pixels).all() and frame.camera.contains(pixels).all())
+
+
+def _bare_point(lat_deg: float, lon_deg: float, radius_m: float) -> ControlPoint:
+    """A place without a certificate."""
+    return ControlPoint(0, lat_deg, lon_deg, radius_m, 0.0, 0.0, 0.0, 0, (), (), usable=True)

@@ -1,0 +1,197 @@
+"""A small descent of four pictures: flown from end to end, and with what may be wrong with it."""
+
+import csv
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from catalog.api import build_catalog
+from catalog.config import resource
+from catalog.errors import DataError, NothingToDoError
+from catalog.geometry.vectors import squared_distance
+from catalog.terrain.dem.source import DemSettings
+from optnav_cli.api import navigate_folder
+from optnav_cli.fix import MatchKind, Method
+from optnav_cli.frames.folder import read_folder
+from optnav_cli.frames.run_settings import InertialSettings
+from optnav_cli.frames.truth import read_truth
+from optnav_cli.output.run_folder import read_run
+from optnav_cli.output.tables import read_matches
+from optnav_cli.reasons import ReasonCode
+from optnav_cli.simulation.descent import Descent, DescentSettings
+from optnav_cli.simulation.passes import SunSettings
+from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera
+from tests.optnav_cli.simulation.simulated import simulate
+
+CAMERA = """name = "small"
+model = "pinhole"
+width_px = 300
+height_px = 300
+focal_length_px = 192.0
+principal_point_px = [149.5, 149.5]
+psf_sigma_px = 0.7
+psf_error_px = 0.05
+"""
+BOX = (-16.2, -44.0, -14.2, -43.0)
+
+
+@pytest.fixture(scope="module")
+def catalog(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Tycho's terrain where the descent ends."""
+    path = tmp_path_factory.mktemp("catalog") / "descent.gpkg"
+    build_catalog(resource("configs/catalogs/tycho_descent.toml"), path, bbox=BOX)
+    return path
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four pictures from 6 to 3 km."""
+    folder = tmp_path_factory.mktemp("pictures")
+    (folder / "small.toml").write_text(CAMERA)
+    scenario = Descent(
+        camera=MainCamera(str(folder / "small.toml")),
+        dem=(DemSettings(str(resource("data/tycho_gld100_256ppd.tif"))),),
+        globe=GlobeSettings(str(resource("data/moon_gld100_4ppd.tif"))),
+        detail=DetailSettings(seeds=(5,), smallest_m=25.0),
+        descent=DescentSettings(
+            from_km=6.0, to_km=3.0, duration_s=30.0, speed_m_s=(500.0, 300.0),
+            tilt_deg=(10.0, 0.0), spacing_s=10.0,
+        ),
+        sun=SunSettings((15.0, 15.0)),
+        inertial=InertialSettings(),
+    )  # fmt: skip
+    simulate(scenario, folder / "pictures", workers=1)
+    return folder / "pictures"
+
+
+@pytest.fixture
+def flown(
+    pictures: Path, catalog: Path, tmp_path: Path
+) -> Callable[[Callable[[Path], None]], Path]:
+    """Fly the pictures, their folder changed before."""
+
+    def fly(change: Callable[[Path], None]) -> Path:
+        folder = tmp_path / "pictures"
+        shutil.copytree(pictures, folder)
+        change(folder)
+        navigate_folder(folder, [catalog], tmp_path / "run")
+        return tmp_path / "run"
+
+    return fly
+
+
+def change_rows(folder: Path, change: Callable[[int, dict[str, str]], None]) -> None:
+    """Rewrite frames.csv, each row changed."""
+    path = folder / "frames.csv"
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for number, row in enumerate(rows):
+        change(number, row)
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def as_it_is(folder: Path) -> None:
+    """Change nothing."""
+
+
+def test_a_descent_is_flown_by_windows_inside_its_sigmas(
+    flown: Callable[[Callable[[Path], None]], Path], pictures: Path
+) -> None:
+    run = flown(as_it_is)
+    solutions = read_run(run).solutions
+    assert [row.method for row in solutions] == [Method.DESCENT] * 4
+    assert all(row.n_windows is not None and row.n_windows >= 4 for row in solutions)
+    kinds = {row.kind for row in read_matches(run / "matches.csv")}
+    assert MatchKind.WINDOW in kinds
+    truths = read_truth(pictures / "truth.csv", read_folder(pictures).attitude)
+    for row, truth in zip(solutions, truths, strict=True):
+        assert row.fix is not None
+        off = row.fix.position_m - truth.position_m
+        assert np.linalg.norm(off) < 40.0
+        assert squared_distance(off, row.fix.covariance_m2) < 16.0
+
+
+def test_a_track_that_jumps_by_5_km_is_said(
+    flown: Callable[[Callable[[Path], None]], Path],
+) -> None:
+    def jump(folder: Path) -> None:
+        def by_five_km(number: int, row: dict[str, str]) -> None:
+            if number >= 2:
+                row["z_m"] = str(float(row["z_m"]) + 5e3)
+
+        change_rows(folder, by_five_km)
+
+    solutions = read_run(flown(jump)).solutions
+    assert [row.solved for row in solutions[:2]] == [True, True]
+    assert re.search(r"jumps by (4\.9|5\.\d) km in 10 s", solutions[2].reason)
+
+
+def test_rows_that_run_back_are_refused(
+    flown: Callable[[Callable[[Path], None]], Path],
+) -> None:
+    def back(folder: Path) -> None:
+        text = (folder / "frames.csv").read_text().splitlines()
+        (folder / "frames.csv").write_text("\n".join([text[0], text[2], text[1], *text[3:]]) + "\n")
+
+    with pytest.raises(DataError, match="in order of time"):
+        flown(back)
+
+
+def test_a_row_without_a_position_or_picture_is_unsolved_and_the_others_go_on(
+    flown: Callable[[Callable[[Path], None]], Path],
+) -> None:
+    def holes(folder: Path) -> None:
+        (folder / "frame_0001.png").unlink()
+
+        def bare(number: int, row: dict[str, str]) -> None:
+            if number == 2:
+                row["x_m"] = row["y_m"] = row["z_m"] = row["position_sigma_m"] = ""
+
+        change_rows(folder, bare)
+
+    solutions = read_run(flown(holes)).solutions
+    assert [row.solved for row in solutions] == [True, False, False, True]
+    assert [row.reason_code for row in solutions[1:3]] == [
+        ReasonCode.BAD_PICTURE,
+        ReasonCode.NO_PRIOR,
+    ]
+
+
+def test_a_gap_in_the_track_is_bridged(
+    flown: Callable[[Callable[[Path], None]], Path],
+) -> None:
+    """Two pictures left out: the last one is found from a track carried on over 20 s more."""
+
+    def gap(folder: Path) -> None:
+        text = (folder / "frames.csv").read_text().splitlines()
+        (folder / "frames.csv").write_text("\n".join([text[0], text[1], text[4]]) + "\n")
+
+    assert [row.solved for row in read_run(flown(gap)).solutions] == [True, True]
+
+
+def test_a_descent_without_a_catalog_says_so(pictures: Path, tmp_path: Path) -> None:
+    with pytest.raises(NothingToDoError, match="no catalog"):
+        navigate_folder(pictures, [], tmp_path / "run")
+
+
+def test_a_camera_that_looks_at_the_sky_is_unsolved(
+    flown: Callable[[Callable[[Path], None]], Path],
+) -> None:
+    def away(folder: Path) -> None:
+        def up(number: int, row: dict[str, str]) -> None:
+            if number == 2:
+                row["qw"], row["qx"], row["qy"], row["qz"] = (
+                    f"{-float(row['qx']):.12f}", row["qw"], row["qz"], f"{-float(row['qy']):.12f}",
+                )  # fmt: skip
+
+        change_rows(folder, up)
+
+    solutions = read_run(flown(away)).solutions
+    assert [row.solved for row in solutions] == [True, True, False, True]
