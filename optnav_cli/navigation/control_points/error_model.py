@@ -52,6 +52,7 @@ class OwnSizes(_Sizes, frozen=True):
     height_nodes: Positive
     skipped_share: Positive
     warped_m: Positive
+    warped_low_sun: Positive
 
 
 class CommonSizes(_Sizes, frozen=True):
@@ -274,7 +275,9 @@ def _warped_m(points: MatchedPoints, sizes: PointErrorSizes) -> FloatArray:
     """How far templates are moved as a whole, (n,) m an axis."""
     known = points.unresolved_posting_m == 0.0
     unexplained = 1.0 - np.clip(points.scores, 0.0, 1.0)
-    sigmas: FloatArray = unexplained * (WARPED_SIZE_M / points.sizes_m) * known
+    elevation = np.clip(np.radians(points.sun_elevation_deg), MIN_SUN, np.pi / 2.0)
+    low = np.hypot(1.0, sizes.own.warped_low_sun / np.tan(elevation))
+    sigmas: FloatArray = unexplained * (WARPED_SIZE_M / points.sizes_m) * low * known
     return sizes.own.warped_m * sigmas
 
 

@@ -161,10 +161,12 @@ def test_a_level_coarser_than_the_picture_resolves_errs_by_what_it_skips():
 
 
 def test_templates_of_poor_score_are_moved_as_a_whole_the_less_the_wider_they_are():
-    """35 m an axis for a score of 0 over 9.5 km."""
+    """15 m an axis for a score of 0 over 9.5 km, and 22.5 more for a cotangent of 1."""
     good, poor = matched(SQUARE), matched(SQUARE, score=0.5)
     added = own_covariances_px2(poor) - own_covariances_px2(good)
-    assert np.trace(added, axis1=1, axis2=2) == pytest.approx(2.0 * 17.5**2, rel=0.05)
+    cotangent = 1.0 / np.tan(np.radians(poor.sun_elevation_deg[0]))
+    square = 7.5**2 + (11.25 * cotangent) ** 2
+    assert np.trace(added, axis1=1, axis2=2) == pytest.approx(2.0 * square, rel=0.05)
     wide = replace(poor, sizes_m=2.0 * poor.sizes_m)
     less = own_covariances_px2(wide) - own_covariances_px2(good)
     assert less == pytest.approx(added / 4.0, rel=1e-6)
