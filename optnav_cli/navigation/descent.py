@@ -6,6 +6,7 @@ that a frame shows enters one update of the joint filter (`estimation/descent_fi
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,8 +45,10 @@ from optnav_cli.navigation.descent_windows import (
     WindowKey,
     choose_windows,
     match_window,
+    view_of,
 )
 from optnav_cli.navigation.observation import observation_of
+from optnav_cli.navigation.relative_landmarks import Landmark, LandmarkTracks, SoughtLandmark
 from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
 
 # A wider search than so many nodes is repeated about its own result, so that templates fit.
@@ -71,10 +74,10 @@ class _Sought:
 
 @dataclass(frozen=True, eq=False)
 class _Updated:
-    """The state after a frame, which windows it kept by their keys, and a remark."""
+    """The state after a frame, what was found by its key and whether it was kept, and a remark."""
 
     state: JointState
-    used: dict[WindowKey, bool]
+    used: dict[WindowKey | int, bool]
     remark: Reason = NO_REASON
 
 
@@ -95,6 +98,7 @@ class DescentNavigator:
 
     ground  all points of the catalog that have patches; None without a catalog
     middle_m (3,) a place that the descent goes over, m, body frame
+    windows_above_m  nearer to the ground no windows are sought: landmarks alone, for studies
     """
 
     def __init__(
@@ -103,10 +107,12 @@ class DescentNavigator:
         ground: ControlPointField | None,
         track: InertialSettings,
         middle_m: FloatArray,
+        windows_above_m: float = 0.0,
     ) -> None:
         self._inputs, self._ground = inputs, ground
         self._windows = None if ground is None else WindowField(ground, middle_m)
         self._state = JointState(track_errors(track))
+        self._tracks, self._windows_above_m = LandmarkTracks(), windows_above_m
         self._solved = False
         self._last: tuple[float, FloatArray] | None = None
         self._velocity: FloatArray | None = None
@@ -137,6 +143,11 @@ class DescentNavigator:
         row = self._row(context, self._windows, stated)
         return row.with_remark(jump) if jump else row
 
+    @property
+    def landmarks(self) -> list[Landmark]:
+        """All landmarks so far."""
+        return self._tracks.all
+
     def _advance(self, tdb_s: float, position_m: FloatArray) -> Reason:
         """Carry the filter to a frame; why the track there is no continuous one, if so."""
         if self._last is None:
@@ -164,44 +175,73 @@ class DescentNavigator:
         seen = frame.observation
         prior_m = self._state.filter.pose(stated).position_m
         sought = self._search(frame, windows, stated)
-        found = [one for one in sought if not one.match.reason]
+        tracks = self._search_landmarks(frame, stated, sought)
         outcome: Fix | NoFix
         try:
-            made = self._updated(frame, stated, found)
+            made = self._updated(frame, stated, sought, tracks)
         except NoSolutionError as error:
-            rows = _match_rows(frame, sought, {}, self._state.filter.pose(stated))
-            evidence = Evidence(len(sought), len(found), 0, matches=rows)
+            pose = self._state.filter.pose(stated)
+            rows = _match_rows(frame, sought, {}, pose) + _landmark_rows(frame, tracks, {}, pose)
+            n_found = sum(row.measured_px is not None for row in rows)
+            evidence = Evidence(len(rows), n_found, 0, matches=rows)
             outcome = NoFix(Reason.of(error), Method.DESCENT, evidence)
         else:
             self._state, self._solved = made.state, True
-            outcome = self._fix(frame, stated, sought, made)
+            outcome = self._fix(frame, stated, sought, tracks, made)
+            used = {key for key, good in made.used.items() if good and isinstance(key, int)}
+            self._tracks.settle(frame, stated, self._state, tracks, used)
+            rows = outcome.evidence.matches
+            taken = [row.measured_px for row in rows if row.used and row.measured_px is not None]
+            self._tracks.add(frame, stated, self._state, windows, np.array(taken).reshape(-1, 2))
         return Solution(seen.file, seen.utc, outcome, PRIOR_SOURCE, prior_m)
 
     def _fix(
-        self, frame: FrameContext, stated: Pose, sought: Sequence[_Sought], made: _Updated
+        self,
+        frame: FrameContext,
+        stated: Pose,
+        sought: Sequence[_Sought],
+        tracks: Sequence[SoughtLandmark],
+        made: _Updated,
     ) -> Fix:
         """The frame's fix after its update."""
         pose, covariance = made.state.filter.pose(stated), made.state.filter.pose_covariance()
-        rows = _match_rows(frame, sought, made.used, pose)
+        of_windows = _match_rows(frame, sought, made.used, pose)
+        rows = of_windows + _landmark_rows(frame, tracks, made.used, pose)
         residuals = [r.residual_px for r in rows if r.used and r.residual_px is not None]
         rms = float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None
-        windows = sum(row.used for row in rows)
+        windows = sum(row.used for row in of_windows)
+        kept = sum(row.used for row in rows)
         evidence = Evidence(
-            len(sought),
+            len(rows),
             len(made.used),
-            windows,
+            kept,
             rms,
             matches=rows,
             n_windows=windows,
-            n_landmarks=0,
+            n_landmarks=kept - windows,
         )
         sigma = float(np.sqrt(np.trace(covariance[3:, 3:]) / 3.0))
         place, turn = pose.position_m, pose.camera_from_body
-        return Fix(Method.DESCENT, place, covariance[:3, :3], turn, sigma, evidence, made.remark)
+        method = Method.DESCENT if windows else Method.RELATIVE_LANDMARKS
+        return Fix(method, place, covariance[:3, :3], turn, sigma, evidence, made.remark)
+
+    def _search_landmarks(
+        self, frame: FrameContext, stated: Pose, sought: Sequence[_Sought]
+    ) -> list[SoughtLandmark]:
+        """The landmarks of the frames before, from the pose that this frame's windows give."""
+        if not self._tracks.tracked:
+            return []
+        state = self._state
+        with suppress(NoSolutionError):  # without windows the track has to do
+            state = self._updated(frame, stated, sought, []).state
+        return self._tracks.search(frame, stated, state, state.filter.pose(stated))
 
     def _search(self, frame: FrameContext, windows: WindowField, stated: Pose) -> list[_Sought]:
         """The windows of a frame, sought from the filter's pose or one nearer to the truth."""
         joint = self._state.filter
+        view = view_of(frame.camera, joint.pose(stated), windows)
+        if view is None or view.distance_m(frame.camera) < self._windows_above_m:
+            return []
         pose, covariance = joint.pose(stated), joint.pose_covariance()
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         finest = windows.posting_m(0) / OVERSAMPLED
@@ -215,8 +255,7 @@ class DescentNavigator:
         if sigma_m < WIDE_NODES * finest:
             return sought
         try:
-            found = [one for one in sought if not one.match.reason]
-            trial = self._updated(frame, stated, found).state.filter
+            trial = self._updated(frame, stated, sought, []).state.filter
         except NoSolutionError:
             return sought
         # the same pixels again, better laid: the update that counts begins from before them
@@ -246,16 +285,25 @@ class DescentNavigator:
             for window, sigma, expected in zip(chosen, sigmas, pixels, strict=True)
         ]
 
-    def _updated(self, frame: FrameContext, stated: Pose, found: Sequence[_Sought]) -> _Updated:
-        """The state after the windows that were found. Raises NoSolutionError."""
-        if not found:
-            raise NoSolutionError("no window of the terrain model was found", ReasonCode.FEW_POINTS)
+    def _updated(
+        self,
+        frame: FrameContext,
+        stated: Pose,
+        sought: Sequence[_Sought],
+        tracks: Sequence[SoughtLandmark],
+    ) -> _Updated:
+        """The state after what was found of windows and landmarks. Raises NoSolutionError."""
+        found = [one for one in sought if not one.match.reason]
+        landmarks = [one for one in tracks if not one.match.reason]
+        if not found and (not landmarks or not self._solved):
+            text = "neither a window of the terrain model nor a landmark was found"
+            raise NoSolutionError(text, ReasonCode.FEW_POINTS)
         if not self._solved and len(found) < MIN_FIRST:
             text = f"{len(found)} windows were found; the first frame needs {MIN_FIRST}"
             raise NoSolutionError(text, ReasonCode.FEW_POINTS)
         try:
-            made = _joined(self._state, frame, stated, found)
-            agreeing = sum(made.used.values())
+            made = _joined(self._state, frame, stated, found, landmarks)
+            agreeing = sum(made.used[one.window.key] for one in found)
             if 2 * agreeing >= len(found) and (self._solved or agreeing >= MIN_FIRST):
                 return made
             text = f"{agreeing} of {len(found)} windows agree with the inertial track"
@@ -274,7 +322,7 @@ class DescentNavigator:
         away = away * distance / frame.camera.coarse_focal_px
         free = self._state.copy()
         free.filter.jumped(3.0 * away, 0.0)
-        made = _joined(free, frame, stated, found)
+        made = _joined(free, frame, stated, found, [])
         agreeing = sum(made.used.values())
         if agreeing < max(MIN_FIRST, len(found) // 2):
             text = f"{agreeing} of {len(found)} windows agree with each other"
@@ -287,9 +335,13 @@ class DescentNavigator:
 
 
 def _joined(
-    state: JointState, frame: FrameContext, stated: Pose, found: Sequence[_Sought]
+    state: JointState,
+    frame: FrameContext,
+    stated: Pose,
+    found: Sequence[_Sought],
+    landmarks: Sequence[SoughtLandmark],
 ) -> _Updated:
-    """A copy of a state updated by windows, of which it keeps those that agree."""
+    """A copy of a state updated by windows and landmarks; windows that do not agree leave it."""
     state = state.copy()
     new = [one for one in found if one.window.key not in state.keys]
     if new:
@@ -305,14 +357,19 @@ def _joined(
         for one in found
         if one.match.pixel is not None
     ]
+    fresh = state.sizes.landmark_px**2 * np.eye(2)
+    for landmark in landmarks:
+        pixel, covariance = landmark.match.pixel, landmark.match.covariance_px2
+        if pixel is not None and covariance is not None:
+            seen.append(Sighting(landmark.landmark.number, pixel, fresh + covariance))
     used = state.update(frame.camera, stated, seen).used
-    kept = {one.window.key: bool(good) for one, good in zip(found, used, strict=True)}
-    state.keep({key for key, good in kept.items() if good})
+    kept = {one.key: bool(good) for one, good in zip(seen, used, strict=True)}
+    state.keep({key for key in state.keys if isinstance(key, int) or kept.get(key, False)})
     return _Updated(state, kept)
 
 
 def _match_rows(
-    frame: FrameContext, sought: Sequence[_Sought], used: dict[WindowKey, bool], pose: Pose
+    frame: FrameContext, sought: Sequence[_Sought], used: dict[WindowKey | int, bool], pose: Pose
 ) -> tuple[MatchRow, ...]:
     """The rows of matches.csv; used: of the windows found, whether the solution keeps them."""
     rows = []
@@ -342,6 +399,44 @@ def _match_rows(
                 prior_px=one.expected_px,
                 reason_code=reason.code,
                 kind=MatchKind.WINDOW,
+            )
+        )
+    return tuple(rows)
+
+
+def _landmark_rows(
+    frame: FrameContext,
+    tracks: Sequence[SoughtLandmark],
+    used: dict[WindowKey | int, bool],
+    pose: Pose,
+) -> tuple[MatchRow, ...]:
+    """The rows of landmarks."""
+    rows = []
+    for one in tracks:
+        place, match, landmark = one.landmark.place_m, one.match, one.landmark
+        turn = pose.camera_from_body.as_matrix()
+        predicted = frame.camera.project_from_body(place, pose.position_m, turn)
+        if not np.isfinite(predicted).all():
+            continue
+        good = used.get(landmark.number, False)
+        found = match.pixel is not None and not match.reason
+        reason = match.reason or (NO_REASON if good else OUTLIER)
+        rows.append(
+            MatchRow(
+                file=frame.observation.file,
+                cp_id=landmark.number,
+                level=0,
+                cp_position_m=place,
+                predicted_px=predicted,
+                measured_px=match.pixel if found else None,
+                score=match.score,
+                runner_up=match.runner_up,
+                used=good,
+                reason=reason.text,
+                residual_px=match.pixel - predicted if good and match.pixel is not None else None,
+                prior_px=one.expected_px if np.isfinite(one.expected_px).all() else None,
+                reason_code=reason.code,
+                kind=MatchKind.LANDMARK,
             )
         )
     return tuple(rows)

@@ -37,6 +37,8 @@ class DescentErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     height_postings: Positive
     fresh_px: Positive
     fresh_share: Share
+    landmark_px: Positive
+    landmark_height_postings: Positive
 
 
 @cache
@@ -130,6 +132,20 @@ class JointState:
         self.filter.add_offsets(numbers, mean.reshape(-1, 3))
         self.keys += [error.key for error in errors]
         self._errors |= {error.key: error for error in errors}
+
+    def add_landmarks(
+        self,
+        numbers: Sequence[int],
+        camera: Camera,
+        stated: Pose,
+        places_m: FloatArray,
+        covariances_px2: FloatArray,
+        ground_sigma_m: float,
+    ) -> None:
+        """Add landmarks that a frame shows first, where their rays meet the ground (k, 3)."""
+        sigmas = np.full(len(numbers), ground_sigma_m)
+        self.filter.add_sighted(camera, stated, places_m, covariances_px2, sigmas)
+        self.keys += numbers
 
     def update(self, camera: Camera, stated: Pose, seen: Sequence[Sighting]) -> Update:
         """Update by all sightings of a frame. Raises NoSolutionError, the filter as it was."""

@@ -214,6 +214,10 @@ class View(NamedTuple):
     metres_per_pixel: float
     border_m: FloatArray
 
+    def distance_m(self, camera: Camera) -> float:
+        """From the camera to the ground below the picture's middle."""
+        return self.metres_per_pixel * camera.coarse_focal_px
+
 
 def view_of(camera: Camera, pose: Pose, windows: WindowField) -> View | None:
     """The ground in a picture; None where its middle shows none of the catalog."""

@@ -29,7 +29,7 @@ from optnav_cli.frames.tables import CAMERA, FILE
 from optnav_cli.output.tables import read_matches, read_solutions
 from optnav_cli.output.wording import length_unit, plural, table_lines
 
-SOLUTION, MATCHES = "solution.csv", "matches.csv"
+SOLUTION, MATCHES, LANDMARKS = "solution.csv", "matches.csv", "landmarks.csv"
 RECORDING, OVERLAYS = "run.mcap", "overlays"
 COMMON_JSON, COMMON_CSV = "common.json", "common.csv"  # of an adjusted run
 FRAMES, CAMERAS = "frames.csv", "cameras"  # copies of the picture folder's

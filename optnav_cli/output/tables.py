@@ -17,6 +17,8 @@ from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import (
     ADJUSTED_MATCHES,
     COVARIANCE,
+    GROUND_COVARIANCE,
+    LANDMARKS,
     MATCHES,
     POSITION,
     QUATERNION,
@@ -46,6 +48,18 @@ SAME_IN_MATCH = (
 )
 
 
+class LandmarkRow(NamedTuple):
+    """A landmark of a descent: number, pictures, place (3,), covariance (3, 3) east, north, up."""
+
+    number: int
+    first_file: str
+    last_file: str
+    n_seen: int
+    place_m: FloatArray
+    covariance_m2: FloatArray
+    reason: Reason
+
+
 class AdjustedMatch(NamedTuple):
     """A match of an adjustment; its residuals (2,) from the stated pose, without and with what is
     common, NaN where no pose is stated."""
@@ -69,6 +83,11 @@ def read_solutions(path: Path, attitude: FileAttitude) -> list[Solution]:
 def write_matches(path: Path, matches: Iterable[MatchRow]) -> None:
     """Write matches.csv; a point's place is planetocentric."""
     MATCHES.write(path, map(_match_cells, matches))
+
+
+def write_landmarks(path: Path, landmarks: Iterable[LandmarkRow], attitude: FileAttitude) -> None:
+    """Write landmarks.csv; a landmark's place is planetocentric."""
+    LANDMARKS.write(path, (_landmark_cells(landmark, attitude) for landmark in landmarks))
 
 
 def write_adjusted_matches(path: Path, matches: Iterable[AdjustedMatch]) -> None:
@@ -178,6 +197,20 @@ def _match_cells(match: MatchRow) -> dict[str, object]:
         pixel = getattr(match, f"{name}_px")
         if pixel is not None:
             cells |= zip(_pixel(name), pixel, strict=True)
+    return cells
+
+
+def _landmark_cells(landmark: LandmarkRow, attitude: FileAttitude) -> dict[str, object]:
+    cells: dict[str, object] = {
+        "id": landmark.number,
+        "first_file": landmark.first_file,
+        "last_file": landmark.last_file,
+        "n_seen": landmark.n_seen,
+        "status": "retired" if landmark.reason else "tracked",
+        "reason": landmark.reason.text,
+    }
+    cells |= _place_cells(attitude.places.stated(landmark.place_m))
+    cells |= {name: landmark.covariance_m2[at] for name, at in zip(GROUND_COVARIANCE, UPPER)}
     return cells
 
 

@@ -29,6 +29,7 @@ from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.run_folder import (
     CAMERAS,
+    LANDMARKS,
     MATCHES,
     OVERLAYS,
     RECORDING,
@@ -36,7 +37,7 @@ from optnav_cli.output.run_folder import (
     copy_inputs,
     read_run,
 )
-from optnav_cli.output.tables import write_matches, write_solutions
+from optnav_cli.output.tables import LandmarkRow, write_landmarks, write_matches, write_solutions
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.runs.frame_worker import (
     FrameRecord,
@@ -136,6 +137,7 @@ class _Run:
         self._worker, self._workers = worker, workers
         self._frames = worker.folder.frames
         self._order = list(in_order(worker.folder))
+        self._landmarks: list[LandmarkRow] | None = None
         self._results = ChunkResults(workspace, STAGE, key, FrameRecord)
         workspace.keep_only(STAGE, {key})
 
@@ -168,6 +170,8 @@ class _Run:
         solutions = [rows[number] for number in range(len(self._frames))]
         write_solutions(place / SOLUTION, solutions, folder.attitude)
         write_matches(place / MATCHES, self._matches())
+        if self._landmarks is not None:
+            write_landmarks(place / LANDMARKS, self._landmarks, folder.attitude)
         points = worker.inputs.points
         for (_, point_id), reason in (points.damaged if points else {}).items():
             log.warning("control point %d is left out: %s", point_id, reason)
@@ -206,6 +210,18 @@ class _Run:
                 self._results.workspace.put(name, encode_records([record]))
                 bar.advance()
                 yield number, row, record
+        self._landmarks = [
+            LandmarkRow(
+                one.number,
+                one.first_file,
+                one.last_file,
+                one.n_seen,
+                one.place_m,
+                one.covariance_m2,
+                one.reason,
+            )
+            for one in descent.landmarks
+        ]
 
     def _finished(
         self, position: int, task: FrameTask, navigator: Navigator

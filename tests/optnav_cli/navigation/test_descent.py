@@ -109,7 +109,13 @@ def test_a_descent_is_flown_by_windows_inside_its_sigmas(
     assert [row.method for row in solutions] == [Method.DESCENT] * 4
     assert all(row.n_windows is not None and row.n_windows >= 4 for row in solutions)
     kinds = {row.kind for row in read_matches(run / "matches.csv")}
-    assert MatchKind.WINDOW in kinds
+    assert kinds == {MatchKind.WINDOW, MatchKind.LANDMARK}
+    assert sum(row.n_landmarks or 0 for row in solutions) >= 3
+    with (run / "landmarks.csv").open(newline="") as file:
+        landmarks = list(csv.DictReader(file))
+    assert max(int(row["n_seen"]) for row in landmarks) >= 2
+    assert all(row["reason"] for row in landmarks if row["status"] == "retired")
+    assert all(float(row["cov_uu_m2"]) > 0.0 for row in landmarks)
     truths = read_truth(pictures / "truth.csv", read_folder(pictures).attitude)
     for row, truth in zip(solutions, truths, strict=True):
         assert row.fix is not None

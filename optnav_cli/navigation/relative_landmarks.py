@@ -1,0 +1,229 @@
+"""Landmarks of a descent: chosen where no window is, tracked, cut anew, retired with a reason."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.geometry.ellipsoid import distance_to_sphere
+from catalog.geometry.latlon import body_from_local, latlon_from_xyz
+from catalog.geometry.vectors import unit
+from optnav_cli.estimation.models.points import Pose
+from optnav_cli.matching.landmark import (
+    MARGIN_NODES,
+    NODE_PX,
+    PATCH_NODES,
+    LandmarkMatch,
+    LandmarkPatch,
+    choose_pixels,
+    cut_patch,
+    match_patch,
+)
+from optnav_cli.navigation.control_points.expectation import FrameContext
+from optnav_cli.navigation.descent_state import JointState
+from optnav_cli.navigation.descent_windows import WindowField
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
+
+SQUARES, MAX_LANDMARKS = 7, 60
+# Missed in so many pictures in a row it is lost.
+MAX_MISSED = 2
+MAX_EMISSION = np.radians(65.0)
+PLANE_M = 0.5  # base of the ground's slope about a landmark, postings of the model
+LOST = Reason(ReasonCode.LOST, "not found in two pictures in a row")
+OUT_OF_VIEW = Reason(ReasonCode.OUT_OF_VIEW, "left the picture")
+
+
+@dataclass(eq=False)
+class Landmark:
+    """A landmark while it is tracked, and its row of landmarks.csv.
+
+    place_m, covariance_m2  at its end or by now: body frame; east, north, up
+    reason                  why it was retired; empty while it is tracked
+    """
+
+    number: int
+    first_file: str
+    last_file: str
+    patch: LandmarkPatch
+    normal: FloatArray
+    place_m: FloatArray
+    covariance_m2: FloatArray
+    n_seen: int = 1
+    missed: int = 0
+    reason: Reason = NO_REASON
+
+
+@dataclass(frozen=True, eq=False)
+class SoughtLandmark:
+    """A landmark that was looked for in a frame, and where, px."""
+
+    landmark: Landmark
+    match: LandmarkMatch
+    expected_px: FloatArray
+
+
+class LandmarkTracks:
+    """All landmarks of a descent."""
+
+    def __init__(self) -> None:
+        self.all: list[Landmark] = []
+
+    @property
+    def tracked(self) -> list[Landmark]:
+        """Those that are in the state."""
+        return [landmark for landmark in self.all if not landmark.reason]
+
+    def search(
+        self, frame: FrameContext, stated: Pose, state: JointState, pose: Pose
+    ) -> list[SoughtLandmark]:
+        """Look for all landmarks where a state and its pose put them."""
+        tracked = self.tracked
+        if not tracked:
+            return []
+        numbers = np.array([state.keys.index(landmark.number) for landmark in tracked])
+        pixels, spread = state.filter.predict(frame.camera, stated, numbers)
+        found = []
+        for landmark, number, pixel, covariance in zip(
+            tracked, numbers, pixels, spread, strict=True
+        ):
+            place = state.filter.places_m[number]
+            sigma = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+            match = LandmarkMatch(OUT_OF_VIEW)
+            if np.isfinite(pixel).all() and frame.camera.contains(pixel):
+                match = match_patch(landmark.patch, frame.picture, frame.camera, pose, place, sigma)
+            found.append(SoughtLandmark(landmark, match, pixel))
+        return found
+
+    def settle(
+        self,
+        frame: FrameContext,
+        stated: Pose,
+        state: JointState,
+        sought: Sequence[SoughtLandmark],
+        used: set[int],
+    ) -> None:
+        """After an update: count what was found, cut patches anew, retire what is lost."""
+        pose = state.filter.pose(stated)
+        places = state.filter.places_m
+        for one in sought:
+            landmark, match = one.landmark, one.match
+            number = state.keys.index(landmark.number)
+            landmark.place_m = places[number]
+            axes = body_from_local(*(float(v) for v in latlon_from_xyz(landmark.place_m)[:2]))
+            landmark.covariance_m2 = axes.T @ state.filter.point_covariance(number) @ axes
+            if landmark.number in used:
+                landmark.last_file, landmark.missed = frame.observation.file, 0
+                landmark.n_seen += 1
+                self._refresh(frame, pose, state, number, one)
+                continue
+            landmark.missed += 1
+            if match.reason.code == ReasonCode.OUT_OF_VIEW:
+                landmark.reason = OUT_OF_VIEW
+            elif landmark.missed >= MAX_MISSED:
+                landmark.reason = LOST
+        gone = {landmark.number for landmark in self.all if landmark.reason}
+        state.keep({key for key in state.keys if key not in gone})
+
+    def add(
+        self,
+        frame: FrameContext,
+        stated: Pose,
+        state: JointState,
+        windows: WindowField,
+        taken_px: FloatArray,
+    ) -> None:
+        """New landmarks in the squares of the picture that have neither window nor landmark.
+
+        taken_px (n, 2) pixels of windows and landmarks that the frame's solution keeps
+        """
+        camera, pose = frame.camera, state.filter.pose(stated)
+        size = np.array([camera.width_px, camera.height_px])
+        free = np.ones((SQUARES, SQUARES), dtype=bool)
+        if len(taken_px):
+            at = np.clip((taken_px / size * SQUARES).astype(int), 0, SQUARES - 1)
+            free[at[:, 1], at[:, 0]] = False
+        room = MAX_LANDMARKS - len(self.tracked)
+        border = int(NODE_PX * (PATCH_NODES / 2 + MARGIN_NODES + 3) * 1.5)
+        values = frame.observation.picture.values
+        pixels = choose_pixels(values, free, border)[: max(room, 0)]
+        made = [self._made(frame, pose, windows, pixel) for pixel in pixels]
+        fresh = [landmark for landmark in made if landmark is not None]
+        if not fresh:
+            return
+        for number, landmark in enumerate(fresh, len(self.all) + 1):
+            landmark.number = number
+        places = np.array([landmark.place_m for landmark in fresh])
+        pixel = np.tile(state.sizes.fresh_px**2 * np.eye(2), (len(fresh), 1, 1))
+        sigma = state.sizes.landmark_height_postings * windows.posting_m(0)
+        numbers = [landmark.number for landmark in fresh]
+        state.add_landmarks(numbers, frame.camera, stated, places, pixel, sigma)
+        for landmark in fresh:
+            axes = body_from_local(*(float(v) for v in latlon_from_xyz(landmark.place_m)[:2]))
+            own = state.filter.point_covariance(state.keys.index(landmark.number))
+            landmark.covariance_m2 = axes.T @ own @ axes
+        self.all += fresh
+
+    def _made(
+        self, frame: FrameContext, pose: Pose, windows: WindowField, pixel: FloatArray
+    ) -> Landmark | None:
+        """A landmark at a pixel; None where its ray meets no known ground or its patch is cut."""
+        ray = frame.camera.unproject(pixel[None]) @ pose.camera_from_body.as_matrix()
+        height = 0.0
+        for _ in range(4):
+            along = distance_to_sphere(pose.position_m, ray, windows.map.radius_m + height)
+            if not np.isfinite(along).all():
+                return None
+            place = pose.position_m + float(along[0]) * ray[0]
+            ground = windows.ground_m(place)
+            if ground is None:
+                return None
+            height = ground
+        up = unit(place)
+        normal = self._normal(windows, place)
+        sight = unit(pose.position_m - place)
+        if min(sight @ up, sight @ normal) < np.cos(MAX_EMISSION):
+            return None
+        patch = cut_patch(frame.picture, frame.camera, pose, place, normal)
+        if patch is None:
+            return None
+        file = frame.observation.file
+        return Landmark(0, file, file, patch, normal, place, np.eye(3))
+
+    def _normal(self, windows: WindowField, place: FloatArray) -> FloatArray:
+        """The ground's normal by the model; the radial direction where it ends."""
+        up = unit(place)
+        axes = body_from_local(*(float(v) for v in latlon_from_xyz(place)[:2]))
+        base = PLANE_M * windows.posting_m(0)
+        slopes = []
+        for axis in (axes[:, 0], axes[:, 1]):
+            ends = [windows.ground_m(place + sign * base * axis) for sign in (1.0, -1.0)]
+            if ends[0] is None or ends[1] is None:
+                return up
+            slopes.append((ends[0] - ends[1]) / (2.0 * base))
+        normal: FloatArray = unit(up - slopes[0] * axes[:, 0] - slopes[1] * axes[:, 1])
+        return normal
+
+    def _refresh(
+        self, frame: FrameContext, pose: Pose, state: JointState, number: int, one: SoughtLandmark
+    ) -> None:
+        """Cut a stale patch anew where this picture shows the landmark."""
+        landmark, match = one.landmark, one.match
+        place = landmark.place_m
+        if match.pixel is None or match.covariance_px2 is None:
+            return
+        if not landmark.patch.is_stale(place, frame.camera, pose):
+            return
+        # about the pixel that was measured, on the landmark's own plane
+        ray = frame.camera.unproject(match.pixel[None])[0] @ pose.camera_from_body.as_matrix()
+        offset = place - pose.position_m
+        seen = pose.position_m + ray * float(offset @ landmark.normal) / float(
+            ray @ landmark.normal
+        )
+        patch = cut_patch(frame.picture, frame.camera, pose, seen, landmark.normal)
+        if patch is None:
+            return
+        landmark.patch = patch
+        # what this match was off by is off from now on
+        spread = patch.gsd_m**2 * 0.5 * float(np.trace(match.covariance_px2))
+        state.filter.loosen(number, spread * np.eye(3))
