@@ -81,21 +81,40 @@ def rated(
     model: HazardModel,
 ) -> SlopeMap:
     """The slopes with how likely they are dangerous."""
-    numbers, cell = model.shading, view.cell_m
-    squares = toward * toward + across * across
-    local = box_means(squares, _cells(numbers.local_m, cell))
-    regional = box_means(squares, _cells(numbers.regional_m, cell))
-    dark = box_means(shadow, _cells(numbers.local_m, cell))
+    numbers = model.shading
+    squares, local, regional, dark = _surroundings(view, toward, across, shadow, model)
     dangerous, critical, sigma = np.empty((3, *squares.shape), np.float32)
+    # the sigma that is stated is that of slopes about the lower limit
     for part, limit, out in (
-        (numbers.dangerous, DANGEROUS_DEG, dangerous),
         (numbers.critical, CRITICAL_DEG, critical),
+        (numbers.dangerous, DANGEROUS_DEG, dangerous),
     ):
         terms = _terms(part, model, view.sun_elevation_deg, limit)
         _rate(squares, local, regional, dark, terms, out, sigma)
-    terms = _terms(numbers.dangerous, model, view.sun_elevation_deg, DANGEROUS_DEG)
-    _rate(squares, local, regional, dark, terms, dangerous, sigma)
     return SlopeMap(toward, across, dangerous, critical, sigma, shadow)
+
+
+def _surroundings(
+    view: GroundView,
+    toward: Float32Array,
+    across: Float32Array,
+    shadow: Float32Array,
+    model: HazardModel,
+) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
+    """Squared slopes, their means near and farther about, and the share of shadow near."""
+    numbers, cell = model.shading, view.cell_m
+    squares = toward * toward + across * across
+    near, farther = _cells(numbers.local_m, cell), _cells(numbers.regional_m, cell)
+    means = box_means(squares, near), box_means(squares, farther)
+    return squares, *means, box_means(shadow, near)
+
+
+def rating_features(
+    view: GroundView, slopes: SlopeMap, model: HazardModel
+) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
+    """What danger is told from: the slope, its rms near and farther about, the share of shadow."""
+    parts = _surroundings(view, slopes.toward, slopes.across, slopes.shadow, model)
+    return np.sqrt(parts[0]), np.sqrt(parts[1]), np.sqrt(parts[2]), parts[3]
 
 
 class Curves(NamedTuple):

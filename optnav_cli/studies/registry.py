@@ -205,6 +205,21 @@ STUDIES = (
         ),
     ),
     Study(
+        "hazard",
+        "How safe the pads of a hazard map are, by shading and by variance.",
+        """Map hazards of fields of synthetic ground and judge the chosen pads by their true slopes.
+
+        Ground of which 38 % and 16 % are above 7 deg, a Sun of 20 and 5 deg from any azimuth; other
+        albedo, an oblique view, a prior slope map, whole pictures from 500 m. Takes ten minutes;
+        --fields 2 gives a first look. --fit finds the chances of configs/models/hazard.toml on
+        other fields before, judges with them and prints them.""",
+        "--fields 2",
+        (
+            _option("--fields", click.IntRange(1, 90), 8, "Fields of each ground."),
+            _option("--fit", bool, False, "Fit the model's numbers before.", is_flag=True),
+        ),
+    ),
+    Study(
         "horizon",
         "Positions from the limb alone, sphere against terrain-aware.",
         """Solve single pictures from 50 to 100 000 km by their limb, and compare with the truth.

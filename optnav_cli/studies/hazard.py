@@ -1,0 +1,346 @@
+"""How safe the pads of a hazard map are, and whether their stated danger is that which is found.
+
+Fields of synthetic ground are drawn by Hapke's law with their shadows under a Sun of 20 and 5 deg
+from any azimuth, mapped by both methods, and judged by the slopes of a model of 2 m. The numbers of
+configs/models/hazard.toml are fitted (--fit) on other fields than those that are judged.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import msgspec
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import ndtr
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.progress import Progress
+from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, slope_components, slope_degrees
+from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.hazard.fusion import fuse
+from optnav_cli.hazard.ground_view import GroundView, look_down, resized
+from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, hazard_model
+from optnav_cli.hazard.pads import RiskMap, choose_pads, risk_of_slopes
+from optnav_cli.hazard.shading import map_slopes, rating_features
+from optnav_cli.hazard.variance import map_variance
+from optnav_cli.studies.hazard_fields import (
+    CELL_M,
+    JUDGED_M,
+    Field,
+    field_view,
+    make_field,
+    perspective_picture,
+    true_shares,
+)
+from optnav_cli.studies.tables import StudyReport, StudyTable, columns
+
+PAD_M, SQUARE_M = 20.0, 200.0
+PAD_CELLS = 21
+STEP = 5  # cells between the pads that expected and found shares are compared of
+EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+MIN_PADS = 200  # of a bin
+FIRST_FIT_SEED, FIT_FIELDS = 101, 4
+FIT_ELEVATIONS = (5.0, 10.0, 20.0, 40.0)
+FIT_STEP, FIT_BORDER = 4, 24  # judged nodes
+PRIOR_M, PRIOR_ERROR_DEG = 20.0, 1.0
+PICTURE_CAMERA, PICTURE_HEIGHT_M, PICTURE_DRAWN_M = "tsnn2_narrow", 500.0, 0.25
+PICTURE_NODES = 2000
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row: ground, Sun, method and what is unusual about it."""
+
+    kind: str
+    elevation_deg: float
+    method: str = "shading"
+    albedo_rms: float = 0.03
+    off_nadir_deg: float = 0.0
+    prior: bool = False
+
+    @property
+    def label(self) -> str:
+        more = []
+        if self.albedo_rms != 0.03:
+            more.append(f"albedo {self.albedo_rms:.0%}")
+        if self.off_nadir_deg:
+            more.append(f"{self.off_nadir_deg:g} deg off nadir, across the Sun")
+        if self.prior:
+            more.append("with a prior of 20 m, 1 deg")
+        return ", ".join((self.method, *more))
+
+
+SUNS = (20.0, 5.0)
+CASES = (
+    *(Case(kind, sun, method) for kind in ("rough", "even") for method in ("variance", "shading")
+      for sun in SUNS),
+    *(Case("rough", sun, albedo_rms=0.06) for sun in SUNS),
+    *(Case("rough", sun, off_nadir_deg=20.0) for sun in SUNS),
+    *(Case("rough", sun, prior=True) for sun in SUNS),
+)  # fmt: skip
+BINNED = (CASES[2], CASES[3], CASES[6], CASES[7])
+
+
+@dataclass
+class Score:
+    """What was found on the pads of a case; sums over fields.
+
+    area     shares above 7 and 15 deg and mean squared slope of the fields
+    pads     the same of the chosen pads, one each, with the expected share first
+    bins     pads, their expected and their found shares, by the expected one
+    """
+
+    squares: int = 0
+    area: list[tuple[float, float, float]] = field(default_factory=list)
+    pads: list[tuple[float, float, float, float]] = field(default_factory=list)
+    bins: FloatArray = field(default_factory=lambda: np.zeros((3, len(EDGES) - 1)))
+
+    def add_bins(self, expected: FloatArray, found: FloatArray) -> None:
+        at = np.clip(np.digitize(expected, EDGES) - 1, 0, len(EDGES) - 2)
+        for row, values in enumerate((np.ones_like(expected), expected, found)):
+            self.bins[row] += np.bincount(at, values, len(EDGES) - 1)
+
+
+Found = dict[Case, Score]
+
+
+@dataclass
+class HazardFigures:
+    """Scores of the cases, and of whole pictures from 500 m by the Sun's elevation."""
+
+    cases: Found
+    pictures: dict[float, Score]
+    fields: int
+    fitted: str = ""
+
+
+def run(progress: Progress, fields: int = 8, fit: bool = False) -> HazardFigures:
+    """Judge all cases on so many fields of each ground; `fit` finds the model's numbers before."""
+    model, text = hazard_model(), ""
+    if fit:
+        model = fit_model(model, progress)
+        text = model_sections(model)
+    scores: Found = {case: Score() for case in CASES}
+    pictures = {sun: Score() for sun in SUNS}
+    with progress.stage("hazard", 2 * fields, "field") as bar:
+        for kind in ("rough", "even"):
+            for seed in range(1, fields + 1):
+                ground = make_field(kind, seed)
+                truth = true_shares(ground, PAD_CELLS)
+                for case in CASES:
+                    if case.kind == kind:
+                        judge(case, ground, truth, model, scores[case])
+                if kind == "rough":
+                    judge_pictures(seed, model, pictures)
+                bar.advance()
+    return HazardFigures(scores, pictures, fields, text)
+
+
+def judge(
+    case: Case, ground: Field, truth: dict[str, Float32Array], model: HazardModel, score: Score
+) -> None:
+    """Map one field and add what is found on its pads."""
+    view = field_view(ground, case.elevation_deg, case.albedo_rms, case.off_nadir_deg)
+    risk = _risk(case, ground, view, model)
+    pads = choose_pads(view, risk, SQUARE_M)
+    score.squares += len(pads)
+    squares = float(np.mean(np.nan_to_num(ground.degrees[2:-2, 2:-2]) ** 2))
+    score.area.append(
+        (ground.share_above(DANGEROUS_DEG), ground.share_above(CRITICAL_DEG), squares)
+    )
+    for pad in pads:
+        if pad.cell is None:
+            continue
+        at = round(pad.cell[0]), round(pad.cell[1])
+        expected_share = pad.shares.get("expected_dangerous_share", math.nan)
+        on = [float(truth[name][at]) for name in ("dangerous", "critical", "squares")]
+        score.pads.append((expected_share, on[0], on[1], on[2]))
+    if case.method == "shading":
+        kept = np.isfinite(risk.score)[::STEP, ::STEP]
+        expected = risk.shares["expected_dangerous_share"][::STEP, ::STEP][kept]
+        found = truth["dangerous"][::STEP, ::STEP][kept]
+        score.add_bins(expected.astype(np.float64), found.astype(np.float64))
+
+
+def _risk(case: Case, ground: Field, view: GroundView, model: HazardModel) -> RiskMap:
+    if case.method == "variance":
+        return map_variance(view, PAD_M, model)
+    slopes = map_slopes(view, model)
+    if case.prior:
+        slopes = fuse(view, slopes, prior_slopes(ground, view), PRIOR_M, model)
+    return risk_of_slopes(view, slopes, PAD_M, model)
+
+
+def prior_slopes(ground: Field, view: GroundView) -> Float32Array:
+    """What a map of slopes from orbit, with its error, says at the cells of a view."""
+    many = round(PRIOR_M / (CELL_M * view.brightness.shape[0] / len(ground.heights)))
+    size = len(ground.heights) // many
+    coarse = resized(ground.heights, (size, size))
+    padded = np.pad(coarse, 1, mode="reflect", reflect_type="odd")
+    degrees = slope_degrees(slope_components(padded, PRIOR_M, PRIOR_M, PRIOR_M))[1:-1, 1:-1]
+    rng = np.random.default_rng([ground.seed, 31])
+    degrees = np.abs(degrees + PRIOR_ERROR_DEG * rng.standard_normal(degrees.shape))
+    rows, cols = view.brightness.shape
+    return resized(degrees.astype(np.float32), (cols, rows))
+
+
+def judge_pictures(seed: int, model: HazardModel, scores: dict[float, Score]) -> None:
+    """Map whole pictures of a camera above the middle of finer ground."""
+    ground = make_field("rough", seed, PICTURE_NODES, PICTURE_DRAWN_M)
+    camera = preset_camera(PICTURE_CAMERA)
+    for elevation, score in scores.items():
+        picture = perspective_picture(ground, camera, PICTURE_HEIGHT_M, elevation, PICTURE_DRAWN_M)
+        view = look_down(picture, camera, PICTURE_HEIGHT_M, elevation, ground.azimuth_deg())
+        pads = choose_pads(
+            view, risk_of_slopes(view, map_slopes(view, model), PAD_M, model), SQUARE_M
+        )
+        score.squares += len(pads)
+        squares = float(np.mean(np.nan_to_num(ground.degrees[2:-2, 2:-2]) ** 2))
+        area = ground.share_above(DANGEROUS_DEG), ground.share_above(CRITICAL_DEG), squares
+        score.area.append(area)
+        middle = 0.5 * (len(ground.degrees) - 1)
+        half = round(0.5 * PAD_M / JUDGED_M)
+        for pad in pads:
+            if pad.cell is None:
+                continue
+            x, y = (float(value) / JUDGED_M for value in view.xy_m(*pad.cell))
+            row, col = round(middle - y + 0.5), round(middle + x + 0.5)
+            on = np.nan_to_num(ground.degrees[row - half : row + half, col - half : col + half])
+            expected = pad.shares["expected_dangerous_share"]
+            shares = float((on > DANGEROUS_DEG).mean()), float((on > CRITICAL_DEG).mean())
+            score.pads.append((expected, *shares, float((on**2).mean())))
+
+
+@lru_cache(maxsize=1)
+def _fit_data(model: HazardModel) -> dict[float, FloatArray]:
+    """Features and truth of cells of the fields that numbers are fitted on, by the Sun."""
+    parts: dict[float, list[FloatArray]] = {elevation: [] for elevation in FIT_ELEVATIONS}
+    for kind in ("rough", "even"):
+        for seed in range(FIRST_FIT_SEED, FIRST_FIT_SEED + FIT_FIELDS):
+            ground = make_field(kind, seed)
+            true = np.nan_to_num(ground.degrees)
+            nodes = np.arange(FIT_BORDER, len(true) - FIT_BORDER, FIT_STEP)
+            for elevation in FIT_ELEVATIONS:
+                view = field_view(ground, elevation)
+                slopes = map_slopes(view, model)
+                features = rating_features(view, slopes, model)
+                at = np.ix_(2 * nodes, 2 * nodes)
+                rows = [part[at].ravel() for part in features] + [
+                    true[np.ix_(nodes, nodes)].ravel()
+                ]
+                parts[elevation].append(np.stack(rows).astype(np.float64))
+    return {elevation: np.concatenate(rows, axis=1) for elevation, rows in parts.items()}
+
+
+def fit_model(model: HazardModel, progress: Progress) -> HazardModel:
+    """The model with its chances of dangerous slopes fitted by maximum likelihood."""
+    with progress.stage("fit", 2 * len(FIT_ELEVATIONS), "elevation") as bar:
+        data = _fit_data(model)
+        parts = {}
+        for name, limit in (("dangerous", DANGEROUS_DEG), ("critical", CRITICAL_DEG)):
+            terms = []
+            for elevation in FIT_ELEVATIONS:
+                terms.append(fit_terms(data[elevation], limit))
+                bar.advance()
+            columns_of = zip(*terms, strict=True)
+            parts[name] = ErrorOfSlopes(*(tuple(column) for column in columns_of))
+    shading = msgspec.structs.replace(model.shading, sun_elevation_deg=FIT_ELEVATIONS, **parts)
+    return msgspec.structs.replace(model, shading=shading)
+
+
+def fit_terms(data: FloatArray, limit_deg: float) -> list[float]:
+    """The terms of `ErrorOfSlopes` under which the true slopes are the likeliest.
+
+    data  (5, n): slope, local and regional rms slopes (tangents), share of shadow, true slope (deg)
+    """
+    slope, local, regional, dark, true = data
+    above = true > limit_deg
+    limit = math.tan(math.radians(limit_deg))
+
+    def misfit(terms: FloatArray) -> float:
+        sigma = np.maximum(terms[4] + terms[5] * local + terms[6] * dark, 0.01)
+        middle = slope - limit * terms[0] + terms[1] * local + terms[2] * regional
+        chance = np.clip(ndtr((middle + terms[3] * dark) / sigma), 1e-6, 1.0 - 1e-6)
+        return -float(np.mean(np.where(above, np.log(chance), np.log1p(-chance))))
+
+    start = np.array([1.0, 0.0, 0.0, 0.0, 0.03, 0.0, 0.0])
+    bounds = [
+        (0.2, 4.0),
+        (-1.5, 1.5),
+        (-1.5, 1.5),
+        (-0.5, 0.5),
+        (0.01, 0.2),
+        (-0.3, 1.0),
+        (-0.1, 0.5),
+    ]
+    found = minimize(misfit, start, method="L-BFGS-B", bounds=bounds)
+    return [float(f"{value:.4f}") for value in found.x]
+
+
+def model_sections(model: HazardModel) -> str:
+    """The fitted sections as they stand in configs/models/hazard.toml."""
+    lines = [f"sun_elevation_deg = {list(model.shading.sun_elevation_deg)}"]
+    for name in ("dangerous", "critical"):
+        lines += ["", f"[shading.{name}]"]
+        part = getattr(model.shading, name)
+        lines += [f"{key} = {list(getattr(part, key))}" for key in part.__struct_fields__]
+    return "\n".join(lines)
+
+
+_COLUMNS = columns(
+    "ground; sun = Sun [deg] .0f; method; area_7 = area > 7° [%] .1f; pads_7 = pads > 7° [%] .1f;"
+    "expected = expected [%] .1f; area_15 = area > 15° [%] .1f; pads_15 = pads > 15° [%] .2f;"
+    "found = squares with a pad [%] .0f; rms = rms slope less by [%] .0f; pads .0f"
+)
+
+
+def _row(kind: str, sun: float, label: str, score: Score) -> tuple[Any, ...]:
+    area, pads = np.array(score.area), np.array(score.pads).reshape(-1, 4)
+    rms = 100.0 * (1.0 - math.sqrt(pads[:, 3].mean() / area[:, 2].mean()))
+    mean = [100.0 * float(value) for value in (*area.mean(axis=0)[:2], *pads[:, :3].mean(axis=0))]
+    found = 100.0 * len(pads) / score.squares
+    return (kind, sun, label, mean[0], mean[3], mean[2], mean[1], mean[4], found, rms, len(pads))
+
+
+def report(result: HazardFigures) -> StudyReport:
+    """Tables of the pads, and of expected against found shares."""
+    rows = [
+        _row(case.kind, case.elevation_deg, case.label, score)
+        for case, score in result.cases.items()
+    ]
+    label = f"{PICTURE_CAMERA}, {PICTURE_HEIGHT_M:g} m"
+    rows += [_row("rough", sun, label, score) for sun, score in result.pictures.items()]
+    first = StudyTable(
+        f"Pads of {PAD_M:g} m in squares of {SQUARE_M:g} m, {result.fields} fields of each ground",
+        _COLUMNS,
+        tuple(rows),
+    )
+    second = StudyTable(
+        "Expected and found shares above 7 deg of all pads that are not refused",
+        columns(
+            "ground; sun = Sun [deg] .0f; bin = expected; expected = its mean .3f;"
+            "found .3f; difference = found - expected +.3f; pads .0f"
+        ),
+        tuple(_bin_rows(result.cases)),
+    )
+    notes = (
+        "variance is the paper's criterion, whose percentages (12-15 % of 38 %, 3 % of 16 %) come "
+        "from one real model of 2 m.",
+    )
+    return StudyReport((first, second), (*notes, result.fitted) if result.fitted else notes)
+
+
+def _bin_rows(scores: Found) -> Iterator[tuple[Any, ...]]:
+    for case in BINNED:
+        count, expected, found = scores[case].bins
+        for number in range(len(EDGES) - 1):
+            if count[number] >= MIN_PADS:
+                means = expected[number] / count[number], found[number] / count[number]
+                words = f"{EDGES[number]:g}-{EDGES[number + 1]:g}"
+                yield (
+                    *(case.kind, case.elevation_deg, words),
+                    *(*means, means[1] - means[0], int(count[number])),
+                )
