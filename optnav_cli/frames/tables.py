@@ -209,6 +209,20 @@ HEIGHTS = CsvTable(
     )
 )
 
+JUDGED_PADS = CsvTable(
+    (
+        FILE,
+        _count("square_row", "row of the square, from the upper left", empty=False),
+        _count("square_col", "column of the square", empty=False),
+        _number("lat_deg", "the pad's latitude, planetocentric", "deg", "z.9f", empty=False),
+        _number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
+        _number("expected_dangerous_share", "expected share above 7 deg", "", "z.5f"),
+        _number("dangerous_share", "its share above 7 deg, by the truth", "", "z.5f", empty=False),
+        _number("critical_share", "its share above 15 deg", "", "z.5f", empty=False),
+        _number("rms_slope_deg", "rms slope", "deg", "z.3f", empty=False),
+    )
+)
+
 PADS = CsvTable(
     (
         FILE,

@@ -8,6 +8,8 @@ import msgspec
 
 from catalog.config import load_toml
 
+KIND, PADS_FILE = "hazard", "pads.csv"  # of the output folder
+
 Length = Annotated[float, msgspec.Meta(ge=0.1, le=1e5)]
 Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
 Method = Literal["shading", "variance"]

@@ -3,18 +3,20 @@
 from pathlib import Path
 
 from catalog.errors import DataError
-from catalog.files import check_file, replacing_file, starts_with
+from catalog.files import check_file, made_by_optnav, replacing_file, starts_with
 from catalog.progress import logged_stage
 from catalog.store.reader import Catalog
+from optnav_cli.hazard.settings import KIND as HAZARD
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.report import page, sheet
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
+from optnav_cli.report.hazard_page import hazard_page
 from optnav_cli.report.run_page import run_page
 
 
 def write_report(source: Path, output: Path) -> None:
-    """Write the page about a run folder or a catalog file; an older report there is replaced.
+    """Write the page about a run or hazard folder or a catalog; an older report there is replaced.
 
     An output that ends in .svg gets the errors of a run as a picture.
     Raises DataError for a source that is neither, OutputError for a place that cannot be used.
@@ -36,7 +38,9 @@ def _write(source: Path, output: Path) -> None:
             raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
         sheet.write_sheet(error_sheet(run), output)
         return
-    if source.is_dir():
+    if made_by_optnav(source, HAZARD):
+        text = hazard_page(source)
+    elif source.is_dir():
         text = run_page(source)
     elif source.is_file():
         with Catalog.open(source) as catalog:

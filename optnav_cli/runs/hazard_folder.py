@@ -30,9 +30,9 @@ from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.hazard.fusion import PriorSlopes, read_slopes
 from optnav_cli.hazard.ground_view import Heights, Pose, look_down, look_from
 from optnav_cli.hazard.hazard_map import HazardMap, check_settings, map_hazard
-from optnav_cli.hazard.settings import OPTIONS, HazardSettings, load_settings
+from optnav_cli.hazard.settings import KIND, OPTIONS, HazardSettings, load_settings
 from optnav_cli.output.manifest import write_manifest
-from optnav_cli.runs.hazard_output import KIND, HazardOutput, MappedFrame
+from optnav_cli.runs.hazard_output import HazardOutput, MappedFrame
 
 log = logging.getLogger(__name__)
 
@@ -182,7 +182,7 @@ def hazard_folder(
             KIND,
             command="hazard",
             options=msgspec.to_builtins(settings),
-            inputs={"folder": path, **{p.name: hash_file(p) for p in inputs.files()}},
+            inputs={"folder": path, "body": folder.settings.body, **{p.name: hash_file(p) for p in inputs.files()}},
             results=_results(frames),
             started=started,
         )

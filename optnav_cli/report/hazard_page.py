@@ -1,0 +1,87 @@
+"""The page about a hazard folder: its pictures with their pads, and what is known of each pad."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from markupsafe import Markup
+
+from catalog.errors import DataError
+from catalog.inputs import MEGABYTE, read_input
+from catalog.tables import CsvRow
+from optnav_cli.frames.tables import PADS
+from optnav_cli.hazard.settings import PADS_FILE
+from optnav_cli.output.document import json_text
+from optnav_cli.output.manifest import read_manifest
+from optnav_cli.report import page as html
+
+OVERVIEW = "hazard.png"
+MAX_PICTURES = 40
+MAX_PICTURE_BYTES = 64 * MEGABYTE
+HEADER = (
+    *("file", "square", "x, y, px", "lat, lon, °", "> 7°, %", "> 15°, %", "shadow, %"),
+    *("slope, °", "why not"),
+)
+
+
+def hazard_page(folder: Path) -> str:
+    """The page. Raises DataError for a folder that lacks its tables."""
+    manifest = read_manifest(folder)
+    rows = PADS.rows(folder / PADS_FILE)
+    found = [row for row in rows if row["x_px"]]
+    shares = (row.number("expected_dangerous_share") for row in found)
+    expected = [share for share in shares if share is not None]
+    files = list(dict.fromkeys(row["file"] for row in rows))
+    numbers = [
+        (str(len(files)), "pictures"),
+        (f"{len(found)} of {sum(bool(row['square_row']) for row in rows)}", "squares have a pad"),
+    ]
+    if expected:
+        mean = sum(expected) / len(expected)
+        numbers.append((f"{100.0 * mean:.1f} %", "of the pads are expected above 7°"))
+    table = html.table(HEADER, [_cells(row) for row in rows], text_columns=2)
+    sections = [
+        html.section("Result", html.tiles(numbers)),
+        html.section("Maps", *_pictures(folder)),
+        html.section("Pads", html.folded(f"{len(rows)} squares", table)),
+        html.section("How it was made", html.listing(json_text(manifest))),
+    ]
+    words = f"{len(found)} pads on the ground of {len(files)} pictures"
+    return html.page("Hazard map", words, sections)
+
+
+def _cells(row: CsvRow) -> tuple[str, ...]:
+    def shown(name: str, form: str, scale: float = 1.0) -> str:
+        value = row.number(name)
+        return "" if value is None else format(scale * value, form)
+
+    def percent(name: str) -> str:
+        return shown(name, ".1f", 100.0)
+
+    def pair(one: str, other: str, form: str) -> str:
+        return f"{shown(one, form)}, {shown(other, form)}" if row[one] else ""
+
+    return (
+        row["file"],
+        f"{row['square_row']}, {row['square_col']}" if row["square_row"] else "",
+        pair("x_px", "y_px", ".0f"),
+        pair("lat_deg", "lon_deg", ".5f"),
+        percent("expected_dangerous_share"),
+        percent("expected_critical_share"),
+        percent("shadow_share"),
+        shown("mean_slope_deg", ".1f"),
+        row["reason"],
+    )
+
+
+def _pictures(folder: Path) -> Iterator[Markup]:
+    """The overviews of the first frames; a frame without a map has none."""
+    paths = sorted(folder.glob(f"*/{OVERVIEW}")) or [folder / OVERVIEW]
+    for path in paths[:MAX_PICTURES]:
+        try:
+            data = read_input(path, "picture", "make the folder again", limit=MAX_PICTURE_BYTES)
+        except DataError:
+            continue
+        name = path.parent.name if path.parent != folder else "picture, risk and slopes"
+        yield html.figure(html.image(html.uri_of(data, "png"), name), name)
+    if len(paths) > MAX_PICTURES:
+        yield html.paragraph(f"{len(paths) - MAX_PICTURES} more are in the folder.")
