@@ -137,7 +137,10 @@ def navigate(
 )
 @path_argument("run")
 @click.option(
-    "--truth", type=PATH, required=True, help="The truth.csv beside the simulated pictures."
+    "--truth",
+    type=PATH,
+    required=True,
+    help="The truth.csv beside the simulated pictures; of a hazard folder a terrain model.",
 )
 @click.option("--max-horizontal-m", type=LIMIT, help="Limit of the rms along and across.")
 @click.option("--max-height-m", type=LIMIT, help="Limit of the rms of the height.")
@@ -157,24 +160,43 @@ def navigate(
     type=click.IntRange(0, 10**9),
     help="Most solved frames whose error is beyond 5 stated sigmas.",
 )
+@click.option(
+    "--max-dangerous-share",
+    type=Number(0.0, 1.0),
+    help="Of a hazard folder: limit of the mean share of its pads above 7 deg, as 0.07.",
+)
 @json_option
-def evaluate(run: Path, truth: Path, as_json: bool, **limits: Any) -> None:
-    """Compare the positions of RUN with the truth.
+def evaluate(
+    run: Path, truth: Path, as_json: bool, max_dangerous_share: float | None, **limits: Any
+) -> None:
+    """Compare the positions of RUN with the truth, or the pads of a hazard folder.
 
     Prints a table of errors along the radius (R), the motion (N) and across (B), and writes
     evaluation.json and evaluation.csv into RUN. Ends with exit code 5 when a limit is passed, and
     with 4 when no frame is solved and --min-solved does not say that this passes a limit.
 
+    RUN may be what `optnav hazard` made: its pads are judged by the slopes of a terrain model.
+
     \b
     Example:
       optnav evaluate run --truth pictures/truth.csv --max-horizontal-m 30
       optnav evaluate run --truth pictures/truth.csv --min-solved 90% --max-wrong 0
+      optnav evaluate hazard --truth site.tif --max-dangerous-share 0.07
     """
+    from catalog.errors import UsageError
+    from catalog.files import made_by_optnav
     from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
     from optnav_cli.evaluation.files import evaluate_run, summary_of, write_evaluation
     from optnav_cli.evaluation.table import format_table
     from optnav_cli.output.document import json_text
 
+    if made_by_optnav(run, "hazard"):
+        if any(limit is not None for limit in limits.values()):
+            raise UsageError(f"{run}: is a hazard folder; its limit is --max-dangerous-share")
+        _evaluate_pads(run, truth, as_json, max_dangerous_share)
+        return
+    if max_dangerous_share is not None:
+        raise UsageError(f"{run}: is no hazard folder, whose limit --max-dangerous-share is")
     evaluation, wanted = evaluate_run(run, truth), Limits(**limits)
     figures = evaluation.figures_if_any()
     if as_json:
@@ -187,6 +209,22 @@ def evaluate(run: Path, truth: Path, as_json: bool, **limits: Any) -> None:
         check_limits(figures, wanted)
     write_evaluation(evaluation, run)
     check_limits(figures, wanted)
+
+
+def _evaluate_pads(folder: Path, truth: Path, as_json: bool, limit: float | None) -> None:
+    from dataclasses import asdict
+
+    from optnav_cli.evaluation.hazard_pads import evaluate_pads, write_pad_evaluation
+    from optnav_cli.output.document import json_text
+
+    figures, pads = evaluate_pads(folder, truth)
+    if as_json:
+        limits = {"max_dangerous_share": limit}
+        click.echo(json_text({"run": folder, "truth": truth} | asdict(figures) | limits))
+    else:
+        click.echo(figures.to_text())
+    write_pad_evaluation(folder, figures, pads)
+    figures.check(limit)
 
 
 @click.command(
@@ -270,7 +308,7 @@ def export(run: Path, output: Path) -> None:
     help="A layout in which Foxglove shows run.mcap of a run: import it there.",
 )
 def report(source: Path, output: Path | None, layout: Path | None) -> None:
-    """Make a page about SOURCE, a run folder or a catalog.
+    """Make a page about SOURCE, a run or hazard folder or a catalog.
 
     Of a run that was compared with the truth it shows the errors against time and height, by
     method and camera; of another one what its solutions state.
@@ -280,6 +318,7 @@ def report(source: Path, output: Path | None, layout: Path | None) -> None:
       optnav report run -o report.html
       optnav report run -o errors.svg
       optnav report moon.gpkg -o catalog.html
+      optnav report hazard -o hazard.html
       optnav report run --foxglove-layout run.json
     """
     from optnav_cli.report import write_layout, write_report

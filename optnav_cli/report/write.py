@@ -38,7 +38,7 @@ def _write(source: Path, output: Path) -> None:
             raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
         sheet.write_sheet(error_sheet(run), output)
         return
-    if made_by_optnav(source, HAZARD):
+    if source.is_dir() and made_by_optnav(source, HAZARD):
         text = hazard_page(source)
     elif source.is_dir():
         text = run_page(source)

@@ -182,7 +182,11 @@ def hazard_folder(
             KIND,
             command="hazard",
             options=msgspec.to_builtins(settings),
-            inputs={"folder": path, "body": folder.settings.body, **{p.name: hash_file(p) for p in inputs.files()}},
+            inputs={
+                "folder": path,
+                "body": folder.settings.body,
+                **{p.name: hash_file(p) for p in inputs.files()},
+            },
             results=_results(frames),
             started=started,
         )

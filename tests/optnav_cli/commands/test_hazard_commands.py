@@ -328,3 +328,62 @@ def test_slopes_prints_and_writes_what_a_model_has(
         assert np.nanmax(file.read(1)) == pytest.approx(11.31, abs=0.01)
     assert (place / "s.png").read_bytes().startswith(b"\x89PNG")
     assert run(["slopes", "dem.tif", "-o", "dem.tif"]) == 3
+
+
+def folder_with_ground(place: Path) -> Path:
+    """A hazard folder over ground that rises by 10 deg in the east and is level in the west."""
+    pictures = folder(place, frame("a.tif"))
+    assert run(["hazard", str(pictures), "--square-m", "80", "-o", "out"]) == 0
+    x = np.arange(-200, 200) + 0.5
+    ground = np.maximum(x, 0.0) * np.tan(np.radians(10.0))
+    dem(place / "truth.tif", np.broadcast_to(ground, (400, 400)).astype(np.float32), 1.0)
+    return place / "out"
+
+
+def test_pads_are_judged_by_a_terrain_model(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = folder_with_ground(place)
+    capsys.readouterr()
+    assert run(["evaluate", str(out), "--truth", "truth.tif", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["squares"], found["judged"]) == (4, 4)
+    assert found["dangerous_share"] == pytest.approx(0.5, abs=0.05)
+    assert found["critical_share"] == 0.0
+    assert found["rms_slope_deg"] == pytest.approx(10.0 * np.sqrt(0.5), abs=0.5)
+    assert len((out / "evaluation.csv").read_text().splitlines()) == 5
+    limit = ["--max-dangerous-share", "0.3"]
+    assert run(["evaluate", str(out), "--truth", "truth.tif", *limit]) == 5
+    assert "the limit is 30.00%" in capsys.readouterr().err
+    assert run(["evaluate", str(out), "--truth", "truth.tif", "--max-dangerous-share", "0.9"]) == 0
+    assert run(["evaluate", str(out), "--truth", "truth.tif", "--max-wrong", "0"]) == 2
+
+
+def test_a_truth_of_other_ground_judges_no_pad(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = folder_with_ground(place)
+    crs = rasterio.CRS.from_proj4(f"+proj=stere +lat_0=-10 +lon_0=20 +R={RADIUS} +units=m")
+    transform = rasterio.Affine(10, 0, 0, 0, -10, 0)
+    with rasterio.open("t.tif", "w", "GTiff", 40, 40, 1, crs, transform, "float32") as file:
+        file.write(np.ones((40, 40), np.float32), 1)
+    assert run(["evaluate", str(out), "--truth", "t.tif"]) == 4
+    assert "covers none of the 4 pads" in capsys.readouterr().err
+
+
+def test_pads_of_a_single_picture_have_no_truth(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 0
+    dem(place / "truth.tif", np.zeros((64, 64), np.float32))
+    assert run(["evaluate", "out", "--truth", "truth.tif"]) == 3
+    assert "no places on" in capsys.readouterr().err
+
+
+def test_a_hazard_folder_has_a_page(place: Path) -> None:
+    assert run(["hazard", "site.tif", *ALONE, "--square-m", "80", "-o", "out"]) == 0
+    assert run(["report", "out", "-o", "page.html"]) == 0
+    text = (place / "page.html").read_text(encoding="utf-8")
+    assert "data:image/png;base64," in text
+    assert "4 of 4" in text
+    assert "http" not in text.replace("http://www.w3.org", "")
