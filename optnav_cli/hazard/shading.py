@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import fft
+from scipy.special import ndtr
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
 from catalog.errors import NoSolutionError
@@ -33,9 +34,15 @@ PASSES = 8  # of continuing it: more gain little
 MAX_ASIDE = 0.02  # slopes across the Sun change brightness by less than this of those along it
 STEEPEST = 1.5  # tangent of ground that faces the Sun; brightness of steeper ground is no guide
 STEPS = 512  # of a table of slopes by brightness
+SAMPLES = 400  # of slopes that the law is computed for
+MAX_RATIO = 8.0  # brightness that the table reaches to, over that of level ground
 PROBE = 7  # cells between those that the brightness of level ground is found from
 CIRCLE_CELL = 20.0  # m, the wavelength at which the noise of slopes is stated
-ROOT_HALF = math.sqrt(0.5)
+# The normal distribution by the number of sigmas, read with linear steps: right to 1e-5.
+CHANCE_STEPS, CHANCE_REACH = 128.0, 5.0  # a sigma, sigmas to either side
+CHANCES: Float32Array = ndtr(
+    np.arange(2.0 * CHANCE_STEPS * CHANCE_REACH + 1.0) / CHANCE_STEPS - CHANCE_REACH
+).astype(np.float32)
 
 
 class SlopeMap(NamedTuple):
@@ -129,9 +136,6 @@ class Curves(NamedTuple):
     aside: FloatArray
 
 
-MAX_RATIO = 8.0  # brightness that tables reach to, over that of level ground
-
-
 def _curves(view: GroundView, law: str) -> Curves:
     """Tables of a law at the corners, edges and middle of a view."""
     rows, cols = view.brightness.shape
@@ -139,7 +143,7 @@ def _curves(view: GroundView, law: str) -> Curves:
     toward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
     left = np.array([-toward[1], toward[0], 0.0])
     grazing = view.sun[2] / math.hypot(view.sun[0], view.sun[1])
-    p = np.linspace(grazing, -STEEPEST, 4 * STEPS)
+    p = np.linspace(grazing, -STEEPEST, SAMPLES)
     q = np.array([-0.02, 0.02])
     slopes, aside = np.empty((3, 3, STEPS), np.float32), np.empty((3, 3))
 
@@ -158,7 +162,7 @@ def _curves(view: GroundView, law: str) -> Curves:
             ratio[0] = 0.0
             top = int(np.argmax(ratio)) + 1  # ground beyond gets darker again
             rising = np.maximum.accumulate(ratio[:top]) + 1e-9 * np.arange(top)
-            slopes[i, j] = np.interp(np.linspace(0.0, MAX_RATIO, STEPS) ** 1, rising, p[:top])
+            slopes[i, j] = np.interp(np.linspace(0.0, MAX_RATIO, STEPS), rising, p[:top])
             level = np.zeros(2)
             by_p, by_q = brightness(q, level, to_camera), brightness(level, q, to_camera)
             aside[i, j] = (by_q[1] - by_q[0]) / (by_p[1] - by_p[0])
@@ -210,7 +214,7 @@ def _invert(
     """Fill slopes along the Sun, and 1 where the brightness is below `dark` of level ground's."""
     rows, cols = brightness.shape
     last = tables.shape[2] - 1
-    per_step = np.float32(last / 8.0)
+    per_step = np.float32(last / MAX_RATIO)
     for i in range(rows):
         y = 2.0 * i / max(rows - 1, 1)
         top = min(int(y), 1)
@@ -331,10 +335,10 @@ def _cells(length_m: float, cell_m: float) -> int:
 
 def _terms(
     part: ErrorOfSlopes, model: HazardModel, elevation_deg: float, limit_deg: float
-) -> FloatArray:
+) -> Float32Array:
     terms = error_terms(part, model.shading.sun_elevation_deg, elevation_deg)
     terms[0] *= math.tan(math.radians(limit_deg))
-    return np.array(terms)
+    return np.array(terms, np.float32)
 
 
 @kernel
@@ -343,17 +347,22 @@ def _rate(
     local: Float32Array,
     regional: Float32Array,
     dark: Float32Array,
-    terms: FloatArray,
+    terms: Float32Array,
     out: Float32Array,
     sigma: Float32Array,
 ) -> None:
     """Fill how likely slopes (their squares) are above a limit; terms as ErrorOfSlopes has them."""
+    limit, by_local, by_regional, by_dark = terms[0], terms[1], terms[2], terms[3]
+    own, more_local, more_dark = terms[4], terms[5], terms[6]
+    steps, reach, least = np.float32(CHANCE_STEPS), np.float32(CHANCE_REACH), np.float32(0.01)
+    last = 2.0 * reach * steps - np.float32(1.0)
     for i in range(squares.shape[0]):
         for j in range(squares.shape[1]):
-            s, r = math.sqrt(squares[i, j]), math.sqrt(local[i, j])
-            f = dark[i, j]
-            above = s - terms[0] + terms[1] * r + terms[2] * math.sqrt(regional[i, j])
-            above += terms[3] * f
-            width = max(terms[4] + terms[5] * r + terms[6] * f, 0.01)
+            s, r, f = np.sqrt(squares[i, j]), np.sqrt(local[i, j]), dark[i, j]
+            above = s - limit + by_local * r + by_regional * np.sqrt(regional[i, j]) + by_dark * f
+            width = max(own + more_local * r + more_dark * f, least)
             sigma[i, j] = width
-            out[i, j] = 0.5 + 0.5 * math.erf(ROOT_HALF * above / width)
+            at = min(max((above / width + reach) * steps, np.float32(0.0)), last)
+            k = int(at)
+            low = CHANCES[k]
+            out[i, j] = low + (at - np.float32(k)) * (CHANCES[k + 1] - low)
