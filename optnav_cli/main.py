@@ -56,6 +56,7 @@ COMMANDS = {
     "simulate": Entry(_PICTURES, "Make a folder of pictures with known positions.", "simulate"),
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
     "adjust": Entry(_PICTURES, "Adjust the frames of runs, and what is common to them.", "adjust"),
+    "calibrate": Entry(f"{_HERE}.calibrate", "Calibrate cameras in flight by control points."),
     "stereo": Entry(f"{_HERE}.stereo", "Height and side velocity from two cameras on a base."),
     "slopes": Entry(f"{_HERE}.hazard", "How steep a terrain model is.", "slopes"),
     "hazard": Entry(f"{_HERE}.hazard", "Map the risk of landing, choose pads.", "hazard"),

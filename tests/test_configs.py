@@ -55,6 +55,12 @@ def load_hazard(path: Path) -> object:
     return load_toml(path, HazardSettings)
 
 
+def load_calibrate(path: Path) -> object:
+    from optnav_cli.calibration.settings import load_calibrate_settings
+
+    return load_calibrate_settings(path)
+
+
 def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
     from optnav_cli.hazard.model import HazardModel
@@ -87,6 +93,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "templates/scenario": load_scenario,
     "templates/navigate": load_navigate,
     "templates/hazard": load_hazard,
+    "templates/calibrate": load_calibrate,
 }
 SHIPPED = {
     path.relative_to(CONFIGS).with_suffix("").as_posix(): path
@@ -147,6 +154,10 @@ def config_type(kind: str) -> type[msgspec.Struct]:
         from catalog.build.config import BuildConfig
 
         return BuildConfig
+    if kind == "calibrate":
+        from optnav_cli.calibration.settings import CalibrateSettings
+
+        return CalibrateSettings
     if kind == "navigate":
         from optnav_cli.navigation.settings import NavigateSettings
 
@@ -160,7 +171,7 @@ def config_type(kind: str) -> type[msgspec.Struct]:
     return Scenario
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard"])
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate"])
 def test_a_template_shows_every_setting(kind: str) -> None:
     text = SHIPPED[f"templates/{kind}"].read_text(encoding="utf-8")
     assert wanted(config_type(kind)) - documented(text) == set()
@@ -177,7 +188,7 @@ def only_needed(type_: msgspec.inspect.Type, data: Any) -> Any:
     return data
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate"])
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate"])
 def test_a_template_states_the_defaults(kind: str) -> None:
     """A template without its optional settings means the same as the whole template."""
     type_ = config_type(kind)
@@ -194,7 +205,7 @@ def test_a_template_states_the_defaults(kind: str) -> None:
     assert wrong == {}
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate"])
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate"])
 def test_a_template_is_what_the_command_prints(kind: str) -> None:
     from click.testing import CliRunner
 

@@ -27,7 +27,7 @@ FLOORS = (
     {"optnav_cli.reasons", "optnav_cli.parameters"},
     {"optnav_cli.fix"},
     {"optnav_cli.camera", "optnav_cli.estimation"},
-    {"optnav_cli.frames", "optnav_cli.dynamics"},
+    {"optnav_cli.frames", "optnav_cli.dynamics", "optnav_cli.calibration"},
     {
         "optnav_cli.matching",
         "optnav_cli.measurements",

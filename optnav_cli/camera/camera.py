@@ -5,7 +5,7 @@ Camera frame: x right, y down, z along the boresight. Pixels (x, y), centre of t
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -98,6 +98,11 @@ class Camera:
         x_px, y_px = self.focal_length_px * factor, self.focal_length_y_px
         y_px = None if y_px is None else y_px * factor
         return replace(self, focal_length_px=x_px, focal_length_y_px=y_px)
+
+    def with_lens(self, factor: float, shift_px: ArrayLike, k1: float) -> "Camera":
+        """The same with focal lengths multiplied, principal point moved (2,), k1 added to."""
+        x_px, y_px = np.asarray(shift_px, dtype=np.float64)
+        return _with_lens(self, float(factor), float(x_px), float(y_px), float(k1))
 
     @property
     def boresight(self) -> Rotation:
@@ -221,6 +226,22 @@ def _rows(values: ArrayLike, width: int) -> tuple[FloatArray, tuple[int, ...]]:
     if array.shape[-1:] != (width,):
         raise ValueError(f"expected an array (..., {width}), got {array.shape}")
     return np.ascontiguousarray(array).reshape(-1, width), array.shape[:-1]
+
+
+# where the fold of a distortion lies takes 10 ms to find, and all frames of a step have one lens
+@lru_cache(maxsize=64)
+def _with_lens(camera: Camera, factor: float, x_px: float, y_px: float, k1: float) -> Camera:
+    x0_px, y0_px = camera.principal_point_px
+    moved = camera.with_focal_factor(factor)
+    moved = replace(moved, principal_point_px=(x0_px + x_px, y0_px + y_px))
+    if k1 == 0.0:
+        return moved
+    first, *others = camera.coefficients or (0.0,) * (5 if camera.model == "pinhole" else 4)
+    if moved.model == "pinhole" and moved.distortion == "none":
+        moved = replace(moved, distortion="brown")
+    elif moved.model == "equidistant":  # the fisheye without terms
+        moved = replace(moved, model="kannala_brandt")
+    return replace(moved, coefficients=(first + k1, *others))
 
 
 def _tilt(tau_x: float, tau_y: float) -> FloatArray:

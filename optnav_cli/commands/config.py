@@ -99,13 +99,17 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
 
 
 @command.command(short_help="Print a commented configuration, or make a picture folder.")
-@click.argument("kind", type=click.Choice(["build", "scenario", "navigate", "hazard", "folder"]))
+@click.argument(
+    "kind",
+    type=click.Choice(["build", "scenario", "navigate", "hazard", "calibrate", "folder"]),
+)
 @output_option("The picture folder; it must not be there, or be empty.", required=False)
 def template(kind: str, output: Path | None) -> None:
     """Print a valid, commented configuration with all settings and their defaults.
 
-    KIND is build (a catalog), scenario (pictures to simulate), navigate or hazard; or folder: a
-    picture folder with an example picture, whose files say what they hold, which -o names.
+    KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard or calibrate; or
+    folder: a picture folder with an example picture, whose files say what they hold, which -o
+    names.
 
     \b
     Example:

@@ -21,6 +21,12 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray, IntArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import ARCSEC, cross_matrix
+from optnav_cli.estimation.calibration_model import (
+    FrameMotion,
+    clustered_excess,
+    lens_columns,
+    slope_of_weights,
+)
 from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.models.common import AdjustableCamera, Common, CommonNumber, CommonState
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
@@ -35,6 +41,8 @@ OBSERVED = 0.5
 # Of what the matches of a frame share, this part of the variance is taken for the catalog's own:
 # the same in all frames. The rest goes with the frame's Sun and view. A convention, not a fit.
 CATALOG_SHARE = 0.5
+# With so many points a number their scores show each direction's excess; fewer show a mean one.
+MANY_POINTS = 20
 NAMED = 0.25  # share of a unit vector from which a number is named as a part of a combination
 
 
@@ -49,6 +57,7 @@ class AdjustedFrame:
     attitude, attitude_sigma_rad      as stated; 0: exact; None: free
     shared_m2  (3, 3) errors of the position that all matches of the frame share: it looks as if
                the camera stood elsewhere
+    motion     of the ship when the picture was taken; needed for a clock
     """
 
     camera: AdjustableCamera
@@ -60,6 +69,7 @@ class AdjustedFrame:
     attitude: Rotation | None = None
     attitude_sigma_rad: float | None = None
     shared_m2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    motion: FrameMotion | None = None
 
     @property
     def position_spread_m2(self) -> FloatArray | None:
@@ -174,7 +184,7 @@ def adjust(frames: Sequence[AdjustedFrame], numbers: tuple[CommonNumber, ...]) -
         common = CommonState(numbers, common.values + step)
         poses = [pose.moved(move) for pose, move in zip(poses, moves, strict=True)]
         if largest < SETTLED_SIGMAS:
-            excess, raised = _shared_points(frames, blocks, covariance)
+            excess, raised = _shared_points(frames, blocks, covariance, np.concatenate(weights))
             covariance = raised + _shared_by_frames(frames, poses, blocks, covariance)
             results = tuple(
                 FrameResult(
@@ -193,7 +203,21 @@ def stated_pose(frame: AdjustedFrame, common: CommonState) -> Pose | None:
     """Where a frame was, had its statements no errors but the common ones; None if not stated."""
     if frame.position_m is None or frame.attitude is None:
         return None
-    return Pose(frame.position_m, common.boresight(frame.camera.name) * frame.attitude)
+    position_m, attitude, _, _ = _at_exposure(frame, common)
+    if position_m is None or attitude is None:
+        return None
+    return Pose(position_m, attitude)
+
+
+def _at_exposure(
+    frame: AdjustedFrame, common: CommonState
+) -> tuple[FloatArray | None, Rotation | None, FloatArray, FloatArray]:
+    """Stated position and attitude at the time that the clock tells, and their change with it."""
+    name, place, turn = frame.camera.name, frame.position_m, frame.attitude
+    turn = None if turn is None else common.boresight(name) * turn
+    if frame.motion is None:
+        return place, turn, np.zeros(3), np.zeros(3)
+    return frame.motion.later(place, turn, common.clock_s(name))
 
 
 def residuals_from(frame: AdjustedFrame, pose: Pose, common: CommonState) -> FloatArray:
@@ -311,6 +335,7 @@ def _jacobians(
         Common.ORIGIN: by_place,
         Common.SCALE: np.einsum("nij,nj->ni", by_place, turned)[:, :, None],
         Common.FOCAL: (offsets / common.focal_factor(camera.name))[:, :, None],
+        **lens_columns(camera, common, pose, common.places_m(places)),
     }
     for kind, values in columns.items():
         places_of = common.places(kind, camera.name)
@@ -325,17 +350,22 @@ def _statements(
     """Change of each statement with pose (3, 6) and common (3, k), residual (3,), weight (3, 3)."""
     found: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
     unknowns = len(common.numbers)
-    spread = frame.position_spread_m2
-    if spread is not None and frame.position_m is not None:
-        off = frame.position_m - pose.position_m
+    spread, name = frame.position_spread_m2, frame.camera.name
+    place, measured, velocity, rate = _at_exposure(frame, common)
+    clock = common.places(Common.CLOCK, name)
+    if spread is not None and place is not None:
+        off = place - pose.position_m
         weight: FloatArray = np.linalg.inv(spread).astype(np.float64)
-        found.append((np.eye(3, 6), np.zeros((3, unknowns)), off, weight))
-    if frame.attitude is not None and frame.attitude_sigma_rad is not None:
-        measured = common.boresight(frame.camera.name) * frame.attitude
+        columns = np.zeros((3, unknowns))
+        columns[:, clock] = -velocity[:, None]
+        found.append((np.eye(3, 6), columns, off, weight))
+    if measured is not None and frame.attitude_sigma_rad is not None:
         off = (measured * pose.camera_from_body.inv()).as_rotvec()
         columns = np.zeros((3, unknowns))
-        places = common.places(Common.BORESIGHT, frame.camera.name)
-        columns[:, places] = -np.eye(3, len(places))
+        for kind in (Common.BORESIGHT, Common.MOUNTING):
+            places = common.places(kind, name)
+            columns[:, places] = -np.eye(3, len(places))
+        columns[:, clock] = -rate[:, None]
         weight = np.eye(3) * max(frame.attitude_sigma_rad, MIN_ATTITUDE_SIGMA) ** -2
         found.append((np.eye(3, 6, 3), columns, off, weight))
     return found
@@ -356,7 +386,10 @@ def _weights(frames: Sequence[AdjustedFrame], residuals: Sequence[FloatArray]) -
 
 
 def _shared_points(
-    frames: Sequence[AdjustedFrame], blocks: Sequence[_Block], covariance: FloatArray
+    frames: Sequence[AdjustedFrame],
+    blocks: Sequence[_Block],
+    covariance: FloatArray,
+    weights: FloatArray,
 ) -> tuple[float, FloatArray]:
     """By how much errors that frames share of a point raise a variance, and the covariance so."""
     if not len(covariance):
@@ -370,6 +403,9 @@ def _shared_points(
     expected = float(np.trace(covariance @ own))
     seen = float(np.einsum("pa,ab,pb->", sums, covariance, sums))
     excess = max(seen / expected, 1.0) if expected > 0.0 else 1.0
+    if len(sums) >= MANY_POINTS * len(covariance):
+        more = clustered_excess(sums / slope_of_weights(weights), own)
+        return excess, covariance + covariance @ more @ covariance
     return excess, covariance + (excess - 1.0) * covariance @ own @ covariance
 
 

@@ -247,3 +247,15 @@ PADS = CsvTable(
         _text("reason", "why the square has no pad", empty=True),
     )
 )
+
+CALIBRATION_RESIDUALS = CsvTable(
+    (
+        *(FILE, CAMERA),
+        _text("catalog", "file name of the control point's catalog", empty=True),
+        _count("id", "the control point's id in its catalog", empty=False),
+        *_pixel("measured", "where it was found"),
+        *_pixel("before", "measured less predicted, all as stated"),
+        *_pixel("after", "the same after the calibration"),
+        _number("weight", "of the match, 0 to 1", "", "z.4f"),
+    )
+)

@@ -9,6 +9,7 @@ from catalog.store.reader import Catalog
 from optnav_cli.hazard.settings import KIND as HAZARD
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.report import page, sheet
+from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.report.hazard_page import hazard_page
@@ -16,7 +17,9 @@ from optnav_cli.report.run_page import run_page
 
 
 def write_report(source: Path, output: Path) -> None:
-    """Write the page about a run or hazard folder or a catalog; an older report there is replaced.
+    """Write the page about a run, hazard or calibration folder or a catalog.
+
+    An older report there is replaced.
 
     An output that ends in .svg gets the errors of a run as a picture.
     Raises DataError for a source that is neither, OutputError for a place that cannot be used.
@@ -41,7 +44,7 @@ def _write(source: Path, output: Path) -> None:
     if source.is_dir() and made_by_optnav(source, HAZARD):
         text = hazard_page(source)
     elif source.is_dir():
-        text = run_page(source)
+        text = calibration_page(source) if is_calibration(source) else run_page(source)
     elif source.is_file():
         with Catalog.open(source) as catalog:
             text = catalog_page(catalog)

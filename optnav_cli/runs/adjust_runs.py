@@ -88,7 +88,7 @@ def adjust_runs(
     first = read[0]
     _check_together(read, kinds)
     cameras = _cameras(read)
-    rows = _rows(read, cameras)
+    rows = adjusted_rows(read, cameras)
     if Common.BORESIGHT in kinds or Common.BODY_ROTATION in kinds:
         rows = [_without_common_sigma(row) for row in rows]
     rows = [_scattering(row, scatter) for row in rows]
@@ -102,7 +102,7 @@ def adjust_runs(
     numbers = common_numbers(kinds, names, first.attitude.body.radius_m)
     adjustment = adjust(frames, numbers)
     focal_px = {camera.name: camera.focal_length_px for camera in cameras.values()}
-    stages = [_stages(frame, adjustment.common) for frame in frames]
+    stages = [residual_stages(frame, adjustment.common) for frame in frames]
     result = AdjustedRuns(
         adjustment,
         len(frames),
@@ -189,7 +189,7 @@ def _cameras(runs: Sequence[RunFolder]) -> dict[str, Camera]:
     return cameras
 
 
-def _rows(runs: Sequence[RunFolder], cameras: dict[str, Camera]) -> list[AdjustedRow]:
+def adjusted_rows(runs: Sequence[RunFolder], cameras: dict[str, Camera]) -> list[AdjustedRow]:
     """The frames of all runs; of several with pictures of one name, under the name of their run."""
     files = Counter(solution.file for run in runs for solution in run.solutions)
     prefixed = max(files.values(), default=1) > 1
@@ -326,7 +326,7 @@ def _own_residuals(row: AdjustedRow, frame: AdjustedFrame) -> FloatArray:
     return found
 
 
-def _stages(frame: AdjustedFrame, common: CommonState) -> StatedResiduals:
+def residual_stages(frame: AdjustedFrame, common: CommonState) -> StatedResiduals:
     nothing = CommonState(common.numbers, np.zeros_like(common.values))
     found = []
     for state in (nothing, common):

@@ -175,7 +175,7 @@ def write_adjusted(
     _write_body(place, first, common)
     (place / CAMERAS).mkdir()
     for camera in cameras.values():
-        text = camera_toml(_corrected(camera, result.adjustment))
+        text = camera_toml(corrected_camera(camera, result.adjustment))
         (place / CAMERAS / f"{camera.name}.toml").write_text(text, encoding="utf-8")
     known = [r.frame if r.frame.problem is None else _bare(r.frame) for r in rows]
     write_frames(place / FRAMES, first.attitude, known, cameras)
@@ -258,10 +258,12 @@ def _document(result: AdjustedRuns) -> str:
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
 
-def _corrected(camera: Camera, adjustment: Adjustment) -> Camera:
+def corrected_camera(camera: Camera, adjustment: Adjustment) -> Camera:
     """A camera as the adjustment finds it."""
     common = adjustment.common
-    lens, places = common.lens(camera), common.places(Common.BORESIGHT, camera.name)
+    lens = common.lens(camera)
+    kinds = (Common.BORESIGHT, Common.MOUNTING)
+    places = np.concatenate([common.places(kind, camera.name) for kind in kinds])
     if places.size:
         turn: Rotation = common.boresight(camera.name) * camera.boresight
         x, y, z = (float(angle) for angle in turn.as_rotvec() / ARCSEC)

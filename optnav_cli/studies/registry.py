@@ -132,6 +132,25 @@ STUDIES = (
         _flights("autonomous", _RUNS, "wide"),
     ),
     Study(
+        "calibration",
+        "Calibrate a camera in flight: accuracy, honesty, what cannot be told apart.",
+        """Calibrate routes with a lens that is not the told one and compare with the truth.
+
+        Routes at measurement level give the statistics; one is drawn, matched, calibrated, and
+        navigated with the camera of before and after. Takes an hour; --trials 2 --pictures 0 gives
+        a first look.""",
+        "--trials 2 --pictures 0",
+        (
+            _output(
+                "optnav-calibration", "Folder for the drawn route; what is in it is used again."
+            ),
+            _trials(0, 24, "Routes at measurement level."),
+            _option("--pictures", click.IntRange(0, MANY), 12, "Of the drawn route; 0 for none."),
+            _option("--frames", click.IntRange(8, MANY), 100, "Of a route at measurement level."),
+            _seed("Of routes."),
+        ),
+    ),
+    Study(
         "comet",
         "67P with position and attitude stated, turned, or not at all.",
         """Navigate the pictures of 67P with less and less stated.

@@ -109,7 +109,8 @@ class StereoTruth:
         axes = np.linalg.svd(place[None] / radius)[2][1:]
         camera = self.simulation.cameras[exposure.camera]
         relief = self.scenario.relief(exposure.ground_seed or 0, body)
-        reach = AREA_PX / camera.focal_length_px * (radius - body.radius_m)
+        below = relief.heights(np.arcsin(place[2] / radius), np.arctan2(place[1], place[0]))
+        reach = AREA_PX / camera.focal_length_px * (radius - body.radius_m - float(below))
         x, y = np.meshgrid(*(2 * [np.linspace(-reach, reach, SAMPLES)]))
         inside = np.hypot(x, y) <= reach
         ground = place + x[inside][:, None] * axes[0] + y[inside][:, None] * axes[1]

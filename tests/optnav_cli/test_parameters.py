@@ -200,9 +200,9 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
         if isinstance(param, OutputOption) and not param.endings
     }
     studies = {"acceptance", "apollo", "autonomous", "comet", "horizon", "navigation", "phobos"}
-    studies |= {"real"}
+    studies |= {"real", "calibration"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
-    makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo", "hazard"}
+    makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo", "hazard", "calibrate"}
     assert folders == (
         {((name,), "work") for name in stages}
         | {((name,), "output") for name in makers}
@@ -228,7 +228,7 @@ def completed(words: str, shell: str = "bash") -> list[str]:
 
 
 def test_completion_offers_commands_options_and_choices() -> None:
-    assert completed("optnav ca") == ["catalog"]
+    assert completed("optnav ca") == ["catalog", "calibrate"]
     assert completed("optnav catalog n") == ["nearest"]
     assert {"--workers", "--work", "--quiet"} <= set(completed("optnav build --"))
     assert completed("optnav navigate --matcher ") == ["ncc", "surf"]

@@ -1,7 +1,8 @@
 """Numbers that are common to many frames: of the body, of a camera.
 
 A place of the catalog stands at scale * (turned) + origin in the frame that positions are stated
-in; a camera is turned by its boresight from what attitudes state, and its focal length may be off.
+in; a camera is turned by its boresight, or by its mounting, from what attitudes state, its lens may
+be off, and its pictures may be taken later than they say.
 """
 
 from collections.abc import Sequence
@@ -29,8 +30,8 @@ class AdjustableCamera(ProjectingCamera, Protocol):
     def principal_point_px(self) -> tuple[float, float]:
         """(x, y) where its boresight meets the picture."""
 
-    def with_focal_factor(self, factor: float) -> Self:
-        """The same with its focal length multiplied."""
+    def with_lens(self, factor: float, shift_px: FloatArray, k1: float) -> Self:
+        """The same with its focal length multiplied, its principal point moved, k1 added to."""
 
 
 class Common(StrEnum):
@@ -41,15 +42,24 @@ class Common(StrEnum):
     SCALE = "scale"
     BORESIGHT = "boresight"
     FOCAL = "focal"
+    CENTRE = "centre"
+    DISTORTION = "distortion"
+    MOUNTING = "mounting"
+    CLOCK = "clock"
 
 
-# Prior sigmas, wider than any honest error: rad, share of the body's radius, 1, rad, 1.
+# Prior sigmas, wider than any honest error: rad, share of the body's radius, 1, rad, 1, px, 1,
+# rad, s.
 PRIOR_SIGMAS = {
     Common.BODY_ROTATION: np.radians(5.0),
     Common.ORIGIN: 0.2,
     Common.SCALE: 0.05,
     Common.BORESIGHT: np.radians(5.0),
     Common.FOCAL: 0.05,
+    Common.CENTRE: 100.0,
+    Common.DISTORTION: 0.1,
+    Common.MOUNTING: np.radians(1.0),
+    Common.CLOCK: 2.0,
 }
 # a boresight is a direction: a roll about it looks much like a turn of the body below
 AXES = {
@@ -58,6 +68,10 @@ AXES = {
     Common.SCALE: ("",),
     Common.BORESIGHT: ("x", "y"),
     Common.FOCAL: ("",),
+    Common.CENTRE: ("x", "y"),
+    Common.DISTORTION: ("k1",),
+    Common.MOUNTING: ("x", "y", "z"),
+    Common.CLOCK: ("",),
 }
 OF_THE_CATALOG = (Common.BODY_ROTATION, Common.ORIGIN, Common.SCALE)
 
@@ -83,6 +97,10 @@ class CommonNumber:
             Common.SCALE: "the scale",
             Common.BORESIGHT: f"the boresight of {self.camera}",
             Common.FOCAL: f"the focal length of {self.camera}",
+            Common.CENTRE: f"the principal point of {self.camera} along {self.axis}",
+            Common.DISTORTION: f"the distortion of {self.camera}",
+            Common.MOUNTING: f"the mounting of {self.camera} about {self.axis}",
+            Common.CLOCK: f"the clock of {self.camera}",
         }
         return words[self.kind]
 
@@ -138,11 +156,19 @@ class CommonState:
 
     def boresight(self, camera: str) -> Rotation:
         """Of a camera, from what attitudes state."""
-        return _rotation(self.part(Common.BORESIGHT, camera))
+        mounting = self.part(Common.MOUNTING, camera)
+        return _rotation(mounting if mounting.size else self.part(Common.BORESIGHT, camera))
 
     def lens(self, camera: C) -> C:
-        """A camera with its focal length as solved for."""
-        return camera.with_focal_factor(self.focal_factor(camera.name))
+        """A camera with its lens as solved for."""
+        centre = self.part(Common.CENTRE, camera.name)
+        shift = centre if centre.size else np.zeros(2)
+        k1 = float(self.part(Common.DISTORTION, camera.name).sum())
+        return camera.with_lens(self.focal_factor(camera.name), shift, k1)
+
+    def clock_s(self, camera: str) -> float:
+        """By how much its pictures are taken later than they say."""
+        return float(self.part(Common.CLOCK, camera).sum())
 
     def focal_factor(self, camera: str) -> float:
         """Of a camera's focal length, to that of its file."""

@@ -1,0 +1,374 @@
+"""A picture folder and a catalog to a calibration: the camera's lens, mounting and clock.
+
+The frames are navigated with sigmas that bear a camera which is not as stated; then the matches of
+all are adjusted together (`estimation.adjustment`), with positions and attitudes of frames.csv as
+measurements.
+"""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.errors import DataError, NothingToDoError
+from catalog.files import hash_file, replacing_folder
+from catalog.geometry.rotations import ARCSEC
+from catalog.places import check_apart
+from catalog.progress import Progress, logged_stage
+from optnav_cli.calibration.motion import frame_motions
+from optnav_cli.calibration.separability import Direction, not_told_apart, tied_pairs
+from optnav_cli.calibration.settings import CalibrateSettings
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.estimation.adjustment import AdjustedFrame, Adjustment, adjust
+from optnav_cli.estimation.models.common import Common, CommonNumber
+from optnav_cli.frames.folder import Folder, read_folder, write_folder
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
+from optnav_cli.output.document import json_text
+from optnav_cli.output.manifest import hash_files, unfinished, write_manifest
+from optnav_cli.output.run_folder import CAMERAS, read_run
+from optnav_cli.output.wording import table_lines
+from optnav_cli.runs.adjust_runs import adjusted_rows, residual_stages
+from optnav_cli.runs.adjusted_folder import AdjustedRow, StatedResiduals, corrected_camera
+from optnav_cli.runs.frame_worker import RunInputs
+from optnav_cli.runs.navigate_folder import navigate_folder
+
+KIND, STAGE = "calibration", "calibrate"
+RESIDUALS_CSV, CALIBRATION_JSON = "residuals.csv", "calibration.json"
+MIN_POINTS, MIN_FRAMES = 12, 2
+MIN_WIDTH = 0.02  # of the points' spread in the picture, across over along: less is a line
+KINDS = (Common.FOCAL, Common.CENTRE, Common.DISTORTION, Common.MOUNTING, Common.CLOCK)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What came of a calibration.
+
+    sigma_px     of a match, a coordinate, as the adjustment took it
+    before_px, after_px  residuals of the matches kept, rms a coordinate
+    """
+
+    adjustment: Adjustment
+    cameras: Mapping[str, Camera]
+    frames: int
+    matches: int
+    used: int
+    sigma_px: float
+    before_px: float
+    after_px: float
+
+    @property
+    def directions(self) -> list[Direction]:
+        """What the frames do not tell apart."""
+        common = self.adjustment.common
+        return not_told_apart(common.numbers, self.adjustment.covariance)
+
+    @property
+    def notes(self) -> list[str]:
+        """What the frames tell little of, in words."""
+        common, focal = self.adjustment.common, {}
+        for camera in self.cameras.values():
+            focal[camera.name] = camera.focal_length_px
+        found = [f"{names[0]} is not observed" for names in self.adjustment.not_separable()]
+        found += [direction.words() for direction in self.directions]
+        pairs = tied_pairs(common.numbers, self.adjustment.covariance, focal)
+        return found + [pair.words() for pair in pairs]
+
+    def rows(self) -> list[dict[str, object]]:
+        """One a number: its value as people write it, its sigma and whether it is observed."""
+        common, sigmas = self.adjustment.common, self.adjustment.sigmas
+        unseen = {label for labels in self.adjustment.not_separable() for label in labels}
+        together = {place for one in self.directions for place in one.places}
+        found: list[dict[str, object]] = []
+        for place, (number, value) in enumerate(zip(common.numbers, common.values, strict=True)):
+            camera = self.cameras[number.camera]
+            unit, per, zero = _written(number, camera)
+            found.append(
+                {
+                    "name": number.kind.value,
+                    "axis": number.axis,
+                    "camera": number.camera,
+                    "value": zero + per * float(value),
+                    "change": per * float(value),
+                    "sigma": per * float(sigmas[place]),
+                    "prior_sigma": per * number.prior_sigma,
+                    "unit": unit,
+                    "observed": number.label not in unseen,
+                    "told_apart": place not in together,
+                }
+            )
+        return found
+
+    def document(self) -> dict[str, object]:
+        """calibration.json."""
+        covariance, sigmas = self.adjustment.covariance, self.adjustment.sigmas
+        return {
+            "numbers": self.rows(),
+            "correlations": covariance / np.outer(sigmas, sigmas),
+            "not_told_apart": [
+                {"numbers": d.places, "labels": d.labels, "words": d.words()}
+                for d in self.directions
+            ],
+            "notes": self.notes,
+            "frames": self.frames,
+            "matches": self.matches,
+            "matches_used": self.used,
+            "sigma_px": self.sigma_px,
+            "residual_rms_px": {"before": self.before_px, "after": self.after_px},
+            "variance_by_shared_points": self.adjustment.point_excess,
+        }
+
+    def lines(self) -> list[str]:
+        """A summary for people."""
+        head = ("", "", "value", "change", "sigma", "")
+        table = [
+            (
+                f"{row['name']} {row['axis']}".strip(),
+                str(row["camera"]),
+                f"{row['value']:.7g}",
+                f"{row['change']:.4g}",
+                f"{row['sigma']:.2g}",
+                str(row["unit"]),
+            )
+            for row in self.rows()
+        ]
+        return [
+            f"calibrated by {self.used} of {self.matches} matches in {self.frames} frames",
+            *table_lines([head, *table], left=(0, 1, 5)),
+            f"residuals, rms a coordinate, px: {self.before_px:.2f} as stated, "
+            f"{self.after_px:.2f} after",
+            *self.notes,
+        ]
+
+
+def calibrate_folder(
+    given: RunInputs,
+    output: Path,
+    kinds: Sequence[Common],
+    settings: CalibrateSettings,
+    progress: Progress,
+    workers: int | None = 1,
+) -> Calibration:
+    """Calibrate the cameras of a picture folder by its control points.
+
+    given  the folder, the catalogs, and how points are searched
+    kinds  what to solve for
+    Raises DataError for a folder without positions or attitudes, NothingToDoError for too few
+    frames or points, or points on a line, NoSolutionError where the frames leave something open.
+    """
+    started = datetime.now(UTC)
+    check_apart(output, [given.pictures, *given.catalogs])
+    folder = read_folder(given.pictures, given.kernels)
+    _check_stated(folder)
+    with logged_stage(STAGE), unfinished(output, KIND) as workspace:
+        wide = workspace.folder / "pictures"
+        _write_wide(folder, wide, settings)
+        run = workspace.folder / "run"
+        with suppress(NothingToDoError):  # said below, with what a calibration wants
+            navigate_folder(replace(given, pictures=wide), run, progress, workers=workers)
+        rows = _stated_rows(adjusted_rows([read_run(run)], folder.cameras), folder)
+        result, stages = solve_calibration(rows, kinds, settings)
+        with replacing_folder(output, KIND) as place:
+            write_calibration(place, rows, result, stages)
+            write_manifest(
+                place,
+                KIND,
+                command="calibrate",
+                options={"solve": [kind.value for kind in kinds]},
+                inputs={
+                    "folder": given.pictures,
+                    "files_sha256": hash_files(given.pictures, ["run.toml", "frames.csv"]),
+                    "catalogs": [
+                        {"path": path, "sha256": hash_file(path)} for path in given.catalogs
+                    ],
+                },
+                results={"frames": result.frames, "matches": result.used},
+                started=started,
+            )
+    return result
+
+
+def solve_calibration(
+    rows: Sequence[AdjustedRow], kinds: Sequence[Common], settings: CalibrateSettings
+) -> tuple[Calibration, list[StatedResiduals]]:
+    """Adjust frames with their statements, and the residuals of each before."""
+    frames = [row.adjusted for row in rows if row.adjusted is not None]
+    check_points(frames)
+    cameras = {frame.camera.name: frame.camera for frame in frames}
+    known = {name: camera for name, camera in cameras.items() if isinstance(camera, Camera)}
+    numbers = settings.numbers(list(kinds), sorted(known))
+    adjustment = adjust(frames, numbers)
+    # matches were weighed by residuals of a wrong lens: now by those of the right one
+    variance = _variance(adjustment, len(numbers))
+    frames = [_weighed(frame, variance) for frame in frames]
+    adjustment = adjust(frames, numbers)
+    stages = [residual_stages(frame, adjustment.common) for frame in frames]
+    kept = [found.weights > 0.0 for found in adjustment.frames]
+    before = np.concatenate([s.stated[k] for s, k in zip(stages, kept, strict=True)])
+    after = np.concatenate(
+        [f.residuals_px[k] for f, k in zip(adjustment.frames, kept, strict=True)]
+    )
+    result = Calibration(
+        adjustment,
+        known,
+        len(frames),
+        sum(len(frame.sightings) for frame in frames),
+        int(sum(k.sum() for k in kept)),
+        float(np.sqrt(variance)),
+        _rms(before),
+        _rms(after),
+    )
+    return result, stages
+
+
+def check_points(frames: Sequence[AdjustedFrame]) -> None:
+    """Raise NothingToDoError for frames and points that cannot calibrate a camera."""
+    count = sum(len(frame.sightings) for frame in frames)
+    if len(frames) < MIN_FRAMES or count < MIN_POINTS:
+        raise NothingToDoError(
+            f"{len(frames)} frames are solved by control points, with {count} points; a "
+            f"calibration wants {MIN_FRAMES} frames and {MIN_POINTS} points, and should have many "
+            "more: see why in a run of `optnav navigate`"
+        )
+    pixels = np.concatenate([frame.sightings.pixels for frame in frames])
+    spread = np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)
+    if spread[1] < MIN_WIDTH * spread[0]:
+        raise NothingToDoError(
+            "the control points of all frames lie on a line in the picture: they tell nothing of "
+            "the lens across it; add frames with points elsewhere"
+        )
+
+
+def _check_stated(folder: Folder) -> None:
+    """Raise DataError for frames.csv without what a calibration measures against."""
+    where = folder.path / "frames.csv"
+    good = [frame for frame in folder.frames if frame.problem is None]
+    placed = [f for f in good if f.position_m is not None and f.position_sigma_m is not None]
+    if len(placed) < MIN_FRAMES:
+        raise DataError(
+            f"{where}: {len(placed)} rows have a position with its sigma; a calibration measures "
+            "the camera against known positions: fill in x_m, y_m, z_m and position_sigma_m"
+        )
+    if sum(frame.camera_from_body is not None for frame in placed) < MIN_FRAMES:
+        raise DataError(
+            f"{where}: no rows have an attitude; a calibration measures the mounting against "
+            "known attitudes: fill in qw, qx, qy, qz and attitude_sigma_arcsec"
+        )
+
+
+def _write_wide(folder: Folder, place: Path, settings: CalibrateSettings) -> None:
+    """A copy of a folder whose sigmas bear a camera that is not as stated."""
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    search = settings.search
+    frames: list[Frame] = []
+    for frame in folder.frames:
+        if frame.problem is not None or frame.position_m is None:
+            continue
+        sigma_m = float(np.hypot(frame.position_sigma_m or 0.0, search.position_m))
+        angle = search.attitude_arcsec * ARCSEC
+        sigma = float(np.hypot(frame.attitude_sigma_rad or 0.0, angle))
+        frames.append(replace(frame, position_sigma_m=sigma_m, attitude_sigma_rad=sigma))
+        target = place / frame.file.replace("\\", "/")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        source = folder.picture_path(frame).absolute()
+        if source.exists():
+            try:
+                target.symlink_to(source)
+            except OSError:  # no links there
+                shutil.copyfile(source, target)
+    write_folder(place, folder.settings, folder.cameras.values(), frames, folder.motion)
+
+
+def _stated_rows(rows: Sequence[AdjustedRow], folder: Folder) -> list[AdjustedRow]:
+    """The rows with what frames.csv states of them, as measurements."""
+    stated = {frame.file: frame for frame in folder.frames}
+    found: list[AdjustedRow] = list(rows)
+    for name in folder.cameras:
+        own = [n for n, row in enumerate(rows) if row.frame.camera == name]
+        frames = [stated[rows[n].frame.file] for n in own]
+        motions = frame_motions([f.tdb_s or 0.0 for f in frames], [f.position_m for f in frames])
+        for number, frame, motion in zip(own, frames, motions, strict=True):
+            adjusted = rows[number].adjusted
+            if adjusted is None:
+                continue
+            sigma = frame.attitude_sigma_rad
+            if sigma is not None:  # what all frames have in common is solved for
+                sigma = float(np.sqrt(max(sigma**2 - frame.common_sigma_rad**2, 0.0)))
+            adjusted = replace(
+                adjusted,
+                position_m=frame.position_m,
+                position_sigma_m=frame.position_sigma_m,
+                attitude=frame.camera_from_body,
+                attitude_sigma_rad=sigma,
+                motion=motion,
+            )
+            found[number] = replace(rows[number], frame=frame, adjusted=adjusted)
+    return found
+
+
+def _variance(adjustment: Adjustment, numbers: int) -> float:
+    """Of a match's coordinate, px², by the residuals of the matches kept."""
+    total, free = 0.0, -float(numbers)
+    for frame in adjustment.frames:
+        total += float((frame.weights[:, None] * np.nan_to_num(frame.residuals_px) ** 2).sum())
+        # statements hold a part of the six numbers of a pose: half of them on the average
+        free += 2.0 * float(frame.weights.sum()) - 3.0
+    return total / max(free, 1.0)
+
+
+def _weighed(frame: AdjustedFrame, variance: float) -> AdjustedFrame:
+    tiles = np.tile(np.eye(2) * variance, (len(frame.sightings), 1, 1))
+    return replace(frame, sightings=replace(frame.sightings, covariances_px2=tiles))
+
+
+def _rms(residuals: FloatArray) -> float:
+    finite = residuals[np.isfinite(residuals)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
+
+
+def _written(number: CommonNumber, camera: Camera) -> tuple[str, float, float]:
+    """The unit that a number is written in, how many make one of the state's, and its zero."""
+    x, y = camera.principal_point_px
+    if number.kind == Common.FOCAL:
+        return "px", camera.focal_length_px, camera.focal_length_px
+    if number.kind == Common.CENTRE:
+        return "px", 1.0, x if number.axis == "x" else y
+    if number.kind == Common.DISTORTION:
+        return "", 1.0, camera.coefficients[0] if camera.coefficients else 0.0
+    return ("s", 1.0, 0.0) if number.kind == Common.CLOCK else ("arcsec", 1.0 / ARCSEC, 0.0)
+
+
+def write_calibration(
+    place: Path,
+    rows: Sequence[AdjustedRow],
+    result: Calibration,
+    stages: Sequence[StatedResiduals],
+) -> None:
+    """Fill the folder but for its manifest."""
+    (place / CAMERAS).mkdir()
+    for camera in result.cameras.values():
+        text = camera_toml(corrected_camera(camera, result.adjustment))
+        (place / CAMERAS / f"{camera.name}.toml").write_text(text, encoding="utf-8")
+    (place / CALIBRATION_JSON).write_text(json_text(result.document()) + "\n", encoding="utf-8")
+    cells: list[dict[str, object]] = []
+    solved = [row for row in rows if row.adjusted is not None]
+    for row, found, stage in zip(solved, result.adjustment.frames, stages, strict=True):
+        for k, match in enumerate(row.matches):
+            one: dict[str, object] = {"file": row.frame.file, "camera": row.frame.camera}
+            one |= {"catalog": match.catalog, "id": match.cp_id, "weight": found.weights[k]}
+            for name, values in (
+                ("measured", match.measured_px),
+                ("before", stage.stated[k]),
+                ("after", found.residuals_px[k]),
+            ):
+                if values is not None and np.isfinite(values).all():
+                    one |= {f"{name}_x_px": values[0], f"{name}_y_px": values[1]}
+            cells.append(one)
+    CALIBRATION_RESIDUALS.write(place / RESIDUALS_CSV, cells)
