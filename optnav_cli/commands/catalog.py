@@ -37,7 +37,7 @@ def command() -> None:
 
 def answer(document: Mapping[str, Any], lines: Mapping[str, str], as_json: bool) -> None:
     """Print a document for programs, or its lines for people."""
-    from optnav_cli.output.document import json_text
+    from optnav_cli.output.wording import json_text
 
     words = "\n".join(f"{key}: {value}" for key, value in lines.items())
     click.echo(json_text(document) if as_json else words)
@@ -93,8 +93,7 @@ def catalog_nearest(
         point_document,
     )
     from catalog.store.reader import Catalog
-    from optnav_cli.output.document import json_text
-    from optnav_cli.output.wording import length
+    from optnav_cli.output.wording import json_text, length
 
     with Catalog.open(catalog) as opened:
         found = nearest_points(opened, lat, lon, count, usable)
@@ -222,7 +221,7 @@ def compare_and_tell(
     from catalog.files import check_file
     from catalog.inspect import differences
     from catalog.inspect.compare import compare
-    from optnav_cli.output.document import json_text
+    from optnav_cli.output.wording import json_text
 
     if table is not None:
         check_file(table, differences.is_table)
@@ -272,7 +271,7 @@ def catalog_verify(progress: ConsoleProgress, catalog: Path, as_json: bool) -> N
     """
     from catalog.inspect.summary import verification_document
     from catalog.store.verify import Verification, verify
-    from optnav_cli.output.document import json_text
+    from optnav_cli.output.wording import json_text
 
     announce_compilation()
     try:

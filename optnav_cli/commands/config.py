@@ -83,8 +83,7 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
       optnav config list
       optnav config list cameras
     """
-    from optnav_cli.output.document import json_text
-    from optnav_cli.output.wording import table_lines
+    from optnav_cli.output.wording import json_text, table_lines
 
     found = {name: [*_shipped(name)] for name in ([kind] if kind else KINDS)}
     if as_json:

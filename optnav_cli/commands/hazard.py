@@ -39,7 +39,7 @@ def slopes(dem: Path, base_m: float, body: str, output: Path | None, as_json: bo
       optnav slopes bundled:tycho_gld100_256ppd.tif --base-m 240
       optnav slopes site.tif -o slopes.tif
     """
-    from optnav_cli.output.document import json_text
+    from optnav_cli.output.wording import json_text
     from optnav_cli.runs.slope_files import measure_slopes
 
     announce_compilation()

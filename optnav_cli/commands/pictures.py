@@ -188,7 +188,7 @@ def evaluate(
     from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
     from optnav_cli.evaluation.files import evaluate_run, summary_of, write_evaluation
     from optnav_cli.evaluation.table import format_table
-    from optnav_cli.output.document import json_text
+    from optnav_cli.output.wording import json_text
 
     if made_by_optnav(run, "hazard"):
         if any(limit is not None for limit in limits.values()):
@@ -215,7 +215,7 @@ def _evaluate_pads(folder: Path, truth: Path, as_json: bool, limit: float | None
     from dataclasses import asdict
 
     from optnav_cli.evaluation.hazard_pads import evaluate_pads, write_pad_evaluation
-    from optnav_cli.output.document import json_text
+    from optnav_cli.output.wording import json_text
 
     figures, pads = evaluate_pads(folder, truth)
     if as_json:

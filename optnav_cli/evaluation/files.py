@@ -20,9 +20,9 @@ from optnav_cli.evaluation.figures import Figures, FrameError, MethodFigures
 from optnav_cli.evaluation.motion import TimedPlace, directions_of_motion, other_frame
 from optnav_cli.frames.tables import ERRORS, EVALUATION, SIGMAS
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.output.document import json_text
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.output.tables import reason_code
+from optnav_cli.output.wording import json_text
 from optnav_cli.reasons import Reason
 
 log = logging.getLogger(__name__)

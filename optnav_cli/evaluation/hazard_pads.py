@@ -26,9 +26,8 @@ from catalog.terrain.slopes import (
 )
 from optnav_cli.frames.tables import JUDGED_PADS, PADS
 from optnav_cli.hazard.settings import PADS_FILE
-from optnav_cli.output.document import json_text
 from optnav_cli.output.manifest import read_manifest
-from optnav_cli.output.wording import table_lines
+from optnav_cli.output.wording import json_text, table_lines
 
 JUDGED_M = 2.0  # posting that finer models are averaged to: dangerous slopes are defined on it
 MARGIN = 3  # nodes around a pad, for the base of its slopes

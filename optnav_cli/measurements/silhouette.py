@@ -20,13 +20,13 @@ from optnav_cli.camera.camera import Camera
 SMOOTH = 1.2  # grid steps over which the outline is smoothed to place it between pixels
 JUMP_STEPS = 8.0  # of depth, in steps of the grid on the ground, that make an inner edge
 INSIDE, OUTSIDE = (2.0, 3.5), (2.0, 3.0)  # steps from an edge where light and dark are looked at
-LEAST_LIGHT = 0.25  # of the middle brightness: darker ground makes no edge to rely on
-LEAST_FALL = 0.5  # of the brightness inside, that is lost across an edge
+MIN_LIGHT = 0.25  # of the middle brightness: darker ground makes no edge to rely on
+MIN_FALL = 0.5  # of the brightness inside, that is lost across an edge
 PROFILE_STEP = 0.5  # px
 LEVEL_PX = (1.0, 4.0)  # beside an edge, where its two levels are measured
 # Pieces of the drawn light that are matched, steps of the grid, and when one is taken.
 PIECE, PIECE_STEP, BLUR = 12, 8, 1.0
-LEAST_LIT, LEAST_CONTRAST, LEAST_SCORE = 0.6, 0.12, 0.65
+MIN_LIT, MIN_CONTRAST, MIN_SCORE = 0.6, 0.12, 0.65
 
 
 class DrawnShape(NamedTuple):
@@ -142,8 +142,8 @@ def _edges(
     bright = light[light > 0.0]
     middle = float(np.median(bright)) if bright.size else np.inf
     use: BoolArray = np.asarray(
-        (inside.min(axis=0) > LEAST_LIGHT * middle)
-        & (outside.max(axis=0) < (1.0 - LEAST_FALL) * inside.mean(axis=0))
+        (inside.min(axis=0) > MIN_LIGHT * middle)
+        & (outside.max(axis=0) < (1.0 - MIN_FALL) * inside.mean(axis=0))
     )
     return rows[use], cols[use], shift[use], outward[use], outer[use]
 
@@ -247,15 +247,15 @@ def match_light(
         for col in range(border, len(wanted) - border, PIECE_STEP):
             place = drawn.surface[row, col]
             piece = wanted[row - PIECE : row + PIECE + 1, col - PIECE : col + PIECE + 1]
-            lit = (piece > LEAST_LIGHT * middle).mean()
-            if not np.isfinite(place).all() or lit < LEAST_LIT:
+            lit = (piece > MIN_LIGHT * middle).mean()
+            if not np.isfinite(place).all() or lit < MIN_LIT:
                 continue
-            if piece.std() < LEAST_CONTRAST * middle:
+            if piece.std() < MIN_CONTRAST * middle:
                 continue
             window = shown[row - border : row + border + 1, col - border : col + border + 1]
             scores = cv2.matchTemplate(window, piece, cv2.TM_CCOEFF_NORMED)
             _, best, _, (u, v) = cv2.minMaxLoc(scores)
-            if best < LEAST_SCORE or not (0 < u < 2 * reach and 0 < v < 2 * reach):
+            if best < MIN_SCORE or not (0 < u < 2 * reach and 0 < v < 2 * reach):
                 continue
             across = np.asarray(scores[v, u - 1 : u + 2], dtype=np.float64)
             down = np.asarray(scores[v - 1 : v + 2, u], dtype=np.float64)

@@ -42,7 +42,7 @@ MIN_ACROSS_PX = 40.0  # of the lit shape: a smaller one is solved by its light
 MAX_NODES, COARSE_NODES = 384, 72
 COARSE_ROUNDS = 8
 ROOM = 1.35  # half a side of what is drawn, in reaches of the shape
-LEAST_BLOB = 0.01  # of the largest lit area: smaller ones are stars and dust
+MIN_BLOB = 0.01  # of the largest lit area: smaller ones are stars and dust
 REACHES = (0.12, 0.12, 0.08, 0.05, 0.03, 0.02, 0.02, 0.02)  # searched beside edges, of the shape
 MIN_REACH_PX = 4.0
 SECTORS = 16
@@ -51,7 +51,7 @@ MIN_FOUND, MAX_SCATTER, MIN_CORRELATION, MIN_SECTORS = 0.6, 0.02, 0.9, 9
 MIN_EDGES = 60
 CUT_PX = 2
 EXACT_RAD = 1e-7  # an attitude that is known better is taken to be known so well
-LEAST_SCATTER = 0.2  # px; no shape is known better
+MIN_SCATTER = 0.2  # px; no shape is known better
 EDGE_LENGTH_PX = 12.0  # along which an edge errs as one
 # By the light on the shape: steps of the grid that pieces are searched, how many are needed, blocks
 # a side whose pieces err together.
@@ -146,7 +146,7 @@ def _lit_mask(lit: Segmented) -> BoolArray:
     blobs = lit.blobs
     if not len(blobs):
         raise NoSolutionError("nothing lit stands out of the sky", ReasonCode.NO_BODY)
-    kept = blobs.label[blobs.area >= LEAST_BLOB * blobs.area[0]]
+    kept = blobs.label[blobs.area >= MIN_BLOB * blobs.area[0]]
     mask: BoolArray = np.isin(blobs.labels, kept)
     if np.sqrt(mask.sum()) < MIN_ACROSS_PX:
         text = f"the lit shape is {np.sqrt(mask.sum()):.0f} px across; a silhouette wants more"
@@ -274,7 +274,7 @@ def _fitted(
     """The change of the pose that offsets ask for; thinning: rows that count as one measurement."""
     prior = 1.0 / max(view.attitude_sigma_rad, EXACT_RAD) ** 2
     hold, change = np.diag([0.0, 0.0, 0.0, prior, prior, prior]), np.zeros(6)
-    scatter = max(1.4826 * float(np.median(np.abs(offsets - np.median(offsets)))), LEAST_SCATTER)
+    scatter = max(1.4826 * float(np.median(np.abs(offsets - np.median(offsets)))), MIN_SCATTER)
     weights, normal = np.ones(len(offsets)), hold
     for _ in range(8):
         rest = np.abs(offsets - rows @ change) / scatter
@@ -285,7 +285,7 @@ def _fitted(
         wanted[3:] -= prior * turned
         change = _inverse(normal) @ wanted
         left = np.abs(offsets - rows @ change)
-        scatter = max(1.4826 * float(np.median(left)), LEAST_SCATTER)
+        scatter = max(1.4826 * float(np.median(left)), MIN_SCATTER)
     return _Rows(rows, offsets, weights, groups, normal, change, scatter)
 
 

@@ -1,8 +1,10 @@
-"""Numbers in words, tables, and the account of a build as plain lines."""
+"""Numbers in words, tables, the account of a build as plain lines, and documents for programs."""
 
+import json
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from itertools import zip_longest
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:  # no library is loaded before messages have a place to go
@@ -145,3 +147,29 @@ def _peak(peak: "Peak | None") -> str:
 
 def _share(count: int, of: int) -> str:
     return f"{100.0 * count / of:.1f} %" if of else "-"
+
+
+def json_text(document: Mapping[str, object]) -> str:
+    """A document as JSON, indented, keys in their order.
+
+    Numbers that do not exist (NaN, infinities) are null. The text is ASCII, so that it can be
+    printed in any locale, whatever the names of files in it.
+    """
+    return json.dumps(_plain(document), indent=2, allow_nan=False)
+
+
+def _plain(value: object) -> object:
+    """A value as JSON knows it. Raises TypeError for what has no place in a document."""
+    if hasattr(value, "tolist"):  # numpy's arrays and numbers
+        value = value.tolist()
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, Iterable):
+        return [_plain(inner) for inner in value]
+    raise TypeError(f"{value!r} has no place in a document")

@@ -10,8 +10,8 @@ from catalog.inputs import MEGABYTE, read_input
 from catalog.tables import CsvRow
 from optnav_cli.frames.tables import PADS
 from optnav_cli.hazard.settings import PADS_FILE
-from optnav_cli.output.document import json_text
 from optnav_cli.output.manifest import read_manifest
+from optnav_cli.output.wording import json_text
 from optnav_cli.report import page as html
 
 OVERVIEW = "hazard.png"

@@ -11,7 +11,7 @@ import pytest
 
 from catalog.control_point import SHADOW_AZIMUTHS
 from optnav_cli.main import run
-from optnav_cli.output.document import json_text
+from optnav_cli.output.wording import json_text
 from tests.catalog.made_catalogs import World, make_world
 
 README = Path(__file__).resolve().parents[3] / "optnav_cli" / "README.md"
