@@ -41,7 +41,7 @@ class GroundView:
     """A picture on the ground.
 
     brightness  (rows, cols) of the cells, less the detector's dark level
-    valid       (rows, cols) whether the picture shows the cell, unsaturated
+    valid       (rows, cols) whether the picture shows the cell
     cell_m      side of a cell
     sun         (3,) unit vector to the Sun at the middle
     camera_m    (3,) the camera's place from the middle's foot
@@ -197,7 +197,9 @@ def _check_slant(cosines: FloatArray) -> None:
 
 def _middle(pose: Pose, boresight: FloatArray, heights: Heights) -> tuple[Stereographic, float]:
     """A map about where the boresight meets the ground, and the height there."""
-    level, at = 0.0, pose.position_m
+    at = pose.position_m
+    below = np.ravel(heights(*(np.atleast_1d(angle) for angle in latlon_from_xyz(at)[:2])))[0]
+    level = float(below) if np.isfinite(below) else 0.0
     for _ in range(5):
         reach = distance_to_sphere(pose.position_m, boresight[None], pose.radius_m + level)
         if not np.isfinite(reach[0]):
@@ -238,7 +240,7 @@ def _laid(laying: _Laying, gsd_m: float, sun: FloatArray, camera_m: FloatArray) 
             f"{MIN_PAD_CELLS} cells of {cell:.3g} m",
             "too_small",
         )
-    values, bad = _binned(laying.picture, binned)
+    values = _binned(laying.picture, binned)
     at_rows, at_cols = _lattice(rows), _lattice(cols)
     east = (at_cols - 0.5 * (cols - 1)) * cell
     north = (0.5 * (rows - 1) - at_rows) * cell
@@ -254,8 +256,6 @@ def _laid(laying: _Laying, gsd_m: float, sun: FloatArray, camera_m: FloatArray) 
     high, wide = values.shape
     valid = (places[0] >= -0.5) & (places[0] <= wide - 0.5)
     valid &= (places[1] >= -0.5) & (places[1] <= high - 0.5)
-    if bad is not None:
-        valid &= _remapped(bad, places) == 0.0
     return GroundView(sampled, valid, cell, sun, camera_m, laying.projection, pixels)
 
 
@@ -278,30 +278,29 @@ def _interpolated(lattice: FloatArray, rows: FloatArray, cols: FloatArray) -> Fl
     return found
 
 
-def _binned(picture: Picture, many: int) -> tuple[Float32Array, Float32Array | None]:
-    """Means over squares of pixels less the dark level, and where they are saturated (> 0)."""
+def _binned(picture: Picture, many: int) -> Float32Array:
+    """Means over squares of pixels less the dark level.
+
+    The few pixels that are saturated stay what they are: slopes that face the Sun, and dangerous.
+    """
     values = picture.values
     rows, cols = (size // many * many for size in values.shape)
     values = values[:rows, :cols]
-    bad = None
     if picture.saturation is not None:
-        white = values >= picture.saturation
-        share = float(white.mean())
+        share = float((values >= picture.saturation).mean())
         if share > MAX_SATURATED:
             raise NoSolutionError(
                 f"{share:.1%} of the picture is saturated; wanted up to {MAX_SATURATED:.0%}: "
                 "expose it less",
                 "saturated",
             )
-        bad = white.astype(np.float32) if share else None
     if many > 1:
         size = cols // many, rows // many
         values = resized(values, size)
-        bad = None if bad is None else resized(bad, size)
     sample = values[::3, ::3]
     low, high = np.quantile(sample, [0.002, 0.99])
     dark = low if 0.0 < low < DARK_SHARE * high else 0.0
-    return np.subtract(values, np.float32(dark)), bad
+    return np.subtract(values, np.float32(dark))
 
 
 def _remapped(values: Float32Array, places: list[Float32Array]) -> Float32Array:

@@ -18,9 +18,10 @@ Numbers = Annotated[tuple[float, ...], msgspec.Meta(min_length=1, max_length=50)
 class ErrorOfSlopes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How likely a slope is above a limit, one number for each elevation of the Sun.
 
-    It is the normal distribution of (slope - limit * level + local * r + regional * R + dark * f)
-    over (sigma + sigma_local * r + sigma_dark * f), tangents; r and R are rms slopes about a cell,
-    f the share of shadow there.
+    It is the normal distribution of slope - limit * level + local * r + (regional + narrow * x) * R
+    + dark * f over sigma + sigma_local * r + sigma_dark * f + sigma_narrow * x * R, tangents; r and
+    R are rms slopes about a cell, f the share of shadow there, and x grows as the picture gets
+    smaller than `wide_m`: waves longer than it, which run across the Sun, are in no brightness.
     """
 
     limit: Numbers
@@ -30,6 +31,8 @@ class ErrorOfSlopes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sigma: Numbers
     sigma_local: Numbers
     sigma_dark: Numbers
+    narrow: Numbers
+    sigma_narrow: Numbers
 
 
 class ShadingNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -39,6 +42,7 @@ class ShadingNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     spectrum: Annotated[float, msgspec.Meta(ge=0.0, le=6.0)]
     local_m: Positive
     regional_m: Positive
+    wide_m: Positive
     sun_elevation_deg: Numbers
     dangerous: ErrorOfSlopes
     critical: ErrorOfSlopes

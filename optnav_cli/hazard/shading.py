@@ -96,7 +96,7 @@ def rated(
         (numbers.critical, CRITICAL_DEG, critical),
         (numbers.dangerous, DANGEROUS_DEG, dangerous),
     ):
-        terms = _terms(part, model, view.sun_elevation_deg, limit)
+        terms = _terms(part, model, view, limit)
         _rate(squares, local, regional, dark, terms, out, sigma)
     return SlopeMap(toward, across, dangerous, critical, sigma, shadow)
 
@@ -333,12 +333,24 @@ def _cells(length_m: float, cell_m: float) -> int:
     return max(1, 2 * round(0.5 * (length_m / cell_m - 1.0)) + 1)
 
 
+def narrowness(view: GroundView, model: HazardModel) -> float:
+    """How much smaller a picture is than those that show all waves: 0; 1 for a quarter."""
+    wide = math.sqrt(float(np.count_nonzero(view.valid))) * view.cell_m
+    return max(math.sqrt(model.shading.wide_m / max(wide, view.cell_m)) - 1.0, 0.0)
+
+
 def _terms(
-    part: ErrorOfSlopes, model: HazardModel, elevation_deg: float, limit_deg: float
+    part: ErrorOfSlopes, model: HazardModel, view: GroundView, limit_deg: float
 ) -> Float32Array:
-    terms = error_terms(part, model.shading.sun_elevation_deg, elevation_deg)
-    terms[0] *= math.tan(math.radians(limit_deg))
-    return np.array(terms, np.float32)
+    """Of a view, as `_rate` takes them."""
+    elevations, elevation = model.shading.sun_elevation_deg, view.sun_elevation_deg
+    limit, local, regional, dark, sigma, by_local, by_dark, narrow, by_narrow = error_terms(
+        part, elevations, elevation
+    )
+    x = narrowness(view, model)
+    limit *= math.tan(math.radians(limit_deg))
+    found = limit, local, regional + x * narrow, dark, sigma, by_local, by_dark, x * by_narrow
+    return np.array(found, np.float32)
 
 
 @kernel
@@ -351,16 +363,17 @@ def _rate(
     out: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """Fill how likely slopes (their squares) are above a limit; terms as ErrorOfSlopes has them."""
+    """Fill how likely slopes (their squares) are above a limit; terms as `_terms` has them."""
     limit, by_local, by_regional, by_dark = terms[0], terms[1], terms[2], terms[3]
-    own, more_local, more_dark = terms[4], terms[5], terms[6]
+    own, more_local, more_dark, more_regional = terms[4], terms[5], terms[6], terms[7]
     steps, reach, least = np.float32(CHANCE_STEPS), np.float32(CHANCE_REACH), np.float32(0.01)
     last = 2.0 * reach * steps - np.float32(1.0)
     for i in range(squares.shape[0]):
         for j in range(squares.shape[1]):
             s, r, f = np.sqrt(squares[i, j]), np.sqrt(local[i, j]), dark[i, j]
-            above = s - limit + by_local * r + by_regional * np.sqrt(regional[i, j]) + by_dark * f
-            width = max(own + more_local * r + more_dark * f, least)
+            wide = np.sqrt(regional[i, j])
+            above = s - limit + by_local * r + by_regional * wide + by_dark * f
+            width = max(own + more_local * r + more_dark * f + more_regional * wide, least)
             sigma[i, j] = width
             at = min(max((above / width + reach) * steps, np.float32(0.0)), last)
             k = int(at)

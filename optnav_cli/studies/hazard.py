@@ -6,8 +6,8 @@ configs/models/hazard.toml are fitted (--fit) on other fields than those that ar
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,15 +16,15 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import ndtr
 
-from catalog.arrays import Float32Array, FloatArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.progress import Progress
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, slope_components, slope_degrees
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.hazard.fusion import fuse
 from optnav_cli.hazard.ground_view import GroundView, look_down, resized
 from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, hazard_model
-from optnav_cli.hazard.pads import RiskMap, choose_pads, risk_of_slopes
-from optnav_cli.hazard.shading import map_slopes, rating_features
+from optnav_cli.hazard.pads import Pad, RiskMap, choose_pads, risk_of_slopes
+from optnav_cli.hazard.shading import map_slopes, narrowness, rating_features
 from optnav_cli.hazard.variance import map_variance
 from optnav_cli.studies.hazard_fields import (
     CELL_M,
@@ -44,7 +44,9 @@ EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 MIN_PADS = 200  # of a bin
 FIRST_FIT_SEED, FIT_FIELDS = 101, 4
 FIT_ELEVATIONS = (5.0, 10.0, 20.0, 40.0)
-FIT_STEP, FIT_BORDER = 4, 24  # judged nodes
+FIT_STEP, NARROW_STEP, FIT_BORDER = 4, 3, 12  # judged nodes
+NARROW_CELLS = 410  # a picture from 500 m
+NARROW_PARTS = ((0.1, 0.2), (0.3, 0.9), (0.6, 0.5), (0.9, 0.1))  # of the way to the far side
 PRIOR_M, PRIOR_ERROR_DEG = 20.0, 1.0
 PICTURE_CAMERA, PICTURE_HEIGHT_M, PICTURE_DRAWN_M = "tsnn2_narrow", 500.0, 0.25
 PICTURE_NODES = 2000
@@ -194,24 +196,31 @@ def judge_pictures(seed: int, model: HazardModel, scores: dict[float, Score]) ->
     for elevation, score in scores.items():
         picture = perspective_picture(ground, camera, PICTURE_HEIGHT_M, elevation, PICTURE_DRAWN_M)
         view = look_down(picture, camera, PICTURE_HEIGHT_M, elevation, ground.azimuth_deg())
-        pads = choose_pads(
-            view, risk_of_slopes(view, map_slopes(view, model), PAD_M, model), SQUARE_M
-        )
+        risk = risk_of_slopes(view, map_slopes(view, model), PAD_M, model)
+        pads = choose_pads(view, risk, SQUARE_M)
         score.squares += len(pads)
         squares = float(np.mean(np.nan_to_num(ground.degrees[2:-2, 2:-2]) ** 2))
         area = ground.share_above(DANGEROUS_DEG), ground.share_above(CRITICAL_DEG), squares
         score.area.append(area)
-        middle = 0.5 * (len(ground.degrees) - 1)
-        half = round(0.5 * PAD_M / JUDGED_M)
-        for pad in pads:
-            if pad.cell is None:
-                continue
-            x, y = (float(value) / JUDGED_M for value in view.xy_m(*pad.cell))
-            row, col = round(middle - y + 0.5), round(middle + x + 0.5)
-            on = np.nan_to_num(ground.degrees[row - half : row + half, col - half : col + half])
-            expected = pad.shares["expected_dangerous_share"]
-            shares = float((on > DANGEROUS_DEG).mean()), float((on > CRITICAL_DEG).mean())
-            score.pads.append((expected, *shares, float((on**2).mean())))
+        score.pads += pads_below(ground, view, pads)
+
+
+def pads_below(
+    ground: Field, view: GroundView, pads: Sequence[Pad]
+) -> list[tuple[float, float, float, float]]:
+    """Of each pad of a view of the middle of a field, as `Score.pads` has them."""
+    found = []
+    middle, half = 0.5 * (len(ground.degrees) - 1), round(0.5 * PAD_M / JUDGED_M)
+    for pad in pads:
+        if pad.cell is None:
+            continue
+        x, y = (float(value) / JUDGED_M for value in view.xy_m(*pad.cell))
+        row, col = round(middle - y + 0.5), round(middle + x + 0.5)
+        on = np.nan_to_num(ground.degrees[row - half : row + half, col - half : col + half])
+        shares = float((on > DANGEROUS_DEG).mean()), float((on > CRITICAL_DEG).mean())
+        expected = pad.shares["expected_dangerous_share"]
+        found.append((expected, *shares, float((on**2).mean())))
+    return found
 
 
 @lru_cache(maxsize=1)
@@ -221,18 +230,40 @@ def _fit_data(model: HazardModel) -> dict[float, FloatArray]:
     for kind in ("rough", "even"):
         for seed in range(FIRST_FIT_SEED, FIRST_FIT_SEED + FIT_FIELDS):
             ground = make_field(kind, seed)
-            true = np.nan_to_num(ground.degrees)
-            nodes = np.arange(FIT_BORDER, len(true) - FIT_BORDER, FIT_STEP)
             for elevation in FIT_ELEVATIONS:
-                view = field_view(ground, elevation)
-                slopes = map_slopes(view, model)
-                features = rating_features(view, slopes, model)
-                at = np.ix_(2 * nodes, 2 * nodes)
-                rows = [part[at].ravel() for part in features] + [
-                    true[np.ix_(nodes, nodes)].ravel()
-                ]
-                parts[elevation].append(np.stack(rows).astype(np.float64))
+                whole = field_view(ground, elevation)
+                for part, corner in _parts(whole):
+                    parts[elevation].append(_features(part, corner, ground, model))
     return {elevation: np.concatenate(rows, axis=1) for elevation, rows in parts.items()}
+
+
+def _parts(view: GroundView) -> Iterator[tuple[GroundView, tuple[int, int]]]:
+    """A view of a field and narrower ones cut out of it, with the cells where they begin."""
+    yield view, (0, 0)
+    size = len(view.brightness)
+    for row, col in NARROW_PARTS:
+        first = round(row * (size - NARROW_CELLS)), round(col * (size - NARROW_CELLS))
+        place = tuple(slice(at, at + NARROW_CELLS) for at in first)
+        cut = np.ascontiguousarray(view.brightness[place])
+        yield replace(view, brightness=cut, valid=view.valid[place]), first
+
+
+def _features(
+    view: GroundView, corner: tuple[int, int], ground: Field, model: HazardModel
+) -> FloatArray:
+    """Features, narrowness and true slopes (6, n) of some of a view's cells."""
+    many = round(JUDGED_M / CELL_M)
+    first = [at // many for at in corner]
+    high, wide = (size // many for size in view.brightness.shape)
+    true = np.nan_to_num(ground.degrees)[first[0] : first[0] + high, first[1] : first[1] + wide]
+    features = rating_features(view, map_slopes(view, model), model)
+    # slopes are judged at nodes, each of which is 2 x 2 cells
+    grids = [*(resized(part, true.shape[::-1]) for part in features), true]
+    step = FIT_STEP if high * many > 2 * NARROW_CELLS else NARROW_STEP
+    nodes = np.arange(FIT_BORDER, high - FIT_BORDER, step)
+    rows = [grid[np.ix_(nodes, nodes)].ravel().astype(np.float64) for grid in grids]
+    rows.insert(4, np.full(rows[0].size, narrowness(view, model)))
+    return np.stack(rows)
 
 
 def fit_model(model: HazardModel, progress: Progress) -> HazardModel:
@@ -251,32 +282,37 @@ def fit_model(model: HazardModel, progress: Progress) -> HazardModel:
     return msgspec.structs.replace(model, shading=shading)
 
 
+def chances(terms: FloatArray, data: FloatArray, limit_deg: float) -> FloatArray:
+    """How likely slopes (n) are above a limit, by the terms of `ErrorOfSlopes` for one Sun.
+
+    data  (5 or more, n): slope, local and regional rms slopes (tangents), share of shadow,
+          narrowness
+    """
+    slope, local, regional, dark, narrow = data[:5]
+    wide = narrow * regional
+    sigma = terms[4] + terms[5] * local + terms[6] * dark + terms[8] * wide
+    middle = slope - math.tan(math.radians(limit_deg)) * terms[0] + terms[1] * local
+    middle += terms[2] * regional + terms[3] * dark + terms[7] * wide
+    found: FloatArray = ndtr(middle / np.maximum(sigma, 0.01))
+    return found
+
+
+def misfit(terms: FloatArray, data: FloatArray, above: BoolArray, limit_deg: float) -> float:
+    """Less the mean logarithm of the likelihood that slopes are above a limit where they are."""
+    chance = np.clip(chances(terms, data, limit_deg), 1e-6, 1.0 - 1e-6)
+    return -float(np.mean(np.where(above, np.log(chance), np.log1p(-chance))))
+
+
 def fit_terms(data: FloatArray, limit_deg: float) -> list[float]:
     """The terms of `ErrorOfSlopes` under which the true slopes are the likeliest.
 
-    data  (5, n): slope, local and regional rms slopes (tangents), share of shadow, true slope (deg)
+    data  (6, n): as for `chances`, and the true slopes, deg
     """
-    slope, local, regional, dark, true = data
-    above = true > limit_deg
-    limit = math.tan(math.radians(limit_deg))
-
-    def misfit(terms: FloatArray) -> float:
-        sigma = np.maximum(terms[4] + terms[5] * local + terms[6] * dark, 0.01)
-        middle = slope - limit * terms[0] + terms[1] * local + terms[2] * regional
-        chance = np.clip(ndtr((middle + terms[3] * dark) / sigma), 1e-6, 1.0 - 1e-6)
-        return -float(np.mean(np.where(above, np.log(chance), np.log1p(-chance))))
-
-    start = np.array([1.0, 0.0, 0.0, 0.0, 0.03, 0.0, 0.0])
-    bounds = [
-        (0.2, 4.0),
-        (-1.5, 1.5),
-        (-1.5, 1.5),
-        (-0.5, 0.5),
-        (0.01, 0.2),
-        (-0.3, 1.0),
-        (-0.1, 0.5),
-    ]
-    found = minimize(misfit, start, method="L-BFGS-B", bounds=bounds)
+    above = data[5] > limit_deg
+    start = np.array([1.0, 0.0, 0.0, 0.0, 0.03, 0.0, 0.0, 0.0, 0.0])
+    bounds = [(0.2, 4.0), *[(-1.5, 1.5)] * 2, (-0.5, 0.5), (0.01, 0.2), (-0.3, 1.0), (-0.1, 0.5)]
+    bounds += [(-1.0, 1.0), (0.0, 1.0)]
+    found = minimize(misfit, start, (data, above, limit_deg), method="L-BFGS-B", bounds=bounds)
     return [float(f"{value:.4f}") for value in found.x]
 
 

@@ -27,6 +27,7 @@ README = HERE / "readme"
 DEMO_FRAME, APOLLO_FRAME = "frame_0001.png", "AS15-M-0297_SML.png"
 CENTRAL_PEAK_DEG = (-43.3, -11.2)
 APOLLO_FIGURES = documents.FIGURES / "apollo.json"
+HAZARD = (2, 5.0, 100.0)  # seed of the ground, elevation of the Sun, side of squares
 CURVES = ("arc", "resection", "matching")  # studies
 
 
@@ -35,13 +36,14 @@ CURVES = ("arc", "resection", "matching")  # studies
 @click.option("--pictures/--no-pictures", "draw", default=True, help="Make the README's pictures.")
 @click.option("--curves/--no-curves", "plot", default=True, help="Make the README's curves.")
 @click.option("--flights/--no-flights", "flown", default=True, help="Make the flights' pictures.")
+@click.option("--hazard/--no-hazard", "landed", default=True, help="Make the hazard map.")
 @click.option(
     "--work",
     type=click.Path(path_type=Path),
     default=HERE.parents[1] / "build" / "golden",
     help="Folder for what the pictures are made from.",
 )
-def main(freeze: bool, draw: bool, plot: bool, flown: bool, work: Path) -> None:
+def main(freeze: bool, draw: bool, plot: bool, flown: bool, landed: bool, work: Path) -> None:
     """See the head of this file."""
     if freeze:
         values.freeze()
@@ -64,6 +66,10 @@ def main(freeze: bool, draw: bool, plot: bool, flown: bool, work: Path) -> None:
         for path, captions_of in flights.fly(work, moon, README):
             captions[path.stem] = captions_of
             _told(path)
+    if landed:
+        picture, captions["hazard"] = pictures.hazard_map(*HAZARD)
+        sketch.write(picture, README / "hazard.png")
+        _told(README / "hazard.png")
     if captions:
         known = json.loads(documents.CAPTIONS.read_text(encoding="utf-8")) | captions
         text = json.dumps(known, indent=2, ensure_ascii=False, sort_keys=True)

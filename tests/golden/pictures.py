@@ -16,12 +16,19 @@ from catalog.inspect.draw import draw_pyramid
 from catalog.rendering.map_view import render_map
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.mosaic import Mosaic
+from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.hazard.ground_view import look_down
+from optnav_cli.hazard.hazard_map import map_hazard
+from optnav_cli.hazard.settings import HazardSettings
 from optnav_cli.output.overlay import RESIDUALS_ENLARGED, draw_overlay, patch_outlines
 from optnav_cli.output.run_folder import RunFolder, read_run
 from optnav_cli.report.body_sides import sides_picture
+from optnav_cli.runs.hazard_drawing import draw_overview
+from optnav_cli.studies import hazard as study
+from optnav_cli.studies.hazard_fields import make_field, perspective_picture
 from tests.golden import sketch
 
 # From good to bad, as in the reports (viridis), blue green red.
@@ -128,6 +135,23 @@ def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> Drawn:
     height = round(picture.shape[0] * WIDE_PX / picture.shape[1])
     shown = cv2.resize(picture, (WIDE_PX, height), interpolation=cv2.INTER_AREA)
     return np.asarray(shown, np.uint8), caption
+
+
+def hazard_map(seed: int, elevation_deg: float, square_m: float) -> Drawn:
+    """A picture of synthetic ground from 500 m, its risk, slopes and pads."""
+    ground = make_field("rough", seed, study.PICTURE_NODES, study.PICTURE_DRAWN_M)
+    camera, height_m = preset_camera(study.PICTURE_CAMERA), study.PICTURE_HEIGHT_M
+    picture = perspective_picture(ground, camera, height_m, elevation_deg, study.PICTURE_DRAWN_M)
+    view = look_down(picture, camera, height_m, elevation_deg, ground.azimuth_deg())
+    mapped = map_hazard(view, HazardSettings(square_m=square_m))
+    found = 100.0 * np.array(study.pads_below(ground, view, mapped.pads)).mean(axis=0)
+    caption = (
+        f"Where to land: synthetic ground, {100.0 * ground.share_above(7.0):.0f} % of it above "
+        f"7°, under a Sun of {elevation_deg:g}°, seen from {height_m:g} m; its risk and the slopes "
+        f"that its shading tells. Boxes are the pads of 20 m chosen in squares of {square_m:g} m: "
+        f"{found[0]:.1f} % of them is expected above 7°, {found[1]:.1f} % is."
+    )
+    return draw_overview(mapped, picture), caption
 
 
 def body_sides(catalog_path: Path) -> Drawn:
