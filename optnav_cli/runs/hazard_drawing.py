@@ -7,12 +7,11 @@ import numpy as np
 
 from catalog.arrays import ByteArray, Float32Array
 from catalog.terrain.slopes import slope_degrees
-from optnav_cli.frames.picture import Picture
 from optnav_cli.hazard.hazard_map import HazardMap
 from optnav_cli.hazard.pads import REFUSED
 from optnav_cli.output.canvas import Canvas, dimmed, eight_bits
 
-PANEL_PX = 420  # of a square one, side by side
+PANEL_PX = 330  # of a square one, side by side
 GAP_PX, TITLE_PX = 8, 22
 MAX_SLOPE_DEG = 20.0  # the brightest of the colours
 MAX_RISK_PX = 1024
@@ -35,23 +34,28 @@ def coloured(values: Float32Array, highest: float) -> ByteArray:
 
 def draw_risk(mapped: HazardMap) -> ByteArray:
     """The risk map in colours, refused pads dark, with the squares and the chosen pads."""
-    rows, cols = mapped.view.brightness.shape
-    factor = min(1.0, MAX_RISK_PX / max(rows, cols))
+    factor = min(1.0, MAX_RISK_PX / max(mapped.view.brightness.shape))
+    return _with_pads(mapped, _scaled(_risk_colours(mapped), factor), factor)
+
+
+def _risk_colours(mapped: HazardMap) -> ByteArray:
+    """The colours of the cells of a view."""
     colours = coloured(mapped.risk.code.astype(np.float32), 0.6 * REFUSED)
     colours[mapped.risk.code == REFUSED] = REFUSED_COLOUR
     full = _on_cells(mapped, colours)
     full[~mapped.view.valid] = OUTSIDE_COLOUR
-    return _with_pads(mapped, _scaled(full, factor), factor)
+    return full
 
 
-def draw_overview(mapped: HazardMap, picture: Picture | None) -> ByteArray:
-    """Picture, risk and slopes side by side, the pads in all of them; captions say what is what."""
+def draw_overview(mapped: HazardMap) -> ByteArray:
+    """Picture, risk, pads and slopes side by side; captions say what is what."""
     view = mapped.view
     factor = PANEL_PX / max(view.brightness.shape)
-    gray = eight_bits(np.where(view.valid, view.brightness, np.float32(0.0)))
+    gray = dimmed(eight_bits(np.where(view.valid, view.brightness, np.float32(0.0))))
     panels = [
-        ("picture on the ground", _with_pads(mapped, _scaled(dimmed(gray), factor), factor)),
-        ("risk: green 0, red 0.6; dark refused", _scaled(draw_risk(mapped), None)),
+        ("picture on the ground", _scaled(gray, factor)),
+        ("risk: green 0, red 0.6; dark refused", _scaled(_risk_colours(mapped), factor)),
+        ("pads", _with_pads(mapped, _scaled(gray, factor), factor)),
     ]
     if mapped.slopes is not None:
         degrees = slope_degrees(np.stack([mapped.slopes.toward, mapped.slopes.across]))
@@ -85,9 +89,8 @@ def _on_cells(mapped: HazardMap, colours: ByteArray) -> ByteArray:
     return full
 
 
-def _scaled(picture: ByteArray, factor: float | None) -> ByteArray:
-    """A picture scaled; without a factor to the size of a panel."""
-    factor = PANEL_PX / max(picture.shape[:2]) if factor is None else factor
+def _scaled(picture: ByteArray, factor: float) -> ByteArray:
+    """A picture scaled."""
     if factor == 1.0:
         return picture.copy()
     high, wide = (max(1, round(size * factor)) for size in picture.shape[:2])

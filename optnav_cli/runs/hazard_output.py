@@ -111,7 +111,7 @@ class HazardOutput:
             place = self._folder / _stem(frame.file) if self._many else self._folder
             place.mkdir(exist_ok=True)
             self._write_rasters(place, frame.mapped)
-            pictures = draw_risk(frame.mapped), draw_overview(frame.mapped, frame.picture)
+            pictures = draw_risk(frame.mapped), draw_overview(frame.mapped)
             for name, picture in zip(("risk.png", "hazard.png"), pictures, strict=True):
                 (place / name).write_bytes(encoded(picture, ".png"))
             self._rows += [_cells(frame, pad) for pad in frame.mapped.pads]

@@ -151,7 +151,7 @@ def hazard_map(seed: int, elevation_deg: float, square_m: float) -> Drawn:
         f"that its shading tells. Boxes are the pads of 20 m chosen in squares of {square_m:g} m: "
         f"{found[0]:.1f} % of them is expected above 7°, {found[1]:.1f} % is."
     )
-    return draw_overview(mapped, picture), caption
+    return draw_overview(mapped), caption
 
 
 def body_sides(catalog_path: Path) -> Drawn:

@@ -91,7 +91,7 @@ def test_a_prior_map_has_the_slopes_of_the_ground(small):
     assert len(small.heights) * DRAWN_M == len(prior)
 
 
-def drawn(terms, limit_deg, count=30_000):
+def drawn(terms, limit_deg, count=60_000):
     """Cells whose slopes are above a limit as often as terms say: features, and which are."""
     rng = np.random.default_rng(4)
     limit = np.tan(np.radians(limit_deg))
