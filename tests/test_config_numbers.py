@@ -22,6 +22,8 @@ from catalog.build.config import BuildConfig, load_build_config
 from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera_file import CameraFileSettings, camera_toml, load_camera
 from optnav_cli.frames.archive_frame import ImportTable, load_table
+from optnav_cli.hazard.settings import HazardSettings
+from optnav_cli.hazard.settings import load_settings as hazard_settings
 from optnav_cli.navigation.settings import NavigateSettings, load_settings
 from optnav_cli.simulation.approach import Approach
 from optnav_cli.simulation.descent import Descent
@@ -81,6 +83,7 @@ CASES: dict[str, tuple[type, Callable[[Path], object]]] = {
     "templates/build": (BuildConfig, load_build_config),
     "catalogs/phobos": (BuildConfig, load_build_config),
     "templates/navigate": (NavigateSettings, load_settings),
+    "templates/hazard": (HazardSettings, lambda path: hazard_settings(path, {})),
     "scenarios/demo": (Scenario, use_scenario),
     "scenarios/structure_100km": (Scenario, use_scenario),
     "scenarios/descent_118m": (Descent, use_scenario),

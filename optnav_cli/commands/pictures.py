@@ -219,7 +219,7 @@ def _evaluate_pads(folder: Path, truth: Path, as_json: bool, limit: float | None
 
     figures, pads = evaluate_pads(folder, truth)
     if as_json:
-        limits = {"max_dangerous_share": limit}
+        limits = {"max_dangerous_share": limit}  # null for none
         click.echo(json_text({"run": folder, "truth": truth} | asdict(figures) | limits))
     else:
         click.echo(figures.to_text())

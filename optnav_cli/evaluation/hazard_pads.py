@@ -60,7 +60,7 @@ class PadFigures:
     pads: int
     judged: int
     dangerous_share: float
-    max_dangerous_share: float
+    worst_pad_share: float
     expected_dangerous_share: float | None
     critical_share: float
     rms_slope_deg: float
@@ -73,7 +73,7 @@ class PadFigures:
             ("pads", f"{self.pads}, {self.judged} of them judged"),
             (f"above {DANGEROUS_DEG:g} deg", f"{self.dangerous_share:.1%}"),
             ("expected", "-" if expected is None else f"{expected:.1%}"),
-            ("worst pad", f"{self.max_dangerous_share:.1%}"),
+            ("worst pad", f"{self.worst_pad_share:.1%}"),
             (f"above {CRITICAL_DEG:g} deg", f"{self.critical_share:.2%}"),
             ("rms slope", f"{self.rms_slope_deg:.2f} deg"),
         ]

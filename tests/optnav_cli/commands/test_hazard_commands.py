@@ -350,6 +350,8 @@ def test_pads_are_judged_by_a_terrain_model(
     assert (found["squares"], found["judged"]) == (4, 4)
     assert found["dangerous_share"] == pytest.approx(0.5, abs=0.05)
     assert found["critical_share"] == 0.0
+    assert found["worst_pad_share"] > 0.9
+    assert found["max_dangerous_share"] is None
     assert found["rms_slope_deg"] == pytest.approx(10.0 * np.sqrt(0.5), abs=0.5)
     assert len((out / "evaluation.csv").read_text().splitlines()) == 5
     limit = ["--max-dangerous-share", "0.3"]
@@ -387,3 +389,43 @@ def test_a_hazard_folder_has_a_page(place: Path) -> None:
     assert "data:image/png;base64," in text
     assert "4 of 4" in text
     assert "http" not in text.replace("http://www.w3.org", "")
+
+
+def test_an_oblong_picture_has_squares_along_it(place: Path) -> None:
+    camera = Camera("cam", "pinhole", SIZE, 90, HEIGHT, (0.5 * (SIZE - 1), 44.5))
+    (place / "cam.toml").write_text(camera_toml(camera))
+    with rasterio.open("site.tif", "w", "GTiff", SIZE, 90, 1, None, ANYWHERE, "uint16") as file:
+        file.write(picture_values()[:90].astype(np.uint16), 1)
+    assert run(["hazard", "site.tif", *ALONE, "--square-m", "80", "-o", "out"]) == 0
+    rows = PADS.rows(place / "out" / "pads.csv")
+    assert [(row["square_row"], row["square_col"]) for row in rows] == [("0", "0"), ("0", "1")]
+
+
+def test_a_picture_in_colour_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    values = picture_values().astype(np.uint16)
+    with rasterio.open("site.tif", "w", "GTiff", SIZE, SIZE, 3, None, ANYWHERE, "uint16") as file:
+        file.write(np.stack([values, values, values // 2]))
+    assert run(["hazard", "site.tif", *ALONE, "-o", "out"]) == 3
+    assert "in colour" in capsys.readouterr().err
+
+
+def test_ground_of_a_model_moves_what_an_oblique_camera_sees(place: Path) -> None:
+    """Level ground 300 m above the sphere, seen 20 deg off the vertical from the same place."""
+    local = body_from_local(LAT, LON)
+    tilt = Rotation.from_euler("x", 20.0, degrees=True)
+    tilted = tilt * Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]) @ local.T)
+    pictures = folder(place, frame("a.tif", camera_from_body=tilted))
+    dem(place / "dem.tif", np.full((200, 200), 300.0, np.float32))
+    places = []
+    for more in ([], ["--dem", "dem.tif"]):
+        assert run(["hazard", str(pictures), *more, "--square-m", "400", "-o", "out"]) == 0
+        row, *_ = PADS.rows(place / "out" / "pads.csv")
+        direction = np.array([row.number(f"dir_body_{axis}") for axis in "xyz"])
+        away = local.T @ direction
+        reach = (HEIGHT - 300.0 * bool(more)) / -away[2]
+        places.append(np.hypot(*(reach * away[:2])))
+        gap = RADIUS * np.hypot(
+            np.radians(row.number("lat_deg")) - LAT,
+            np.cos(LAT) * (np.radians(row.number("lon_deg")) - LON),
+        )
+        assert gap == pytest.approx(places[-1], rel=0.01)
