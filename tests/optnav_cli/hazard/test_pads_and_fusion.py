@@ -50,7 +50,9 @@ def test_pads_in_shadow_and_at_the_border_are_refused() -> None:
 
 def test_a_square_without_a_pad_says_what_refused_them() -> None:
     dangerous = np.zeros((60, 60), np.float32)
-    view = view_of(np.ones_like(dangerous))
+    shown = np.ones(dangerous.shape, bool)
+    shown[:30] = False
+    view = view_of(np.ones_like(dangerous), valid=shown)
     risk = risk_of_slopes(view, slopes_of(dangerous, dangerous + 1.0), 9.0, MODEL)
     (pad,) = choose_pads(view, risk, 100.0)
     assert pad.cell is None
