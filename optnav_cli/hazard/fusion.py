@@ -1,9 +1,9 @@
 """A prior slope map with the slopes from shading: what brightness does not tell, the tilt of all.
 
-Shading finds how slopes differ from place to place and takes their mean over a picture for zero.
-A map of slopes from orbit, coarser, knows the mean slope of each of its pixels, though not its
-direction. Over the width of such a pixel the slope is taken from both, by their errors; its
-direction is that of shading, and what is finer is shading's alone.
+Shading tells the slope along the Sun nearly exactly, that across it far worse, and neither of them
+for waves longer than the picture. A map of slopes from orbit, coarser, knows the mean slope of each
+of its pixels, though not its direction. Over the width of such a pixel the slope across the Sun is
+taken from both, by their errors, so that the slope becomes the prior's; what is finer is shading's.
 """
 
 import math
@@ -20,9 +20,9 @@ from catalog.rasters import TERRAIN, open_raster, reading_raster
 from catalog.terrain.dem.file import place_of
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.slopes import DANGEROUS_DEG
-from optnav_cli.hazard.ground_view import GroundView, box_means
+from optnav_cli.hazard.ground_view import PictureOnGround, box_means
 from optnav_cli.hazard.model import HazardModel
-from optnav_cli.hazard.shading import SlopeMap, rated
+from optnav_cli.hazard.shading import ShadedSlopes, rated
 
 MAX_PIXELS = 400_000_000
 MAX_SLOPE_DEG = 90.0
@@ -39,7 +39,7 @@ class PriorSlopes:
     place: Georeference
     posting_m: float
 
-    def on(self, view: GroundView) -> Float32Array:
+    def on(self, view: PictureOnGround) -> Float32Array:
         """The map's slopes (rows, cols), deg, at the cells of a view; NaN outside.
 
         Raises DataError for a view without a place on the body, or ground that the map lacks.
@@ -96,12 +96,12 @@ def read_slopes(path: Path, body: Body) -> PriorSlopes:
 
 
 def fuse(
-    view: GroundView,
-    slopes: SlopeMap,
+    view: PictureOnGround,
+    slopes: ShadedSlopes,
     prior_deg: Float32Array,
     posting_m: float,
     model: HazardModel,
-) -> SlopeMap:
+) -> ShadedSlopes:
     """Slopes whose means over a pixel of the prior follow that, too; where it is NaN, as they are.
 
     prior_deg  (rows, cols) at the cells of the view
@@ -109,14 +109,15 @@ def fuse(
     cells = 2 * max(1, round(0.5 * posting_m / view.cell_m)) + 1
     known = np.isfinite(prior_deg)
     prior = np.tan(np.radians(np.where(known, prior_deg, 0.0)))
-    means = [box_means(part, cells) for part in (slopes.toward, slopes.across)]
-    length = np.maximum(np.hypot(*means), SMALLEST)
+    along, over = box_means(slopes.toward, cells), box_means(slopes.across, cells)
     own, other = model.tilt_sigma_deg**2, model.prior_sigma_deg**2
     weight = own / (own + other)
-    wanted = length + weight * (prior - length)
-    factor = np.where(known, wanted / length - 1.0, 0.0).astype(np.float32)
-    toward = slopes.toward + factor * means[0]
-    across = slopes.across + factor * means[1]
+    # brightness tells the slope along the Sun far better than that across it
+    wanted = np.sqrt(np.maximum(prior * prior - along * along, 0.0))
+    change = weight * (wanted - np.abs(over))
+    across = slopes.across + np.where(known, change * np.where(over < 0.0, -1.0, 1.0), 0.0)
+    across = across.astype(np.float32)
+    toward = slopes.toward
     return rated(view, toward, across, slopes.shadow, model)
 
 

@@ -37,7 +37,7 @@ Heights = Callable[[FloatArray, FloatArray], FloatArray]  # of latitudes and lon
 
 
 @dataclass(frozen=True, eq=False)
-class GroundView:
+class PictureOnGround:
     """A picture on the ground.
 
     brightness  (rows, cols) of the cells, less the detector's dark level
@@ -88,7 +88,7 @@ class GroundView:
 
 def look_down(
     picture: Picture, camera: Camera, height_m: float, sun_elevation_deg: float, azimuth_deg: float
-) -> GroundView:
+) -> PictureOnGround:
     """The view of a camera that looks straight down on level ground.
 
     azimuth_deg  of the Sun, clockwise from the picture's upper edge
@@ -114,7 +114,7 @@ def look_down(
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class KnownPose:
     """Where a camera was, and the light.
 
     position_m  (3,), camera_from_body, sun_body (3,): body frame
@@ -127,7 +127,9 @@ class Pose:
     radius_m: float
 
 
-def look_from(picture: Picture, camera: Camera, pose: Pose, heights: Heights | float) -> GroundView:
+def look_from(
+    picture: Picture, camera: Camera, pose: KnownPose, heights: Heights | float
+) -> PictureOnGround:
     """The view of a camera whose pose is known.
 
     heights  of the ground above the sphere, m, by latitudes and longitudes; NaN where not known. Or
@@ -195,7 +197,9 @@ def _check_slant(cosines: FloatArray) -> None:
         )
 
 
-def _middle(pose: Pose, boresight: FloatArray, heights: Heights) -> tuple[Stereographic, float]:
+def _middle(
+    pose: KnownPose, boresight: FloatArray, heights: Heights
+) -> tuple[Stereographic, float]:
     """A map about where the boresight meets the ground, and the height there."""
     at = pose.position_m
     below = np.ravel(heights(*(np.atleast_1d(angle) for angle in latlon_from_xyz(at)[:2])))[0]
@@ -221,7 +225,7 @@ def _middle(pose: Pose, boresight: FloatArray, heights: Heights) -> tuple[Stereo
     return Stereographic(float(lat), float(lon), pose.radius_m), level
 
 
-def _laid(laying: _Laying, gsd_m: float, sun: FloatArray, camera_m: FloatArray) -> GroundView:
+def _laid(laying: _Laying, gsd_m: float, sun: FloatArray, camera_m: FloatArray) -> PictureOnGround:
     """Sample the picture at cells; pixels are averaged to about a cell before."""
     _check_sun(sun)
     binned = max(1, round(CELL_M / gsd_m))
@@ -256,7 +260,7 @@ def _laid(laying: _Laying, gsd_m: float, sun: FloatArray, camera_m: FloatArray) 
     high, wide = values.shape
     valid = (places[0] >= -0.5) & (places[0] <= wide - 0.5)
     valid &= (places[1] >= -0.5) & (places[1] <= high - 0.5)
-    return GroundView(sampled, valid, cell, sun, camera_m, laying.projection, pixels)
+    return PictureOnGround(sampled, valid, cell, sun, camera_m, laying.projection, pixels)
 
 
 def _lattice(size: int) -> FloatArray:

@@ -8,11 +8,11 @@ import numpy as np
 from catalog.arrays import Float32Array
 from catalog.errors import ConfigError
 from optnav_cli.hazard.fusion import PriorSlopes, fuse, too_steep
-from optnav_cli.hazard.ground_view import GroundView
+from optnav_cli.hazard.ground_view import PictureOnGround
 from optnav_cli.hazard.model import HazardModel, hazard_model
 from optnav_cli.hazard.pads import Pad, RiskMap, choose_pads, risk_of_slopes, with_refusals
 from optnav_cli.hazard.settings import HazardSettings
-from optnav_cli.hazard.shading import SlopeMap, map_slopes
+from optnav_cli.hazard.shading import ShadedSlopes, map_slopes
 from optnav_cli.hazard.variance import map_variance
 
 
@@ -23,10 +23,10 @@ class HazardMap:
     slopes  None by the method of variance
     """
 
-    view: GroundView
+    view: PictureOnGround
     risk: RiskMap
     pads: list[Pad]
-    slopes: SlopeMap | None
+    slopes: ShadedSlopes | None
 
     @property
     def found(self) -> int:
@@ -44,7 +44,7 @@ def check_settings(settings: HazardSettings) -> None:
 
 
 def map_hazard(
-    view: GroundView, settings: HazardSettings, prior: PriorSlopes | None = None
+    view: PictureOnGround, settings: HazardSettings, prior: PriorSlopes | None = None
 ) -> HazardMap:
     """The risk and the pads of a view.
 

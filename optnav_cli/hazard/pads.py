@@ -13,9 +13,9 @@ import numpy as np
 from catalog.arrays import BoolArray, ByteArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.terrain.slopes import slope_degrees
-from optnav_cli.hazard.ground_view import MIN_PAD_CELLS, GroundView, box_means
+from optnav_cli.hazard.ground_view import MIN_PAD_CELLS, PictureOnGround, box_means
 from optnav_cli.hazard.model import HazardModel
-from optnav_cli.hazard.shading import SlopeMap
+from optnav_cli.hazard.shading import ShadedSlopes
 
 REFUSED = 255
 MAX_CODE = 254
@@ -60,7 +60,7 @@ class Pad:
     reason: str = ""
 
 
-def pad_cells(view: GroundView, pad_m: float) -> int:
+def pad_cells(view: PictureOnGround, pad_m: float) -> int:
     """The least odd number of cells that a pad fits into.
 
     Raises NoSolutionError for a pad of under three cells or wider than the picture.
@@ -82,7 +82,9 @@ def pad_cells(view: GroundView, pad_m: float) -> int:
     return cells + 1 - cells % 2
 
 
-def risk_of_slopes(view: GroundView, slopes: SlopeMap, pad_m: float, model: HazardModel) -> RiskMap:
+def risk_of_slopes(
+    view: PictureOnGround, slopes: ShadedSlopes, pad_m: float, model: HazardModel
+) -> RiskMap:
     """The expected share of dangerous slopes on each pad; shaded and cut ones are refused."""
     cells = pad_cells(view, pad_m)
     shown = box_means(view.valid.astype(np.float32), cells, 0.0) >= WHOLE
@@ -120,7 +122,7 @@ def with_refusals(risk: RiskMap, more: Mapping[str, BoolArray]) -> RiskMap:
     return RiskMap(score, refused, risk.origin, risk.step, risk.cells, code, risk.shares)
 
 
-def choose_pads(view: GroundView, risk: RiskMap, square_m: float) -> list[Pad]:
+def choose_pads(view: PictureOnGround, risk: RiskMap, square_m: float) -> list[Pad]:
     """The best pad of each square; squares lie about the middle of the view.
 
     Pads lie whole in their square. A picture narrower than a square is one.
@@ -139,7 +141,7 @@ def choose_pads(view: GroundView, risk: RiskMap, square_m: float) -> list[Pad]:
 
 
 def _squares(
-    view: GroundView, square_m: float
+    view: PictureOnGround, square_m: float
 ) -> Iterator[tuple[tuple[int, int], tuple[tuple[float, float], tuple[float, float]]]]:
     """Row and column of squares, and their first and last cells, down and across."""
     shape = view.brightness.shape

@@ -26,7 +26,7 @@ from catalog.geometry.kernel import kernel
 from catalog.geometry.vectors import unit
 from catalog.photometry.laws import law_by_name
 from catalog.terrain.slopes import BASE_M, CRITICAL_DEG, DANGEROUS_DEG
-from optnav_cli.hazard.ground_view import GroundView, box_means, resized
+from optnav_cli.hazard.ground_view import PictureOnGround, box_means, resized
 from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, error_terms
 
 MARGIN_CELLS = 64  # around the picture, which its ground is continued over
@@ -45,7 +45,7 @@ CHANCES: Float32Array = ndtr(
 ).astype(np.float32)
 
 
-class SlopeMap(NamedTuple):
+class ShadedSlopes(NamedTuple):
     """What shading tells of the ground, (rows, cols) each.
 
     toward, across  tangents of the slope on BASE_M: along the direction to the Sun, and along that
@@ -63,7 +63,7 @@ class SlopeMap(NamedTuple):
     shadow: Float32Array
 
 
-def map_slopes(view: GroundView, model: HazardModel, law: str = "hapke") -> SlopeMap:
+def map_slopes(view: PictureOnGround, model: HazardModel, law: str = "hapke") -> ShadedSlopes:
     """Slopes of the ground that a picture shows.
 
     law  of brightness, as `catalog.photometry` names it
@@ -81,12 +81,12 @@ def map_slopes(view: GroundView, model: HazardModel, law: str = "hapke") -> Slop
 
 
 def rated(
-    view: GroundView,
+    view: PictureOnGround,
     toward: Float32Array,
     across: Float32Array,
     shadow: Float32Array,
     model: HazardModel,
-) -> SlopeMap:
+) -> ShadedSlopes:
     """The slopes with how likely they are dangerous."""
     numbers = model.shading
     squares, local, regional, dark = _surroundings(view, toward, across, shadow, model)
@@ -98,11 +98,11 @@ def rated(
     ):
         terms = _terms(part, model, view, limit)
         _rate(squares, local, regional, dark, terms, out, sigma)
-    return SlopeMap(toward, across, dangerous, critical, sigma, shadow)
+    return ShadedSlopes(toward, across, dangerous, critical, sigma, shadow)
 
 
 def _surroundings(
-    view: GroundView,
+    view: PictureOnGround,
     toward: Float32Array,
     across: Float32Array,
     shadow: Float32Array,
@@ -117,7 +117,7 @@ def _surroundings(
 
 
 def rating_features(
-    view: GroundView, slopes: SlopeMap, model: HazardModel
+    view: PictureOnGround, slopes: ShadedSlopes, model: HazardModel
 ) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
     """What danger is told from: the slope, its rms near and farther about, the share of shadow."""
     parts = _surroundings(view, slopes.toward, slopes.across, slopes.shadow, model)
@@ -136,7 +136,7 @@ class Curves(NamedTuple):
     aside: FloatArray
 
 
-def _curves(view: GroundView, law: str) -> Curves:
+def _curves(view: PictureOnGround, law: str) -> Curves:
     """Tables of a law at the corners, edges and middle of a view."""
     rows, cols = view.brightness.shape
     azimuth, reflectance = view.sun_azimuth, law_by_name(law)
@@ -169,7 +169,7 @@ def _curves(view: GroundView, law: str) -> Curves:
     return Curves(slopes, aside)
 
 
-def level_brightness(view: GroundView, curves: Curves) -> float:
+def level_brightness(view: PictureOnGround, curves: Curves) -> float:
     """The brightness of level ground at the middle of the view: that which makes the mean slope
     along the Sun vanish.
 
@@ -237,7 +237,7 @@ def _invert(
 
 
 def _complete(
-    view: GroundView, toward: Float32Array, curves: Curves, noise: float, spectrum: float
+    view: PictureOnGround, toward: Float32Array, curves: Curves, noise: float, spectrum: float
 ) -> tuple[Float32Array, Float32Array]:
     """Slopes along and across the Sun of the whole picture, from what brightness says of the first.
 
@@ -260,7 +260,10 @@ def _complete(
 
 
 def _continued(
-    view: GroundView, toward: Float32Array, aside: Float32Array | None, numbers: tuple[float, float]
+    view: PictureOnGround,
+    toward: Float32Array,
+    aside: Float32Array | None,
+    numbers: tuple[float, float],
 ) -> tuple[Float32Array, Float32Array]:
     """Slopes along the Sun of the picture and its surroundings, every second cell; and those across
     it of the picture (zeros where `aside` is None)."""
@@ -333,14 +336,14 @@ def _cells(length_m: float, cell_m: float) -> int:
     return max(1, 2 * round(0.5 * (length_m / cell_m - 1.0)) + 1)
 
 
-def narrowness(view: GroundView, model: HazardModel) -> float:
+def narrowness(view: PictureOnGround, model: HazardModel) -> float:
     """How much smaller a picture is than those that show all waves: 0; 1 for a quarter."""
     wide = math.sqrt(float(np.count_nonzero(view.valid))) * view.cell_m
     return max(math.sqrt(model.shading.wide_m / max(wide, view.cell_m)) - 1.0, 0.0)
 
 
 def _terms(
-    part: ErrorOfSlopes, model: HazardModel, view: GroundView, limit_deg: float
+    part: ErrorOfSlopes, model: HazardModel, view: PictureOnGround, limit_deg: float
 ) -> Float32Array:
     """Of a view, as `_rate` takes them."""
     elevations, elevation = model.shading.sun_elevation_deg, view.sun_elevation_deg

@@ -11,7 +11,7 @@ import numpy as np
 
 from catalog.arrays import Float32Array
 from catalog.errors import NoSolutionError
-from optnav_cli.hazard.ground_view import MIN_PAD_CELLS, GroundView
+from optnav_cli.hazard.ground_view import MIN_PAD_CELLS, PictureOnGround
 from optnav_cli.hazard.model import HazardModel
 from optnav_cli.hazard.pads import RiskMap, coded, with_refusals
 
@@ -21,7 +21,7 @@ BINS, SMOOTH_BINS = 256, 4.0  # of the histogram of brightness, and the width th
 LIT_SHARE = 0.05  # of the brightest: below it the histogram is of shadow
 
 
-def map_variance(view: GroundView, pad_m: float, model: HazardModel) -> RiskMap:
+def map_variance(view: PictureOnGround, pad_m: float, model: HazardModel) -> RiskMap:
     """The code of each pad, at the paper's step of 5 m.
 
     Raises NoSolutionError for a pad under three steps or wider than the picture, or a dark picture.
@@ -82,7 +82,7 @@ def map_variance(view: GroundView, pad_m: float, model: HazardModel) -> RiskMap:
     return with_refusals(made, {})
 
 
-def usual_brightness(view: GroundView) -> float:
+def usual_brightness(view: PictureOnGround) -> float:
     """The most frequent brightness of the lit ground: the peak of the smoothed histogram."""
     values = view.brightness[view.valid]
     if not values.size:

@@ -28,7 +28,7 @@ from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture, load_picture
 from optnav_cli.hazard.fusion import PriorSlopes, read_slopes
-from optnav_cli.hazard.ground_view import Heights, Pose, look_down, look_from
+from optnav_cli.hazard.ground_view import Heights, KnownPose, look_down, look_from
 from optnav_cli.hazard.hazard_map import HazardMap, check_settings, map_hazard
 from optnav_cli.hazard.settings import KIND, OPTIONS, HazardSettings, load_settings
 from optnav_cli.output.manifest import write_manifest
@@ -42,7 +42,7 @@ HEIGHT_TOLERANCE = 0.2  # by which --height-m may differ from a pose over a terr
 
 
 @dataclass(frozen=True)
-class Light:
+class StatedLight:
     """A picture without a pose: height over the ground and where the Sun stands.
 
     azimuth_deg  clockwise from the picture's upper edge
@@ -99,7 +99,7 @@ def map_pictures(
     for name, value in {**alone, "--height-m": inputs.height_m}.items():
         if value is None:
             raise UsageError(f"{pictures} is no folder: a single picture needs {name}, too")
-    light = Light(float(inputs.height_m or 0.0), float(sun[0] or 0.0), float(sun[1] or 0.0))
+    light = StatedLight(float(inputs.height_m or 0.0), float(sun[0] or 0.0), float(sun[1] or 0.0))
     return _told([hazard_picture(pictures, Path(str(camera)), light, inputs, output)])
 
 
@@ -113,7 +113,7 @@ def _told(frames: list[MappedFrame]) -> list[str]:
 
 
 def hazard_picture(
-    picture: Path, camera_file: Path, light: Light, inputs: HazardInputs, output: Path
+    picture: Path, camera_file: Path, light: StatedLight, inputs: HazardInputs, output: Path
 ) -> MappedFrame:
     """Map the hazards of one picture whose camera looks straight down.
 
@@ -230,7 +230,7 @@ def _mapped(
             "--height-m, --sun-elevation-deg and --sun-azimuth-deg",
             "no_pose",
         )
-    pose = Pose(row.position_m, row.camera_from_body, row.sun_body, folder.body.radius_m)
+    pose = KnownPose(row.position_m, row.camera_from_body, row.sun_body, folder.body.radius_m)
     above = float(np.linalg.norm(row.position_m)) - pose.radius_m
     heights: Heights | float = 0.0 if ground is None else ground
     if ground is None and inputs.height_m is not None:

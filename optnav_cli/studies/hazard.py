@@ -21,7 +21,7 @@ from catalog.progress import Progress
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, slope_components, slope_degrees
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.hazard.fusion import fuse
-from optnav_cli.hazard.ground_view import GroundView, look_down, resized
+from optnav_cli.hazard.ground_view import PictureOnGround, look_down, resized
 from optnav_cli.hazard.model import ErrorOfSlopes, HazardModel, hazard_model
 from optnav_cli.hazard.pads import Pad, RiskMap, choose_pads, risk_of_slopes
 from optnav_cli.hazard.shading import map_slopes, narrowness, rating_features
@@ -29,7 +29,7 @@ from optnav_cli.hazard.variance import map_variance
 from optnav_cli.studies.hazard_fields import (
     CELL_M,
     JUDGED_M,
-    Field,
+    GroundField,
     field_view,
     make_field,
     perspective_picture,
@@ -53,7 +53,7 @@ PICTURE_NODES = 2000
 
 
 @dataclass(frozen=True)
-class Case:
+class HazardCase:
     """One row: ground, Sun, method and what is unusual about it."""
 
     kind: str
@@ -77,12 +77,16 @@ class Case:
 
 SUNS = (20.0, 5.0)
 CASES = (
-    *(Case(kind, sun, method) for kind in ("rough", "even") for method in ("variance", "shading")
-      for sun in SUNS),
-    *(Case("rough", sun, albedo_rms=0.06) for sun in SUNS),
-    *(Case("rough", sun, off_nadir_deg=20.0) for sun in SUNS),
-    *(Case("rough", sun, prior=True) for sun in SUNS),
-)  # fmt: skip
+    *(
+        HazardCase(kind, sun, method)
+        for kind in ("rough", "even")
+        for method in ("variance", "shading")
+        for sun in SUNS
+    ),
+    *(HazardCase("rough", sun, albedo_rms=0.06) for sun in SUNS),
+    *(HazardCase("rough", sun, off_nadir_deg=20.0) for sun in SUNS),
+    *(HazardCase("rough", sun, prior=True) for sun in SUNS),
+)
 BINNED = (CASES[2], CASES[3], CASES[6], CASES[7])
 
 
@@ -106,7 +110,7 @@ class Score:
             self.bins[row] += np.bincount(at, values, len(EDGES) - 1)
 
 
-Found = dict[Case, Score]
+Found = dict[HazardCase, Score]
 
 
 @dataclass
@@ -142,7 +146,11 @@ def run(progress: Progress, fields: int = 8, fit: bool = False) -> HazardFigures
 
 
 def judge(
-    case: Case, ground: Field, truth: dict[str, Float32Array], model: HazardModel, score: Score
+    case: HazardCase,
+    ground: GroundField,
+    truth: dict[str, Float32Array],
+    model: HazardModel,
+    score: Score,
 ) -> None:
     """Map one field and add what is found on its pads."""
     view = field_view(ground, case.elevation_deg, case.albedo_rms, case.off_nadir_deg)
@@ -167,7 +175,9 @@ def judge(
         score.add_bins(expected.astype(np.float64), found.astype(np.float64))
 
 
-def _risk(case: Case, ground: Field, view: GroundView, model: HazardModel) -> RiskMap:
+def _risk(
+    case: HazardCase, ground: GroundField, view: PictureOnGround, model: HazardModel
+) -> RiskMap:
     if case.method == "variance":
         return map_variance(view, PAD_M, model)
     slopes = map_slopes(view, model)
@@ -176,7 +186,7 @@ def _risk(case: Case, ground: Field, view: GroundView, model: HazardModel) -> Ri
     return risk_of_slopes(view, slopes, PAD_M, model)
 
 
-def prior_slopes(ground: Field, view: GroundView) -> Float32Array:
+def prior_slopes(ground: GroundField, view: PictureOnGround) -> Float32Array:
     """What a map of slopes from orbit, with its error, says at the cells of a view."""
     many = round(PRIOR_M / (CELL_M * view.brightness.shape[0] / len(ground.heights)))
     size = len(ground.heights) // many
@@ -206,7 +216,7 @@ def judge_pictures(seed: int, model: HazardModel, scores: dict[float, Score]) ->
 
 
 def pads_below(
-    ground: Field, view: GroundView, pads: Sequence[Pad]
+    ground: GroundField, view: PictureOnGround, pads: Sequence[Pad]
 ) -> list[tuple[float, float, float, float]]:
     """Of each pad of a view of the middle of a field, as `Score.pads` has them."""
     found = []
@@ -237,7 +247,7 @@ def _fit_data(model: HazardModel) -> dict[float, FloatArray]:
     return {elevation: np.concatenate(rows, axis=1) for elevation, rows in parts.items()}
 
 
-def _parts(view: GroundView) -> Iterator[tuple[GroundView, tuple[int, int]]]:
+def _parts(view: PictureOnGround) -> Iterator[tuple[PictureOnGround, tuple[int, int]]]:
     """A view of a field and narrower ones cut out of it, with the cells where they begin."""
     yield view, (0, 0)
     size = len(view.brightness)
@@ -249,7 +259,7 @@ def _parts(view: GroundView) -> Iterator[tuple[GroundView, tuple[int, int]]]:
 
 
 def _features(
-    view: GroundView, corner: tuple[int, int], ground: Field, model: HazardModel
+    view: PictureOnGround, corner: tuple[int, int], ground: GroundField, model: HazardModel
 ) -> FloatArray:
     """Features, narrowness and true slopes (6, n) of some of a view's cells."""
     many = round(JUDGED_M / CELL_M)

@@ -26,7 +26,7 @@ from catalog.terrain.slopes import (
 from catalog.terrain.synthetic.relief import SyntheticRelief
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
-from optnav_cli.hazard.ground_view import GroundView, box_means, resized
+from optnav_cli.hazard.ground_view import PictureOnGround, box_means, resized
 from optnav_cli.simulation.sections import SensorSettings
 from optnav_cli.simulation.sensor import expose
 
@@ -53,7 +53,7 @@ KINDS = {"rough": GroundKind(8.2, 0.02), "even": GroundKind(6.4, 0.008)}
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class GroundField:
     """A field, square, and what is true of it.
 
     heights      (n, n) m, posting DRAWN_M
@@ -73,7 +73,7 @@ class Field:
         return float((self.degrees[2:-2, 2:-2] > limit_deg).mean())
 
 
-def make_field(kind: str, seed: int, nodes: int = NODES, posting_m: float = DRAWN_M) -> Field:
+def make_field(kind: str, seed: int, nodes: int = NODES, posting_m: float = DRAWN_M) -> GroundField:
     """The field of a seed."""
     rough = KINDS[kind]
     relief = SyntheticRelief(
@@ -89,7 +89,7 @@ def make_field(kind: str, seed: int, nodes: int = NODES, posting_m: float = DRAW
     many = round(JUDGED_M / posting_m)
     judged = resized(heights, (nodes // many, nodes // many))
     degrees = slope_degrees(slope_components(judged, JUDGED_M, JUDGED_M, BASE_M))
-    return Field(kind, seed, heights, degrees)
+    return GroundField(kind, seed, heights, degrees)
 
 
 def sun_vector(elevation_deg: float, azimuth_deg: float) -> FloatArray:
@@ -113,8 +113,8 @@ def albedo(seed: int, size: int, posting_m: float, rms: float) -> Float32Array:
 
 
 def field_view(
-    field: Field, elevation_deg: float, albedo_rms: float = 0.03, off_nadir_deg: float = 0.0
-) -> GroundView:
+    field: GroundField, elevation_deg: float, albedo_rms: float = 0.03, off_nadir_deg: float = 0.0
+) -> PictureOnGround:
     """The field as a camera far above sees it, in cells of CELL_M, with noise.
 
     off_nadir_deg  of the camera, across the Sun; relief then shifts what is seen where
@@ -137,7 +137,7 @@ def field_view(
     cells += READ_SHARE * mean * rng.standard_normal(cells.shape, dtype=np.float32)
     lattice = np.zeros((2, 2, 2))
     shown: BoolArray = np.ones(cells.shape, bool)
-    return GroundView(cells, shown, CELL_M, sun, FAR_M * unit(camera), None, lattice)
+    return PictureOnGround(cells, shown, CELL_M, sun, FAR_M * unit(camera), None, lattice)
 
 
 def _seen_from(bright: Float32Array, heights: Float32Array, slant: FloatArray) -> Float32Array:
@@ -162,11 +162,11 @@ def _moved(
         h = cv2.remap(heights, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         across, down = place(h.astype(np.float32, copy=False))
     found = cv2.remap(bright, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.float32)
+    return found.astype(np.float32, copy=False)
 
 
 def perspective_picture(
-    field: Field, camera: Camera, height_m: float, elevation_deg: float, posting_m: float
+    field: GroundField, camera: Camera, height_m: float, elevation_deg: float, posting_m: float
 ) -> Picture:
     """What a camera that looks straight down sees of the middle of a field, in counts."""
     sun = sun_vector(elevation_deg, field.azimuth_deg())
@@ -192,7 +192,7 @@ def perspective_picture(
     return Picture(counts.astype(np.float32), None)
 
 
-def true_shares(field: Field, pad_cells: int) -> dict[str, Float32Array]:
+def true_shares(field: GroundField, pad_cells: int) -> dict[str, Float32Array]:
     """Of pads about each cell of CELL_M, an odd number of cells wide: what is on them."""
     many = round(JUDGED_M / CELL_M)
     known = np.nan_to_num(field.degrees).repeat(many, axis=0).repeat(many, axis=1)

@@ -10,16 +10,16 @@ from catalog.terrain.slopes import slope_components, slope_degrees
 from optnav_cli.hazard.fusion import fuse, too_steep
 from optnav_cli.hazard.model import hazard_model
 from optnav_cli.hazard.pads import REFUSED, choose_pads, pad_cells, risk_of_slopes
-from optnav_cli.hazard.shading import SlopeMap, map_slopes
+from optnav_cli.hazard.shading import ShadedSlopes, map_slopes
 from tests.optnav_cli.hazard.views import bumps, drawn, view_of
 
 MODEL = hazard_model()
 
 
-def slopes_of(dangerous: np.ndarray, shadow: np.ndarray | None = None) -> SlopeMap:
+def slopes_of(dangerous: np.ndarray, shadow: np.ndarray | None = None) -> ShadedSlopes:
     """A map whose only content is how likely cells are dangerous."""
     none = np.zeros_like(dangerous)
-    return SlopeMap(none, none, dangerous, none, none, none if shadow is None else shadow)
+    return ShadedSlopes(none, none, dangerous, none, none, none if shadow is None else shadow)
 
 
 def test_the_pad_of_each_square_is_its_safest_place() -> None:

@@ -5,7 +5,7 @@ from scipy.ndimage import gaussian_filter
 
 from catalog.arrays import BoolArray, Float32Array
 from catalog.rendering.map_view import render_map
-from optnav_cli.hazard.ground_view import GroundView
+from optnav_cli.hazard.ground_view import PictureOnGround
 
 RADIUS = 1e9  # as good as a plane
 
@@ -16,7 +16,7 @@ def view_of(
     azimuth_deg: float = 90.0,
     valid: BoolArray | None = None,
     camera: tuple[float, float, float] = (0.0, 0.0, 1e6),
-) -> GroundView:
+) -> PictureOnGround:
     """A view of one-metre cells from far above."""
     e, a = np.radians([elevation_deg, azimuth_deg])
     sun = np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
@@ -24,10 +24,10 @@ def view_of(
     every = [16.0 * np.arange((size - 1) // 16 + 2) for size in (rows, cols)]
     y, x = np.meshgrid(*every, indexing="ij")
     shown = np.ones((rows, cols), bool) if valid is None else valid
-    return GroundView(brightness, shown, 1.0, sun, np.array(camera), None, np.stack([x, y]))
+    return PictureOnGround(brightness, shown, 1.0, sun, np.array(camera), None, np.stack([x, y]))
 
 
-def drawn(heights: Float32Array, elevation_deg: float, azimuth_deg: float) -> GroundView:
+def drawn(heights: Float32Array, elevation_deg: float, azimuth_deg: float) -> PictureOnGround:
     """A view of heights on a square grid of one metre, seen from above with its shadows."""
     e, a = np.radians([elevation_deg, azimuth_deg])
     sun = np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])

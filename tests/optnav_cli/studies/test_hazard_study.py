@@ -64,7 +64,7 @@ def test_pads_by_shading_are_safer_than_the_field_and_than_those_by_variance(sma
     found = {}
     for method in ("shading", "variance"):
         score = study.Score()
-        study.judge(study.Case("rough", 20.0, method), small, truth, MODEL, score)
+        study.judge(study.HazardCase("rough", 20.0, method), small, truth, MODEL, score)
         found[method] = np.array(score.pads)[:, 1].mean()
         assert score.squares == len(score.pads) == 4
     assert found["shading"] < 0.5 * small.share_above(7.0)
