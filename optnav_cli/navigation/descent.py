@@ -143,6 +143,10 @@ class DescentNavigator:
         row = self._row(context, self._windows, stated)
         return row.with_remark(jump) if jump else row
 
+    def ground_m(self, place_m: FloatArray) -> float | None:
+        """Height of the model's ground over the sphere below a place (3,); None outside it."""
+        return None if self._windows is None else self._windows.ground_m(place_m)
+
     @property
     def landmarks(self) -> list[Landmark]:
         """All landmarks so far."""
@@ -343,25 +347,28 @@ def _joined(
 ) -> _Updated:
     """A copy of a state updated by windows and landmarks; windows that do not agree leave it."""
     state = state.copy()
-    new = [one for one in found if one.window.key not in state.keys]
+    by_position = np.zeros((0, 2, 3))
+    if found:
+        places = np.array([one.window.place_m for one in found])
+        by_position = predict(frame.camera, state.filter.pose(stated), places)[1][:, :, :3]
+    new = [k for k, one in enumerate(found) if one.window.key not in state.keys]
     if new:
-        places = np.array([one.window.place_m for one in new])
-        _, by_pose = predict(frame.camera, state.filter.pose(stated), places)
         errors = [
-            window_error(one.window, one.match, rows[:, :3], state.sizes)
-            for one, rows in zip(new, by_pose, strict=True)
+            window_error(found[k].window, found[k].match, by_position[k], state.sizes) for k in new
         ]
-        state.join_windows(errors, places)
-    seen = [
-        Sighting(one.window.key, one.match.pixel, state.fresh_covariance_px2(one.match))
-        for one in found
-        if one.match.pixel is not None
-    ]
+        state.join_windows(errors, places[new])
+    seen: list[Sighting] = []
+    for one, rows in zip(found, by_position, strict=True):
+        if one.match.pixel is not None:
+            pixel = one.match.pixel - state.sunward_px(one.window, rows, frame.sun_body)
+            own = state.fresh_covariance_px2(one.match)
+            seen.append(Sighting(one.window.key, pixel, own))
     fresh = state.sizes.landmark_px**2 * np.eye(2)
-    for landmark in landmarks:
-        pixel, covariance = landmark.match.pixel, landmark.match.covariance_px2
-        if pixel is not None and covariance is not None:
-            seen.append(Sighting(landmark.landmark.number, pixel, fresh + covariance))
+    for track in landmarks:
+        match = track.match
+        if match.pixel is not None and match.covariance_px2 is not None:
+            own = fresh + match.covariance_px2
+            seen.append(Sighting(track.landmark.number, match.pixel, own))
     used = state.update(frame.camera, stated, seen).used
     kept = {one.key: bool(good) for one, good in zip(seen, used, strict=True)}
     state.keep({key for key in state.keys if isinstance(key, int) or kept.get(key, False)})

@@ -17,12 +17,14 @@ import numpy as np
 from catalog.arrays import FloatArray, IndexArray
 from catalog.config import Positive, load_toml, resource
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.descent_filter import DescentFilter, TrackErrors, Update
 from optnav_cli.estimation.models.points import Pose, Sightings, predict
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.navigation.descent_windows import OVERSAMPLED, SIDE, Window, WindowKey, overlap
 
+MIN_SUN = np.radians(8.0)  # below it shadows fill the picture and the cotangent runs away
 FILE = "configs/models/descent.toml"
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
 
@@ -34,6 +36,7 @@ class DescentErrorSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     slope_postings: Positive
     remainder: Positive
     common: Share
+    sunward_postings: Positive
     height_postings: Positive
     fresh_px: Positive
     fresh_share: Share
@@ -174,6 +177,24 @@ class JointState:
         if match.covariance_px2 is not None:
             fresh = fresh + self.sizes.fresh_share * match.covariance_px2
         return fresh
+
+    def sunward_px(
+        self, window: Window, by_position: FloatArray, sun_body: FloatArray
+    ) -> FloatArray:
+        """(2,) by how much a window is found away from the Sun, px.
+
+        by_position (2, 3) derivative of its pixel by the camera's position
+        """
+        up = unit(window.place_m)
+        sine = float(np.clip(sun_body @ up, np.sin(MIN_SUN), 1.0))
+        level = sun_body - (sun_body @ up) * up
+        length = float(np.linalg.norm(level))
+        if length < 1e-6:
+            return np.zeros(2)
+        size = self.sizes.sunward_postings * window.posting_m * np.sqrt(1.0 - sine**2) / sine
+        # the ground moves a pixel as the camera does the other way
+        moved: FloatArray = by_position @ (level / length) * size
+        return moved
 
     def _covariance(self, some: Sequence[WindowError], others: Sequence[WindowError]) -> FloatArray:
         """(3 k, 3 n) of the errors of windows with those of others."""

@@ -109,6 +109,7 @@ class WindowField:
 
     def ground_m(self, place_m: FloatArray) -> float | None:
         """Height over the sphere of the model at a place (3,); None outside the catalog."""
+        place_m = self._points.radius_m * unit(place_m)
         for level in range(len(self._points.layers[0].postings_m)):
             found = self._sampled(place_m, place_m[None], level, joined=False)
             if np.isfinite(found[0]):

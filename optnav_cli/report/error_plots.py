@@ -27,6 +27,8 @@ SIGNS = {
     "horizon_sphere": ("s5", "square"),
     "horizon": ("s2", "triangle"),
     "control_points": ("s1", "circle"),
+    "descent": ("s1", "circle"),
+    "relative_landmarks": ("s3", "diamond"),
 }
 OTHER_SIGN = ("muted", "down")
 MAX_GAP_S = 600.5  # frames farther apart in time (half a second is rounding) are not joined

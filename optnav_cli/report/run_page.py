@@ -23,6 +23,7 @@ from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.run_folder import COMMON_CSV, COMMON_JSON, RunFolder, read_run
 from optnav_cli.output.tables import fixed
 from optnav_cli.report import page as html
+from optnav_cli.report.descent_plots import descent_plots, is_descent
 from optnav_cli.report.error_plots import error_plots
 from optnav_cli.report.ground_map import ground_plot
 from optnav_cli.report.pictures import pictures_section
@@ -178,6 +179,8 @@ def run_page(folder: Path) -> str:
     sections = [_main_numbers(run, evaluation), against_truth, _common(folder)]
     if solved:
         sections.append(html.section("Errors and stated sigmas", *_plots(run)))
+        if is_descent(run):
+            sections.append(html.section("Over the height", *_descent(run)))
         sections.append(html.section("On the ground", ground_plot(run)))
     if any(match.measured_px is not None for match in run.matches):
         sections.append(html.section("Control points", *residual_plots(run), _refusals(run)))
@@ -223,6 +226,14 @@ def _plots(run: RunFolder) -> list[Markup]:
         return error_plots(run)
     except DataError as error:
         return [html.paragraph(str(error), "note"), *error_plots(run, stated=True)]
+
+
+def _descent(run: RunFolder) -> list[Markup]:
+    """The errors of a descent over its height; stated sigmas where stored errors are damaged."""
+    try:
+        return descent_plots(run)
+    except DataError:
+        return descent_plots(run, stated=True)
 
 
 def _main_numbers(run: RunFolder, evaluation: dict[str, Any] | None) -> Markup:

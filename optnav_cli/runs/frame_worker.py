@@ -32,7 +32,7 @@ from optnav_cli.fix import MatchKind, NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import LaterPicture, Picture, load_picture
-from optnav_cli.frames.run_settings import RUN_TOML
+from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField
@@ -169,15 +169,20 @@ class FrameWorker:
             points, folder.motion, ground, given.settings, MATCHERS[matcher], inertial
         )
 
-    def descent(self) -> DescentNavigator | None:
-        """What flies the folder as a descent; None where its frames are not of one track."""
-        folder, track = self.folder, self.folder.settings.inertial
+    def descent(
+        self, track: InertialSettings | None = None, windows_above_m: float = 0.0
+    ) -> DescentNavigator | None:
+        """What flies the folder as a descent; None where its frames are not of one track.
+
+        track  its errors, those of run.toml if None;  windows_above_m  see `DescentNavigator`
+        """
+        folder, track = self.folder, track or self.folder.settings.inertial or None
         if not track:
             return None
         places = [frame.position_m for frame in folder.frames if frame.position_m is not None]
         middle = places[-1] if places else np.array([folder.body.radius_m, 0.0, 0.0])
         ground = open_ground(self.catalogs, folder.body)
-        return DescentNavigator(self.inputs, ground, track, middle)
+        return DescentNavigator(self.inputs, ground, track, middle, windows_above_m)
 
     def close(self) -> None:
         """Close the catalogs."""

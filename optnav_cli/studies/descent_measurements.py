@@ -39,6 +39,16 @@ class Formulation(StrEnum):
     INDEPENDENT = "independent"  # as points with their own covariance, their ties to the pose cut
     SHIFTED = "shifted"  # the same, with the pose's covariance as a shift common to a frame
 
+    @property
+    def label(self) -> str:
+        """The name for people."""
+        words = {
+            Formulation.JOINT: "in one state with the pose",
+            Formulation.INDEPENDENT: "as independent points",
+            Formulation.SHIFTED: "as points with a common shift",
+        }
+        return words[self]
+
 
 @dataclass(frozen=True, eq=False)
 class Errors:
@@ -57,7 +67,7 @@ class Errors:
 def fly(camera: Camera, formulation: Formulation, seed: int) -> Errors:
     """One descent over drawn ground with drawn errors."""
     rng = np.random.default_rng(seed)
-    stated, true = _poses(rng, ERRORS)
+    stated, true = drawn_poses(rng, ERRORS)
     joint = DescentFilter(ERRORS)
     times = np.linspace(0.0, SECONDS, FRAMES)
     landmarks = np.zeros((0, 3))  # the true ground of the filter's points
@@ -88,7 +98,7 @@ def fly(camera: Camera, formulation: Formulation, seed: int) -> Errors:
     return Errors(heights, errors, nees)
 
 
-def _poses(rng: np.random.Generator, errors: TrackErrors) -> tuple[list[Pose], list[Pose]]:
+def drawn_poses(rng: np.random.Generator, errors: TrackErrors) -> tuple[list[Pose], list[Pose]]:
     """What the track states and what is true."""
     times = np.linspace(0.0, SECONDS, FRAMES)
     share = times / SECONDS

@@ -165,6 +165,30 @@ STUDIES = (
         ),
     ),
     Study(
+        "descent",
+        "A descent to 2 km by windows of the model and landmarks.",
+        """Fly descents of one inertial track over several grounds, with several drawn tracks each.
+
+        Errors above and below 6.5 km, with a model that is wrong, with a noisy track, and with
+        landmarks alone near the ground; then, without pictures, landmarks in one state with the
+        pose against landmarks as independent points. Needs nothing but what is bundled; the
+        pictures of a ground take a quarter of an hour.""",
+        "--grounds 1 --tracks 1",
+        (
+            _output("optnav-descent", "Folder for catalogs and pictures; used again."),
+            _option("--grounds", click.IntRange(1, 1000), 5, "Grounds, each with its pictures."),
+            _option("--tracks", click.IntRange(1, 100), 3, "Drawn tracks over each ground."),
+            _option(
+                "--landmarks-only",
+                bool,
+                False,
+                "Only the row without windows below 6.5 km.",
+                is_flag=True,
+            ),
+            _option("--rows", str, "", "Only rows whose name contains this, such as '6.5-2'."),
+        ),
+    ),
+    Study(
         "discs",
         "Direction and range of discs of 2 to 40 px, and their covariance.",
         """Draw small discs of the Moon and of Phobos, solve them, and compare with the truth.

@@ -200,7 +200,7 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
         if isinstance(param, OutputOption) and not param.endings
     }
     studies = {"acceptance", "apollo", "autonomous", "comet", "horizon", "navigation", "phobos"}
-    studies |= {"real", "calibration"}
+    studies |= {"real", "calibration", "descent"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
     makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo", "hazard", "calibrate"}
     assert folders == (

@@ -14,7 +14,8 @@ from catalog.config import resource
 from catalog.errors import DataError, NothingToDoError
 from catalog.geometry.vectors import squared_distance
 from catalog.terrain.dem.source import DemSettings
-from optnav_cli.api import navigate_folder
+from optnav_cli.api import evaluate, navigate_folder, report
+from optnav_cli.evaluation.files import write_evaluation
 from optnav_cli.fix import MatchKind, Method
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.run_settings import InertialSettings
@@ -201,3 +202,16 @@ def test_a_camera_that_looks_at_the_sky_is_unsolved(
 
     solutions = read_run(flown(away)).solutions
     assert [row.solved for row in solutions] == [True, True, False, True]
+
+
+def test_a_report_shows_a_descent_over_its_height(
+    flown: Callable[[Callable[[Path], None]], Path], pictures: Path, tmp_path: Path
+) -> None:
+    run = flown(as_it_is)
+    report(run, tmp_path / "stated.html")
+    assert "Stated sigmas over the height" in (tmp_path / "stated.html").read_text()
+    write_evaluation(evaluate(run, pictures / "truth.csv"), run)
+    report(run, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "Solution minus truth over the height" in page
+    assert "Windows and landmarks over the height" in page
