@@ -18,7 +18,7 @@ from optnav_cli.evaluation.figures import (
     none_solved,
 )
 from optnav_cli.evaluation.motion import Forward, directions_of_motion
-from optnav_cli.fix import MatchRow, Solution
+from optnav_cli.fix import MatchKind, MatchRow, Solution
 from optnav_cli.frames.truth import Truth
 
 WRONG_PX = 3.0  # a match further than this from the truth is a wrong one
@@ -79,7 +79,9 @@ def evaluate(
     axes = dict(zip(by_file, directions_of_motion(truths), strict=True))
     kept: dict[str, list[MatchRow]] = {}
     for match in matches:
-        if match.used and match.measured_px is not None:
+        # near the ground metres are many pixels, and a landmark has no known place
+        known = match.kind is MatchKind.CONTROL_POINT
+        if known and match.used and match.measured_px is not None:
             kept.setdefault(match.file, []).append(match)
     frames = tuple(
         _frame_error(s, by_file[s.file], *axes[s.file], reference_radius_m, kept, cameras)

@@ -7,7 +7,7 @@ in one state with the pose against landmarks as independent points.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -222,24 +222,28 @@ def write_wrong_model(path: Path) -> Path:
     return path
 
 
-def filter_ms() -> float:
-    """Milliseconds of the processor for an update of the filter with TIMED_LANDMARKS landmarks."""
+def filter_update() -> Callable[[], object]:
+    """An update of the filter with TIMED_LANDMARKS landmarks, to be timed."""
     camera, rng = preset_camera("tsnn2_wide"), np.random.default_rng(1)
     errors = descent_measurements.ERRORS
-    stated, _ = descent_measurements.drawn_poses(rng, errors)
+    (stated, *_), _ = descent_measurements.drawn_poses(rng, errors)
     pixels = rng.uniform(0.05, 0.95, (TIMED_LANDMARKS, 2)) * camera.width_px
     flown = DescentFilter(errors)
-    rays = camera.unproject(pixels) @ stated[0].camera_from_body.as_matrix()
-    away = descent_measurements.FROM_M / -(rays @ stated[0].position_m)
-    away = away * float(np.linalg.norm(stated[0].position_m))
-    places = stated[0].position_m + away[:, None] * rays
+    rays = camera.unproject(pixels) @ stated.camera_from_body.as_matrix()
+    down = rays @ stated.position_m / float(np.linalg.norm(stated.position_m))
+    places = stated.position_m - (descent_measurements.FROM_M / down)[:, None] * rays
     one = np.tile(0.09 * np.eye(2), (TIMED_LANDMARKS, 1, 1))
-    numbers = flown.add_sighted(camera, stated[0], places, one, np.full(TIMED_LANDMARKS, 30.0))
-    seen, _ = predict(camera, flown.pose(stated[0]), flown.places_m)
-    taken = []
+    numbers = flown.add_sighted(camera, stated, places, one, np.full(TIMED_LANDMARKS, 30.0))
+    seen, _ = predict(camera, flown.pose(stated), flown.places_m)
+    return lambda: flown.update(camera, stated, numbers, Sightings(places, seen, one))
+
+
+def filter_ms() -> float:
+    """Milliseconds of the processor for such an update."""
+    update, taken = filter_update(), []
     for _ in range(TIMED_UPDATES):
         started = time.process_time()
-        flown.update(camera, stated[0], numbers, Sightings(places, seen, one))
+        update()
         taken.append(time.process_time() - started)
     return 1e3 * float(np.median(taken))
 
