@@ -26,6 +26,7 @@ from optnav_cli.camera.camera import Camera
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
 # No camera's counts end so low, and no surface but a specular one is as bright as I/F.
 HIGHEST_FRACTION = 16.0
+MAX_VALUE = 1e30  # beyond it squares of single precision overflow in places
 PIECE = 1 << 20  # bytes that are read at once
 _RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -161,6 +162,11 @@ def _check_content(path: Path, values: NDArray[np.generic], saturation: float | 
     if np.iscomplexobj(values) or not np.isfinite(values).all():
         raise DataError(f"{path}: the picture holds values that are not finite numbers")
     lowest, highest = float(values.min()), float(values.max())
+    if max(highest, -lowest) > MAX_VALUE:
+        raise DataError(
+            f"{path}: the picture holds values of {lowest:.3g} to {highest:.3g}; wanted at most "
+            f"{MAX_VALUE:.0e}: the file is damaged"
+        )
     if highest <= 0.0 and lowest == highest:
         raise DataError(f"{path}: the picture is all black")
     if lowest == saturation:

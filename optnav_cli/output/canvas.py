@@ -62,6 +62,8 @@ def _look_up(values: Float32Array, shades: ByteArray, found: ByteArray) -> bool:
     rows, cols = values.shape
     for r in range(rows):
         for c in range(cols):
+            if not values[r, c] < shades.size:  # no integer is defined for infinity
+                return False
             count = np.int32(values[r, c])
             if np.float32(count) != values[r, c]:
                 return False

@@ -189,6 +189,12 @@ def test_a_picture_with_nan_is_refused(tmp_path: Path) -> None:
     refused(saved(tmp_path / "a.tif", values), "not finite")
 
 
+def test_a_picture_beyond_single_precision_is_refused(tmp_path: Path) -> None:
+    values = content().astype(np.float64)
+    values[3, 4] = 1e300
+    refused(saved(tmp_path / "a.tif", values), r"values of .* to 1e\+300; wanted at most 1e\+30")
+
+
 def test_the_apollo_frame_and_its_cube_read(shared_data: Callable[[str], Path]) -> None:
     frame = Camera("metric", "pinhole", 1012, 1012, 673.3, (505.5, 505.5))
     crop = Camera("crop", "pinhole", 500, 500, 673.3, (0.0, 0.0))

@@ -257,3 +257,11 @@ def test_counts_are_stretched_by_a_table_as_other_numbers_are():
     halves = counts.astype(np.float32)
     halves[0, 0] += 0.5  # no whole number: no table
     assert (eight_bits(counts)[1:] == eight_bits(halves)[1:]).all()
+
+
+def test_infinite_brightness_is_drawn_white() -> None:
+    counts = np.arange(256, dtype=np.float32).reshape(16, 16)
+    counts[5, 5] = np.inf
+    shown = eight_bits(counts)
+    assert shown[5, 5] == 255
+    assert shown[0, 0] < shown[15, 14]
