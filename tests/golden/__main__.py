@@ -27,7 +27,7 @@ README = HERE / "readme"
 DEMO_FRAME, APOLLO_FRAME = "frame_0001.png", "AS15-M-0297_SML.png"
 CENTRAL_PEAK_DEG = (-43.3, -11.2)
 APOLLO_FIGURES = documents.FIGURES / "apollo.json"
-HAZARD = (2, 5.0, 100.0)  # seed of the ground, elevation of the Sun, side of squares
+HAZARD = (2, 5.0, 200.0)  # seed of the ground, elevation of the Sun, side of squares
 CURVES = ("arc", "resection", "matching")  # studies
 
 

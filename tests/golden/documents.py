@@ -50,6 +50,9 @@ ACCURACY = {
     "The limb of Phobos, 100 km from its centre: {} m across the line of sight, {} % of range.": (
         "phobos 0 1 across_the_line_of_sight range"
     ),
+    "Pads for landing by shading, where {} % of the ground is above 7°, Sun at 20°: {} %, "
+    "expected {} %.": ("hazard 0 2 area_7 pads_7 expected"),
+    "The same, Sun at 5°: {} %, expected {} %.": "hazard 0 3 pads_7 expected",
 }
 DOCUMENTS = sorted(
     path

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
 from catalog.rasters import OWN, open_raster
+from catalog.store.reader import Catalog
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.folder import write_folder
@@ -17,6 +18,8 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.frames.tables import PADS
 from optnav_cli.main import run
+from optnav_cli.runs.hazard_folder import _catalog_heights
+from tests.catalog.made_catalogs import make_world
 from tests.optnav_cli.hazard.views import bumps, drawn
 
 RADIUS = 1737400.0
@@ -429,3 +432,17 @@ def test_ground_of_a_model_moves_what_an_oblique_camera_sees(place: Path) -> Non
             np.cos(LAT) * (np.radians(row.number("lon_deg")) - LON),
         )
         assert gap == pytest.approx(places[-1], rel=0.01)
+
+
+def test_heights_of_the_ground_come_from_the_nearest_point_of_a_catalog(tmp_path: Path) -> None:
+    world = make_world()
+    catalog_file = tmp_path / "c.gpkg"
+    world.write(catalog_file)
+    point, patches = next(pair for pair in world.points if pair[0].id % 3)
+    middle = patches[0].heights_m[15:17, 15:17].mean()
+    lat, lon = np.radians([point.lat_deg, point.lon_deg])
+    with Catalog.open(catalog_file) as catalog:
+        found = _catalog_heights(catalog, np.array([lat]), np.array([lon]))
+        far = _catalog_heights(catalog, np.array([lat]), np.array([lon]) + 0.05)
+    assert found[0] == pytest.approx(middle, abs=25.0)
+    assert np.isnan(far[0])
