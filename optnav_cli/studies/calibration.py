@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from catalog.arrays import FloatArray
+from catalog.config import resource
 from catalog.geometry.rotations import ARCSEC
 from catalog.places import make_folder
 from catalog.progress import Progress
@@ -18,14 +19,15 @@ from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.adjustment import Adjustment, adjust
 from optnav_cli.estimation.models.common import Common
 from optnav_cli.evaluation.figures import figures_of, none_solved
+from optnav_cli.studies import flights
 from optnav_cli.studies.calibration_pictures import PictureRoute, picture_route
 from optnav_cli.studies.calibration_routes import OFF, Route, simulated_route
-from optnav_cli.studies.navigation import case_catalog
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 HEIGHTS_KM = (100.0, 200.0, 300.0, 400.0)
 LOST = 0.5
-CELL_DEG = 0.25  # of the catalog for the drawn route
+# the catalog of the drawn route: its cells, and the part of the bundled terrain that it needs
+CELL_DEG, BOX_DEG = 0.5, (-15.0, -46.5, -7.0, -39.5)
 # per cent, px, 1, arcsec and ms for one of the state
 SHOWN = {
     Common.FOCAL: 100.0,
@@ -105,7 +107,9 @@ def run(
             bar.advance()
     drawn = None
     if pictures:
-        catalog = case_catalog(output, "tycho", CELL_DEG, progress)
+        text = resource("configs/catalogs/tycho.toml").read_text(encoding="utf-8")
+        text += f"\n[grid]\ncell_deg = {CELL_DEG}\n"
+        catalog = flights.built_catalog(output / "tycho.toml", text, progress, BOX_DEG)
         drawn = picture_route(output / "drawn", catalog, pictures, progress)
     return CalibrationStudy(routes, table, drawn)
 
