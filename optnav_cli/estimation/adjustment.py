@@ -150,9 +150,13 @@ class Adjustment:
         return found
 
 
-def adjust(frames: Sequence[AdjustedFrame], numbers: tuple[CommonNumber, ...]) -> Adjustment:
+def adjust(
+    frames: Sequence[AdjustedFrame], numbers: tuple[CommonNumber, ...], by_direction: bool = False
+) -> Adjustment:
     """Adjust frames together.
 
+    by_direction  whether what frames share of points is found for each combination of the numbers,
+                  where there are points enough, instead of one factor for all
     Raises NoSolutionError when a pose is open or the iteration does not settle.
     """
     common = CommonState(numbers, np.zeros(len(numbers)))
@@ -184,7 +188,8 @@ def adjust(frames: Sequence[AdjustedFrame], numbers: tuple[CommonNumber, ...]) -
         common = CommonState(numbers, common.values + step)
         poses = [pose.moved(move) for pose, move in zip(poses, moves, strict=True)]
         if largest < SETTLED_SIGMAS:
-            excess, raised = _shared_points(frames, blocks, covariance, np.concatenate(weights))
+            shares = np.concatenate(weights) if by_direction else None
+            excess, raised = _shared_points(frames, blocks, covariance, shares)
             covariance = raised + _shared_by_frames(frames, poses, blocks, covariance)
             results = tuple(
                 FrameResult(
@@ -389,7 +394,7 @@ def _shared_points(
     frames: Sequence[AdjustedFrame],
     blocks: Sequence[_Block],
     covariance: FloatArray,
-    weights: FloatArray,
+    weights: FloatArray | None,
 ) -> tuple[float, FloatArray]:
     """By how much errors that frames share of a point raise a variance, and the covariance so."""
     if not len(covariance):
@@ -403,7 +408,7 @@ def _shared_points(
     expected = float(np.trace(covariance @ own))
     seen = float(np.einsum("pa,ab,pb->", sums, covariance, sums))
     excess = max(seen / expected, 1.0) if expected > 0.0 else 1.0
-    if len(sums) >= MANY_POINTS * len(covariance):
+    if weights is not None and len(sums) >= MANY_POINTS * len(covariance):
         more = clustered_excess(sums / slope_of_weights(weights), own)
         return excess, covariance + covariance @ more @ covariance
     return excess, covariance + (excess - 1.0) * covariance @ own @ covariance

@@ -202,11 +202,11 @@ def solve_calibration(
     cameras = {frame.camera.name: frame.camera for frame in frames}
     known = {name: camera for name, camera in cameras.items() if isinstance(camera, Camera)}
     numbers = settings.numbers(list(kinds), sorted(known))
-    adjustment = adjust(frames, numbers)
+    adjustment = adjust(frames, numbers, by_direction=True)
     # matches were weighed by residuals of a wrong lens: now by those of the right one
     variance = _variance(adjustment, len(numbers))
     frames = [_weighed(frame, variance) for frame in frames]
-    adjustment = adjust(frames, numbers)
+    adjustment = adjust(frames, numbers, by_direction=True)
     stages = [residual_stages(frame, adjustment.common) for frame in frames]
     kept = [found.weights > 0.0 for found in adjustment.frames]
     before = np.concatenate([s.stated[k] for s, k in zip(stages, kept, strict=True)])

@@ -54,7 +54,8 @@ def window_shifts(left: Float32Array, right: Float32Array, size: int, blur_px: f
 
     def mean(image: Float32Array) -> FloatArray:
         found = cv2.boxFilter(image, cv2.CV_32F, (size, size), borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(found[first::STEP_PX, first::STEP_PX], dtype=np.float64)
+        nodes: FloatArray = found[first::STEP_PX, first::STEP_PX].astype(np.float64)
+        return nodes
 
     def products(one: Gradients, other: Gradients) -> FloatArray:
         rows_of = [[mean(p * q) for q in other] for p in one]

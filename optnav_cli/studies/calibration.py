@@ -78,7 +78,13 @@ class CalibrationStudy:
 
 
 def run(
-    output: Path, progress: Progress, trials: int, pictures: int, frames: int, seed: int
+    output: Path,
+    progress: Progress,
+    trials: int,
+    pictures: int,
+    frames: int,
+    seed: int,
+    catalog: Path | None = None,
 ) -> CalibrationStudy:
     """Calibrate routes.
 
@@ -86,6 +92,7 @@ def run(
     trials    routes at measurement level
     pictures  of the drawn route; 0 draws none
     frames    of each route at measurement level
+    catalog   of the bundled Tycho terrain; built when None
     """
     make_folder(output)
     camera = preset_camera("unk")
@@ -106,17 +113,18 @@ def run(
             table.append(_calibrated(name, route, seed))
             bar.advance()
     drawn = None
-    if pictures:
+    if pictures and catalog is None:
         text = resource("configs/catalogs/tycho.toml").read_text(encoding="utf-8")
         text += f"\n[grid]\ncell_deg = {CELL_DEG}\n"
         catalog = flights.built_catalog(output / "tycho.toml", text, progress, BOX_DEG)
+    if pictures and catalog is not None:
         drawn = picture_route(output / "drawn", catalog, pictures, progress)
     return CalibrationStudy(routes, table, drawn)
 
 
 def _calibrated(case: str, route: Route, seed: int) -> RouteResult:
     frames, truth = simulated_route(route, seed)
-    found = adjust(frames, truth.numbers)
+    found = adjust(frames, truth.numbers, by_direction=True)
     squares, freedom = 0.0, -float(len(truth.numbers))
     for frame, result in zip(frames, found.frames, strict=True):
         off, weights = result.residuals_px, result.weights

@@ -147,6 +147,7 @@ STUDIES = (
             _trials(0, 24, "Routes at measurement level."),
             _option("--pictures", click.IntRange(0, MANY), 12, "Of the drawn route; 0 for none."),
             _option("--frames", click.IntRange(8, MANY), 100, "Of a route at measurement level."),
+            _option("--catalog", PATH, None, "Of the bundled Tycho terrain; built if left out."),
             _seed("Of routes."),
         ),
     ),

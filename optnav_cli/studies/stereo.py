@@ -212,7 +212,7 @@ COLUMNS = columns(
 )
 VELOCITY_COLUMNS = columns(
     "height [m] .0f; measured; error = error, rms a component [mm/s] .1f; sigma [mm/s] .1f; "
-    "NEES = NEES a component .2f; asked = asked ≤ [mm/s] .0f"
+    "nees = NEES a component .2f; asked = asked ≤ [mm/s] .0f"
 )
 GROWTH_COLUMNS = columns("what; slope = log-log slope .2f; asked")
 ASKED_MM_S = 10.0

@@ -70,7 +70,7 @@ def test_changes_of_statements_with_mounting_and_clock_are_those_of_differences(
 def test_frames_eliminated_one_by_one_give_the_covariance_of_all_at_once() -> None:
     # frames far apart: no point is seen twice, and nothing but the blocks makes the covariance
     frames, truth = simulated_route(replace(SHORT, frames=6, spacing_s=100.0, points=20), 5)
-    found = adjust(frames, truth.numbers)
+    found = adjust(frames, truth.numbers, by_direction=True)
     count, size = len(truth.numbers), len(truth.numbers) + 6 * len(frames)
     normal = np.zeros((size, size))
     normal[:count, :count] = np.diag([n.prior_sigma**-2 for n in truth.numbers])
@@ -97,7 +97,7 @@ def test_errors_are_as_the_covariance_says() -> None:
     squares = []
     for seed in range(4):
         frames, truth = simulated_route(replace(SHORT, lost=0.5), seed)
-        found = adjust(frames, truth.numbers)
+        found = adjust(frames, truth.numbers, by_direction=True)
         off = found.common.values - truth.values
         squares.append(off @ np.linalg.solve(found.covariance, off) / len(off))
         assert (np.abs(off) < 4.5 * found.sigmas).all()
@@ -106,7 +106,7 @@ def test_errors_are_as_the_covariance_says() -> None:
 
 def test_one_height_and_one_roll_do_not_tell_clock_centre_and_pitch_apart() -> None:
     frames, truth = simulated_route(Route(UNK, frames=30, points=40, spacing_s=10.0), 1)
-    found = adjust(frames, truth.numbers)
+    found = adjust(frames, truth.numbers, by_direction=True)
     (direction,) = not_told_apart(truth.numbers, found.covariance)
     words = direction.words()
     assert "the clock of unk" in words
@@ -117,7 +117,7 @@ def test_one_height_and_one_roll_do_not_tell_clock_centre_and_pitch_apart() -> N
 
 def test_a_varied_roll_tells_them_apart_and_states_what_a_pair_does_to_a_pixel() -> None:
     frames, truth = simulated_route(replace(SHORT, heights_km=(200.0,)), 1)
-    found = adjust(frames, truth.numbers)
+    found = adjust(frames, truth.numbers, by_direction=True)
     assert not_told_apart(truth.numbers, found.covariance) == []
     pairs = tied_pairs(truth.numbers, found.covariance, {"unk": UNK.focal_length_px})
     assert pairs
