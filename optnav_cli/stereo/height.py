@@ -15,6 +15,7 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
+from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.stereo.rig import Rig, warped
@@ -36,32 +37,19 @@ SPREAD_NODES = 2.0  # sigma of the smoothing between rounds, windows
 
 
 @dataclass(frozen=True, eq=False)
-class StereoGround:
-    """The ground on the grid of the first camera's picture.
-
-    inverse_m    (rows, cols) 1/m along the rays
-    points_m     (n, 3) middles of the windows, ship frame
-    pixels       (n, 2) of these
-    """
-
-    inverse_m: FloatArray
-    points_m: FloatArray
-    pixels: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class StereoHeight:
     """A height of the ship's origin over the mean ground below it.
 
     sigma_m           by the windows: noise, and the relief about the plane through them
     sigma_mounting_m  by the mounting's stated error, the same in all pairs
+    inverse_m         (rows, cols) 1/m, of the ground along the rays of the first camera's pixels
     """
 
     height_m: float
     sigma_m: float
     sigma_mounting_m: float
     windows: int
-    ground: StereoGround
+    inverse_m: FloatArray
 
     @property
     def whole_sigma_m(self) -> float:
@@ -261,7 +249,10 @@ def _height(rig: Rig, nodes: _Nodes, down: FloatArray, inverse: FloatArray) -> S
     noise = slope * nodes.sigma[chosen]
     weight = np.where(kept, 1.0 / noise**2, 0.0)
     normal = design.T @ (weight[:, None] * design)
-    covariance = np.linalg.inv(normal)
+    covariance = inverse_of(normal)
+    if not np.isfinite(covariance).all():
+        text = "the windows of the ground below lie on a line"
+        raise NoSolutionError(text, ReasonCode.DEGENERATE)
     plane = covariance @ design.T @ (weight * z)
     off = (z - design @ plane)[kept]
     # of so many windows that share ground only a part errs by itself
@@ -269,13 +260,7 @@ def _height(rig: Rig, nodes: _Nodes, down: FloatArray, inverse: FloatArray) -> S
     excess = max(1.0, float(np.mean(off**2 * weight[kept])) * apart / max(apart - 3.0, 1.0))
     sigma = float(np.sqrt(covariance[0, 0] * nodes.shifts.overlap * excess))
     mounting = _mounting_sigma_m(rig, nodes, chosen, slope)
-    usable = steady.ravel()
-    ground = StereoGround(
-        inverse,
-        points.reshape(-1, 3)[usable],
-        np.stack([nodes.shifts.x, nodes.shifts.y], axis=-1).reshape(-1, 2)[usable],
-    )
-    return StereoHeight(float(plane[0]), sigma, mounting, int(kept.sum()), ground)
+    return StereoHeight(float(plane[0]), sigma, mounting, int(kept.sum()), inverse)
 
 
 def _check_parallax(rig: Rig, nodes: _Nodes) -> None:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
+from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.stereo.height import MIN_LEAD, MIN_PEAK, MIN_WINDOWS, RIVAL_PX, StereoHeight
@@ -65,10 +66,9 @@ def side_velocity(
     """
     picture, height = now
     turn = step.before_from_now.as_matrix()
-    ground = height.ground
     shift = turn @ step.down * (before[1].height_m - height.height_m)
     shift = shift + _search(before[0], now, eye, turn, shift)
-    inverse = ground.inverse_m
+    inverse = height.inverse_m
     for size, blur in ROUNDS:
         through = _through(before[0], inverse, eye, turn, shift)
         found = window_shifts(picture, through, size, blur)
@@ -89,7 +89,7 @@ def side_velocity(
         change, normal, weights = _robust_shift(by_shift, moved, information)
         shift = shift + change
     left = moved - by_shift @ change
-    covariance = np.linalg.inv(normal)
+    covariance = inverse_of(normal)
     squares = np.einsum("ni,nij,nj->n", left, information, left) * weights
     excess = max(1.0, float(squares.sum()) / max(2.0 * float(weights.sum()), 1.0))
     noise = covariance * found.overlap * excess  # windows share ground: their errors, too
@@ -124,7 +124,7 @@ def _search(
 ) -> FloatArray:
     """What is to be added (3,) to a shift, by one large window in the middle of the picture."""
     picture, height = now
-    through = _through(before, height.ground.inverse_m, eye, turn, shift)
+    through = _through(before, height.inverse_m, eye, turn, shift)
     seen = np.isfinite(through)
     if not seen.any():
         raise NoSolutionError("the pictures of both times share no ground", ReasonCode.FEW_POINTS)
@@ -147,7 +147,7 @@ def _search(
         )
     moved = np.array([best_column + half - column, best_row + half - row], dtype=np.float64)
     middle = np.array([[float(column), float(row)]])
-    inverse = float(height.ground.inverse_m[row, column])
+    inverse = float(height.inverse_m[row, column])
     place = eye.place_m + eye.rays(middle) / inverse
     _, by_vector = eye.seen(place - turn.T @ (eye.place_m - shift))
     found: FloatArray = np.linalg.pinv(by_vector[0] @ turn.T) @ moved
@@ -163,7 +163,11 @@ def _robust_shift(
     for _ in range(6):
         weighing = information * weights[:, None, None]
         normal = np.einsum("nia,nij,njb->ab", by_shift, weighing, by_shift)
-        change = np.linalg.solve(normal, np.einsum("nia,nij,nj->a", by_shift, weighing, moved))
+        covariance = inverse_of(normal)
+        if not np.isfinite(covariance).all():
+            text = "the windows of both times leave the motion open"
+            raise NoSolutionError(text, ReasonCode.DEGENERATE)
+        change = covariance @ np.einsum("nia,nij,nj->a", by_shift, weighing, moved)
         left = moved - by_shift @ change
         size = np.sqrt(0.5 * np.einsum("ni,nij,nj->n", left, information, left))
         weights = tukey_weights(size, TUKEY * max(scatter(size), 1.0))
