@@ -17,7 +17,7 @@ from optnav_cli.report import page as html
 from optnav_cli.report.svg import HALF, Plot, PlotAxis
 
 CALIBRATION_JSON, RESIDUALS_CSV = "calibration.json", "residuals.csv"
-WORDS = {"centre": "principal point", "distortion": "distortion k1", "focal": "focal length"}
+WORDS = {"centre": "principal point", "focal": "focal length"}
 MAX_DOTS = 4000
 REACH = 3.5  # of the residuals' rms that a plot shows
 

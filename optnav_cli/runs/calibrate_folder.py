@@ -40,6 +40,10 @@ from optnav_cli.runs.navigate_folder import navigate_folder
 
 KIND, STAGE = "calibration", "calibrate"
 RESIDUALS_CSV, CALIBRATION_JSON = "residuals.csv", "calibration.json"
+# Points are found by a wrong lens first, then by the lens found: patches that are drawn through a
+# lens without its distortion are matched off by up to 0.1 px at the corners.
+PASSES = 2
+WEIGHINGS = 2  # of the matches by the residuals of the adjustment before
 MIN_POINTS, MIN_FRAMES = 12, 2
 MIN_WIDTH = 0.02  # of the points' spread in the picture, across over along: less is a line
 KINDS = (Common.FOCAL, Common.CENTRE, Common.DISTORTION, Common.MOUNTING, Common.CLOCK)
@@ -166,13 +170,19 @@ def calibrate_folder(
     folder = read_folder(given.pictures, given.kernels)
     _check_stated(folder)
     with logged_stage(STAGE), unfinished(output, KIND) as workspace:
-        wide = workspace.folder / "pictures"
-        _write_wide(folder, wide, settings)
-        run = workspace.folder / "run"
-        with suppress(NothingToDoError):  # said below, with what a calibration wants
-            navigate_folder(replace(given, pictures=wide), run, progress, workers=workers)
-        rows = _stated_rows(adjusted_rows([read_run(run)], folder.cameras), folder)
-        result, stages = solve_calibration(rows, kinds, settings)
+        cameras: Mapping[str, Camera] = folder.cameras
+        for number in range(PASSES):
+            wide = workspace.folder / f"pictures-{number}"
+            _write_wide(folder, wide, settings, cameras)
+            run = workspace.folder / f"run-{number}"
+            with suppress(NothingToDoError):  # said below, with what a calibration wants
+                navigate_folder(replace(given, pictures=wide), run, progress, workers=workers)
+            rows = _stated_rows(adjusted_rows([read_run(run)], dict(cameras)), folder)
+            result, stages = solve_calibration(rows, kinds, settings)
+            found = {
+                c.name: corrected_camera(c, result.adjustment) for c in result.cameras.values()
+            }
+            cameras = {**folder.cameras, **found}
         with replacing_folder(output, KIND) as place:
             write_calibration(place, rows, result, stages)
             write_manifest(
@@ -204,9 +214,10 @@ def solve_calibration(
     numbers = settings.numbers(list(kinds), sorted(known))
     adjustment = adjust(frames, numbers, by_direction=True)
     # matches were weighed by residuals of a wrong lens: now by those of the right one
-    variance = _variance(adjustment, len(numbers))
-    frames = [_weighed(frame, variance) for frame in frames]
-    adjustment = adjust(frames, numbers, by_direction=True)
+    for _ in range(WEIGHINGS):
+        variance = _variance(adjustment, len(numbers))
+        frames = [_weighed(frame, variance) for frame in frames]
+        adjustment = adjust(frames, numbers, by_direction=True)
     stages = [residual_stages(frame, adjustment.common) for frame in frames]
     kept = [found.weights > 0.0 for found in adjustment.frames]
     before = np.concatenate([s.stated[k] for s, k in zip(stages, kept, strict=True)])
@@ -261,8 +272,10 @@ def _check_stated(folder: Folder) -> None:
         )
 
 
-def _write_wide(folder: Folder, place: Path, settings: CalibrateSettings) -> None:
-    """A copy of a folder whose sigmas bear a camera that is not as stated."""
+def _write_wide(
+    folder: Folder, place: Path, settings: CalibrateSettings, cameras: Mapping[str, Camera]
+) -> None:
+    """A copy of a folder with some cameras, whose sigmas bear that they are not as they are."""
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
     search = settings.search
@@ -273,7 +286,11 @@ def _write_wide(folder: Folder, place: Path, settings: CalibrateSettings) -> Non
         sigma_m = float(np.hypot(frame.position_sigma_m or 0.0, search.position_m))
         angle = search.attitude_arcsec * ARCSEC
         sigma = float(np.hypot(frame.attitude_sigma_rad or 0.0, angle))
-        frames.append(replace(frame, position_sigma_m=sigma_m, attitude_sigma_rad=sigma))
+        turn, camera = frame.camera_from_body, cameras[frame.camera]
+        if turn is not None:
+            turn = camera.aligned(folder.cameras[frame.camera].stated(turn))
+        changed = replace(frame, camera_from_body=turn, position_sigma_m=sigma_m)
+        frames.append(replace(changed, attitude_sigma_rad=sigma))
         target = place / frame.file.replace("\\", "/")
         target.parent.mkdir(parents=True, exist_ok=True)
         source = folder.picture_path(frame).absolute()
@@ -282,7 +299,7 @@ def _write_wide(folder: Folder, place: Path, settings: CalibrateSettings) -> Non
                 target.symlink_to(source)
             except OSError:  # no links there
                 shutil.copyfile(source, target)
-    write_folder(place, folder.settings, folder.cameras.values(), frames, folder.motion)
+    write_folder(place, folder.settings, cameras.values(), frames, folder.motion)
 
 
 def _stated_rows(rows: Sequence[AdjustedRow], folder: Folder) -> list[AdjustedRow]:
@@ -302,6 +319,7 @@ def _stated_rows(rows: Sequence[AdjustedRow], folder: Folder) -> list[AdjustedRo
                 sigma = float(np.sqrt(max(sigma**2 - frame.common_sigma_rad**2, 0.0)))
             adjusted = replace(
                 adjusted,
+                camera=folder.cameras[name],
                 position_m=frame.position_m,
                 position_sigma_m=frame.position_sigma_m,
                 attitude=frame.camera_from_body,
