@@ -1,0 +1,65 @@
+"""Windows in the joint state: how far they err alike, whatever order they join in."""
+
+import numpy as np
+import pytest
+
+from catalog.arrays import FloatArray
+from optnav_cli.estimation.descent_filter import TRACK, TrackErrors
+from optnav_cli.navigation.descent_state import JointState, WindowError, shipped_sizes
+from optnav_cli.navigation.descent_windows import STEP, WindowKey, overlap
+
+ERRORS = TrackErrors(300.0, 0.8, 0.0, 6e-5, 4e-7, 1.5e-5)
+
+
+def window(row: int, col: int, sigma_m: float = 8.0, side: int = 24) -> WindowError:
+    return WindowError(WindowKey(0, side, row, col), sigma_m * np.diag([1.0, 1.0, 0.5]))
+
+
+def places(count: int) -> FloatArray:
+    return np.tile([1.7374e6, 0.0, 0.0], (count, 1))
+
+
+def test_windows_err_alike_as_far_as_they_share_ground() -> None:
+    here = WindowKey(0, 24, 0, 0)
+    assert overlap(here, here) == 1.0
+    assert overlap(here, WindowKey(0, 24, 0, 24 // STEP)) == 0.0
+    assert overlap(here, WindowKey(0, 24, 0, 12 // STEP)) == pytest.approx(0.5)
+    # a small window inside a large one: the root of its share
+    assert overlap(here, WindowKey(0, 12, 0, 0)) == pytest.approx(0.5)
+    assert overlap(here, WindowKey(1, 24, 0, 0)) == 0.0
+
+
+def test_the_order_in_which_windows_join_does_not_matter() -> None:
+    errors = [window(0, 0), window(0, 3, 12.0), window(2, 1, 6.0, 16)]
+    together, one_by_one = JointState(ERRORS), JointState(ERRORS)
+    together.join_windows(errors, places(3))
+    for error in errors:
+        one_by_one.join_windows([error], places(1))
+    a, b = (state.filter.covariance[TRACK:, TRACK:] for state in (together, one_by_one))
+    assert a == pytest.approx(b, abs=1e-4)
+    common = shipped_sizes().common
+    tie = common + (1.0 - common) * 0.5
+    assert a[0, 3] == pytest.approx(tie * 8.0 * 12.0, rel=1e-4)
+
+
+def test_a_window_joins_where_its_neighbour_was_found_to_err() -> None:
+    """A neighbour known to be 10 m off says half of it of a window that shares half its ground."""
+    state = JointState(ERRORS)
+    state.join_windows([window(0, 0)], places(1))
+    state.filter.state[TRACK] = 10.0
+    state.join_windows([window(0, 3)], places(1))
+    common = shipped_sizes().common
+    offset = state.filter.offsets_m[1]
+    assert offset == pytest.approx([10.0 * (common + (1.0 - common) * 0.5), 0.0, 0.0], rel=1e-4)
+    # the track is not touched by it
+    assert not state.filter.state[:TRACK].any()
+
+
+def test_what_is_kept_is_kept_in_order() -> None:
+    state = JointState(ERRORS)
+    errors = [window(0, col) for col in (0, 6, 12)]
+    state.join_windows(errors, places(3))
+    state.keep({errors[0].key, errors[2].key})
+    assert state.windows == [errors[0].key, errors[2].key]
+    assert state.filter.count == 2
+    assert state.place_m(errors[1].key) is None
