@@ -334,9 +334,10 @@ def _variance(adjustment: Adjustment, numbers: int) -> float:
     """Of a match's coordinate, px², by the residuals of the matches kept."""
     total, free = 0.0, -float(numbers)
     for frame in adjustment.frames:
-        total += float((frame.weights[:, None] * np.nan_to_num(frame.residuals_px) ** 2).sum())
+        kept = frame.weights > 0.0
+        total += float((frame.residuals_px[kept] ** 2).sum())
         # statements hold a part of the six numbers of a pose: half of them on the average
-        free += 2.0 * float(frame.weights.sum()) - 3.0
+        free += 2.0 * float(kept.sum()) - 3.0
     return total / max(free, 1.0)
 
 
