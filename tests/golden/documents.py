@@ -47,6 +47,10 @@ ACCURACY = {
     "The limb alone from 100 000 km: range {}, direction {}.": (
         "horizon 1 3 range_with_relief direction"
     ),
+    "A descent from 6.5 to 2 km over a 118 m model, one inertial track: {} of {} frames, {} m "
+    "horizontal a component, {} m height, NEES {}.": (
+        "descent 0 1 solved frames horizontal_a_component_m height_m nees"
+    ),
     "The limb of Phobos, 100 km from its centre: {} m across the line of sight, {} % of range.": (
         "phobos 0 1 across_the_line_of_sight range"
     ),
