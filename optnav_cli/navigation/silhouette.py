@@ -73,7 +73,7 @@ def _errors() -> SilhouetteErrors:
     return load_toml(resource(FILE), SilhouetteErrors)
 
 
-class _EdgeRows(NamedTuple):
+class _EdgeFit(NamedTuple):
     """What one round measured, a number a row, and the small turn and move that follow.
 
     rows     (n, 6) of px by position, m, and rotation, rad, camera frame
@@ -96,7 +96,7 @@ class _Step(NamedTuple):
 
     drawn: DrawnShape
     used: BoolArray
-    fit: _EdgeRows
+    fit: _EdgeFit
 
 
 @lru_cache(maxsize=2)
@@ -237,7 +237,7 @@ def _by_light(
     position: FloatArray,
     steps: int,
     turned: FloatArray,
-) -> _EdgeRows | None:
+) -> _EdgeFit | None:
     """One round by the light on the shape; None where too little of it is found."""
     drawn = _drawn(mesh, view, turn, position)
     places, moves = match_light(values, drawn, steps)
@@ -270,7 +270,7 @@ def _fitted(
     thinning: float,
     view: CameraView,
     turned: FloatArray,
-) -> _EdgeRows:
+) -> _EdgeFit:
     """The change of the pose that offsets ask for; thinning: rows that count as one measurement."""
     prior = 1.0 / max(view.attitude_sigma_rad, EXACT_RAD) ** 2
     hold, change = np.diag([0.0, 0.0, 0.0, prior, prior, prior]), np.zeros(6)
@@ -286,7 +286,7 @@ def _fitted(
         change = _inverse(normal) @ wanted
         left = np.abs(offsets - rows @ change)
         scatter = max(1.4826 * float(np.median(left)), MIN_SCATTER)
-    return _EdgeRows(rows, offsets, weights, groups, normal, change, scatter)
+    return _EdgeFit(rows, offsets, weights, groups, normal, change, scatter)
 
 
 def _inverse(normal: FloatArray) -> FloatArray:
@@ -342,9 +342,7 @@ def _sectors(drawn: DrawnShape) -> IntArray:
     return np.floor((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
 
 
-def _fix(
-    last: _Step, fit: _EdgeRows, turn: Rotation, position: FloatArray, view: CameraView
-) -> Fix:
+def _fix(last: _Step, fit: _EdgeFit, turn: Rotation, position: FloatArray, view: CameraView) -> Fix:
     """The pose with its covariance; fit: of the last round, by edges or light."""
     inverse = _inverse(fit.normal)
     rest = fit.offsets - fit.rows @ fit.change
