@@ -221,7 +221,7 @@ class DescentFilter:
     ) -> tuple[FloatArray, FloatArray]:
         """Pixels (n, 2) of some ground points and the covariance (n, 2, 2) of the prediction."""
         pixels, by_pose = predict(camera, self.pose(stated), self.places_m[numbers])
-        rows = _Rows(by_pose, numbers)
+        rows = _SightingRows(by_pose, numbers)
         noise = self._errors.attitude_noise_rad
         spread = np.empty((len(numbers), 2, 2))
         for k in range(len(numbers)):
@@ -274,7 +274,7 @@ class DescentFilter:
             if not np.isfinite(pixels).all():
                 text = "a window or landmark left the camera's view during the update"
                 raise NoSolutionError(text, ReasonCode.NOT_SETTLED)
-            rows = _Rows(by_pose, numbers)
+            rows = _SightingRows(by_pose, numbers)
             cross = rows.times(self.covariance).T  # (state, 2 n)
             turns = by_pose[:, :, 3:].reshape(-1, 3)
             own = noise**2 * turns @ turns.T
@@ -297,14 +297,14 @@ class DescentFilter:
 
 
 @dataclass(frozen=True)
-class _Row:
+class _SightingRow:
     """The two rows of a sighting's derivative: values (2, 9) in columns (9,) of the state."""
 
     values: FloatArray
     columns: IndexArray
 
 
-class _Rows:
+class _SightingRows:
     """Derivatives of sightings by the state, of which each depends on nine unknowns."""
 
     def __init__(self, by_pose: FloatArray, numbers: IndexArray) -> None:
@@ -312,10 +312,10 @@ class _Rows:
         self._by_pose, self._by_place = by_pose, -by_pose[:, :, :3]
         self._numbers = numbers
 
-    def of(self, k: int) -> _Row:
+    def of(self, k: int) -> _SightingRow:
         """Of one sighting."""
         columns = np.r_[POSITION, BIAS, _columns(self._numbers[k : k + 1])]
-        return _Row(np.concatenate([self._by_pose[k], self._by_place[k]], axis=1), columns)
+        return _SightingRow(np.concatenate([self._by_pose[k], self._by_place[k]], axis=1), columns)
 
     def times(self, matrix: NDArray[np.floating]) -> FloatArray:
         """The derivative (2 n, state) times a matrix (state, m)."""

@@ -203,7 +203,7 @@ class _Grid(NamedTuple):
     size: int
 
 
-class View(NamedTuple):
+class SeenGround(NamedTuple):
     """What a picture shows of the ground.
 
     middle_m         (3,) below its middle
@@ -220,7 +220,7 @@ class View(NamedTuple):
         return self.metres_per_pixel * camera.coarse_focal_px
 
 
-def view_of(camera: Camera, pose: Pose, windows: WindowField) -> View | None:
+def view_of(camera: Camera, pose: Pose, windows: WindowField) -> SeenGround | None:
     """The ground in a picture; None where its middle shows none of the catalog."""
     turn = pose.camera_from_body.as_matrix()
     middle_px = np.array([[camera.width_px - 1, camera.height_px - 1]]) / 2.0
@@ -242,7 +242,7 @@ def view_of(camera: Camera, pose: Pose, windows: WindowField) -> View | None:
     places = pose.position_m + along[met][:, None] * rays[met]
     emission = np.einsum("ni,ni->n", -rays[met], unit(places))
     seen = places[emission > np.cos(MAX_EMISSION)]
-    return View(middle, float(along[0]) / camera.coarse_focal_px, seen)
+    return SeenGround(middle, float(along[0]) / camera.coarse_focal_px, seen)
 
 
 def choose_windows(
