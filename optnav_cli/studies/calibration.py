@@ -14,6 +14,7 @@ from catalog.config import resource
 from catalog.geometry.rotations import ARCSEC
 from catalog.places import make_folder
 from catalog.progress import Progress
+from catalog.store.reader import Catalog
 from optnav_cli.calibration.separability import not_told_apart
 from optnav_cli.camera.camera_file import preset_camera
 from optnav_cli.estimation.adjustment import Adjustment, adjust
@@ -94,6 +95,9 @@ def run(
     frames    of each route at measurement level
     catalog   of the bundled Tycho terrain; built when None
     """
+    if catalog is not None:  # wrong ones are told before the routes, not after
+        with Catalog.open(catalog):
+            pass
     make_folder(output)
     camera = preset_camera("unk")
     flown = Route(camera, frames, HEIGHTS_KM, rolled=True, lost=LOST)

@@ -96,6 +96,7 @@ def run(
     output: Path,
     progress: Progress,
     grounds: int = 5,
+    first: int = 0,
     tracks: int = 3,
     landmarks_only: bool = False,
     rows: str = "",
@@ -103,6 +104,7 @@ def run(
     """Fly all cases; catalogs and pictures go into `output`, and are used again.
 
     grounds, tracks  pictures of so many grounds, each flown with so many drawn tracks
+    first            number of the first ground
     landmarks_only   only the row without windows near the ground
     """
     output.mkdir(exist_ok=True, parents=True)
@@ -118,7 +120,7 @@ def run(
     seconds: list[float] = []
     done: dict[tuple[int, int, float, bool, bool], list[FlownFrame]] = {}
     with progress.stage("fly", len(chosen) * grounds * tracks, "descent") as bar:
-        for ground in range(grounds):
+        for ground in range(first, first + grounds):
             for case in chosen:
                 pictures = flights.made_pictures(
                     scenario_of(ground, low=case.landmarks), _place(output, ground, case), progress

@@ -178,6 +178,12 @@ STUDIES = (
         (
             _output("optnav-descent", "Folder for catalogs and pictures; used again."),
             _option("--grounds", click.IntRange(1, 1000), 5, "Grounds, each with its pictures."),
+            _option(
+                "--first",
+                click.IntRange(0, 10_000),
+                0,
+                "Ground to begin with: 0 and 1 were fitted with.",
+            ),
             _option("--tracks", click.IntRange(1, 100), 3, "Drawn tracks over each ground."),
             _option(
                 "--landmarks-only",
