@@ -132,9 +132,12 @@ def point_levels(catalog_path: Path, lat_deg: float, lon_deg: float) -> Drawn:
             f"(below) of its {meta.levels} levels, {finest:.0f} m to "
             f"{finest * 2 ** (meta.levels - 1):.0f} m a node."
         )
-    height = round(picture.shape[0] * WIDE_PX / picture.shape[1])
-    shown = cv2.resize(picture, (WIDE_PX, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(shown, np.uint8), caption
+    return _wide(picture), caption
+
+
+def _wide(picture: ByteArray) -> ByteArray:
+    size = WIDE_PX, round(WIDE_PX * picture.shape[0] / picture.shape[1])
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def hazard_map(seed: int, elevation_deg: float, square_m: float) -> Drawn:
@@ -151,7 +154,7 @@ def hazard_map(seed: int, elevation_deg: float, square_m: float) -> Drawn:
         f"that its shading tells. Boxes are the pads of 20 m chosen in squares of {square_m:g} m: "
         f"{found[0]:.1f} % of them is expected above 7°, {found[1]:.1f} % is."
     )
-    return draw_overview(mapped), caption
+    return _wide(draw_overview(mapped)), caption
 
 
 def body_sides(catalog_path: Path) -> Drawn:
@@ -162,8 +165,7 @@ def body_sides(catalog_path: Path) -> Drawn:
             f"{catalog.meta.body.capitalize()} from six sides: {int(catalog.usable.sum())} of "
             f"{len(catalog)} control points are usable."
         )
-    size = WIDE_PX, round(WIDE_PX * picture.shape[0] / picture.shape[1])
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8), caption
+    return _wide(picture), caption
 
 
 def _patch_outlines(
