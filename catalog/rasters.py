@@ -11,7 +11,7 @@ import os
 import re
 import stat
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import rasterio
+from numpy.typing import NDArray
 from rasterio._err import CPLE_BaseError
 from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+from rasterio.io import MemoryFile
 
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, check_input
@@ -53,6 +55,7 @@ OFFLINE = {
     "GDAL_HTTP_MAX_RETRY": "0",
     "PROJ_NETWORK": "OFF",
 }
+DESCRIPTION = "TIFFTAG_IMAGEDESCRIPTION"  # the tag by which a file of ours is known again
 DATA_FOLDERS = ("GDAL_DATA", "PROJ_DATA", "PROJ_LIB")  # variables of the environment
 _VRT = re.compile(rb"\s*<VRTDataset[\s>]")
 _PDS4 = re.compile(rb"(\s*<\?xml[^>]*>|\s*<\?[^>]*>|\s*<!--.*?-->)*\s*<Product_Observational", re.S)
@@ -142,6 +145,44 @@ def reading_raster(path: Path, siblings: bool = True, what: str = "") -> Iterato
             f"{path}: {what}cannot be read ({gdal_reason(error)}); the file is damaged or cut "
             "short, get it again"
         ) from None
+
+
+def encode_geotiff(
+    bands: Mapping[str, NDArray[Any]],
+    profile: Mapping[str, Any],
+    tags: Mapping[str, str] | None = None,
+    unit: str = "",
+) -> bytes:
+    """A GeoTIFF of grids of one shape and type, deflated, as bytes.
+
+    bands    grids (rows, cols) by their descriptions
+    profile  `crs`, `transform`, `nodata` and the like, as rasterio names them
+    unit     of all bands
+
+    Made in memory: GDAL takes no name that is not UTF-8, and tells no full disk from damage.
+    """
+    first = next(iter(bands.values()))
+    (rows, cols), kind = first.shape, first.dtype.name
+    whole = {"driver": "GTiff", "compress": "deflate", "dtype": kind, "count": len(bands)}
+    whole |= {"predictor": 3} if kind == "float32" else {}
+    with MemoryFile() as memory:
+        with memory.open(**whole, height=rows, width=cols, **profile) as file:
+            file.update_tags(**(tags or {}))
+            if unit:
+                file.units = (unit,) * len(bands)
+            for band, (text, grid) in enumerate(bands.items(), 1):
+                file.write(grid, band)
+                file.set_band_description(band, text)
+        return bytes(memory.getbuffer())
+
+
+def is_described(path: Path, *beginnings: str) -> bool:
+    """Whether a file is a GeoTIFF whose description begins with one of some words."""
+    try:
+        with open_raster(path, OWN) as file:
+            return str(file.tags().get(DESCRIPTION, "")).startswith(beginnings)
+    except DataError:
+        return False
 
 
 @contextmanager

@@ -18,7 +18,6 @@ import manifold3d
 import numpy as np
 import rasterio
 import trimesh
-from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
 from catalog.arrays import Float32Array, FloatArray, IntArray
@@ -27,10 +26,10 @@ from catalog.errors import DataError, OutputError
 from catalog.files import check_file, replacing_file, starts_with, write_output
 from catalog.geometry.projection import node_grid
 from catalog.inspect.summary import shift_document
-from catalog.rasters import OWN, open_raster
+from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.store.comparison import insert_shifts
 from catalog.store.connection import SIDECARS, is_points_file
-from catalog.store.geopackage import new_geopackage, srs_of
+from catalog.store.geopackage import MAP_AXES, new_geopackage, srs_of, stereographic_wkt
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
 from catalog.store.records import unknown_as_none
@@ -52,7 +51,6 @@ SHADOW_COLUMNS = [(f"shadow_limit_{azimuth:03d}_deg", azimuth) for azimuth in AZ
 Properties = dict[str, object]
 RASTER_ENDINGS = (".tif", ".tiff")
 RELIEF_NAME = "optnav relief"  # begins the description of a file of ours, as PATCH_NAME does
-DESCRIPTION = "TIFFTAG_IMAGEDESCRIPTION"
 
 
 def export(catalog: Catalog, path: str | Path) -> int:
@@ -319,19 +317,18 @@ def export_patch_heights(catalog: Catalog, point_id: int, level: int, path: Path
 
 def _patch_system(meta: CatalogMeta, point: ControlPoint) -> str:
     """The map projection of a point's patches, as WKT."""
-    axes = 'UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
-    if meta.planes is not None:  # no projection of a sphere: heights move a point across the plane
-        name = f"Plane that touches the ellipsoid of {meta.body} below control point {point.id}"
-        if point.vertical_deg is not None:
-            name = f"Plane of the ground of {meta.body} at control point {point.id}"
-        return f'LOCAL_CS["{name}",{axes}'
-    sphere = srs_of(meta.body, meta.radius_m)[4]
-    return (
-        f'PROJCS["{meta.body.capitalize()}, stereographic about control point {point.id}",{sphere},'
-        f'PROJECTION["Stereographic"],PARAMETER["latitude_of_origin",{point.lat_deg!r}],'
-        f'PARAMETER["central_meridian",{point.lon_deg!r}],PARAMETER["scale_factor",1],'
-        f'PARAMETER["false_easting",0],PARAMETER["false_northing",0],{axes}'
-    )
+    if meta.planes is None:
+        return stereographic_wkt(
+            meta.body,
+            f"control point {point.id}",
+            meta.radius_m,
+            (point.lat_deg, point.lon_deg),
+        )
+    # no projection of a sphere: heights move a point across the plane
+    name = f"Plane that touches the ellipsoid of {meta.body} below control point {point.id}"
+    if point.vertical_deg is not None:
+        name = f"Plane of the ground of {meta.body} at control point {point.id}"
+    return f'LOCAL_CS["{name}",{MAP_AXES}'
 
 
 def _write_raster(
@@ -341,23 +338,9 @@ def _write_raster(
     tags: Mapping[str, str],
 ) -> None:
     """Write grids as bands, with their descriptions; all of them are metres."""
-    height, width = next(iter(bands.values())).shape
-    profile = {"driver": "GTiff", "dtype": "float32", "compress": "deflate", "predictor": 3}
-    profile |= {"height": height, "width": width, "count": len(bands), **place}
-    # in the memory first: GDAL takes no name that is not UTF-8, and tells no full disk from damage
-    with replacing_file(path, _is_our_raster) as partial, MemoryFile() as memory:
-        with memory.open(**profile) as file:
-            file.update_tags(**tags)
-            file.units = ("m",) * len(bands)
-            for band, (text, grid) in enumerate(bands.items(), 1):
-                file.write(grid, band)
-                file.set_band_description(band, text)
-        partial.write_bytes(memory.getbuffer())
+    with replacing_file(path, _is_our_raster) as partial:
+        partial.write_bytes(encode_geotiff(bands, place, tags, unit="m"))
 
 
 def _is_our_raster(path: Path) -> bool:
-    try:
-        with open_raster(path, OWN) as file:
-            return str(file.tags().get(DESCRIPTION, "")).startswith((RELIEF_NAME, PATCH_NAME))
-    except DataError:
-        return False
+    return is_described(path, RELIEF_NAME, PATCH_NAME)

@@ -26,6 +26,7 @@ UNDATED = "1970-01-01T00:00:00Z"
 
 MOON_SRS_ID = 30100  # IAU_2015:30100, Moon, sphere, planetocentric latitude
 MOON_RADIUS_M = 1737400.0
+MAP_AXES = 'UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'  # end of a map's WKT
 CUSTOM_SRS_ID = 100001  # a number that no registry uses
 
 Box = tuple[float, float, float, float]  # west, south, east, north, deg
@@ -236,6 +237,23 @@ def srs_of(body: str, radius_m: float) -> tuple[int, str, str, int, str]:
         'AUTHORITY["EPSG","9122"]],AXIS["Longitude",EAST],AXIS["Latitude",NORTH]]'
     )
     return srs_id, name, organization, code, wkt
+
+
+def stereographic_wkt(
+    body: str, centre: str, radius_m: float, centre_deg: tuple[float, float]
+) -> str:
+    """WKT of the stereographic projection of a body's sphere, metres east and north.
+
+    centre      what is at its centre, for the name
+    centre_deg  latitude and longitude
+    """
+    lat, lon = centre_deg
+    return (
+        f'PROJCS["{body.capitalize()}, stereographic about {centre}",{srs_of(body, radius_m)[4]},'
+        f'PROJECTION["Stereographic"],PARAMETER["latitude_of_origin",{lat!r}],'
+        f'PARAMETER["central_meridian",{lon!r}],PARAMETER["scale_factor",1],'
+        f'PARAMETER["false_easting",0],PARAMETER["false_northing",0],{MAP_AXES}'
+    )
 
 
 def system_rows(body: str, radius_m: float) -> list[tuple[object, ...]]:

@@ -12,7 +12,6 @@ from catalog.arrays import Float32Array
 from catalog.bodies.body import load_body
 from catalog.errors import DataError, DifferenceError, NothingToDoError
 from catalog.files import replacing_file, starts_with
-from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.projection import Stereographic
 from catalog.progress import logged_stage
 from catalog.tables import CsvRow
@@ -172,17 +171,7 @@ def pad_slopes(source: DemSource, lat_deg: float, lon_deg: float, pad_m: float) 
     parts = max(1, round(step / source.posting_m))
     at = (np.arange(nodes * parts) - 0.5 * (nodes * parts - 1)) * step / parts
     place = Stereographic(math.radians(lat_deg), math.radians(lon_deg), source.body.radius_m)
-    lat, lon = place.latlon(*np.meshgrid(at, -at))
-    col, row = source.pixel_from_latlon(lat, lon)
-    rows, cols = source.shape
-    if not (np.isfinite(col).all() and np.isfinite(row).all()):
-        return np.full((inner, inner), np.nan, np.float32)
-    top, left = max(int(row.min()) - 3, 0), max(int(col.min()) - 3, 0)
-    high, wide = min(int(row.max()) + 4, rows) - top, min(int(col.max()) + 4, cols) - left
-    if high < 2 or wide < 2:
-        return np.full((inner, inner), np.nan, np.float32)
-    window = source.read_window(top, left, high, wide)
-    fine = sample_bicubic(window, row - top, col - left)
+    fine = source.heights_at(*place.latlon(*np.meshgrid(at, -at)))
     heights = fine.reshape(nodes, parts, nodes, parts).mean(axis=(1, 3), dtype=np.float64)
     slopes = slope_degrees(slope_components(heights.astype(np.float32), step, step, BASE_M))
     return slopes[MARGIN:-MARGIN, MARGIN:-MARGIN]

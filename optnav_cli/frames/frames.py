@@ -57,6 +57,12 @@ class Frame:
     common_sigma_rad: float = 0.0
     problem: str | None = None
 
+    @property
+    def own_attitude_sigma_rad(self) -> float | None:
+        """attitude_sigma_rad without the common share: as the file states it."""
+        sigma = self.attitude_sigma_rad
+        return None if sigma is None else math.sqrt(max(sigma**2 - self.common_sigma_rad**2, 0.0))
+
 
 def read_frames(path: Path, attitude: FileAttitude, cameras: Mapping[str, Camera]) -> list[Frame]:
     """Frames of a frames.csv in its order; stated attitudes are turned by the camera's boresight.
@@ -180,10 +186,7 @@ def _cells(
     frame: Frame, attitude: FileAttitude, cameras: Mapping[str, Camera]
 ) -> dict[str, object]:
     cells: dict[str, object] = {"file": frame.file, "utc": frame.utc, "camera": frame.camera}
-    sigma = frame.attitude_sigma_rad
-    if sigma is not None and frame.common_sigma_rad > 0.0:
-        # the file holds the sensor's part alone
-        sigma = float(np.sqrt(max(sigma**2 - frame.common_sigma_rad**2, 0.0)))
+    sigma = frame.own_attitude_sigma_rad
     cells["attitude_sigma_arcsec"] = None if sigma is None else sigma / ARCSEC
     if frame.camera_from_body is not None and frame.tdb_s is not None:
         camera, turn = cameras.get(frame.camera), frame.camera_from_body

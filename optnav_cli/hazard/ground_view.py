@@ -20,6 +20,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import distance_to_sphere
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import Stereographic
+from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.picture import Picture
 
@@ -59,7 +60,7 @@ class PictureOnGround:
 
     @property
     def sun_elevation_deg(self) -> float:
-        return math.degrees(math.atan2(self.sun[2], math.hypot(self.sun[0], self.sun[1])))
+        return _elevation_deg(self.sun)
 
     @property
     def sun_azimuth(self) -> float:
@@ -138,7 +139,7 @@ def look_from(
     """
     position, axes = pose.position_m, pose.camera_from_body.as_matrix()
     rays = _border_rays(camera) @ axes
-    _check_slant(-rays @ (position / np.linalg.norm(position)))
+    _check_slant(-rays @ unit(position))
     ground = heights if callable(heights) else lambda lat, lon: np.full(np.shape(lat), heights)
     middle, level = _middle(pose, axes[2], ground)
     height_m = float(np.linalg.norm(position)) - pose.radius_m - level
@@ -328,8 +329,12 @@ def box_means(values: Float32Array, cells: int, outside: float | None = None) ->
     return found.astype(np.float32, copy=False)
 
 
+def _elevation_deg(sun: FloatArray) -> float:
+    return math.degrees(math.atan2(sun[2], math.hypot(sun[0], sun[1])))
+
+
 def _check_sun(sun: FloatArray) -> None:
-    elevation = math.degrees(math.atan2(sun[2], math.hypot(sun[0], sun[1])))
+    elevation = _elevation_deg(sun)
     if elevation < MIN_SUN_DEG:
         raise NoSolutionError(
             f"it is night there: the Sun stands at {elevation:.1f} deg; wanted "

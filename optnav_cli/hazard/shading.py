@@ -149,7 +149,7 @@ def _curves(view: PictureOnGround, law: str) -> Curves:
 
     def brightness(along: FloatArray, over: FloatArray, to_camera: FloatArray) -> FloatArray:
         normals = np.array([0.0, 0.0, 1.0]) - along[:, None] * toward - over[:, None] * left
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        normals = unit(normals)
         return reflectance(normals @ view.sun, normals @ to_camera, float(view.sun @ to_camera))
 
     zero = np.zeros(1)

@@ -314,16 +314,14 @@ def _stated_rows(rows: Sequence[AdjustedRow], folder: Folder) -> list[AdjustedRo
             adjusted = rows[number].adjusted
             if adjusted is None:
                 continue
-            sigma = frame.attitude_sigma_rad
-            if sigma is not None:  # what all frames have in common is solved for
-                sigma = float(np.sqrt(max(sigma**2 - frame.common_sigma_rad**2, 0.0)))
             adjusted = replace(
                 adjusted,
                 camera=folder.cameras[name],
                 position_m=frame.position_m,
                 position_sigma_m=frame.position_sigma_m,
                 attitude=frame.camera_from_body,
-                attitude_sigma_rad=sigma,
+                # what all frames have in common is solved for
+                attitude_sigma_rad=frame.own_attitude_sigma_rad,
                 motion=motion,
             )
             found[number] = replace(rows[number], frame=frame, adjusted=adjusted)

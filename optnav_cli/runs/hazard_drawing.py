@@ -15,7 +15,7 @@ PANEL_PX = 330  # of a square one, side by side
 GAP_PX, TITLE_PX = 8, 22
 MAX_SLOPE_DEG = 20.0  # the brightest of the colours
 MAX_RISK_PX = 1024
-PAD_COLOUR, SQUARE_COLOUR, TEXT_COLOUR = (255, 255, 255), (150, 150, 150), (235, 235, 235)
+PAD_COLOUR, TEXT_COLOUR = (255, 255, 255), (235, 235, 235)
 REFUSED_COLOUR, OUTSIDE_COLOUR = (60, 40, 50), (24, 24, 24)
 # A safe pad is green, a dangerous one red: stops of a scale, BGR, and readable in gray as well
 SCALE = np.array([[80, 170, 60], [90, 210, 190], [70, 190, 245], [50, 100, 235], [60, 20, 140]])

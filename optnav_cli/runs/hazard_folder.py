@@ -36,8 +36,6 @@ from optnav_cli.runs.hazard_output import HazardOutput, MappedFrame
 
 log = logging.getLogger(__name__)
 
-MAX_WINDOW = 100_000_000  # heights that one picture's ground is read from
-MARGIN = 4  # pixels of a terrain model around what is asked for
 HEIGHT_TOLERANCE = 0.2  # by which --height-m may differ from a pose over a terrain model
 
 
@@ -254,7 +252,7 @@ def _ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | Non
     if inputs.dem is not None:
         source = DemSource.open(DemSettings(str(inputs.dem)), Path.cwd(), body)
         stack.callback(source.close)
-        return lambda lat, lon: _model_heights(source, lat, lon)
+        return lambda lat, lon: source.heights_at(lat, lon).astype(np.float64)
     if inputs.catalog is not None:
         catalog = stack.enter_context(Catalog.open(inputs.catalog))
         if catalog.meta.body != body.name or catalog.meta.planes is not None:
@@ -263,30 +261,6 @@ def _ground(inputs: HazardInputs, body: Body, stack: ExitStack) -> Heights | Non
             )
         return lambda lat, lon: _catalog_heights(catalog, lat, lon)
     return None
-
-
-def _model_heights(source: DemSource, lat: FloatArray, lon: FloatArray) -> FloatArray:
-    """Heights of places (rad) by a terrain model, NaN where it has none."""
-    col, row = source.pixel_from_latlon(lat, lon)
-    rows, cols = source.shape
-    inside = np.isfinite(col) & (row > -0.5) & (row < rows - 0.5)
-    if not source.wraps:
-        inside &= (col > -0.5) & (col < cols - 0.5)
-    found = np.full(np.shape(lat), np.nan)
-    if not inside.any():
-        return found
-    spans = []
-    for at, limit in ((row[inside], rows), (col[inside], cols)):
-        first = max(int(at.min()) - MARGIN, 0)
-        spans.append((first, min(int(at.max()) + MARGIN + 2, limit) - first))
-    (top, high), (left, wide) = spans
-    if high * wide > MAX_WINDOW:
-        raise DataError(
-            f"{source.path}: a picture shows {high} x {wide} of its heights; name a coarser model"
-        )
-    window = source.read_window(top, left, high, wide)
-    found[inside] = sample_bicubic(window, row[inside] - top, col[inside] - left)
-    return found
 
 
 def _catalog_heights(catalog: Catalog, lat: FloatArray, lon: FloatArray) -> FloatArray:

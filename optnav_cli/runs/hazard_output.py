@@ -10,11 +10,11 @@ from typing import Any, Self
 import numpy as np
 import rasterio
 from affine import Affine
-from rasterio.io import MemoryFile
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.store.geopackage import srs_of
+from catalog.rasters import encode_geotiff
+from catalog.store.geopackage import stereographic_wkt
 from catalog.terrain.slopes import slope_degrees
 from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.frames import Frame
@@ -98,6 +98,8 @@ class HazardOutput:
         if self._open:
             self._open = False
             self._log.__exit__(kind, error, trace)
+            if kind is None:
+                PADS.write(self._folder / PADS_FILE, self._rows)
 
     def close(self) -> None:
         """Complete all files."""
@@ -107,16 +109,16 @@ class HazardOutput:
         """Write what is known of one frame."""
         if frame.mapped is None:
             self._rows.append({"file": frame.file, "reason": frame.reason})
+            self._record(frame)
         else:
             place = self._folder / _stem(frame.file) if self._many else self._folder
             place.mkdir(exist_ok=True)
             self._write_rasters(place, frame.mapped)
-            pictures = draw_risk(frame.mapped), draw_overview(frame.mapped)
-            for name, picture in zip(("risk.png", "hazard.png"), pictures, strict=True):
-                (place / name).write_bytes(encoded(picture, ".png"))
+            risk = encoded(draw_risk(frame.mapped), ".png")
+            (place / "risk.png").write_bytes(risk)
+            (place / "hazard.png").write_bytes(encoded(draw_overview(frame.mapped), ".png"))
             self._rows += [_cells(frame, pad) for pad in frame.mapped.pads]
-        self._record(frame)
-        PADS.write(self._folder / PADS_FILE, self._rows)
+            self._record(frame, risk)
 
     def _write_rasters(self, place: Path, mapped: HazardMap) -> None:
         risk, view = mapped.risk, mapped.view
@@ -124,32 +126,27 @@ class HazardOutput:
         corner = risk.origin + 0.5 - 0.5 * risk.step  # of the first pad's pixel, in cells
         grid = Affine(a, b, c + corner * a, d, e, f + corner * e) @ Affine.scale(risk.step)
         crs = _crs(self._body, mapped)
-        code = {"dtype": "uint8", "crs": crs, "transform": grid, "nodata": None}
+        code = {"crs": crs, "transform": grid, "nodata": None}
         words = "seed's code" if mapped.slopes is None else "254 x expected dangerous share"
         tags = {"CODE": f"{words}; {REFUSED} refused", "METHOD": self._settings.method}
-        _write_raster(place / "risk.tif", {"risk of a pad about the pixel": risk.code}, code, tags)
+        bands = {"risk of a pad about the pixel": risk.code}
+        (place / "risk.tif").write_bytes(encode_geotiff(bands, code, tags))
         if mapped.slopes is None:
             return
         slopes = mapped.slopes
         degrees = slope_degrees(np.stack([slopes.toward, slopes.across]))
         hidden = ~view.valid
         per_tangent = np.degrees(1.0 / (1.0 + np.tan(np.radians(degrees)) ** 2))
-        bands = {
+        real = {
             "slope, deg": degrees,
             "its 1 sigma, deg": (slopes.sigma * per_tangent).astype(np.float32),
             "share of shadow": slopes.shadow,
         }
-        bands = {name: np.where(hidden, np.float32(np.nan), grid) for name, grid in bands.items()}
-        real = {
-            "dtype": "float32",
-            "predictor": 3,
-            "crs": crs,
-            "transform": Affine(*view.affine),
-            "nodata": np.nan,
-        }
-        _write_raster(place / "slopes.tif", bands, real, {"BASE_M": "3"})
+        real = {name: np.where(hidden, np.float32(np.nan), grid) for name, grid in real.items()}
+        profile = {"crs": crs, "transform": Affine(*view.affine), "nodata": np.nan}
+        (place / "slopes.tif").write_bytes(encode_geotiff(real, profile, {"BASE_M": "3"}))
 
-    def _record(self, frame: MappedFrame) -> None:
+    def _record(self, frame: MappedFrame, risk: bytes = b"") -> None:
         log, camera = self._log, frame.camera
         log.set_time(frame.row.utc if frame.row else NO_TIME)
         name = camera.name if camera else "camera"
@@ -157,7 +154,6 @@ class HazardOutput:
         if frame.mapped is not None and camera is not None and frame.picture is not None:
             image = recorded_image(frame.picture.values, camera)
             _add_image(log, topic_of(name, "image"), name, image, "jpeg")
-            risk = encoded(draw_risk(frame.mapped), ".png")
             _add_image(log, topic_of(name, "risk"), name, risk, "png")
             found, squares = frame.mapped.found, len(frame.mapped.pads)
             message = f"{frame.file}: pads in {found} of {squares} squares"
@@ -203,31 +199,9 @@ def _crs(body: Body | None, mapped: HazardMap) -> Any:
     projection = mapped.view.projection
     if body is None or projection is None:
         return None
-    sphere = srs_of(body.name, projection.radius_m)[4]
-    lat, lon = math.degrees(projection.lat), math.degrees(projection.lon)
-    return rasterio.CRS.from_wkt(
-        f'PROJCS["{body.name.capitalize()}, stereographic about the view",{sphere},'
-        f'PROJECTION["Stereographic"],PARAMETER["latitude_of_origin",{lat!r}],'
-        f'PARAMETER["central_meridian",{lon!r}],PARAMETER["scale_factor",1],'
-        'PARAMETER["false_easting",0],PARAMETER["false_northing",0],'
-        'UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
-    )
-
-
-def _write_raster(
-    path: Path, bands: dict[str, Any], profile: dict[str, Any], tags: dict[str, str]
-) -> None:
-    height, width = next(iter(bands.values())).shape
-    whole = {"driver": "GTiff", "compress": "deflate", "count": len(bands)}
-    whole |= {"height": height, "width": width, **profile}
-    # in the memory first: GDAL takes no name that is not UTF-8, and tells no full disk from damage
-    with MemoryFile() as memory:
-        with memory.open(**whole) as file:
-            file.update_tags(**tags)
-            for band, (text, grid) in enumerate(bands.items(), 1):
-                file.write(grid, band)
-                file.set_band_description(band, text)
-        path.write_bytes(memory.getbuffer())
+    centre_deg = math.degrees(projection.lat), math.degrees(projection.lon)
+    wkt = stereographic_wkt(body.name, "the view", projection.radius_m, centre_deg)
+    return rasterio.CRS.from_wkt(wkt)
 
 
 def _add_image(log: MessageLog, topic: str, frame_id: str, image: bytes, kind: str) -> None:

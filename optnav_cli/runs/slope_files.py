@@ -7,14 +7,12 @@ import cv2
 import numpy as np
 import rasterio
 from affine import Affine
-from rasterio.io import MemoryFile
 
 from catalog.arrays import ByteArray, Float32Array
 from catalog.bodies.body import load_body
-from catalog.errors import DataError
 from catalog.files import check_file, replacing_file, starts_with
 from catalog.places import check_apart
-from catalog.rasters import OWN, open_raster
+from catalog.rasters import DESCRIPTION, encode_geotiff, is_described
 from catalog.terrain.dem.georeference import Georeference
 from catalog.terrain.dem.source import DemSettings, DemSource
 from catalog.terrain.slopes import CRITICAL_DEG, DANGEROUS_DEG, SlopeSummary, summarize
@@ -23,7 +21,6 @@ from optnav_cli.output.wording import table_lines
 from optnav_cli.runs.hazard_drawing import MAX_SLOPE_DEG, OUTSIDE_COLOUR, TEXT_COLOUR, coloured
 
 MADE = "Slopes by optnav"
-DESCRIPTION = "TIFFTAG_IMAGEDESCRIPTION"
 PNG = b"\x89PNG\r\n\x1a\n"
 MAX_PX = 900
 GRAPH_PX, MARGIN_PX = 240, 24  # the histogram's width and the room for its words
@@ -91,25 +88,14 @@ def measure_slopes(
 
 def _write(path: Path, degrees: Float32Array, place: Georeference) -> None:
     """Write slopes as a GeoTIFF on the coordinate system of their model; NaN for none."""
-    rows, cols = degrees.shape
-    profile = {"driver": "GTiff", "dtype": "float32", "compress": "deflate", "predictor": 3}
-    profile |= {"height": rows, "width": cols, "count": 1, "nodata": np.nan}
-    profile |= {"crs": rasterio.CRS.from_wkt(place.wkt), "transform": Affine(*place.affine)}
-    # in the memory first: GDAL takes no name that is not UTF-8, and tells no full disk from damage
-    with replacing_file(path, _is_ours) as partial, MemoryFile() as memory:
-        with memory.open(**profile) as file:
-            file.update_tags(**{DESCRIPTION: MADE})
-            file.write(degrees, 1)
-            file.set_band_description(1, "slope, deg")
-        partial.write_bytes(memory.getbuffer())
+    profile = {"crs": rasterio.CRS.from_wkt(place.wkt), "transform": Affine(*place.affine)}
+    bands, tags = {"slope, deg": degrees}, {DESCRIPTION: MADE}
+    with replacing_file(path, _is_ours) as partial:
+        partial.write_bytes(encode_geotiff(bands, {**profile, "nodata": np.nan}, tags))
 
 
 def _is_ours(path: Path) -> bool:
-    try:
-        with open_raster(path, OWN) as file:
-            return str(file.tags().get(DESCRIPTION, "")).startswith(MADE)
-    except DataError:
-        return False
+    return is_described(path, MADE)
 
 
 def _drawn(degrees: Float32Array, summary: SlopeSummary) -> ByteArray:

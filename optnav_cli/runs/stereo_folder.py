@@ -1,5 +1,7 @@
 """A folder of stereo pairs to heights.csv: height and side velocity of each pair."""
 
+import math
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -11,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import Float32Array, FloatArray
 from catalog.errors import ConfigError, DataError, NoSolutionError, NothingToDoError
 from catalog.files import replacing_folder
+from catalog.geometry.vectors import unit
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.folder import Folder, read_folder
@@ -137,16 +140,14 @@ def paired(
     names = [mount.camera for mount in mounts]
     usable = [f for f in frames if f.problem is None and f.tdb_s is not None and f.camera in names]
     usable.sort(key=lambda frame: (frame.tdb_s or 0.0, names.index(frame.camera)))
-    taken: set[str] = set()
-    for frame in usable:
-        if frame.file in taken:
-            continue
-        side = names.index(frame.camera)
-        others = [f for f in usable if f.camera == names[1 - side] and f.file not in taken]
-        nearest = min(others, key=lambda other: _apart_s(frame, other), default=None)
-        taken.add(frame.file)
+    left = [deque(f for f in usable if f.camera == name) for name in names]
+    while left[0] or left[1]:
+        # of both cameras' next ones the earlier, so that the other is the nearest that is left
+        side = min((0, 1), key=lambda s: left[s][0].tdb_s or 0.0 if left[s] else math.inf)
+        frame = left[side].popleft()
+        nearest = left[1 - side][0] if left[1 - side] else None
         if nearest is not None and _apart_s(frame, nearest) <= SAME_TIME_S:
-            taken.add(nearest.file)
+            left[1 - side].popleft()
             yield (frame, nearest, "") if side == 0 else (nearest, frame, "")
             continue
         if nearest is None:
@@ -187,7 +188,8 @@ def _measured(
     except (DataError, NoSolutionError) as error:
         return StereoRow(*names, utc, reason=str(error)), None
     tdb_s = first.tdb_s or 0.0
-    state = PairState(tdb_s, one, height, ship, _own_sigma_rad(first))
+    sigma = first.own_attitude_sigma_rad
+    state = PairState(tdb_s, one, height, ship, math.inf if sigma is None else sigma)
     row = StereoRow(*names, utc, height, reason=remark)
     if before is None:
         return row, state
@@ -208,20 +210,11 @@ def _ship_from_body(eye: Eye, frame: Frame) -> Rotation | None:
     return None if turn is None else eye.ship_from_camera * turn
 
 
-def _own_sigma_rad(frame: Frame) -> float:
-    """Of an attitude, without what neighbouring frames have in common."""
-    sigma = frame.attitude_sigma_rad
-    if sigma is None:
-        return float("inf")
-    return float(np.sqrt(max(sigma**2 - frame.common_sigma_rad**2, 0.0)))
-
-
 def _down(ship_from_body: Rotation | None, frame: Frame) -> tuple[FloatArray, str]:
     """The way down (3,) in the ship's frame, and a remark where it is assumed."""
     if ship_from_body is None or frame.position_m is None:
         return SHIP_DOWN, LEVEL
-    up = frame.position_m / np.linalg.norm(frame.position_m)
-    found: FloatArray = ship_from_body.apply(-up)
+    found: FloatArray = ship_from_body.apply(-unit(frame.position_m))
     return found, ""
 
 

@@ -20,7 +20,6 @@ from catalog.bodies.ephemeris import Ephemeris
 from catalog.bodies.epochs import tdb_s_after
 from catalog.config import Seconds, Turn
 from catalog.errors import ConfigError
-from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.latlon import body_from_local
 from catalog.geometry.rotations import ARCSEC
 from catalog.terrain.dem.source import DemSource
@@ -218,9 +217,7 @@ def _height_at(source: DemSource, lat: float, lon: float) -> float:
         col = float(np.mod(col, cols))
     inside = 2.0 <= row <= rows - 3.0 and 2.0 <= col <= cols - 3.0
     if inside:
-        top, left = int(row) - 2, int(col) - 2
-        heights = source.read_window(top, left, 6, 6)
-        height = float(sample_bicubic(heights, np.array([row - top]), np.array([col - left]))[0])
+        height = float(source.heights_at(lat, lon))
         if np.isfinite(height):
             return height
     raise ConfigError(

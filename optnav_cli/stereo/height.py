@@ -15,6 +15,7 @@ import numpy as np
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.errors import NoSolutionError
 from catalog.geometry.rotations import cross_matrix
+from catalog.geometry.vectors import perpendicular_basis
 from optnav_cli.estimation.least_squares import inverse_of
 from optnav_cli.estimation.robust import TUKEY, scatter, tukey_weights
 from optnav_cli.reasons import ReasonCode
@@ -241,7 +242,7 @@ def _height(rig: Rig, nodes: _Nodes, down: FloatArray, inverse: FloatArray) -> S
         text = f"only {count} windows of the ground below agree in both pictures"
         raise NoSolutionError(text, ReasonCode.FEW_POINTS)
     at, z = level[chosen], depth[chosen]
-    across = _level_axes(down)
+    across = np.stack(perpendicular_basis(down))
     design = np.column_stack([np.ones(count), at @ across.T])
     _, kept = _robust_plane(design, z, np.ones(count, bool))
     # d depth / d inverse distance along the ray
@@ -293,11 +294,3 @@ def _mounting_sigma_m(rig: Rig, nodes: _Nodes, chosen: BoolArray, slope: FloatAr
         along = np.einsum("ni,nik->nk", move, turned) / (length**2)[:, None]
         variance += float(((slope @ along / len(slope)) ** 2).sum()) * error**2
     return float(np.sqrt(variance))
-
-
-def _level_axes(down: FloatArray) -> FloatArray:
-    """Two unit vectors (2, 3) square to `down`."""
-    start = np.array([1.0, 0.0, 0.0]) if abs(down[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    one = start - (start @ down) * down
-    one = one / np.linalg.norm(one)
-    return np.stack([one, np.cross(down, one)])

@@ -21,7 +21,6 @@ from catalog.bodies.body import load_body
 from catalog.config import resource
 from catalog.correlation.ncc import high_pass
 from catalog.correlation.peak import locate_peak
-from catalog.geometry.grid import sample_bicubic
 from catalog.geometry.projection import Stereographic, node_grid
 from catalog.progress import Progress
 from catalog.rendering.map_view import render_map
@@ -79,10 +78,7 @@ def tycho_ground(size: int = SIZE) -> tuple[Float32Array, float]:
     source = DemSource.open(DemSettings(path=path.name), path.parent, body)
     west, south, east, north = source.latlon_bounds()
     place = Stereographic((south + north) / 2.0, (west + east) / 2.0, body.radius_m)
-    col, row = source.pixel_from_latlon(*place.latlon(*node_grid(size, POSTING_M)))
-    top, left = int(row.min()) - 2, int(col.min()) - 2
-    window = source.read_window(top, left, int(row.max()) - top + 4, int(col.max()) - left + 4)
-    return sample_bicubic(window, row - top, col - left), body.radius_m
+    return source.heights_at(*place.latlon(*node_grid(size, POSTING_M))), body.radius_m
 
 
 def compare(

@@ -19,6 +19,7 @@ from rasterio.windows import Window
 from catalog.arrays import Float32Array, FloatArray
 from catalog.bodies.body import Body
 from catalog.errors import DataError
+from catalog.geometry.grid import sample_bicubic
 from catalog.rasters import TERRAIN, open_raster, reading_raster, reopen_raster
 from catalog.terrain.dem.file import (
     RADIUS_TOLERANCE,
@@ -37,6 +38,8 @@ PROBE_SIZE = 32
 # smoothest lunar mare has more relief over such a distance.
 SUSPICIOUS_EXTENT_M = 50e3
 SUSPICIOUS_RELIEF_M = 25.0
+MAX_WINDOW = 100_000_000  # heights that are read for places asked at once
+MARGIN = 4  # pixels about those places, for the interpolation
 # ISIS marks saturated and missing pixels with the lowest values of a type, of which GDAL takes
 # one as no data.
 ISIS_LOWEST_VALID = {"int16": -32752.0, "float32": -3.4028226e38, "uint16": 3.0}
@@ -220,6 +223,36 @@ class DemSource:
             raw = self.read_raw(top, col, bottom - top, count)
             out[top - row0 : bottom - row0, at : at + count] = self.convert(raw)
         return out
+
+    def heights_at(self, lat: ArrayLike, lon: ArrayLike) -> Float32Array:
+        """Heights of places (rad), m above the reference sphere, bicubic; NaN where it has none.
+
+        Raises DataError for a damaged file, and for places too far apart to be read at once.
+        """
+        col, row = self.pixel_from_latlon(lat, lon)
+        rows, cols = self.shape
+        if self.wraps:
+            col = np.mod(col, cols)
+        inside = np.isfinite(col) & (row > -0.5) & (row < rows - 0.5)
+        inside &= (col > -0.5) & (col < cols - (0.0 if self.wraps else 0.5))
+        found = np.full(np.shape(col), np.nan, dtype=np.float32)
+        if not inside.any():
+            return found
+        spans = []
+        for at, limit, wraps in ((row[inside], rows, False), (col[inside], cols, self.wraps)):
+            first, last = int(at.min()) - MARGIN, int(at.max()) + MARGIN + 2
+            if not wraps:  # what lies beyond an edge would be a hole
+                first, last = max(first, 0), min(last, limit)
+            spans.append((first, last - first))
+        (top, high), (left, wide) = spans
+        if high * wide > MAX_WINDOW:
+            raise DataError(
+                f"{self.path}: {high} x {wide} of its heights are asked for at once; name a "
+                "coarser model"
+            )
+        window = self.read_window(top, left, high, wide)
+        found[inside] = sample_bicubic(window, row[inside] - top, col[inside] - left)
+        return found
 
     def read_raw(self, row: int, col: int, height: int, width: int) -> NDArray[Any]:
         """Counts as they are stored; the window must lie inside. Raises DataError."""

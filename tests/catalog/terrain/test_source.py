@@ -7,6 +7,7 @@ import pytest
 import rasterio
 from rasterio.transform import Affine
 
+from catalog.config import resource
 from catalog.terrain.dem.source import DemSettings, DemSource
 
 # file, scale and offset that its label or documentation gives, whether the sum is a radius
@@ -56,6 +57,22 @@ def test_real_files_put_each_pixel_where_gdal_puts_it(shared_data, moon, name, s
     a, _, c, _, e, f = source.place.affine
     np.testing.assert_allclose(x, c + a * (col + 0.5), rtol=1e-12, atol=1e-6)
     np.testing.assert_allclose(y, f + e * (row + 0.5), rtol=1e-12, atol=1e-6)
+
+
+def test_heights_at_places_are_those_of_pixels_across_the_seam_and_nan_beyond_the_edge(moon):
+    whole = source_of(resource("data/moon_gld100_4ppd.tif"), moon)
+    rows, cols = np.array([300, 300, 301, 360]), np.array([0, whole.shape[1] - 1, 1, 700])
+    stored = whole.read_window(0, 0, *whole.shape)
+    lat, lon = whole.place.latlon_from_pixel(cols, rows)
+    np.testing.assert_allclose(whole.heights_at(lat, lon), stored[rows, cols], atol=1e-2)
+    # half a pixel beyond the last column lies the middle between the last and the first
+    lat, lon = whole.place.latlon_from_pixel(np.array([cols[1] + 0.5]), np.array([300.0]))
+    between = stored[300, [-2, -1, 0, 1]] @ np.array([-1.0, 9.0, 9.0, -1.0]) / 16.0
+    assert whole.heights_at(lat, lon)[0] == pytest.approx(between, abs=0.1)
+
+    part = source_of(resource("data/tycho_gld100_256ppd.tif"), moon)
+    west, south, _, _ = part.latlon_bounds()
+    assert np.isnan(part.heights_at(south - 0.01, west - 0.01))
 
 
 def test_a_pds3_image_finds_its_label_and_its_radii_become_heights(shared_data, moon):
