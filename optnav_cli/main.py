@@ -58,6 +58,7 @@ COMMANDS = {
     "adjust": Entry(_PICTURES, "Adjust the frames of runs, and what is common to them.", "adjust"),
     "calibrate": Entry(f"{_HERE}.calibrate", "Calibrate cameras in flight by control points."),
     "stereo": Entry(f"{_HERE}.stereo", "Height and side velocity from two cameras on a base."),
+    "orbit": Entry(f"{_HERE}.orbit", "Orbits through fixes, and what follows from them."),
     "slopes": Entry(f"{_HERE}.hazard", "How steep a terrain model is.", "slopes"),
     "hazard": Entry(f"{_HERE}.hazard", "Map the risk of landing, choose pads.", "hazard"),
     "evaluate": Entry(_PICTURES, "Compare a run's positions with the truth.", "evaluate"),

@@ -36,6 +36,7 @@ FLOORS = (
         "optnav_cli.simulation",
     },
     {"optnav_cli.navigation", "optnav_cli.hazard", "optnav_cli.output"},
+    {"optnav_cli.orbit"},
     {"optnav_cli.evaluation"},
     {"optnav_cli.report"},
     {"optnav_cli.runs"},

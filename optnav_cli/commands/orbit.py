@@ -1,0 +1,18 @@
+"""`optnav orbit`: orbits through fixes and what follows from them; a module for each subcommand."""
+
+import click
+
+from optnav_cli.options import Entry, LazyGroup
+
+_HERE = "optnav_cli.commands"
+COMMANDS: dict[str, Entry] = {}  # by name, in the order of the help
+
+
+@click.group(cls=LazyGroup, table=lambda: COMMANDS, short_help="Orbits through fixes, and more.")
+def command() -> None:
+    """Orbits: through the fixes of runs, ahead of them, about small moons, to the ground.
+
+    \b
+    Example:
+      optnav orbit --help
+    """
