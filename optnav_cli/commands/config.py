@@ -54,7 +54,8 @@ KINDS = {
     "data": ShippedKind(
         ("data/phobos_thomas.tab", "*.t[ai][bf]"),
         "bundled:NAME",
-        'a build config, as [[dem]] (.tif) or [[mesh]] (.tab): path = "bundled:NAME"',
+        'a build config, as [[dem]] (.tif) or [[mesh]] (.tab): path = "bundled:NAME"; a gravity '
+        'field: [forces] field = "bundled:NAME"',
     ),
 }
 
