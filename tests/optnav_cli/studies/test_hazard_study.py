@@ -31,6 +31,13 @@ def small():
     return make_field("rough", 5, 880)
 
 
+def test_the_flattest_pads_are_those_of_least_slope_whole_in_their_squares():
+    squares = np.full((410, 410), 9.0, np.float32)
+    squares[5 + 10, 5 + 10] = 1.0  # the first pad that lies whole in the first square
+    squares[5 + 9, 300] = 0.0  # of a pad that does not
+    assert study.flattest_pads(squares) == [1.0, 9.0, 9.0, 9.0]
+
+
 def test_a_field_is_as_rough_as_it_is_meant_to_be(small):
     assert 0.2 < small.share_above(7.0) < 0.6
     assert make_field("even", 5, 440).share_above(7.0) < small.share_above(7.0)
@@ -148,7 +155,9 @@ def test_fitted_sections_are_printed_as_the_file_has_them():
 def test_the_report_shows_all_cases(small):
     score = study.Score(4, [(0.4, 0.05, 64.0)], [(0.03, 0.04, 0.0, 16.0)] * 4)
     score.bins[:] = 300.0
-    figures = study.HazardFigures(dict.fromkeys(study.CASES, score), {5.0: score}, 1)
+    figures = study.HazardFigures(
+        dict.fromkeys(study.CASES, score), {5.0: score}, {"rough": [4.0], "even": [4.0]}, 1
+    )
     first, second = study.report(figures).tables
     assert len(first.rows) == len(study.CASES) + 1
     assert first.column("rms")[0] == pytest.approx(50.0)
