@@ -72,6 +72,11 @@ def load_camera(path: str | Path) -> Camera:
     return Camera(**values)
 
 
+def is_plain_name(name: str) -> bool:
+    """Whether a camera may be called so: the name of its file, and a cell of tables."""
+    return name != "" and not set(name) & set('"\\\n,/\0')
+
+
 def preset_camera(name: str) -> Camera:
     """A camera that ships with optnav. Raises ConfigError, naming the nearest, for another name."""
     folder = resource("configs/cameras/unk.toml").parent
@@ -120,7 +125,7 @@ def _check_picture(settings: CameraFileSettings, where: str) -> None:
             f"{where}: width_px x height_px are {settings.width_px} x {settings.height_px}; wanted "
             f"pictures of at most {MAX_PIXELS:,} pixels"
         )
-    if not settings.name or set(settings.name) & set('"\\\n,/'):
+    if not is_plain_name(settings.name):
         raise ConfigError(f"{where}: name is '{settings.name}'; wanted a plain word")
 
 

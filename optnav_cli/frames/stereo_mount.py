@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from catalog.arrays import FloatArray
 from catalog.errors import ConfigError
 from catalog.geometry.rotations import ARCSEC, rotation_from_quaternion
+from optnav_cli.camera.camera_file import is_plain_name
 
 MIN_BASE_M = 1e-3  # less cannot be measured on a ship
 UNIT_TOLERANCE = 1e-3  # of a quaternion's length
@@ -65,6 +66,8 @@ def check_mounts(mounts: Sequence[MountSettings]) -> None:
         if mount.camera in seen:
             raise ConfigError(f"[[mount]] has the camera '{mount.camera}' twice; keep one section")
         seen.add(mount.camera)
+        if not is_plain_name(mount.camera):
+            raise ConfigError(f"[[mount]] names the camera '{mount.camera}'; wanted a plain word")
         length = float(np.linalg.norm(mount.ship_from_camera))
         if abs(length - 1.0) > UNIT_TOLERANCE:
             raise ConfigError(

@@ -7,6 +7,7 @@ from tests.fuzz.kinds import (
     faults,
     kernels,
     labels,
+    landings,
     meshes,
     pictures,
     places,
@@ -17,6 +18,6 @@ from tests.fuzz.kinds import (
 )
 
 MODULES = (
-    catalogs, command_lines, configs, faults, kernels, labels, meshes, pictures, places, rasters,
-    runs, surroundings, tables,
+    catalogs, command_lines, configs, faults, kernels, labels, landings, meshes, pictures, places,
+    rasters, runs, surroundings, tables,
 )  # fmt: skip

@@ -35,6 +35,10 @@ LIMB_CAMERA = (
     "focal_length_px = 180.0\nprincipal_point_px = [63.5, 63.5]\n"
     "coefficients = [0.0, 0.0, 0.0, 0.0]\npsf_sigma_px = 0.7\npsf_error_px = 0.1\n"
 )
+PAIR_CAMERA = (
+    'name = "shtk"\nmodel = "pinhole"\nwidth_px = 320\nheight_px = 320\n'
+    "focal_length_px = 775.0\nprincipal_point_px = [159.5, 159.5]\n"
+)
 BODY = """name = "pebble"
 radius_km = 11.0
 radii_km = [12.65, 11.0, 9.35]
@@ -94,6 +98,7 @@ TKFRAME_31007_UNITS = 'ARCSECONDS'
 \\begintext
 """
 NAVIGATE = "[view]\nsun_max_deg = 80.0\n[match]\ntemplate_nodes = 32\nmax_search_nodes = 8\n"
+CALIBRATE = "[search]\nposition_m = 1500.0\nattitude_arcsec = 400.0\n[prior]\nfocal_percent = 3.0\n"
 _SHARED = 'seed = 3\ncamera = {name = "cam.toml"}\nsensor = {snr = 80.0}\n'
 _GLOBE = (
     _SHARED + 'dem = []\nglobe = {path = "globe.tif"}\n'
@@ -108,6 +113,10 @@ SCENARIOS = {
     "detail = {seeds = [], smallest_m = 900.0}\n"
     "[orbit]\naltitude_km = 100.0\nbox_deg = [10.8, 19.8, 11.2, 20.2]\n"
     "passes = 1\nframes = 1\n[sun]\nelevation_deg = [20.0, 25.0]\n",
+    "route": _SHARED + 'dem = [{path = "dem.tif"}]\nglobe = {path = "globe.tif"}\n'
+    "detail = {seeds = [], smallest_m = 900.0}\nattitude = {sigma_arcsec = 10.0}\n"
+    "[orbit]\naltitude_km = 100.0\nbox_deg = [10.9, 19.9, 11.1, 20.1]\n"
+    "passes = 4\nframes = 1\n[sun]\nelevation_deg = [20.0, 25.0]\n",
     "far": _GLOBE + "prior = {given = false}\n[orbit]\naltitude_km = 40000.0\n"
     "box_deg = [-180.0, -90.0, 180.0, 90.0]\npasses = 1\nframes = 2\n"
     "[sun]\nelevation_deg = [40.0, 50.0]\n",
@@ -121,6 +130,16 @@ SCENARIOS = {
     "approach": _SHARED + 'body = "phobos"\nmesh = {path = "body.obj", units = "km"}\n'
     "detail = {seeds = [], smallest_m = 4000.0}\n"
     "[approach]\nfrom_km = 100.0\nto_km = 60.0\nspeed_m_s = 35.0\nframes = 2\n",
+    "stereo": 'seed = 3\ncamera = {name = "shtk.toml"}\nsensor = {snr = 80.0}\n'
+    "detail = {seeds = [1], smallest_m = 0.2}\n"
+    "[stereo]\nheights_m = [60.0]\nplace_deg = [11.0, 20.0]\nlargest_m = 20.0\n"
+    '[[mount]]\ncamera = "left"\nposition_m = [-0.5, 0.0, 0.0]\n'
+    '[[mount]]\ncamera = "right"\nposition_m = [0.5, 0.0, 0.0]\nerror_arcsec = 20.0\n',
+    "descent": _SHARED + 'dem = [{path = "dem.tif"}]\ndetail = {seeds = [], smallest_m = 900.0}\n'
+    "[descent]\nfrom_km = 60.0\nto_km = 56.0\nduration_s = 20.0\nspacing_s = 10.0\n"
+    "speed_m_s = [800.0, 790.0]\nend_deg = [11.0, 20.0]\ntilt_deg = [5.0, 0.0]\n"
+    "[inertial]\nposition_sigma_m = 300.0\nvelocity_sigma_m_s = 0.8\n"
+    "attitude_sigma_arcsec = 12.0\n",
 }  # fmt: skip
 # in the order in which they are made: each needs those before it
 COMMANDS = (
@@ -131,8 +150,15 @@ COMMANDS = (
     ("navigate", "pictures", "--catalog", "moon.gpkg", "-o", "run"),
     ("simulate", "passes.toml", "-o", "near"),
     ("navigate", "near", "--catalog", "moon.gpkg", "-o", "near.run"),
+    ("simulate", "route.toml", "-o", "route"),
     ("simulate", "limb.toml", "-o", "limb"),
     ("navigate", "limb", "--catalog", "relief.gpkg", "-o", "limb.run"),
+    ("simulate", "stereo.toml", "-o", "pair"),
+    ("stereo", "pair", "-o", "heights"),
+    ("hazard", "pair", "--height-m", "60", "--pad-m", "4", "--square-m", "8", "-o", "pads"),
+    ("slopes", "dem.tif", "--base-m", "3000", "-o", "slopes.tif"),
+    ("simulate", "descent.toml", "-o", "fall"),
+    ("navigate", "fall", "--catalog", "moon.gpkg", "-o", "fall.run"),
     ("evaluate", "run", "--truth", "pictures/truth.csv"),
     ("export", "run", "-o", "run.gpkg"),
     ("report", "run", "-o", "old.html"),
@@ -193,11 +219,14 @@ def _write_inputs() -> None:
     texts = {
         "cam.toml": CAMERA,
         "wide.toml": LIMB_CAMERA,
+        "shtk.toml": PAIR_CAMERA,
         "body.toml": BODY,
         "moon.toml": BUILD,
         "relief.toml": BUILD + '[relief]\ndem = {path = "globe.tif"}\n',
         "mesh.toml": MESH_BUILD,
         "navigate.toml": NAVIGATE,
+        "hazard.toml": "pad_m = 4.0\nsquare_m = 8.0\n",
+        "calibrate.toml": CALIBRATE,
         **{f"{name}.toml": text for name, text in SCENARIOS.items()},
     }
     for name, text in texts.items():

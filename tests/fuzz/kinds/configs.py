@@ -15,8 +15,10 @@ from optnav_cli.camera.camera_file import CameraFileSettings
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.simulation.approach import Approach
+from optnav_cli.simulation.descent import Descent
 from optnav_cli.simulation.inertial_path import InertialPath
 from optnav_cli.simulation.passes import Portraits, Scenario
+from optnav_cli.simulation.stereo_path import StereoScenario
 from tests.fuzz.cases import DATA, NOTHING, OK, OPEN, REFUSED, Case, Place, kind
 from tests.fuzz.damage import damaged
 from tests.fuzz.materials import BOX
@@ -307,6 +309,8 @@ SCENARIOS = {
     "transfer": ConfigKind(InertialPath, "transfer.toml", "transfer.toml"),
     "portraits": ConfigKind(Portraits, "portraits.toml", "portraits.toml"),
     "approach": ConfigKind(Approach, "approach.toml", "approach.toml"),
+    "stereo": ConfigKind(StereoScenario, "stereo.toml", "stereo.toml"),
+    "descent": ConfigKind(Descent, "descent.toml", "descent.toml"),
 }
 
 
@@ -389,13 +393,15 @@ SCENARIO_WEIGHTS = {
     "transfer": 0.5,
     "portraits": 2.0,
     "approach": 1.5,
+    "stereo": 0.7,
+    "descent": 0.7,
 }
 
 
 def _scenario(name: str) -> None:
     @kind(f"config-{name}", SCENARIO_WEIGHTS[name])
     def simulate(place: Place) -> Case:
-        place.take("cam.toml", "dem.tif", "globe.tif", "body.obj", "body.toml")
+        place.take("cam.toml", "shtk.toml", "dem.tif", "globe.tif", "body.obj", "body.toml")
         codes, note = _with(place, SCENARIOS[name])
         args = ("-q", "simulate", f"{name}.toml", "-o", "new")
         return Case(args, codes & {OK, DATA}, "new", note=note)

@@ -17,7 +17,7 @@ from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
-from optnav_cli.frames.stereo_mount import MountSettings
+from optnav_cli.frames.stereo_mount import MountSettings, check_mounts
 from optnav_cli.frames.tables import HEIGHTS
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.runs.stereo_folder import stereo_folder
@@ -91,6 +91,12 @@ def test_the_same_pairs_give_the_same_bytes(tmp_path: Path) -> None:
 def test_mounts_are_read_back_as_they_were_written(tmp_path: Path) -> None:
     pictures = folder(tmp_path / "pairs", times=((0.0, 0.0),))
     assert read_folder(pictures).settings.mount == (LEFT, RIGHT)
+
+
+@pytest.mark.parametrize("name", ["", "/dev/zero", "a\\b", 'a"b', "a,b", "a\0"])
+def test_a_mounted_camera_has_a_name_that_a_file_can_have(name: str) -> None:
+    with pytest.raises(ConfigError, match="wanted a plain word"):
+        check_mounts([LEFT, MountSettings(camera=name, position_m=(1.0, 0.0, 0.0))])
 
 
 def test_pictures_of_different_times_are_rows_with_a_reason(tmp_path: Path) -> None:
