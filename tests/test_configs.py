@@ -61,6 +61,17 @@ def load_calibrate(path: Path) -> object:
     return load_calibrate_settings(path)
 
 
+def load_qso(path: Path) -> object:
+    from optnav_cli.orbit.qso_settings import load_qso_settings
+
+    return load_qso_settings(path)
+
+
+def load_orbit(path: Path) -> object:
+    kinds = {"qso": load_qso}
+    return kinds[path.stem.partition("_")[0]](path)
+
+
 def load_model(path: Path) -> object:
     from catalog.terrain.error_model import TerrainLaws
     from optnav_cli.hazard.model import HazardModel
@@ -89,6 +100,8 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "models": load_model,
     "scenarios": load_scenario,
     "imports": load_import,
+    "orbits": load_orbit,
+    "templates/qso": load_qso,
     "templates/build": load_build,
     "templates/scenario": load_scenario,
     "templates/navigate": load_navigate,
@@ -166,12 +179,16 @@ def config_type(kind: str) -> type[msgspec.Struct]:
         from optnav_cli.hazard.settings import HazardSettings
 
         return HazardSettings
+    if kind == "qso":
+        from optnav_cli.orbit.qso_settings import QsoSettings
+
+        return QsoSettings
     from optnav_cli.simulation.passes import Scenario
 
     return Scenario
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate"])
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate", "qso"])
 def test_a_template_shows_every_setting(kind: str) -> None:
     text = SHIPPED[f"templates/{kind}"].read_text(encoding="utf-8")
     assert wanted(config_type(kind)) - documented(text) == set()
@@ -188,7 +205,7 @@ def only_needed(type_: msgspec.inspect.Type, data: Any) -> Any:
     return data
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate"])
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate", "qso"])
 def test_a_template_states_the_defaults(kind: str) -> None:
     """A template without its optional settings means the same as the whole template."""
     type_ = config_type(kind)
@@ -205,7 +222,7 @@ def test_a_template_states_the_defaults(kind: str) -> None:
     assert wrong == {}
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate"])
+@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate", "qso"])
 def test_a_template_is_what_the_command_prints(kind: str) -> None:
     from click.testing import CliRunner
 

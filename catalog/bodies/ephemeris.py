@@ -21,6 +21,7 @@ from typing import Literal
 
 import erfa
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
@@ -34,11 +35,11 @@ from catalog.geometry.vectors import unit
 CENTURY_S = 36525.0 * DAY_S
 
 
-def planet_body(body: Body, orbit: LockedOrbit, tdb_s: float) -> FloatArray:
-    """Position (3,) of the planet's centre from the moon's, body frame, m; tdb_s TDB seconds."""
-    century = tdb_s / CENTURY_S
+def planet_body(body: Body, orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
+    """Positions (..., 3) of the planet's centre from the moon's, body frame, m, at times (...)."""
+    century = np.asarray(tdb_s, dtype=np.float64) / CENTURY_S
     argument = orbit.mean_anomaly_deg_by_century
-    mean = float(np.radians(np.polynomial.polynomial.polyval(century, np.array(argument))))
+    mean = np.radians(np.polynomial.polynomial.polyval(century, np.array(argument)))
     e = orbit.eccentricity
     swing = sum(t.meridian_deg for t in body.rotation.terms if t.angle_deg_by_century == argument)
     centre = 2.0 * e * np.sin(mean) + 1.25 * e**2 * np.sin(2.0 * mean)
@@ -46,7 +47,8 @@ def planet_body(body: Body, orbit: LockedOrbit, tdb_s: float) -> FloatArray:
     # r/a of the ellipse, to the square of e as well
     share = 1.0 - e * np.cos(mean) + 0.5 * e**2 * (1.0 - np.cos(2.0 * mean))
     distance = 1e3 * orbit.semi_major_axis_km * share
-    position: FloatArray = distance * np.array([np.cos(longitude), np.sin(longitude), 0.0])
+    axes = np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)], axis=-1)
+    position: FloatArray = distance[..., None] * axes
     return position
 
 

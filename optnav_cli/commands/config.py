@@ -46,6 +46,11 @@ KINDS = {
         "bundled:NAME",
         "optnav build bundled:NAME -o catalog.gpkg",
     ),
+    "orbits": ShippedKind(
+        ("configs/orbits/qso_55km.toml", "*.toml"),
+        "bundled:NAME",
+        "optnav orbit KIND bundled:NAME -o FOLDER, KIND being the beginning of the name",
+    ),
     "imports": ShippedKind(
         ("configs/imports/near_msi.toml", "*.toml"),
         "NAME",
@@ -75,7 +80,7 @@ def command() -> None:
 @click.argument("kind", type=click.Choice([*KINDS]), required=False)
 @json_option
 def list_shipped(kind: str | None, as_json: bool) -> None:
-    """List the cameras, bodies, scenarios, catalogs, import tables and data that ship with optnav.
+    """List the cameras, bodies, scenarios, catalogs, orbits, import tables and data that ship.
 
     Each with its name, as configs and command lines take it, and what it is. KIND shows one kind.
 
@@ -101,14 +106,14 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
 @command.command(short_help="Print a commented configuration, or make a picture folder.")
 @click.argument(
     "kind",
-    type=click.Choice(["build", "scenario", "navigate", "hazard", "calibrate", "folder"]),
+    type=click.Choice(["build", "scenario", "navigate", "hazard", "calibrate", "qso", "folder"]),
 )
 @output_option("The picture folder; it must not be there, or be empty.", required=False)
 def template(kind: str, output: Path | None) -> None:
     """Print a valid, commented configuration with all settings and their defaults.
 
-    KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard or calibrate; or
-    folder: a picture folder with an example picture, whose files say what they hold, which -o
+    KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard, calibrate or qso;
+    or folder: a picture folder with an example picture, whose files say what they hold, which -o
     names.
 
     \b

@@ -5,7 +5,9 @@ import click
 from optnav_cli.options import Entry, LazyGroup
 
 _HERE = "optnav_cli.commands"
-COMMANDS: dict[str, Entry] = {}  # by name, in the order of the help
+COMMANDS: dict[str, Entry] = {  # by name, in the order of the help
+    "qso": Entry(f"{_HERE}.orbit_qso", "Quasi-satellite orbits of a moon such as Phobos."),
+}
 
 
 @click.group(cls=LazyGroup, table=lambda: COMMANDS, short_help="Orbits through fixes, and more.")

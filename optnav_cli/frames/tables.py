@@ -259,3 +259,63 @@ CALIBRATION_RESIDUALS = CsvTable(
         _number("weight", "of the match, 0 to 1", "", "z.4f"),
     )
 )
+
+INERTIAL = tuple(f"inertial_{name}" for name in (*POSITION, "vx_m_s", "vy_m_s", "vz_m_s"))
+BODY_STATE = (*POSITION, "vx_m_s", "vy_m_s", "vz_m_s")
+
+
+def _states(what: str, empty: bool = True) -> list[CsvColumn]:
+    """Six columns each of a state: body-fixed, and inertial."""
+    found = []
+    for frame, names in (("body frame", BODY_STATE), ("inertial", INERTIAL)):
+        for name in names:
+            kind, unit = ("velocity", "m/s") if name.endswith("_s") else ("position", "m")
+            meaning = f"{kind} {what}, {frame}, {name.removeprefix('inertial_').lstrip('v')[0]}"
+            found.append(_number(name, meaning, unit, "z.6f" if unit == "m/s" else "z.3f", empty))
+    return found
+
+
+QSO = CsvTable(
+    (
+        _count("orbit", "number of the orbit, from 1; its file is orbit_NUMBER.oem", empty=False),
+        _number("distance_km", "asked for, from the surface", "km", ".6g", empty=False),
+        _number("longitude_deg", "of the passes, east", "deg", ".6g", empty=False),
+        _text("utc", "of the start"),
+        _number("anomaly_deg", "mean anomaly of the moon then", "deg", "z.3f", empty=False),
+        *(STATUS, *_states("at the start")),
+        _number("radius_km", "of the start, from the centre", "km", "z.4f"),
+        _number("spread_km", "largest difference of a pass from the start", "km", "z.4f"),
+        _number("ring_km", "distance of the farthest pass less the nearest", "km", "z.4f"),
+        _number("theory_spread_km", "the first of these of the averaged theory's", "km", "z.4f"),
+        _number("rate", "revolutions a revolution of the moon, less 1, mean", "", "z.5f"),
+        _number("rate_min", "of the slowest revolution", "", "z.5f"),
+        _number("rate_max", "of the quickest", "", "z.5f"),
+        _number("theory_rate", "by the averaged theory", "", "z.5f"),
+        _number("theory_dv_m_s", "velocity of the start less that of the theory", "m/s", "z.4f"),
+        _count("passes", "of the longitude, the start among them"),
+        _count("trials", "flights that the search took"),
+        REASON,
+    )
+)
+
+QSO_PASSES = CsvTable(
+    (
+        _count("orbit", "number of the orbit", empty=False),
+        _count("pass", "number of the pass; 0 is the start", empty=False),
+        _text("utc", "of the pass"),
+        _number("distance_km", "from the surface over the longitude", "km", "z.4f", empty=False),
+        _number("rate", "of the revolution before it, less 1", "", "z.5f"),
+        *_states("then", empty=False),
+    )
+)
+
+QSO_PATHS = CsvTable(
+    (
+        _count("orbit", "number of the orbit", empty=False),
+        _text("kind", "orbit, or theory: from the first velocity of the averaged theory"),
+        _number("seconds", "since the start", "s", ".6g", empty=False),
+        _number("x_km", "turning frame: away from the planet", "km", "z.3f", empty=False),
+        _number("y_km", "the same: along the moon's motion", "km", "z.3f", empty=False),
+        _number("z_km", "the same: up", "km", "z.3f", empty=False),
+    )
+)

@@ -7,21 +7,23 @@ from catalog.files import check_file, made_by_optnav, replacing_file, starts_wit
 from catalog.progress import logged_stage
 from catalog.store.reader import Catalog
 from optnav_cli.hazard.settings import KIND as HAZARD
+from optnav_cli.orbit.qso_settings import QSO_KIND
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.report import page, sheet
 from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.report.hazard_page import hazard_page
+from optnav_cli.report.qso_page import qso_page, qso_sheet
 from optnav_cli.report.run_page import run_page
 
 
 def write_report(source: Path, output: Path) -> None:
-    """Write the page about a run, hazard or calibration folder or a catalog.
+    """Write the page about a run, hazard, calibration or orbit folder or a catalog.
 
     An older report there is replaced.
 
-    An output that ends in .svg gets the errors of a run as a picture.
+    An output that ends in .svg gets the errors of a run, or the first orbit, as a picture.
     Raises DataError for a source that is neither, OutputError for a place that cannot be used.
     """
     with logged_stage("report"):
@@ -33,9 +35,10 @@ def _write(source: Path, output: Path) -> None:
     check_file(output, starts_with((sheet.BEGINNING if svg else page.BEGINNING).encode()))
     if svg:
         if not source.is_dir():
-            raise DataError(
-                f"{source}: only the errors of a run are drawn as SVG; name an .html file"
-            )
+            raise DataError(f"{source}: only runs and orbits are drawn as SVG; name an .html file")
+        if made_by_optnav(source, QSO_KIND):
+            sheet.write_sheet(qso_sheet(source), output)
+            return
         run = read_run(source)
         if not any(solution.solved for solution in run.solutions):
             raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
@@ -43,6 +46,8 @@ def _write(source: Path, output: Path) -> None:
         return
     if source.is_dir() and made_by_optnav(source, HAZARD):
         text = hazard_page(source)
+    elif source.is_dir() and made_by_optnav(source, QSO_KIND):
+        text = qso_page(source)
     elif source.is_dir():
         text = calibration_page(source) if is_calibration(source) else run_page(source)
     elif source.is_file():

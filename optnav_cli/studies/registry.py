@@ -332,6 +332,17 @@ STUDIES = (
         compiles=False,
     ),
     Study(
+        "qso",
+        "Quasi-satellite orbits of Phobos against the source, the theory and other forces.",
+        """Find quasi-satellite orbits of Phobos over 270 deg W and compare them.
+
+        Rings and angular rates against those of the source, the averaged theory against the numeric
+        motion, the table of 50 to 200 km at four anomalies, and what Mars' flattening and the field
+        of Phobos' mesh change. Takes a minute.""",
+        "--anomalies 1",
+        (_option("--anomalies", click.IntRange(1, 4), 4, "Of Phobos in its orbit."),),
+    ),
+    Study(
         "real",
         "Real pictures of the Moon, 67P and Eros, against their labels.",
         """Import, navigate and adjust sets of real pictures with the labels of their archives.

@@ -203,9 +203,11 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
     studies |= {"real", "calibration", "descent"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
     makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo", "hazard", "calibrate"}
+    orbits = {"qso"}
     assert folders == (
         {((name,), "work") for name in stages}
         | {((name,), "output") for name in makers}
+        | {(("orbit", name), "output") for name in orbits}
         | {(("study", name), "output") for name in studies}
         | {(("config", "template"), "output")}
     )

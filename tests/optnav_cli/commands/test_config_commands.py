@@ -18,7 +18,7 @@ from optnav_cli.main import run
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.simulation.scenario import load_scenario
 
-KINDS = ("cameras", "bodies", "scenarios", "catalogs", "imports", "data")
+KINDS = ("cameras", "bodies", "scenarios", "catalogs", "orbits", "imports", "data")
 # Where the camera of the template's picture was: the simulation's own truth.
 TRUE_POSITION_M = (7657076.7529, 5137325.5228, 3129540.0353)
 

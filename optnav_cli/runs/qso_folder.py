@@ -1,0 +1,226 @@
+"""Settings to quasi-satellite orbits in a folder, as `optnav orbit qso` does."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.epochs import utc_from_tdb_s
+from catalog.config import named_config
+from catalog.errors import NoSolutionError, NothingToDoError
+from catalog.files import hash_file, replacing_folder
+from catalog.places import check_apart
+from catalog.progress import Progress, logged_stage
+from optnav_cli.frames.tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
+from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart, body_turns
+from optnav_cli.orbit.qso_motion import MoonMotion
+from optnav_cli.orbit.qso_oem import oem_text
+from optnav_cli.orbit.qso_settings import (
+    FOLDER,
+    PASSES_CSV,
+    PATHS_CSV,
+    QSO_CSV,
+    QSO_KIND,
+    QsoSection,
+    distances_of,
+    load_qso_settings,
+    mean_anomaly,
+    moon_of,
+    motion_of_moon,
+    start_times,
+)
+from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.wording import table_lines
+
+STAGE = "orbit qso"
+PATH_STEP_S = 600.0
+
+
+@dataclass(frozen=True, eq=False)
+class QsoRow:
+    """A start, and its orbit or why it has none."""
+
+    number: int
+    start: QsoStart
+    anomaly: float
+    orbit: QsoOrbit | None
+    reason: str = ""
+
+
+def qso_folder(settings_path: Path, output: Path, progress: Progress) -> tuple[list[QsoRow], float]:
+    """Find the orbits that the settings ask for and write the folder; the moon's mean motion, too.
+
+    Raises ConfigError for wrong settings, NothingToDoError, after the folder is written, when no
+    orbit was found.
+    """
+    started = datetime.now(UTC)
+    path = named_config(settings_path, FOLDER)
+    settings = load_qso_settings(settings_path)
+    section = settings.qso
+    check_apart(output, [path])
+    with logged_stage(STAGE):
+        moon = moon_of(section.body, path)
+        motion = motion_of_moon(settings.forces, moon, path.parent)
+        rows = find_orbits(section, motion, progress)
+        with replacing_folder(output, QSO_KIND) as place:
+            QSO.write(place / QSO_CSV, (_cells(row, motion) for row in rows))
+            QSO_PASSES.write(
+                place / PASSES_CSV,
+                (cells for row in rows if row.orbit for cells in _pass_cells(row, motion)),
+            )
+            QSO_PATHS.write(
+                place / PATHS_CSV,
+                (cells for row in rows for cells in _path_cells(row, section.days, motion)),
+            )
+            for row in rows:
+                if row.orbit is not None:
+                    text = _oem(row, row.orbit, section, motion)
+                    (place / f"orbit_{row.number:02d}.oem").write_text(text, encoding="utf-8")
+            found = [row.orbit for row in rows if row.orbit]
+            write_manifest(
+                place,
+                QSO_KIND,
+                command="orbit qso",
+                options=msgspec.to_builtins(settings),
+                inputs={"settings": path, "settings_sha256": hash_file(path)},
+                results={"orbits": len(rows), "found": len(found)},
+                started=started,
+            )
+    if not found:
+        raise NothingToDoError(f"{settings_path}: no orbit was found; the first: {rows[0].reason}")
+    return rows, motion.mean_motion
+
+
+def find_orbits(section: QsoSection, motion: MoonMotion, progress: Progress) -> list[QsoRow]:
+    """The orbits of all distances and times; the distance runs fastest."""
+    rows: list[QsoRow] = []
+    distances, times = distances_of(section), start_times(section, motion)
+    with progress.stage(STAGE, len(distances) * len(times), "start") as bar:
+        for tdb_s in times:
+            for distance in distances:
+                longitude = float(np.radians(section.longitude_deg))
+                start = QsoStart(1e3 * distance, longitude, float(tdb_s))
+                number, anomaly = len(rows) + 1, mean_anomaly(motion, float(tdb_s))
+                try:
+                    search = QsoSearch(motion, start, section.days, section.start == "greatest")
+                    orbit = search.solve(section.velocity)
+                    rows.append(QsoRow(number, start, anomaly, orbit))
+                except NoSolutionError as error:
+                    rows.append(QsoRow(number, start, anomaly, None, str(error)))
+                bar.advance()
+    return rows
+
+
+def states_cells(
+    motion: MoonMotion, tdb_s: FloatArray, states: FloatArray
+) -> list[dict[str, float]]:
+    """Cells of body-fixed and inertial states (n, 6) at times (n,)."""
+    turns = body_turns(motion, tdb_s)
+    after = body_turns(motion, tdb_s + 1.0)
+    rates = after - body_turns(motion, tdb_s - 1.0)  # over two seconds: 1e-9 of the speed
+    places = np.einsum("nij,nj->ni", turns, states[:, :3])
+    speeds = np.einsum("nij,nj->ni", turns, states[:, 3:])
+    speeds += np.einsum("nij,nj->ni", 0.5 * rates, states[:, :3])
+    fixed = np.hstack([places, speeds])
+    return [
+        dict(zip((*BODY_STATE, *INERTIAL), map(float, (*one, *other)), strict=True))
+        for one, other in zip(fixed, states, strict=True)
+    ]
+
+
+def _cells(row: QsoRow, motion: MoonMotion) -> dict[str, object]:
+    start, orbit = row.start, row.orbit
+    cells: dict[str, object] = {
+        "orbit": row.number,
+        "distance_km": start.distance_m / 1e3,
+        "longitude_deg": float(np.degrees(start.longitude)),
+        "utc": utc_from_tdb_s(start.tdb_s, 3),
+        "anomaly_deg": float(np.degrees(row.anomaly)),
+        "status": "unsolved" if orbit is None else "solved",
+        "reason": row.reason,
+    }
+    if orbit is None:
+        return cells
+    cells |= states_cells(motion, np.array([start.tdb_s]), orbit.state[None])[0]
+    rates = orbit.passes.rates(motion.mean_motion)
+    cells |= {
+        "radius_km": orbit.radius_m / 1e3,
+        "spread_km": orbit.spread_m / 1e3,
+        "ring_km": orbit.ring_m / 1e3,
+        "theory_spread_km": orbit.guess_spread_m / 1e3,
+        "rate": float(rates.mean()),
+        "rate_min": float(rates.min()),
+        "rate_max": float(rates.max()),
+        "theory_rate": orbit.theory_rate,
+        "theory_dv_m_s": float(np.linalg.norm(orbit.state[3:] - orbit.guess[3:])),
+        "passes": len(orbit.passes.tdb_s),
+        "trials": orbit.trials,
+    }
+    return cells
+
+
+def _pass_cells(row: QsoRow, motion: MoonMotion) -> list[dict[str, object]]:
+    orbit = row.orbit
+    if orbit is None:
+        return []
+    passes = orbit.passes
+    surface_m = orbit.radius_m - row.start.distance_m
+    rates = [None, *passes.rates(motion.mean_motion).tolist()]
+    states = states_cells(motion, passes.tdb_s, passes.states)
+    return [
+        {
+            "orbit": row.number,
+            "pass": number,
+            "utc": utc_from_tdb_s(float(passes.tdb_s[number]), 3),
+            "distance_km": float(passes.radius_m[number] - surface_m) / 1e3,
+            "rate": rates[number],
+            **states[number],
+        }
+        for number in range(len(passes.tdb_s))
+    ]
+
+
+def _path_cells(row: QsoRow, days: float, motion: MoonMotion) -> Iterator[dict[str, object]]:
+    """The paths of an orbit and of its first guess in the turning frame, for drawings."""
+    if row.orbit is None:
+        return
+    seconds = np.append(np.arange(0.0, 86400.0 * days, PATH_STEP_S), 86400.0 * days)
+    turning = motion.turning_from_inertial(row.start.tdb_s + seconds)
+    for kind, state in (("orbit", row.orbit.state), ("theory", row.orbit.guess)):
+        states = motion.propagate(state, row.start.tdb_s + seconds, PATH_STEP_S)
+        places = np.einsum("nij,nj->ni", turning, states[:, :3]) / 1e3
+        for after, place in zip(seconds, places, strict=True):
+            # a path that falls in or leaves is drawn as far as it is one
+            share = 1e3 * float(np.linalg.norm(place)) / row.orbit.radius_m
+            if not 0.05 < share < 9.0:
+                break
+            axes = dict(zip(("x_km", "y_km", "z_km"), map(float, place), strict=True))
+            yield {"orbit": row.number, "kind": kind, "seconds": float(after), **axes}
+
+
+def _oem(row: QsoRow, orbit: QsoOrbit, section: QsoSection, motion: MoonMotion) -> str:
+    seconds = 86400.0 * section.days
+    times = row.start.tdb_s + np.append(np.arange(0.0, seconds, section.step_s), seconds)
+    states = motion.propagate(orbit.state, times, min(section.step_s, PATH_STEP_S))
+    return oem_text(f"QSO_{row.number:02d}", motion.moon.name, times, states)
+
+
+def qso_lines(rows: list[QsoRow], mean_motion: float) -> list[str]:
+    """A summary for people."""
+    head = ("orbit", "distance, km", "anomaly", "spread, km", "ring", "rate - 1", "by theory", "")
+    table: list[tuple[str, ...]] = [head]
+    for row in rows:
+        distance, anomaly = row.start.distance_m / 1e3, np.degrees(row.anomaly)
+        first = (str(row.number), f"{distance:g}", f"{anomaly:.0f}")
+        if row.orbit is None:
+            table.append((*first, "", "", "", "", row.reason))
+            continue
+        rate = float(row.orbit.passes.rates(mean_motion).mean())
+        numbers = (row.orbit.spread_m / 1e3, row.orbit.ring_m / 1e3)
+        shown = (*(f"{n:.2f}" for n in numbers), f"{rate:.3f}", f"{row.orbit.theory_rate:.3f}")
+        table.append((*first, *shown, ""))
+    return table_lines(table, left=(7,))
