@@ -35,7 +35,9 @@ def _write(source: Path, output: Path) -> None:
     check_file(output, starts_with((sheet.BEGINNING if svg else page.BEGINNING).encode()))
     if svg:
         if not source.is_dir():
-            raise DataError(f"{source}: only runs and orbits are drawn as SVG; name an .html file")
+            raise DataError(
+                f"{source}: only the errors of a run are drawn as SVG, and orbits; name an .html file"
+            )
         if made_by_optnav(source, QSO_KIND):
             sheet.write_sheet(qso_sheet(source), output)
             return
