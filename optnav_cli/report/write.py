@@ -36,7 +36,8 @@ def _write(source: Path, output: Path) -> None:
     if svg:
         if not source.is_dir():
             raise DataError(
-                f"{source}: only the errors of a run are drawn as SVG, and orbits; name an .html file"
+                f"{source}: only the errors of a run are drawn as SVG, and orbits; name an .html "
+                "file"
             )
         if made_by_optnav(source, QSO_KIND):
             sheet.write_sheet(qso_sheet(source), output)
