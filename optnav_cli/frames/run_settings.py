@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
@@ -14,6 +15,7 @@ from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_to_tdb_s
 from catalog.config import load_toml
 from catalog.errors import ConfigError
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.frames.stereo_mount import MountSettings, check_mounts
 
 RUN_TOML = "run.toml"
@@ -43,6 +45,14 @@ class InertialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     attitude_sigma_arcsec: Annotated[float, Meta(ge=0.0, le=36_000.0)] = 12.0
     attitude_drift_arcsec_s: Annotated[float, Meta(ge=0.0, le=3600.0)] = 0.08
     attitude_noise_arcsec: Annotated[float, Meta(ge=0.0, le=36_000.0)] = 3.0
+
+    def row_sigmas(self, seconds: float) -> tuple[float, float]:
+        """1 sigma of a row so long after the start: position, m, and attitude, rad, an axis."""
+        wander = self.acceleration_sigma_m_s2 * np.sqrt(seconds**3 / 3.0)
+        position = self.position_sigma_m, self.velocity_sigma_m_s * seconds, wander
+        drift = self.attitude_drift_arcsec_s * seconds
+        attitude = self.attitude_sigma_arcsec, drift, self.attitude_noise_arcsec
+        return float(np.linalg.norm(position)), float(np.linalg.norm(attitude)) * ARCSEC
 
 
 class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

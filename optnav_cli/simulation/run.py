@@ -143,7 +143,8 @@ class Simulation:
         scenario, cameras, motion = self.scenario, self.cameras, self.motion
         mount = scenario.mount if isinstance(scenario, StereoScenario) else ()
         settings = RunSettings(scenario.body, self.attitude, scenario.track, mount)
-        frames = [_frame(e, scenario, cameras[e.camera].name) for e in self.flight]
+        start = self.flight[0].tdb_s if self.flight else 0.0
+        frames = [_frame(e, scenario, cameras[e.camera].name, start) for e in self.flight]
         # cameras as their calibration knows them: of a known blur, that of these pictures
         psf = scenario.sensor.psf_sigma_px
         known = [c if c.psf_sigma_px is None else replace(c, psf_sigma_px=psf) for c in cameras]
@@ -187,19 +188,22 @@ def truth_ground(
     return GlobeGround.of_model(model, scenario.detail, body, len(cameras), scenario.world)
 
 
-def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str) -> Frame:
+def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str, start_s: float) -> Frame:
     attitude = scenario.attitude
-    # a prior without error is still a prior; the search needs some room
-    sigma_m = None if exposure.prior_m is None else max(scenario.prior.position_sigma_m, 1.0)
+    sigma_m = scenario.prior.position_sigma_m
+    sigma = None if attitude.free else attitude.sigma_arcsec * ARCSEC
+    if scenario.track:
+        sigma_m, sigma = scenario.track.row_sigmas(exposure.tdb_s - start_s)
     return Frame(
         file=exposure.file,
         utc=exposure.utc,
         camera=camera,
         tdb_s=exposure.tdb_s,
         camera_from_body=exposure.reported_camera_from_body,
-        attitude_sigma_rad=None if attitude.free else attitude.sigma_arcsec * ARCSEC,
+        attitude_sigma_rad=sigma,
         position_m=exposure.prior_m,
-        position_sigma_m=sigma_m,
+        # a prior without error is still a prior; the search needs some room
+        position_sigma_m=None if exposure.prior_m is None else max(sigma_m, 1.0),
         sun_body=exposure.sun_body if exposure.reported_sun else None,
     )
 

@@ -68,6 +68,7 @@ def test_noise_of_the_acceleration_grows_as_it_should() -> None:
     track = InertialSettings(0.0, 0.0, 0.02, 0.0, 0.0, 0.0)
     ends = [track_errors(track, times, seed)[0][-1] for seed in range(300)]
     assert np.std(ends) == pytest.approx(0.02 * 100.0**1.5 / np.sqrt(3.0), rel=0.08)
+    assert track.row_sigmas(100.0)[0] == pytest.approx(0.02 * 100.0**1.5 / np.sqrt(3.0))
 
 
 def test_pairs_of_heights_and_spacings_are_flown() -> None:
@@ -124,6 +125,11 @@ def test_a_folder_of_a_track_reads_back_with_its_errors(tmp_path: Path) -> None:
     folder = read_folder(tmp_path / "pictures")
     assert folder.settings.inertial == TRACK
     assert [frame.problem for frame in folder.frames] == [None, None]
+    first, last = folder.frames
+    assert first.position_sigma_m == pytest.approx(300.0, rel=1e-6)
+    assert last.position_sigma_m == pytest.approx(np.hypot(300.0, 0.8 * 10.0), rel=1e-6)
+    wanted = ARCSEC * np.sqrt(12.0**2 + 0.8**2 + 3.0**2)
+    assert last.attitude_sigma_rad == pytest.approx(wanted, rel=1e-6)
 
 
 @pytest.mark.parametrize(
