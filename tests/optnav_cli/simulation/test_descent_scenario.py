@@ -127,9 +127,9 @@ def test_a_folder_of_a_track_reads_back_with_its_errors(tmp_path: Path) -> None:
     assert [frame.problem for frame in folder.frames] == [None, None]
     first, last = folder.frames
     assert first.position_sigma_m == pytest.approx(300.0, rel=1e-6)
-    assert last.position_sigma_m == pytest.approx(np.hypot(300.0, 0.8 * 10.0), rel=1e-6)
+    assert last.position_sigma_m == pytest.approx(np.hypot(300.0, 0.8 * 10.0), abs=1e-3)
     wanted = ARCSEC * np.sqrt(12.0**2 + 0.8**2 + 3.0**2)
-    assert last.attitude_sigma_rad == pytest.approx(wanted, rel=1e-6)
+    assert last.attitude_sigma_rad == pytest.approx(wanted, rel=1e-4)
 
 
 @pytest.mark.parametrize(
