@@ -29,6 +29,7 @@ class Method(StrEnum):
     SILHOUETTE = "silhouette"  # the edges of the body's shape as it is drawn
     DESCENT = "descent"  # an inertial track, windows of the terrain model and landmarks, jointly
     RELATIVE_LANDMARKS = "relative_landmarks"  # the same where a frame shows landmarks alone
+    ORBIT = "orbit"  # an orbit through the fixes of runs
 
     @property
     def label(self) -> str:

@@ -67,6 +67,12 @@ def load_qso(path: Path) -> object:
     return load_qso_settings(path)
 
 
+def load_orbit_fit(path: Path) -> object:
+    from optnav_cli.orbit.settings import load_orbit_settings
+
+    return load_orbit_settings(path)
+
+
 def load_orbit(path: Path) -> object:
     kinds = {"qso": load_qso}
     return kinds[path.stem.partition("_")[0]](path)
@@ -107,7 +113,9 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "templates/navigate": load_navigate,
     "templates/hazard": load_hazard,
     "templates/calibrate": load_calibrate,
+    "templates/orbit": load_orbit_fit,
 }
+TEMPLATES = [name.partition("/")[2] for name in LOADERS if name.startswith("templates/")]
 SHIPPED = {
     path.relative_to(CONFIGS).with_suffix("").as_posix(): path
     for path in sorted(CONFIGS.rglob("*.toml"))
@@ -146,7 +154,7 @@ def documented(text: str) -> set[tuple[str, str]]:
         bare = line.removeprefix("#").strip()
         if bare.startswith("["):
             section = bare.partition("]")[0].strip("[] ")
-            found.add(("", section))
+            found.add(section.rpartition(".")[::2])
         elif "=" in bare and bare.partition("=")[0].strip().isidentifier():
             found.add((section, bare.partition("=")[0].strip()))
     return found
@@ -183,12 +191,16 @@ def config_type(kind: str) -> type[msgspec.Struct]:
         from optnav_cli.orbit.qso_settings import QsoSettings
 
         return QsoSettings
+    if kind == "orbit":
+        from optnav_cli.orbit.settings import OrbitSettings
+
+        return OrbitSettings
     from optnav_cli.simulation.passes import Scenario
 
     return Scenario
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate", "qso"])
+@pytest.mark.parametrize("kind", TEMPLATES)
 def test_a_template_shows_every_setting(kind: str) -> None:
     text = SHIPPED[f"templates/{kind}"].read_text(encoding="utf-8")
     assert wanted(config_type(kind)) - documented(text) == set()
@@ -205,7 +217,7 @@ def only_needed(type_: msgspec.inspect.Type, data: Any) -> Any:
     return data
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate", "qso"])
+@pytest.mark.parametrize("kind", TEMPLATES)
 def test_a_template_states_the_defaults(kind: str) -> None:
     """A template without its optional settings means the same as the whole template."""
     type_ = config_type(kind)
@@ -222,7 +234,7 @@ def test_a_template_states_the_defaults(kind: str) -> None:
     assert wrong == {}
 
 
-@pytest.mark.parametrize("kind", ["build", "scenario", "navigate", "hazard", "calibrate", "qso"])
+@pytest.mark.parametrize("kind", TEMPLATES)
 def test_a_template_is_what_the_command_prints(kind: str) -> None:
     from click.testing import CliRunner
 

@@ -65,6 +65,9 @@ KINDS = {
 }
 
 
+TEMPLATES = ("build", "scenario", "navigate", "hazard", "calibrate", "orbit", "qso")
+
+
 @click.group(cls=LazyGroup, short_help="What ships with optnav; configurations to start from.")
 def command() -> None:
     """What ships with optnav, and configurations to start from.
@@ -106,15 +109,15 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
 @command.command(short_help="Print a commented configuration, or make a picture folder.")
 @click.argument(
     "kind",
-    type=click.Choice(["build", "scenario", "navigate", "hazard", "calibrate", "qso", "folder"]),
+    type=click.Choice([*TEMPLATES, "folder"]),
 )
 @output_option("The picture folder; it must not be there, or be empty.", required=False)
 def template(kind: str, output: Path | None) -> None:
     """Print a valid, commented configuration with all settings and their defaults.
 
-    KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard, calibrate or qso;
-    or folder: a picture folder with an example picture, whose files say what they hold, which -o
-    names.
+    KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard, calibrate, orbit
+    or qso; or folder: a picture folder with an example picture, whose files say what they hold,
+    which -o names.
 
     \b
     Example:

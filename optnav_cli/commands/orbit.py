@@ -6,6 +6,7 @@ from optnav_cli.options import Entry, LazyGroup
 
 _HERE = "optnav_cli.commands"
 COMMANDS: dict[str, Entry] = {  # by name, in the order of the help
+    "fit": Entry(f"{_HERE}.orbit_fit", "Fit an orbit through the fixes of runs."),
     "qso": Entry(f"{_HERE}.orbit_qso", "Quasi-satellite orbits of a moon such as Phobos."),
 }
 
@@ -16,5 +17,5 @@ def command() -> None:
 
     \b
     Example:
-      optnav orbit --help
+      optnav orbit fit run -o orbit
     """

@@ -1,0 +1,383 @@
+"""Fit an orbit through fixes: a first orbit, the smoother, outliers, and what the residuals say.
+
+Outliers are judged only after the smoother has converged, all anew each time, by the residual's own
+covariance: R - H P H' of a fix that is used, R + H P H' of one that is left out. Both are the
+chi-square of a fix against all others.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtrc, chdtri
+
+from catalog.arrays import BoolArray, FloatArray
+from catalog.bodies.epochs import utc_from_tdb_s
+from catalog.errors import NoSolutionError
+from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smooth
+from optnav_cli.orbit.first import first_orbit
+from optnav_cli.orbit.problem import OrbitProblem, Trajectory
+from optnav_cli.orbit.settings import NoiseModel
+
+MAX_STEPS, MAX_ROUNDS = 30, 40
+SETTLED = 1e-3  # sigmas
+# The windows that a first orbit grows over, radians of the motion: 0.7, 2, 5 h about the Moon.
+WINDOWS_RAD = (2.2, 6.4, 16.0, math.inf)
+ROBUST_STEPS, ROBUST_CHI_SQUARE = 8, 25.0
+DOUBTED = 0.05  # weight below which a fix starts the last fit left out
+SWAMPED = 0.3  # of the largest chi-square: what the worst fix may have caused in others
+REFUTED_PROBABILITY, SHOCK_PROBABILITY = 1e-6, 1e-9
+MEDIAN_OF_3 = 2.366  # of a chi-square of three numbers
+MAX_LEFT_OUT = 1.0 / 3.0
+MAX_SCATTER = 3.0  # times the stated sigmas, of the middle fix
+UNOBSERVED = 0.9  # of the prior's sigma
+MIN_FIXES = 3
+MAX_BETWEEN = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class FixResidual:
+    """A fix after the fit: residual (3,), body-fixed, m, its covariance by the fit, chi-square."""
+
+    residual_m: FloatArray
+    covariance_m2: FloatArray
+    chi_square: float
+    used: bool
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitFit:
+    """An orbit through fixes.
+
+    covariances   (N, 6, 6) of the states, with what is considered
+    last_covariance  (6 + p, 6 + p) of the last state and the parameters
+    disturbances  (N-1, 6) of the intervals
+    """
+
+    problem: OrbitProblem
+    trajectory: Trajectory
+    covariances: FloatArray
+    last_covariance: FloatArray
+    disturbances: FloatArray
+    residuals: list[FixResidual]
+    chi_square: float
+    degrees_of_freedom: int
+    steps: int
+    remarks: list[str]
+
+    @property
+    def parameter_covariance(self) -> FloatArray:
+        """(p, p) of the parameters."""
+        return self.last_covariance[6:, 6:]
+
+    @property
+    def used(self) -> int:
+        """Fixes that the orbit rests on."""
+        return sum(residual.used for residual in self.residuals)
+
+
+class _Solver:
+    """Steps of Gauss and Newton about a trajectory."""
+
+    def __init__(self, problem: OrbitProblem, model: NoiseModel) -> None:
+        self.problem = problem
+        self.solve: Callable[[LinearArc], SmoothedArc] = nuisance if model == "nuisance" else smooth
+        self.steps = 0
+        self._sigmas: FloatArray | None = None
+
+    def step(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc, float]:
+        """The next trajectory, the linear solution, and its longest step in sigmas."""
+        arc, _ = self.problem.linearise(at, weights, self._sigmas)
+        found = self.solve(arc)
+        self.steps += 1
+        deltas = found.deviations[:, :, 0]
+        parameters = at.parameters + deltas[-1, 6:]
+        sigmas = np.sqrt(np.maximum(np.diagonal(found.covariances, axis1=1, axis2=2), 1e-300))
+        self._sigmas = sigmas[0, :6]
+        size = float(np.max(np.abs(deltas) / sigmas))
+        return Trajectory(at.states + deltas[:, :6], parameters), found, size
+
+    def settle(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc]:
+        """The trajectory that no step moves. Raises NoSolutionError where there is none."""
+        size = math.inf
+        for _ in range(MAX_STEPS):
+            fresh = self._sigmas is None
+            at, found, size = self.step(at, weights)
+            if size < SETTLED and not fresh:
+                return at, found
+            if not math.isfinite(size):
+                break
+        raise NoSolutionError(
+            f"the fit does not converge: after {MAX_STEPS} steps it still moves by {size:.2g} "
+            "sigmas; see that the fixes are of one flight and the forces are those of this body"
+        )
+
+
+def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float) -> OrbitFit:
+    """Fit. Raises NoSolutionError where the fixes fit no orbit, with the test that says so."""
+    if len(problem.fixes) < MIN_FIXES and not problem.priors:
+        raise NoSolutionError(
+            f"{len(problem.fixes)} fixes leave the orbit open; wanted {MIN_FIXES} or more, or a "
+            "[[prior]]"
+        )
+    solver = _Solver(problem, model)
+    at, weights = _start(problem, solver)
+    at, found = solver.settle(at, np.ones(len(weights)))
+    residuals = _residuals(problem, at, found, np.ones(len(weights), bool))
+    _check_breaks(problem, found, residuals)
+    used = weights > DOUBTED
+    gate = float(chdtri(3, gate_probability))
+    seen: set[bytes] = set()
+    for _ in range(MAX_ROUNDS):
+        at, found = solver.settle(at, used.astype(np.float64))
+        residuals = _residuals(problem, at, found, used)
+        judged = _judged(residuals, gate)
+        if (judged == used).all() or judged.tobytes() in seen:
+            break
+        seen.add(used.tobytes())
+        used = judged
+    remarks = _judge(problem, found, residuals)
+    covariances = _with_considered(problem, at, found, used, solver)
+    return OrbitFit(
+        problem,
+        at,
+        covariances[:, :6, :6],
+        covariances[-1],
+        found.disturbances[:, :6, 0],
+        residuals,
+        found.chi_square,
+        _freedom(problem, found),
+        solver.steps,
+        [*remarks, *_unobserved(problem, covariances[-1, 6:, 6:])],
+    )
+
+
+def _start(problem: OrbitProblem, solver: _Solver) -> tuple[Trajectory, FloatArray]:
+    """A trajectory near enough, and the weights of the fixes that it ends with."""
+    times, parameters = problem.times, np.zeros(problem.width - 6)
+    node, state = first_orbit(problem)
+    states = np.empty((len(times), 6))
+    states[node] = state
+    weights = np.zeros(len(problem.fixes))
+    radian = problem.motion.radian_s(state[:3])
+    low = high = node
+    windows = (math.inf,) if problem.priors else WINDOWS_RAD
+    for window in windows:
+        near = np.flatnonzero(np.abs(times - times[node]) <= window * radian)
+        low, high = _lengthen(problem, states, (low, high), (int(near[0]), int(near[-1])))
+        part = problem.part(low, high)
+        inner = _Solver(part, "white" if solver.solve is smooth else "nuisance")
+        here = [k for k, i in enumerate(problem.node_of) if low <= i <= high]
+        at = Trajectory(states[low : high + 1], parameters)
+        for _ in range(ROBUST_STEPS):
+            own = _robust(part, at)
+            at, _, size = inner.step(at, own)
+            if not np.isfinite(at.states).all():
+                raise NoSolutionError("the fixes fit no orbit of these forces")
+            if size < 0.1:
+                break
+        states[low : high + 1], parameters = at.states, at.parameters
+        weights[here] = _robust(part, at)
+        if low == 0 and high == len(times) - 1:
+            break
+    return Trajectory(states, parameters), weights
+
+
+def _lengthen(
+    problem: OrbitProblem, states: FloatArray, had: tuple[int, int], wanted: tuple[int, int]
+) -> tuple[int, int]:
+    """Fill the states of further nodes by the motion from the ends of those there are."""
+    times = problem.times
+    for end, nodes in (
+        (had[1], range(had[1] + 1, wanted[1] + 1)),
+        (had[0], range(wanted[0], had[0])),
+    ):
+        if len(nodes):
+            states[list(nodes)] = problem.motion.path(
+                states[end], float(times[end]), times[list(nodes)]
+            )[0]
+    return min(had[0], wanted[0]), max(had[1], wanted[1])
+
+
+def _robust(problem: OrbitProblem, at: Trajectory) -> FloatArray:
+    """Weights that let a fix far from the trajectory count little."""
+    weights = np.empty(len(problem.fixes))
+    for number, fix in enumerate(problem.fixes):
+        residual = problem.measure(number, at)[0]
+        chi_square = float(residual @ np.linalg.solve(fix.covariance_m2, residual))
+        weights[number] = 1.0 / (1.0 + chi_square / ROBUST_CHI_SQUARE)
+    return weights
+
+
+def _residuals(
+    problem: OrbitProblem, at: Trajectory, found: SmoothedArc, used: BoolArray
+) -> list[FixResidual]:
+    residuals = []
+    for number, fix in enumerate(problem.fixes):
+        residual, design, _ = problem.measure(number, at)
+        spread = design @ found.covariances[problem.node_of[number]] @ design.T
+        own = fix.covariance_m2 - spread if used[number] else fix.covariance_m2 + spread
+        # of a fix that alone holds a direction of the orbit nothing is left to judge it by
+        values, axes = np.linalg.eigh(own)
+        kept = values > 1e-6 * np.trace(fix.covariance_m2)
+        along = axes[:, kept].T @ residual
+        chi_square = float((along**2 / values[kept]).sum())
+        residuals.append(FixResidual(residual, own, chi_square, bool(used[number])))
+    return residuals
+
+
+def _judged(residuals: list[FixResidual], gate: float) -> BoolArray:
+    """Which fixes to use: those within the gate, and those that a worse one may have moved."""
+    worst = max((r.chi_square for r in residuals if r.used), default=0.0)
+    limit = max(gate, SWAMPED * worst)
+    return np.array([r.chi_square < (limit if r.used else gate) for r in residuals])
+
+
+def _check_breaks(problem: OrbitProblem, found: SmoothedArc, residuals: list[FixResidual]) -> None:
+    """Raise NoSolutionError where the fixes before and after a time are of two orbits.
+
+    The adjoint state of an interval tests a shock there: with three numbers a manoeuvre, with six
+    another flight (de Jong and Penzer, "Diagnosing shocks in time series", 1998).
+    """
+    if not found.information.size:
+        return
+    single = max(r.chi_square for r in residuals)
+    limit = 2.0 * single + float(chdtri(3, SHOCK_PROBABILITY / max(len(found.scores), 1)))
+    best: tuple[float, int, FloatArray, float] | None = None
+    for i, (score, info) in enumerate(zip(found.scores, found.information, strict=True)):
+        kick = -_solved(info[3:6, 3:6], score[3:6])
+        whole = -_solved(info[:6, :6], score[:6])
+        by_kick, by_all = -float(kick @ score[3:6]), -float(whole @ score[:6])
+        if best is None or by_all > best[0]:
+            best = by_all, i, whole, by_kick
+    if best is None or best[0] < limit:
+        return
+    chi_square, i, shock, by_kick = best
+    when = f"between {_utc(problem, i)} and {_utc(problem, i + 1)}"
+    if by_kick > 0.5 * chi_square and by_kick > limit:
+        speed = float(np.linalg.norm(_solved(found.information[i][3:6, 3:6], found.scores[i][3:6])))
+        raise NoSolutionError(
+            f"a manoeuvre {when}: the velocity changes by {speed:.3g} m/s there (chi-square "
+            f"{by_kick:.0f} of 3); describe it as [[forces.thrust]], or fit each part by itself"
+        )
+    apart = float(np.linalg.norm(shock[:3]))
+    raise NoSolutionError(
+        f"the arc does not close: {when} the orbit jumps by {apart / 1e3:.3g} km and "
+        f"{np.linalg.norm(shock[3:]):.3g} m/s (chi-square {chi_square:.0f} of 6); the fixes are of "
+        "two flights or bodies, or the craft has manoeuvred: fit each part by itself"
+    )
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """By the directions of a positive matrix that are known to some digits."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, axes = np.linalg.eigh(matrix * np.outer(scale, scale))
+    kept = values > 1e-10 * max(float(values[-1]), 1e-300)
+    inner = axes[:, kept]
+    solved: FloatArray = scale * (inner @ ((inner.T @ (scale * right)) / values[kept]))
+    return solved
+
+
+def _judge(problem: OrbitProblem, found: SmoothedArc, residuals: list[FixResidual]) -> list[str]:
+    """Remarks on model and noise. Raises NoSolutionError where the residuals refute them."""
+    count = len(residuals)
+    out = sum(not r.used for r in residuals)
+    scatter = math.sqrt(float(np.median([r.chi_square for r in residuals])) / MEDIAN_OF_3)
+    advice = (
+        "their covariances are too small, forces are lacking ([forces] degree), or [noise] "
+        "density_m2_s3 is too small"
+    )
+    if scatter > MAX_SCATTER:
+        raise NoSolutionError(
+            f"the residuals refute the fit: the middle one of {count} fixes lies {scatter:.3g} "
+            f"times its sigma from the orbit of the others; {advice}"
+        )
+    if out > MAX_LEFT_OUT * count:
+        raise NoSolutionError(
+            f"the residuals refute the fit: {out} of {count} fixes would be left out; {advice}"
+        )
+    freedom = _freedom(problem, found)
+    if freedom <= 0:
+        return ["the fixes leave nothing to test the orbit by"]
+    ratio = found.chi_square / freedom
+    if chdtrc(freedom, found.chi_square) < REFUTED_PROBABILITY:
+        raise NoSolutionError(
+            f"the residuals refute the fit: chi-square {found.chi_square:.0f} of {freedom}, "
+            f"{math.sqrt(ratio):.2f} times the stated sigmas; {advice}"
+        )
+    if ratio < 1.0 and chdtrc(freedom, found.chi_square) > 1.0 - REFUTED_PROBABILITY:
+        return [
+            f"the fixes scatter {math.sqrt(ratio):.2f} times their stated sigmas: the covariances "
+            "of fixes or the noise are too large"
+        ]
+    return []
+
+
+def _freedom(problem: OrbitProblem, found: SmoothedArc) -> int:
+    # parameters have priors, and so has the state where one is stated
+    return found.count - 6
+
+
+def _with_considered(
+    problem: OrbitProblem, at: Trajectory, found: SmoothedArc, used: BoolArray, solver: _Solver
+) -> FloatArray:
+    """Covariances (N, 6 + p, 6 + p) of the states with the parameters.
+
+    Considered numbers move the estimate as their columns say; the gains are those without them.
+    """
+    covariances = found.covariances
+    if problem.considered:
+        arc, paths = problem.linearise(at, used.astype(np.float64))
+        moved = solver.solve(arc).deviations[:, :, 1:] - paths
+        moved = moved * problem.prior_sigmas(problem.considered)
+        covariances = covariances + moved @ moved.transpose(0, 2, 1)
+    return covariances
+
+
+def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
+    """The same orbit with nodes between the fixes, no farther apart than a step."""
+    problem, times = fit.problem, fit.problem.times
+    marks = np.arange(math.ceil(times[0] / step_s), math.floor(times[-1] / step_s) + 1) * step_s
+    if len(marks) > MAX_BETWEEN:
+        raise NoSolutionError(
+            f"{len(marks)} rows of {step_s:g} s are more than {MAX_BETWEEN}; set a longer step_s"
+        )
+    dense = replace(problem, between=marks)
+    states = np.empty((len(dense.times), 6))
+    nodes = np.searchsorted(dense.times, times - 1e-6)
+    states[nodes] = fit.trajectory.states
+    for k, node in enumerate(nodes[:-1]):
+        inner = list(range(node + 1, nodes[k + 1]))
+        if inner:
+            start = float(times[k])
+            states[inner] = problem.motion.path(states[node], start, dense.times[inner])[0]
+    solver = _Solver(dense, "white")
+    used = np.array([r.used for r in fit.residuals])
+    at, found = solver.settle(Trajectory(states, fit.trajectory.parameters), used.astype(float))
+    covariances = _with_considered(dense, at, found, used, solver)
+    return replace(
+        fit,
+        problem=dense,
+        trajectory=at,
+        covariances=covariances[:, :6, :6],
+        last_covariance=covariances[-1],
+    )
+
+
+def _unobserved(problem: OrbitProblem, covariance: FloatArray) -> list[str]:
+    """What the fixes do not tell, in words."""
+    remarks = []
+    for parameter in problem.estimated:
+        sigmas = np.sqrt(np.diag(covariance)[parameter.span])
+        if (sigmas > UNOBSERVED * parameter.settings.sigma).all():
+            share = float(sigmas.min() / parameter.settings.sigma)
+            remarks.append(
+                f"{parameter.settings.label} is unobserved: the fixes leave {100.0 * share:.0f} % "
+                "of its prior sigma"
+            )
+    return remarks
+
+
+def _utc(problem: OrbitProblem, node: int) -> str:
+    return utc_from_tdb_s(float(problem.times[node]), 0)

@@ -1,0 +1,262 @@
+"""Runs to an orbit and its folder, as `optnav orbit fit` does."""
+
+import logging
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import Ephemeris, motion_of
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.errors import ConfigError, DataError, NothingToDoError, UsageError
+from catalog.files import MANIFEST, replacing_folder
+from catalog.places import check_apart
+from catalog.progress import logged_stage
+from optnav_cli.camera.camera import Camera
+from optnav_cli.dynamics.forces import Forces
+from optnav_cli.fix import Method, Solution
+from optnav_cli.frames.run_settings import FileAttitude, write_run_settings
+from optnav_cli.orbit.fit import OrbitFit, densify, fit_orbit
+from optnav_cli.orbit.folder import SMOOTHED
+from optnav_cli.orbit.motion import ArcMotion
+from optnav_cli.orbit.output import record, smoothed_solutions, summary, write_orbit_folder
+from optnav_cli.orbit.priors import orbit_priors
+from optnav_cli.orbit.problem import OrbitFix, OrbitPrior, OrbitProblem
+from optnav_cli.orbit.settings import KIND, PARAMETERS, OrbitSettings, ParameterSettings
+from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
+from optnav_cli.output.run_folder import RECORDING, SOLUTION, RunFolder, read_run
+from optnav_cli.output.tables import write_solutions
+
+log = logging.getLogger(__name__)
+
+MAX_FIXES = 20_000
+MIN_SIGMA_M = 1e-4  # what the columns of positions resolve
+
+
+@dataclass(frozen=True, eq=False)
+class RunFixes:
+    """The rows of several runs, under names that differ, and the fixes among them."""
+
+    rows: list[tuple[Solution, Camera | None]]
+    fixes: list[OrbitFix]
+    body: Body
+    attitude: FileAttitude
+
+
+def fit_runs(
+    runs: Sequence[Path],
+    output: Path,
+    settings: OrbitSettings,
+    solve: Sequence[str] = (),
+    beside: Path = Path(),
+) -> list[str]:
+    """Fit an orbit through the solved frames of runs and write its folder; lines for people.
+
+    solve   names of parameters in short, besides those of the settings
+    beside  the folder that files named in the settings are sought from
+    Raises DataError for runs that cannot be used, NothingToDoError without fixes, NoSolutionError
+    where they fit no orbit.
+    """
+    started = datetime.now(UTC)
+    check_apart(output, runs)
+    with logged_stage("orbit"):
+        read = [read_run(path) for path in runs]
+        found = read_fixes(read)
+        kernels = _kernels(read, settings, beside)
+        ephemeris = motion_of(found.body, [Path(name) for name in kernels])
+        priors = orbit_priors(settings.prior, ephemeris, beside, found.fixes)
+        settings = with_solved(settings, solve, found.fixes, priors)
+        problem = problem_of(found, settings, ephemeris, priors)
+        with replacing_folder(output, KIND) as place:
+            fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
+            _write(place, fit, settings, kernels, found, read)
+            write_manifest(
+                place,
+                KIND,
+                command="orbit fit",
+                options={"config": msgspec.to_builtins(settings), "solve": list(solve)},
+                inputs=_inputs(runs, ephemeris),
+                results={"fixes": len(fit.residuals), "used": fit.used},
+                started=started,
+            )
+    return summary(fit)
+
+
+def _write(
+    place: Path,
+    fit: OrbitFit,
+    settings: OrbitSettings,
+    kernels: Sequence[str],
+    found: RunFixes,
+    read: Sequence[RunFolder],
+) -> None:
+    write_orbit_folder(place, fit, densify(fit, settings.step_s), settings, kernels)
+    write_run_settings(read[0].settings, place)
+    smoothed = smoothed_solutions(fit, [solution for solution, _ in found.rows])
+    write_solutions(place / SMOOTHED, smoothed, found.attitude)
+    cameras = [camera for _, camera in found.rows]
+    record(place / RECORDING, found.body, list(zip(smoothed, cameras, strict=True)))
+
+
+def problem_of(
+    found: RunFixes, settings: OrbitSettings, ephemeris: Ephemeris, priors: list[OrbitPrior]
+) -> OrbitProblem:
+    """What is fitted."""
+    motion = ArcMotion(ephemeris, Forces(ephemeris), settings.noise)
+    parameters = list(settings.parameter)
+    return OrbitProblem(motion, found.fixes, priors, parameters, found.body.radius_m)
+
+
+def read_fixes(runs: Sequence[RunFolder]) -> RunFixes:
+    """The solved frames of runs. Raises DataError for runs of several bodies or damaged fixes."""
+    first = runs[0]
+    places = Counter(run.path.resolve() for run in runs)
+    for run in runs:
+        if places[run.path.resolve()] > 1:
+            raise DataError(f"{run.path}: is named twice; name each run once")
+        if run.attitude.body != first.attitude.body:
+            raise DataError(
+                f"{run.path}: its fixes are about {run.attitude.body.name}, those of {first.path} "
+                f"about {first.attitude.body.name}; fit each body by itself"
+            )
+    files = Counter(solution.file for run in runs for solution in run.solutions)
+    prefixed = max(files.values(), default=1) > 1
+    rows: list[tuple[Solution, Camera | None]] = []
+    fixes = []
+    for run in runs:
+        twice = Counter(solution.file for solution in run.solutions)
+        for solution in run.solutions:
+            where = f"{run.path / SOLUTION}: {solution.file}"
+            if twice[solution.file] > 1:
+                raise DataError(f"{where}: stands there twice; keep one row")
+            camera = run.cameras.get(solution.file)
+            name = f"{run.path.name}/{solution.file}" if prefixed else solution.file
+            row = replace(solution, file=name)
+            rows.append((row, camera))
+            if solution.solved and solution.method != Method.ORBIT:
+                fixes.append(_fix(row, run, camera.name if camera else "", where))
+    if not fixes:
+        raise NothingToDoError(
+            f"{', '.join(str(run.path) for run in runs)}: no frame is solved, so there is nothing "
+            "to fit an orbit through; see the reasons in solution.csv"
+        )
+    if len(fixes) > MAX_FIXES:
+        raise DataError(f"{len(fixes)} fixes are more than {MAX_FIXES}; fit parts of the flight")
+    return RunFixes(rows, fixes, first.attitude.body, first.attitude)
+
+
+def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFix:
+    frame = run.attitude.places
+    position, covariance = solution.position_m, solution.covariance_m2
+    if position is None or covariance is None:
+        raise DataError(f"{where}: has no covariance; navigate again")
+    stated = frame.stated_covariance(covariance)
+    if float(np.linalg.eigvalsh(stated)[0]) < MIN_SIGMA_M**2:
+        raise DataError(
+            f"{where}: its covariance is below the digits of its position, {MIN_SIGMA_M:g} m; "
+            "navigate again"
+        )
+    try:
+        time = utc_to_tdb_s(solution.utc)
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from None
+    name = run.path.resolve().name
+    place = frame.stated(position)
+    return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated)
+
+
+def _kernels(runs: Sequence[RunFolder], settings: OrbitSettings, beside: Path) -> list[str]:
+    """SPICE kernels: of the settings, else those that the first run was navigated with."""
+    if settings.spice.kernels:
+        return [str(beside / name) for name in settings.spice.kernels]
+    if not (runs[0].path / MANIFEST).exists():
+        return []
+    config = read_manifest(runs[0].path).get("options", {}).get("config", {})
+    named = config.get("spice", {}).get("kernels", []) if isinstance(config, dict) else []
+    missing = [name for name in named if not Path(name).is_file()]
+    if missing:
+        log.warning(
+            "%s: was navigated with %s, which is not there; the rotation is by theory",
+            runs[0].path,
+            missing[0],
+        )
+        return []
+    return list(named)
+
+
+def with_solved(
+    settings: OrbitSettings,
+    solve: Sequence[str],
+    fixes: Sequence[OrbitFix],
+    priors: Sequence[OrbitPrior],
+) -> OrbitSettings:
+    """The settings with the parameters that --solve names and that the noise model needs.
+
+    Raises UsageError or ConfigError for one that no fix depends on, or that nothing can tell.
+    """
+    parameters = list(settings.parameter)
+    stated = {parameter.name for parameter in parameters}
+    for name in PARAMETERS:
+        if name not in solve or name in stated:
+            continue
+        if name == "clock":
+            parameters += _clocks(fixes, bool(priors))
+        else:
+            parameters.append(ParameterSettings(name))
+    names = {parameter.name for parameter in parameters}
+    if settings.noise.model == "mean" and "acceleration" not in names:
+        parameters.append(ParameterSettings("acceleration"))
+    _check_owners(parameters, fixes)
+    if not priors:
+        _check_clocks(parameters, fixes)
+    return msgspec.structs.replace(settings, parameter=tuple(parameters))
+
+
+def _clocks(fixes: Sequence[OrbitFix], with_prior: bool) -> list[ParameterSettings]:
+    """A clock for each camera, or of one camera for each run; without a prior not for the first."""
+    for kind in ("camera", "run"):
+        names = list(dict.fromkeys(getattr(fix, kind) for fix in fixes))
+        if len(names) > 1:
+            wanted = names if with_prior else names[1:]
+            return [ParameterSettings("clock", **{kind: name}) for name in wanted]
+    return [ParameterSettings("clock")]
+
+
+def _check_owners(parameters: Sequence[ParameterSettings], fixes: Sequence[OrbitFix]) -> None:
+    cameras, runs = {fix.camera for fix in fixes}, {fix.run for fix in fixes}
+    for parameter in parameters:
+        for kind, name, known in (
+            ("camera", parameter.camera, cameras),
+            ("run", parameter.run, runs),
+        ):
+            if name and name not in known:
+                raise ConfigError(
+                    f"[[parameter]] {parameter.name}: no fix is of the {kind} '{name}'; there are "
+                    f"{', '.join(sorted(known))}"
+                )
+
+
+def _check_clocks(parameters: Sequence[ParameterSettings], fixes: Sequence[OrbitFix]) -> None:
+    """Raise UsageError where all fixes have clocks to solve for, and nothing states the orbit."""
+    clocks = [p for p in parameters if p.name == "clock" and p.mode == "estimate"]
+
+    def has_clock(fix: OrbitFix) -> bool:
+        return any(p.camera in ("", fix.camera) and p.run in ("", fix.run) for p in clocks)
+
+    if clocks and all(map(has_clock, fixes)):
+        raise UsageError(
+            "a clock offset common to all fixes is not observable: the body-fixed motion later is "
+            "another orbit as good as this one (1 sigma 5e4 s about the Moon); state a [[prior]], "
+            "leave one camera's or run's clock out, or give it mode = \"consider\""
+        )
+
+
+def _inputs(runs: Sequence[Path], ephemeris: Ephemeris) -> dict[str, Any]:
+    hashes = [{"path": str(p), "files_sha256": hash_files(p, [SOLUTION])} for p in runs]
+    return {"runs": hashes, "motion": ephemeris.name}
