@@ -1,9 +1,9 @@
-"""Gravity on a craft near a body, and its orbit: point mass, J2, C22, tides; and what is left.
+"""Forces on a craft near a body, and its orbit: gravity field, tides, sunlight, thrust; the rest.
 
-Accelerations come with their gradient, for the variational equations. What the two field terms
-leave out is known in size only: by Kaula's rule (Kaula, "Theory of Satellite Geodesy", 1966) the
-normalised coefficients of degree n are about kaula / n^2. A craft meets it as noise that changes
-while it flies over a wavelength. At 100 km over the Moon it is 0.8 mm/s^2, the neglected sunlight
+By itself J2, C22 and tides; [forces] of a file asks for more. What the field leaves out is known in
+size only: by Kaula's rule (Kaula, "Theory of Satellite Geodesy", 1966) the normalised coefficients
+of degree n are about kaula / n^2. A craft meets it as noise that changes while it flies over a
+wavelength. With J2 and C22 alone it is 0.8 mm/s^2 at 100 km over the Moon, the neglected sunlight
 pressure 1e-4 of that. About a moon near its planet the planet's tide is the larger force, and what
 is wrong with it lasts: at 300 km from Phobos 0.03 of 30 mm/s^2.
 
@@ -12,19 +12,35 @@ to 20 %, Phobos' to 4 %; what is left out then begins with degree 2, of the size
 has on a body of such gravity.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
-from catalog.arrays import FloatArray
+from catalog.arrays import FloatArray, IntArray
 from catalog.bodies.body import Body, GravityField, load_body
 from catalog.bodies.ephemeris import SUN_GM_M3_S2, Ephemeris, Neighbour
 from catalog.errors import NoSolutionError
+from catalog.geometry.rotations import ARCSEC
+from optnav_cli.dynamics.gravity_field import named_field, oblate_field
+from optnav_cli.dynamics.gravity_kernel import GRADIENT_DEGREE, harmonic_tables
+from optnav_cli.dynamics.orbit_integrator import (
+    FOLLOWED,
+    TOO_DEEP,
+    ArcWorld,
+    acceleration,
+    follow,
+)
+from optnav_cli.dynamics.orbit_settings import ForcesSettings
+from optnav_cli.dynamics.orbit_tables import ArcTables
 from optnav_cli.reasons import ReasonCode
 
-# The degrees summed by Kaula's rule; the field falls off with height, so the last hardly matter.
-DEGREES = np.arange(3.0, 121.0)
+# The last degree summed by Kaula's rule; the field falls off with height: the last hardly matter.
+LAST_DEGREE, BEYOND_FIELD = 120, 50
+# Above it coefficients without stated errors have those of [forces] field_error.
+SURE_DEGREE = 20
 # Whose tides count beside the Sun's.
 _NEIGHBOURS: dict[str, tuple[Neighbour, ...]] = {"moon": ("earth",), "earth": ("moon",)}
 # Kaula's rule on the Earth, where it was found; elsewhere rock carries hills by the weight that
@@ -32,10 +48,11 @@ _NEIGHBOURS: dict[str, tuple[Neighbour, ...]] = {"moon": ("earth",), "earth": ("
 EARTH_KAULA = 1e-5
 EARTH_GRAVITY_M_S2 = 9.8
 MAX_KAULA = 0.1
-# 0.1 mm and 0.1 um/s a step, far below any fix; the transition needs fewer digits.
-RELATIVE = 1e-10
-STATE_TOLERANCE = np.array([1e-4] * 3 + [1e-7] * 3)
-TRANSITION_TOLERANCE = 1e-7
+OBLATE = ForcesSettings(degree=2)  # what predictions between pictures need
+ACCELERATION, SUNLIGHT, THRUST = "acceleration", "srp", "thrust_"
+# Of the Moon's principal axes against its mean-Earth axes, about z, y, x in turn: DE421, as
+# TKFRAME_31007_ANGLES of NAIF's moon_080317.tf. DE440's differ by 0.3".
+PRINCIPAL_ARCSEC = (67.92, 78.56, 0.30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,22 +71,37 @@ class Unmodelled:
 class Forces:
     """Accelerations about one body, inertial axes, origin at its centre."""
 
-    def __init__(self, motion: Ephemeris) -> None:
-        """motion  of the body; its file may leave [gravity] out, see above."""
+    def __init__(
+        self, motion: Ephemeris, settings: ForcesSettings = OBLATE, beside: Path = Path()
+    ) -> None:
+        """What moves a craft.
+
+        motion  of the body; its file may leave [gravity] out, see above
+        beside  the folder that the field's file is looked for from
+
+        Raises DataError for a field that is not there, whole or of this body, ConfigError for
+        thrust at impossible times.
+        """
         body = motion.body
-        self.motion = motion
+        settings.check()
+        self.motion, self.settings = motion, settings
         self.gm = body.gm_m3_s2
-        self._field = body.gravity or even_field(body)
-        self._degrees = np.append(2.0, DEGREES) if body.gravity is None else DEGREES
-        self._radius_m = self._field.radius_km * 1e3
-        j2, c22 = self._field.j2, self._field.c22
-        # V = GM R^2 x'Ax / r^5 holds both terms: x and y of the equator, z of the pole
-        self._shape = np.array([j2 / 2.0 + 3.0 * c22, j2 / 2.0 - 3.0 * c22, -j2])
+        self._gravity = body.gravity or even_field(body)
+        field = named_field(body, settings, beside)
+        self.field = field or oblate_field(self._gravity, f"J2 and C22 of {body.name}")
+        self._radius_m = self._gravity.radius_km * 1e3
+        self._tables = harmonic_tables(self.field, min(self.field.degree, GRADIENT_DEGREE))
+        self._left_out = self._coefficients_left_out(known=field is not None or bool(body.gravity))
         planet: tuple[Neighbour, ...] = () if body.orbit is None else (body.orbit.around,)
-        self._neighbours: list[tuple[Neighbour, float]] = [
-            (name, load_body(name).gm_m3_s2) for name in (*_NEIGHBOURS.get(body.name, ()), *planet)
-        ]
-        self._neighbours.append(("sun", SUN_GM_M3_S2))
+        names: list[Neighbour] = [*_NEIGHBOURS.get(body.name, ()), *planet]
+        bodies = [load_body(name) for name in names]
+        self._gms = np.array([*(other.gm_m3_s2 for other in bodies), SUN_GM_M3_S2])
+        self._radii_m = np.array([*(other.radius_m for other in bodies), 0.0])
+        turn = np.eye(3)
+        if settings.field_frame == "principal_axes":
+            turn = _principal_from_mean_earth()
+        self._arcs = ArcTables(motion, [*names, "sun"], turn)
+        self._thrusts = [(*arc.times_s, np.array(arc.acceleration_m_s2)) for arc in settings.thrust]
         self._tide_error = self.planet_rate = 0.0  # the rate: rad/s of the body's own orbit
         if body.orbit is not None:
             square = load_body(body.orbit.around).gm_m3_s2
@@ -78,26 +110,65 @@ class Forces:
             # along the line to the planet, where its tide is strongest
             self._tide_error = 2.0 * body.orbit.tide_error * square
 
+    def values(self) -> dict[str, FloatArray]:
+        """What may be solved for, by name, as the settings have it.
+
+        "acceleration" along R, N, B, m/s^2; "srp", area over mass times reflectivity, m^2/kg;
+        "thrust_1", the acceleration along R, N, B of the first arc of thrust.
+        """
+        sunlight = self.settings.sunlight
+        found = {
+            ACCELERATION: np.zeros(3),
+            SUNLIGHT: np.array([0.0 if sunlight is None else sunlight.strength_m2_kg]),
+        }
+        return found | {f"{THRUST}{k}": arc[2] for k, arc in enumerate(self._thrusts, start=1)}
+
+    def world(self, from_s: float, last_s: float, sunlight: float) -> ArcWorld:
+        """All that moves a craft from one time to another, as the kernels take it."""
+        start, pieces = self._arcs.span(min(from_s, last_s), max(from_s, last_s))
+        pulls, gradients = self._tables
+        rotations, turns, places = pieces
+        return ArcWorld(
+            self.gm,
+            self.field.radius_m,
+            pulls,
+            gradients,
+            start - from_s,
+            self._arcs.spacing_s,
+            rotations,
+            turns,
+            places,
+            self._gms,
+            self._radii_m,
+            self.motion.body.radius_m,
+            sunlight,
+        )
+
+    def switches(self) -> FloatArray:
+        """When arcs of thrust begin and end, TDB s, in order."""
+        return np.unique([time for arc in self._thrusts for time in arc[:2]])
+
+    def burning(self, tdb_s: float) -> list[str]:
+        """Names of the arcs of thrust that a time lies in."""
+        arcs = enumerate(self._thrusts, start=1)
+        return [f"{THRUST}{k}" for k, (start, end, _) in arcs if start < tdb_s < end]
+
     def acceleration(self, tdb_s: float, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Acceleration (3,), m/s^2, and its derivative (3, 3) by position at an inertial place."""
-        pull, gradient = _point_mass(self.gm, position_m)
-        turn = self.motion.body_from_inertial(tdb_s)
-        flat, flat_gradient = self._flattening(turn @ position_m)
-        pull = pull + turn.T @ flat
-        gradient = gradient + turn.T @ flat_gradient @ turn
-        for name, gm in self._neighbours:
-            there = self.motion.position_m(name, tdb_s)
-            # the body falls to its neighbour too: only the difference moves the craft about it
-            tide, tide_gradient = _point_mass(gm, position_m - there)
-            pull = pull + tide - gm * there / float(np.linalg.norm(there)) ** 3
-            gradient = gradient + tide_gradient
-        return pull, gradient
+        """Acceleration (3,), m/s^2, and its derivative (3, 3) by position at an inertial place.
+
+        Without thrust; the derivative is that of the field's lower degrees.
+        """
+        state = np.concatenate([position_m, np.zeros(3)])
+        sunlight = float(self.values()[SUNLIGHT][0])
+        out, none = np.empty((3, 11)), np.zeros(3)
+        acceleration(0.0, state, none, self.world(tdb_s, tdb_s, sunlight), True, out)
+        return out[:, 0], out[:, 1:4]
 
     def unmodelled(self, position_m: FloatArray) -> Unmodelled:
-        """What the forces here leave out at a place, by Kaula's rule."""
+        """What the forces here leave out at a place, by Kaula's rule and the field's errors."""
         distance = float(np.linalg.norm(position_m))
-        n = self._degrees
-        share = (n + 1.0) * (2.0 * n + 1.0) ** 2 * (self._field.kaula / n**2) ** 2
+        n, sizes = self._left_out
+        share = (n + 1.0) * (2.0 * n + 1.0) ** 2 * sizes**2
         share = share * (self._radius_m / max(distance, self._radius_m)) ** (2.0 * n)
         sigma = self.gm / distance**2 * float(np.sqrt(share.sum() / 3.0))
         degree = float((share * n).sum() / share.sum())
@@ -107,17 +178,21 @@ class Forces:
         """Of a planet's tide: what is wrong with it for hours, 1 sigma an axis; 0 without one."""
         return self._tide_error * float(np.linalg.norm(position_m))
 
-    def _flattening(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """J2 and C22 at a body-fixed place: gradient and second derivative of V above."""
-        r = float(np.linalg.norm(place))
-        factor = self.gm * self._radius_m**2
-        bent = self._shape * place
-        q = float(place @ bent)
-        pull = factor * (2.0 * bent / r**5 - 5.0 * q * place / r**7)
-        mixed = np.outer(bent, place)
-        second = 2.0 * np.diag(self._shape) / r**5 - 10.0 * (mixed + mixed.T) / r**7
-        second = second - 5.0 * q * np.eye(3) / r**7 + 35.0 * q * np.outer(place, place) / r**9
-        return pull, factor * second
+    def _coefficients_left_out(self, *, known: bool) -> tuple[FloatArray, FloatArray]:
+        """Degrees and the rms of their coefficients' errors; all of it above the field's degree.
+
+        known  whether the field is the body's own, so that degree 2 is in it
+        """
+        top = self.field.degree
+        n = np.arange(3.0 if known else 2.0, max(LAST_DEGREE, top + BEYOND_FIELD) + 1.0)
+        sizes = self._gravity.kaula / n**2
+        inside = n <= top if known else np.zeros(len(n), dtype=bool)
+        if self.field.errors is not None:
+            sizes[inside] = self.field.errors[n[inside].astype(int)]
+        else:
+            sizes[inside] *= np.where(n[inside] > SURE_DEGREE, self.settings.field_error, 0.0)
+        kept = sizes > 0.0
+        return n[kept], sizes[kept]
 
 
 def even_field(body: Body) -> GravityField:
@@ -132,19 +207,30 @@ def even_field(body: Body) -> GravityField:
     )
 
 
-def _point_mass(gm: float, offset_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pull (3,) of a point mass on what lies `offset_m` from it, and its derivative (3, 3)."""
-    r = float(np.linalg.norm(offset_m))
-    pull = -gm * offset_m / r**3
-    gradient = gm * (3.0 * np.outer(offset_m, offset_m) / r**5 - np.eye(3) / r**3)
-    return pull, gradient
+def _principal_from_mean_earth() -> FloatArray:
+    """Rotation (3, 3): mean Earth = Rx(-a) Ry(-b) Rz(-c) of principal axes, turns of the axes."""
+    z, y, x = (angle * ARCSEC for angle in PRINCIPAL_ARCSEC)
+    # scipy turns vectors: axes turned by -c are vectors turned by +c
+    principal: FloatArray = Rotation.from_euler("zyx", [z, y, x]).as_matrix()
+    return principal.T
 
 
 class OrbitMotion:
-    """Motion without thrust about a body; states are inertial position (m) and velocity (m/s)."""
+    """Motion about a body; states are inertial position (m) and velocity (m/s)."""
 
-    def __init__(self, forces: Forces) -> None:
+    def __init__(self, forces: Forces, values: Mapping[str, FloatArray] | None = None) -> None:
+        """values  of forces other than the settings', by the names of `Forces.values`."""
         self._forces = forces
+        self._values = forces.values() | dict(values or {})
+
+    def with_values(self, values: Mapping[str, FloatArray]) -> "OrbitMotion":
+        """The same motion with other values of some parameters."""
+        return OrbitMotion(self._forces, self._values | dict(values))
+
+    @property
+    def values(self) -> dict[str, FloatArray]:
+        """Of the parameters of the forces, by name."""
+        return dict(self._values)
 
     def propagate(
         self, state: FloatArray, from_s: float, to_s: FloatArray
@@ -154,17 +240,31 @@ class OrbitMotion:
         state (6,) at from_s; to_s (n,) before or after it, in any order, TDB s.
         Raises NoSolutionError when the path cannot be followed, as into the body's centre.
         """
+        states, transitions, _ = self.partials(state, from_s, to_s, ())
+        return states, transitions
+
+    def partials(
+        self, state: FloatArray, from_s: float, to_s: FloatArray, parameters: Sequence[str]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `propagate`, and derivatives (n, 6, p) by parameters of the forces.
+
+        parameters  names of `Forces.values`; their components follow each other
+        """
+        kinds, owners = self._columns(parameters)
         since = np.asarray(to_s, dtype=np.float64) - from_s
-        states = np.tile(np.asarray(state, dtype=np.float64), (len(since), 1))
-        transitions = np.tile(np.eye(6), (len(since), 1, 1))
+        start = np.zeros((7, 6 + len(kinds)))
+        start[0, :6] = state
+        start[1:, :6] = np.eye(6)
+        first = np.concatenate([start[0, :6], start[1:].ravel()])
+        found = np.tile(first, (len(since), 1))
         for side in (since > 0.0, since < 0.0):
             if side.any():
                 times, place = np.unique(since[side], return_inverse=True)
                 order = slice(None, None, -1 if times[0] < 0.0 else 1)
-                path = self._path(state, from_s, times[order])[:, order]
-                states[side] = path[:6].T[place]
-                transitions[side] = path[6:].T.reshape(-1, 6, 6)[place]
-        return states, transitions
+                path = self._path(first, from_s, times[order], (kinds, owners))[order]
+                found[side] = path[place]
+        derivatives = found[:, 6:].reshape(len(since), 6, -1)
+        return found[:, :6], derivatives[:, :, :6], derivatives[:, :, 6:]
 
     def noise(self, state: FloatArray, seconds: float) -> FloatArray:
         """Covariance (6, 6) that the forces left out add in a time.
@@ -192,23 +292,46 @@ class OrbitMotion:
         own = self._forces.gm / float(np.linalg.norm(position_m)) ** 3
         return float(1.0 / np.sqrt(own + self._forces.planet_rate**2))
 
-    def _path(self, state: FloatArray, from_s: float, since: FloatArray) -> FloatArray:
-        """(42, n) state and transition, row by row, at times after (or before) the first."""
+    def _columns(self, parameters: Sequence[str]) -> tuple[IntArray, list[str]]:
+        """Of each component of parameters: what it acts along, and whose it is."""
+        kinds: list[int] = []
+        owners: list[str] = []
+        for name in parameters:
+            size = len(self._values[name])
+            kinds += [3] if name == SUNLIGHT else list(range(size))
+            owners += [name] * size
+        return np.array(kinds, dtype=np.int64), owners
 
-        def rates(t: float, y: FloatArray) -> FloatArray:
-            pull, gradient = self._forces.acceleration(from_s + t, y[:3])
-            transition = y[6:].reshape(6, 6)
-            turned = np.concatenate([transition[3:], gradient @ transition[:3]])
-            return np.concatenate([y[3:6], pull, turned.ravel()])
-
-        start = np.concatenate([state, np.eye(6).ravel()])
-        tolerance = np.concatenate([STATE_TOLERANCE, np.full(36, TRANSITION_TOLERANCE)])
-        found = solve_ivp(
-            rates, (0.0, since[-1]), start, "DOP853", since, rtol=RELATIVE, atol=tolerance
-        )
-        if not found.success or not np.isfinite(found.y).all():
+    def _path(
+        self,
+        first: FloatArray,
+        from_s: float,
+        since: FloatArray,
+        columns: tuple[IntArray, list[str]],
+    ) -> FloatArray:
+        """(n, k) of a path from `first` (k,) to times ever farther to one side."""
+        last = float(since[-1])
+        stops = self._forces.switches() - from_s
+        stops = stops[(stops * last > 0.0) & (abs(stops) < abs(last))]
+        times = np.union1d(since, stops)
+        times = times[np.argsort(abs(times))]
+        kinds, owners = columns
+        thrusts = np.tile(self._values[ACCELERATION], (len(times), 1))
+        acting = np.tile(kinds, (len(times), 1))
+        lasting = np.array([not name.startswith(THRUST) for name in owners], dtype=bool)
+        if len(self._forces.switches()):
+            middles = 0.5 * (times + np.concatenate([[0.0], times[:-1]]))
+            for number, middle in enumerate(middles):
+                burning = self._forces.burning(from_s + float(middle))
+                thrusts[number] += sum((self._values[name] for name in burning), np.zeros(3))
+                on = lasting | np.isin(owners, burning)
+                acting[number] = np.where(on, kinds, -1)
+        world = self._forces.world(from_s, from_s + last, float(self._values[SUNLIGHT][0]))
+        out = np.empty((len(times), len(first)))
+        outcome = follow(first, times, (thrusts, acting), world, out)
+        if outcome != FOLLOWED or not np.isfinite(out).all():
+            why = ": it meets the body" if outcome == TOO_DEEP else ""
             raise NoSolutionError(
-                f"the orbit cannot be followed for {since[-1]:.0f} s", ReasonCode.NO_SOLUTION
+                f"the orbit cannot be followed for {last:.0f} s{why}", ReasonCode.NO_SOLUTION
             )
-        states: FloatArray = found.y
-        return states
+        return out[np.isin(times, since)]

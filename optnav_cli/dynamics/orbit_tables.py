@@ -1,0 +1,140 @@
+"""How a body turns and where its neighbours stand over an arc, as polynomials for compiled loops.
+
+Rotation and places are taken at fixed times, whole multiples of a spacing, and read between them
+by polynomials of degree 5 through the six nearest: a state depends on its time alone, not on the
+arc that it was asked with. Errors: 1e-6 m at the Moon's surface (900 s), 4 mm of Mars' place about
+Phobos (a hundredth of its orbit).
+"""
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import FloatArray
+from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import Ephemeris, Neighbour
+from catalog.bodies.epochs import DAY_S
+from catalog.errors import DataError, NoSolutionError
+
+MAX_SPACING_S, LEAST_SPACING_S = 900.0, 10.0
+NODES = 6
+# Nodes about an interval from the middle outwards: those beyond the kernels' end are done without.
+STENCILS = (-2, -1, -3, 0, -4, -5, 1)  # where the first node stands, in intervals
+MAX_INTERVALS = 200_000  # 5 years at 900 s
+TURN_SHARE, ORBIT_SHARE = 60.0, 100.0  # intervals a turn of the body, an orbit about its planet
+
+Node = tuple[FloatArray, FloatArray]
+Piece = tuple[FloatArray, FloatArray, FloatArray]
+
+
+def spacing_s(body: Body) -> float:
+    """Seconds between nodes: 900, less for a body that turns or circles its planet quickly."""
+    degrees_a_day = abs(body.rotation.meridian_deg_by_day[1])
+    spacing = MAX_SPACING_S
+    if degrees_a_day > 0.0:
+        spacing = min(spacing, 360.0 / degrees_a_day * DAY_S / TURN_SHARE)
+    if body.orbit is not None:
+        degrees = abs(body.orbit.mean_anomaly_deg_by_century[1])
+        spacing = min(spacing, 36525.0 * DAY_S * 360.0 / max(degrees, 1.0) / ORBIT_SHARE)
+    return max(float(math.floor(spacing)), LEAST_SPACING_S)
+
+
+class ArcTables:
+    """Rotation and neighbours of one body, kept for all arcs that are asked for."""
+
+    def __init__(
+        self, motion: Ephemeris, neighbours: list[Neighbour], field_from_body: FloatArray
+    ) -> None:
+        """field_from_body  (3, 3) rotation to the axes of the gravity field."""
+        self._motion, self._neighbours = motion, neighbours
+        self._field_from_body = field_from_body
+        self.spacing_s = spacing_s(motion.body)
+        self._nodes: dict[int, Node | DataError] = {}
+        self._pieces: dict[int, Piece] = {}
+        self._kept: tuple[int, int] | None = None  # intervals that stand together, end excluded
+        self._together: Piece = (np.empty(0), np.empty(0), np.empty(0))
+
+    def span(self, first_s: float, last_s: float) -> tuple[float, Piece]:
+        """What holds from one time to another, TDB s.
+
+        Returns the start of the first interval, rotations (k, 3, 3) from inertial axes to the
+        field's there, rotation vectors (k, 6, 3) from there on and places (k, 6, n, 3) of the
+        neighbours, m, both as coefficients by powers of the share of the interval.
+        Raises DataError for times that the ephemeris does not cover, NoSolutionError for years.
+        """
+        first = math.floor(first_s / self.spacing_s)
+        last = math.floor(last_s / self.spacing_s) + 1
+        if last - first > MAX_INTERVALS:
+            raise NoSolutionError(
+                f"the arc takes {(last_s - first_s) / DAY_S:.0f} days; wanted at most "
+                f"{MAX_INTERVALS * self.spacing_s / DAY_S:.0f}"
+            )
+        kept = self._kept
+        if kept is None or first < kept[0] or last > kept[1]:
+            if kept is not None and first <= kept[1] and last >= kept[0]:
+                first, last = min(first, kept[0]), max(last, kept[1])
+            pieces = [self._piece(interval) for interval in range(first, last)]
+            rotations, turns, places = (np.array(parts) for parts in zip(*pieces, strict=True))
+            kept = self._kept = first, last
+            self._together = rotations, turns, places
+        return kept[0] * self.spacing_s, self._together
+
+    def _piece(self, interval: int) -> Piece:
+        """One interval's rotation at its start, rotation vectors and places."""
+        if interval not in self._pieces:
+            begin, nodes = self._stencil(interval)
+            # the rotation that vectors count from: that of the start, or near it
+            reference = nodes[max(-begin, 0)][0]
+            vectors = Rotation.from_matrix([node[0] @ reference.T for node in nodes]).as_rotvec()
+            powers = _POWERS[begin]
+            self._pieces[interval] = (
+                reference,
+                _polynomial(powers, vectors),
+                _polynomial(powers, np.array([node[1] for node in nodes])),
+            )
+        return self._pieces[interval]
+
+    def _stencil(self, interval: int) -> tuple[int, list[Node]]:
+        """Where the first of the nodes stands that an interval is read by, and the nodes."""
+        failed: DataError | None = None
+        for begin in STENCILS:
+            nodes = [self._node(interval + begin + number) for number in range(NODES)]
+            whole = [node for node in nodes if not isinstance(node, DataError)]
+            if len(whole) == NODES:
+                return begin, whole
+            inner = self._node(interval)
+            failed = inner if isinstance(inner, DataError) else failed
+            failed = failed or next(node for node in nodes if isinstance(node, DataError))
+        raise failed or DataError(f"{self._motion.name}: does not cover the arc")
+
+    def _node(self, number: int) -> Node | DataError:
+        if number not in self._nodes:
+            try:
+                self._nodes[number] = self._taken(number * self.spacing_s)
+            except DataError as error:
+                self._nodes[number] = error
+        return self._nodes[number]
+
+    def _taken(self, tdb_s: float) -> Node:
+        rotation = self._field_from_body @ self._motion.body_from_inertial(tdb_s)
+        places = [self._motion.position_m(name, tdb_s) for name in self._neighbours]
+        return rotation, np.array(places, dtype=np.float64).reshape(-1, 3)
+
+
+def _powers_from_values(begin: int) -> FloatArray:
+    """Matrix (6, 6) that makes coefficients of a polynomial of its values at begin, begin + 1..."""
+    nodes = np.arange(begin, begin + NODES, dtype=np.float64)
+    return np.asarray(np.linalg.inv(np.vander(nodes, NODES, increasing=True)), dtype=np.float64)
+
+
+_POWERS = {begin: _powers_from_values(begin) for begin in STENCILS}
+
+
+def _polynomial(powers: FloatArray, values: FloatArray) -> FloatArray:
+    """Coefficients (6, ...) of values (6, ...), summed in one order whatever the shape."""
+    out = np.zeros_like(values)
+    for row in range(NODES):
+        for column in range(NODES):
+            out[row] += powers[row, column] * values[column]
+    return out
