@@ -18,7 +18,7 @@ from catalog.errors import NoSolutionError
 from optnav_cli.estimation.smoother import LinearArc, SmoothedArc, nuisance, smooth
 from optnav_cli.orbit.first import first_orbit
 from optnav_cli.orbit.problem import OrbitProblem, Trajectory
-from optnav_cli.orbit.settings import NoiseModel
+from optnav_cli.orbit.settings import PRIOR_SIGMAS, NoiseModel
 
 MAX_STEPS, MAX_ROUNDS = 30, 40
 SETTLED = 1e-3  # sigmas
@@ -330,7 +330,7 @@ def _with_considered(
     if problem.considered:
         arc, paths = problem.linearise(at, used.astype(np.float64))
         moved = solver.solve(arc).deviations[:, :, 1:] - paths
-        moved = moved * problem.prior_sigmas(problem.considered)
+        moved = moved @ np.linalg.cholesky(problem.prior_covariance(problem.considered))
         covariances = covariances + moved @ moved.transpose(0, 2, 1)
     return covariances
 
@@ -370,8 +370,10 @@ def _unobserved(problem: OrbitProblem, covariance: FloatArray) -> list[str]:
     remarks = []
     for parameter in problem.estimated:
         sigmas = np.sqrt(np.diag(covariance)[parameter.span])
-        if (sigmas > UNOBSERVED * parameter.settings.sigma).all():
-            share = float(sigmas.min() / parameter.settings.sigma)
+        left = sigmas / np.sqrt(np.diag(parameter.covariance))
+        # an arc of thrust is known before: there is nothing to say where the fixes add nothing
+        if (left > UNOBSERVED).all() and parameter.name in PRIOR_SIGMAS:
+            share = float(left.min())
             remarks.append(
                 f"{parameter.settings.label} is unobserved: the fixes leave {100.0 * share:.0f} % "
                 "of its prior sigma"

@@ -23,7 +23,7 @@ from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.orbit_tables import INERTIAL, LOWER, ORBIT, STATE_COVARIANCE, VELOCITY
 from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
 from optnav_cli.frames.tables import POSITION
-from optnav_cli.orbit.settings import Mode, Name, NoiseSettings
+from optnav_cli.orbit.settings import Mode, NoiseSettings
 
 ORBIT_TOML, ORBIT_CSV, ORBIT_OEM = "orbit.toml", "orbit.csv", "orbit.oem"
 RESIDUALS, DISTURBANCES_CSV, SMOOTHED = "residuals.csv", "disturbances.csv", "smoothed.csv"
@@ -39,7 +39,7 @@ class StoredParameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     observed      whether the fixes tell it
     """
 
-    name: Name
+    name: str
     camera: str
     run: str
     mode: Mode

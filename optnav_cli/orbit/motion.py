@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.ephemeris import Ephemeris
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.orbit.settings import NoiseSettings
 
@@ -32,11 +31,27 @@ class ArcStep:
 class ArcMotion:
     """The motion of an arc about a body with what the forces leave out."""
 
-    def __init__(self, ephemeris: Ephemeris, forces: Forces, noise: NoiseSettings) -> None:
-        self.ephemeris = ephemeris
+    def __init__(
+        self, forces: Forces, noise: NoiseSettings, motion: OrbitMotion | None = None
+    ) -> None:
+        """motion  with values of force parameters; without it, as the settings state them."""
+        self.ephemeris = forces.motion
         self.forces = forces
-        self._motion = OrbitMotion(forces)
+        self._motion = motion or OrbitMotion(forces)
         self._noise = noise
+
+    def with_added(self, values: Mapping[str, FloatArray]) -> "ArcMotion":
+        """The same motion with so much more of parameters of the forces."""
+        if not values:
+            return self
+        before = self.forces.values()
+        changed = {name: before[name] + value for name, value in values.items()}
+        return ArcMotion(self.forces, self._noise, self._motion.with_values(changed))
+
+    @property
+    def thrusts(self) -> list[FloatArray]:
+        """Covariances (3, 3) of the arcs of thrust, m^2/s^4."""
+        return [arc.covariance for arc in self.forces.settings.thrust]
 
     def carry(
         self, state: FloatArray, tdb_s: float, after_s: float
@@ -74,19 +89,22 @@ class ArcMotion:
         from_s: float,
         to_s: float,
         names: Sequence[str] = (),
-        values: Mapping[str, FloatArray] | None = None,
     ) -> ArcStep:
-        """To another time; names of force parameters, and values of those that are not zero."""
+        """To another time, with derivatives by force parameters of these names."""
         transition, noise = np.eye(6), np.zeros((6, 6))
+        pushed = np.zeros((6, 0))
         pieces = abs(to_s - from_s) / (MAX_PIECE_RAD * self.radian_s(state[:3]))
         count = min(max(1, int(np.ceil(pieces))), MAX_PIECES)
         times = np.linspace(from_s, to_s, count + 1)
         for start, end in pairwise(times):
+            ends = np.array([end])
             density, seconds = self.density(state[:3]), float(end - start)
-            state, phi = self.carry(state, float(start), seconds)
+            states, phis, gammas = self._motion.partials(state, float(start), ends, names)
+            state, phi, gamma = states[0], phis[0], gammas[0]
+            pushed = phi @ pushed + gamma if pushed.size else gamma
             transition = phi @ transition
             noise = phi @ noise @ phi.T + white(density, seconds)
-        return ArcStep(state, transition, noise, np.zeros((6, 0)))
+        return ArcStep(state, transition, noise, pushed)
 
 
 def white(density: float, seconds: float) -> FloatArray:

@@ -82,16 +82,17 @@ def stored_parameters(fit: OrbitFit) -> Iterator[StoredParameter]:
     for p in (*fit.problem.estimated, *fit.problem.considered):
         stated, estimated = p.settings, p.settings.mode == "estimate"
         value = fit.trajectory.parameters[p.span] if estimated else np.zeros(p.size)
-        sigma = sigmas[p.span] if estimated else np.full(p.size, stated.sigma)
+        before = np.sqrt(np.diag(p.covariance))
+        sigma = sigmas[p.span] if estimated else before
         yield StoredParameter(
-            stated.name,
+            p.name,
             stated.camera,
             stated.run,
             stated.mode,
-            stated.sigma,
+            float(before.max()),
             tuple(map(float, value)),
             tuple(map(float, sigma)),
-            bool(estimated and (sigma <= UNOBSERVED * stated.sigma).any()),
+            bool(estimated and (sigma <= UNOBSERVED * before).any()),
         )
 
 
@@ -212,7 +213,14 @@ def summary(fit: OrbitFit) -> list[str]:
                 known = "considered" if p.mode == "consider" else ""
                 known = known or ("" if p.observed else "unobserved")
                 cells = (f"{value:.6g}", f"{sigma:.2g}", f"{p.prior_sigma:.2g}")
-                table.append((f"{p.name} {UNITS[p.name]}".strip(), whose, *cells, known))
+                table.append(
+                    (
+                        f"{p.name} {UNITS.get(p.name, UNITS['acceleration'])}".strip(),
+                        whose,
+                        *cells,
+                        known,
+                    )
+                )
         lines += table_lines(table, left=(0, 1, 5))
     left_out = [
         f"left out {fix.file}: {LEFT_OUT} (chi-square {residual.chi_square:.0f} of 3)"

@@ -9,11 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
 from catalog.geometry.rotations import rnb_axes
 from catalog.geometry.vectors import unit
+from optnav_cli.dynamics.forces import THRUST
 from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.settings import OF_FIXES, ParameterSettings
@@ -22,6 +24,7 @@ SAME_TIME_S = 1e-3  # fixes of one node
 # Of the first state where no prior states one: a share of the distance, but no more sigmas of a fix
 # than leave the covariance digits; once the state's own sigmas are known, so many of these. About
 # the state of the step before, so it moves no orbit.
+SIZES = {"map_offset": 3, "acceleration": 3}  # numbers of a parameter; others have one
 OPEN_SHARE, OPEN_SIGMAS, OPEN_AGAIN = 0.1, 1e4, 1e3
 
 
@@ -48,19 +51,23 @@ class OrbitPrior:
     source: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitParameter:
     """A number, or three, common to fixes or to the arc.
 
-    place  of its first number among those estimated, or among those considered
+    name        of the settings; of an arc of thrust thrust_1 and so on
+    place       of its first number among those estimated, or among those considered
+    covariance  (size, size) before the fixes are looked at
     """
 
+    name: str
     settings: ParameterSettings
     place: int
+    covariance: FloatArray
 
     @property
     def size(self) -> int:
-        return 3 if self.settings.name in ("map_offset", "acceleration") else 1
+        return len(self.covariance)
 
     @property
     def span(self) -> slice:
@@ -74,13 +81,21 @@ class FitParameter:
 
 
 def parameters_of(
-    settings: Sequence[ParameterSettings],
+    settings: Sequence[ParameterSettings], thrusts: Sequence[FloatArray]
 ) -> tuple[list[FitParameter], list[FitParameter]]:
-    """Those estimated and those considered, each with its place."""
+    """Those estimated and those considered, each with its place.
+
+    thrusts  covariances (3, 3) of the arcs of thrust, which are estimated too
+    """
     found: dict[str, list[FitParameter]] = {"estimate": [], "consider": []}
     ends = dict.fromkeys(found, 0)
-    for one in settings:
-        parameter = FitParameter(one, ends[one.mode])
+    every: list[tuple[str, ParameterSettings, FloatArray]] = [
+        (one.name, one, np.eye(SIZES.get(one.name, 1)) * one.sigma**2) for one in settings
+    ]
+    for number, covariance in enumerate(thrusts, start=1):
+        every.append((f"{THRUST}{number}", ParameterSettings("acceleration"), covariance))
+    for name, one, covariance in every:
+        parameter = FitParameter(name, one, ends[one.mode], covariance)
         ends[one.mode] += parameter.size
         found[one.mode].append(parameter)
     return found["estimate"], found["consider"]
@@ -113,7 +128,7 @@ class OrbitProblem:
 
     def __post_init__(self) -> None:
         self.fixes = sorted(self.fixes, key=lambda fix: fix.tdb_s)
-        self.estimated, self.considered = parameters_of(self.parameters)
+        self.estimated, self.considered = parameters_of(self.parameters, self.motion.thrusts)
         every = sorted([f.tdb_s for f in self.fixes] + [p.tdb_s for p in self.priors])
         times: list[float] = []
         for time in every:
@@ -138,11 +153,9 @@ class OrbitProblem:
         """Of the state with the parameters estimated."""
         return 6 + sum(parameter.size for parameter in self.estimated)
 
-    def prior_sigmas(self, parameters: Sequence[FitParameter]) -> FloatArray:
-        """(p,) 1 sigma of each number."""
-        return np.concatenate(
-            [np.empty(0), *(np.full(p.size, p.settings.sigma) for p in parameters)]
-        )
+    def prior_covariance(self, parameters: Sequence[FitParameter]) -> FloatArray:
+        """(p, p) of parameters before the fixes are looked at."""
+        return np.array(block_diag(np.empty((0, 0)), *(p.covariance for p in parameters)))
 
     def inertial(self, number: int) -> FloatArray:
         """A fix's place (3,), inertial."""
@@ -163,10 +176,15 @@ class OrbitProblem:
             return np.zeros(parameter.size)
         return trajectory.parameters[parameter.span]
 
+    def motion_at(self, at: Trajectory) -> ArcMotion:
+        """The motion with the force parameters as estimated."""
+        of_forces = [p for p in self.estimated if p.name not in OF_FIXES]
+        return self.motion.with_added({p.name: self.value(p, at) for p in of_forces})
+
     def clock(self, number: int, trajectory: Trajectory) -> float:
         """How much later a fix was taken than it says, s."""
         fix = self.fixes[number]
-        clocks = [p for p in self.estimated if p.settings.name == "clock" and p.applies(fix)]
+        clocks = [p for p in self.estimated if p.name == "clock" and p.applies(fix)]
         return float(sum(float(self.value(p, trajectory)[0]) for p in clocks))
 
     def measure(
@@ -179,7 +197,7 @@ class OrbitProblem:
         state, bring = trajectory.states[node], np.eye(6)
         after = fix.tdb_s + offset - float(self.times[node])
         if after:
-            state, bring = self.motion.carry(state, float(self.times[node]), after)
+            state, bring = self.motion_at(trajectory).carry(state, float(self.times[node]), after)
         turn = self.turn(number, offset)
         place = turn @ state[:3]
         design = np.zeros((3, self.width))
@@ -199,9 +217,9 @@ class OrbitProblem:
     ) -> FloatArray:
         """(3, size) of a fix's place by a parameter of fixes."""
         fix = self.fixes[number]
-        if p.settings.name == "map_offset":
+        if p.name == "map_offset":
             return np.eye(3)
-        if p.settings.name == "focal":
+        if p.name == "focal":
             height = float(np.linalg.norm(fix.position_m)) - self.radius_m
             return (height * unit(fix.position_m))[:, None]
         turned = self.turn(number, offset + 0.5) - self.turn(number, offset - 0.5)
@@ -210,7 +228,7 @@ class OrbitProblem:
 
     def _moved(self, p: FitParameter, derivative: FloatArray, at: Trajectory) -> FloatArray:
         """What a parameter adds to the computed place; the clock has moved it already."""
-        if p.settings.name == "clock":
+        if p.name == "clock":
             return np.zeros(3)
         moved: FloatArray = derivative @ self.value(p, at)
         return moved
@@ -237,17 +255,17 @@ class OrbitProblem:
         sigmas   (6,) of the first state as the step before had them
         """
         n, count = self.width, len(self.times)
-        estimated = [p for p in self.estimated if p.settings.name not in OF_FIXES]
-        considered = [p for p in self.considered if p.settings.name not in OF_FIXES]
+        estimated = [p for p in self.estimated if p.name not in OF_FIXES]
+        considered = [p for p in self.considered if p.name not in OF_FIXES]
         q = sum(p.size for p in self.considered)
         transitions, noises = np.tile(np.eye(n), (count - 1, 1, 1)), np.zeros((count - 1, n, n))
         defects = np.zeros((count - 1, n, 1 + q))
         paths = np.zeros((count, n, q))
-        values: dict[str, FloatArray] = {p.settings.name: self.value(p, at) for p in estimated}
-        names = [p.settings.name for p in (*estimated, *considered)]
+        motion = self.motion_at(at)
+        names = [p.name for p in (*estimated, *considered)]
         for i in range(count - 1):
             span = float(self.times[i]), float(self.times[i + 1])
-            step = self.motion.step(at.states[i], *span, names, values)
+            step = motion.step(at.states[i], *span, names)
             transitions[i, :6, :6] = step.transition
             defects[i, :6, 0] = step.state - at.states[i + 1]
             noises[i, :6, :6] = step.noise
@@ -299,7 +317,8 @@ class OrbitProblem:
         sigmas[3:] /= self.motion.radian_s(place)
         if known is not None:
             sigmas = np.clip(OPEN_AGAIN * known, sigmas / OPEN_SIGMAS, sigmas)
-        return np.diag(np.concatenate([sigmas, self.prior_sigmas(self.estimated)]) ** 2)
+        known_before = self.prior_covariance(self.estimated)
+        return np.array(block_diag(np.diag(sigmas**2), known_before))
 
 
 def rnb_of(state: FloatArray) -> FloatArray:

@@ -24,14 +24,14 @@ PRIOR_SIGMAS: dict[Name, float] = {
     "focal": 0.01,
     "map_offset": 1000.0,
     "acceleration": 1e-5,
-    "srp": 1.0,
+    "srp": 0.02,
 }
-UNITS: dict[Name, str] = {
+UNITS: dict[str, str] = {
     "clock": "s",
     "focal": "",
     "map_offset": "m",
     "acceleration": "m/s2",
-    "srp": "",
+    "srp": "m2/kg",
 }
 # In these a parameter belongs to the fixes of a camera or of a run; the others move the craft.
 OF_FIXES: tuple[Name, ...] = ("clock", "focal", "map_offset")

@@ -72,7 +72,7 @@ def fit_runs(
         ephemeris = motion_of(found.body, [Path(name) for name in kernels])
         priors = orbit_priors(settings.prior, ephemeris, beside, found.fixes)
         settings = with_solved(settings, solve, found.fixes, priors)
-        problem = problem_of(found, settings, ephemeris, priors)
+        problem = problem_of(found, settings, ephemeris, priors, beside)
         with replacing_folder(output, KIND) as place:
             fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
             _write(place, fit, settings, kernels, found, read)
@@ -105,10 +105,14 @@ def _write(
 
 
 def problem_of(
-    found: RunFixes, settings: OrbitSettings, ephemeris: Ephemeris, priors: list[OrbitPrior]
+    found: RunFixes,
+    settings: OrbitSettings,
+    ephemeris: Ephemeris,
+    priors: list[OrbitPrior],
+    beside: Path,
 ) -> OrbitProblem:
-    """What is fitted."""
-    motion = ArcMotion(ephemeris, Forces(ephemeris), settings.noise)
+    """What is fitted; beside: where a gravity field is sought."""
+    motion = ArcMotion(Forces(ephemeris, settings.forces, beside), settings.noise)
     parameters = list(settings.parameter)
     return OrbitProblem(motion, found.fixes, priors, parameters, found.body.radius_m)
 

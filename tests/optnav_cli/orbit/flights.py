@@ -83,7 +83,7 @@ def flight(minutes=90.0, every_s=300.0, **how):
 
 def problem(fixes, parameters=(), priors=(), noise=QUIET):
     """What is fitted, with the forces that the truth has."""
-    motion = ArcMotion(EPHEMERIS, FORCES, noise)
+    motion = ArcMotion(FORCES, noise)
     return OrbitProblem(motion, list(fixes), list(priors), list(parameters), MOON.radius_m)
 
 
