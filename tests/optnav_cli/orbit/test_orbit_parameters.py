@@ -1,4 +1,4 @@
-"""Numbers common to fixes or to the arc: found where the fixes tell them, said where they do not."""
+"""Numbers common to fixes or to the arc: found, or called unobserved."""
 
 import numpy as np
 import pytest
@@ -106,7 +106,7 @@ def settings_with(*parameters):
 
 
 def test_one_clock_for_all_fixes_is_refused_with_the_reason(lunar):
-    with pytest.raises(UsageError, match="not observable.*5e4 s.*prior"):
+    with pytest.raises(UsageError, match=r"not observable.*5e4 s.*prior"):
         with_solved(OrbitSettings(), ["clock"], lunar.fixes, [])
     both = [ParameterSettings("clock", camera=name) for name in ("unk", "shnk")]
     fixes = [*lunar.fixes, *fixes_of(lunar.times, lunar.states, camera="shnk")]
