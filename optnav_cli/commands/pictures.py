@@ -175,12 +175,14 @@ def evaluate(
     evaluation.json and evaluation.csv into RUN. Ends with exit code 5 when a limit is passed, and
     with 4 when no frame is solved and --min-solved does not say that this passes a limit.
 
-    RUN may be what `optnav hazard` made: its pads are judged by the slopes of a terrain model.
+    RUN may be what `optnav hazard` made: its pads are judged by the slopes of a terrain model. Or
+    an orbit by `optnav orbit fit`: its places at the fixes, its velocity, and its predictions.
 
     \b
     Example:
       optnav evaluate run --truth pictures/truth.csv --max-horizontal-m 30
       optnav evaluate run --truth pictures/truth.csv --min-solved 90% --max-wrong 0
+      optnav evaluate orbit --truth pictures/truth.csv
       optnav evaluate hazard --truth site.tif --max-dangerous-share 0.07
     """
     from catalog.errors import UsageError
@@ -197,6 +199,9 @@ def evaluate(
         return
     if max_dangerous_share is not None:
         raise UsageError(f"{run}: is no hazard folder, whose limit --max-dangerous-share is")
+    if made_by_optnav(run, "orbit"):
+        _evaluate_orbit(run, truth, as_json, limits)
+        return
     evaluation, wanted = evaluate_run(run, truth), Limits(**limits)
     figures = evaluation.figures_if_any()
     if as_json:
@@ -209,6 +214,22 @@ def evaluate(
         check_limits(figures, wanted)
     write_evaluation(evaluation, run)
     check_limits(figures, wanted)
+
+
+def _evaluate_orbit(folder: Path, truth: Path, as_json: bool, given: dict[str, Any]) -> None:
+    from optnav_cli.evaluation.figures import Limits, check_limits, limit_checks
+    from optnav_cli.evaluation.orbit_errors import evaluate_orbit, write_orbit_evaluation
+    from optnav_cli.output.wording import json_text
+
+    found, wanted = evaluate_orbit(folder, truth), Limits(**given)
+    if as_json:
+        checks = [check._asdict() for check in limit_checks(found.figures, wanted)]
+        document = {"run": folder, "truth": truth} | found.summary() | {"limits": checks}
+        click.echo(json_text(document))
+    else:
+        click.echo(found.to_text())
+    write_orbit_evaluation(found, folder)
+    check_limits(found.figures, wanted)
 
 
 def _evaluate_pads(folder: Path, truth: Path, as_json: bool, limit: float | None) -> None:

@@ -79,3 +79,18 @@ DISTURBANCES = CsvTable(
         _number("sigma_m_s2", "of the acceleration that they were expected to be", "m/s²", ".6g"),
     )
 )
+
+ORBIT_ERRORS = CsvTable(
+    (
+        UTC,
+        _number("hours", "since the last fix; above 0: a prediction", "h", "z.6f"),
+        *(_number(f"error_{a}_m", f"orbit less truth, {a.upper()}", "m", "z.4f") for a in AXES),
+        *(_number(f"sigma_{a}_m", "its stated sigma", "m", "z.4f") for a in AXES),
+        *(
+            _number(f"error_v{a}_m_s", f"of the velocity, {a.upper()}", "m/s", "z.7f", True)
+            for a in AXES
+        ),
+        *(_number(f"sigma_v{a}_m_s", "its stated sigma", "m/s", "z.7f") for a in AXES),
+        _number("normalised_error_squared", "of the place, a component; 1 is expected", "", "z.6f"),
+    )
+)

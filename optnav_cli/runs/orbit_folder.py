@@ -18,6 +18,7 @@ from catalog.errors import ConfigError, DataError, NothingToDoError, UsageError
 from catalog.files import MANIFEST, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import logged_stage
+from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.fix import Method, Solution
@@ -71,6 +72,7 @@ def fit_runs(
         kernels = _kernels(read, settings, beside)
         ephemeris = motion_of(found.body, [Path(name) for name in kernels])
         priors = orbit_priors(settings.prior, ephemeris, beside, found.fixes)
+        settings = _with_whole_paths(settings, beside)
         settings = with_solved(settings, solve, found.fixes, priors)
         problem = problem_of(found, settings, ephemeris, priors, beside)
         with replacing_folder(output, KIND) as place:
@@ -102,6 +104,15 @@ def _write(
     write_solutions(place / SMOOTHED, smoothed, found.attitude)
     cameras = [camera for _, camera in found.rows]
     record(place / RECORDING, found.body, list(zip(smoothed, cameras, strict=True)))
+
+
+def _with_whole_paths(settings: OrbitSettings, beside: Path) -> OrbitSettings:
+    """The settings with the field's file as it is found from anywhere."""
+    if settings.forces.field is None:
+        return settings
+    field = str(path_of(settings.forces.field, beside).resolve())
+    forces = msgspec.structs.replace(settings.forces, field=field)
+    return msgspec.structs.replace(settings, forces=forces)
 
 
 def problem_of(
@@ -178,7 +189,7 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
 def _kernels(runs: Sequence[RunFolder], settings: OrbitSettings, beside: Path) -> list[str]:
     """SPICE kernels: of the settings, else those that the first run was navigated with."""
     if settings.spice.kernels:
-        return [str(beside / name) for name in settings.spice.kernels]
+        return [str(path_of(name, beside).resolve()) for name in settings.spice.kernels]
     if not (runs[0].path / MANIFEST).exists():
         return []
     config = read_manifest(runs[0].path).get("options", {}).get("config", {})

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
@@ -12,6 +13,7 @@ from catalog.bodies.epochs import utc_from_tdb_s
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.fix import Fix, Method, Solution
 from optnav_cli.frames.run_settings import FileAttitude, RunSettings, write_run_settings
+from optnav_cli.frames.truth import Truth, write_truth
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.problem import OrbitFix, OrbitProblem
 from optnav_cli.orbit.settings import NoiseSettings
@@ -102,3 +104,14 @@ def write_run(folder: Path, fixes, body="moon"):
     ]
     write_solutions(folder / "solution.csv", rows, attitude)
     return folder
+
+
+def write_truth_of(path: Path, times, states):
+    """A truth.csv with places of a flight, for its fixes in order and for times after them."""
+    frames = FileAttitude("camera_from_body", MOON)
+    rows = []
+    for number, (time, state) in enumerate(zip(times, states, strict=True)):
+        place = EPHEMERIS.body_from_inertial(time) @ state[:3]
+        utc = utc_from_tdb_s(time, 6)
+        rows.append(Truth(f"unk_{number:03d}.png", utc, time, place, Rotation.identity()))
+    write_truth(path, frames, rows)
