@@ -7,6 +7,10 @@ from optnav_cli.options import Entry, LazyGroup
 _HERE = "optnav_cli.commands"
 COMMANDS: dict[str, Entry] = {  # by name, in the order of the help
     "fit": Entry(f"{_HERE}.orbit_fit", "Fit an orbit through the fixes of runs."),
+    "predict": Entry(f"{_HERE}.orbit_predict", "Where an orbit leads, ahead or before.", "predict"),
+    "export": Entry(
+        f"{_HERE}.orbit_predict", "Write an orbit as OEM, SPICE kernel, CSV.", "export"
+    ),
     "qso": Entry(f"{_HERE}.orbit_qso", "Quasi-satellite orbits of a moon such as Phobos."),
 }
 

@@ -312,6 +312,16 @@ STUDIES = (
         _flights("navigation", _RUNS, "unk 200"),
     ),
     Study(
+        "orbit_motion",
+        "How exact and quick the motion about a body is, by degree of its field.",
+        """Fly a day at 100 km over the Moon by fields of degree 2, 20 and 50.
+
+        Compares the end with scipy at 1e-13, whose rates are written another way, times the flight
+        with its transition, and states what each field leaves out. Takes a minute.""",
+        "--hours 2",
+        (_option("--hours", Number(0.1, 240.0), 24.0, "Of each flight."),),
+    ),
+    Study(
         "phobos",
         "Navigation at Phobos, by disc, limb and control points.",
         """Build the catalog of Phobos, fly to it, navigate, and compare with the truth.
