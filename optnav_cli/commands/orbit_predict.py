@@ -10,10 +10,10 @@ from optnav_cli.parameters import Number
 
 CRAFT = click.option(
     "--craft",
-    type=click.IntRange(-(10**9), -1),
+    type=click.IntRange(-(10**9), -2),  # -1 is Geotail
     default=-999,
     show_default=True,
-    help="NAIF number of the craft in a .bsp.",
+    help="NAIF number of the craft in a .bsp, a negative one.",
 )
 
 
