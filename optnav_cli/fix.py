@@ -4,6 +4,7 @@ A method gives a `Fix`, or raises NoSolutionError; a `Solution` is a frame's row
 `PositionPrior` is where a camera is expected before its picture is looked at.
 """
 
+import zlib
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
@@ -30,6 +31,7 @@ class Method(StrEnum):
     DESCENT = "descent"  # an inertial track, windows of the terrain model and landmarks, jointly
     RELATIVE_LANDMARKS = "relative_landmarks"  # the same where a frame shows landmarks alone
     ORBIT = "orbit"  # an orbit through the fixes of runs
+    PICKED_POINTS = "picked_points"  # places that a person named in the picture
 
     @property
     def label(self) -> str:
@@ -44,14 +46,20 @@ class MatchKind(StrEnum):
     CONTROL_POINT = "control_point"
     WINDOW = "window"  # a part of the terrain model, by its number on the descent's lattice
     LANDMARK = "landmark"  # what an earlier frame showed, by its number in landmarks.csv
+    PICKED_POINT = "picked_point"  # a row of points.csv, by its name
+
+
+def number_of_name(name: str) -> int:
+    """The number that stands for a picked point's name where points are numbered."""
+    return zlib.crc32(name.encode())
 
 
 @dataclass(frozen=True, eq=False)
 class MatchRow:
-    """One control point, window or landmark tried in one frame: a row of matches.csv.
+    """One control point, window, landmark or picked point of one frame: a row of matches.csv.
 
     file               the frame's name
-    cp_id              the point's id in its catalog
+    cp_id              the point's id in its catalog; a number made of a picked point's name
     level              pyramid level of the (last) match, 0 = finest
     cp_position_m      (3,)  the point, body frame, m
     predicted_px       (2,)  where the final pose expects it, x, y
@@ -65,6 +73,7 @@ class MatchRow:
     catalog            the catalog's file name
     reason_code        the code of `reason`
     kind               what was sought
+    name               of a picked point
     """
 
     file: str
@@ -83,6 +92,12 @@ class MatchRow:
     catalog: str = ""
     reason_code: ReasonCode = ReasonCode.NONE
     kind: MatchKind = MatchKind.CONTROL_POINT
+    name: str = ""
+
+    @property
+    def label(self) -> str:
+        """What it is called in drawings and tables: its name, else its number."""
+        return self.name or str(self.cp_id)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,6 +250,7 @@ class Solution:
     prior    where the search for control points began: "frames.csv", a method, a camera at the
              same time, an orbit arc; empty when there was none
     prior_m  (3,) that position, body frame, m; not read back with a table
+    attitude_source  what the attitude is from: "frames.csv", "stars", "points"; empty without one
     """
 
     file: str
@@ -242,6 +258,7 @@ class Solution:
     outcome: Fix | NoFix
     prior: str = ""
     prior_m: FloatArray | None = None
+    attitude_source: str = ""
 
     @property
     def fix(self) -> Fix | None:

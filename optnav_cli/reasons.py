@@ -59,6 +59,7 @@ class ReasonCode(StrEnum):
     INSIDE_BODY = "inside_body", "the position or its prior lies inside the body"
     DEGENERATE = "degenerate", "the measurements leave a direction of the position open"
     NUMERICAL_FAILURE = "numerical_failure", "a computation failed, or memory did not suffice"
+    MIRRORED = "mirrored", "picture or coordinates are mirrored: no pose without a reflection fits"
     # priors and control points
     NO_PRIOR = "no_prior", "neither file, outline nor earlier frames give a position to start from"
     NO_CATALOG = "no_catalog", "no catalog was given, so control points were not searched"

@@ -165,6 +165,13 @@ class SpiceNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     frame_error_m: ErrorM | None = None
 
 
+class Atmosphere(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a body's air does to light: refractivity n - 1 at height 0, and its scale height."""
+
+    refractivity: Annotated[float, msgspec.Meta(ge=0.0, le=0.01)]
+    scale_height_m: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)]
+
+
 class CatalogFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where catalogs and terrain models lie in the body frame that positions are stated in.
 
@@ -242,6 +249,7 @@ class BodyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     orbit: LockedOrbit | None = None
     spice: SpiceNames | None = None
     catalog_frame: CatalogFrame = THE_SAME_FRAME
+    atmosphere: Atmosphere | None = None
 
 
 @dataclass(frozen=True)
@@ -261,6 +269,7 @@ class Body:
     orbit                about its planet, for a moon whose planet no theory here gives otherwise
     spice                its names in SPICE kernels; None where the file states none
     catalog_frame        where its catalogs lie in the frame that positions are stated in
+    atmosphere           of bodies whose air bends light
     """
 
     name: str
@@ -275,6 +284,7 @@ class Body:
     orbit: LockedOrbit | None = None
     spice: SpiceNames | None = None
     catalog_frame: CatalogFrame = THE_SAME_FRAME
+    atmosphere: Atmosphere | None = None
 
     def rotation_error_m(self, tdb_s: float) -> float:
         """Error of the rotation as a shift of the surface, 1 sigma a body axis; 0: not stated.
@@ -343,4 +353,5 @@ def read_body(path: Path) -> Body:
         orbit=settings.orbit,
         spice=settings.spice,
         catalog_frame=settings.catalog_frame,
+        atmosphere=settings.atmosphere,
     )

@@ -39,6 +39,8 @@ class Camera:
                             psf_error_px  its 1-sigma error. Both None where not known
     boresight_sigma_arcsec  how well its mounting is known, 1 sigma an axis: an error that stated
                             attitudes of all its frames have in common
+    focal_length_error      how far the focal length may be off, 1 sigma, relative
+    principal_point_error_px  the same of the principal point, a coordinate
     """
 
     name: str
@@ -56,6 +58,8 @@ class Camera:
     focal_length_y_px: float | None = None
     boresight_sigma_arcsec: float = 0.0
     boresight_arcsec: tuple[float, float, float] | None = None
+    focal_length_error: float = 0.0
+    principal_point_error_px: float = 0.0
 
     @property
     def shape(self) -> tuple[int, int]:

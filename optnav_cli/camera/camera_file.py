@@ -51,6 +51,8 @@ class CameraFileSettings(msgspec.Struct, forbid_unknown_fields=True, omit_defaul
     pixel_pitch_y_um: Length | None = None
     boresight_sigma_arcsec: Arcsec = 0.0
     boresight_arcsec: tuple[Turned, Turned, Turned] | None = None
+    focal_length_error: Annotated[float, msgspec.Meta(ge=0.0, le=0.5)] = 0.0
+    principal_point_error_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 0.0
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -111,8 +113,9 @@ def camera_toml(camera: Camera) -> str:
     for key in ("image_circle_radius_px", "psf_sigma_px", "psf_error_px"):
         if (value := getattr(camera, key)) is not None:
             lines.append(f"{key} = {float(value)!r}")
-    if camera.boresight_sigma_arcsec:
-        lines.append(f"boresight_sigma_arcsec = {float(camera.boresight_sigma_arcsec)!r}")
+    for key in ("boresight_sigma_arcsec", "focal_length_error", "principal_point_error_px"):
+        if value := getattr(camera, key):
+            lines.append(f"{key} = {float(value)!r}")
     if camera.boresight_arcsec is not None:
         turns = ", ".join(repr(float(angle)) for angle in camera.boresight_arcsec)
         lines.append(f"boresight_arcsec = [{turns}]")

@@ -66,6 +66,7 @@ KINDS = {
 
 
 TEMPLATES = ("build", "scenario", "navigate", "hazard", "calibrate", "orbit", "qso")
+FOLDERS = ("folder", "points")  # examples to begin with, which `template` copies
 
 
 @click.group(cls=LazyGroup, short_help="What ships with optnav; configurations to start from.")
@@ -109,7 +110,7 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
 @command.command(short_help="Print a commented configuration, or make a picture folder.")
 @click.argument(
     "kind",
-    type=click.Choice([*TEMPLATES, "folder"]),
+    type=click.Choice([*TEMPLATES, *FOLDERS]),
 )
 @output_option("The picture folder; it must not be there, or be empty.", required=False)
 def template(kind: str, output: Path | None) -> None:
@@ -117,25 +118,26 @@ def template(kind: str, output: Path | None) -> None:
 
     KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard, calibrate, orbit
     or qso; or folder: a picture folder with an example picture, whose files say what they hold,
-    which -o names.
+    which -o names; or points: one with picked points.
 
     \b
     Example:
       optnav config template build > moon.toml
       optnav config template folder -o pictures
+      optnav config template points -o picked
     """
     from catalog.config import resource
     from catalog.errors import UsageError
 
-    if (kind == "folder") != (output is not None):
-        wanted = "name it with -o" if kind == "folder" else "leave -o out and send it on with >"
+    if (kind in FOLDERS) != (output is not None):
+        wanted = "name it with -o" if kind in FOLDERS else "leave -o out and send it on with >"
         raise UsageError(f"optnav config template {kind}: {wanted}")
     if output is None:
         click.echo(resource(f"configs/templates/{kind}.toml").read_text(encoding="utf-8"), nl=False)
         return
     from optnav_cli.runs.simulate_folder import write_template_folder
 
-    write_template_folder(output)
+    write_template_folder(output, kind)
     click.echo(output)
 
 

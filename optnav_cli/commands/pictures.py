@@ -108,6 +108,9 @@ def navigate(
     then by control points; earlier frames and other cameras at the same time serve where it shows
     no limb.
 
+    A folder with points.csv, places that a person found in its pictures, needs neither catalog nor
+    prior nor the pictures themselves.
+
     A stopped run goes on where it was when the same command is given again; what is done lies in
     OUTPUT.work until then. A run that is there already, from the same inputs, is left as it is.
 

@@ -1,4 +1,4 @@
-"""A picture folder: run.toml, cameras/NAME.toml, frames.csv and the pictures."""
+"""A picture folder: run.toml, cameras/NAME.toml, frames.csv, perhaps points.csv; the pictures."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from catalog.errors import ConfigError, DataError
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml, load_camera
 from optnav_cli.frames.frames import Frame, read_frames, write_frames
+from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint, read_picked_points
 from optnav_cli.frames.run_settings import (
     FileAttitude,
     RunSettings,
@@ -23,6 +24,7 @@ class Folder:
     """A picture folder that was read; frames in the order of frames.csv.
 
     motion  how the body turns: what attitudes against the stars and Suns of a time were read with
+    points  picked in its pictures, by the picture's name; None where it has no points.csv
     """
 
     path: Path
@@ -30,6 +32,7 @@ class Folder:
     motion: Ephemeris
     cameras: dict[str, Camera]
     frames: list[Frame]
+    points: dict[str, list[PickedPoint]] | None = None
 
     @property
     def body(self) -> Body:
@@ -63,7 +66,11 @@ def read_folder(path: str | Path, kernels: Sequence[Path] = ()) -> Folder:
     frames = read_frames(path / "frames.csv", attitude, cameras)
     if settings.inertial:
         _check_track(path / "frames.csv", frames)
-    return Folder(path, settings, attitude.ephemeris, cameras, frames)
+    points = None
+    if (path / POINTS_CSV).exists():
+        files = [frame.file for frame in frames]
+        points = read_picked_points(path / POINTS_CSV, files, body, settings.points)
+    return Folder(path, settings, attitude.ephemeris, cameras, frames, points)
 
 
 def _check_track(path: Path, frames: Sequence[Frame]) -> None:

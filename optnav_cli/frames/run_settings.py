@@ -55,6 +55,17 @@ class InertialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return float(np.linalg.norm(position)), float(np.linalg.norm(attitude)) * ARCSEC
 
 
+class PointsSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[points]: what the coordinates of points.csv are.
+
+    latitude  from the body's centre, or of the normal of its ellipsoid, as on maps of the Earth
+    height    above the body's sphere, or above its ellipsoid
+    """
+
+    latitude: Literal["planetocentric", "geodetic"] = "planetocentric"
+    height: Literal["sphere", "ellipsoid"] = "sphere"
+
+
 class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """run.toml.
 
@@ -62,12 +73,14 @@ class RunSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     attitude  which rotation the quaternions of the folder's tables are
     inertial  what the one inertial track of frames.csv is wrong by; unset: each row by itself
     mount     where cameras stand in the ship, for stereo
+    points    what the coordinates of points.csv are
     """
 
     body: str
     attitude: Attitude
     inertial: InertialSettings | msgspec.UnsetType = msgspec.UNSET
     mount: tuple[MountSettings, ...] = ()
+    points: PointsSettings = PointsSettings()
 
 
 def read_run_settings(path: Path) -> tuple[RunSettings, Body]:
@@ -98,6 +111,9 @@ def write_run_settings(settings: RunSettings, folder: Path) -> None:
         errors = msgspec.structs.asdict(settings.inertial)
         lines = (f"{name} = {float(value)!r}\n" for name, value in errors.items())
         text += "\n[inertial]\n" + "".join(lines)
+    if settings.points != PointsSettings():
+        points = settings.points
+        text += f'\n[points]\nlatitude = "{points.latitude}"\nheight = "{points.height}"\n'
     text += "".join(mount.toml() for mount in settings.mount)
     (folder / RUN_TOML).write_text(text, encoding="utf-8")
 

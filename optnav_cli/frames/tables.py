@@ -68,6 +68,20 @@ FRAMES = CsvTable(
     together=(QUATERNION, POSITION, SUN),
 )
 
+PICKED_POINTS = CsvTable(
+    (
+        FILE,
+        *(_number(f"{i}_px", f"the point in the picture, {i}", "px", ".4f", False) for i in "xy"),
+        _number("lat_deg", "its latitude, as `[points]` of run.toml says", "deg", ".9f", False),
+        _number("lon_deg", "its longitude, east positive", "deg", ".9f", False),
+        _number("height_m", "its height, as `[points]` of run.toml says", "m", ".4f", False),
+        _number("sigma_px", "1 sigma of the pick, a coordinate; over 0", "px", ".6g", False),
+        _number("sigma_m", "1 sigma of the place, a coordinate; 0: exact", "m", ".6g", False),
+        _text("name", "of the point, once in a picture; empty: its number", empty=True),
+    ),
+    by_hand=True,
+)
+
 TIMES = CsvTable((FILE, UTC), by_hand=True)
 
 TRUTH = CsvTable(
@@ -98,6 +112,13 @@ SOLUTION = CsvTable(
         *(REASON, REASON_CODE),
         _count("n_windows", "windows of the terrain model that a descent keeps", newer=True),
         _count("n_landmarks", "landmarks that it keeps", newer=True),
+        CsvColumn(
+            "attitude_source",
+            "what the attitude is from: frames.csv, stars, or points",
+            "text",
+            empty=True,
+            newer=True,
+        ),
     )
 )
 
@@ -105,7 +126,7 @@ MATCHES = CsvTable(
     (
         FILE,
         _text("catalog", "file name of the control point's catalog", empty=True),
-        _count("id", "the control point's id in its catalog", empty=False),
+        _text("id", "the control point's id in its catalog, or a picked point's name"),
         _count("level", "pyramid level of the last match, 0 is the finest", empty=False),
         _number("lat_deg", "the point's latitude, planetocentric", "deg", "z.9f", empty=False),
         _number("lon_deg", "its longitude, -180 to 180, east positive", "deg", "z.9f", empty=False),
@@ -122,7 +143,7 @@ MATCHES = CsvTable(
         *_pixel("prior", "where the pose predicted it from which the search began", newer=True),
         CsvColumn(
             "kind",
-            "control_point, window or landmark; empty: control_point",
+            "control_point, window, landmark or picked_point; empty: control_point",
             "text",
             empty=True,
             newer=True,

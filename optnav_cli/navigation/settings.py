@@ -2,7 +2,7 @@
 
 from math import radians
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -11,6 +11,7 @@ from catalog.terrain.dem.file import path_of
 from optnav_cli.frames.run_settings import SpiceSettings
 
 Share = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
+Construction = Literal["least_squares", "circles", "tori"]
 Elevation = Annotated[float, msgspec.Meta(ge=0.0, le=90.0)]
 
 
@@ -46,12 +47,19 @@ class SolveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     max_points: Annotated[int, msgspec.Meta(ge=4, le=10_000)] = 200
 
 
+class PickedSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How picked points become a position."""
+
+    construction: Construction = "least_squares"
+
+
 class NavigateSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The whole navigation config."""
 
     view: ViewSettings = ViewSettings()
     match: MatchSettings = MatchSettings()
     solve: SolveSettings = SolveSettings()
+    points: PickedSettings = PickedSettings()
     spice: SpiceSettings = SpiceSettings()
 
     def attitude_sigma_rad(self, stated: float | None) -> float:

@@ -192,7 +192,7 @@ def _draw_matches(canvas: Canvas, matches: Sequence[MatchRow]) -> None:
     for number, match in enumerate(drawn):
         if match.measured_px is None:
             continue
-        words, (x, y) = str(match.cp_id), places[number]
+        words, (x, y) = match.label, places[number]
         long, away = text_width(words), half + 2.0
         for left, foot in (
             *((x + away, y - away + 3.0), (x + away, y + away + LABEL_PX - 3.0)),

@@ -335,7 +335,7 @@ class Annotations:
                 text = {
                     **self._stamp,
                     "position": self._place(last + MARK_PX * self._size / self._factor),
-                    "text": str(match.cp_id),
+                    "text": match.label,
                     "font_size": TEXT_PX * self._size,
                     "text_color": color(rgb),
                     "background_color": _CLEAR,
@@ -385,7 +385,7 @@ class Annotations:
 
 
 def _about(match: MatchRow) -> list[Message]:
-    about = {"id": str(match.cp_id), "level": str(match.level)}
+    about = {"id": match.label, "level": str(match.level)}
     if match.score is not None:
         about["score"] = f"{match.score:.3f}"
     if match.reason:

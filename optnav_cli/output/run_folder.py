@@ -18,6 +18,7 @@ from catalog.tables import CsvTable
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera
 from optnav_cli.fix import MatchRow, Method, Solution
+from optnav_cli.frames.picked_points import POINTS_CSV
 from optnav_cli.frames.run_settings import (
     RUN_TOML,
     FileAttitude,
@@ -51,6 +52,8 @@ def copy_inputs(pictures: Path, settings: RunSettings, run: Path) -> None:
     """Copy run.toml, the body's own file, frames.csv and cameras/ into a run, to be read alone."""
     for name in (RUN_TOML, FRAMES):
         shutil.copyfile(pictures / name, run / name)
+    if (pictures / POINTS_CSV).exists():
+        shutil.copyfile(pictures / POINTS_CSV, run / POINTS_CSV)
     if is_body_file(settings.body):
         write_run_settings(settings, run)
     shutil.copytree(pictures / CAMERAS, run / CAMERAS, copy_function=shutil.copyfile)

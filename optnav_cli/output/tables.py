@@ -11,7 +11,16 @@ from catalog.errors import DataError
 from catalog.geometry.latlon import latlon_from_xyz, xyz_from_latlon
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow
-from optnav_cli.fix import Evidence, Fix, MatchKind, MatchRow, Method, NoFix, Solution
+from optnav_cli.fix import (
+    Evidence,
+    Fix,
+    MatchKind,
+    MatchRow,
+    Method,
+    NoFix,
+    Solution,
+    number_of_name,
+)
 from optnav_cli.frames.frames import MAX_DISTANCE_M
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import (
@@ -41,6 +50,7 @@ SAME_IN_SOLUTION = (
     "prior",
     "reason",
     "reason_code",
+    "attitude_source",
 )
 SAME_IN_MATCH = (
     *("file", "catalog", "level", "score", "runner_up", "sun_elevation_deg", "used"),
@@ -162,7 +172,8 @@ def _solution(row: CsvRow, attitude: FileAttitude) -> Solution:
         covariance = attitude.places.catalog_covariance(_covariance(upper))
         place = attitude.places.catalog(position)
         outcome = Fix(method, place, covariance, camera_from_body, sigma_rad, evidence, reason)
-    return Solution(row["file"], row["utc"], outcome, row["prior"])
+    source = row["attitude_source"]
+    return Solution(row["file"], row["utc"], outcome, row["prior"], attitude_source=source)
 
 
 def _method(row: CsvRow) -> Method | None:
@@ -191,7 +202,7 @@ def _covariance(upper: FloatArray) -> FloatArray:
 
 def _match_cells(match: MatchRow) -> dict[str, object]:
     cells: dict[str, object] = {name: getattr(match, name) for name in SAME_IN_MATCH}
-    cells["id"] = match.cp_id
+    cells["id"] = match.label
     cells |= _place_cells(match.cp_position_m)
     for name in ("predicted", "measured", "residual", "prior"):
         pixel = getattr(match, f"{name}_px")
@@ -222,7 +233,9 @@ def _adjusted_cells(match: AdjustedMatch) -> dict[str, object]:
 
 
 def _match(row: CsvRow) -> MatchRow:
-    cp_id, level = row.count("id"), row.count("level")
+    kind, level = _kind(row), row.count("level")
+    name = row["id"] if kind is MatchKind.PICKED_POINT else ""
+    cp_id = number_of_name(name) if name else row.count("id")
     place = row.vector(("lat_deg", "lon_deg", "radius_m"))
     predicted = row.vector(_pixel("predicted"))
     if cp_id is None or level is None or place is None or predicted is None:
@@ -244,7 +257,8 @@ def _match(row: CsvRow) -> MatchRow:
         prior_px=row.vector(_pixel("prior")),
         catalog=row["catalog"],
         reason_code=reason_code(row),
-        kind=_kind(row),
+        kind=kind,
+        name=name,
     )
 
 

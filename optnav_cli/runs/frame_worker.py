@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 
-from catalog.arrays import FloatArray
+from catalog.arrays import Float32Array, FloatArray
 from catalog.cache import Cache
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
@@ -28,9 +28,10 @@ from catalog.jobs.workspace import pack, unpack
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.file import path_of
 from optnav_cli.camera.camera import Camera
-from optnav_cli.fix import MatchKind, NoFix, Solution
+from optnav_cli.fix import MatchKind, Method, NoFix, Solution
 from optnav_cli.frames.folder import Folder, read_folder
 from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint
 from optnav_cli.frames.picture import LaterPicture, Picture, load_picture
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
@@ -38,6 +39,8 @@ from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField
 from optnav_cli.navigation.descent import DescentNavigator
 from optnav_cli.navigation.history import NeedsPastError, UnseenPast
+from optnav_cli.navigation.observation import FROM_FILE
+from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.navigation.settings import NavigateSettings
 from optnav_cli.output.overlay import overlay_png, patch_outlines
 from optnav_cli.output.recording import recorded_image
@@ -87,14 +90,15 @@ class FrameRecord:
 
 def packed_row(row: Solution) -> bytes:
     """A row of solution.csv with its evidence as bytes."""
-    return pack((row.file, row.utc, Outcome.of(row.outcome), row.prior, row.prior_m))
+    outcome = Outcome.of(row.outcome)
+    return pack((row.file, row.utc, outcome, row.prior, row.prior_m, row.attitude_source))
 
 
 def unpacked_row(data: bytes) -> Solution:
     """The row that `packed_row` was given."""
-    kinds: Any = tuple[str, str, Outcome, str, FloatArray | None]
-    file, utc, outcome, prior, prior_m = unpack(data, kinds)
-    return Solution(file, utc, outcome.value, prior, prior_m)
+    kinds: Any = tuple[str, str, Outcome, str, FloatArray | None, str]
+    file, utc, outcome, prior, prior_m, source = unpack(data, kinds)
+    return Solution(file, utc, outcome.value, prior, prior_m, source)
 
 
 @dataclass(frozen=True)
@@ -145,6 +149,7 @@ class FrameWorker:
         """Files that a worker elsewhere must see; with those of the folder go its pictures."""
         given = self.given
         folder = [given.pictures / RUN_TOML, given.pictures / FRAMES]
+        folder += [path for path in [given.pictures / POINTS_CSV] if path.exists()]
         relief = [] if given.relief is None else [given.relief]
         return [*folder, *given.catalogs, *given.kernels, *relief]
 
@@ -168,6 +173,23 @@ class FrameWorker:
         return NavigationInputs(
             points, folder.motion, ground, given.settings, MATCHERS[matcher], inertial
         )
+
+    @cached_property
+    def picked(self) -> PickedFrames:
+        """What solves frames whose points were picked."""
+        folder = self.folder
+        how = self.given.settings.points.construction
+        return PickedFrames(folder.attitude, folder.settings.points, how)
+
+    def points_of(self, frame: Frame) -> Sequence[PickedPoint] | None:
+        """The points picked in a frame's picture, which then lead; None: it is navigated without.
+
+        Without a catalog all frames of a folder with points.csv are solved by these, or not at all.
+        """
+        points = self.folder.points
+        if points is None or (frame.file not in points and self.given.catalogs):
+            return None
+        return points.get(frame.file, ())
 
     def descent(
         self, track: InertialSettings | None = None, windows_above_m: float = 0.0
@@ -220,7 +242,13 @@ class FrameWorker:
     def _row(
         self, frame: Frame, navigator: Navigator | DescentNavigator, answers: Answers
     ) -> tuple[Solution, bool]:
-        """A frame's row, and whether something failed; what is wrong with it becomes a reason."""
+        """A frame's row, and whether it stands; what is wrong with it becomes a reason."""
+        row, stands = self._answered(frame, navigator, answers)
+        return replace(row, attitude_source=_attitude_source(frame, row)), stands
+
+    def _answered(
+        self, frame: Frame, navigator: Navigator | DescentNavigator, answers: Answers
+    ) -> tuple[Solution, bool]:
         if frame.problem:
             return _unsolved(frame, ReasonCode.BAD_FRAME, frame.problem), True
         camera = self.folder.cameras.get(frame.camera)
@@ -229,6 +257,9 @@ class FrameWorker:
             return _unsolved(frame, ReasonCode.UNKNOWN_CAMERA, text), True
         code = ReasonCode.BAD_PICTURE
         try:
+            points = self.points_of(frame)
+            if points is not None:
+                return self.picked.solve(frame, camera, points), True
             if not answers:
                 self._picture(frame, camera)
             code = ReasonCode.BAD_DATA
@@ -254,7 +285,7 @@ class FrameWorker:
         camera = self.folder.cameras.get(frame.camera)
         if camera is not None and not frame.problem:
             try:
-                values = self._picture(frame, camera).values
+                values = self._shown(frame, camera)
                 image = image or recorded_image(values, camera)
                 if row is not None:
                     outlines = _patch_outlines(row, camera, self.inputs.points)
@@ -273,6 +304,15 @@ class FrameWorker:
         self._details += "".join(traceback.format_exception(error))
         lines = str(error).splitlines()
         return f"{what} ({type(error).__name__}{': ' if lines else ''}{lines[0] if lines else ''})"
+
+    def _shown(self, frame: Frame, camera: Camera) -> Float32Array:
+        """What a frame's row is drawn on: its picture; black where picked points need none."""
+        try:
+            return self._picture(frame, camera).values
+        except DataError:
+            if self.points_of(frame) is None:
+                raise
+            return np.zeros(camera.shape, np.float32)
 
     def _picture(self, frame: Frame, camera: Camera) -> Picture:
         """A frame's picture; the last one is at hand. Raises DataError."""
@@ -302,6 +342,15 @@ def in_order(folder: Folder) -> Iterator[int]:
         last = keys[-1][0] if keys else -np.inf
         keys.append((last if frame.tdb_s is None else frame.tdb_s, -width))
     yield from sorted(range(len(keys)), key=lambda place: keys[place])
+
+
+def _attitude_source(frame: Frame, row: Solution) -> str:
+    """What the attitude of a solved row is from: of a free one, from what fixed it."""
+    fix = row.fix
+    if fix is None or fix.camera_from_body is None:
+        return ""
+    by_points = fix.method in (Method.CONTROL_POINTS, Method.PICKED_POINTS)
+    return "points" if by_points and frame.attitude_sigma_rad is None else FROM_FILE
 
 
 def _unsolved(frame: Frame, code: ReasonCode, text: str) -> Solution:

@@ -21,6 +21,8 @@ from catalog.jobs.workspace import ChunkResults, Workspace, code_key, encode_rec
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.fix import MatchRow, Solution
+from optnav_cli.frames.picked_points import POINTS_CSV
+from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.descent import DescentNavigator
 from optnav_cli.navigation.history import SAME_TIME_S
@@ -29,6 +31,7 @@ from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.recording import Recording, describe
 from optnav_cli.output.run_folder import (
     CAMERAS,
+    FRAMES,
     LANDMARKS,
     MATCHES,
     OVERLAYS,
@@ -284,10 +287,11 @@ def _inputs(worker: FrameWorker, given: RunInputs) -> dict[str, Any]:
     folder = worker.folder
     usable = (frame.file for frame in folder.frames if frame.problem is None)
     cameras = (f"{CAMERAS}/{name}.toml" for name in folder.cameras)
+    tables = [RUN_TOML, FRAMES, *([] if folder.points is None else [POINTS_CSV])]
     relief = worker.inputs.relief
     return {
         "pictures": str(given.pictures),
-        "files_sha256": hash_files(given.pictures, [*usable, *cameras, "run.toml", "frames.csv"]),
+        "files_sha256": hash_files(given.pictures, [*usable, *cameras, *tables]),
         "catalogs": [
             {"path": str(path), "digest": catalog.digest}
             for path, catalog in zip(given.catalogs, worker.catalogs, strict=True)

@@ -20,7 +20,7 @@ from catalog.jobs.workspace import ChunkResults, Workspace, code_key, content_ha
 from catalog.places import check_apart
 from catalog.progress import Progress, SilentProgress, logged_stage
 from optnav_cli.camera.camera_file import camera_toml
-from optnav_cli.frames.tables import FRAMES
+from optnav_cli.frames.tables import FRAMES, PICKED_POINTS
 from optnav_cli.output.manifest import is_finished, unfinished, versions, write_manifest
 from optnav_cli.simulation.run import Simulation, Taken, take
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
@@ -123,18 +123,26 @@ def _key(simulation: Simulation, workspace: Workspace) -> str:
     )
 
 
-def write_template_folder(place: Path) -> None:
-    """Copy the example folder that ships with optnav; its README lists the columns of frames.csv.
+# Example folders, and the table whose columns their README lists.
+EXAMPLES = {
+    "folder": ("data/picture_folder/run.toml", FRAMES),
+    "points": ("data/picked_points/run.toml", PICKED_POINTS),
+}
+
+
+def write_template_folder(place: Path, kind: str = "folder") -> None:
+    """Copy an example folder that ships with optnav, of EXAMPLES; its README lists the columns.
 
     Raises OutputError for a place that holds anything: somebody may have worked on it.
     """
     if place.is_dir() and any(place.iterdir()):
         raise OutputError(f"{place}: the folder is not empty; name another place")
     started = datetime.now(UTC)
-    example = resource("data/picture_folder/run.toml").parent
+    name, table = EXAMPLES[kind]
+    example = resource(name).parent
     with replacing_folder(place, TEMPLATE) as new:
         shutil.copytree(example, new, dirs_exist_ok=True, copy_function=shutil.copyfile)
         readme = new / "README.md"
-        text = readme.read_text(encoding="utf-8").replace("COLUMNS", FRAMES.markdown())
+        text = readme.read_text(encoding="utf-8").replace("COLUMNS", table.markdown())
         readme.write_text(text, encoding="utf-8")
         write_manifest(new, TEMPLATE, command="config", options={}, inputs={}, started=started)

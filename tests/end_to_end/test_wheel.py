@@ -122,8 +122,9 @@ def test_the_wheel_holds_all_modules_configs_and_data(wheel: Path) -> None:
     assert configs <= names
     assert "catalog/data/tycho_gld100_256ppd.tif" in names
     assert "catalog/data/moon_gld100_4ppd.tif" in names
-    folder = (CHECKOUT / "catalog/data/picture_folder").rglob("*")
-    assert {p.relative_to(CHECKOUT).as_posix() for p in folder if p.is_file()} <= names
+    for example in ("picture_folder", "picked_points"):
+        folder = (CHECKOUT / "catalog/data" / example).rglob("*")
+        assert {p.relative_to(CHECKOUT).as_posix() for p in folder if p.is_file()} <= names
     assert not [name for name in names if name.startswith("tests")]
 
 

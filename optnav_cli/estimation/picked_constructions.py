@@ -1,0 +1,234 @@
+"""The camera's place by construction: circles of equal angle, tori about pairs of points.
+
+Source: the Vector-T procedure for pictures of the Earth from an orbit. Circles: a homography takes
+the picture to a plane; the middle of the picture and two opposite points of a circle about it stand
+on a line there, and the camera sees both halves under the same known angle. Tori: the camera sees
+each of three pairs of points under a known angle. Both use less than all that the points say; they
+stay as a check of the least squares, and for the study of what they cost.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import FloatArray
+from catalog.errors import NoSolutionError
+from catalog.geometry.latlon import body_from_local, latlon_from_xyz
+from optnav_cli.estimation.models.points import Pose
+from optnav_cli.reasons import ReasonCode
+
+MIN_CIRCLE_POINTS, MIN_TORUS_POINTS = 4, 3
+CIRCLE_STEPS = 720
+MAX_ROUNDS = 12
+MAX_NEWTON = 50
+SETTLED = 1e-9  # of the distance
+STEP = 0.2  # of a sigma, for derivatives
+
+CircleGround = Literal["flat", "tangent"]
+
+
+@dataclass(frozen=True, eq=False)
+class Picks:
+    """What constructions take: places (n, 3), m, and points (n, 2) of the plane at distance 1.
+
+    half_side  tangent of the angle from the middle to the nearer side of the picture
+    """
+
+    places_m: FloatArray
+    image: FloatArray
+    half_side: float
+
+
+def homography(image: FloatArray, plane: FloatArray) -> FloatArray:
+    """The matrix (3, 3) that takes points (n, 2) to points (n, 2) of a plane; n is 4 or more.
+
+    By the singular vector of the 2n x 9 system of Hartley and Zisserman (2004), ch. 4, in
+    coordinates of unit size.
+    """
+    (a, from_image), (b, from_plane) = _unit_size(image), _unit_size(plane)
+    one = np.column_stack([a, np.ones(len(a))])
+    zero = np.zeros_like(one)
+    rows = np.concatenate(
+        [np.hstack([one, zero, -one * b[:, :1]]), np.hstack([zero, one, -one * b[:, 1:]])]
+    )
+    found: FloatArray = np.linalg.inv(from_plane) @ np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    return found @ from_image
+
+
+def through(matrix: FloatArray, points: FloatArray) -> FloatArray:
+    """Points (n, 2) that a homography takes points (n, 2) to."""
+    found = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    return np.asarray(found[:, :2] / found[:, 2:])
+
+
+def by_circles(picks: Picks, ground: CircleGround = "tangent") -> FloatArray:
+    """The camera's place (3,), m, from two circles in the plane of the main vertical.
+
+    ground  flat: the points' east and north are a map, the body's curvature is left out;
+            tangent: points are moved to the tangent plane along lines of sight, in rounds
+
+    Raises NoSolutionError for fewer than four points and where the circles do not meet above.
+    """
+    if len(picks.image) < MIN_CIRCLE_POINTS:
+        text = f"circles need {MIN_CIRCLE_POINTS} points; there are {len(picks.image)}"
+        raise NoSolutionError(text, ReasonCode.FEW_POINTS)
+    base = picks.places_m.mean(axis=0)
+    lat, lon, _ = latlon_from_xyz(base)
+    axes = body_from_local(float(lat), float(lon))
+    local = (picks.places_m - base) @ axes
+    camera = _above(homography(picks.image, local[:, :2]), picks.half_side)
+    if ground == "tangent":
+        for _ in range(MAX_ROUNDS):
+            share = local[:, 2] / (camera[2] - local[:, 2])
+            flat = local + (local - camera) * share[:, None]
+            last = camera
+            camera = _above(homography(picks.image, flat[:, :2]), picks.half_side)
+            if np.linalg.norm(camera - last) < SETTLED * np.linalg.norm(camera):
+                break
+    return np.asarray(base + axes @ camera)
+
+
+def by_tori(picks: Picks, start_m: FloatArray) -> FloatArray:
+    """The camera's place (3,), m, from the angles between the three points that stand widest.
+
+    Newton's method from a start (3,), to the nearest of up to four places.
+    Raises NoSolutionError for fewer than three points and where it does not settle.
+    """
+    if len(picks.image) < MIN_TORUS_POINTS:
+        text = f"tori need {MIN_TORUS_POINTS} points; there are {len(picks.image)}"
+        raise NoSolutionError(text, ReasonCode.FEW_POINTS)
+    some = list(_widest_three(picks.image))
+    rays = np.column_stack([picks.image[some], np.ones(3)])
+    angles = _angles(rays)
+    places, camera = picks.places_m[some], start_m
+    for _ in range(MAX_NEWTON):
+        seen, by_place = _angles_from(places, camera)
+        try:
+            step = np.linalg.solve(by_place, angles - seen)
+        except np.linalg.LinAlgError:
+            break
+        # far from the solution a full step may leave the sky
+        reach = 0.3 * float(np.linalg.norm(camera - places[0]))
+        size = float(np.linalg.norm(step))
+        camera = camera + step * min(1.0, reach / max(size, 1e-12))
+        if size < SETTLED * np.linalg.norm(camera - places[0]):
+            return camera
+    raise NoSolutionError("the tori do not meet near the start", ReasonCode.NOT_SETTLED)
+
+
+def covariance_of(
+    construct: Callable[[Picks], FloatArray],
+    picks: Picks,
+    sigma_image: FloatArray,
+    sigma_m: FloatArray,
+    lens: tuple[float, float],
+) -> FloatArray:
+    """Covariance (3, 3), m^2, of a constructed place, by differences.
+
+    sigma_image, sigma_m  (n,) of the points in the plane at distance 1, and of the places
+    lens                  relative error of the focal length; of the principal point, as sigma_image
+    """
+    middle = construct(picks)
+    moved: list[FloatArray] = []
+    for number in range(len(picks.image)):
+        for axis in range(2):
+            image = picks.image.copy()
+            image[number, axis] += STEP * sigma_image[number]
+            moved.append(construct(replace(picks, image=image)) - middle)
+        for axis in range(3 if sigma_m[number] > 0.0 else 0):
+            places = picks.places_m.copy()
+            places[number, axis] += STEP * sigma_m[number]
+            moved.append(construct(replace(picks, places_m=places)) - middle)
+    focal, centre = lens
+    if focal > 0.0:
+        factor = 1.0 + STEP * focal
+        longer = replace(picks, image=picks.image / factor, half_side=picks.half_side / factor)
+        moved.append(construct(longer) - middle)
+    for axis in range(2 if centre > 0.0 else 0):
+        image = picks.image.copy()
+        image[:, axis] += STEP * centre
+        moved.append(construct(replace(picks, image=image)) - middle)
+    columns = np.array(moved) / STEP
+    return columns.T @ columns
+
+
+def pose_at(place_m: FloatArray, picks: Picks) -> Pose:
+    """The attitude from which a camera at a place (3,) sees the points best."""
+    rays = np.column_stack([picks.image, np.ones(len(picks.image))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    sights = picks.places_m - place_m
+    sights /= np.linalg.norm(sights, axis=1, keepdims=True)
+    turn, _ = Rotation.align_vectors(rays, sights)
+    return Pose(place_m, turn)
+
+
+def _above(matrix: FloatArray, half_side: float) -> FloatArray:
+    """The camera (3,) over the plane: east, north and up of its origin."""
+    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_STEPS, endpoint=False)
+    circle = half_side * np.column_stack([np.cos(angle), np.sin(angle)])
+    middle = through(matrix, np.zeros((1, 2)))[0]
+    away = np.linalg.norm(through(matrix, circle) - middle, axis=1)
+    top = int(np.argmax(away))
+    before, highest, after = away[top - 1], away[top], away[(top + 1) % CIRCLE_STEPS]
+    # between steps by a parabola: a quarter of a degree here turns the camera by a kilometre
+    bend = before - 2.0 * highest + after
+    share = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    direction = angle[top] + share * (angle[1] - angle[0])
+    ends = half_side * np.array([np.cos(direction), np.sin(direction)])
+    far, near = through(matrix, np.array([ends, -ends]))
+    along = (far - middle) / np.linalg.norm(far - middle)
+    alpha = np.arctan(half_side)
+    # with the middle as origin: both chords begin there, so both circles go through it
+    chords = float((far - middle) @ along), float((near - middle) @ along)
+    if not chords[1] < 0.0 < chords[0]:
+        raise NoSolutionError("the picture looks past the ground", ReasonCode.NO_SOLUTION)
+    centres = np.array([(chord / 2.0, abs(chord) / (2.0 * np.tan(alpha))) for chord in chords])
+    line = (centres[1] - centres[0]) / np.linalg.norm(centres[1] - centres[0])
+    foot = centres[0] - (centres[0] @ line) * line
+    x, up = 2.0 * foot  # the origin mirrored in the line of centres
+    return np.array([*(middle + x * along), up])
+
+
+def _unit_size(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) moved to their mean and scaled to unit size, and the matrix that does it."""
+    middle = points.mean(axis=0)
+    scale = 1.0 / float(np.sqrt(((points - middle) ** 2).sum(axis=1).mean() / 2.0))
+    matrix = np.diag([scale, scale, 1.0])
+    matrix[:2, 2] = -scale * middle
+    return (points - middle) * scale, matrix
+
+
+def _widest_three(image: FloatArray) -> tuple[int, int, int]:
+    """Indices of the three points whose triangle is largest, of the outer ones."""
+    out = np.linalg.norm(image - image.mean(axis=0), axis=1)
+    outer = sorted(int(i) for i in np.argsort(-out)[:12])
+
+    def area(three: tuple[int, ...]) -> float:
+        (ax, ay), (bx, by) = image[three[1]] - image[three[0]], image[three[2]] - image[three[0]]
+        return abs(float(ax * by - ay * bx))
+
+    a, b, c = max(combinations(outer, 3), key=area)
+    return a, b, c
+
+
+def _angles(rays: FloatArray) -> FloatArray:
+    """Angles (3,) between three rays (3, 3): of the first two, the last two, the outer two."""
+    others = np.roll(rays, -1, axis=0)
+    crossed = np.linalg.norm(np.cross(rays, others), axis=1)
+    return np.asarray(np.arctan2(crossed, (rays * others).sum(axis=1)))
+
+
+def _angles_from(places_m: FloatArray, camera_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The same between places (3, 3) from a camera, and derivatives (3, 3) by its place."""
+    sights = places_m - camera_m
+    distances = np.linalg.norm(sights, axis=1, keepdims=True)
+    rays = sights / distances
+    angles = _angles(rays)
+    others, far = np.roll(rays, -1, axis=0), np.roll(distances, -1, axis=0)
+    cosine = np.cos(angles)[:, None]
+    by_cosine = -(others - cosine * rays) / distances - (rays - cosine * others) / far
+    return angles, -by_cosine / np.sin(angles)[:, None]

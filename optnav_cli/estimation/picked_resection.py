@@ -1,0 +1,503 @@
+"""A camera's pose from points that a person picked, without a first guess; the lens may err.
+
+The start comes from OpenCV (SQPNP of Terzakis and Lourakis, ECCV 2020, for four points and more,
+P3P for three). The fit has the errors of the lens beside the pose, each with the prior that the
+camera file states: its focal length by a factor, its principal point by a shift. Blunders go by the
+stated sigmas alone: each point's residual over what the fit leaves of its own error (Baarda's data
+snooping).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from catalog.arrays import BoolArray, FloatArray
+from catalog.errors import NoSolutionError
+from optnav_cli.estimation.least_squares import (
+    Estimate,
+    Iteration,
+    Linearisation,
+    linearised,
+    solve,
+)
+from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
+from optnav_cli.reasons import Reason, ReasonCode
+
+# A point is left out, and a whole fit refused, when chance makes as much so rarely.
+GATE_PROBABILITY, FIT_PROBABILITY = 0.9995, 0.9999
+MAX_LEFT_OUT = 0.34  # of the points: more are no blunders, but wrong coordinates or a wrong lens
+MIN_LEFT = 1e-3  # of a point's variance in its residual: less is rounding
+MAX_SAMPLES = 100
+MIN_DEPTH = 0.05  # of a ray's length along the boresight: OpenCV's poses need points before a plane
+OWN_LINE = 3.0  # sigmas that points must stand off a common line
+SAME_PLACE_SIGMAS = 5.0
+RIVAL_COST = 11.8  # another pose whose cost is less than 3 sigmas of two numbers higher
+_OPEN = Reason(ReasonCode.DEGENERATE, "the points do not fix position and attitude")
+_UNSETTLED = Reason(ReasonCode.NOT_SETTLED, "the position did not settle in 40 iterations")
+_ITERATION = Iteration(40, 1e-4, _OPEN, _UNSETTLED, each_unknown=True, damped=True)
+
+
+@dataclass(frozen=True)
+class LensPrior:
+    """What a lens may be off by, 1 sigma.
+
+    focal       relative, of the focal length;  centre_px  of the principal point, a coordinate
+    middle_px   (2,) the stated principal point
+    """
+
+    focal: float
+    centre_px: float
+    middle_px: FloatArray
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """(k,) of the numbers that are not exact: factor, then shift along x and y."""
+        shift = [self.centre_px] * 2 if self.centre_px > 0.0 else []
+        return np.array([self.focal] * (self.focal > 0.0) + shift)
+
+
+@dataclass(frozen=True)
+class LensPose:
+    """A pose and an error of the lens: its focal length's factor less 1, and a shift (2,) px."""
+
+    pose: Pose
+    focal: float
+    shift_px: FloatArray
+
+
+@dataclass(frozen=True)
+class PickedPose:
+    """A pose from picked points.
+
+    covariance    (6, 6) position, m, body frame, and rotation vector, rad, camera frame
+    used          (n,) which points it rests on
+    residuals_px  (n, 2) of all points, measured less predicted
+    cost, freedom squared residuals in units of their covariance, and their expectation
+    focal         what the lens is longer by, as a share, as far as the points tell
+    """
+
+    pose: Pose
+    covariance: FloatArray
+    used: BoolArray
+    residuals_px: FloatArray
+    cost: float
+    freedom: int
+    focal: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the points agree within their sigmas, with few left out."""
+        agree = self.freedom <= 0 or self.cost < float(chi2.ppf(FIT_PROBABILITY, self.freedom))
+        return agree and 1.0 - self.used.mean() <= MAX_LEFT_OUT
+
+    @property
+    def position_covariance_m2(self) -> FloatArray:
+        """(3, 3), body frame."""
+        return self.covariance[:3, :3]
+
+    @property
+    def attitude_sigma_rad(self) -> float:
+        """1 sigma an axis, root mean square."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:]) / 3.0))
+
+
+@dataclass(frozen=True, eq=False)
+class PickedSightings:
+    """Points that a person picked.
+
+    places_m (n, 3) body frame;  pixels (n, 2);  sigma_px, sigma_m (n,) a coordinate
+    """
+
+    places_m: FloatArray
+    pixels: FloatArray
+    sigma_px: FloatArray
+    sigma_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.places_m)
+
+    def subset(self, some: BoolArray) -> "PickedSightings":
+        """Those of a mask (n,)."""
+        return PickedSightings(
+            self.places_m[some], self.pixels[some], self.sigma_px[some], self.sigma_m[some]
+        )
+
+    def sightings(self, camera: ProjectingCamera, pose: Pose) -> Sightings:
+        """With the error of each place as the camera sees it from a pose, px."""
+        _, jacobian = predict(camera, pose, self.places_m)
+        by_place = jacobian[:, :, :3]
+        seen = by_place @ by_place.transpose(0, 2, 1)
+        own = np.eye(2) * (self.sigma_px**2)[:, None, None]
+        return Sightings(self.places_m, self.pixels, own + seen * (self.sigma_m**2)[:, None, None])
+
+
+class _LensPoints:
+    """Picked points as measurements of a pose and a lens."""
+
+    def __init__(self, camera: ProjectingCamera, seen: Sightings, lens: LensPrior) -> None:
+        self._camera, self._seen, self._lens = camera, seen, lens
+        self._information = np.linalg.inv(seen.covariances_px2).astype(np.float64)
+
+    def linearise(self, state: LensPose) -> Linearisation:
+        pixels, by_pose = predict(self._camera, state.pose, self._seen.points_body_m)
+        out = pixels - self._lens.middle_px
+        factor = 1.0 + state.focal
+        residuals = self._seen.pixels - (self._lens.middle_px + state.shift_px + factor * out)
+        if not np.isfinite(residuals).all():
+            text = "a point left the camera's view during the iteration"
+            raise NoSolutionError(text, ReasonCode.NOT_SETTLED)
+        columns = [factor * by_pose]
+        if self._lens.focal > 0.0:
+            columns.append(out[:, :, None])
+        if self._lens.centre_px > 0.0:
+            columns.append(np.broadcast_to(np.eye(2), (len(out), 2, 2)))
+        return linearised(residuals, np.concatenate(columns, axis=2), self._information)
+
+
+class _LensErrors:
+    """The lens as its file states it, as a measurement."""
+
+    def __init__(self, lens: LensPrior) -> None:
+        self._lens, self._sigmas = lens, lens.sigmas
+
+    def linearise(self, state: LensPose) -> Linearisation:
+        numbers = _numbers(state, self._lens)
+        jacobian = np.eye(6 + numbers.size)[6:]
+        return linearised(-numbers, jacobian, self._sigmas**-2)
+
+
+class _StatedAttitude:
+    """A measured attitude (camera_from_body) with one sigma an axis, rad."""
+
+    def __init__(self, camera_from_body: Rotation, sigma_rad: float, unknowns: int) -> None:
+        self._measured, self._weights = camera_from_body, np.full(3, sigma_rad**-2)
+        self._jacobian = np.eye(3, unknowns, 3)
+
+    def linearise(self, state: LensPose) -> Linearisation:
+        offset = (self._measured * state.pose.camera_from_body.inv()).as_rotvec()
+        return linearised(offset, self._jacobian, self._weights)
+
+
+@dataclass(frozen=True)
+class AttitudePrior:
+    """A stated attitude, camera_from_body, and its sigma an axis, rad, over 0."""
+
+    camera_from_body: Rotation
+    sigma_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class PickedResection:
+    """Points of one picture and how a pose follows from them.
+
+    rays      (n, 3) unit vectors of the pixels, camera frame
+    attitude  None where it is free
+    """
+
+    camera: ProjectingCamera
+    points: PickedSightings
+    rays: FloatArray
+    lens: LensPrior
+    attitude: AttitudePrior | None = None
+
+    @property
+    def fewest(self) -> int:
+        """Points without which there is no one solution."""
+        return 4 if self.attitude is None else 2
+
+    def solve(self) -> PickedPose:
+        """The pose that the points fit, blunders left out.
+
+        Raises NoSolutionError for too few points, points on a line or in one pixel, points that
+        disagree, and two poses that the points do not tell apart.
+        """
+        self._check_spread()
+        everything = np.ones(len(self.points), dtype=bool)
+        best = self._without_blunders(everything)
+        if best is None or not best.fits:
+            best = self._from_samples(best)
+        if best is None:
+            raise NoSolutionError("no pose fits the points", ReasonCode.POINTS_DISAGREE)
+        other = self.rival_of(best)
+        # the start may have been on the wrong side of the points' plane
+        return other if other is not None and other.cost < best.cost else best
+
+    def rival_of(self, found: PickedPose) -> PickedPose | None:
+        """Another pose that the points fit about as well: the plane of the points tilted over."""
+        if self.attitude is not None:
+            return None
+        start = _tilted_over(found.pose, self.points.places_m[found.used])
+        try:
+            other = self._fitted(found.used, start)
+        except NoSolutionError:
+            return None
+        apart = other.pose.position_m - found.pose.position_m
+        covariance = found.position_covariance_m2 + other.position_covariance_m2
+        if float(apart @ np.linalg.solve(covariance, apart)) < SAME_PLACE_SIGMAS**2:
+            return None
+        return other if other.cost < found.cost + RIVAL_COST else None
+
+    def of_three(self) -> list[PickedPose]:
+        """All poses, up to four, from which three points are seen so."""
+        self._check_spread()
+        everything = np.ones(len(self.points), dtype=bool)
+        found: list[PickedPose] = []
+        for start in self._three_starts():
+            try:
+                pose = self._fitted(everything, start)
+            except NoSolutionError:
+                continue
+            places = [other.pose.position_m for other in found]
+            reach = np.linalg.norm(pose.pose.position_m - self.points.places_m[0])
+            if all(np.linalg.norm(pose.pose.position_m - p) > 1e-6 * reach for p in places):
+                found.append(pose)
+        return found
+
+    def _check_spread(self) -> None:
+        """Raise NoSolutionError where points are too few, or stand on a line."""
+        count = len(self.points)
+        if count < min(self.fewest, 3):
+            raise NoSolutionError(
+                f"{count} {'point is' if count == 1 else 'points are'} too few: wanted 4 and more, "
+                "2 with a stated attitude",
+                ReasonCode.FEW_POINTS,
+            )
+        sigma = float(np.median(self.points.sigma_px))
+        out = self.points.pixels - self.points.pixels.mean(axis=0)
+        along, across = np.linalg.svd(out, compute_uv=False)[:2] / np.sqrt(count)
+        if along < OWN_LINE * sigma:
+            raise NoSolutionError("all points lie on one pixel", ReasonCode.DEGENERATE)
+        if self.attitude is None and across < OWN_LINE * sigma:
+            text = "all points lie on a line: the camera may stand anywhere around it"
+            raise NoSolutionError(text, ReasonCode.DEGENERATE)
+
+    def _without_blunders(self, used: BoolArray, start: Pose | None = None) -> PickedPose | None:
+        """The fit of some points, from which the worst goes while it is beyond its own gate."""
+        found: PickedPose | None = None
+        while used.sum() >= self.fewest:
+            try:
+                start = self._start(used) if start is None else start
+                estimate = self._estimate(used, start)
+            except (NoSolutionError, cv2.error):
+                return found
+            found = self._pose_of(estimate, used)
+            squares, gates = self._snooped(estimate, used)
+            out = squares > gates
+            # with nothing left over a wrong point cannot be told from the right ones
+            if not out.any() or found.freedom <= 2:
+                return self._with_returned(found)
+            used = used.copy()
+            used[np.flatnonzero(used)[np.argmax(squares / gates)]] = False
+            start = found.pose if found.cost < 1e4 * max(found.freedom, 1) else None
+        return found
+
+    def _with_returned(self, found: PickedPose) -> PickedPose:
+        """The same with points that agree after all."""
+        if found.used.all():
+            return found
+        seen = self.points.sightings(self.camera, found.pose)
+        squares = _squares(found.residuals_px, seen.covariances_px2)
+        agreeing = found.used | (squares < float(chi2.ppf(GATE_PROBABILITY, 2)))
+        if (agreeing == found.used).all():
+            return found
+        try:
+            estimate = self._estimate(agreeing, found.pose)
+        except NoSolutionError:
+            return found
+        squares, gates = self._snooped(estimate, agreeing)
+        return found if (squares > gates).any() else self._pose_of(estimate, agreeing)
+
+    def _from_samples(self, best: PickedPose | None) -> PickedPose | None:
+        """The best of fits that start from four points each, among many blunders."""
+        gate = 9.0 * float(chi2.ppf(GATE_PROBABILITY, 2))
+        tried: list[tuple[int, float, Pose]] = []
+        for some in _samples(len(self.points), self.fewest):
+            used = np.zeros(len(self.points), dtype=bool)
+            used[list(some)] = True
+            try:
+                pose = self._start(used)
+            except (NoSolutionError, cv2.error):
+                continue
+            seen = self.points.sightings(self.camera, pose)
+            pixels, _ = predict(self.camera, pose, self.points.places_m)
+            squares = _squares(self.points.pixels - pixels, seen.covariances_px2)
+            inside = squares < gate
+            tried.append((-int(inside.sum()), float(squares[inside].sum()), pose))
+        for count, _, pose in sorted(tried, key=lambda one: one[:2])[:3]:
+            if -count < self.fewest:
+                break
+            seen = self.points.sightings(self.camera, pose)
+            pixels, _ = predict(self.camera, pose, self.points.places_m)
+            inside = _squares(self.points.pixels - pixels, seen.covariances_px2) < gate
+            found = self._without_blunders(inside, pose)
+            if found is not None and (
+                best is None or (found.fits, found.used.sum()) > (best.fits, best.used.sum())
+            ):
+                best = found
+        return best
+
+    def _start(self, used: BoolArray) -> Pose:
+        """A pose from some points without any guess. Raises NoSolutionError."""
+        if self.attitude is not None:
+            return self._start_by_rays(used, self.attitude.camera_from_body)
+        before = used & (self.rays[:, 2] > MIN_DEPTH)
+        if before.sum() < self.fewest:
+            raise NoSolutionError("too few points stand before the camera", ReasonCode.FEW_POINTS)
+        places, middle, image = self._plain(before)
+        found, turns, shifts, _ = cv2.solvePnPGeneric(
+            places, image, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
+        )
+        if not found:
+            raise NoSolutionError("no pose fits the points", ReasonCode.POINTS_DISAGREE)
+        return _pose_of_cv(turns[0], shifts[0], middle)
+
+    def _start_by_rays(self, used: BoolArray, turn: Rotation) -> Pose:
+        """Where rays of a known attitude through the points meet nearest."""
+        rays = turn.inv().apply(self.rays[used])
+        across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+        places = self.points.places_m[used]
+        normal, right = across.sum(axis=0), np.einsum("nij,nj->i", across, places)
+        return Pose(np.linalg.solve(normal, right), turn)
+
+    def _three_starts(self) -> Iterator[Pose]:
+        if self.attitude is not None:
+            yield self._start(np.ones(3, dtype=bool))
+            return
+        places, middle, image = self._plain(np.ones(len(self.points), dtype=bool))
+        found, turns, shifts = cv2.solveP3P(places, image, np.eye(3), None, cv2.SOLVEPNP_P3P)
+        for number in range(found):
+            yield _pose_of_cv(turns[number], shifts[number], middle)
+
+    def _plain(self, used: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Places less their mean, that mean, and points of the plane at distance 1."""
+        middle = self.points.places_m[used].mean(axis=0)
+        rays = self.rays[used]
+        return self.points.places_m[used] - middle, middle, rays[:, :2] / rays[:, 2:]
+
+    def _fitted(self, used: BoolArray, start: Pose) -> PickedPose:
+        return self._pose_of(self._estimate(used, start), used)
+
+    def _estimate(self, used: BoolArray, start: Pose) -> Estimate[LensPose]:
+        """The fit of some points. Raises NoSolutionError."""
+        points, lens = self.points.subset(used), self.lens
+        pose = start
+        for _ in range(2):  # the weights of places hang on the distance, which is known after one
+            models: list[_LensPoints | _LensErrors | _StatedAttitude] = [
+                _LensPoints(self.camera, points.sightings(self.camera, pose), lens)
+            ]
+            if lens.sigmas.size:
+                models.append(_LensErrors(lens))
+            if self.attitude is not None:
+                turn, sigma = self.attitude.camera_from_body, self.attitude.sigma_rad
+                models.append(_StatedAttitude(turn, sigma, 6 + lens.sigmas.size))
+            first = LensPose(pose, 0.0, np.zeros(2))
+            estimate = solve(models, first, partial(_moved, lens=lens), _ITERATION)
+            pose = estimate.state.pose
+        return estimate
+
+    def _pose_of(self, estimate: Estimate[LensPose], used: BoolArray) -> PickedPose:
+        state = estimate.state
+        pixels, _ = predict(self.camera, state.pose, self.points.places_m)
+        middle = self.lens.middle_px
+        predicted = middle + state.shift_px + (1.0 + state.focal) * (pixels - middle)
+        cost, freedom = estimate.cost, estimate.degrees_of_freedom
+        covariance = estimate.covariance[:6, :6]
+        # residuals wider than chance makes them once in twenty say that the sigmas are small
+        if freedom > 0 and cost > float(chi2.ppf(0.95, freedom)):
+            covariance = covariance * (cost / freedom)
+        return PickedPose(
+            state.pose,
+            covariance,
+            used,
+            self.points.pixels - predicted,
+            cost,
+            freedom,
+            state.focal,
+        )
+
+    def _snooped(
+        self, estimate: Estimate[LensPose], used: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Squares (n,) of residuals over what the fit leaves of each point's error; gates (n,)."""
+        measured = estimate.measured
+        own = np.linalg.inv(measured.weights)
+        by_state = measured.jacobian
+        left = own - by_state @ estimate.covariance @ by_state.transpose(0, 2, 1)
+        # a point that alone fixes something leaves no residual along it: nothing to judge there
+        left += own * MIN_LEFT
+        squares = np.einsum(
+            "ni,nij,nj->n", measured.residuals, np.linalg.inv(left), measured.residuals
+        )
+        level = 1.0 - (1.0 - GATE_PROBABILITY) * min(1.0, 20.0 / max(int(used.sum()), 1))
+        return squares, np.full(squares.shape, float(chi2.ppf(level, 2)))
+
+
+def is_before(pose: Pose, places_m: FloatArray) -> BoolArray:
+    """Which places (n, 3) of the ground face the camera, the body's centre being the origin."""
+    to_camera = pose.position_m - places_m
+    facing: BoolArray = np.einsum("ni,ni->n", to_camera, places_m) > 0.0
+    return facing
+
+
+def with_places(problem: PickedResection, places_m: FloatArray) -> PickedResection:
+    """The same with other places (n, 3) of the points."""
+    return replace(problem, points=replace(problem.points, places_m=places_m))
+
+
+def _numbers(state: LensPose, lens: LensPrior) -> FloatArray:
+    """(k,) as `LensPrior.sigmas`."""
+    shift = list(state.shift_px) if lens.centre_px > 0.0 else []
+    return np.array([state.focal] * (lens.focal > 0.0) + shift)
+
+
+def _moved(state: LensPose, step: FloatArray, lens: LensPrior) -> LensPose:
+    focal, shift, rest = state.focal, state.shift_px, step[6:]
+    if lens.focal > 0.0:
+        focal, rest = focal + float(rest[0]), rest[1:]
+    if lens.centre_px > 0.0:
+        shift = shift + rest
+    return LensPose(state.pose.moved(step[:6]), focal, shift)
+
+
+def _squares(residuals_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:
+    squares = np.einsum("ni,nij,nj->n", residuals_px, np.linalg.inv(covariances_px2), residuals_px)
+    return np.where(np.isfinite(squares), squares, np.inf)
+
+
+def _samples(count: int, size: int) -> Iterator[tuple[int, ...]]:
+    samples = list(combinations(range(count), size)) if count <= 12 else []
+    generator = np.random.default_rng(0)
+    if not samples:
+        for _ in range(MAX_SAMPLES):
+            yield tuple(int(i) for i in generator.choice(count, size, replace=False))
+        return
+    for number in generator.permutation(len(samples))[:MAX_SAMPLES]:
+        yield samples[number]
+
+
+def _pose_of_cv(turn: ArrayLike, shift: ArrayLike, middle: FloatArray) -> Pose:
+    camera_from_body = Rotation.from_rotvec(np.asarray(turn, np.float64).ravel())
+    place = -camera_from_body.inv().apply(np.asarray(shift, np.float64).ravel())
+    return Pose(middle + place, camera_from_body)
+
+
+def _tilted_over(pose: Pose, places_m: FloatArray) -> Pose:
+    """The pose from which a distant camera sees points of a plane nearly the same.
+
+    The plane is mirrored in depth: seen from far off only perspective tells both apart.
+    """
+    middle = places_m.mean(axis=0)
+    turn = pose.camera_from_body.as_matrix()
+    sight = turn @ (middle - pose.position_m)
+    depth = sight / np.linalg.norm(sight)
+    normal = np.linalg.svd(places_m - middle)[2][2]
+    mirror = np.eye(3) - 2.0 * np.outer(depth, depth)
+    other = mirror @ turn @ (np.eye(3) - 2.0 * np.outer(normal, normal))
+    return Pose(middle - other.T @ sight, Rotation.from_matrix(other))

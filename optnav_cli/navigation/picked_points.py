@@ -1,0 +1,381 @@
+"""A camera's position from the picked points of a picture: what a frame with points.csv gets.
+
+No prior is needed and the picture itself is not looked at. Where the points do not fit, other
+readings of their coordinates are tried, and the reason names one that does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import BoolArray, FloatArray
+from catalog.bodies.body import Body
+from catalog.errors import NoSolutionError
+from catalog.geometry.ellipsoid import normal_at
+from catalog.geometry.latlon import latlon_from_xyz, wrap_longitude_deg
+from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.models.points import Pose, predict
+from optnav_cli.estimation.picked_constructions import (
+    Picks,
+    by_circles,
+    by_tori,
+    covariance_of,
+    pose_at,
+)
+from optnav_cli.estimation.picked_resection import (
+    AttitudePrior,
+    LensPrior,
+    PickedPose,
+    PickedResection,
+    PickedSightings,
+    is_before,
+    with_places,
+)
+from optnav_cli.fix import (
+    Evidence,
+    Fix,
+    MatchKind,
+    MatchRow,
+    Method,
+    NoFix,
+    Solution,
+    number_of_name,
+)
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picked_points import PickedPoint, places_of
+from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
+from optnav_cli.navigation.settings import Construction
+from optnav_cli.reasons import NO_REASON, Reason, ReasonCode
+
+PRIOR_SIGMAS = 5.0  # within which a prior decides between poses
+MAX_ZENITH_DEG = 70.0  # the formula of refraction is a few per cent off there, and grows
+MIN_EXACT_RAD = 5e-9  # of an attitude that counts as exact: 0.001"
+REFRACTION_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class PickedFrames:
+    """How the picked points of one folder are solved: its body, its coordinates, what is asked."""
+
+    attitude: FileAttitude
+    settings: PointsSettings
+    construction: Construction = "least_squares"
+
+    @property
+    def body(self) -> Body:
+        """The body that the points are of."""
+        return self.attitude.body
+
+    def solve(self, frame: Frame, camera: Camera, points: Sequence[PickedPoint]) -> Solution:
+        """A frame's row; what is wrong with it is the reason of an unsolved one."""
+        if not points:
+            reason = Reason(ReasonCode.FEW_POINTS, "points.csv has no points of this picture")
+            return Solution(frame.file, frame.utc, NoFix(reason, Method.PICKED_POINTS))
+        work = _FrameOfPoints(self, frame, camera, points)
+        try:
+            outcome: Fix | NoFix = work.fix()
+        except NoSolutionError as error:
+            evidence = Evidence(
+                n_predicted=len(points), n_matched=len(points), matches=work.rows(None)
+            )
+            outcome = NoFix(Reason.of(error), Method.PICKED_POINTS, evidence)
+        return Solution(frame.file, frame.utc, outcome)
+
+
+class _FrameOfPoints:
+    """The points of one picture."""
+
+    def __init__(
+        self, how: PickedFrames, frame: Frame, camera: Camera, points: Sequence[PickedPoint]
+    ) -> None:
+        self._how, self._frame, self._camera, self._points = how, frame, camera, points
+        self._body = how.body
+        self._latlon = np.array([point.latlon_deg for point in points])
+        self._heights = np.array([point.height_m for point in points])
+        self._pixels = np.array([point.pixel for point in points])
+        self._places = self._placed(self._latlon, self._heights, how.settings)
+        self._rays = camera.unproject(self._pixels)
+        self._in_picture = camera.contains(self._pixels) & np.isfinite(self._rays).all(axis=1)
+        self._low = np.zeros(len(points), dtype=bool)  # beyond MAX_ZENITH_DEG
+
+    def fix(self) -> Fix:
+        """The position. Raises NoSolutionError."""
+        problem = self._problem(self._places)
+        if len(problem.points) == 3 and problem.attitude is None:
+            found, remark = self._of_three(problem), NO_REASON
+        else:
+            found, remark = self._of_many(problem)
+        place, covariance, turn = found.pose.position_m, found.position_covariance_m2, None
+        if self._how.construction != "least_squares":
+            place, covariance, turn = self._constructed(found)
+        solved = Pose(place, found.pose.camera_from_body if turn is None else turn)
+        if not is_before(solved, self._places[self._in_picture]).any():
+            raise self._mirrored(problem)
+        matches = self.rows(found, solved)
+        residuals = np.array([m.residual_px for m in matches if m.used])
+        evidence = Evidence(
+            n_predicted=len(self._points),
+            n_matched=len(self._points),
+            n_used=int(sum(m.used for m in matches)),
+            residual_rms_px=float(np.sqrt((residuals**2).mean())),
+            matches=matches,
+        )
+        return Fix(
+            Method.PICKED_POINTS,
+            place,
+            covariance,
+            solved.camera_from_body,
+            found.attitude_sigma_rad,
+            evidence,
+            remark,
+        )
+
+    def rows(self, found: PickedPose | None, solved: Pose | None = None) -> tuple[MatchRow, ...]:
+        """The rows of matches.csv; without a pose nothing is predicted but the picks themselves."""
+        used = np.zeros(len(self._points), dtype=bool)
+        predicted = self._pixels
+        if found is not None:
+            used[self._in_picture & ~self._low] = found.used
+            pose = found.pose if solved is None else solved
+            predicted, _ = predict(self._camera, pose, self._refracted(pose))
+            if self._how.construction == "least_squares":
+                middle = np.array(self._camera.principal_point_px)
+                predicted = middle + (1.0 + found.focal) * (predicted - middle)
+                predicted[self._in_picture & ~self._low] = (
+                    self._pixels[self._in_picture & ~self._low] - found.residuals_px
+                )
+        rows = []
+        for number, point in enumerate(self._points):
+            reason = self._why_not(number, found, bool(used[number]))
+            seen = np.isfinite(predicted[number]).all()
+            expected = predicted[number] if seen else point.pixel
+            rows.append(
+                MatchRow(
+                    self._frame.file,
+                    number_of_name(point.name),
+                    0,
+                    self._places[number],
+                    expected,
+                    measured_px=point.pixel,
+                    used=bool(used[number]),
+                    reason=reason.text,
+                    residual_px=point.pixel - expected if found is not None and seen else None,
+                    reason_code=reason.code,
+                    kind=MatchKind.PICKED_POINT,
+                    name=point.name,
+                )
+            )
+        return tuple(rows)
+
+    def _why_not(self, number: int, found: PickedPose | None, used: bool) -> Reason:
+        if used:
+            return NO_REASON
+        if not self._in_picture[number]:
+            return Reason(ReasonCode.OUTSIDE_FRAME, "lies outside the picture")
+        if self._low[number]:
+            text = f"is seen more than {MAX_ZENITH_DEG:g} deg from the vertical, through much air"
+            return Reason(ReasonCode.OUTLIER, text)
+        if found is None:
+            return Reason(ReasonCode.NO_SOLUTION, "the frame has no position")
+        kept = np.cumsum(self._in_picture & ~self._low)[number] - 1
+        off = float(np.linalg.norm(found.residuals_px[kept]))
+        text = f"is a blunder: {off:.1f} px off, {self._points[number].sigma_px:g} px stated"
+        return Reason(ReasonCode.OUTLIER, text)
+
+    def _problem(self, places_m: FloatArray) -> PickedResection:
+        some = self._in_picture & ~self._low
+        points = PickedSightings(
+            places_m[some],
+            self._pixels[some],
+            np.array([point.sigma_px for point in self._points])[some],
+            np.array([point.sigma_m for point in self._points])[some],
+        )
+        camera = self._camera
+        lens = LensPrior(
+            camera.focal_length_error,
+            camera.principal_point_error_px,
+            np.array(camera.principal_point_px),
+        )
+        turn, sigma = self._frame.camera_from_body, self._frame.attitude_sigma_rad
+        attitude = None
+        if turn is not None and sigma is not None:
+            attitude = AttitudePrior(turn, max(sigma, MIN_EXACT_RAD))
+        return PickedResection(camera, points, self._rays[some], lens, attitude)
+
+    def _of_many(self, problem: PickedResection) -> tuple[PickedPose, Reason]:
+        found = problem.solve()
+        for _ in range(REFRACTION_ROUNDS if self._body.atmosphere else 0):
+            self._low = self._zeniths(found.pose) > np.radians(MAX_ZENITH_DEG)
+            problem = self._problem(self._refracted(found.pose))
+            found = problem.solve()
+        if not found.fits:
+            raise self._misfit(problem, found)
+        if not is_before(found.pose, problem.points.places_m).all():
+            raise self._mirrored(problem)
+        rival = problem.rival_of(found)
+        if rival is not None and is_before(rival.pose, problem.points.places_m).all():
+            chosen = self._decided([found, rival])
+            return chosen, Reason(ReasonCode.DEGENERATE, "the prior decides between two places")
+        if found.freedom <= 2 and problem.attitude is None:
+            text = "4 points leave little to check: a blunder moves the position unseen"
+            return found, Reason(ReasonCode.FEW_POINTS, text)
+        return found, NO_REASON
+
+    def _of_three(self, problem: PickedResection) -> PickedPose:
+        found = [
+            pose
+            for pose in problem.of_three()
+            if is_before(pose.pose, problem.points.places_m).all()
+        ]
+        if not found:
+            raise self._mirrored(problem)
+        return self._decided(found)
+
+    def _decided(self, found: Sequence[PickedPose]) -> PickedPose:
+        """The one pose that the prior position allows. Raises NoSolutionError with all of them."""
+        prior, sigma = self._frame.position_m, self._frame.position_sigma_m
+        allowed = list(found)
+        if prior is not None and sigma is not None:
+            allowed = []
+            for pose in found:
+                away = pose.pose.position_m - prior
+                covariance = pose.position_covariance_m2 + np.eye(3) * sigma**2
+                if float(away @ np.linalg.solve(covariance, away)) < PRIOR_SIGMAS**2:
+                    allowed.append(pose)
+        if len(allowed) == 1 and prior is not None:
+            return allowed[0]
+        used = int(found[0].used.sum())
+        places = "; ".join(self._in_words(pose.pose) for pose in found)
+        why = "no prior decides" if prior is None else f"the prior allows {len(allowed)} of them"
+        raise NoSolutionError(
+            f"{used} points are seen so from {len(found)} "
+            f"{'place' if len(found) == 1 else 'places'}, and {why}: {places}; pick more points "
+            "or state a prior position",
+            ReasonCode.DEGENERATE,
+        )
+
+    def _in_words(self, pose: Pose) -> str:
+        lat, lon, radius = latlon_from_xyz(self._how.attitude.places.stated(pose.position_m))
+        height = (float(radius) - self._body.radius_m) / 1e3
+        return f"{np.degrees(lat):.4f} {np.degrees(lon):.4f} deg, {height:.2f} km high"
+
+    def _constructed(self, found: PickedPose) -> tuple[FloatArray, FloatArray, Rotation]:
+        """Place, covariance and attitude by the construction that is asked for."""
+        problem = self._problem(self._refracted(found.pose))
+        kept = problem.points.subset(found.used)
+        rays = problem.rays[found.used]
+        camera, start = self._camera, found.pose.position_m
+        half = min(
+            camera.width_px / camera.focal_length_px, camera.height_px / camera.coarse_focal_px
+        )
+        picks = Picks(kept.places_m, rays[:, :2] / rays[:, 2:], half / 2.0)
+
+        def construct(some: Picks) -> FloatArray:
+            return by_circles(some) if self._how.construction == "circles" else by_tori(some, start)
+
+        lens = camera.focal_length_error, camera.principal_point_error_px / camera.focal_length_px
+        sigma_image = kept.sigma_px / camera.focal_length_px
+        covariance = covariance_of(construct, picks, sigma_image, kept.sigma_m, lens)
+        pose = pose_at(construct(picks), picks)
+        return pose.position_m, covariance, pose.camera_from_body
+
+    def _placed(
+        self, latlon_deg: FloatArray, heights_m: FloatArray, settings: PointsSettings
+    ) -> FloatArray:
+        """Places (n, 3) in the frame of the body's catalogs."""
+        places = places_of(latlon_deg, heights_m, self._body, settings)
+        return self._how.attitude.places.catalog(places)
+
+    def _zeniths(self, pose: Pose) -> FloatArray:
+        """Angles (n,) of the lines of sight from the vertical at the points, rad."""
+        up = normal_at(self._places, self._body.radii_m)
+        sights = pose.position_m - self._places
+        sights /= np.linalg.norm(sights, axis=1, keepdims=True)
+        return np.asarray(np.arccos(np.clip((up * sights).sum(axis=1), -1.0, 1.0)))
+
+    def _refracted(self, pose: Pose) -> FloatArray:
+        """Where straight lines of sight reach the ground: places (n, 3) farther from the nadir.
+
+        A ray that comes straight to z from the vertical meets the ground (n - 1) H tan z / cos^2 z
+        nearer to the nadir, for a camera above the air; ray tracing agrees to 3 % up to 70 deg.
+        """
+        air = self._body.atmosphere
+        if air is None:
+            return self._places
+        up = normal_at(self._places, self._body.radii_m)
+        sights = self._places - pose.position_m
+        across = sights - (sights * up).sum(axis=1, keepdims=True) * up
+        length = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+        zenith = np.minimum(self._zeniths(pose), np.radians(MAX_ZENITH_DEG))
+        bent = air.refractivity * air.scale_height_m * np.tan(zenith) / np.cos(zenith) ** 2
+        refracted: FloatArray = self._places + across / length * bent[:, None]
+        return refracted
+
+    def _mirrored(self, problem: PickedResection) -> NoSolutionError:
+        text = "the points are seen so from below the ground only: a mirrored picture"
+        others = self._readings(problem)
+        if others:
+            text += f"; they fit {others}"
+        return NoSolutionError(text, ReasonCode.MIRRORED)
+
+    def _misfit(self, problem: PickedResection, found: PickedPose) -> NoSolutionError:
+        """Why points do not fit, as far as another reading of them says."""
+        left_out = int((~found.used).sum())
+        text = (
+            f"the points do not fit one pose: {left_out} of {len(found.used)} disagree, chi-square "
+            f"{found.cost:.0f} of the others for {found.freedom} degrees of freedom"
+        )
+        others = self._readings(problem)
+        if others:
+            return NoSolutionError(f"{text}; they fit {others}", ReasonCode.POINTS_DISAGREE)
+        return NoSolutionError(
+            f"{text}; check the coordinates, their sigmas and the lens", ReasonCode.POINTS_DISAGREE
+        )
+
+    def _readings(self, problem: PickedResection) -> str:
+        """Other readings of the coordinates, in words, by which the points fit one pose."""
+        settings, lat, lon = self._how.settings, self._latlon[:, 0], self._latlon[:, 1]
+        geodetic = settings.latitude == "geodetic"
+        other = PointsSettings("planetocentric" if geodetic else "geodetic", settings.height)
+        swapped = np.column_stack([wrap_longitude_deg(lon), lat])
+        west = np.column_stack([lat, -lon])
+        tries: list[tuple[str, FloatArray, FloatArray, PointsSettings]] = []
+        if np.abs(swapped[:, 0]).max() <= 90.0:
+            words = "once lat_deg and lon_deg are exchanged"
+            tries.append((words, swapped, self._heights, settings))
+        words = "once the longitudes are taken as west (a mirrored picture fits so, too)"
+        tries.append((words, west, self._heights, settings))
+        words = f'with latitude = "{other.latitude}" in [points] of run.toml'
+        if len(set(self._body.radii_m)) > 1:
+            tries.append((words, self._latlon, self._heights, other))
+        low, high = self._body.plausible_heights_m
+        if low <= 1e3 * self._heights.min() and 1e3 * self._heights.max() <= high:
+            words = "with heights 1000 times larger: height_m is in metres"
+            tries.append((words, self._latlon, 1e3 * self._heights, settings))
+        some = self._in_picture & ~self._low
+        found = []
+        for text, latlon, heights, how in tries:
+            places = self._placed(latlon, heights, how)[some]
+            if _fits(with_places(problem, places), places):
+                found.append(text)
+        free = replace(problem.lens, focal=0.3)
+        if not found and len(problem.points) > 4:
+            lens = _solved(replace(problem, lens=free))
+            if lens is not None and lens.fits:
+                found.append(f"with a focal length {100.0 * lens.focal:+.1f} % longer")
+        return ", or ".join(found)
+
+
+def _solved(problem: PickedResection) -> PickedPose | None:
+    try:
+        return problem.solve()
+    except NoSolutionError:
+        return None
+
+
+def _fits(problem: PickedResection, places_m: FloatArray) -> bool:
+    found = _solved(problem)
+    seen: BoolArray = is_before(found.pose, places_m) if found else np.zeros(1, dtype=bool)
+    return found is not None and found.fits and bool(seen.all())
