@@ -25,7 +25,7 @@ HEADER = (
     "file,utc,status,method,x_m,y_m,z_m,cov_xx_m2,cov_xy_m2,cov_xz_m2,cov_yy_m2,cov_yz_m2,"
     "cov_zz_m2,qw,qx,qy,qz,attitude_sigma_arcsec,lat_deg,lon_deg,height_m,n_predicted,n_matched,"
     "n_used,residual_rms_px,prior,n_limb,arc_deg,reason,reason_code,"
-    "n_windows,n_landmarks"
+    "n_windows,n_landmarks,attitude_source"
 )
 UTC = "2023-08-17T05:23:10.250Z"
 
@@ -123,7 +123,7 @@ def test_the_header_is_the_contracted_one_and_unknown_is_empty(tmp_path, moon):
         FileAttitude("camera_from_body", moon),
     )
     lines = path.read_bytes().decode().split("\n")
-    assert lines == [HEADER, f"a.png,{UTC},unsolved" + "," * 26 + "no prior,no_prior,,", ""]
+    assert lines == [HEADER, f"a.png,{UTC},unsolved" + "," * 26 + "no prior,no_prior,,,", ""]
 
 
 def test_the_inertial_attitude_is_the_body_attitude_times_the_bodys_rotation(tmp_path, moon):
@@ -212,7 +212,7 @@ def test_matches_come_back_as_they_were_written(tmp_path):
         (",19,", ",-19,", "n_used is '-19'"),
         (",control_points,", ",guess,", "method is 'guess'; wanted control_points, horizon"),
         ("143.25,,", "143.25,,why", "'why' is no reason code"),
-        ("2.0000", "2.0000,5", "the row has 33 values; wanted 32"),
+        ("2.0000", "2.0000,5", "the row has 34 values; wanted 33"),
     ],
 )
 def test_a_damaged_row_is_named(tmp_path, moon, old, new, word):
@@ -252,7 +252,7 @@ def test_a_tiny_negative_number_is_written_without_its_sign():
 def test_runs_written_before_reasons_had_codes_are_read(tmp_path, moon):
     path, attitude = tmp_path / "solution.csv", FileAttitude("camera_from_body", moon)
     write_solutions(path, [a_solution(np.array([1.9e6, 0.0, 0.0]))], attitude)
-    lines = [line.rsplit(",", 3)[0] for line in path.read_text().splitlines()]
+    lines = [line.rsplit(",", 4)[0] for line in path.read_text().splitlines()]
     assert lines[0].endswith(",reason")
     path.write_text("\n".join(lines) + "\n")
     (read,) = read_solutions(path, attitude)
