@@ -25,7 +25,8 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 class Runner:
     """Runs cases in worker processes below a folder, one at a time.
 
-    hang_s  seconds after which a case that has not ended is ended
+    hang_s  seconds after which a case that has not ended is ended, those not counted in which it
+            waited for a processor
     """
 
     def __init__(self, area: Path, materials: Path | None = None, hang_s: float = HANG_S) -> None:
@@ -98,10 +99,13 @@ class Runner:
 
     def _answer(self, seconds: float) -> bytes | None:
         """A line; what there is of it where the process ended; None where none came in time."""
-        until = time.monotonic() + seconds
+        until, waited = time.monotonic() + seconds, self._waited_s()
         while b"\n" not in self._rest:
-            ready, _, _ = select.select([self._answers], [], [], max(0.0, until - time.monotonic()))
+            left = until + self._waited_s() - waited - time.monotonic()
+            ready, _, _ = select.select([self._answers], [], [], max(0.0, left))
             if not ready:
+                if left > 0.0:
+                    continue
                 return None
             data = os.read(self._answers, 1 << 16)
             if not data:
@@ -109,6 +113,14 @@ class Runner:
             self._rest += data
         line, _, self._rest = self._rest.partition(b"\n")
         return line + b"\n"
+
+    def _waited_s(self) -> float:
+        """How long the worker has waited for a processor; 0 where the system does not say."""
+        if self._process is not None:
+            with contextlib.suppress(OSError, ValueError, IndexError):
+                text = Path(f"/proc/{self._process.pid}/schedstat").read_text()
+                return 1e-9 * int(text.split()[1])
+        return 0.0
 
     def _said(self) -> str:
         with contextlib.suppress(OSError):
