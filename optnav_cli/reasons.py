@@ -82,6 +82,7 @@ class ReasonCode(StrEnum):
     NEIGHBOUR_IN_VIEW = "neighbour_in_view", "a second body in the picture was recognised"
     # a descent
     TRACK_JUMP = "track_jump", "the inertial track jumps, or the ground lies where it does not lead"
+    CARRIED = "carried", "nothing was measured; the inertial track carries on from frames before"
     OUT_OF_VIEW = "out_of_view", "a landmark left the picture"
     LOST = "lost", "a landmark was not found again"
     # a single control point

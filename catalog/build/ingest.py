@@ -143,8 +143,11 @@ def covered_cells(mosaic: Terrain, grid: CellGrid, bbox: Bbox | None) -> IntArra
     A cell at the edge of a DEM counts: whether whole patches fit in it shows when it is rendered.
     Raises UsageError for a bbox that is none, DataError when no cell has ground.
     """
-    cells = np.arange(grid.total, dtype=np.int64)
-    if bbox is not None:
+    if bbox is None:
+        # a body has tens of millions of small cells, and a terrain model may show few of them
+        south, north = np.degrees(mosaic.latitudes)
+        cells = grid.in_bbox(-180.0, south - grid.step_deg, 180.0, north + grid.step_deg)
+    else:
         west, south, east, north = bbox
         wide = np.isfinite([west, east]).all() and west != east
         if not (-90.0 <= south < north <= 90.0 and wide):

@@ -30,6 +30,10 @@ class Terrain(Protocol):
     def extent(self) -> str:
         """The ground that it covers, for messages."""
 
+    @property
+    def latitudes(self) -> tuple[float, float]:
+        """The southernmost and northernmost ground, rad."""
+
     def files(self) -> list[Path]:
         """All files that are read while patches are cut."""
 

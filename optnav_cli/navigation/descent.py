@@ -13,16 +13,12 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.errors import NoSolutionError
-from catalog.geometry.rotations import ARCSEC
-from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
-from optnav_cli.estimation.descent_filter import TrackErrors
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.fix import (
     Evidence,
     Fix,
     MatchKind,
-    MatchRow,
     Method,
     NoFix,
     PositionPrior,
@@ -32,15 +28,20 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picture import Picture
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.matching.picture_pyramid import PicturePyramid
-from optnav_cli.matching.point_match import MatchGates, PointMatch
 from optnav_cli.navigation.answers import Answers, FrameMethods, NavigationInputs
 from optnav_cli.navigation.control_points.expectation import FrameContext
 from optnav_cli.navigation.control_points.field import ControlPointField
-from optnav_cli.navigation.descent_state import JointState, Sighting, window_error
+from optnav_cli.navigation.descent_rows import match_rows
+from optnav_cli.navigation.descent_state import (
+    JointState,
+    Sighting,
+    track_sigmas,
+    window_ground,
+)
 from optnav_cli.navigation.descent_windows import (
     MAX_SEARCH_NODES,
     OVERSAMPLED,
-    Window,
+    SoughtWindow,
     WindowField,
     WindowKey,
     choose_windows,
@@ -60,16 +61,6 @@ MIN_AGAINST = 6
 # No craft turns its velocity faster than by so many m/s^2; a track that does so jumps.
 MAX_ACCELERATION, MIN_JUMP_M = 20.0, 50.0
 PRIOR_SOURCE = "inertial track"
-OUTLIER = Reason(ReasonCode.OUTLIER, "disagrees with the others")
-
-
-@dataclass(frozen=True, eq=False)
-class _Sought:
-    """A window that was looked for, and where, px."""
-
-    window: Window
-    match: PointMatch
-    expected_px: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,18 +70,6 @@ class _Updated:
     state: JointState
     used: dict[WindowKey | int, bool]
     remark: Reason = NO_REASON
-
-
-def track_errors(settings: InertialSettings) -> TrackErrors:
-    """[inertial] in SI units."""
-    return TrackErrors(
-        settings.position_sigma_m,
-        settings.velocity_sigma_m_s,
-        settings.acceleration_sigma_m_s2,
-        settings.attitude_sigma_arcsec * ARCSEC,
-        settings.attitude_drift_arcsec_s * ARCSEC,
-        settings.attitude_noise_arcsec * ARCSEC,
-    )
 
 
 class DescentNavigator:
@@ -111,9 +90,9 @@ class DescentNavigator:
     ) -> None:
         self._inputs, self._ground = inputs, ground
         self._windows = None if ground is None else WindowField(ground, middle_m)
-        self._state = JointState(track_errors(track))
+        self._state = JointState(track_sigmas(track))
         self._tracks, self._windows_above_m = LandmarkTracks(), windows_above_m
-        self._solved = False
+        self._solved, self._start_m = False, track.position_sigma_m
         self._last: tuple[float, FloatArray] | None = None
         self._velocity: FloatArray | None = None
 
@@ -180,40 +159,56 @@ class DescentNavigator:
         prior_m = self._state.filter.pose(stated).position_m
         sought = self._search(frame, windows, stated)
         tracks = self._search_landmarks(frame, stated, sought)
-        outcome: Fix | NoFix
         try:
             made = self._updated(frame, stated, sought, tracks)
         except NoSolutionError as error:
-            pose = self._state.filter.pose(stated)
-            rows = _match_rows(frame, sought, {}, pose) + _landmark_rows(frame, tracks, {}, pose)
-            n_found = sum(row.measured_px is not None for row in rows)
-            evidence = Evidence(len(rows), n_found, 0, matches=rows)
-            outcome = NoFix(Reason.of(error), Method.DESCENT, evidence)
-        else:
-            self._state, self._solved = made.state, True
-            outcome = self._fix(frame, stated, sought, tracks, made)
-            used = {key for key, good in made.used.items() if good and isinstance(key, int)}
-            self._tracks.settle(frame, stated, self._state, tracks, used)
-            rows = outcome.evidence.matches
-            taken = [row.measured_px for row in rows if row.used and row.measured_px is not None]
-            self._tracks.add(frame, stated, self._state, windows, np.array(taken).reshape(-1, 2))
-        return Solution(seen.file, seen.utc, outcome, PRIOR_SOURCE, prior_m)
+            reason = Reason.of(error)
+            if not self._is_carried(sought, tracks):
+                rows = match_rows(frame, sought, tracks, {}, self._state.filter.pose(stated))
+                n_found = sum(row.measured_px is not None for row in rows)
+                evidence = Evidence(len(rows), n_found, 0, matches=rows)
+                nothing = NoFix(reason, Method.DESCENT, evidence)
+                return Solution(seen.file, seen.utc, nothing, PRIOR_SOURCE, prior_m)
+            text = f"carried on by the inertial track: {reason}"
+            made = _Updated(self._state.copy(), {}, Reason(ReasonCode.CARRIED, text))
+        self._state, self._solved = made.state, True
+        fix = self._fix(frame, stated, sought, tracks, made)
+        used = {key for key, good in made.used.items() if good and isinstance(key, int)}
+        self._tracks.settle(frame, stated, self._state, tracks, used)
+        rows = fix.evidence.matches
+        taken = [row.measured_px for row in rows if row.used and row.measured_px is not None]
+        self._tracks.add(frame, stated, self._state, windows, np.array(taken).reshape(-1, 2))
+        return Solution(seen.file, seen.utc, fix, PRIOR_SOURCE, prior_m)
+
+    def _is_carried(self, sought: Sequence[SoughtWindow], tracks: Sequence[SoughtLandmark]) -> bool:
+        """Whether a frame that measures nothing is known from those before it.
+
+        Not one that shows no ground, or much that contradicts the track, and not a track that is
+        known no better than at its start.
+        """
+        found = sum(not one.match.reason for one in sought)
+        seen = [one.match.reason for one in sought] + [one.match.reason for one in tracks]
+        if all(reason.code == ReasonCode.OUT_OF_VIEW for reason in seen):
+            return False
+        if not self._solved or found >= MIN_AGAINST:
+            return False
+        covariance = self._state.filter.pose_covariance()[:3, :3]
+        return bool(np.linalg.eigvalsh(covariance)[-1] < self._start_m**2)
 
     def _fix(
         self,
         frame: FrameContext,
         stated: Pose,
-        sought: Sequence[_Sought],
+        sought: Sequence[SoughtWindow],
         tracks: Sequence[SoughtLandmark],
         made: _Updated,
     ) -> Fix:
         """The frame's fix after its update."""
         pose, covariance = made.state.filter.pose(stated), made.state.filter.pose_covariance()
-        of_windows = _match_rows(frame, sought, made.used, pose)
-        rows = of_windows + _landmark_rows(frame, tracks, made.used, pose)
+        rows = match_rows(frame, sought, tracks, made.used, pose)
         residuals = [r.residual_px for r in rows if r.used and r.residual_px is not None]
         rms = float(np.sqrt(np.mean(np.square(residuals)))) if residuals else None
-        windows = sum(row.used for row in of_windows)
+        windows = sum(row.used for row in rows if row.kind is MatchKind.WINDOW)
         kept = sum(row.used for row in rows)
         evidence = Evidence(
             len(rows),
@@ -230,7 +225,7 @@ class DescentNavigator:
         return Fix(method, place, covariance[:3, :3], turn, sigma, evidence, made.remark)
 
     def _search_landmarks(
-        self, frame: FrameContext, stated: Pose, sought: Sequence[_Sought]
+        self, frame: FrameContext, stated: Pose, sought: Sequence[SoughtWindow]
     ) -> list[SoughtLandmark]:
         """The landmarks of the frames before, from the pose that this frame's windows give."""
         if not self._tracks.tracked:
@@ -240,7 +235,9 @@ class DescentNavigator:
             state = self._updated(frame, stated, sought, []).state
         return self._tracks.search(frame, stated, state, state.filter.pose(stated))
 
-    def _search(self, frame: FrameContext, windows: WindowField, stated: Pose) -> list[_Sought]:
+    def _search(
+        self, frame: FrameContext, windows: WindowField, stated: Pose
+    ) -> list[SoughtWindow]:
         """The windows of a frame, sought from the filter's pose or one nearer to the truth."""
         joint = self._state.filter
         view = view_of(frame.camera, joint.pose(stated), windows)
@@ -248,7 +245,8 @@ class DescentNavigator:
             return []
         pose, covariance = joint.pose(stated), joint.pose_covariance()
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-        finest = windows.posting_m(0) / OVERSAMPLED
+        level = windows.level(view.metres_per_pixel)
+        finest = windows.posting_m(level or 0) / OVERSAMPLED
         if sigma_m * frame.settings.match.search_sigmas > MAX_SEARCH_NODES * finest:
             fix = self._by_points(frame, pose, sigma_m)
             if fix is not None:
@@ -274,7 +272,7 @@ class DescentNavigator:
 
     def _sought(
         self, frame: FrameContext, windows: WindowField, pose: Pose, covariance: FloatArray
-    ) -> list[_Sought]:
+    ) -> list[SoughtWindow]:
         """The windows of a frame matched about a pose with its covariance (6, 6)."""
         chosen = choose_windows(frame, pose, windows, self._state.windows)
         if not chosen:
@@ -283,9 +281,8 @@ class DescentNavigator:
         pixels, by_pose = predict(frame.camera, pose, places)
         spread = by_pose @ covariance @ np.swapaxes(by_pose, 1, 2)
         sigmas = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0))
-        gates = MatchGates(rival_ratio=frame.settings.match.rival_ratio)
         return [
-            _Sought(window, match_window(frame, pose, window, float(sigma), gates), expected)
+            SoughtWindow(window, match_window(frame, pose, window, float(sigma)), expected)
             for window, sigma, expected in zip(chosen, sigmas, pixels, strict=True)
         ]
 
@@ -293,7 +290,7 @@ class DescentNavigator:
         self,
         frame: FrameContext,
         stated: Pose,
-        sought: Sequence[_Sought],
+        sought: Sequence[SoughtWindow],
         tracks: Sequence[SoughtLandmark],
     ) -> _Updated:
         """The state after what was found of windows and landmarks. Raises NoSolutionError."""
@@ -317,7 +314,9 @@ class DescentNavigator:
                 raise
         return self._after_jump(frame, stated, found)
 
-    def _after_jump(self, frame: FrameContext, stated: Pose, found: Sequence[_Sought]) -> _Updated:
+    def _after_jump(
+        self, frame: FrameContext, stated: Pose, found: Sequence[SoughtWindow]
+    ) -> _Updated:
         """The update with a track that is free to have jumped. Raises NoSolutionError."""
         offsets = np.array([one.match.pixel for one in found]) - [one.expected_px for one in found]
         camera_m = self._state.filter.pose(stated).position_m
@@ -342,7 +341,7 @@ def _joined(
     state: JointState,
     frame: FrameContext,
     stated: Pose,
-    found: Sequence[_Sought],
+    found: Sequence[SoughtWindow],
     landmarks: Sequence[SoughtLandmark],
 ) -> _Updated:
     """A copy of a state updated by windows and landmarks; windows that do not agree leave it."""
@@ -353,10 +352,8 @@ def _joined(
         by_position = predict(frame.camera, state.filter.pose(stated), places)[1][:, :, :3]
     new = [k for k, one in enumerate(found) if one.window.key not in state.keys]
     if new:
-        errors = [
-            window_error(found[k].window, found[k].match, by_position[k], state.sizes) for k in new
-        ]
-        state.join_windows(errors, places[new])
+        grounds = [window_ground(found[k].window, found[k].match, by_position[k]) for k in new]
+        state.join_windows([ground.error(state.sizes) for ground in grounds], places[new])
     seen: list[Sighting] = []
     for one, rows in zip(found, by_position, strict=True):
         if one.match.pixel is not None:
@@ -373,77 +370,3 @@ def _joined(
     kept = {one.key: bool(good) for one, good in zip(seen, used, strict=True)}
     state.keep({key for key in state.keys if isinstance(key, int) or kept.get(key, False)})
     return _Updated(state, kept)
-
-
-def _match_rows(
-    frame: FrameContext, sought: Sequence[_Sought], used: dict[WindowKey | int, bool], pose: Pose
-) -> tuple[MatchRow, ...]:
-    """The rows of matches.csv; used: of the windows found, whether the solution keeps them."""
-    rows = []
-    for one in sought:
-        place, match = one.window.place_m, one.match
-        predicted = frame.camera.project_from_body(
-            place, pose.position_m, pose.camera_from_body.as_matrix()
-        )
-        good = used.get(one.window.key, False)
-        found = match.pixel is not None and not match.reason
-        sine = float(frame.sun_body @ unit(place))
-        reason = match.reason or (NO_REASON if good else OUTLIER)
-        rows.append(
-            MatchRow(
-                file=frame.observation.file,
-                cp_id=one.window.key.number,
-                level=one.window.key.level,
-                cp_position_m=place,
-                predicted_px=predicted,
-                measured_px=match.pixel if found else None,
-                score=match.score,
-                runner_up=match.runner_up,
-                used=good,
-                reason=reason.text,
-                sun_elevation_deg=float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))),
-                residual_px=match.pixel - predicted if good and match.pixel is not None else None,
-                prior_px=one.expected_px,
-                reason_code=reason.code,
-                kind=MatchKind.WINDOW,
-            )
-        )
-    return tuple(rows)
-
-
-def _landmark_rows(
-    frame: FrameContext,
-    tracks: Sequence[SoughtLandmark],
-    used: dict[WindowKey | int, bool],
-    pose: Pose,
-) -> tuple[MatchRow, ...]:
-    """The rows of landmarks."""
-    rows = []
-    for one in tracks:
-        place, match, landmark = one.landmark.place_m, one.match, one.landmark
-        turn = pose.camera_from_body.as_matrix()
-        predicted = frame.camera.project_from_body(place, pose.position_m, turn)
-        if not np.isfinite(predicted).all():
-            continue
-        good = used.get(landmark.number, False)
-        found = match.pixel is not None and not match.reason
-        reason = match.reason or (NO_REASON if good else OUTLIER)
-        rows.append(
-            MatchRow(
-                file=frame.observation.file,
-                cp_id=landmark.number,
-                level=0,
-                cp_position_m=place,
-                predicted_px=predicted,
-                measured_px=match.pixel if found else None,
-                score=match.score,
-                runner_up=match.runner_up,
-                used=good,
-                reason=reason.text,
-                residual_px=match.pixel - predicted if good and match.pixel is not None else None,
-                prior_px=one.expected_px if np.isfinite(one.expected_px).all() else None,
-                reason_code=reason.code,
-                kind=MatchKind.LANDMARK,
-            )
-        )
-    return tuple(rows)

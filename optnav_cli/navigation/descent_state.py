@@ -1,9 +1,10 @@
 """The joint filter with what its ground points are: windows of the terrain model and landmarks.
 
 A window's error is that of its ground: the mean of a random field over its square, and a part that
-a region has in common. So two windows err alike as far as they share ground, and one that joins
-the state is tied to those that are in it; else many windows of the same ground would count as many
-witnesses. The sizes are fitted numbers, in FILE.
+all ground of a descent has in common, by the low Sun. So two windows err alike as far as they share
+ground, and one that joins the state is tied to those that are in it; else many windows of the same
+ground would count as so many measurements. The common part is a point of the state itself, COMMON:
+it stays when its windows have left. The sizes are fitted numbers, in FILE (`optnav study fit`).
 """
 
 from collections.abc import Sequence
@@ -17,15 +18,19 @@ import numpy as np
 from catalog.arrays import FloatArray, IndexArray
 from catalog.config import Positive, load_toml, resource
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz
+from catalog.geometry.rotations import ARCSEC
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.descent_filter import DescentFilter, TrackErrors, Update
-from optnav_cli.estimation.models.points import Pose, Sightings, predict
+from optnav_cli.estimation.models.points import Pose, Sightings
+from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.matching.point_match import PointMatch
 from optnav_cli.navigation.descent_windows import OVERSAMPLED, SIDE, Window, WindowKey, overlap
 
 MIN_SUN = np.radians(8.0)  # below it shadows fill the picture and the cotangent runs away
 FILE = "configs/models/descent.toml"
+# No window: what all windows have in common, in units of their own sigmas.
+COMMON = WindowKey(-1, 0, 0, 0)
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
 
 
@@ -67,10 +72,31 @@ class WindowError:
     root_m: FloatArray
 
 
-def window_error(
-    window: Window, match: PointMatch, by_position: FloatArray, sizes: DescentErrorSizes
-) -> WindowError:
-    """The error of a window's ground, from its slopes and what the match leaves over.
+@dataclass(frozen=True, eq=False)
+class WindowGround:
+    """What the error of a window's ground follows from.
+
+    axes     (3, 3) east, north, up as columns, body frame
+    slope    rms of its heights' slopes;  left_m2 mean variance that its first match leaves over
+    """
+
+    key: WindowKey
+    axes: FloatArray
+    posting_m: float
+    slope: float
+    left_m2: float
+
+    def error(self, sizes: DescentErrorSizes) -> WindowError:
+        """Its error by some sizes."""
+        own = sizes.own_postings * SIDE / self.key.side, sizes.slope_postings * self.slope
+        own_m = float(np.hypot(*own)) * self.posting_m
+        level = float(np.sqrt(own_m**2 + sizes.remainder * self.left_m2))
+        sigmas = np.array([level, level, sizes.height_postings * self.posting_m])
+        return WindowError(self.key, self.axes * sigmas @ self.axes.T)
+
+
+def window_ground(window: Window, match: PointMatch, by_position: FloatArray) -> WindowGround:
+    """What is known of a window's ground when it is first matched.
 
     by_position (2, 3) derivative of its pixel by the camera's position
     """
@@ -85,10 +111,40 @@ def window_error(
         heights = window.reference.heights(0, OVERSAMPLED * side).astype(np.float64)
         down, across = np.gradient(heights, posting / OVERSAMPLED)
         slope = float(np.sqrt(np.nanmean(down**2 + across**2)))
-    own = np.hypot(sizes.own_postings * SIDE / side, sizes.slope_postings * slope) * posting
-    level = np.sqrt(own**2 + sizes.remainder * 0.5 * float(np.trace(left)))
-    sigmas = np.array([level, level, sizes.height_postings * posting])
-    return WindowError(window.key, axes * sigmas @ axes.T)
+    return WindowGround(window.key, axes, posting, slope, 0.5 * float(np.trace(left)))
+
+
+def tied_errors(
+    some: Sequence[WindowError], others: Sequence[WindowError], common: float
+) -> FloatArray:
+    """Covariance (3 k, 3 n) of the errors of windows with those of others, m^2.
+
+    common  share of the variance that all have in common
+    """
+    ties = np.empty((len(some), len(others)))
+    for i, one in enumerate(some):
+        for j, other in enumerate(others):
+            if one.key == other.key:
+                ties[i, j] = 1.0 + (0.0 if one.key == COMMON else 1e-6)
+            elif COMMON in (one.key, other.key):
+                ties[i, j] = np.sqrt(common)
+            else:
+                ties[i, j] = common + (1.0 - common) * overlap(one.key, other.key)
+    left, right = (np.array([each.root_m for each in own]) for own in (some, others))
+    blocks = np.einsum("ij,iab,jcb->iajc", ties, left, right)
+    return np.asarray(blocks.reshape(3 * len(some), 3 * len(others)), dtype=np.float64)
+
+
+def track_sigmas(settings: InertialSettings) -> TrackErrors:
+    """[inertial] in SI units."""
+    return TrackErrors(
+        settings.position_sigma_m,
+        settings.velocity_sigma_m_s,
+        settings.acceleration_sigma_m_s2,
+        settings.attitude_sigma_arcsec * ARCSEC,
+        settings.attitude_drift_arcsec_s * ARCSEC,
+        settings.attitude_noise_arcsec * ARCSEC,
+    )
 
 
 class JointState:
@@ -97,8 +153,9 @@ class JointState:
     def __init__(self, errors: TrackErrors, sizes: DescentErrorSizes | None = None) -> None:
         self.filter = DescentFilter(errors)
         self.sizes = sizes or shipped_sizes()
-        self.keys: list[WindowKey | int] = []
-        self._errors: dict[WindowKey, WindowError] = {}
+        self.keys: list[WindowKey | int] = [COMMON]
+        self._errors = {COMMON: WindowError(COMMON, np.eye(3))}
+        self.filter.add_points(np.zeros((1, 3)), np.eye(3))
 
     def copy(self) -> "JointState":
         """The same, to try an update on."""
@@ -110,7 +167,7 @@ class JointState:
     @property
     def windows(self) -> list[WindowKey]:
         """The windows in the state."""
-        return [key for key in self.keys if isinstance(key, WindowKey)]
+        return [key for key in self.keys if isinstance(key, WindowKey) and key != COMMON]
 
     def place_m(self, key: WindowKey | int) -> FloatArray | None:
         """(3,) where a ground point of the state is by now; None for one that is not in it."""
@@ -119,18 +176,16 @@ class JointState:
     def join_windows(self, errors: Sequence[WindowError], places_m: FloatArray) -> None:
         """Add windows at places (k, 3), their errors tied to those that share ground with them."""
         known = [number for number, key in enumerate(self.keys) if isinstance(key, WindowKey)]
-        old = [self._errors[key] for key in self.windows]
-        of_new = self._covariance(errors, errors)
+        old = [self._errors[key] for key in self.keys if isinstance(key, WindowKey)]
+        common = self.sizes.common
         by_state = np.zeros((3 * len(errors), len(self.filter.state)))
-        mean = np.zeros(3 * len(errors))
-        if known:
-            first = len(self.filter.state) - 3 * self.filter.count
-            columns = (first + 3 * np.array(known)[:, None] + np.arange(3)).ravel()
-            across = self._covariance(errors, old)
-            gain = np.linalg.solve(self._covariance(old, old), across.T).T
-            by_state[:, columns] = gain
-            of_new = of_new - gain @ across.T
-            mean = gain @ self.filter.state[columns]
+        first = len(self.filter.state) - 3 * self.filter.count
+        columns = (first + 3 * np.array(known)[:, None] + np.arange(3)).ravel()
+        across = tied_errors(errors, old, common)
+        gain = np.linalg.solve(tied_errors(old, old, common), across.T).T
+        by_state[:, columns] = gain
+        of_new = tied_errors(errors, errors, common) - gain @ across.T
+        mean = gain @ self.filter.state[columns]
         numbers = self.filter.add_points(places_m, 0.5 * (of_new + of_new.T), by_state)
         self.filter.add_offsets(numbers, mean.reshape(-1, 3))
         self.keys += [error.key for error in errors]
@@ -159,17 +214,11 @@ class JointState:
         return self.filter.update(camera, stated, numbers, Sightings(places, pixels, covariances))
 
     def keep(self, kept: set[WindowKey | int]) -> None:
-        """Marginalise all ground points but some."""
+        """Marginalise all ground points but some, and COMMON."""
+        kept = kept | {COMMON}
         self.filter.keep(np.array([key in kept for key in self.keys], dtype=bool))
         self.keys = [key for key in self.keys if key in kept]
         self._errors = {key: error for key, error in self._errors.items() if key in kept}
-
-    def predicted_sigmas_px(self, camera: Camera, stated: Pose, places_m: FloatArray) -> FloatArray:
-        """(n,) largest sigma of where the pose puts places (n, 3), px."""
-        _, by_pose = predict(camera, self.filter.pose(stated), places_m)
-        spread = by_pose @ self.filter.pose_covariance() @ np.swapaxes(by_pose, 1, 2)
-        sigmas: FloatArray = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0))
-        return sigmas
 
     def fresh_covariance_px2(self, match: PointMatch) -> FloatArray:
         """(2, 2) of a window's match that another frame would not repeat."""
@@ -181,30 +230,25 @@ class JointState:
     def sunward_px(
         self, window: Window, by_position: FloatArray, sun_body: FloatArray
     ) -> FloatArray:
-        """(2,) by how much a window is found away from the Sun, px.
+        """(2,) by how much a window is found away from the Sun, px; see `sunward_shift_px`."""
+        shift = sunward_shift_px(window.place_m, window.posting_m, by_position, sun_body)
+        return self.sizes.sunward_postings * shift
 
-        by_position (2, 3) derivative of its pixel by the camera's position
-        """
-        up = unit(window.place_m)
-        sine = float(np.clip(sun_body @ up, np.sin(MIN_SUN), 1.0))
-        level = sun_body - (sun_body @ up) * up
-        length = float(np.linalg.norm(level))
-        if length < 1e-6:
-            return np.zeros(2)
-        size = self.sizes.sunward_postings * window.posting_m * np.sqrt(1.0 - sine**2) / sine
-        # the ground moves a pixel as the camera does the other way
-        moved: FloatArray = by_position @ (level / length) * size
-        return moved
 
-    def _covariance(self, some: Sequence[WindowError], others: Sequence[WindowError]) -> FloatArray:
-        """(3 k, 3 n) of the errors of windows with those of others."""
-        common, ties = self.sizes.common, np.empty((len(some), len(others)))
-        for i, one in enumerate(some):
-            for j, other in enumerate(others):
-                ties[i, j] = common + (1.0 - common) * overlap(one.key, other.key)
-                if one.key == other.key:
-                    ties[i, j] = 1.0 + 1e-6
-        left = np.array([one.root_m for one in some])
-        right = np.array([one.root_m for one in others])
-        blocks = np.einsum("ij,iab,jcb->iajc", ties, left, right)
-        return np.asarray(blocks.reshape(3 * len(some), 3 * len(others)), dtype=np.float64)
+def sunward_shift_px(
+    place_m: FloatArray, posting_m: float, by_position: FloatArray, sun_body: FloatArray
+) -> FloatArray:
+    """(2,) of a posting times the cotangent of the Sun's elevation away from the Sun, px.
+
+    by_position (2, 3) derivative of a pixel at place_m (3,) by the camera's position
+    """
+    up = unit(place_m)
+    sine = float(np.clip(sun_body @ up, np.sin(MIN_SUN), 1.0))
+    level = sun_body - (sun_body @ up) * up
+    length = float(np.linalg.norm(level))
+    if length < 1e-6:
+        return np.zeros(2)
+    # the ground moves a pixel as the camera does the other way
+    size = posting_m * np.sqrt(1.0 - sine**2) / sine
+    moved: FloatArray = by_position @ (level / length) * size
+    return moved

@@ -9,11 +9,13 @@ so that those of one frame are sought again in the next one, with the same error
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
-from catalog.arrays import Float32Array, FloatArray, IndexArray
+from catalog.arrays import BoolArray, Float32Array, FloatArray, IndexArray
 from catalog.cache import Cache
 from catalog.control_point import ControlPoint, Patch
 from catalog.errors import DataError
@@ -24,7 +26,13 @@ from catalog.geometry.projection import Stereographic, node_grid
 from catalog.geometry.vectors import unit
 from optnav_cli.camera.camera import Camera
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.matching.point_match import MARGIN_NODES, MatchGates, PointMatch, match_point
+from optnav_cli.matching.point_match import (
+    MARGIN_NODES,
+    MatchGates,
+    PointMatch,
+    match_point,
+    nodes_a_sample,
+)
 from optnav_cli.matching.reference import Reference
 from optnav_cli.matching.search_plan import SearchPlan
 from optnav_cli.navigation.control_points.expectation import FrameContext
@@ -46,7 +54,11 @@ NEAREST, KEPT_WINDOWS = 16, 500
 REACH_NODES = 110  # of patches that a grid is joined from: half its side and half of theirs
 SHADOW_NODES, SHADOW_LEVELS = 100, 3  # of the grids about a window that throw shadows into it
 WELL_INSIDE = 8.0  # nodes from a patch's border: then no other patch is needed
+FEW_NODES = 10  # a side of a window, asked first
 MIN_KNOWN = 0.95  # share of a window that the patches must cover
+CELLS = 1.0  # nearest point of the catalog to ground that it has, of its cells
+# See `least_score`: of searches over at most so many nodes to every side, one in a thousand.
+MAX_SCORE, NEAR_NODES, CHANCE = 0.5, 8, 1e-3
 NO_GROUND = Reason(ReasonCode.NO_TERRAIN, "no terrain data")
 
 
@@ -79,6 +91,15 @@ class Window:
     def reference(self) -> Reference | None:
         """The ground ready to render; None where the catalog has too little of it."""
         return self.field.reference(self)
+
+
+@dataclass(frozen=True, eq=False)
+class SoughtWindow:
+    """A window that was looked for, and where, px."""
+
+    window: Window
+    match: PointMatch
+    expected_px: FloatArray
 
 
 class WindowField:
@@ -128,8 +149,10 @@ class WindowField:
         lat, lon = window.projection.lat, window.projection.lon
         radius = float(np.linalg.norm(window.place_m))
         point = _bare_point(np.degrees(lat), np.degrees(lon), radius)
-        room = 2 * (MAX_SEARCH_NODES + MARGIN_NODES)
-        own = _Grid(posting / OVERSAMPLED, OVERSAMPLED * key.side + room)
+        own = _Grid(posting / OVERSAMPLED, _room_nodes(key))
+        few = _Grid(own.posting_m * own.size / FEW_NODES, FEW_NODES)
+        if np.isfinite(self._heights(point, few, key.level, joined=False)).mean() < MIN_KNOWN:
+            return None
         last = min(key.level + SHADOW_LEVELS, len(self._points.layers[0].postings_m))
         grids = [(key.level, own)]
         # coarser patches throw shadows in
@@ -141,6 +164,19 @@ class WindowField:
                 return None
             patches.append(Patch(grid.posting_m, heights))
         return Reference(point, tuple(patches), self._points.radius_m)
+
+    def may_have(self, keys: Sequence[WindowKey]) -> BoolArray:
+        """(n,) whether windows of one level and side may have ground; what is not so has none.
+
+        A catalog has a point in each cell with ground, so far from all of them there is none.
+        """
+        posting = self.posting_m(keys[0].level)
+        middles = STEP * posting * np.array([(key.col, key.row) for key in keys], np.float64)
+        span = posting / OVERSAMPLED * (_room_nodes(keys[0]) - 1)
+        few = middles[:, None] + span * np.array(list(product((-0.5, 0.0, 0.5), repeat=2)))
+        away = self._points.distances_m(self.map.points(few[..., 0], few[..., 1], 0.0))
+        cell = float(np.radians(self._points.layers[0].grid.step_deg)) * self._points.radius_m
+        return np.asarray((away < CELLS * cell).all(axis=1))
 
     def _made(self, key: WindowKey) -> Window | None:
         posting = self.posting_m(key.level)
@@ -194,6 +230,11 @@ class WindowField:
             weight[at] += share
         found = np.where(weight > 0.0, total / np.maximum(weight, 1e-9), np.nan)
         return found.astype(np.float32)
+
+
+def _room_nodes(key: WindowKey) -> int:
+    """Nodes along a side of a window with all the room of a search."""
+    return OVERSAMPLED * key.side + 2 * (MAX_SEARCH_NODES + MARGIN_NODES)
 
 
 class _Grid(NamedTuple):
@@ -278,11 +319,14 @@ def choose_windows(
     fresh = np.array([(int(r), int(c)) not in taken for r, c in zip(row, col, strict=True)])
     chosen: list[Window] = []
     order: IndexArray = np.lexsort((col, row, off, fresh))
+    order = order[inside[order]]
+    keys = [WindowKey(level, side, int(row[k]), int(col[k])) for k in order]
+    known_ground = windows.may_have(keys) if keys else np.zeros(0, dtype=bool)
     full: set[tuple[int, int]] = set()
-    for k in order:
-        if not inside[k] or (place := (int(square[k, 0]), int(square[k, 1]))) in full:
+    for k, key, has_ground in zip(order, keys, known_ground, strict=True):
+        if not has_ground or (place := (int(square[k, 0]), int(square[k, 1]))) in full:
             continue
-        window = windows.window(WindowKey(level, side, int(row[k]), int(col[k])))
+        window = windows.window(key)
         if window is None or not _is_seen(frame, pose, window) or window.reference is None:
             continue
         full.add(place)
@@ -290,24 +334,40 @@ def choose_windows(
     return chosen
 
 
-def match_window(
-    frame: FrameContext, pose: Pose, window: Window, sigma_px: float, gates: MatchGates
-) -> PointMatch:
+def match_window(frame: FrameContext, pose: Pose, window: Window, sigma_px: float) -> PointMatch:
     """Search a window about where the pose expects it, to sigma_px."""
     if window.reference is None:
         return PointMatch(window.key.level, NO_GROUND)
     sample = float(np.linalg.norm(window.place_m - pose.position_m)) / frame.camera.coarse_focal_px
     posting = window.posting_m / OVERSAMPLED
     room = int(np.ceil(frame.settings.match.search_sigmas * sigma_px * sample / posting + 2.0))
+    room, nodes = min(room, MAX_SEARCH_NODES), OVERSAMPLED * window.key.side
     plan = SearchPlan(
         0,
-        OVERSAMPLED * window.key.side,
-        min(room, MAX_SEARCH_NODES),
+        nodes,
+        room,
         sample,
         soft_nodes=SOFT_NODES,
     )
+    gates = MatchGates(least_score(nodes, room), frame.settings.match.rival_ratio)
     args = window.reference, plan, frame.picture, frame.camera, pose, frame.sun_body
     return match_point(*args, frame.matcher, gates)
+
+
+def least_score(nodes: int, room: int) -> float:
+    """The correlation that a window must have: MAX_SCORE, or in a small search what chance reaches.
+
+    nodes  a side of the template;  room  of the search on every side
+    A model that is wrong at its posting correlates little with the ground: 0.2 to 0.4 in 3 m of
+    error on smooth ground. Where the track leaves little room, such a window still says something,
+    and what its match leaves over says how little.
+    """
+    if room > NEAR_NODES:
+        return MAX_SCORE
+    sample = nodes_a_sample(SOFT_NODES)
+    places = max((2 * room + 1) ** 2 / sample, 1.0)
+    sigmas = -float(ndtri(CHANCE / places))
+    return min(MAX_SCORE, sigmas / float(np.sqrt(nodes**2 / sample)))
 
 
 def overlap(one: WindowKey, other: WindowKey) -> float:

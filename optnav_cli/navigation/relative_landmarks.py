@@ -110,8 +110,7 @@ class LandmarkTracks:
             landmark, match = one.landmark, one.match
             number = state.keys.index(landmark.number)
             landmark.place_m = places[number]
-            axes = body_from_local(*(float(v) for v in latlon_from_xyz(landmark.place_m)[:2]))
-            landmark.covariance_m2 = axes.T @ state.filter.point_covariance(number) @ axes
+            landmark.covariance_m2 = _local_covariance(landmark, state)
             if landmark.number in used:
                 landmark.last_file, landmark.missed = frame.observation.file, 0
                 landmark.n_seen += 1
@@ -159,9 +158,7 @@ class LandmarkTracks:
         numbers = [landmark.number for landmark in fresh]
         state.add_landmarks(numbers, frame.camera, stated, places, pixel, sigma)
         for landmark in fresh:
-            axes = body_from_local(*(float(v) for v in latlon_from_xyz(landmark.place_m)[:2]))
-            own = state.filter.point_covariance(state.keys.index(landmark.number))
-            landmark.covariance_m2 = axes.T @ own @ axes
+            landmark.covariance_m2 = _local_covariance(landmark, state)
         self.all += fresh
 
     def _made(
@@ -227,3 +224,11 @@ class LandmarkTracks:
         # what this match was off by is off from now on
         spread = patch.gsd_m**2 * 0.5 * float(np.trace(match.covariance_px2))
         state.filter.loosen(number, spread * np.eye(3))
+
+
+def _local_covariance(landmark: Landmark, state: JointState) -> FloatArray:
+    """(3, 3) of a landmark's place in the state, east, north, up, m^2."""
+    axes = body_from_local(*(float(v) for v in latlon_from_xyz(landmark.place_m)[:2]))
+    own = state.filter.point_covariance(state.keys.index(landmark.number))
+    covariance: FloatArray = axes.T @ own @ axes
+    return covariance

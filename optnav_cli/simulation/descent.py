@@ -24,6 +24,7 @@ from catalog.geometry.latlon import body_from_local
 from catalog.geometry.rotations import ARCSEC
 from catalog.terrain.dem.source import DemSource
 from optnav_cli.frames.run_settings import InertialSettings
+from optnav_cli.simulation.descent_model import ModelSettings
 from optnav_cli.simulation.exposure import ATTITUDE, PLACE, PRIOR, Epoch
 from optnav_cli.simulation.passes import SunSettings, sun_over
 from optnav_cli.simulation.scenario_base import ScenarioBase
@@ -67,6 +68,7 @@ class Descent(ScenarioBase, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     descent: DescentSettings
     sun: SunSettings = SunSettings(elevation_deg=(10.0, 20.0))
     inertial: InertialSettings | msgspec.UnsetType = msgspec.UNSET
+    model: ModelSettings | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def track(self) -> InertialSettings | msgspec.UnsetType:

@@ -23,6 +23,8 @@ from optnav_cli.frames.folder import write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import Attitude, FileAttitude, RunSettings
 from optnav_cli.frames.truth import Truth, write_truth
+from optnav_cli.simulation.descent import Descent
+from optnav_cli.simulation.descent_model import write_model
 from optnav_cli.simulation.exposure import Exposure, TruthGround
 from optnav_cli.simulation.globe_ground import GlobeGround
 from optnav_cli.simulation.mesh_ground import MeshGround
@@ -154,6 +156,8 @@ class Simulation:
         ]
         write_truth(folder / "truth.csv", FileAttitude(self.attitude, motion.body, motion), truths)
         (folder / "scenario.json").write_bytes(scenario_copy(scenario))
+        if isinstance(scenario, Descent) and scenario.model:
+            write_model(scenario.model, scenario, motion.body, self.flight, folder)
 
 
 class Taken(msgspec.Struct, frozen=True):

@@ -105,6 +105,12 @@ class Mosaic:
             for s in (pyramid.source for pyramid in self.pyramids)
         )
 
+    @property
+    def latitudes(self) -> tuple[float, float]:
+        """The southernmost and northernmost ground, rad."""
+        bounds = [pyramid.source.latlon_bounds()[1::2] for pyramid in self.pyramids]
+        return min(south for south, _ in bounds), max(north for _, north in bounds)
+
     def files(self) -> list[Path]:
         """The sources' files and their overviews."""
         found: set[Path] = set()

@@ -69,6 +69,7 @@ class MeshTerrain:
         self.posting_m = posting_m
         self.names: tuple[str, ...] = (name,)
         self.extent = f"{name} covers all of {body.name}"
+        self.latitudes = -0.5 * np.pi, 0.5 * np.pi
         self.in_planes = 2.0 * body.radius_m < SMALL_BODY_M
         self.own_planes = self.in_planes and normals_m > 0.0
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import compress
 from typing import Protocol
 
@@ -111,7 +112,6 @@ class ControlPointField:
         self.skyline_deg = np.concatenate([layer.skyline_deg for layer in kept])
         self.radius_m = kept[0].radius_m
         self.damaged: dict[tuple[str, int], str] = {}
-        self._tree: cKDTree | None = None
         self._references: Cache[int, Reference] = Cache(MAX_REFERENCES)
         ranges = (np.linalg.norm(layer.xyz_m, axis=1) for layer in kept)
         self._lowest_m = [float(each.min(initial=np.inf)) for each in ranges]
@@ -217,10 +217,21 @@ class ControlPointField:
             self.damaged[name] = str(error)
             return None
 
+    def distances_m(self, places_m: FloatArray) -> FloatArray:
+        """Of places (..., 3), m, from the nearest point, along the reference sphere."""
+        found: FloatArray = self._tree.query(self.radius_m * unit(places_m))[0]
+        return found
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.radius_m * unit(self.xyz_m))
+
     def nearest(self, place_m: FloatArray, count: int, reach_m: float) -> list[int]:
-        """The nearest points to a place (3,), m, within a reach, nearest first."""
-        if self._tree is None:
-            self._tree = cKDTree(self.xyz_m)
+        """The nearest points to a place (3,), m, within a reach, nearest first.
+
+        Along the reference sphere: the ground may lie farther below or above it than a reach.
+        """
+        place_m = self.radius_m * unit(place_m)
         away, found = self._tree.query(place_m, k=count, distance_upper_bound=reach_m)
         near = np.atleast_1d(found)[np.isfinite(np.atleast_1d(away))]
         return [int(k) for k in near]

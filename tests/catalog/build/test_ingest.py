@@ -40,6 +40,18 @@ def test_a_region_covers_the_cells_it_touches(tmp_path, dems, moon):
     assert np.isin(inside, cells).all()
 
 
+def test_a_small_region_of_small_cells_asks_its_latitudes_only(tmp_path, dems, moon, monkeypatch):
+    """A body has a million cells of 0.2 deg; a model of 6 deg needs no question of the others."""
+    values, affine = dems.rough_region(300)
+    path = dems.write(tmp_path / "r.tif", values, affine=affine)
+    mosaic, asked = mosaic_of(moon, tmp_path, path), []
+    covers = mosaic.covers
+    monkeypatch.setattr(mosaic, "covers", lambda *a: (asked.append(len(a[0])), covers(*a))[1])
+    cells = covered_cells(mosaic, CellGrid(0.2), None)
+    assert cells.size > 800
+    assert sum(asked) < 60_000
+
+
 def test_a_hole_in_the_middle_of_a_cell_does_not_drop_it(tmp_path, dems, moon):
     values, affine = dems.rough_region(300)
     values[140:160, 140:160] = np.nan

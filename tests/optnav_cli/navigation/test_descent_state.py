@@ -8,6 +8,7 @@ from optnav_cli.estimation.descent_filter import TRACK, TrackErrors
 from optnav_cli.navigation.descent_state import JointState, WindowError, shipped_sizes
 from optnav_cli.navigation.descent_windows import STEP, WindowKey, overlap
 
+WINDOWS = TRACK + 3  # what all windows have in common stands before them
 ERRORS = TrackErrors(300.0, 0.8, 0.0, 6e-5, 4e-7, 1.5e-5)
 
 
@@ -35,7 +36,7 @@ def test_the_order_in_which_windows_join_does_not_matter() -> None:
     together.join_windows(errors, places(3))
     for error in errors:
         one_by_one.join_windows([error], places(1))
-    a, b = (state.filter.covariance[TRACK:, TRACK:] for state in (together, one_by_one))
+    a, b = (state.filter.covariance[WINDOWS:, WINDOWS:] for state in (together, one_by_one))
     assert a == pytest.approx(b, abs=1e-4)
     common = shipped_sizes().common
     tie = common + (1.0 - common) * 0.5
@@ -46,11 +47,9 @@ def test_a_window_joins_where_its_neighbour_was_found_to_err() -> None:
     """A neighbour known to be 10 m off says half of it of a window that shares half its ground."""
     state = JointState(ERRORS)
     state.join_windows([window(0, 0)], places(1))
-    state.filter.state[TRACK] = 10.0
+    state.filter.state[WINDOWS] = 10.0
     state.join_windows([window(0, 3)], places(1))
-    common = shipped_sizes().common
-    offset = state.filter.offsets_m[1]
-    assert offset == pytest.approx([10.0 * (common + (1.0 - common) * 0.5), 0.0, 0.0], rel=1e-4)
+    assert state.filter.offsets_m[2] == pytest.approx([5.0, 0.0, 0.0], rel=1e-4)
     # the track is not touched by it
     assert not state.filter.state[:TRACK].any()
 
@@ -61,5 +60,17 @@ def test_what_is_kept_is_kept_in_order() -> None:
     state.join_windows(errors, places(3))
     state.keep({errors[0].key, errors[2].key})
     assert state.windows == [errors[0].key, errors[2].key]
-    assert state.filter.count == 2
+    assert state.filter.count == 3
     assert state.place_m(errors[1].key) is None
+
+
+def test_what_windows_have_in_common_outlives_them() -> None:
+    """All windows 3 m off east, and gone: the next one, elsewhere, is expected there in part."""
+    state = JointState(ERRORS)
+    state.join_windows([window(0, 0)], places(1))
+    state.keep(set())
+    assert state.windows == []
+    state.filter.state[TRACK] = 1.0  # in units of a window's sigma
+    state.join_windows([window(0, 900)], places(1))
+    expected = 8.0 * np.sqrt(shipped_sizes().common)
+    assert state.filter.offsets_m[1] == pytest.approx([expected, 0.0, 0.0], rel=1e-4)

@@ -11,10 +11,11 @@ from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.config import resource
 from catalog.errors import ConfigError
 from catalog.geometry.rotations import ARCSEC
-from catalog.terrain.dem.source import DemSettings
+from catalog.terrain.dem.source import DemSettings, DemSource
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.run_settings import InertialSettings, read_run_settings
 from optnav_cli.simulation.descent import Descent, DescentSettings, picture_times, track_errors
+from optnav_cli.simulation.descent_model import ModelSettings, surveyed_model
 from optnav_cli.simulation.scenario import load_scenario
 from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera
 
@@ -130,6 +131,47 @@ def test_a_folder_of_a_track_reads_back_with_its_errors(tmp_path: Path) -> None:
     assert last.position_sigma_m == pytest.approx(np.hypot(300.0, 0.8 * 10.0), abs=1e-3)
     wanted = ARCSEC * np.sqrt(12.0**2 + 0.8**2 + 3.0**2)
     assert last.attitude_sigma_rad == pytest.approx(wanted, rel=1e-4)
+
+
+SMALL = Descent(
+    camera=MainCamera("tsnn2_wide"),
+    dem=(DemSettings(str(resource("data/tycho_gld100_256ppd.tif"))),),
+    globe=GlobeSettings(str(resource("data/moon_gld100_4ppd.tif"))),
+    detail=DetailSettings(seeds=(5,), smallest_m=30.0),
+    descent=DescentSettings(from_km=4.0, duration_s=10.0, speed_m_s=(100.0, 70.0), spacing_s=10),
+    model=ModelSettings(posting_m=30.0, error_m=1.0, margin_km=1.0),
+)
+
+
+def test_a_surveyed_model_is_the_truth_in_means_and_wrong_by_its_error(tmp_path: Path) -> None:
+    """The same noise at another size: the model is linear in its error."""
+    flight = SMALL.exposures(MOON)
+
+    def model(error_m: float) -> DemSource:
+        settings = ModelSettings(posting_m=30.0, error_m=error_m, margin_km=1.0)
+        path = tmp_path / f"{error_m}.tif"
+        path.write_bytes(surveyed_model(settings, SMALL, MOON.body, flight))
+        assert path.read_bytes() == surveyed_model(settings, SMALL, MOON.body, flight)
+        return DemSource.open(DemSettings(str(path)), tmp_path, MOON.body)
+
+    right, wrong = model(0.0), model(2.0)
+    assert right.posting_m == pytest.approx(118.45 / 4, rel=1e-3)
+    west, south, east, north = np.degrees(right.latlon_bounds())
+    assert west < -15.0 < east
+    assert south < -43.5 < north
+    heights, off = (source.read_window(0, 0, *source.shape) for source in (right, wrong))
+    assert (off - heights).std() == pytest.approx(2.0, rel=0.01)
+    # the truth has relief below 118 m, which its first model has not
+    coarse = DemSource.open(SMALL.dem[0], tmp_path, MOON.body)
+    rough = np.diff(heights, 2, axis=0).std() / right.posting_m**2
+    known = np.diff(coarse.read_window(0, 0, *coarse.shape), 2, axis=0).std()
+    assert rough > 3.0 * known / coarse.posting_m**2
+
+
+def test_a_model_coarser_than_the_ground_is_refused() -> None:
+    flight = SMALL.exposures(MOON)
+    with pytest.raises(ConfigError, match="three quarters of the 118 m"):
+        surveyed_model(ModelSettings(posting_m=100.0), SMALL, MOON.body, flight)
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,12 @@ import rasterio
 from catalog.config import resource
 from optnav_cli.fix import Fix, Method, NoFix, Solution
 from optnav_cli.reasons import Reason, ReasonCode
-from optnav_cli.studies.descent import (
-    CASES,
+from optnav_cli.studies.descent import CASES, DescentResult, filter_ms, report
+from optnav_cli.studies.descent_flights import (
     MODEL,
     WRONG_M,
-    DescentResult,
     FlownFrame,
-    filter_ms,
-    report,
+    Way,
     scenario_of,
     write_wrong_model,
 )
@@ -35,18 +33,15 @@ def frame(height_m: float, error: float | None, last: bool = False) -> FlownFram
 
 
 def test_each_ground_is_another_one() -> None:
-    first, second, low = (
-        scenario_of(0, low=False),
-        scenario_of(1, low=False),
-        scenario_of(0, low=True),
-    )
-    assert len({each.seed for each in (first, second, low)}) == 3
-    assert len({each.detail.seeds for each in (first, second, low)}) == 3
+    first, second, low = scenario_of(0), scenario_of(1), scenario_of(0, Way.LOW)
+    fine = scenario_of(0, Way.FINE)
+    assert len({each.seed for each in (first, second, low, fine)}) == 4
+    assert len({each.detail.seeds for each in (first, second, low, fine)}) == 4
     assert low.descent.from_km < first.descent.from_km
 
 
 def test_the_wrong_model_is_wrong_by_as_much_as_it_says(tmp_path: Path) -> None:
-    path = write_wrong_model(tmp_path / "wrong.tif")
+    path = write_wrong_model(tmp_path / "wrong.tif", 3)
     with rasterio.open(path) as wrong, rasterio.open(resource(f"data/{MODEL}")) as right:
         off = wrong.read(1) - right.read(1)
         assert wrong.transform == right.transform
