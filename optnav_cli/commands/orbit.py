@@ -11,6 +11,7 @@ COMMANDS: dict[str, Entry] = {  # by name, in the order of the help
     "export": Entry(
         f"{_HERE}.orbit_predict", "Write an orbit as OEM, SPICE kernel, CSV.", "export"
     ),
+    "time": Entry(f"{_HERE}.orbit_time", "When pictures were taken, from a known orbit."),
     "qso": Entry(f"{_HERE}.orbit_qso", "Quasi-satellite orbits of a moon such as Phobos."),
 }
 

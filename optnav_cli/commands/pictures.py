@@ -82,9 +82,14 @@ def simulate(
     help="A terrain model of the whole body for the horizon; by default the relief that a catalog "
     "carries.",
 )
+@click.option(
+    "--orbit",
+    type=PATH,
+    help="Folder of `optnav orbit fit`: the prior of frames that have none.",
+)
 @output_option("Folder for the results; an earlier run in it is replaced.")
 @workers_option
-@scheduler_option("pictures, catalogs and --relief")
+@scheduler_option("pictures, catalogs, --relief and --orbit")
 @pass_progress
 def navigate(
     progress: ConsoleProgress,
@@ -114,11 +119,15 @@ def navigate(
     A stopped run goes on where it was when the same command is given again; what is done lies in
     OUTPUT.work until then. A run that is there already, from the same inputs, is left as it is.
 
+    With --orbit, where the orbit leads is the prior of a frame that states none, with the orbit's
+    covariance: for a second pass over the pictures that it was fitted to, or for others near them.
+
     Ends with exit code 4 when no frame could be solved.
 
     \b
     Example:
       optnav navigate pictures --catalog tycho.gpkg --catalog moon.gpkg -o run
+      optnav navigate pictures --catalog moon.gpkg --orbit orbit -o run-2
       optnav navigate pictures --catalog moon.gpkg -o run --workers 4
       optnav navigate pictures --relief bundled:moon_gld100_4ppd.tif -o run
     """

@@ -15,6 +15,7 @@ from catalog.errors import DataError
 from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation, rotation_from_quaternion
 from catalog.tables import CsvRow
 from optnav_cli.camera.camera import Camera
+from optnav_cli.fix import PositionPrior
 from optnav_cli.frames.run_settings import FileAttitude
 from optnav_cli.frames.tables import FRAMES, POSITION, QUATERNION, SUN
 
@@ -38,6 +39,7 @@ class Frame:
     attitude_sigma_rad  1 sigma an axis, common_sigma_rad included; 0: exact; None: free
     position_m          (3,) prior position, body frame, m
     position_sigma_m    its 1 sigma a component
+    predicted           where a known orbit leads, for a frame without position_m
     sun_body            (3,) unit vector to the Sun, body frame; from the time where not given
     common_sigma_rad    the share in attitude_sigma_rad that frames.csv does not state: of the
                         camera's boresight, common to all its frames, and of the body's own
@@ -53,6 +55,7 @@ class Frame:
     attitude_sigma_rad: float | None = None
     position_m: FloatArray | None = None
     position_sigma_m: float | None = None
+    predicted: PositionPrior | None = None
     sun_body: FloatArray | None = None
     common_sigma_rad: float = 0.0
     problem: str | None = None

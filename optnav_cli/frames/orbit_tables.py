@@ -94,3 +94,13 @@ ORBIT_ERRORS = CsvTable(
         _number("normalised_error_squared", "of the place, a component; 1 is expected", "", "z.6f"),
     )
 )
+
+PICTURE_TIMES = CsvTable(
+    (
+        FILE,
+        _text("utc_stamp", "time of the picture as its run states it, UTC"),
+        _text("utc", "when the orbit passes its position, nearest to the stamp", empty=True),
+        _number("sigma_s", "1 sigma of that time", "s", ".6f", empty=True),
+        _text("candidates", "all passes within 3 sigmas, with semicolons between", empty=True),
+    )
+)

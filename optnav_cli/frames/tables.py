@@ -106,7 +106,11 @@ SOLUTION = CsvTable(
         _number("height_m", "height above the body's reference sphere", "m", "z.4f"),
         *(PREDICTED, MATCHED, USED),
         _number("residual_rms_px", "rms of the residuals, a coordinate", "px", "z.5f"),
-        _text("prior", "where the search began: frames.csv, a method, camera or arc", empty=True),
+        _text(
+            "prior",
+            "where the search began: frames.csv, orbit, a method, camera or arc",
+            empty=True,
+        ),
         _count("n_limb", "limb points that the solution rests on"),
         _number("arc_deg", "of the limb that they cover, about the nadir", "deg", "z.2f"),
         *(REASON, REASON_CODE),

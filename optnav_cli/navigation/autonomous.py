@@ -71,11 +71,16 @@ class Navigator:
         return self._from_arc(methods, reason)
 
     def _from_file(self, methods: FrameMethods) -> Solution | Reason:
-        """Control points from the position that frames.csv states."""
+        """Control points from the position that frames.csv states, or to which an orbit leads."""
         prior = methods.observation.prior
         if prior is None or self._inputs.points is None:
             return NO_REASON
+        stated = prior.source == FROM_FILE
+        if not stated and self._out_of_reach(methods.observation, prior):
+            return NO_REASON
         row = methods.by_points(prior)
+        if not row.solved and not stated:  # what solves a frame without a prior may solve it
+            return NO_REASON
         if not row.solved:
             return self._from_silhouette(methods, prior, row) or self._with_inverse_attitude(
                 row, methods, prior

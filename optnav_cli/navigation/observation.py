@@ -23,7 +23,7 @@ class Observation:
     camera_from_body    the stated attitude; of a free one the first guess
     attitude_sigma_rad  1 sigma an axis; 0: exact; None: free
     sun_body            (3,) unit vector to the Sun, body frame
-    prior               the stated position, if there is one
+    prior               the stated position, else where a known orbit leads, if there is one
     """
 
     file: str
@@ -48,7 +48,7 @@ def observation_of(frame: Frame, camera: Camera, picture: Picture) -> Observatio
         raise NoSolutionError("no attitude: the quaternion is empty", ReasonCode.NO_ATTITUDE)
     if frame.sun_body is None or frame.tdb_s is None:
         raise NoSolutionError("no direction to the Sun", ReasonCode.NO_SUN)
-    prior = None
+    prior = frame.predicted
     if frame.position_m is not None and frame.position_sigma_m is not None:
         prior = PositionPrior.isotropic(frame.position_m, frame.position_sigma_m, FROM_FILE)
     turn, sigma, sun = frame.camera_from_body, frame.attitude_sigma_rad, frame.sun_body

@@ -47,6 +47,7 @@ from optnav_cli.output.recording import recorded_image
 from optnav_cli.output.run_folder import FRAMES
 from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.runs.inputs import open_catalogs, open_field, open_ground, whole_relief
+from optnav_cli.runs.orbit_prior import orbit_inputs, with_orbit
 
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 # A patch that takes up more of the picture's width than this is not outlined.
@@ -110,6 +111,7 @@ class RunInputs:
     matcher   of MATCHERS
     relief    a terrain model of the whole body for the horizon; else the finest relief that a
               catalog carries
+    orbit     folder of a fitted orbit: the prior of frames that have none
     """
 
     pictures: Path
@@ -117,6 +119,7 @@ class RunInputs:
     settings: NavigateSettings = field(default_factory=NavigateSettings)
     matcher: str = "ncc"
     relief: Path | None = None
+    orbit: Path | None = None
 
     @property
     def kernels(self) -> list[Path]:
@@ -127,7 +130,9 @@ class RunInputs:
         """The same for processes that work in another folder."""
         relief = None if self.relief is None else path_of(str(self.relief), Path.cwd())
         catalogs = [path.absolute() for path in self.catalogs]
-        return replace(self, pictures=self.pictures.absolute(), catalogs=catalogs, relief=relief)
+        orbit = None if self.orbit is None else self.orbit.absolute()
+        pictures = self.pictures.absolute()
+        return replace(self, pictures=pictures, catalogs=catalogs, relief=relief, orbit=orbit)
 
 
 class FrameWorker:
@@ -151,12 +156,16 @@ class FrameWorker:
         folder = [given.pictures / RUN_TOML, given.pictures / FRAMES]
         folder += [path for path in [given.pictures / POINTS_CSV] if path.exists()]
         relief = [] if given.relief is None else [given.relief]
-        return [*folder, *given.catalogs, *given.kernels, *relief]
+        orbit = [] if given.orbit is None else orbit_inputs(given.orbit)
+        return [*folder, *given.catalogs, *given.kernels, *relief, *orbit]
 
     @cached_property
     def folder(self) -> Folder:
         """The picture folder."""
-        return read_folder(self.given.pictures, self.given.kernels)
+        folder = read_folder(self.given.pictures, self.given.kernels)
+        if self.given.orbit is None:
+            return folder
+        return replace(folder, frames=with_orbit(folder.frames, folder.body, self.given.orbit))
 
     @cached_property
     def catalogs(self) -> list[Catalog]:

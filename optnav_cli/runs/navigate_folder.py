@@ -52,6 +52,7 @@ from optnav_cli.runs.frame_worker import (
     unpacked_row,
     unseen_record,
 )
+from optnav_cli.runs.orbit_prior import orbit_inputs
 
 log = logging.getLogger(__name__)
 
@@ -289,7 +290,15 @@ def _inputs(worker: FrameWorker, given: RunInputs) -> dict[str, Any]:
     cameras = (f"{CAMERAS}/{name}.toml" for name in folder.cameras)
     tables = [RUN_TOML, FRAMES, *([] if folder.points is None else [POINTS_CSV])]
     relief = worker.inputs.relief
+    orbit: dict[str, Any] = {}
+    if given.orbit is not None:
+        names = [path.name for path in orbit_inputs(given.orbit)]
+        orbit["orbit"] = {
+            "path": str(given.orbit),
+            "files_sha256": hash_files(given.orbit, names),
+        }
     return {
+        **orbit,
         "pictures": str(given.pictures),
         "files_sha256": hash_files(given.pictures, [*usable, *cameras, *tables]),
         "catalogs": [

@@ -9,11 +9,15 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError, UsageError
 from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.rotations import rnb_axes
+from optnav_cli.frames.orbit_tables import PICTURE_TIMES
 from optnav_cli.orbit.folder import ORBIT_CSV, OrbitRows, read_orbit, stated_turn, write_orbit_rows
 from optnav_cli.orbit.oem import BEGINNING, Oem, write_oem
+from optnav_cli.orbit.picture_times import PictureTime, picture_times
 from optnav_cli.orbit.predict import OrbitPath, Prediction
 from optnav_cli.orbit.spk import SPK_BEGINNING, write_spk
+from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.wording import table_lines
+from optnav_cli.runs.orbit_folder import read_fixes
 
 log = logging.getLogger(__name__)
 
@@ -106,3 +110,40 @@ def export_orbit(folder: Path, output: Path, craft: int) -> None:
         write_output(output, (folder / ORBIT_CSV).read_bytes(), starts_with(CSV_BEGINNING))
     else:
         write_orbit(OrbitPath(orbit), orbit.rows, output, craft)
+
+
+def time_pictures(run: Path, folder: Path, output: Path, margin_s: float) -> list[str]:
+    """Write when the solved pictures of a run were taken; lines for people.
+
+    Raises DataError for a run about another body, NothingToDoError where the orbit passes none.
+    """
+    path = OrbitPath(read_orbit(folder))
+    found = read_fixes([read_run(run)])
+    if found.body.name != path.orbit.body.name:
+        raise DataError(
+            f"{run}: its fixes are about {found.body.name}, the orbit about "
+            f"{path.orbit.body.name}; name an orbit about the same body"
+        )
+    timed = picture_times(path, found.fixes, margin_s)
+    with replacing_file(output, starts_with(b"file,utc_stamp,utc,")) as new:
+        PICTURE_TIMES.write(new, map(_time_cells, timed))
+    offsets = [one.best.tdb_s - one.fix.tdb_s for one in timed if one.best is not None]
+    if not offsets:
+        raise NothingToDoError(
+            f"{run}: {folder} passes none of its {len(timed)} positions within 3 sigmas; see that "
+            "it is of the same flight, or search farther by --margin"
+        )
+    several = sum(len(one.passes) > 1 for one in timed)
+    return [
+        f"{len(offsets)} of {len(timed)} pictures lie on the orbit; {several} at several times",
+        f"median of time less stamp: {np.median(offsets):+.6f} s",
+    ]
+
+
+def _time_cells(timed: PictureTime) -> dict[str, object]:
+    best = timed.best
+    cells: dict[str, object] = {"file": timed.fix.file, "utc_stamp": timed.fix.utc}
+    if best is not None:
+        cells |= {"utc": utc_from_tdb_s(best.tdb_s), "sigma_s": best.sigma_s}
+        cells["candidates"] = ";".join(utc_from_tdb_s(one.tdb_s) for one in timed.passes)
+    return cells

@@ -13,7 +13,7 @@ import click
 
 from catalog.tables import CsvTable
 from optnav_cli.commands.config import first_sentence
-from optnav_cli.frames import tables
+from optnav_cli.frames import orbit_tables, tables
 from optnav_cli.main import COMMANDS, cli
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.studies.tables import StudyReport
@@ -133,8 +133,9 @@ def configs(folder: str) -> str:
 
 
 def columns(name: str) -> str:
-    """The columns of a CSV file of a picture folder or of a run folder."""
-    table: CsvTable = getattr(tables, name.upper())
+    """The columns of a CSV file of a picture folder, of a run folder or of an orbit's."""
+    place = tables if hasattr(tables, name.upper()) else orbit_tables
+    table: CsvTable = getattr(place, name.upper())
     return table.markdown().strip()
 
 

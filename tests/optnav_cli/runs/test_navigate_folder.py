@@ -19,18 +19,25 @@ from catalog.errors import DataError, NothingToDoError
 from catalog.progress import SilentProgress
 from catalog.store.manifest import CatalogMeta
 from catalog.store.reader import Catalog
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
+from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.frames.folder import read_folder, write_folder
 from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.control_points import method as control_points
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
+from optnav_cli.orbit.settings import NoiseSettings, OrbitSettings
 from optnav_cli.output import overlay
+from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import read_matches
 from optnav_cli.reasons import ReasonCode
 from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.inputs import open_field
 from optnav_cli.runs.navigate_folder import navigate_folder
+from optnav_cli.runs.orbit_folder import fit_runs
 from tests.catalog.store.written import write_points
+from tests.optnav_cli.orbit.flights import fixes_of
+from tests.optnav_cli.orbit.flights import write_run as write_fixes
 
 SETTINGS = NavigateSettings(match=MatchSettings(template_nodes=48))
 UTC = "2024-05-01T12:00:00Z"
@@ -434,3 +441,65 @@ def test_a_kernel_that_is_not_there_ends_the_run_before_it_begins(mixed, catalog
             SilentProgress(),
         )
     assert not (tmp_path / "run").exists()
+
+
+@pytest.fixture(scope="session")
+def passing_orbit(taken, tmp_path_factory):
+    """An orbit that passes the picture's place at its time, fitted to half an hour of fixes."""
+    _, pose, _ = taken
+    motion, middle = AnalyticEphemeris(load_body("moon")), utc_to_tdb_s(UTC)
+    place = motion.body_from_inertial(middle).T @ pose.position_m
+    forward = np.cross([0.0, 0.0, 1.0], place)
+    speed = np.sqrt(motion.body.gm_m3_s2 / np.linalg.norm(place))
+    state = np.concatenate([place, speed * forward / np.linalg.norm(forward)])
+    times = middle + np.linspace(-900.0, 900.0, 10)
+    states, _ = OrbitMotion(Forces(motion)).propagate(state, middle, times)
+    folder = tmp_path_factory.mktemp("orbit")
+    run = write_fixes(folder / "run", fixes_of(times, states))
+    settings = OrbitSettings(forces=ForcesSettings(degree=2), noise=NoiseSettings("white", 1e-12))
+    fit_runs([run], folder / "orbit", settings)
+    return folder / "orbit"
+
+
+def test_an_orbit_is_the_prior_of_a_frame_without_one(
+    passing_orbit, rough_world, taken, catalog_path, tmp_path
+):
+    picture, pose, _ = taken
+    open_frame = {"position_m": None, "position_sigma_m": None}
+    frames = [good_frame("open.png", taken, **open_frame), good_frame("stated.png", taken)]
+    pictures = folder_with(tmp_path / "pictures", rough_world, frames)
+    for frame in frames:
+        cv2.imwrite(str(pictures / frame.file), picture.astype(np.uint8))
+    (alone, _) = navigated(pictures, tmp_path / "alone", catalog_path)
+    given = RunInputs(pictures, [catalog_path], SETTINGS, orbit=passing_orbit)
+    led, stated = navigate_folder(given, tmp_path / "led", SilentProgress())
+    # without it this picture, full of ground, has no prior: the twin's comes after it
+    assert alone.prior != "orbit"
+    assert (led.prior, stated.prior) == ("orbit", "frames.csv")
+    assert led.solved
+    assert np.linalg.norm(led.position_m - pose.position_m) < 100.0
+    inputs = json.loads((tmp_path / "led" / "manifest.json").read_text())["inputs"]
+    assert set(inputs["orbit"]) == {"path", "files_sha256"}
+    assert read_run(tmp_path / "led").solutions[0].prior == "orbit"
+
+
+def test_an_orbit_that_leads_elsewhere_leaves_a_frame_to_the_other_ways(
+    passing_orbit, rough_world, taken, catalog_path, tmp_path
+):
+    picture, _, _ = taken
+    frame = good_frame("open.png", taken, position_m=None, position_sigma_m=None, utc=EARLIER)
+    pictures = folder_with(tmp_path / "pictures", rough_world, [frame])
+    cv2.imwrite(str(pictures / "open.png"), picture.astype(np.uint8))
+    given = RunInputs(pictures, [catalog_path], SETTINGS, orbit=passing_orbit)
+    with pytest.raises(NothingToDoError, match="no prior: no limb in view"):
+        navigate_folder(given, tmp_path / "run", SilentProgress())
+
+
+def test_an_orbit_about_another_body_is_refused(passing_orbit, mixed, catalog_path, tmp_path):
+    other = tmp_path / "orbit"
+    shutil.copytree(passing_orbit, other)
+    text = (other / "run.toml").read_text().replace('"moon"', '"mars"')
+    (other / "run.toml").write_text(text)
+    given = RunInputs(mixed, [catalog_path], SETTINGS, orbit=other)
+    with pytest.raises(DataError, match="is an orbit about mars; the pictures show moon"):
+        navigate_folder(given, tmp_path / "run", SilentProgress())
