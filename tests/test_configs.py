@@ -73,8 +73,14 @@ def load_orbit_fit(path: Path) -> object:
     return load_orbit_settings(path)
 
 
+def load_landing(path: Path) -> object:
+    from optnav_cli.orbit.landing_settings import load_landing_settings
+
+    return load_landing_settings(path)
+
+
 def load_orbit(path: Path) -> object:
-    kinds = {"qso": load_qso}
+    kinds = {"qso": load_qso, "landing": load_landing}
     return kinds[path.stem.partition("_")[0]](path)
 
 
@@ -108,6 +114,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "imports": load_import,
     "orbits": load_orbit,
     "templates/qso": load_qso,
+    "templates/landing": load_landing,
     "templates/build": load_build,
     "templates/scenario": load_scenario,
     "templates/navigate": load_navigate,
@@ -195,6 +202,10 @@ def config_type(kind: str) -> type[msgspec.Struct]:
         from optnav_cli.orbit.settings import OrbitSettings
 
         return OrbitSettings
+    if kind == "landing":
+        from optnav_cli.orbit.landing_settings import LandingSettings
+
+        return LandingSettings
     from optnav_cli.simulation.passes import Scenario
 
     return Scenario

@@ -65,7 +65,7 @@ KINDS = {
 }
 
 
-TEMPLATES = ("build", "scenario", "navigate", "hazard", "calibrate", "orbit", "qso")
+TEMPLATES = ("build", "scenario", "navigate", "hazard", "calibrate", "orbit", "qso", "landing")
 FOLDERS = ("folder", "points")  # examples to begin with, which `template` copies
 
 
@@ -116,9 +116,9 @@ def list_shipped(kind: str | None, as_json: bool) -> None:
 def template(kind: str, output: Path | None) -> None:
     """Print a valid, commented configuration with all settings and their defaults.
 
-    KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard, calibrate, orbit
-    or qso; or folder: a picture folder with an example picture, whose files say what they hold,
-    which -o names; or points: one with picked points.
+    KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard, calibrate, orbit,
+    qso or landing; or folder: a picture folder with an example picture, whose files say what they
+    hold, which -o names; or points: one with picked points.
 
     \b
     Example:

@@ -344,3 +344,50 @@ QSO_PATHS = CsvTable(
         _number("z_km", "the same: up", "km", "z.3f", empty=False),
     )
 )
+
+LANDING = CsvTable(
+    (
+        _count("trial", "number of the trial, from 1", empty=False),
+        STATUS,
+        _number("arrival_error_m", "of the navigation at the arrival over the target", "m", "z.3f"),
+        _number("arrival_sigma_m", "its stated 1 sigma, a length", "m", "z.3f"),
+        _number("arrival_error_m_s", "of the velocity then", "m/s", "z.5f"),
+        _number("arrival_nees", "errors squared over their covariance, over 6", "", "z.3f"),
+        _count("steps", "of the fit that took most"),
+        _count("starts", "of that fit: more than one after a wrong minimum"),
+        _number(
+            "end_height_error_m", "of the navigation at the altimeter's last height", "m", "z.3f"
+        ),
+        _number("end_side_error_m", "the same, across", "m", "z.3f"),
+        _number("end_down_error_m_s", "the same, velocity along up", "m/s", "z.5f"),
+        _number("end_side_error_m_s", "the same, velocity across", "m/s", "z.5f"),
+        _number("end_nees", "the same, errors squared over their covariance, over 6", "", "z.3f"),
+        _number("east_m", "touchdown, east of the target", "m", "z.3f"),
+        _number("north_m", "touchdown, north of it", "m", "z.3f"),
+        _number("down_m_s", "velocity down at the touchdown", "m/s", "z.4f"),
+        _number("side_m_s", "velocity across then", "m/s", "z.4f"),
+        _number("dv_m_s", "of all burns, without what holds the craft up", "m/s", "z.3f"),
+        REASON,
+    )
+)
+
+LANDING_IMPULSE = CsvTable(
+    (
+        _count("step", "of Newton's method", empty=False),
+        *(
+            _number(f"dv_{i}_m_s", f"its change of the impulse, inertial, {i}", "m/s", ".9g")
+            for i in "xyz"
+        ),
+        _number("left_m_s", "of the impulse still to find after it", "m/s", ".6g", empty=False),
+    )
+)
+
+LANDING_PATH = CsvTable(
+    (
+        _text("kind", "transfer, descent (of the first trial), ground, or beam (two rows each)"),
+        _number("seconds", "since the departure", "s", ".6g"),
+        _number("along_km", "level, towards the target in the plane of the transfer", "km", "z.5f"),
+        _number("up_km", "over the target", "km", "z.5f"),
+        _number("side_km", "across that plane", "km", "z.5f"),
+    )
+)

@@ -7,6 +7,7 @@ from catalog.files import check_file, made_by_optnav, replacing_file, starts_wit
 from catalog.progress import logged_stage
 from catalog.store.reader import Catalog
 from optnav_cli.hazard.settings import KIND as HAZARD
+from optnav_cli.orbit.landing_settings import LANDING_KIND
 from optnav_cli.orbit.qso_settings import QSO_KIND
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.report import page, sheet
@@ -14,8 +15,13 @@ from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
 from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.report.hazard_page import hazard_page
+from optnav_cli.report.landing_page import landing_page, landing_sheet
 from optnav_cli.report.qso_page import qso_page, qso_sheet
 from optnav_cli.report.run_page import run_page
+
+# Pages and pictures of output folders, by the kind that their manifest states.
+PAGES = {HAZARD: hazard_page, QSO_KIND: qso_page, LANDING_KIND: landing_page}
+SHEETS = {QSO_KIND: qso_sheet, LANDING_KIND: landing_sheet}
 
 
 def write_report(source: Path, output: Path) -> None:
@@ -39,20 +45,18 @@ def _write(source: Path, output: Path) -> None:
                 f"{source}: only the errors of a run are drawn as SVG, and orbits; name an .html "
                 "file"
             )
-        if made_by_optnav(source, QSO_KIND):
-            sheet.write_sheet(qso_sheet(source), output)
-            return
+        for kind, draw in SHEETS.items():
+            if made_by_optnav(source, kind):
+                sheet.write_sheet(draw(source), output)
+                return
         run = read_run(source)
         if not any(solution.solved for solution in run.solutions):
             raise DataError(f"{source}: no frame is solved, so there is nothing to draw")
         sheet.write_sheet(error_sheet(run), output)
         return
-    if source.is_dir() and made_by_optnav(source, HAZARD):
-        text = hazard_page(source)
-    elif source.is_dir() and made_by_optnav(source, QSO_KIND):
-        text = qso_page(source)
-    elif source.is_dir():
-        text = calibration_page(source) if is_calibration(source) else run_page(source)
+    if source.is_dir():
+        made = (draw for kind, draw in PAGES.items() if made_by_optnav(source, kind))
+        text = next(made, calibration_page if is_calibration(source) else run_page)(source)
     elif source.is_file():
         with Catalog.open(source) as catalog:
             text = catalog_page(catalog)

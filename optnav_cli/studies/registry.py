@@ -281,6 +281,20 @@ STUDIES = (
         _flights("horizon", "pictures and figures.json", "far"),
     ),
     Study(
+        "landing",
+        "Landings on Phobos: impulse, rays, navigation, descent, touchdown.",
+        """Fly landings on Phobos with drawn errors and compare the navigation with the truth.
+
+        Departure impulses, rays on the shape model, transfers over wrong ground, the end of the
+        descent and the touchdown. Takes two minutes; --trials 10 --fits 4 gives a first look.""",
+        "--trials 10 --fits 4",
+        (
+            _trials(1, 200, "Landings of each row."),
+            _option("--fits", click.IntRange(1, MANY), 40, "Transfers of each row."),
+            _seed("Of errors and grounds."),
+        ),
+    ),
+    Study(
         "matching",
         "What matching bears of noise, scale, slant and roll.",
         """Look for control points of the bundled Tycho terrain by correlation and by SURF-64.

@@ -1,0 +1,261 @@
+"""The vertical descent and the braking of a landing, all trials at once.
+
+Source of the stages and their limits: Tuchin, thesis (2010), chapter 2. A craft sinks at a constant
+speed; where its side velocity is off what leads it to the target, an engine mends it. Below the
+altimeter's last height the speed falls with the square root of the height. A filter of place and
+velocity takes the ranges of four beams and, nearer, the velocities along them. The model of the
+ground is wrong alike over a length: each beam has an error of its own, a Gauss-Markov sequence over
+the ground that its foot moves on, with the correlation that feet so far apart have.
+
+Axes are body-fixed; the pull of the moon, its turning and the planet's tide are compensated by the
+engines as the state that the filter has says: what is left is the pull's change by its error.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from catalog.arrays import BoolArray, FloatArray
+from optnav_cli.orbit.landing import Site
+from optnav_cli.orbit.landing_navigation import beams_about
+from optnav_cli.orbit.landing_rays import Ground
+from optnav_cli.orbit.landing_settings import LandingSettings
+
+STEP_S = 1.0
+CONTROL_S = 20  # steps between burns of the descent; in the braking each step has one
+SIDE_M_S = 4.0  # the largest side velocity that is asked for
+DEAD_M_S = 0.05  # of a velocity that is not mended
+LAST_M = 20.0  # below this height no side engine is used: dust
+MAX_STEPS = 6000
+BEAMS = 4
+UNKNOWNS = 6 + BEAMS
+
+
+@dataclass(frozen=True, eq=False)
+class DescentErrors:
+    """Errors of the filter at one moment of each trial (n).
+
+    height_m, rate_m_s  along up;  side_m, side_m_s  (n,) across, the length of both components
+    nees  of the place and velocity, over 6
+    """
+
+    height_m: FloatArray
+    side_m: FloatArray
+    rate_m_s: FloatArray
+    side_m_s: FloatArray
+    nees: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Touchdown:
+    """The end of each trial.
+
+    east_m, north_m  from the target;  down_m_s, side_m_s  the velocity against the ground
+    dv_m_s  of the descent;  landed  whether the ground was met in time
+    """
+
+    east_m: FloatArray
+    north_m: FloatArray
+    down_m_s: FloatArray
+    side_m_s: FloatArray
+    dv_m_s: FloatArray
+    landed: BoolArray
+    end: DescentErrors
+    path: FloatArray
+
+
+class Descent:
+    """Craft over a site with a filter each; states (n, 6) in axes east, north, up of the site."""
+
+    def __init__(
+        self, model: Ground, truth: Ground, site: Site, settings: LandingSettings, gm: float
+    ) -> None:
+        self._model, self._truth, self._site = model, truth, site
+        self._settings, self._gm = settings, gm
+        axis = -np.array([0.0, 0.0, 1.0])
+        self._beams = beams_about(axis, float(np.radians(settings.beams.off_deg)))
+        apart = self._beams[:, None] - self._beams
+        self._apart = np.linalg.norm(apart, axis=-1) / float(-self._beams[0, 2])
+
+    def fly(
+        self,
+        states: FloatArray,
+        guesses: FloatArray,
+        covariances: FloatArray,
+        rng: np.random.Generator,
+    ) -> Touchdown:
+        """Bring craft down from states that guesses (n, 6) with covariances (n, 6, 6) know."""
+        count = len(states)
+        self._x, self._xhat = states.copy(), np.hstack([guesses, np.zeros((count, BEAMS))])
+        self._p = np.zeros((count, UNKNOWNS, UNKNOWNS))
+        self._p[:, :6, :6] = covariances
+        self._p[:, 6:, 6:] = self._surface(guesses[:, 2])
+        self._rng, self._dv = rng, np.zeros(count)
+        self._burn(self._wanted(), np.ones(count, bool))
+        end: DescentErrors | None = None
+        done = np.zeros(count, bool)
+        last, path = self._x.copy(), []
+        for step in range(MAX_STEPS):
+            self._measure(step, ~done)
+            if end is None and (self._xhat[:, 2] < self._settings.beams.to_m).all():
+                end = self._errors()
+            path.append(self._x[0].copy())
+            braking = self._xhat[:, 2] < self._settings.beams.to_m
+            due = braking | (step % CONTROL_S == 0)
+            self._burn(self._wanted(), due & ~done)
+            before = self._x.copy()
+            self._move(~done)
+            over = self._truth.height(self._body(self._x[:, :3]))
+            fell = ~done & ~(over > 0.0)
+            if fell.any():
+                # the part of the step that ends on the ground
+                drop = np.maximum(before[:, 2] - self._x[:, 2], 1e-6)
+                share = np.clip(1.0 + np.where(np.isfinite(over), over, 0.0) / drop, 0.0, 1.0)
+                where = before + share[:, None] * (self._x - before)
+                last[fell] = where[fell]
+                done |= fell
+            if done.all():
+                break
+        side = np.linalg.norm(last[:, 3:5], axis=1)
+        return Touchdown(
+            last[:, 0], last[:, 1], -last[:, 5], side, self._dv, done,
+            end or self._errors(), np.array(path),
+        )  # fmt: skip
+
+    def _body(self, places: FloatArray) -> FloatArray:
+        found: FloatArray = self._site.point + places @ self._site.axes
+        return found
+
+    def _errors(self) -> DescentErrors:
+        off = self._xhat[:, :6] - self._x
+        square = np.einsum(
+            "ni,ni->n", off, np.linalg.solve(self._p[:, :6, :6], off[..., None])[..., 0]
+        )
+        lengths = (np.linalg.norm(off[:, :2], axis=1), np.linalg.norm(off[:, 3:5], axis=1))
+        return DescentErrors(off[:, 2], lengths[0], off[:, 5], lengths[1], square / 6.0)
+
+    def _surface(self, heights: FloatArray) -> FloatArray:
+        """(n, 4, 4) of the surface's errors under the feet of beams from heights (n,)."""
+        surface = self._settings.surface
+        reach = np.maximum(heights, 1.0)[:, None, None] * self._apart
+        found: FloatArray = surface.near_error_m**2 * np.exp(-reach / surface.error_length_m)
+        # never quite the same: the ground is rough below the length, too
+        found[:, range(BEAMS), range(BEAMS)] += 0.01 * surface.near_error_m**2 + 1e-4
+        return found
+
+    def _wanted(self) -> FloatArray:
+        """The velocity (n, 3) that leads to the target."""
+        section, beams = self._settings.landing, self._settings.beams
+        height = np.maximum(self._xhat[:, 2], 0.0)
+        share = np.sqrt(np.minimum(height / beams.to_m, 1.0))
+        speed = np.maximum(section.descent_m_s * share, section.touchdown_m_s)
+        togo = np.maximum(height / section.descent_m_s, 2.0 * CONTROL_S)
+        side = -self._xhat[:, :2] / togo[:, None]
+        length = np.linalg.norm(side, axis=1)
+        side *= np.minimum(1.0, SIDE_M_S / np.maximum(length, 1e-9))[:, None]
+        side[height < LAST_M] = 0.0
+        return np.hstack([side, -speed[:, None]])
+
+    def _burn(self, wanted: FloatArray, due: BoolArray) -> None:
+        """Change velocities towards the wanted ones, with the errors of engines."""
+        errors = self._settings.errors
+        change = wanted - self._xhat[:, 3:6]
+        low = self._xhat[:, 2] < LAST_M
+        change[low, :2] = 0.0
+        size = np.linalg.norm(change, axis=1)
+        due = due & (size > DEAD_M_S)
+        change[~due] = 0.0
+        size = np.where(due, size, 0.0)
+        sigma = np.array([errors.size, *[np.radians(errors.direction_deg)] * 2])
+        off = self._rng.normal(size=(len(change), 3)) * sigma
+        unit = change / np.maximum(size, 1e-9)[:, None]
+        u = np.cross(unit, [0.6, 0.64, 0.48])
+        u /= np.maximum(np.linalg.norm(u, axis=1), 1e-9)[:, None]
+        v = np.cross(unit, u)
+        real = change + size[:, None] * (off[:, :1] * unit + off[:, 1:2] * u + off[:, 2:] * v)
+        share = errors.accelerometer * size
+        self._x[:, 3:] += real
+        self._xhat[:, 3:6] += real + share[:, None] * self._rng.normal(size=real.shape)
+        self._p[:, range(3, 6), range(3, 6)] += share[:, None] ** 2
+        self._dv += np.linalg.norm(real, axis=1)
+
+    def _move(self, flying: BoolArray) -> None:
+        """One step: what is compensated leaves the pull's change by the filter's error."""
+        pull = self._pull(self._x[:, :3]) - self._pull(self._xhat[:, :3])
+        moving = flying[:, None]
+        self._x[:, :3] += np.where(moving, STEP_S * self._x[:, 3:] + 0.5 * STEP_S**2 * pull, 0.0)
+        self._x[:, 3:] += np.where(moving, STEP_S * pull, 0.0)
+        self._xhat[:, :3] += np.where(moving, STEP_S * self._xhat[:, 3:6], 0.0)
+        phi = np.eye(UNKNOWNS)
+        phi[:3, 3:6] = STEP_S * np.eye(3)
+        # the feet move over the ground as the beams come together and the craft drifts
+        speed = np.abs(self._xhat[:, 5]) * float(np.hypot(*self._beams[0, :2] / self._beams[0, 2]))
+        speed = speed + np.linalg.norm(self._xhat[:, 3:5], axis=1)
+        fade = np.exp(-STEP_S * speed / self._settings.surface.error_length_m)
+        self._xhat[:, 6:] *= fade[:, None]
+        phi = np.broadcast_to(phi, (len(fade), UNKNOWNS, UNKNOWNS)).copy()
+        phi[:, 6:, 6:] *= fade[:, None, None]
+        self._p = phi @ self._p @ phi.transpose(0, 2, 1)
+        self._p[:, 6:, 6:] += (1.0 - fade**2)[:, None, None] * self._surface(self._xhat[:, 2])
+        self._p[:, range(3, 6), range(3, 6)] += 1e-10  # the gradient of the pull, 1e-5 m/s a root s
+
+    def _pull(self, places: FloatArray) -> FloatArray:
+        body = self._body(places)
+        pull = -self._gm * body / np.linalg.norm(body, axis=1)[:, None] ** 3
+        found: FloatArray = pull @ self._site.axes.T
+        return found
+
+    def _measure(self, step: int, flying: BoolArray) -> None:
+        beams = self._settings.beams
+        height = self._x[:, 2]
+        if step % beams.near_every_s == 0:
+            self._range(flying & (height > beams.to_m))
+        near = flying & (height < beams.doppler_from_m)
+        if near.any():
+            noise = beams.doppler_noise_m_s * self._rng.normal(size=(len(height), BEAMS))
+            speeds = self._x[:, 3:] @ self._beams.T + noise
+            h = np.zeros((len(height), BEAMS, UNKNOWNS))
+            h[:, :, 3:6] = self._beams
+            residual = speeds - self._xhat[:, 3:6] @ self._beams.T
+            self._update(
+                residual, h, beams.doppler_noise_m_s**2, near[:, None] & np.ones(BEAMS, bool)
+            )
+
+    def _range(self, which: BoolArray) -> None:
+        if not which.any():
+            return
+        count = len(which)
+        rays = np.tile(self._beams @ self._site.axes, (count, 1))
+        real = self._truth.cast(np.repeat(self._body(self._x[:, :3]), BEAMS, axis=0), rays)
+        seen = self._model.ranges(np.repeat(self._body(self._xhat[:, :3]), BEAMS, axis=0), rays)
+        noise = self._settings.beams.noise_m * self._rng.normal(size=(count, BEAMS))
+        measured = real.range_m.reshape(count, BEAMS) + noise
+        normals = (seen.normals @ self._site.axes.T).reshape(count, BEAMS, 3)
+        slant = -np.einsum("nki,ki->nk", normals, self._beams)
+        good = np.isfinite(measured) & np.isfinite(seen.range_m.reshape(count, BEAMS))
+        good &= (slant > 0.2) & which[:, None]
+        slant = np.where(slant > 0.2, slant, 1.0)
+        h = np.zeros((count, BEAMS, UNKNOWNS))
+        h[:, :, :3] = normals / slant[..., None]
+        # ground that is higher than its model by b shortens the range by b n'up / slant
+        h[:, range(BEAMS), 6 + np.arange(BEAMS)] = -normals[:, :, 2] / slant
+        predicted = seen.range_m.reshape(count, BEAMS) + np.einsum(
+            "nkj,nj->nk", h[:, :, 6:], self._xhat[:, 6:]
+        )
+        residual = np.where(good, measured - predicted, 0.0)
+        self._update(residual, h, self._settings.beams.noise_m**2, good)
+
+    def _update(
+        self, residual: FloatArray, h: FloatArray, variance: float, good: BoolArray
+    ) -> None:
+        """Kalman's update of all filters; measurements that are not good change nothing."""
+        h = np.where(good[..., None], h, 0.0)
+        residual = np.where(good, residual, 0.0)
+        gain_base = self._p @ h.transpose(0, 2, 1)
+        s = h @ gain_base
+        s[:, range(BEAMS), range(BEAMS)] += variance
+        gain = np.linalg.solve(s, gain_base.transpose(0, 2, 1)).transpose(0, 2, 1)
+        self._xhat += np.einsum("nij,nj->ni", gain, residual)
+        keep = np.eye(UNKNOWNS) - gain @ h
+        joseph = keep @ self._p @ keep.transpose(0, 2, 1)
+        self._p = joseph + variance * gain @ gain.transpose(0, 2, 1)

@@ -1,0 +1,216 @@
+"""Navigation on a digital surface: a craft's state from ranges along the beams of an altimeter.
+
+Source: Tuchin, thesis (2010), chapter 2, (7): least squares with the expected state as a prior. The
+model of the surface is wrong alike over kilometres; its error is considered in the weights, with
+the correlation of neighbouring points of the ground. A range over relief has many minima: weights
+that fall with the residual open the way in the first two steps, a fit that the residuals refute
+starts again beside, and what no start makes fit is refused.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.rotation import body_from_inertial
+from catalog.errors import NoSolutionError
+from optnav_cli.orbit.landing_rays import Ground, GroundHits
+from optnav_cli.orbit.qso_motion import MoonMotion, split
+from optnav_cli.reasons import ReasonCode
+
+MAX_STEPS = 12  # the source has 5
+WIDE_M = (2000.0, 300.0)  # residuals that count half in the first steps
+MIN_SLANT = 0.2  # |g'u|: flatter beams tell more of the ground than of the craft
+STEP_S = 60.0
+SETTLED, FULL_STEPS = 0.05, 3  # of a sigma; steps after which halves are taken
+MAX_CHI = 3.0  # weighted residuals, rms over their expectation, beyond which a fit is wrong
+RESTARTS = 10
+MIN_RANGES = 6
+NEAR_M = 4000.0  # from a target; twice as far off the model is as wrong as anywhere
+
+
+@dataclass(frozen=True)
+class SurfaceError:
+    """How wrong the surface's model is: 1 sigma of its heights and the length that it is alike.
+
+    near_m, site  1 sigma within NEAR_M of a place (3,), body frame, which pictures have shown
+    """
+
+    sigma_m: float
+    length_m: float
+    near_m: float = 0.0
+    site: tuple[float, float, float] | None = None
+
+    def sigma(self, points: FloatArray) -> FloatArray:
+        """(n,) 1 sigma at points (n, 3)."""
+        if self.site is None or self.near_m >= self.sigma_m:
+            return np.full(len(points), self.sigma_m)
+        away = np.linalg.norm(points - np.array(self.site), axis=1) / NEAR_M
+        share = np.clip(away - 1.0, 0.0, 1.0)
+        found: FloatArray = self.near_m + (self.sigma_m - self.near_m) * share
+        return found
+
+    def correlation(self, points: FloatArray) -> FloatArray:
+        """(n, n) of the height errors at points (n, 3)."""
+        squares = np.einsum("ij,ij->i", points, points)
+        apart = squares[:, None] + squares - 2.0 * points @ points.T
+        found: FloatArray = np.exp(-np.sqrt(np.maximum(apart, 0.0)) / self.length_m)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class BeamRanges:
+    """Ranges of one flight.
+
+    tdb_s     (n,) times
+    rays      (n, k, 3) unit beams, body frame
+    range_m   (n, k) measured, NaN where the ground was not met
+    noise_m   1 sigma
+    """
+
+    tdb_s: FloatArray
+    rays: FloatArray
+    range_m: FloatArray
+    noise_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class RangeFix:
+    """A state at the first time (6,) inertial with its covariance (6, 6).
+
+    chi    weighted residuals, rms over their expectation;  steps  of the start that fitted
+    starts how many starts it took
+    """
+
+    state: FloatArray
+    covariance: FloatArray
+    chi: float
+    steps: int
+    starts: int
+
+
+class RangeNavigator:
+    """Fits states to ranges over a model of the ground."""
+
+    def __init__(
+        self, motion: MoonMotion, ground: Ground, error: SurfaceError, max_steps: int = MAX_STEPS
+    ) -> None:
+        self._motion, self._ground, self._error = motion, ground, error
+        self._max_steps = max_steps
+
+    def fit(
+        self, ranges: BeamRanges, prior: FloatArray, prior_covariance: FloatArray, seed: int = 0
+    ) -> RangeFix:
+        """The state at the first time from a prior (6,) with its covariance (6, 6).
+
+        Raises NoSolutionError when too few beams meet the ground or no start makes them fit.
+        """
+        if np.isfinite(ranges.range_m).sum() < MIN_RANGES:
+            raise NoSolutionError(
+                f"{int(np.isfinite(ranges.range_m).sum())} beams meet the ground; "
+                f"wanted {MIN_RANGES}",
+                ReasonCode.NO_SOLUTION,
+            )
+        rng = np.random.default_rng(seed)
+        spread = np.linalg.cholesky(prior_covariance)
+        best: RangeFix | None = None
+        for start in range(RESTARTS + 1):
+            aside = spread @ rng.normal(size=6) if start else np.zeros(6)
+            found = self._from(ranges, prior + aside, (prior, prior_covariance), start + 1)
+            if found is not None and (best is None or found.chi < best.chi):
+                best = found
+            if best is not None and best.chi < MAX_CHI / 2.0:
+                break
+        if best is None or best.chi > MAX_CHI:
+            left = f"{best.chi:.1f} sigmas are left" if best else "no start settles"
+            raise NoSolutionError(
+                f"no state fits the ranges from {RESTARTS + 1} starts: {left}",
+                ReasonCode.NO_SOLUTION,
+            )
+        return best
+
+    def _from(
+        self,
+        ranges: BeamRanges,
+        state: FloatArray,
+        prior: tuple[FloatArray, FloatArray],
+        number: int,
+    ) -> RangeFix | None:
+        """The fit from one start; None where it does not settle."""
+        expected, prior_covariance = prior
+        information = np.linalg.inv(prior_covariance)
+        wide = len(WIDE_M)
+        for step in range(self._max_steps + wide):
+            parts = self._linearised(ranges, state)
+            if parts is None:
+                return None
+            residuals, jacobian, hits, slant = parts
+            if step < wide:
+                weights = 1.0 / (1.0 + (residuals / WIDE_M[step]) ** 2) / 100.0**2
+                weighted = weights[:, None] * jacobian
+            else:
+                weighted = _solved(self._covariance(ranges, hits, slant), jacobian)
+            normal = jacobian.T @ weighted + information
+            gradient = weighted.T @ residuals + information @ (expected - state)
+            change = np.linalg.solve(normal, gradient)
+            # at the edges of a mesh's faces the slope jumps: half steps end the turning to and fro
+            state = state + (0.5 if step > wide + FULL_STEPS else 1.0) * change
+            covariance = np.linalg.inv(normal).astype(np.float64)
+            if step >= wide and change @ normal @ change < 6.0 * SETTLED**2:
+                break
+        parts = self._linearised(ranges, state)
+        if parts is None:
+            return None
+        residuals, _, hits, slant = parts
+        square = residuals @ _solved(self._covariance(ranges, hits, slant), residuals)
+        off = state - expected
+        square += off @ information @ off
+        chi = float(np.sqrt(square / len(residuals)))
+        return RangeFix(state, covariance, chi, step + 1 - wide, number)
+
+    def _linearised(
+        self, ranges: BeamRanges, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+        """Residuals (m,), d range / d state (m, 6), points (m, 3) and slants |g'u| (m,)."""
+        flown = self._motion.propagate(state, ranges.tdb_s, STEP_S, transition=True)
+        states, transitions = split(flown)
+        turns = body_from_inertial(self._motion.moon, ranges.tdb_s)
+        beams = ranges.rays.shape[1]
+        places = np.repeat(np.einsum("nij,nj->ni", turns, states[:, :3]), beams, axis=0)
+        if not np.isfinite(places).all() or np.linalg.norm(places, axis=1).min() < 5e3:
+            return None
+        rays = ranges.rays.reshape(-1, 3)
+        hits: GroundHits = self._ground.ranges(places, rays)
+        slant = -np.einsum("ij,ij->i", hits.normals, rays)
+        residuals = ranges.range_m.ravel() - hits.range_m
+        good = np.isfinite(residuals) & (slant > MIN_SLANT)
+        if good.sum() < MIN_RANGES:
+            return None
+        by_place = np.repeat(turns @ transitions[:, :3], beams, axis=0)[good]
+        gradient = hits.normals[good] / slant[good, None]
+        jacobian = np.einsum("ni,nij->nj", gradient, by_place)
+        return residuals[good], jacobian, hits.points[good], slant[good]
+
+    def _covariance(self, ranges: BeamRanges, points: FloatArray, slant: FloatArray) -> FloatArray:
+        """(m, m) of the ranges: noise, and the surface's error over the slant."""
+        size = self._error.sigma(points) / slant
+        found: FloatArray = self._error.correlation(points) * np.outer(size, size)
+        found[np.diag_indices(len(slant))] += ranges.noise_m**2
+        return found
+
+
+def beams_about(axis: FloatArray, off_rad: float) -> FloatArray:
+    """Four unit beams (..., 4, 3) at an angle off unit axes (..., 3), square about it."""
+    helper = np.where(np.abs(axis[..., 2:3]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    u = np.cross(axis, helper)
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    v = np.cross(axis, u)
+    around = np.radians([45.0, 135.0, 225.0, 315.0])
+    sides = np.cos(around)[:, None] * u[..., None, :] + np.sin(around)[:, None] * v[..., None, :]
+    found: FloatArray = np.cos(off_rad) * axis[..., None, :] + np.sin(off_rad) * sides
+    return found
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    found: FloatArray = np.linalg.solve(matrix, right).astype(np.float64)
+    return found

@@ -1,0 +1,227 @@
+"""Landings with drawn errors: transfer with navigation and corrections, descent, braking."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.body import Body
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.rotation import body_from_inertial
+from catalog.errors import NoSolutionError
+from catalog.geometry.vectors import perpendicular_basis
+from catalog.terrain.mesh.rays import MeshRays
+from catalog.terrain.mesh.refine import refined
+from catalog.terrain.mesh.shape import Shape, load_shape
+from catalog.terrain.synthetic import fractal
+from optnav_cli.orbit.landing import Departure, Site, check_clear, depart
+from optnav_cli.orbit.landing_descent import Descent, Touchdown
+from optnav_cli.orbit.landing_navigation import (
+    BeamRanges,
+    RangeFix,
+    RangeNavigator,
+    SurfaceError,
+    beams_about,
+)
+from optnav_cli.orbit.landing_rays import Ground
+from optnav_cli.orbit.landing_settings import LandingSettings
+from optnav_cli.orbit.qso import QsoSearch, QsoStart
+from optnav_cli.orbit.qso_motion import MoonMotion, split
+from optnav_cli.orbit.qso_settings import motion_of_moon
+
+STEP_S = 60.0
+QSO_DAYS = 1.0
+# Spacings of the surface's errors by their length, and their shares: as the exponential
+# correlation that the navigator takes, to a tenth of the variance.
+SPACINGS, SHARES = (3.0, 1.5, 0.75), (1.0, 0.5, 0.25)
+
+
+@dataclass(frozen=True, eq=False)
+class LandingTask:
+    """What all trials of a landing have in common."""
+
+    settings: LandingSettings
+    motion: MoonMotion
+    shape: Shape
+    model: Ground
+    site: Site
+    departure: Departure
+    before: FloatArray
+    path: FloatArray
+
+
+@dataclass
+class LandingTrial:
+    """One trial: the transfer's fix at the arrival and where the craft was."""
+
+    number: int
+    reason: str = ""
+    state: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+    fix: RangeFix | None = None
+    arrival: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+    covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
+    dv_m_s: float = 0.0
+    steps: int = 0
+    starts: int = 0
+
+    @property
+    def error(self) -> FloatArray:
+        found: FloatArray = self.arrival - self.state
+        return found
+
+    @property
+    def nees(self) -> float:
+        return float(self.error @ np.linalg.solve(self.covariance, self.error)) / 6.0
+
+
+def landing_task(settings: LandingSettings, moon: Body, beside: Path) -> LandingTask:
+    """The nominal landing. Raises NoSolutionError where there is none, ConfigError, DataError."""
+    section = settings.landing
+    motion = motion_of_moon(settings.forces, moon, beside)
+    # cut once: the cubics over its edges make flat faces round, whose slopes jump less
+    shape = refined(load_shape(settings.surface.mesh, beside, moon), 1)
+    model = Ground(MeshRays(shape.vertices[shape.faces]), moon.radii_m)
+    site = Site.at(np.radians(section.target_lat_deg), np.radians(section.target_lon_deg), model)
+    begin = utc_to_tdb_s(section.time)
+    before = _start_state(settings, motion, begin)
+    aim = site.above(1e3 * section.aim_height_km)
+    departure = depart(motion, before, begin, begin + section.transfer_s, aim)
+    path = check_clear(motion, departure, model)
+    return LandingTask(settings, motion, shape, model, site, departure, before, path)
+
+
+def _start_state(settings: LandingSettings, motion: MoonMotion, begin: float) -> FloatArray:
+    given = settings.departure
+    if given.position_m is not None and given.velocity_m_s is not None:
+        return np.array([*given.position_m, *given.velocity_m_s])
+    longitude = np.radians(settings.landing.target_lon_deg + given.lead_deg)
+    start = QsoStart(1e3 * given.distance_km, float(longitude), begin)
+    return QsoSearch(motion, start, QSO_DAYS).solve().state
+
+
+def wrong_ground(task: LandingTask, seed: int) -> Ground:
+    """The ground whose model the navigator has, with heights that are wrong alike over a length."""
+    length = task.settings.surface.error_length_m
+    shape = task.shape
+    amplitudes = np.array(SHARES) / np.linalg.norm(SHARES) / fractal.RMS_NOISE
+    radius = task.motion.moon.radius_m
+    octaves = fractal.Octaves(seed, length * np.array(SPACINGS), amplitudes, radius)
+    up = shape.vertices / np.linalg.norm(shape.vertices, axis=1)[:, None]
+    sizes = surface_error(task).sigma(shape.vertices)
+    vertices = shape.vertices + (sizes * fractal.noise_at(octaves, up))[:, None] * up
+    return Ground(MeshRays(vertices[shape.faces]), task.motion.moon.radii_m)
+
+
+def surface_error(task: LandingTask) -> SurfaceError:
+    """How wrong the model is, as the navigator takes it."""
+    surface = task.settings.surface
+    x, y, z = task.site.point.tolist()
+    near = min(surface.near_error_m, surface.error_m)
+    return SurfaceError(surface.error_m, surface.error_length_m, near, (x, y, z))
+
+
+def start_covariance(settings: LandingSettings) -> FloatArray:
+    """(6, 6) of the start: the lengths of [errors] over three components each."""
+    errors = settings.errors
+    sigma = np.array([1e3 * errors.position_km] * 3 + [errors.velocity_m_s] * 3) / np.sqrt(3.0)
+    return np.diag(np.maximum(sigma, 1e-6) ** 2)
+
+
+def measured_ranges(
+    task: LandingTask,
+    truth: Ground,
+    states: tuple[FloatArray, FloatArray],
+    times: FloatArray,
+    rng: np.random.Generator,
+) -> BeamRanges:
+    """Ranges at times (n,) from the true one of two states (6,); beams stand by the known one."""
+    beams = task.settings.beams
+    turns = body_from_inertial(task.motion.moon, times)
+    true, known = (
+        np.einsum("nij,nj->ni", turns, task.motion.propagate(one, times, STEP_S)[:, :3])
+        for one in states
+    )
+    axis = -known / np.linalg.norm(known, axis=1)[:, None]
+    rays = beams_about(axis, float(np.radians(beams.off_deg)))
+    hits = truth.cast(np.repeat(true, 4, axis=0), rays.reshape(-1, 3)).range_m.reshape(-1, 4)
+    noise = beams.noise_m * rng.normal(size=hits.shape)
+    return BeamRanges(times, rays, np.where(np.isfinite(hits), hits + noise, np.nan), beams.noise_m)
+
+
+def burnt(
+    change: FloatArray, settings: LandingSettings, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A velocity change (3,) as engines make it, as it is measured, and its covariance."""
+    size = float(np.linalg.norm(change))
+    if size == 0.0:
+        return change, change, np.zeros((3, 3))
+    unit = change / size
+    basis = np.stack([unit, *perpendicular_basis(unit)])
+    angle = np.radians(settings.errors.direction_deg)
+    sigma = size * np.array([settings.errors.size, angle, angle])
+    real: FloatArray = change + (sigma * rng.normal(size=3)) @ basis
+    share = settings.errors.accelerometer * size
+    measured: FloatArray = real + share * rng.normal(size=3)
+    return real, measured, (share**2 + 1e-12) * np.eye(3)
+
+
+def fly_transfer(task: LandingTask, truth: Ground, number: int) -> LandingTrial:
+    """One transfer with its corrections; a trial without a fix says why."""
+    settings, motion = task.settings, task.motion
+    section = settings.landing
+    rng = np.random.default_rng([section.seed, number])
+    trial = LandingTrial(number)
+    navigator = RangeNavigator(motion, task.model, surface_error(task))
+    covariance = start_covariance(settings)
+    known = task.before.copy()
+    true = known + np.linalg.cholesky(covariance) @ rng.normal(size=6)
+    change, at = task.departure.impulse, task.departure.tdb_s
+    ends = [at + s for s in section.corrections_s] + [task.departure.arrival_s]
+    aim = task.site.above(1e3 * section.aim_height_km)
+    for end in ends:
+        real, measured, wrong = burnt(change, settings, rng)
+        true[3:] += real
+        known[3:] += measured
+        covariance[3:, 3:] += wrong
+        trial.dv_m_s += float(np.linalg.norm(real))
+        times = np.append(np.arange(at, end - 1.0, settings.beams.every_s), end)
+        try:
+            ranges = measured_ranges(task, truth, (true, known), times, rng)
+            fix = navigator.fit(ranges, known, covariance, number)
+            both = motion.propagate(fix.state, times[[0, -1]], STEP_S, transition=True)
+            states, transitions = split(both)
+            known, phi = states[1].copy(), transitions[1]
+            covariance = phi @ fix.covariance @ phi.T
+            true = motion.propagate(true, times[[0, -1]], STEP_S)[1].copy()
+            at = end
+            if end < task.departure.arrival_s:
+                change = depart(motion, known, end, task.departure.arrival_s, aim).impulse
+        except NoSolutionError as failed:
+            trial.reason = str(failed)
+            return trial
+        trial.fix, trial.steps = fix, max(trial.steps, fix.steps)
+        trial.starts = max(trial.starts, fix.starts)
+    trial.state, trial.arrival, trial.covariance = true, known, covariance
+    return trial
+
+
+def fly_descents(task: LandingTask, truth: Ground, trials: list[LandingTrial]) -> Touchdown:
+    """The descents of trials that have arrived."""
+    axes, motion = task.site.axes, task.motion
+    at = np.array([task.departure.arrival_s])
+    turn = axes @ body_from_inertial(motion.moon, at)[0]
+    half = body_from_inertial(motion.moon, at + 0.5) - body_from_inertial(motion.moon, at - 0.5)
+    local = np.zeros((6, 6))
+    local[:3, :3] = local[3:, 3:] = turn
+    local[3:, :3] = axes @ half[0]
+    origin = np.concatenate([axes @ task.site.point, np.zeros(3)])
+    true, known = (
+        np.array([getattr(trial, name) for trial in trials]) @ local.T - origin
+        for name in ("state", "arrival")
+    )
+    covariances = local @ np.array([trial.covariance for trial in trials]) @ local.T
+    settings = task.settings
+    descent = Descent(task.model, truth, task.site, settings, motion.pair.moon_gm)
+    rng = np.random.default_rng([settings.landing.seed, 1 << 40])
+    return descent.fly(true, known, covariances, rng)

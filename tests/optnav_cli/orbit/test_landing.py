@@ -1,0 +1,199 @@
+"""Landings: the on-board model, the impulse, rays on the surface, navigation and touchdown."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from catalog.bodies.body import load_body
+from catalog.errors import NoSolutionError
+from catalog.geometry.ellipsoid import normal_at, surface_at
+from optnav_cli.orbit.landing import check_clear, depart
+from optnav_cli.orbit.landing_model import OnboardMotion, turning_state
+from optnav_cli.orbit.landing_navigation import (
+    BeamRanges,
+    RangeNavigator,
+    SurfaceError,
+    beams_about,
+)
+from optnav_cli.orbit.landing_settings import LandingSettings, load_landing_settings
+from optnav_cli.orbit.landing_trials import (
+    LandingTask,
+    burnt,
+    fly_descents,
+    fly_transfer,
+    landing_task,
+    measured_ranges,
+    start_covariance,
+    surface_error,
+    wrong_ground,
+)
+
+PHOBOS = load_body("phobos")
+SETTINGS = load_landing_settings(Path("bundled:landing_phobos"))
+
+
+@pytest.fixture(scope="module")
+def task() -> LandingTask:
+    return landing_task(SETTINGS, PHOBOS, Path())
+
+
+def test_variations_of_the_onboard_model_agree_with_differences(task: LandingTask) -> None:
+    onboard = OnboardMotion(task.motion)
+    begin = task.departure.tdb_s
+    state = turning_state(task.motion, begin, task.departure.state)
+    times = np.array([begin, begin + 1800.0])
+    _, transitions = onboard.propagate(state, times)
+    numeric = np.empty((6, 6))
+    for axis, step in enumerate([1.0] * 3 + [0.001] * 3):
+        aside = step * np.eye(6)[axis]
+        ends = [onboard.propagate(state + way * aside, times)[0][1] for way in (1.0, -1.0)]
+        numeric[:, axis] = (ends[0] - ends[1]) / (2.0 * step)
+    scale = np.abs(numeric).max(axis=1, keepdims=True)
+    assert np.abs((numeric - transitions[1]) / scale).max() < 1e-7
+
+
+def test_the_onboard_model_is_off_by_the_planets_tide_of_second_order(task: LandingTask) -> None:
+    """50 m and 5 cm/s in 30 min; without the tide's second order nothing else is as large."""
+    begin = task.departure.tdb_s
+    times = np.array([begin, begin + 1800.0])
+    state = turning_state(task.motion, begin, task.before)
+    end = turning_state(
+        task.motion, float(times[1]), task.motion.propagate(task.before, times, 60.0)[1]
+    )
+    off = OnboardMotion(task.motion).propagate(state, times)[0][1] - end
+    assert 10.0 < np.linalg.norm(off[:3]) < 120.0
+    assert 0.01 < np.linalg.norm(off[3:]) < 0.15
+
+
+def test_three_steps_leave_less_than_a_tenth_of_a_millimetre_a_second(task: LandingTask) -> None:
+    first, second, third, _ = task.departure.errors_m_s()
+    assert first < 0.2
+    assert second < 1e-3
+    assert third < 1e-4
+    assert 10.0 < np.linalg.norm(task.departure.impulse) < 40.0
+
+
+def test_the_transfer_ends_over_the_target(task: LandingTask) -> None:
+    wanted = task.site.above(8000.0)
+    assert task.path[-1] == pytest.approx(wanted, abs=1e-3)
+
+
+def test_a_target_on_the_far_side_is_refused(task: LandingTask) -> None:
+    aim = -task.site.above(8000.0)
+    begin, end = task.departure.tdb_s, task.departure.arrival_s
+    before = task.before.copy()
+    before[:3] += [0.0, 0.0, 2e4]  # not on one line with both
+    far = depart(task.motion, before, begin, end, aim, 30)
+    with pytest.raises(NoSolutionError, match=r"meets the ground .* far side"):
+        check_clear(task.motion, far, task.model)
+
+
+def rays_to_the_ground(task: LandingTask, count: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    foot = surface_at(rng.normal(size=(count, 3)), PHOBOS.radii_m)
+    up = normal_at(foot, PHOBOS.radii_m)
+    foot = foot - task.model.height(foot)[:, None] * up
+    away = up + 0.55 * rng.uniform(-1.0, 1.0, (count, 3))
+    away /= np.linalg.norm(away, axis=1)[:, None]
+    return foot + 10.0 ** rng.uniform(2.7, 4.7, (count, 1)) * away, -away
+
+
+def test_rays_settle_where_exact_casting_finds_the_ground(task: LandingTask) -> None:
+    origins, rays = rays_to_the_ground(task, 600)
+    exact, found = task.model.cast(origins, rays), task.model.settle(origins, rays)
+    assert found.settled.mean() > 0.99
+    off = np.abs(found.range_m - exact.range_m)[found.settled]
+    assert np.percentile(off, 95) < 0.03
+    assert found.steps[found.settled].mean() < 6.0
+    every = task.model.ranges(origins, rays).range_m
+    assert np.abs(every - exact.range_m).max() < 1.0
+
+
+def test_rays_that_miss_have_no_range(task: LandingTask) -> None:
+    origins = np.array([[60e3, 0.0, 0.0], [60e3, 0.0, 0.0]])
+    rays = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    assert np.isinf(task.model.ranges(origins, rays).range_m).all()
+
+
+def test_four_beams_stand_at_their_angle_about_the_axis() -> None:
+    axis = np.array([[0.0, 0.6, -0.8], [1.0, 0.0, 0.0]])
+    beams = beams_about(axis, 0.1)
+    assert np.einsum("nki,ni->nk", beams, axis) == pytest.approx(np.cos(0.1))
+    assert beams.sum(axis=1) / 4.0 == pytest.approx(np.cos(0.1) * axis)
+
+
+def flown(task: LandingTask, number: int) -> tuple[BeamRanges, np.ndarray]:
+    rng = np.random.default_rng(number)
+    times = task.departure.tdb_s + np.arange(0.0, 1501.0, 60.0)
+    spread = np.linalg.cholesky(start_covariance(task.settings))
+    true = task.departure.state + spread @ rng.normal(size=6)
+    truth = wrong_ground(task, 50 + number)
+    return measured_ranges(task, truth, (true, task.departure.state), times, rng), true
+
+
+def test_ranges_tell_the_state_within_its_covariance(task: LandingTask) -> None:
+    navigator = RangeNavigator(task.motion, task.model, surface_error(task))
+    nees = []
+    for number in range(4):
+        ranges, true = flown(task, number)
+        fix = navigator.fit(ranges, task.departure.state, start_covariance(task.settings))
+        off = fix.state - true
+        nees.append(float(off @ np.linalg.solve(fix.covariance, off)) / 6.0)
+        assert np.linalg.norm(off[:3]) < 500.0
+    assert 0.1 < np.mean(nees) < 2.5
+
+
+def test_ranges_that_nothing_fits_are_refused(task: LandingTask) -> None:
+    ranges, _ = flown(task, 1)
+    wrong = ranges.range_m + 300.0 * np.sin(np.arange(ranges.range_m.size)).reshape(-1, 4)
+    navigator = RangeNavigator(task.motion, task.model, SurfaceError(5.0, 200.0), max_steps=3)
+    with pytest.raises(NoSolutionError, match="no state fits the ranges"):
+        navigator.fit(
+            BeamRanges(ranges.tdb_s, ranges.rays, wrong, 3.0),
+            task.departure.state,
+            start_covariance(task.settings),
+        )
+
+
+def test_too_few_beams_on_the_ground_are_refused(task: LandingTask) -> None:
+    ranges, _ = flown(task, 1)
+    none = BeamRanges(ranges.tdb_s, ranges.rays, np.full_like(ranges.range_m, np.nan), 3.0)
+    navigator = RangeNavigator(task.motion, task.model, surface_error(task))
+    with pytest.raises(NoSolutionError, match="0 beams meet the ground; wanted 6"):
+        navigator.fit(none, task.departure.state, start_covariance(task.settings))
+
+
+def test_burns_have_the_stated_errors() -> None:
+    rng = np.random.default_rng(3)
+    change = np.array([10.0, 0.0, 0.0])
+    real, measured, covariance = zip(*(burnt(change, SETTINGS, rng) for _ in range(3000)))
+    off = np.array(real) - change
+    wanted = [0.1, 10.0 * np.radians(0.5), 10.0 * np.radians(0.5)]
+    assert np.std(off, axis=0) == pytest.approx(wanted, rel=0.06)
+    seen = np.array(measured) - np.array(real)
+    assert np.std(seen) == pytest.approx(np.sqrt(covariance[0][0, 0]), rel=0.06)
+
+
+def test_craft_touch_down_softly_near_the_target(task: LandingTask) -> None:
+    truth = wrong_ground(task, 7)
+    trials = [fly_transfer(task, truth, number) for number in range(1, 7)]
+    assert not any(trial.reason for trial in trials)
+    down = fly_descents(task, truth, trials)
+    assert down.landed.all()
+    assert np.hypot(down.east_m, down.north_m).max() < 100.0
+    assert ((down.down_m_s > 1.5) & (down.down_m_s < 2.0)).all()
+    assert down.side_m_s.max() < 1.0
+    assert np.abs(down.end.height_m).max() < 15.0
+    assert down.end.nees.mean() < 3.0
+
+
+def test_a_stated_start_takes_the_place_of_an_orbit(task: LandingTask) -> None:
+    x, y, z, vx, vy, vz = task.before.tolist()
+    given = msgspec.structs.replace(
+        SETTINGS.departure, position_m=(x, y, z), velocity_m_s=(vx, vy, vz)
+    )
+    other: LandingSettings = msgspec.structs.replace(SETTINGS, departure=given)
+    again = landing_task(other, PHOBOS, Path())
+    assert again.departure.impulse == pytest.approx(task.departure.impulse, abs=1e-9)
