@@ -9,6 +9,7 @@ from tests.fuzz.kinds import (
     labels,
     landings,
     meshes,
+    orbits,
     pictures,
     places,
     rasters,
@@ -18,6 +19,6 @@ from tests.fuzz.kinds import (
 )
 
 MODULES = (
-    catalogs, command_lines, configs, faults, kernels, labels, landings, meshes, pictures, places,
-    rasters, runs, surroundings, tables,
+    catalogs, command_lines, configs, faults, kernels, labels, landings, meshes, orbits, pictures,
+    places, rasters, runs, surroundings, tables,
 )  # fmt: skip

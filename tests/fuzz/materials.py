@@ -19,7 +19,13 @@ import trimesh
 from rasterio.transform import Affine
 
 from catalog.bodies.body import load_body
+from catalog.bodies.ephemeris import AnalyticEphemeris
+from catalog.bodies.epochs import utc_from_tdb_s
+from optnav_cli.dynamics.forces import Forces, OrbitMotion
+from optnav_cli.fix import Fix, Method, Solution
+from optnav_cli.frames.run_settings import FileAttitude, RunSettings, write_run_settings
 from optnav_cli.main import run
+from optnav_cli.output.tables import write_solutions
 
 MOON_DEG = "+proj=longlat +R=1737400 +no_defs"
 REGION_PER_DEG = 32.0
@@ -99,6 +105,7 @@ TKFRAME_31007_UNITS = 'ARCSECONDS'
 """
 NAVIGATE = "[view]\nsun_max_deg = 80.0\n[match]\ntemplate_nodes = 32\nmax_search_nodes = 8\n"
 CALIBRATE = "[search]\nposition_m = 1500.0\nattitude_arcsec = 400.0\n[prior]\nfocal_percent = 3.0\n"
+ORBIT = '[forces]\ndegree = 2\n[noise]\nmodel = "white"\ndensity_m2_s3 = 1e-12\n'
 _SHARED = 'seed = 3\ncamera = {name = "cam.toml"}\nsensor = {snr = 80.0}\n'
 _GLOBE = (
     _SHARED + 'dem = []\nglobe = {path = "globe.tif"}\n'
@@ -159,6 +166,7 @@ COMMANDS = (
     ("slopes", "dem.tif", "--base-m", "3000", "-o", "slopes.tif"),
     ("simulate", "descent.toml", "-o", "fall"),
     ("navigate", "fall", "--catalog", "moon.gpkg", "-o", "fall.run"),
+    ("orbit", "fit", "flown", "--config", "orbit.toml", "-o", "orbit"),
     ("evaluate", "run", "--truth", "pictures/truth.csv"),
     ("export", "run", "-o", "run.gpkg"),
     ("report", "run", "-o", "old.html"),
@@ -216,6 +224,8 @@ def _write_inputs() -> None:
     Path("body.tab").write_text(_radii_table())
     Path("body.plt").write_text(_plates(shape))
     _write_kernels(Path("kernels"))
+    _write_flown(Path("flown"))
+    _write_fields()
     texts = {
         "cam.toml": CAMERA,
         "wide.toml": LIMB_CAMERA,
@@ -227,10 +237,45 @@ def _write_inputs() -> None:
         "navigate.toml": NAVIGATE,
         "hazard.toml": "pad_m = 4.0\nsquare_m = 8.0\n",
         "calibrate.toml": CALIBRATE,
+        "orbit.toml": ORBIT,
         **{f"{name}.toml": text for name, text in SCENARIOS.items()},
     }
     for name, text in texts.items():
         Path(name).write_text(text)
+
+
+def _write_flown(folder: Path) -> None:
+    """A run of ten fixes along an orbit."""
+    folder.mkdir()
+    body = load_body("moon")
+    motion, start = AnalyticEphemeris(body), 7e8
+    radius = body.radius_m + 1e5
+    speed = (body.gm_m3_s2 / radius) ** 0.5
+    first = np.array([radius, 0.0, 0.0, 0.0, 0.3 * speed, 0.95 * speed])
+    times = start + 500.0 * np.arange(10)
+    states, _ = OrbitMotion(Forces(motion)).propagate(first, start, times)
+    rng, rows = np.random.default_rng(4), []
+    for number, (time, state) in enumerate(zip(times, states, strict=True)):
+        place = motion.body_from_inertial(time) @ state[:3] + 15.0 * rng.normal(size=3)
+        fix = Fix(Method.CONTROL_POINTS, place, 225.0 * np.eye(3))
+        rows.append(Solution(f"{number}.png", utc_from_tdb_s(time), fix))
+    write_run_settings(RunSettings("moon", "camera_from_body"), folder)
+    write_solutions(folder / "solution.csv", rows, FileAttitude("camera_from_body", body))
+
+
+def _write_fields() -> None:
+    """A gravity field of degree 3 in three formats."""
+    made = [(n, m, 1e-5 / (n + m), 1e-6 * m) for n in (2, 3) for m in range(n + 1)]
+    gm, radius = 4902.8001e9, 1738e3
+    lines = [f"{n}, {m}, {c:.9e}, {s:.9e}" for n, m, c, s in made]
+    head = f"{radius / 1e3}, {gm / 1e9}, 0, 3, 3, 1, 0, 0"
+    Path("field.tab").write_text("\n".join([head, *lines]) + "\n")
+    head = f"gravity_constant {gm}\nradius {radius}\nmax_degree 3\nend_of_head ==="
+    lines = [f"gfc {n} {m} {c:.9e} {s:.9e} 1e-9 1e-9" for n, m, c, s in made]
+    Path("field.gfc").write_text("\n".join([head, *lines]) + "\n")
+    head = f"POTFIELD  3  3  1 {gm:.14E} {radius:.14E} 1.0"
+    lines = [f"RECOEF  {n:3d}{m:3d}   {c:21.14E}{s:21.14E}" for n, m, c, s in made]
+    Path("field.cof").write_text("\n".join([head, *lines, "END"]) + "\n")
 
 
 def _rotation() -> str:
