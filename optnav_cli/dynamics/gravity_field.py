@@ -28,7 +28,7 @@ MAX_GM_SHARE = 1e-4
 OTHER_BODY_GM, OTHER_BODY_RADIUS = 0.01, 0.1  # farther off it is not this body's field
 MAX_SHIFT = 1e-7  # of the centre of mass, in radii: 0.2 m on the Moon, as C10, C11, S11
 # Fully normalised coefficients of one degree are of one size; others fall as 1 / (n + m)!.
-MAX_FALL, LEAST_DEGREE_JUDGED = 1e-3, 4
+MAX_FALL, MIN_DEGREE_JUDGED = 1e-3, 4
 # Principal axes leave S22 and C21, S21 zero; the Moon's mean-Earth axes do not: 2e-8.
 MAX_PRINCIPAL_S22 = 5e-9
 
@@ -212,10 +212,10 @@ class _Table:
         return gm_share
 
     def _check_norm(self, c: FloatArray, s: FloatArray, degree: int) -> None:
-        if degree < LEAST_DEGREE_JUDGED:
+        if degree < MIN_DEGREE_JUDGED:
             return
-        sizes = np.hypot(c, s)[LEAST_DEGREE_JUDGED:]
-        n = np.arange(LEAST_DEGREE_JUDGED, degree + 1)
+        sizes = np.hypot(c, s)[MIN_DEGREE_JUDGED:]
+        n = np.arange(MIN_DEGREE_JUDGED, degree + 1)
         low = float(np.sqrt(np.mean(sizes[:, :2] ** 2)))
         high = float(np.sqrt(np.mean(sizes[np.arange(len(n)), n] ** 2)))
         if high < MAX_FALL * low:

@@ -17,7 +17,7 @@ from catalog.bodies.ephemeris import Ephemeris, Neighbour
 from catalog.bodies.epochs import DAY_S
 from catalog.errors import DataError, NoSolutionError
 
-MAX_SPACING_S, LEAST_SPACING_S = 900.0, 10.0
+MAX_SPACING_S, MIN_SPACING_S = 900.0, 10.0
 NODES = 6
 # Nodes about an interval from the middle outwards: those beyond the kernels' end are done without.
 STENCILS = (-2, -1, -3, 0, -4, -5, 1)  # where the first node stands, in intervals
@@ -37,7 +37,7 @@ def spacing_s(body: Body) -> float:
     if body.orbit is not None:
         degrees = abs(body.orbit.mean_anomaly_deg_by_century[1])
         spacing = min(spacing, 36525.0 * DAY_S * 360.0 / max(degrees, 1.0) / ORBIT_SHARE)
-    return max(float(math.floor(spacing)), LEAST_SPACING_S)
+    return max(float(math.floor(spacing)), MIN_SPACING_S)
 
 
 class ArcTables:
@@ -125,7 +125,7 @@ class ArcTables:
 def _powers_from_values(begin: int) -> FloatArray:
     """Matrix (6, 6) that makes coefficients of a polynomial of its values at begin, begin + 1..."""
     nodes = np.arange(begin, begin + NODES, dtype=np.float64)
-    return np.asarray(np.linalg.inv(np.vander(nodes, NODES, increasing=True)), dtype=np.float64)
+    return np.linalg.inv(np.vander(nodes, NODES, increasing=True)).astype(np.float64)
 
 
 _POWERS = {begin: _powers_from_values(begin) for begin in STENCILS}
