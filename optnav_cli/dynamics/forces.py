@@ -14,6 +14,7 @@ has on a body of such gravity.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,7 @@ class Forces:
             sunlight,
         )
 
+    @cached_property
     def switches(self) -> FloatArray:
         """When arcs of thrust begin and end, TDB s, in order."""
         return np.unique([time for arc in self._thrusts for time in arc[:2]])
@@ -256,9 +258,12 @@ class OrbitMotion:
         start[0, :6] = state
         start[1:, :6] = np.eye(6)
         first = np.concatenate([start[0, :6], start[1:].ravel()])
-        found = np.tile(first, (len(since), 1))
+        found = np.empty((len(since), len(first)))
+        found[:] = first
         for side in (since > 0.0, since < 0.0):
-            if side.any():
+            if len(since) == 1 and side[0]:
+                found = self._path(first, from_s, since, (kinds, owners))
+            elif side.any():
                 times, place = np.unique(since[side], return_inverse=True)
                 order = slice(None, None, -1 if times[0] < 0.0 else 1)
                 path = self._path(first, from_s, times[order], (kinds, owners))[order]
@@ -310,16 +315,18 @@ class OrbitMotion:
         columns: tuple[IntArray, list[str]],
     ) -> FloatArray:
         """(n, k) of a path from `first` (k,) to times ever farther to one side."""
-        last = float(since[-1])
-        stops = self._forces.switches() - from_s
-        stops = stops[(stops * last > 0.0) & (abs(stops) < abs(last))]
-        times = np.union1d(since, stops)
-        times = times[np.argsort(abs(times))]
+        last, times = float(since[-1]), since
         kinds, owners = columns
-        thrusts = np.tile(self._values[ACCELERATION], (len(times), 1))
-        acting = np.tile(kinds, (len(times), 1))
-        lasting = np.array([not name.startswith(THRUST) for name in owners], dtype=bool)
-        if len(self._forces.switches()):
+        switches = self._forces.switches
+        if len(switches):
+            stops = switches - from_s
+            stops = stops[(stops * last > 0.0) & (abs(stops) < abs(last))]
+            times = np.union1d(since, stops)
+            times = times[np.argsort(abs(times))]
+        thrusts, acting = np.empty((len(times), 3)), np.empty((len(times), len(kinds)), np.int64)
+        thrusts[:], acting[:] = self._values[ACCELERATION], kinds
+        if len(switches):
+            lasting = np.array([not name.startswith(THRUST) for name in owners], dtype=bool)
             middles = 0.5 * (times + np.concatenate([[0.0], times[:-1]]))
             for number, middle in enumerate(middles):
                 burning = self._forces.burning(from_s + float(middle))
@@ -334,4 +341,4 @@ class OrbitMotion:
             raise NoSolutionError(
                 f"the orbit cannot be followed for {last:.0f} s{why}", ReasonCode.NO_SOLUTION
             )
-        return out[np.isin(times, since)]
+        return out[np.isin(times, since)] if len(switches) else out

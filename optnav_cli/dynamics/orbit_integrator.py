@@ -27,6 +27,9 @@ PLACE_M, SPEED_M_S = 1e-4, 1e-7
 SAFETY, MIN_FACTOR, MAX_FACTOR = 0.9, 0.2, 10.0
 MAX_STEPS = 2_000_000
 MIN_STEP_S = 1e-9
+# First steps, in radians of a circular orbit: about those that low orbits then have.
+SMOOTH_STEP_RAD, ROUGH_STEP_RAD = 0.15, 0.045
+OBLATE_ROWS = 4  # factors of a table of degree 2
 MIN_RADII = 0.5  # below it a series of high degree runs away
 SUNLIGHT_N_M2 = 4.5398e-6  # pressure at 1 AU: 1361 W/m2 over the speed of light
 AU_M = 149597870700.0
@@ -391,8 +394,10 @@ def follow(
     stages, trial, now = np.empty((STAGES + 1, size)), np.empty(size), y.copy()
     work = np.empty((3, 11))
     square = now[0] ** 2 + now[1] ** 2 + now[2] ** 2
-    step = 0.02 * math.sqrt(square * math.sqrt(square) / world.gm)
-    least = (MIN_RADII * world.radius_m) ** 2 if world.pull_table[1].shape[0] > 4 else 0.0
+    is_rough = world.pull_table[1].shape[0] > OBLATE_ROWS
+    step = ROUGH_STEP_RAD if is_rough else SMOOTH_STEP_RAD
+    step *= math.sqrt(square * math.sqrt(square) / world.gm)
+    least = (MIN_RADII * world.radius_m) ** 2 if is_rough else 0.0
     t, steps = 0.0, 0
     for n in range(count):
         here = thrusts[n], kinds[n]

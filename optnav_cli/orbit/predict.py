@@ -7,21 +7,23 @@ the arc the nearest stored state is carried over less than a step.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from catalog.arrays import FloatArray
-from catalog.bodies.epochs import utc_from_tdb_s
-from catalog.errors import NoSolutionError
+from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
+from catalog.errors import DataError, NoSolutionError
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.orbit.folder import Kind, OrbitRows, StoredOrbit, stated_turn
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.settings import OF_FIXES
 
 LOOK_RAD = 0.05  # between places that are held against the surface: 0.6 km of height at most
+LOOKS_AT_ONCE = 500
 TO_MEETING_S = 0.01
+# Long before, the sigma along the path is that of the whole orbit.
+MAX_AHEAD_S = 100.0 * DAY_S
 AHEAD: Kind = "prediction"
 WITHIN: Kind = "between"
 
@@ -64,6 +66,7 @@ class OrbitPath:
         motion = OrbitMotion(forces)
         self._motion = ArcMotion(forces, orbit.noise, motion).with_added(added)
         self._radii_m = np.array(orbit.body.radii_m)
+        self._widest_m = float(self._radii_m.max())
 
     @property
     def first_s(self) -> float:
@@ -79,9 +82,16 @@ class OrbitPath:
         """Inertial states and covariances at times (n,), TDB s, in their order.
 
         Times beyond where the path meets the body are left out.
-        Raises NoSolutionError when it cannot be followed, DataError beyond the kernels.
+        Raises NoSolutionError when it cannot be followed, DataError beyond the kernels and for
+        times farther than MAX_AHEAD_S from the arc.
         """
         times = np.sort(np.asarray(times, dtype=np.float64))
+        for ahead_s in (self.first_s - times[0], times[-1] - self.last_s) if len(times) else ():
+            if ahead_s > MAX_AHEAD_S:
+                raise DataError(
+                    f"{self.orbit.path}: its arc is {ahead_s / DAY_S:.0f} days from the time asked "
+                    f"for; wanted at most {MAX_AHEAD_S / DAY_S:.0f}: name an orbit nearer to it"
+                )
         before, after = times[times < self.first_s], times[times > self.last_s]
         stored = self.orbit.rows
         inner = [self._between(float(t)) for t in times[len(before) : len(times) - len(after)]]
@@ -141,15 +151,32 @@ class OrbitPath:
         """When the path first lies inside the body's ellipsoid on the way to a time."""
         pieces = abs(to_s - at.tdb_s) / (LOOK_RAD * self._motion.radian_s(at.state[:3]))
         looks = np.linspace(at.tdb_s, to_s, max(int(np.ceil(pieces)), 1) + 1)
-        for start, end in pairwise(looks):
+        state, start = at.state, at.tdb_s
+        for first in range(1, len(looks), LOOKS_AT_ONCE):
+            ahead = looks[first : first + LOOKS_AT_ONCE]
             try:
-                state, _ = self._motion.carry(at.state, float(start), float(end - start))
-            except NoSolutionError:  # so deep that it is not followed
-                return float(end)
-            if self._is_inside(float(end), state):
-                return self._first_inside(at.state, float(start), float(end))
-            at = _At(float(end), state, at.covariance)
+                states, _ = self._motion.path(state, start, ahead)
+            except NoSolutionError:  # so deep that it is not followed: which look is the first
+                return self._meeting_by_looks(state, start, ahead)
+            for number in np.flatnonzero(np.linalg.norm(states[:, :3], axis=1) < self._widest_m):
+                if not self._is_inside(float(ahead[number]), states[number]):
+                    continue
+                if number > 0:
+                    state, start = states[number - 1], float(ahead[number - 1])
+                return self._first_inside(state, start, float(ahead[number]))
+            state, start = states[-1], float(ahead[-1])
         return None
+
+    def _meeting_by_looks(self, state: FloatArray, start: float, looks: FloatArray) -> float:
+        for end in looks:
+            try:
+                there, _ = self._motion.carry(state, start, float(end) - start)
+            except NoSolutionError:
+                return float(end)
+            if self._is_inside(float(end), there):
+                return self._first_inside(state, start, float(end))
+            state, start = there, float(end)
+        return start
 
     def _first_inside(self, state: FloatArray, outside_s: float, inside_s: float) -> float:
         """When a path enters, by halving; its state is that at `outside_s`."""
@@ -164,8 +191,6 @@ class OrbitPath:
         return inside_s
 
     def _is_inside(self, tdb_s: float, state: FloatArray) -> bool:
-        if float(np.linalg.norm(state[:3])) > self._radii_m.max():
-            return False
         place = stated_turn(self.orbit.ephemeris, tdb_s) @ state[:3]
         return float(np.linalg.norm(place / self._radii_m)) < 1.0
 

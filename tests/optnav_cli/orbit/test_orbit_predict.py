@@ -118,7 +118,8 @@ def test_a_path_into_the_ground_is_predicted_to_there_and_said(tmp_path, caplog)
     ("to", "step", "code", "words"),
     [
         ("2022-03-08T09:00:00Z", "60", 2, "lies within the arc, 2022-03-08T08:25:31Z to"),
-        ("2023-03-08T09:00:00Z", "1", 2, "give a longer step"),
+        ("2022-03-18T09:00:00Z", "1", 2, "give a longer step"),
+        ("2023-03-08T09:00:00Z", "1e6", 3, "365 days from the time asked for; wanted at most 100"),
         ("soon", "60", 3, "not understood"),
         ("2022-03-08T12:00:00Z", "0", 2, "--step"),
     ],
