@@ -124,7 +124,9 @@ class Forces:
         }
         return found | {f"{THRUST}{k}": arc[2] for k, arc in enumerate(self._thrusts, start=1)}
 
-    def world(self, from_s: float, last_s: float, sunlight: float) -> ArcWorld:
+    def world(
+        self, from_s: float, last_s: float, sunlight: float, *, sees_sunlight: bool
+    ) -> ArcWorld:
         """All that moves a craft from one time to another, as the kernels take it."""
         start, pieces = self._arcs.span(min(from_s, last_s), max(from_s, last_s))
         pulls, gradients = self._tables
@@ -143,6 +145,7 @@ class Forces:
             self._radii_m,
             self.motion.body.radius_m,
             sunlight,
+            sees_sunlight or sunlight != 0.0,
         )
 
     @cached_property
@@ -163,7 +166,8 @@ class Forces:
         state = np.concatenate([position_m, np.zeros(3)])
         sunlight = float(self.values()[SUNLIGHT][0])
         out, none = np.empty((3, 11)), np.zeros(3)
-        acceleration(0.0, state, none, self.world(tdb_s, tdb_s, sunlight), True, out)
+        world = self.world(tdb_s, tdb_s, sunlight, sees_sunlight=False)
+        acceleration(0.0, state, none, world, True, out)
         return out[:, 0], out[:, 1:4]
 
     def unmodelled(self, position_m: FloatArray) -> Unmodelled:
@@ -333,7 +337,8 @@ class OrbitMotion:
                 thrusts[number] += sum((self._values[name] for name in burning), np.zeros(3))
                 on = lasting | np.isin(owners, burning)
                 acting[number] = np.where(on, kinds, -1)
-        world = self._forces.world(from_s, from_s + last, float(self._values[SUNLIGHT][0]))
+        sunlight, lit = float(self._values[SUNLIGHT][0]), SUNLIGHT in owners
+        world = self._forces.world(from_s, from_s + last, sunlight, sees_sunlight=lit)
         out = np.empty((len(times), len(first)))
         outcome = follow(first, times, (thrusts, acting), world, out)
         if outcome != FOLLOWED or not np.isfinite(out).all():

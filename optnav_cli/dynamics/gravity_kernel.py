@@ -136,23 +136,42 @@ def pull(place: FloatArray, scale: tuple[float, float], table: Table, out: Float
     v, w = math.sqrt(square), 0.0
     ax = ay = az = 0.0
     top, k = factors.shape[0], 0
-    for m in range(top):
+    # two orders at once: each sum waits for its own last term alone
+    for m in range(0, top, 2):
         if m > 0:
             v, w = factors[m] * (x * v - y * w), factors[m] * (x * w + y * v)
-        h1, h = 0.0, 1.0
-        xc = xs = yc = ys = zc = zs = 0.0
-        for _ in range(m, top):
-            xc += rows[k, 2] * h
-            xs += rows[k, 3] * h
-            yc += rows[k, 4] * h
-            ys += rows[k, 5] * h
-            zc += rows[k, 6] * h
-            zs += rows[k, 7] * h
+        p = k + top - m
+        xc, xs, yc = rows[k, 2], rows[k, 3], rows[k, 4]
+        ys, zc, zs = rows[k, 5], rows[k, 6], rows[k, 7]
+        k += 1
+        f1, f, g1, g = 1.0, rows[k, 0] * z, 0.0, 1.0
+        xc2 = xs2 = yc2 = ys2 = zc2 = zs2 = 0.0
+        for _ in range(m + 1, top):
+            xc += rows[k, 2] * f
+            xs += rows[k, 3] * f
+            yc += rows[k, 4] * f
+            ys += rows[k, 5] * f
+            zc += rows[k, 6] * f
+            zs += rows[k, 7] * f
+            xc2 += rows[p, 2] * g
+            xs2 += rows[p, 3] * g
+            yc2 += rows[p, 4] * g
+            ys2 += rows[p, 5] * g
+            zc2 += rows[p, 6] * g
+            zs2 += rows[p, 7] * g
             k += 1
-            h1, h = h, rows[k, 0] * z * h - rows[k, 1] * square * h1
+            p += 1
+            f1, f = f, rows[k, 0] * z * f - rows[k, 1] * square * f1
+            g1, g = g, rows[p, 0] * z * g - rows[p, 1] * square * g1
         ax += v * xc + w * xs
         ay += v * yc + w * ys
         az += v * zc + w * zs
+        if m + 1 < top:
+            v, w = factors[m + 1] * (x * v - y * w), factors[m + 1] * (x * w + y * v)
+            ax += v * xc2 + w * xs2
+            ay += v * yc2 + w * ys2
+            az += v * zc2 + w * zs2
+        k = p
     unit = gm / (radius * radius)
     out[0], out[1], out[2] = unit * ax, unit * ay, unit * az
 

@@ -47,6 +47,7 @@ class ArcWorld(NamedTuple):
     gms, radii_m                (n,) of the neighbours
     body_radius_m               of the shadow
     sunlight                    area over mass times reflectivity, m^2/kg
+    sees_sunlight               whether its pressure is needed: it, or a derivative by it
     """
 
     gm: float
@@ -62,6 +63,7 @@ class ArcWorld(NamedTuple):
     radii_m: FloatArray
     body_radius_m: float
     sunlight: float
+    sees_sunlight: bool
 
 
 @kernel
@@ -191,12 +193,13 @@ def acceleration(
     share = (t - world.start_s) / world.spacing_s
     interval = max(0, min(math.floor(share), world.rotations.shape[0] - 1))
     share -= interval
-    work = np.empty((8, 3))
+    work = np.empty((9, 3))  # one for all below: each array costs as much as a degree of the field
     out[:] = 0.0
-    _attract(state, share, interval, world, wants_slope, out)
+    _attract(state, share, interval, world, wants_slope, out, work)
     _tides(state, share, interval, world, wants_slope, out, work)
     # the Sun is the last of the neighbours: work[3] is the craft's place from it
-    _press(state, share, interval, world, work, out)
+    if world.sees_sunlight:
+        _press(state, share, interval, world, work, out)
     path_axes(state, work[5:8])
     for axis in range(3):
         for i in range(3):
@@ -214,13 +217,14 @@ def _attract(
     world: ArcWorld,
     wants_slope: bool,
     out: FloatArray,
+    work: FloatArray,
 ) -> None:
     """Add the body's own pull, and its slope."""
     x, y, z = state[0], state[1], state[2]
     square = x * x + y * y + z * z
     factor = -world.gm / (square * math.sqrt(square))
-    vector, local, found = np.empty(3), np.empty(3), np.empty(3)
-    turn, slope = np.empty((3, 3)), np.empty((3, 3))
+    vector, local, found = work[0], work[1], work[2]
+    turn, slope = work[3:6], work[6:9]
     _interpolated(world.turns[interval], share, vector)
     _rotation(world.rotations[interval], vector, turn)
     for i in range(3):

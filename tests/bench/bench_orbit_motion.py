@@ -29,7 +29,8 @@ def test_a_day_with_transition_and_an_output_every_five_minutes(degree):
     orbit, start, epoch = OrbitMotion(forces), low_orbit(), utc_to_tdb_s(START_UTC)
     times = epoch + 300.0 * np.arange(1.0, sized(288.0, 12.0) + 1.0)
     span = float(times[-1] - epoch)
-    world, none, out = forces.world(epoch, float(times[-1]), 0.0), np.zeros(3), np.empty((3, 11))
+    world = forces.world(epoch, float(times[-1]), 0.0, sees_sunlight=False)
+    none, out = np.zeros(3), np.empty((3, 11))
 
     def rates(t, y):
         acceleration(t, y, none, world, False, out)
