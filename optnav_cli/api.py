@@ -146,12 +146,14 @@ def navigate_folder(
     *,
     settings: NavigateSettings | None = None,
     relief: str | Path | None = None,
+    orbit: str | Path | None = None,
     progress: Progress | None = None,
 ) -> list[Solution]:
     """Navigate all pictures of a folder and write a run folder, as `optnav navigate` does.
 
     settings  of the search and the solution, as `load_settings` reads them; the defaults if None
     relief    a terrain model of the whole body for the horizon; else what a catalog carries
+    orbit     folder of a fitted orbit: the prior of pictures that have none
     Raises NothingToDoError, after the run is written, where no picture was solved; another
     OptnavError where folder or catalogs cannot be used at all.
     """
@@ -160,6 +162,7 @@ def navigate_folder(
         [Path(path) for path in catalogs],
         settings or NavigateSettings(),
         relief=None if relief is None else Path(relief),
+        orbit=None if orbit is None else Path(orbit),
     )
     return navigate_pictures(given, Path(run), progress or SilentProgress())
 

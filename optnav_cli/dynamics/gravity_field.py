@@ -22,7 +22,7 @@ from catalog.inputs import MEGABYTE, read_input
 from optnav_cli.dynamics.orbit_settings import MAX_DEGREE, ForcesSettings
 
 SHIPPED = {"moon": ("data/moon_glgm3_50.tab", 50)}  # and its degree
-MAX_FIELD_BYTES = 64 * MEGABYTE  # of degree 700, with errors
+MAX_FIELD_BYTES = 128 * MEGABYTE  # of degree 1200, with errors
 # A header's GM farther off is a slip of the pen or an old value: it is said and not used.
 MAX_GM_SHARE = 1e-4
 OTHER_BODY_GM, OTHER_BODY_RADIUS = 0.01, 0.1  # farther off it is not this body's field

@@ -38,6 +38,8 @@ def with_orbit(frames: Sequence[Frame], body: Body, folder: Path) -> list[Frame]
         )
     path = OrbitPath(orbit)
     open_s = [f.tdb_s for f in frames if f.position_m is None and f.tdb_s is not None]
+    if not open_s:
+        log.info("%s: each frame states its position, so the orbit is not used", folder)
     prediction = path.rows(np.unique(open_s))
     if prediction.meeting:
         log.warning("%s: %s; later frames have no prior", folder, prediction.meeting)
