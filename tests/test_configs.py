@@ -79,8 +79,14 @@ def load_landing(path: Path) -> object:
     return load_landing_settings(path)
 
 
+def load_delivery(path: Path) -> object:
+    from optnav_cli.orbit.delivery_settings import load_delivery_settings
+
+    return load_delivery_settings(path)
+
+
 def load_orbit(path: Path) -> object:
-    kinds = {"qso": load_qso, "landing": load_landing}
+    kinds = {"qso": load_qso, "landing": load_landing, "delivery": load_delivery}
     return kinds[path.stem.partition("_")[0]](path)
 
 
@@ -115,6 +121,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
     "orbits": load_orbit,
     "templates/qso": load_qso,
     "templates/landing": load_landing,
+    "templates/delivery": load_delivery,
     "templates/build": load_build,
     "templates/scenario": load_scenario,
     "templates/navigate": load_navigate,
@@ -202,6 +209,10 @@ def config_type(kind: str) -> type[msgspec.Struct]:
         from optnav_cli.orbit.settings import OrbitSettings
 
         return OrbitSettings
+    if kind == "delivery":
+        from optnav_cli.orbit.delivery_settings import DeliverySettings
+
+        return DeliverySettings
     if kind == "landing":
         from optnav_cli.orbit.landing_settings import LandingSettings
 
@@ -236,6 +247,8 @@ def test_a_template_states_the_defaults(kind: str) -> None:
     needed = only_needed(msgspec.inspect.type_info(type_), whole)
     if kind == "build":  # the ground is needed, of one kind or the other
         needed["dem"] = [{"path": dem["path"]} for dem in whole["dem"]]
+    if kind == "delivery":  # measurements are needed, of one kind or the other
+        needed |= {"aim": whole["aim"], "station": whole["station"], "radio": {}}
     assert needed != whole
     stated = msgspec.to_builtins(msgspec.convert(whole, type_))
     default = msgspec.to_builtins(msgspec.convert(needed, type_))

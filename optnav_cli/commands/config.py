@@ -65,7 +65,17 @@ KINDS = {
 }
 
 
-TEMPLATES = ("build", "scenario", "navigate", "hazard", "calibrate", "orbit", "qso", "landing")
+TEMPLATES = (
+    "build",
+    "scenario",
+    "navigate",
+    "hazard",
+    "calibrate",
+    "orbit",
+    "qso",
+    "landing",
+    "delivery",
+)
 FOLDERS = ("folder", "points")  # examples to begin with, which `template` copies
 
 
@@ -117,8 +127,8 @@ def template(kind: str, output: Path | None) -> None:
     """Print a valid, commented configuration with all settings and their defaults.
 
     KIND is build (a catalog), scenario (pictures to simulate), navigate, hazard, calibrate, orbit,
-    qso or landing; or folder: a picture folder with an example picture, whose files say what they
-    hold, which -o names; or points: one with picked points.
+    qso, landing or delivery; or folder: a picture folder with an example picture, whose files say
+    what they hold, which -o names; or points: one with picked points.
 
     \b
     Example:

@@ -14,6 +14,7 @@ COMMANDS: dict[str, Entry] = {  # by name, in the order of the help
     "time": Entry(f"{_HERE}.orbit_time", "When pictures were taken, from a known orbit."),
     "qso": Entry(f"{_HERE}.orbit_qso", "Quasi-satellite orbits of a moon such as Phobos."),
     "landing": Entry(f"{_HERE}.orbit_landing", "Landings: impulse, navigation, touchdown."),
+    "delivery": Entry(f"{_HERE}.orbit_delivery", "How accurately corrections lead to a target."),
 }
 
 

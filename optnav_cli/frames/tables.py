@@ -391,3 +391,37 @@ LANDING_PATH = CsvTable(
         _number("side_km", "across that plane", "km", "z.5f"),
     )
 )
+
+_AIM = (("xi_km", "xi", "km"), ("eta_km", "eta", "km"), ("tau_s", "time of the pericentre", "s"))
+
+DELIVERY_STAGES = CsvTable(
+    (
+        _text("stage", "injection, correction NUMBER, or arrival: the errors before it"),
+        _number("day", "since the start", "d", ".6g", empty=False),
+        _number("condition", "of what velocity does to the arrival", "", ".4g"),
+        *(_number(f"bound_{i}", f"largest {w} by the boxes", u, ".6g") for i, w, u in _AIM),
+        *(_number(f"trials_{i}", f"99.73 % of the trials' {w}", u, ".6g") for i, w, u in _AIM),
+        *(_number(f"navigation_{i}", f"1 sigma of {w} then", u, ".6g") for i, w, u in _AIM),
+        _number("bound_dv_m_s", "largest change of velocity of the correction", "m/s", ".6g"),
+        _number("trials_dv_m_s", "99.73 % of the trials'", "m/s", ".6g"),
+        _number("largest_dv_m_s", "the largest trial's", "m/s", ".6g"),
+        _count("boxes", "that hold the errors"),
+    )
+)
+
+DELIVERY_BOXES = CsvTable(
+    (
+        _text("stage", "of stages.csv"),
+        *(_number(f"{i}_from", f"{w}: the box's lower side", u, ".6g") for i, w, u in _AIM),
+        *(_number(f"{i}_to", f"{w}: its upper side", u, ".6g") for i, w, u in _AIM),
+        _number("spent_m_s", "the most that leads there", "m/s", ".6g", empty=False),
+    )
+)
+
+DELIVERY_ARRIVALS = CsvTable(
+    (
+        _count("trial", "number of the trial, from 1; the first ones", empty=False),
+        *(_number(i, f"{w} less the aim's", u, ".6g", empty=False) for i, w, u in _AIM),
+        _number("dv_m_s", "of all corrections", "m/s", ".6g", empty=False),
+    )
+)

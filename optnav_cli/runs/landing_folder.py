@@ -33,12 +33,13 @@ from optnav_cli.orbit.landing_trials import (
     landing_task,
     wrong_ground,
 )
-from optnav_cli.orbit.qso_oem import oem_text
+from optnav_cli.orbit.oem import Oem, write_oem
 from optnav_cli.orbit.qso_settings import FOLDER, moon_of
 from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.wording import table_lines
 
 STAGE = "orbit landing"
+CREATED = "2000-01-01T00:00:00"  # of the OEM: no clock, so that the same input gives the same
 GROUNDS = 5  # wrong grounds that the trials take in turn
 DRAWN_BEAMS = 5  # sets of beams in path.csv
 PROFILE_KM, PROFILE_STEP_KM = 20.0, 0.1
@@ -92,7 +93,7 @@ def landing_folder(settings_path: Path, output: Path, progress: Progress) -> Lan
             LANDING.write(place / LANDING_CSV, cells)
             LANDING_IMPULSE.write(place / IMPULSE_CSV, _impulse_cells(task))
             LANDING_PATH.write(place / PATH_CSV, _path_cells(result))
-            (place / "transfer.oem").write_text(_oem(task), encoding="utf-8")
+            write_oem(place / "transfer.oem", _oem(task), "TRANSFER", CREATED)
             write_manifest(
                 place,
                 LANDING_KIND,
@@ -197,11 +198,11 @@ def _path_cells(result: LandingResult) -> Iterator[dict[str, object]]:
                 yield row("beam", None, point)
 
 
-def _oem(task: LandingTask) -> str:
+def _oem(task: LandingTask) -> Oem:
     departure = task.departure
     times = np.linspace(departure.tdb_s, departure.arrival_s, len(task.path))
     states = task.motion.propagate(departure.state, times, STEP_S)
-    return oem_text("TRANSFER", task.motion.moon.name, times, states)
+    return Oem(task.motion.moon.name, times, states, np.empty(0), np.empty((0, 6, 6)))
 
 
 def landing_lines(result: LandingResult) -> list[str]:

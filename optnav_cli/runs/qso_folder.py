@@ -16,9 +16,9 @@ from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
+from optnav_cli.orbit.oem import Oem, write_oem
 from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart, body_turns
 from optnav_cli.orbit.qso_motion import MoonMotion
-from optnav_cli.orbit.qso_oem import oem_text
 from optnav_cli.orbit.qso_settings import (
     FOLDER,
     PASSES_CSV,
@@ -38,6 +38,7 @@ from optnav_cli.output.wording import table_lines
 
 STAGE = "orbit qso"
 PATH_STEP_S = 600.0
+CREATED = "2000-01-01T00:00:00"  # of the OEM: no clock, so that the same input gives the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +79,9 @@ def qso_folder(settings_path: Path, output: Path, progress: Progress) -> tuple[l
             )
             for row in rows:
                 if row.orbit is not None:
-                    text = _oem(row, row.orbit, section, motion)
-                    (place / f"orbit_{row.number:02d}.oem").write_text(text, encoding="utf-8")
+                    name = f"orbit_{row.number:02d}"
+                    oem = _oem(row, row.orbit, section, motion)
+                    write_oem(place / f"{name}.oem", oem, name.upper(), CREATED)
             found = [row.orbit for row in rows if row.orbit]
             write_manifest(
                 place,
@@ -202,11 +204,11 @@ def _path_cells(row: QsoRow, days: float, motion: MoonMotion) -> Iterator[dict[s
             yield {"orbit": row.number, "kind": kind, "seconds": float(after), **axes}
 
 
-def _oem(row: QsoRow, orbit: QsoOrbit, section: QsoSection, motion: MoonMotion) -> str:
+def _oem(row: QsoRow, orbit: QsoOrbit, section: QsoSection, motion: MoonMotion) -> Oem:
     seconds = 86400.0 * section.days
     times = row.start.tdb_s + np.append(np.arange(0.0, seconds, section.step_s), seconds)
     states = motion.propagate(orbit.state, times, min(section.step_s, PATH_STEP_S))
-    return oem_text(f"QSO_{row.number:02d}", motion.moon.name, times, states)
+    return Oem(motion.moon.name, times, states, np.empty(0), np.empty((0, 6, 6)))
 
 
 def qso_lines(rows: list[QsoRow], mean_motion: float) -> list[str]:

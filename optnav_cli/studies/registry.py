@@ -166,6 +166,21 @@ STUDIES = (
         ),
     ),
     Study(
+        "delivery",
+        "The accuracy of deliveries to bodies: boxes against trials.",
+        """Bound the errors and corrections of the shipped deliveries and compare with trials.
+
+        Moon by radio and by optical fixes, Mars, Venus, Jupiter with electric thrust: velocity
+        change, arrival, the navigation with considered errors against drawn ones, times. Takes half
+        a minute.""",
+        "--cut 10000",
+        (
+            _option("--cut", click.IntRange(100, 10 * MANY), MANY, "Trials that must lie inside."),
+            _seed(),
+        ),
+        compiles=False,
+    ),
+    Study(
         "descent",
         "A descent to 2 km by windows of the model and landmarks.",
         """Fly descents of one inertial track over several grounds, with several drawn tracks each.

@@ -203,7 +203,7 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
     studies |= {"real", "calibration", "descent"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
     makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo", "hazard", "calibrate"}
-    orbits = {"fit", "qso", "landing"}
+    orbits = {"fit", "qso", "landing", "delivery"}
     assert folders == (
         {((name,), "work") for name in stages}
         | {((name,), "output") for name in makers}

@@ -8,6 +8,7 @@ import pytest
 from catalog.progress import SilentProgress
 from optnav_cli.frames.tables import QSO, QSO_PASSES
 from optnav_cli.main import run
+from optnav_cli.orbit.oem import read_oem
 from optnav_cli.studies.qso import report as study_report
 from optnav_cli.studies.qso import run as run_study
 
@@ -51,6 +52,8 @@ def test_body_fixed_velocities_are_the_rates_of_body_fixed_places(folder: Path) 
 def test_the_ephemeris_message_holds_the_states_in_km(folder: Path) -> None:
     lines = (folder / "orbit_01.oem").read_text().splitlines()
     assert "CENTER_NAME = PHOBOS" in lines
+    again = read_oem(folder / "orbit_01.oem", "phobos")
+    assert len(again.times) == 2 * 144 + 1
     first = lines[lines.index("META_STOP") + 2].split()
     row = QSO.rows(folder / "qso.csv")[0]
     state = row.vector([f"inertial_{name}" for name in ("x_m", "y_m", "z_m")])
