@@ -13,6 +13,7 @@ from optnav_cli.orbit.folder import read_orbit
 from optnav_cli.orbit.oem import read_oem
 from optnav_cli.orbit.predict import OrbitPath
 from optnav_cli.orbit.settings import OrbitSettings, ParameterSettings
+from optnav_cli.orbit.spk import write_spk
 from optnav_cli.runs.orbit_files import predict_orbit
 from optnav_cli.runs.orbit_folder import fit_runs
 from tests.optnav_cli.orbit.flights import QUIET, START_S, flight, truth, write_run
@@ -184,6 +185,23 @@ def test_an_exported_kernel_gives_spice_the_states(stored, tmp_path):
             assert np.abs(found - state)[3:].max() < 1e-2
     finally:
         spice.unload(str(file))
+
+
+def test_states_of_two_cameras_at_nearly_one_time_do_not_spoil_a_kernel(stored, tmp_path):
+    spice = pytest.importorskip("spiceypy", reason="the extra spice is not there")
+    path = OrbitPath(read_orbit(stored))
+    first = path.first_s
+    even = first + 300.0 * np.arange(11.0)
+    times = np.sort(np.concatenate([even, even[:-1] + 2e-5, [even[-1] - 1e-4]]))
+    write_spk(tmp_path / "twins.bsp", times, path.rows(times).rows.states, -999, 301)
+    spice.furnsh(str(tmp_path / "twins.bsp"))
+    try:
+        for time in (first, first + 2999.0, float(even[-1])):
+            wanted = path.rows(np.array([time])).rows.states[0]
+            found = 1e3 * spice.spkgeo(-999, time, "J2000", 301)[0]
+            assert np.abs(found - wanted)[:3].max() < 0.5
+    finally:
+        spice.unload(str(tmp_path / "twins.bsp"))
 
 
 def test_an_exported_table_is_that_of_the_folder(stored, tmp_path):
