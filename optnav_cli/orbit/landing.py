@@ -13,7 +13,7 @@ from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at
 from catalog.geometry.latlon import xyz_from_latlon
-from optnav_cli.orbit.landing_rays import Ground
+from optnav_cli.orbit.landing_rays import DigitalSurface
 from optnav_cli.orbit.qso_motion import MoonMotion, split
 from optnav_cli.reasons import ReasonCode
 
@@ -30,7 +30,7 @@ class Site:
     up: FloatArray
 
     @classmethod
-    def at(cls, lat: float, lon: float, ground: Ground) -> "Site":
+    def at(cls, lat: float, lon: float, ground: DigitalSurface) -> "Site":
         """The ground at a latitude and longitude, rad; up is the ellipsoid's normal there."""
         direction = xyz_from_latlon(lat, lon, 1.0)
         reach = 2.0 * ground.mesh.reach_m
@@ -108,7 +108,7 @@ def depart(
     return Departure(np.array(changes), state, tdb_s, arrival_s)
 
 
-def check_clear(motion: MoonMotion, departure: Departure, ground: Ground) -> FloatArray:
+def check_clear(motion: MoonMotion, departure: Departure, ground: DigitalSurface) -> FloatArray:
     """Places (n, 3), body frame, of the transfer; they stay over the ground.
 
     Raises NoSolutionError for a transfer that meets it, as to a target on the far side.

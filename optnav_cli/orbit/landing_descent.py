@@ -18,7 +18,7 @@ import numpy as np
 from catalog.arrays import BoolArray, FloatArray
 from optnav_cli.orbit.landing import Site
 from optnav_cli.orbit.landing_navigation import beams_about
-from optnav_cli.orbit.landing_rays import Ground
+from optnav_cli.orbit.landing_rays import DigitalSurface
 from optnav_cli.orbit.landing_settings import LandingSettings
 
 STEP_S = 1.0
@@ -64,11 +64,16 @@ class Touchdown:
     path: FloatArray
 
 
-class Descent:
+class VerticalDescent:
     """Craft over a site with a filter each; states (n, 6) in axes east, north, up of the site."""
 
     def __init__(
-        self, model: Ground, truth: Ground, site: Site, settings: LandingSettings, gm: float
+        self,
+        model: DigitalSurface,
+        truth: DigitalSurface,
+        site: Site,
+        settings: LandingSettings,
+        gm: float,
     ) -> None:
         self._model, self._truth, self._site = model, truth, site
         self._settings, self._gm = settings, gm

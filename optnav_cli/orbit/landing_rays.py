@@ -37,7 +37,7 @@ class GroundHits:
     steps: IntArray
 
 
-class Ground:
+class DigitalSurface:
     """A mesh with its reference ellipsoid."""
 
     def __init__(self, mesh: MeshRays, radii_m: tuple[float, float, float]) -> None:

@@ -16,7 +16,7 @@ from catalog.terrain.mesh.refine import refined
 from catalog.terrain.mesh.shape import Shape, load_shape
 from catalog.terrain.synthetic import fractal
 from optnav_cli.orbit.landing import Departure, Site, check_clear, depart
-from optnav_cli.orbit.landing_descent import Descent, Touchdown
+from optnav_cli.orbit.landing_descent import Touchdown, VerticalDescent
 from optnav_cli.orbit.landing_navigation import (
     BeamRanges,
     RangeFix,
@@ -24,7 +24,7 @@ from optnav_cli.orbit.landing_navigation import (
     SurfaceError,
     beams_about,
 )
-from optnav_cli.orbit.landing_rays import Ground
+from optnav_cli.orbit.landing_rays import DigitalSurface
 from optnav_cli.orbit.landing_settings import LandingSettings
 from optnav_cli.orbit.qso import QsoSearch, QsoStart
 from optnav_cli.orbit.qso_motion import MoonMotion, split
@@ -44,7 +44,7 @@ class LandingTask:
     settings: LandingSettings
     motion: MoonMotion
     shape: Shape
-    model: Ground
+    model: DigitalSurface
     site: Site
     departure: Departure
     before: FloatArray
@@ -81,7 +81,7 @@ def landing_task(settings: LandingSettings, moon: Body, beside: Path) -> Landing
     motion = motion_of_moon(settings.forces, moon, beside)
     # cut once: the cubics over its edges make flat faces round, whose slopes jump less
     shape = refined(load_shape(settings.surface.mesh, beside, moon), 1)
-    model = Ground(MeshRays(shape.vertices[shape.faces]), moon.radii_m)
+    model = DigitalSurface(MeshRays(shape.vertices[shape.faces]), moon.radii_m)
     site = Site.at(np.radians(section.target_lat_deg), np.radians(section.target_lon_deg), model)
     begin = utc_to_tdb_s(section.time)
     before = _start_state(settings, motion, begin)
@@ -100,7 +100,7 @@ def _start_state(settings: LandingSettings, motion: MoonMotion, begin: float) ->
     return QsoSearch(motion, start, QSO_DAYS).solve().state
 
 
-def wrong_ground(task: LandingTask, seed: int) -> Ground:
+def wrong_ground(task: LandingTask, seed: int) -> DigitalSurface:
     """The ground whose model the navigator has, with heights that are wrong alike over a length."""
     length = task.settings.surface.error_length_m
     shape = task.shape
@@ -110,7 +110,7 @@ def wrong_ground(task: LandingTask, seed: int) -> Ground:
     up = shape.vertices / np.linalg.norm(shape.vertices, axis=1)[:, None]
     sizes = surface_error(task).sigma(shape.vertices)
     vertices = shape.vertices + (sizes * fractal.noise_at(octaves, up))[:, None] * up
-    return Ground(MeshRays(vertices[shape.faces]), task.motion.moon.radii_m)
+    return DigitalSurface(MeshRays(vertices[shape.faces]), task.motion.moon.radii_m)
 
 
 def surface_error(task: LandingTask) -> SurfaceError:
@@ -130,7 +130,7 @@ def start_covariance(settings: LandingSettings) -> FloatArray:
 
 def measured_ranges(
     task: LandingTask,
-    truth: Ground,
+    truth: DigitalSurface,
     states: tuple[FloatArray, FloatArray],
     times: FloatArray,
     rng: np.random.Generator,
@@ -166,7 +166,7 @@ def burnt(
     return real, measured, (share**2 + 1e-12) * np.eye(3)
 
 
-def fly_transfer(task: LandingTask, truth: Ground, number: int) -> LandingTrial:
+def fly_transfer(task: LandingTask, truth: DigitalSurface, number: int) -> LandingTrial:
     """One transfer with its corrections; a trial without a fix says why."""
     settings, motion = task.settings, task.motion
     section = settings.landing
@@ -206,7 +206,7 @@ def fly_transfer(task: LandingTask, truth: Ground, number: int) -> LandingTrial:
     return trial
 
 
-def fly_descents(task: LandingTask, truth: Ground, trials: list[LandingTrial]) -> Touchdown:
+def fly_descents(task: LandingTask, truth: DigitalSurface, trials: list[LandingTrial]) -> Touchdown:
     """The descents of trials that have arrived."""
     axes, motion = task.site.axes, task.motion
     at = np.array([task.departure.arrival_s])
@@ -222,6 +222,6 @@ def fly_descents(task: LandingTask, truth: Ground, trials: list[LandingTrial]) -
     )
     covariances = local @ np.array([trial.covariance for trial in trials]) @ local.T
     settings = task.settings
-    descent = Descent(task.model, truth, task.site, settings, motion.pair.moon_gm)
+    descent = VerticalDescent(task.model, truth, task.site, settings, motion.pair.moon_gm)
     rng = np.random.default_rng([settings.landing.seed, 1 << 40])
     return descent.fly(true, known, covariances, rng)

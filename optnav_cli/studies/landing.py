@@ -15,7 +15,7 @@ from catalog.progress import Progress, SilentProgress
 from optnav_cli.orbit.landing import Site, depart
 from optnav_cli.orbit.landing_model import OnboardMotion, turning_state
 from optnav_cli.orbit.landing_navigation import MAX_STEPS, RangeNavigator
-from optnav_cli.orbit.landing_rays import Ground
+from optnav_cli.orbit.landing_rays import DigitalSurface
 from optnav_cli.orbit.landing_settings import (
     LandingSettings,
     SurfaceSettings,
@@ -167,7 +167,7 @@ def _impulse_rows(task: LandingTask, seed: int) -> list[tuple[Cell, ...]]:
     ]
 
 
-def _ray_rows(ground: Ground, seed: int) -> list[tuple[Cell, ...]]:
+def _ray_rows(ground: DigitalSurface, seed: int) -> list[tuple[Cell, ...]]:
     """Rays from 0.5 to 60 km, by their angle to the ellipsoid's normal or to the centre."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(RAYS, 3))

@@ -8,6 +8,7 @@ import pytest
 
 from catalog.bodies.body import load_body
 from catalog.errors import ConfigError, NoSolutionError
+from optnav_cli.orbit import delivery
 from optnav_cli.orbit.delivery import (
     DeliveryTask,
     biased_navigation,
@@ -164,3 +165,12 @@ def test_an_arc_that_no_station_sees_is_refused() -> None:
     wrong = msgspec.structs.replace(SETTINGS, station=(station,), radio=radio)
     with pytest.raises(NoSolutionError, match="no station sees the craft"):
         delivery_task(wrong, MOON, "moon.toml")
+
+
+def test_a_correction_that_cannot_change_the_arrival_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The limit is lowered to what this path has: no shipped one has a singular W."""
+    monkeypatch.setattr(delivery, "MAX_CONDITION", 2.2)
+    with pytest.raises(ConfigError, match=r"correction after 1 days cannot change .* 2\.4e\+00"):
+        delivery_task(SETTINGS, MOON, "moon.toml")
