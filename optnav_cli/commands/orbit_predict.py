@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from optnav_cli.console import announce_compilation, tell
+from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress, tell
 from optnav_cli.options import OptnavCommand, output_option, path_argument
 from optnav_cli.parameters import Number
 
@@ -34,7 +34,10 @@ CRAFT = click.option(
     (".csv", ".oem"),
     required=False,
 )
-def predict(orbit: Path, to_utc: str, step_s: float, output: Path | None) -> None:
+@pass_progress
+def predict(
+    progress: ConsoleProgress, orbit: Path, to_utc: str, step_s: float, output: Path | None
+) -> None:
     """Predict ORBIT, a folder of `optnav orbit fit`, to a time ahead of its arc or before it.
 
     The covariance grows by that of the parameters, of arcs of thrust and of what the forces leave
@@ -49,7 +52,7 @@ def predict(orbit: Path, to_utc: str, step_s: float, output: Path | None) -> Non
     from optnav_cli.runs.orbit_files import predict_orbit, prediction_lines, write_orbit
 
     announce_compilation()
-    path, prediction = predict_orbit(orbit, to_utc, step_s)
+    path, prediction = predict_orbit(orbit, to_utc, step_s, progress)
     lines = prediction_lines(path, prediction)
     if output is None:
         click.echo("\n".join(lines))

@@ -6,6 +6,7 @@ first state goes back; its correlation with the force parameters is not stored a
 the arc the nearest stored state is carried over less than a step.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,8 +79,10 @@ class OrbitPath:
         """TDB s of the last one."""
         return float(self.orbit.rows.times[-1])
 
-    def rows(self, times: FloatArray) -> Prediction:
+    def rows(self, times: FloatArray, advance: Callable[[], None] = lambda: None) -> Prediction:
         """Inertial states and covariances at times (n,), TDB s, in their order.
+
+        advance  called for each state beyond the arc
 
         Times beyond where the path meets the body are left out.
         Raises NoSolutionError when it cannot be followed, DataError beyond the kernels and for
@@ -99,8 +102,8 @@ class OrbitPath:
         parameters = self._last[6:, 6:]
         first_spread = block_diag(stored.covariances[0], parameters)
         first = _At(self.first_s, stored.states[0], first_spread)
-        ahead, met_after = self._walk(last, after)
-        back, met_before = self._walk(first, before[::-1])
+        ahead, met_after = self._walk(last, after, advance)
+        back, met_before = self._walk(first, before[::-1], advance)
         found = [*back[::-1], *inner, *ahead]
         kinds: list[Kind] = [*len(back) * (AHEAD,), *len(inner) * (WITHIN,), *len(ahead) * (AHEAD,)]
         rows = OrbitRows(
@@ -136,7 +139,9 @@ class OrbitPath:
         covariance[:6, :6] += step.noise
         return _At(to_s, step.state, covariance)
 
-    def _walk(self, at: _At, times: FloatArray) -> tuple[list[_At], float | None]:
+    def _walk(
+        self, at: _At, times: FloatArray, advance: Callable[[], None]
+    ) -> tuple[list[_At], float | None]:
         """On to times ever farther to one side; and when the path meets the body."""
         found: list[_At] = []
         for time in times:
@@ -145,6 +150,7 @@ class OrbitPath:
                 return found, meets
             at = self._carried(at, float(time), self._names)
             found.append(at)
+            advance()
         return found, None
 
     def _meeting(self, at: _At, to_s: float) -> float | None:

@@ -9,6 +9,7 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import DataError, NothingToDoError, UsageError
 from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.rotations import rnb_axes
+from catalog.progress import Progress
 from optnav_cli.frames.orbit_tables import PICTURE_TIMES
 from optnav_cli.orbit.folder import ORBIT_CSV, OrbitRows, read_orbit, stated_turn, write_orbit_rows
 from optnav_cli.orbit.oem import BEGINNING, Oem, write_oem
@@ -27,7 +28,9 @@ CSV_BEGINNING = b"utc,kind,"
 SHOWN_ROWS = 25  # of a prediction on the screen
 
 
-def predict_orbit(folder: Path, to_utc: str, step_s: float) -> tuple[OrbitPath, Prediction]:
+def predict_orbit(
+    folder: Path, to_utc: str, step_s: float, progress: Progress
+) -> tuple[OrbitPath, Prediction]:
     """A stored orbit from the end of its arc to a time, or from a time to its start.
 
     Raises UsageError for a time within the arc or too many steps to it, NothingToDoError where the
@@ -50,7 +53,8 @@ def predict_orbit(folder: Path, to_utc: str, step_s: float) -> tuple[OrbitPath, 
         )
     side = 1.0 if to_s > from_s else -1.0
     times = np.append(from_s + side * step_s * np.arange(1.0, count), to_s)
-    prediction = path.rows(times)
+    with progress.stage("predict", len(times), "state") as bar:
+        prediction = path.rows(times, bar.advance)
     if len(prediction.rows.times) == 0:
         raise NothingToDoError(f"{folder}: {prediction.meeting}, before the first step to {to_utc}")
     if prediction.meeting:

@@ -7,6 +7,7 @@ import pytest
 
 from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import NothingToDoError
+from catalog.progress import SilentProgress
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.main import run as optnav
 from optnav_cli.orbit.folder import read_orbit
@@ -98,7 +99,7 @@ def test_a_path_into_the_ground_is_predicted_to_there_and_said(tmp_path, caplog)
     run = write_run(tmp_path / "run", low.fixes)
     fit_runs([run], tmp_path / "orbit", SETTINGS)
     to = utc_from_tdb_s(START_S + 7200.0)
-    path, prediction = predict_orbit(tmp_path / "orbit", to, 60.0)
+    path, prediction = predict_orbit(tmp_path / "orbit", to, 60.0, SilentProgress())
     assert "meets the body's surface at 2022-03-08T08:49" in caplog.text
     heights = np.array(
         [path.height_m(t, s) for t, s in zip(prediction.rows.times, prediction.rows.states)]
@@ -112,7 +113,7 @@ def test_a_path_into_the_ground_is_predicted_to_there_and_said(tmp_path, caplog)
     )[0]
     assert abs(path.height_m(prediction.meets_s, met)) < 5.0
     with pytest.raises(NothingToDoError, match="before the first step"):
-        predict_orbit(tmp_path / "orbit", to, 7000.0)
+        predict_orbit(tmp_path / "orbit", to, 7000.0, SilentProgress())
 
 
 @pytest.mark.parametrize(
