@@ -98,6 +98,7 @@ def load_model(path: Path) -> object:
     from optnav_cli.navigation.control_points.error_model import PointErrorSizes
     from optnav_cli.navigation.descent_state import DescentErrorSizes
     from optnav_cli.navigation.silhouette import SilhouetteErrors
+    from optnav_cli.orbit.motion import OrbitNoiseSizes
 
     types: dict[str, type[object]] = {
         "acceptance": AcceptanceLimits,
@@ -107,6 +108,7 @@ def load_model(path: Path) -> object:
         "disc": DiscErrorSizes,
         "silhouette": SilhouetteErrors,
         "hazard": HazardModel,
+        "orbit": OrbitNoiseSizes,
     }
     return load_toml(path, types[path.stem])
 

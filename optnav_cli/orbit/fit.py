@@ -21,7 +21,7 @@ from optnav_cli.orbit.problem import OrbitProblem, Trajectory
 from optnav_cli.orbit.settings import PRIOR_SIGMAS, NoiseModel
 
 MAX_STEPS, MAX_ROUNDS = 30, 40
-SETTLED = 1e-3  # sigmas
+SETTLED, NEAR = 1e-3, 3.0  # sigmas: of a fit, and of a start
 # The windows that a first orbit grows over, radians of the motion: 0.7, 2, 5 h about the Moon.
 WINDOWS_RAD = (2.2, 6.4, 16.0, math.inf)
 ROBUST_STEPS, ROBUST_CHI_SQUARE = 8, 25.0
@@ -32,6 +32,9 @@ MEDIAN_OF_3 = 2.366  # of a chi-square of three numbers
 MAX_LEFT_OUT = 1.0 / 3.0
 MAX_SCATTER = 3.0  # times the stated sigmas, of the middle fix
 UNOBSERVED = 0.9  # of the prior's sigma
+# Of the residuals to their sigmas; beyond it they refute the fit, below it is a remark: what stands
+# for the field that is left out is right to some tens of percent.
+MAX_RATIO = 1.5
 MIN_FIXES = 3
 MAX_BETWEEN = 100_000
 
@@ -86,6 +89,10 @@ class _Solver:
         self.steps = 0
         self._sigmas: FloatArray | None = None
 
+    def of(self, problem: OrbitProblem) -> "_Solver":
+        """The same of a part of the problem."""
+        return _Solver(problem, "white" if self.solve is smooth else "nuisance")
+
     def step(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc, float]:
         """The next trajectory, the linear solution, and its longest step in sigmas."""
         arc, _ = self.problem.linearise(at, weights, self._sigmas)
@@ -129,9 +136,10 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
     used = weights > DOUBTED
     gate = float(chdtri(3, gate_probability))
     seen: set[bytes] = set()
-    for _ in range(MAX_ROUNDS):
-        at, found = solver.settle(at, used.astype(np.float64))
-        residuals = _residuals(problem, at, found, used)
+    for number in range(MAX_ROUNDS):
+        if number or not used.all():  # all of them are solved above
+            at, found = solver.settle(at, used.astype(np.float64))
+            residuals = _residuals(problem, at, found, used)
         judged = _judged(residuals, gate)
         if (judged == used).all() or judged.tobytes() in seen:
             break
@@ -167,7 +175,7 @@ def _start(problem: OrbitProblem, solver: _Solver) -> tuple[Trajectory, FloatArr
         near = np.flatnonzero(np.abs(times - times[node]) <= window * radian)
         low, high = _lengthen(problem, states, (low, high), (int(near[0]), int(near[-1])))
         part = problem.part(low, high)
-        inner = _Solver(part, "white" if solver.solve is smooth else "nuisance")
+        inner = solver if part is problem else solver.of(part)
         here = [k for k, i in enumerate(problem.node_of) if low <= i <= high]
         at = Trajectory(states[low : high + 1], parameters)
         for _ in range(ROBUST_STEPS):
@@ -175,7 +183,7 @@ def _start(problem: OrbitProblem, solver: _Solver) -> tuple[Trajectory, FloatArr
             at, _, size = inner.step(at, own)
             if not np.isfinite(at.states).all():
                 raise NoSolutionError("the fixes fit no orbit of these forces")
-            if size < 0.1:
+            if size < NEAR:
                 break
         states[low : high + 1], parameters = at.states, at.parameters
         weights[here] = _robust(part, at)
@@ -301,15 +309,17 @@ def _judge(problem: OrbitProblem, found: SmoothedArc, residuals: list[FixResidua
     if freedom <= 0:
         return ["the fixes leave nothing to test the orbit by"]
     ratio = found.chi_square / freedom
-    if chdtrc(freedom, found.chi_square) < REFUTED_PROBABILITY:
+    probability = chdtrc(freedom, found.chi_square)
+    if probability < REFUTED_PROBABILITY and ratio > MAX_RATIO**2:
         raise NoSolutionError(
             f"the residuals refute the fit: chi-square {found.chi_square:.0f} of {freedom}, "
             f"{math.sqrt(ratio):.2f} times the stated sigmas; {advice}"
         )
-    if ratio < 1.0 and chdtrc(freedom, found.chi_square) > 1.0 - REFUTED_PROBABILITY:
+    if min(probability, 1.0 - probability) < REFUTED_PROBABILITY:
+        size = "small" if ratio > 1.0 else "large"
         return [
             f"the fixes scatter {math.sqrt(ratio):.2f} times their stated sigmas: the covariances "
-            "of fixes or the noise are too large"
+            f"of fixes or the noise are too {size}"
         ]
     return []
 

@@ -1,18 +1,26 @@
 """Motion over the intervals of an arc: states, transitions, noise and derivatives by parameters."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cache
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray
+from catalog.config import load_toml, resource
+from catalog.geometry.rotations import rnb_axes
+from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.orbit.settings import NoiseSettings
 
 # Noise of longer intervals is added up piece by piece: below it 1 % of its covariance is left out.
 MAX_PIECE_RAD = 0.2
 MAX_PIECES = 20_000
+RADIAL = 1e-12  # share of the motion across the vertical below which it is vertical
+FILE = "configs/models/orbit.toml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +34,18 @@ class ArcStep:
     transition: FloatArray
     noise: FloatArray
     by_parameters: FloatArray
+
+
+class OrbitNoiseSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The fitted numbers of FILE, which says what each is."""
+
+    along_share: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+
+
+@cache
+def noise_sizes() -> OrbitNoiseSizes:
+    """The sizes that ship with optnav. Raises ConfigError for a wrong file."""
+    return load_toml(resource(FILE), OrbitNoiseSizes)
 
 
 class ArcMotion:
@@ -70,18 +90,26 @@ class ArcMotion:
         """How long the motion takes for a radian, s."""
         return self._motion.radian_s(position_m)
 
-    def density(self, position_m: FloatArray) -> float:
-        """Of the white acceleration that stands for what is left out, m^2/s^3 an axis."""
+    def densities(self, position_m: FloatArray) -> FloatArray:
+        """(3,) m^2/s^3 of the white acceleration along R, N, B that stands for what is left out."""
         if self._noise.model in ("none", "mean"):
-            return 0.0
+            return np.zeros(3)
         if self._noise.density_m2_s3 is not None:
-            return self._noise.density_m2_s3
+            return np.full(3, self._noise.density_m2_s3)
         density = self.forces.unmodelled(position_m).spectral_density
+        found = density * np.array([1.0, noise_sizes().along_share, 1.0])
         steady = self.forces.tide_error_m_s2(position_m)
         if steady and self.forces.planet_rate:
             # it turns with the planet, and lasts for a radian of that
-            density += 2.0 * steady**2 / self.forces.planet_rate
-        return density
+            found += 2.0 * steady**2 / self.forces.planet_rate
+        return found
+
+    def _noises(self, states: FloatArray, seconds: float) -> FloatArray:
+        """Covariances (n, 6, 6) that the white acceleration adds in a short time from states."""
+        axes = np.stack([rnb_of(state) for state in states])
+        densities = np.stack([self.densities(state[:3]) for state in states])
+        inertial = axes.transpose(0, 2, 1) * densities[:, None] @ axes
+        return np.stack([white(density, seconds) for density in inertial])
 
     def step(
         self,
@@ -91,26 +119,37 @@ class ArcMotion:
         names: Sequence[str] = (),
     ) -> ArcStep:
         """To another time, with derivatives by force parameters of these names."""
-        transition, noise = np.eye(6), np.zeros((6, 6))
-        pushed = np.zeros((6, 0))
         pieces = abs(to_s - from_s) / (MAX_PIECE_RAD * self.radian_s(state[:3]))
         count = min(max(1, int(np.ceil(pieces))), MAX_PIECES)
-        times = np.linspace(from_s, to_s, count + 1)
-        for start, end in pairwise(times):
-            ends = np.array([end])
-            density, seconds = self.density(state[:3]), float(end - start)
-            states, phis, gammas = self._motion.partials(state, float(start), ends, names)
-            state, phi, gamma = states[0], phis[0], gammas[0]
-            pushed = phi @ pushed + gamma if pushed.size else gamma
-            transition = phi @ transition
-            noise = phi @ noise @ phi.T + white(density, seconds)
-        return ArcStep(state, transition, noise, pushed)
+        ends = np.linspace(from_s, to_s, count + 1)[1:]
+        states, transitions, pushed = self._motion.partials(state, from_s, ends, names)
+        starts = np.concatenate([state[None], states[:-1]])
+        noise = np.zeros((6, 6))
+        if self._noise.model not in ("none", "mean"):
+            added = self._noises(starts, (to_s - from_s) / count)
+            bring = transitions[-1] @ np.linalg.inv(transitions)
+            noise = (bring @ added @ bring.transpose(0, 2, 1)).sum(axis=0)
+        return ArcStep(states[-1], transitions[-1], noise, pushed[-1])
 
 
-def white(density: float, seconds: float) -> FloatArray:
-    """Covariance (6, 6) of white acceleration over a short time, m and m/s."""
+def white(density: FloatArray, seconds: float) -> FloatArray:
+    """Covariance (6, 6) of white acceleration of a density (3, 3) over a short time, m and m/s."""
     t = abs(seconds)
-    block = density * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
-    if seconds < 0.0:
-        block[0, 1] = block[1, 0] = -block[0, 1]
-    return np.kron(block, np.eye(3)).astype(np.float64)
+    covariance = np.empty((6, 6))
+    covariance[:3, :3], covariance[3:, 3:] = density * (t**3 / 3.0), density * t
+    covariance[:3, 3:] = covariance[3:, :3] = density * (seconds * t / 2.0)
+    return covariance
+
+
+def rnb_of(state: FloatArray) -> FloatArray:
+    """Axes R, N, B (3, 3) of an inertial state; of a radial one any that hold R."""
+    (x, y, z), (u, v, w) = state[:3].tolist(), state[3:].tolist()
+    # as `rnb_axes`, without numpy's cost for three numbers: a fit needs them thousands of times
+    a, b, c = y * w - z * v, z * u - x * w, x * v - y * u
+    distance, length = math.hypot(x, y, z), math.hypot(a, b, c)
+    if length <= RADIAL * distance * math.hypot(u, v, w):
+        up = unit(state[:3])
+        return rnb_axes(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    x, y, z = x / distance, y / distance, z / distance
+    a, b, c = a / length, b / length, c / length
+    return np.array([[x, y, z], [b * z - c * y, c * x - a * z, a * y - b * x], [a, b, c]])

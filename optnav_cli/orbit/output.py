@@ -29,8 +29,8 @@ from optnav_cli.orbit.folder import (
     triangle_of,
     write_orbit_rows,
 )
+from optnav_cli.orbit.motion import rnb_of
 from optnav_cli.orbit.oem import Oem, write_oem
-from optnav_cli.orbit.problem import rnb_of
 from optnav_cli.orbit.settings import UNITS, OrbitSettings
 from optnav_cli.output.recording import Recording
 from optnav_cli.output.wording import length, table_lines
@@ -136,7 +136,7 @@ def _disturbance_rows(fit: OrbitFit) -> Iterator[dict[str, object]]:
         start, end = (float(problem.times[k]) for k in (i, i + 1))
         state = fit.trajectory.states[i + 1]
         axes = rnb_of(state)
-        density = problem.motion.density(state[:3])
+        density = float(np.mean(problem.motion.densities(state[:3])))
         cells: dict[str, object] = {
             "from_utc": utc_from_tdb_s(start),
             "to_utc": utc_from_tdb_s(end),

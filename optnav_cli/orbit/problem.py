@@ -13,7 +13,6 @@ from scipy.linalg import block_diag
 
 from catalog.arrays import FloatArray
 from catalog.bodies.ephemeris import Ephemeris
-from catalog.geometry.rotations import rnb_axes
 from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import THRUST
 from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement
@@ -319,12 +318,3 @@ class OrbitProblem:
             sigmas = np.clip(OPEN_AGAIN * known, sigmas / OPEN_SIGMAS, sigmas)
         known_before = self.prior_covariance(self.estimated)
         return np.array(block_diag(np.diag(sigmas**2), known_before))
-
-
-def rnb_of(state: FloatArray) -> FloatArray:
-    """Axes R, N, B (3, 3) of an inertial state; of a radial one any that hold R."""
-    try:
-        return rnb_axes(state[:3], state[3:])
-    except ValueError:
-        up = unit(state[:3])
-        return rnb_axes(up, np.eye(3)[int(np.argmin(np.abs(up)))])
