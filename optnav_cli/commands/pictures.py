@@ -352,6 +352,7 @@ def report(source: Path, output: Path | None, layout: Path | None) -> None:
       optnav report run -o errors.svg
       optnav report moon.gpkg -o catalog.html
       optnav report hazard -o hazard.html
+      optnav report orbit -o orbit.html
       optnav report run --foxglove-layout run.json
     """
     from optnav_cli.report import write_layout, write_report

@@ -115,8 +115,8 @@ class OrbitEvaluation:
             r, n, b = self.fixes_rms_m
             own = self.figures
             lines.append(
-                f"the fixes themselves, rms: R {r:.1f} m, N {n:.1f} m, B {b:.1f} m; the orbit "
-                f"R {own.r.rms:.1f} m, N {own.n.rms:.1f} m, B {own.b.rms:.1f} m"
+                f"the fixes used, themselves, rms: R {r:.1f} m, N {n:.1f} m, B {b:.1f} m; the "
+                f"orbit R {own.r.rms:.1f} m, N {own.n.rms:.1f} m, B {own.b.rms:.1f} m"
             )
         velocity = self._velocity()
         if velocity is not None:
@@ -267,7 +267,8 @@ def _fixes_rms(folder: Path, found: Evaluation) -> FloatArray | None:
     """Rms of the fixes' own errors: residual and error of the orbit together."""
     residuals = {}
     for row in ORBIT_RESIDUALS.rows(folder / RESIDUALS):
-        residuals[row["file"]] = row.vector([f"residual_{a}_m" for a in AXES])
+        if row.flag("used"):
+            residuals[row["file"]] = row.vector([f"residual_{a}_m" for a in AXES])
     errors = []
     for frame in found.frames:
         residual = residuals.get(frame.file)

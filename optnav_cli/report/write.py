@@ -10,6 +10,7 @@ from optnav_cli.hazard.settings import KIND as HAZARD
 from optnav_cli.orbit.delivery_settings import DELIVERY_KIND
 from optnav_cli.orbit.landing_settings import LANDING_KIND
 from optnav_cli.orbit.qso_settings import QSO_KIND
+from optnav_cli.orbit.settings import KIND as ORBIT
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.report import page, sheet
 from optnav_cli.report.calibration_page import calibration_page, is_calibration
@@ -18,17 +19,24 @@ from optnav_cli.report.delivery_page import delivery_page, delivery_sheet
 from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.report.hazard_page import hazard_page
 from optnav_cli.report.landing_page import landing_page, landing_sheet
+from optnav_cli.report.orbit_page import orbit_page, orbit_sheet
 from optnav_cli.report.qso_page import qso_page, qso_sheet
 from optnav_cli.report.run_page import run_page
 
 # Pages and pictures of output folders, by the kind that their manifest states.
 PAGES = {
     HAZARD: hazard_page,
+    ORBIT: orbit_page,
     QSO_KIND: qso_page,
     LANDING_KIND: landing_page,
     DELIVERY_KIND: delivery_page,
 }
-SHEETS = {QSO_KIND: qso_sheet, LANDING_KIND: landing_sheet, DELIVERY_KIND: delivery_sheet}
+SHEETS = {
+    ORBIT: orbit_sheet,
+    QSO_KIND: qso_sheet,
+    LANDING_KIND: landing_sheet,
+    DELIVERY_KIND: delivery_sheet,
+}
 
 
 def write_report(source: Path, output: Path) -> None:

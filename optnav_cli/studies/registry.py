@@ -341,6 +341,15 @@ STUDIES = (
         _flights("navigation", _RUNS, "unk 200"),
     ),
     Study(
+        "orbit",
+        "Orbits through fixes: honest sigmas, predictions, other methods, parameters.",
+        """Fit orbits through fixes with drawn errors along paths of another integrator.
+
+        Needs the Moon's field to degree 90 in the folder of OPTNAV_SHARED_DATA. Takes minutes.""",
+        "--trials 6 --rows clocks",
+        (_trials(3, 60, "Flights."), _seed(), _option("--rows", str, "", "Groups of these names.")),
+    ),
+    Study(
         "orbit_motion",
         "How exact and quick the motion about a body is, by degree of its field.",
         """Fly a day at 100 km over the Moon by fields of degree 2, 20 and 50.

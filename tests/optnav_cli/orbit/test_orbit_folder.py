@@ -89,7 +89,7 @@ def test_an_orbit_is_compared_with_the_truth(place, capsys):
     command = ["evaluate", str(place / "orbit"), "--truth", str(place / "truth.csv")]
     assert run([*command, "--max-nees", "3", "--max-height-m", "12"]) == 0
     text = capsys.readouterr().out
-    assert "the fixes themselves" in text
+    assert "the fixes used, themselves" in text
     assert "prediction, h after the last fix" in text
     document = json.loads((place / "orbit" / "evaluation.json").read_text())
     assert document["solved"] == 25
@@ -211,3 +211,21 @@ def test_a_folder_that_is_no_orbit_or_is_damaged_is_named(place, tmp_path):
     (copy / "orbit.toml").write_text("body = 3\n")
     with pytest.raises(DataError, match="fit the orbit again"):
         read_orbit(copy)
+
+
+def test_a_page_shows_sigmas_and_with_a_truth_errors(place, tmp_path):
+    copy = tmp_path / "orbit"
+    shutil.copytree(place / "orbit", copy)
+    for name in ("evaluation.json", "evaluation.csv", "orbit_errors.csv"):
+        (copy / name).unlink(missing_ok=True)
+    assert run(["report", str(copy), "-o", str(tmp_path / "a.html")]) == 0
+    text = (tmp_path / "a.html").read_text()
+    assert "Stated sigmas over time" in text
+    assert "Ellipses of 3 sigma" in text
+    assert run(["evaluate", str(copy), "--truth", str(place / "truth.csv")]) == 0
+    assert run(["report", str(copy), "-o", str(tmp_path / "a.html")]) == 0
+    text = (tmp_path / "a.html").read_text()
+    assert "Predictions after the last fix" in text
+    assert "Errors along R" in text
+    assert run(["report", str(copy), "-o", str(tmp_path / "a.svg")]) == 0
+    assert "An orbit and its fixes against the truth" in (tmp_path / "a.svg").read_text()
