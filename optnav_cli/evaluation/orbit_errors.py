@@ -17,7 +17,6 @@ from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import DataError
 from catalog.files import replacing_file, starts_with
 from catalog.progress import logged_stage
-from optnav_cli.dynamics.forces import Forces
 from optnav_cli.evaluation.evaluation import Evaluation, evaluate
 from optnav_cli.evaluation.figures import Figures
 from optnav_cli.evaluation.files import EVALUATION_CSV, EVALUATION_JSON, error_cells, summary_of
@@ -34,7 +33,7 @@ from optnav_cli.orbit.folder import (
     rnb_turn,
     stated_turn,
 )
-from optnav_cli.orbit.motion import ArcMotion
+from optnav_cli.orbit.predict import OrbitPath
 from optnav_cli.output.tables import read_solutions
 from optnav_cli.output.wording import json_text, length_unit, table_lines
 
@@ -198,7 +197,11 @@ def errors_of(orbit: StoredOrbit, truths: Sequence[Truth]) -> OrbitErrors:
     order = np.unique(times, return_index=True)[1]
     order = order[times[order] > orbit.rows.times[0] - SAME_ROW_S]
     times, places = times[order], places[order]
-    states, covariances = _at(orbit, times)
+    found = OrbitPath(orbit).rows(times)
+    states, covariances = found.rows.states, found.rows.covariances
+    # without those after the path meets the body
+    kept = np.isin(times, found.rows.times)
+    times, places = times[kept], places[kept]
     errors = np.full((len(times), 6), np.nan)
     offsets = np.empty((len(times), 3))
     for k, time in enumerate(times):
@@ -211,40 +214,6 @@ def errors_of(orbit: StoredOrbit, truths: Sequence[Truth]) -> OrbitErrors:
         errors[k] = turn @ np.concatenate([offsets[k], slopes[k]])
     hours = (times - orbit.epoch_s - SAME_ROW_S) / 3600.0
     return OrbitErrors(times, hours, errors, turned)
-
-
-def _at(orbit: StoredOrbit, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """States (n, 6) and covariances (n, 6, 6) of an orbit, from its rows and beyond the last."""
-    motion = ArcMotion(Forces(orbit.ephemeris, orbit.forces, orbit.path), orbit.noise)
-    estimated = [p for p in orbit.parameters if p.mode == "estimate"]
-    ends = np.cumsum([6, *(len(p.value) for p in estimated)])
-    of_forces = [
-        (p, slice(int(start), int(end)))
-        for p, start, end in zip(estimated, ends[:-1], ends[1:], strict=True)
-        if p.name in motion.forces.values()
-    ]
-    motion = motion.with_added({p.name: np.array(p.value) for p, _ in of_forces})
-    names = [p.name for p, _ in of_forces]
-    places = np.concatenate([np.arange(6), *(np.r_[part] for _, part in of_forces)]).astype(int)
-    rows = orbit.rows
-    states, covariances = np.empty((len(times), 6)), np.empty((len(times), 6, 6))
-    state, covariance = orbit.state, orbit.covariance[np.ix_(places, places)]
-    last = orbit.epoch_s
-    for k, time in enumerate(times):
-        if time <= orbit.epoch_s + SAME_ROW_S:
-            near = int(np.argmin(np.abs(rows.times - time)))
-            step = motion.step(rows.states[near], float(rows.times[near]), float(time))
-            states[k] = step.state
-            covariances[k] = step.transition @ rows.covariances[near] @ step.transition.T
-            continue
-        step = motion.step(state, last, float(time), names)
-        whole = np.eye(len(covariance))
-        whole[:6, :6], whole[:6, 6:] = step.transition, step.by_parameters
-        covariance = whole @ covariance @ whole.T
-        covariance[:6, :6] += step.noise
-        state, last = step.state, float(time)
-        states[k], covariances[k] = state, covariance[:6, :6]
-    return states, covariances
 
 
 def _slopes(

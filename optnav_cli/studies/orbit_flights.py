@@ -99,7 +99,7 @@ def fly(
     kicks  generator and spectral density (3,), m^2/s^3, of white acceleration along R, N, B
     """
     first, last = float(times[0]), float(times[-1])
-    world = forces.world(first, last, 0.0)
+    world = forces.world(first, last, 0.0, sees_sunlight=False)
     out, none = np.empty((3, 11)), np.zeros(3)
 
     def rates(t: float, y: FloatArray) -> FloatArray:
