@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from catalog.arrays import FloatArray
+from catalog.geometry.vectors import angle_between
 from catalog.progress import Progress
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
@@ -275,7 +276,7 @@ def station(trials: int, seed: int) -> list[OrbitFigure]:
 
 
 def _node_offset(fit: OrbitFit, truth: TrueFlight) -> float:
-    """How far the ascending node of an orbit is from the true one, m, inertial."""
+    """How far the node of an orbit is from the true one along the equator, m, inertial."""
     problem = fit.problem
     states = problem.motion.path(fit.trajectory.states[0], float(problem.times[0]), truth.times)[0]
     nodes = []
@@ -285,7 +286,7 @@ def _node_offset(fit: OrbitFit, truth: TrueFlight) -> float:
         if not rises.size:  # in 86 of 92 minutes: the descending one
             rises = np.flatnonzero((z[:-1] >= 0.0) & (z[1:] < 0.0))
         nodes.append(_crossing(truth.times, path, int(rises[0])))
-    return float(np.linalg.norm(nodes[0] - nodes[1]))
+    return truth.body.radius_m * float(angle_between(nodes[0], nodes[1]))
 
 
 def _crossing(times: FloatArray, states: FloatArray, k: int) -> FloatArray:
