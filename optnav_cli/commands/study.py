@@ -9,7 +9,8 @@ import click
 from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progress
 from optnav_cli.options import LazyGroup, OptnavCommand
 from optnav_cli.parameters import OutputOption
-from optnav_cli.studies.registry import STUDIES, Study
+from optnav_cli.studies.registry import STUDIES
+from optnav_cli.studies.study import Study
 
 
 @click.group(cls=LazyGroup)

@@ -5,76 +5,26 @@ A study's module has `run(progress, ...)`, which takes the options below by name
 are imported when a study is run, so that listing the studies does not load what they compute with.
 """
 
-from dataclasses import dataclass
-from importlib import import_module
-from typing import Any
-
 import click
 
-from optnav_cli.parameters import PATH, Number, OutputOption
-
-MANY = 10**6  # pictures, trials: more are a slip of the hand
-MAX_SEED = 2**63 - 1
-YEAR = Number(1500.0, 2500.0)
-
-
-@dataclass(frozen=True)
-class Study:
-    """One experiment behind the figures of the documents.
-
-    question  what it measures, in a line;  text  more of it, for its help
-    example   of the command line after `optnav study NAME`
-    options   of the command; their names are those of the arguments of the module's `run`
-    draws     whether -o names a file for a plot
-    compiles  whether kernels run that numba may have to compile
-    prints    a function of the module whose text goes to stdout instead of the tables
-    """
-
-    name: str
-    question: str
-    text: str
-    example: str
-    options: tuple[click.Parameter, ...] = ()
-    draws: bool = False
-    compiles: bool = True
-    prints: str = ""
-
-    def function(self, name: str) -> Any:
-        """A function of the study's module."""
-        return getattr(import_module(f"optnav_cli.studies.{self.name}"), name)
-
-
-def _option(names: str, type_: Any, default: Any, text: str, **more: Any) -> click.Option:
-    more |= {"default": default, "show_default": default not in (None, "")}
-    return click.Option(names.split(), type=type_, help=text, **more)
-
-
-def _trials(least: int, default: int, text: str) -> click.Option:
-    return _option("--trials", click.IntRange(least, MANY), default, text)
-
-
-def _seed(text: str = "Of trials.") -> click.Option:
-    return _option("--seed", click.IntRange(0, MAX_SEED), 1, text)
-
-
-def _output(default: str | None, text: str, *endings: str) -> click.Option:
-    names, shown = ("-o", "--output"), default is not None
-    return OutputOption(names, endings=endings, default=default, show_default=shown, help=text)
+from optnav_cli.parameters import PATH, Number
+from optnav_cli.studies.orbit_registry import ORBIT_STUDIES
+from optnav_cli.studies.study import MANY, YEAR, Study, option, output, seed, trials
 
 
 def _flights(name: str, files: str, row: str) -> tuple[click.Option, ...]:
     """The options of a study that flies scenarios: its folder, and less than all of it."""
     return (
-        _output(f"optnav-{name}", f"Folder for {files}; what is in it is used again."),
-        _option("--frames", click.IntRange(1, MANY), None, "Pictures of each case; all if left."),
-        _option("--rows", str, "", f"Only rows whose name contains this, such as '{row}'."),
+        output(f"optnav-{name}", f"Folder for {files}; what is in it is used again."),
+        option("--frames", click.IntRange(1, MANY), None, "Pictures of each case; all if left."),
+        option("--rows", str, "", f"Only rows whose name contains this, such as '{row}'."),
     )
 
 
 _MATCHERS = click.Choice(["ncc", "surf"])
 _RUNS = "catalogs, pictures, runs and figures.json"
 
-STUDIES = (
+_OTHERS = (
     Study(
         "acceptance",
         "Wrong pictures that are solved and right ones that are refused.",
@@ -87,8 +37,8 @@ STUDIES = (
         "--frames 2 --rows Apollo",
         (
             *_flights("acceptance", "catalogs, pictures, figures and acceptance.svg", "Apollo"),
-            _seed("Of windows, priors and errors."),
-            _option(
+            seed("Of windows, priors and errors."),
+            option(
                 "--fit", bool, False, "Other grounds and draws: to set limits with.", is_flag=True
             ),
         ),
@@ -102,8 +52,8 @@ STUDIES = (
         in the frame's ISIS cube with its sigma.""",
         "-o apollo",
         (
-            _output("optnav-apollo", "Folder for the catalog, the pictures and the run."),
-            _option("--matcher", _MATCHERS, "ncc", "How a control point is recognised."),
+            output("optnav-apollo", "Folder for the catalog, the pictures and the run."),
+            option("--matcher", _MATCHERS, "ncc", "How a control point is recognised."),
         ),
     ),
     Study(
@@ -115,9 +65,9 @@ STUDIES = (
         are correlated over degrees of limb, costs more than noise.""",
         "-o arc.svg",
         (
-            _trials(5, 100, "Limbs of each interval."),
-            _option("--height-km", Number(1.0, 1e6), 200.0, "From which the Moon is seen."),
-            _seed("Of errors."),
+            trials(5, 100, "Limbs of each interval."),
+            option("--height-km", Number(1.0, 1e6), 200.0, "From which the Moon is seen."),
+            seed("Of errors."),
         ),
         draws=True,
     ),
@@ -141,14 +91,14 @@ STUDIES = (
         a first look.""",
         "--trials 2 --pictures 0",
         (
-            _output(
+            output(
                 "optnav-calibration", "Folder for the drawn route; what is in it is used again."
             ),
-            _trials(0, 24, "Routes at measurement level."),
-            _option("--pictures", click.IntRange(0, MANY), 12, "Of the drawn route; 0 for none."),
-            _option("--frames", click.IntRange(8, MANY), 100, "Of a route at measurement level."),
-            _option("--catalog", PATH, None, "Of the bundled Tycho terrain; built if left out."),
-            _seed("Of routes."),
+            trials(0, 24, "Routes at measurement level."),
+            option("--pictures", click.IntRange(0, MANY), 12, "Of the drawn route; 0 for none."),
+            option("--frames", click.IntRange(8, MANY), 100, "Of a route at measurement level."),
+            option("--catalog", PATH, None, "Of the bundled Tycho terrain; built if left out."),
+            seed("Of routes."),
         ),
     ),
     Study(
@@ -166,21 +116,6 @@ STUDIES = (
         ),
     ),
     Study(
-        "delivery",
-        "The accuracy of deliveries to bodies: boxes against trials.",
-        """Bound the errors and corrections of the shipped deliveries and compare with trials.
-
-        Moon by radio and by optical fixes, Mars, Venus, Jupiter with electric thrust: velocity
-        change, arrival, the navigation with considered errors against drawn ones, times. Takes half
-        a minute.""",
-        "--cut 10000",
-        (
-            _option("--cut", click.IntRange(100, 10 * MANY), MANY, "Trials that must lie inside."),
-            _seed(),
-        ),
-        compiles=False,
-    ),
-    Study(
         "descent",
         "A descent to 2 km by windows of the model and landmarks.",
         """Fly descents of one inertial track over several grounds, with several drawn tracks each.
@@ -191,23 +126,23 @@ STUDIES = (
         pictures of a ground take a quarter of an hour.""",
         "--grounds 1 --tracks 1",
         (
-            _output("optnav-descent", "Folder for catalogs and pictures; used again."),
-            _option("--grounds", click.IntRange(1, 1000), 5, "Grounds, each with its pictures."),
-            _option(
+            output("optnav-descent", "Folder for catalogs and pictures; used again."),
+            option("--grounds", click.IntRange(1, 1000), 5, "Grounds, each with its pictures."),
+            option(
                 "--first",
                 click.IntRange(0, 10_000),
                 0,
                 "Ground to begin with: 0 and 1 were fitted with.",
             ),
-            _option("--tracks", click.IntRange(1, 100), 3, "Drawn tracks over each ground."),
-            _option(
+            option("--tracks", click.IntRange(1, 100), 3, "Drawn tracks over each ground."),
+            option(
                 "--landmarks-only",
                 bool,
                 False,
                 "Only the row without windows below 6.5 km.",
                 is_flag=True,
             ),
-            _option("--rows", str, "", "Only rows whose name contains this, such as '6.5-2'."),
+            option("--rows", str, "", "Only rows whose name contains this, such as '6.5-2'."),
         ),
     ),
     Study(
@@ -218,8 +153,8 @@ STUDIES = (
         Needs nothing but what is bundled; 30 discs of each size take a quarter of an hour.""",
         "--discs 5",
         (
-            _option("--discs", click.IntRange(1, MANY), 30, "Discs of each size and body."),
-            _output(None, "JSON file for every disc's errors.", ".json", ""),
+            option("--discs", click.IntRange(1, MANY), 30, "Discs of each size and body."),
+            output(None, "JSON file for every disc's errors.", ".json", ""),
         ),
         compiles=False,
     ),
@@ -233,15 +168,15 @@ STUDIES = (
         candidates.""",
         "--cell-deg 0.5 --trials 40",
         (
-            _trials(4, 24, "New recognition trials of each place, at least."),
-            _option(
+            trials(4, 24, "New recognition trials of each place, at least."),
+            option(
                 "--cell-deg cells_deg",
                 Number(0.2, 2.0),
                 (1.0, 0.5),
                 "Side of the cells; may be given several times.",
                 multiple=True,
             ),
-            _seed(),
+            seed(),
         ),
     ),
     Study(
@@ -256,17 +191,17 @@ STUDIES = (
         "control_points -o sizes.toml",
         (
             click.Argument(["name"], type=click.Choice(["control_points"])),
-            _output(None, "TOML file for the sizes.", ".toml"),
-            _option(
+            output(None, "TOML file for the sizes.", ".toml"),
+            option(
                 "--folder",
                 PATH,
                 "optnav-navigation",
                 "For catalogs and pictures; what is in it is used again.",
             ),
-            _option(
+            option(
                 "--frames", click.IntRange(1, MANY), None, "Pictures of each scenario; all if left."
             ),
-            _option("--rows", str, "", "Only scenarios whose name contains this, such as 'unk'."),
+            option("--rows", str, "", "Only scenarios whose name contains this, such as 'unk'."),
         ),
     ),
     Study(
@@ -280,8 +215,8 @@ STUDIES = (
         other fields before, judges with them and prints them.""",
         "--fields 2",
         (
-            _option("--fields", click.IntRange(1, 90), 8, "Fields of each ground."),
-            _option("--fit", bool, False, "Fit the model's numbers before.", is_flag=True),
+            option("--fields", click.IntRange(1, 90), 8, "Fields of each ground."),
+            option("--fit", bool, False, "Fit the model's numbers before.", is_flag=True),
         ),
     ),
     Study(
@@ -296,20 +231,6 @@ STUDIES = (
         _flights("horizon", "pictures and figures.json", "far"),
     ),
     Study(
-        "landing",
-        "Landings on Phobos: impulse, rays, navigation, descent, touchdown.",
-        """Fly landings on Phobos with drawn errors and compare the navigation with the truth.
-
-        Departure impulses, rays on the shape model, transfers over wrong ground, the end of the
-        descent and the touchdown. Takes two minutes; --trials 10 --fits 4 gives a first look.""",
-        "--trials 10 --fits 4",
-        (
-            _trials(1, 200, "Landings of each row."),
-            _option("--fits", click.IntRange(1, MANY), 40, "Transfers of each row."),
-            _seed("Of errors and grounds."),
-        ),
-    ),
-    Study(
         "matching",
         "What matching bears of noise, scale, slant and roll.",
         """Look for control points of the bundled Tycho terrain by correlation and by SURF-64.
@@ -319,13 +240,13 @@ STUDIES = (
         navigator does about it.""",
         "-o matching.svg",
         (
-            _option(
+            option(
                 "--scenes",
                 click.IntRange(1, 24),
                 2,
                 "Grounds and Suns that the pictures are made of.",
             ),
-            _seed(),
+            seed(),
         ),
         draws=True,
     ),
@@ -339,25 +260,6 @@ STUDIES = (
         pictures take two to four hours on two cores; --frames 10 gives a first look.""",
         '--frames 10 --rows "unk 200"',
         _flights("navigation", _RUNS, "unk 200"),
-    ),
-    Study(
-        "orbit",
-        "Orbits through fixes: honest sigmas, predictions, other methods, parameters.",
-        """Fit orbits through fixes with drawn errors along paths of another integrator.
-
-        Needs the Moon's field to degree 90 in the folder of OPTNAV_SHARED_DATA. Takes minutes.""",
-        "--trials 6 --rows clocks",
-        (_trials(3, 60, "Flights."), _seed(), _option("--rows", str, "", "Groups of these names.")),
-    ),
-    Study(
-        "orbit_motion",
-        "How exact and quick the motion about a body is, by degree of its field.",
-        """Fly a day at 100 km over the Moon by fields of degree 2, 20 and 50.
-
-        Compares the end with scipy at 1e-13, whose rates are written another way, times the flight
-        with its transition, and states what each field leaves out. Takes a minute.""",
-        "--hours 2",
-        (_option("--hours", Number(0.1, 240.0), 24.0, "Of each flight."),),
     ),
     Study(
         "phobos",
@@ -378,17 +280,6 @@ STUDIES = (
         the peak of a template.""",
         "",
         compiles=False,
-    ),
-    Study(
-        "qso",
-        "Quasi-satellite orbits of Phobos against the source, the theory and other forces.",
-        """Find quasi-satellite orbits of Phobos over 270 deg W and compare them.
-
-        Rings and angular rates against those of the source, the averaged theory against the numeric
-        motion, the table of 50 to 200 km at four anomalies, and what Mars' flattening and the field
-        of Phobos' mesh change. Takes a minute.""",
-        "--anomalies 1",
-        (_option("--anomalies", click.IntRange(1, 4), 4, "Of Phobos in its orbit."),),
     ),
     Study(
         "real",
@@ -413,7 +304,7 @@ STUDIES = (
         Shows how the horizontal error falls with the number of points, how the height error grows
         below 20 degrees of intersection angle, and what solving the attitude too costs.""",
         "--trials 1000 -o resection.svg",
-        (_trials(10, 300, "Resections of each geometry."), _seed("Of noise.")),
+        (trials(10, 300, "Resections of each geometry."), seed("Of noise.")),
         draws=True,
         compiles=False,
     ),
@@ -427,9 +318,9 @@ STUDIES = (
         "moon_080317.tf moon_pa_de421_1900-2050.bpc",
         (
             click.Argument(["kernels"], nargs=-1, required=True, type=PATH),
-            _option("--body", str, "moon", "Whose rotation."),
-            _option("--years", (YEAR, YEAR), (1900.0, 2051.0), "First and last year of the fit."),
-            _option("--terms", click.IntRange(1, 400), 120, "How many trigonometric terms."),
+            option("--body", str, "moon", "Whose rotation."),
+            option("--years", (YEAR, YEAR), (1900.0, 2051.0), "First and last year of the fit."),
+            option("--terms", click.IntRange(1, 400), 120, "How many trigonometric terms."),
         ),
         compiles=False,
         prints="format_toml",
@@ -443,8 +334,8 @@ STUDIES = (
         it.""",
         "--trials 2000",
         (
-            _trials(100, 1000, "Recognition trials of each strategy at each posting, at least."),
-            _seed(),
+            trials(100, 1000, "Recognition trials of each strategy at each posting, at least."),
+            seed(),
         ),
     ),
     Study(
@@ -457,9 +348,11 @@ STUDIES = (
         hour; --trials 1 gives a first look.""",
         "--trials 2",
         (
-            _trials(1, 6, "Pairs of each height, each with its own ground and Sun."),
-            _option("--draws", click.IntRange(1, MANY), 3, "Of noise and mounting, a pair."),
-            _seed("Of grounds, noise and errors."),
+            trials(1, 6, "Pairs of each height, each with its own ground and Sun."),
+            option("--draws", click.IntRange(1, MANY), 3, "Of noise and mounting, a pair."),
+            seed("Of grounds, noise and errors."),
         ),
     ),
 )
+
+STUDIES = tuple(sorted((*_OTHERS, *ORBIT_STUDIES), key=lambda study: study.name))

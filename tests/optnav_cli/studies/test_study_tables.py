@@ -13,7 +13,8 @@ from click.testing import CliRunner
 import catalog
 from catalog.errors import DataError
 from optnav_cli.main import cli
-from optnav_cli.studies.registry import STUDIES, Study
+from optnav_cli.studies.registry import STUDIES
+from optnav_cli.studies.study import Study
 from optnav_cli.studies.tables import StudyColumn, StudyReport, StudyTable, checkout_commit
 
 TABLE = StudyTable(
