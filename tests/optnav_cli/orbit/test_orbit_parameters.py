@@ -3,12 +3,25 @@
 import numpy as np
 import pytest
 
+from catalog.bodies.epochs import utc_from_tdb_s
 from catalog.errors import ConfigError, UsageError
+from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.orbit_settings import ForcesSettings, ThrustArc
 from optnav_cli.orbit.fit import densify, fit_orbit
-from optnav_cli.orbit.problem import OrbitPrior
+from optnav_cli.orbit.motion import ArcMotion
+from optnav_cli.orbit.problem import OrbitPrior, OrbitProblem
 from optnav_cli.orbit.settings import NoiseSettings, OrbitSettings, ParameterSettings
 from optnav_cli.runs.orbit_folder import with_solved
-from tests.optnav_cli.orbit.flights import QUIET, START_S, fixes_of, flight, problem, truth
+from tests.optnav_cli.orbit.flights import (
+    EPHEMERIS,
+    MOON,
+    QUIET,
+    START_S,
+    fixes_of,
+    flight,
+    problem,
+    truth,
+)
 
 FOCAL = ParameterSettings("focal")
 MEAN = NoiseSettings("mean")
@@ -141,3 +154,30 @@ def test_rows_between_fixes_lie_on_the_orbit(lunar):
     pairs = zip(dense.trajectory.states - true, dense.covariances, strict=True)
     squares = [e @ np.linalg.solve(p, e) / 6.0 for e, p in pairs]
     assert np.mean(squares) < 3.0
+
+
+def test_a_thrust_arc_is_flown_and_its_size_found():
+    """The engine gives 2 % more than stated; 5 % are its sigma."""
+    times = START_S + np.arange(0.0, 7201.0, 300.0)
+    ends = (utc_from_tdb_s(START_S + s) for s in (3000.0, 3120.0))
+    start, end = ends
+    found = []
+    for size in (0.0102, 0.01):
+        arc = ThrustArc(
+            start_utc=start,
+            end_utc=end,
+            acceleration_m_s2=(0.0, size, 0.0),
+            size_sigma=0.05,
+            direction_sigma_deg=1.0,
+        )
+        forces = Forces(EPHEMERIS, ForcesSettings(degree=2, thrust=(arc,)))
+        found.append(ArcMotion(forces, QUIET))
+    flown, stated = found
+    states = flown.path(truth(times[:1])[0], times[0], times)[0]
+    fixes = fixes_of(times, states)
+    fit = fit_orbit(OrbitProblem(stated, fixes, [], [], MOON.radius_m), "white", 1e-5)
+    added = fit.trajectory.parameters
+    sigmas = np.sqrt(np.diag(fit.parameter_covariance))
+    assert (np.abs(added - [0.0, 2e-4, 0.0]) < 4.0 * sigmas).all()
+    assert sigmas[1] < 0.5 * 0.05 * 0.01
+    assert fit.used == len(fixes)
