@@ -35,6 +35,7 @@ GATE_PROBABILITY, FIT_PROBABILITY = 0.9995, 0.9999
 MAX_LEFT_OUT = 0.34  # of the points: more are no blunders, but wrong coordinates or a wrong lens
 MIN_LEFT = 1e-3  # of a point's variance in its residual: less is rounding
 MAX_SAMPLES = 100
+MAX_LEFT_IN_TURN = 10
 MIN_DEPTH = 0.05  # of a ray's length along the boresight: OpenCV's poses need points before a plane
 OWN_LINE = 3.0  # sigmas that points must stand off a common line
 SAME_PLACE_SIGMAS = 5.0
@@ -223,6 +224,8 @@ class PickedResection:
         best = self._without_blunders(everything)
         if best is None or not best.fits:
             best = self._from_samples(best)
+        if best is not None and not best.used.all() and len(self.points) <= MAX_LEFT_IN_TURN:
+            best = self._one_left_out(best)
         if best is None:
             raise NoSolutionError("no pose fits the points", ReasonCode.POINTS_DISAGREE)
         other = self.rival_of(best)
@@ -341,6 +344,25 @@ class PickedResection:
                 best is None or (found.fits, found.used.sum()) > (best.fits, best.used.sum())
             ):
                 best = found
+        return best
+
+    def _one_left_out(self, best: PickedPose) -> PickedPose:
+        """The best fit with each point left out in turn, where few points stand against one.
+
+        A blunder among six may draw the fit to the other side of the points' plane.
+        """
+        for number in range(len(self.points)):
+            used = np.ones(len(self.points), dtype=bool)
+            used[number] = False
+            try:
+                found = self._fitted(used, self._start(used))
+            except (NoSolutionError, cv2.error):
+                continue
+            other = self.rival_of(found)
+            if other is not None and other.cost < found.cost:
+                found = other
+            if (found.used.sum(), -found.cost) > (best.used.sum(), -best.cost):
+                best = found if found.fits else best
         return best
 
     def _start(self, used: BoolArray) -> Pose:
