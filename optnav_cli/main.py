@@ -57,6 +57,7 @@ COMMANDS = {
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
     "adjust": Entry(_PICTURES, "Adjust the frames of runs, and what is common to them.", "adjust"),
     "calibrate": Entry(f"{_HERE}.calibrate", "Calibrate cameras in flight by control points."),
+    "stars": Entry(f"{_HERE}.stars", "Attitudes from the stars in pictures."),
     "stereo": Entry(f"{_HERE}.stereo", "Height and side velocity from two cameras on a base."),
     "orbit": Entry(f"{_HERE}.orbit", "Orbits through fixes, and what follows from them."),
     "slopes": Entry(f"{_HERE}.hazard", "How steep a terrain model is.", "slopes"),

@@ -53,6 +53,10 @@ class ReasonCode(StrEnum):
     THIN_CRESCENT = "thin_crescent", "the phase is too large for the centre of a disc"
     WRONG_LIGHT = "wrong_light", "the light is not that of the body under the Sun of the frame"
     LIMB_MISFIT = "limb_misfit", "the limb does not fit the body's figure or relief"
+    # stars
+    FEW_STARS = "few_stars", "fewer than four spots that could be stars"
+    NO_STARS = "no_stars", "no attitude makes stars of the spots"
+    WRONG_LENS = "wrong_lens", "the stars fit another focal length than the camera file's"
     # the solution
     NO_SOLUTION = "no_solution", "the measurements give no position"
     NOT_SETTLED = "not_settled", "the iteration does not settle on a position"

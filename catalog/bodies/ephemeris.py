@@ -82,6 +82,14 @@ def sun_direction_inertial(body: Body, tdb_s: float) -> FloatArray:
     return unit(direction + velocity / LIGHT_AU_PER_DAY)
 
 
+def velocity_inertial(body: Body, tdb_s: float) -> FloatArray:
+    """Velocity (3,) of a body's centre about the Sun, m/s, inertial axes: what aberration is from.
+
+    The Sun's own motion, 15 m/s, is 0.01". Raises DataError beyond a small body's orbit.
+    """
+    return np.asarray(_from_sun(body, tdb_s)[1] * (AU_M / DAY_S))
+
+
 def _from_sun(body: Body, tdb_s: float) -> tuple[FloatArray, FloatArray]:
     """Position of a body from the Sun, AU, and velocity, AU/day."""
     if not isinstance(body.sun, SunOrbit):

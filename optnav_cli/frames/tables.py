@@ -82,6 +82,31 @@ PICKED_POINTS = CsvTable(
     by_hand=True,
 )
 
+STAR_FRAMES = CsvTable(
+    (FILE, _text("utc", f"{UTC.meaning}; empty: J2025", empty=True), CAMERA), by_hand=True
+)
+
+ATTITUDES = CsvTable(
+    (
+        *(FILE, _text("utc", UTC.meaning, empty=True), STATUS),
+        *(
+            _number(name, f"camera_from_inertial as a quaternion, {name[1]}", "", "z.15f")
+            for name in QUATERNION
+        ),
+        *(
+            _number(f"sigma_{i}_arcsec", f"1 sigma about the camera's {i}", "arcsec", "z.4f")
+            for i in "xyz"
+        ),
+        _count("n_spots", "spots of light in the picture"),
+        _count("n_matched", "of these, with a star of the catalog"),
+        _count("n_used", "of these, kept by the attitude"),
+        _number("residual_rms_px", "rms of their residuals, a coordinate", "px", "z.5f"),
+        _number("focal_scale", "focal length over that of the camera file", "", "z.7f"),
+        _number("chance", "expected number of attitudes that chance gives so well", "", ".3g"),
+        REASON,
+    )
+)
+
 TIMES = CsvTable((FILE, UTC), by_hand=True)
 
 TRUTH = CsvTable(

@@ -23,7 +23,7 @@ from catalog.cache import Cache
 from catalog.correlation.ncc import match_ncc
 from catalog.correlation.similarity import Matcher
 from catalog.correlation.surf64 import match_surf
-from catalog.errors import DataError
+from catalog.errors import DataError, NoSolutionError
 from catalog.jobs.workspace import pack, unpack
 from catalog.store.reader import Catalog
 from catalog.terrain.dem.file import path_of
@@ -34,6 +34,7 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.picked_points import POINTS_CSV, PickedPoint
 from optnav_cli.frames.picture import LaterPicture, Picture, load_picture
 from optnav_cli.frames.run_settings import RUN_TOML, InertialSettings
+from optnav_cli.measurements.stars.sky import SkyView, StarSight, star_sight
 from optnav_cli.navigation.answers import Answers, NavigationInputs, Outcome
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.control_points.field import ControlPointField
@@ -49,6 +50,7 @@ from optnav_cli.reasons import Reason, ReasonCode
 from optnav_cli.runs.inputs import open_catalogs, open_field, open_ground, whole_relief
 from optnav_cli.runs.orbit_prior import orbit_inputs, with_orbit
 
+STARS = "stars"  # the question of a frame's answers
 MATCHERS: dict[str, Matcher] = {"ncc": match_ncc, "surf": match_surf}
 # A patch that takes up more of the picture's width than this is not outlined.
 MAX_OUTLINE = 0.2
@@ -271,14 +273,43 @@ class FrameWorker:
                 return self.picked.solve(frame, camera, points), True
             if not answers:
                 self._picture(frame, camera)
+            if frame.camera_from_body is None:
+                frame = self._with_stars(frame, camera, answers)
             code = ReasonCode.BAD_DATA
             later = LaterPicture(lambda: self._picture(frame, camera))
             return navigator.solve(frame, camera, later, answers), False
+        except NoSolutionError as error:
+            return _unsolved(frame, ReasonCode(error.code), str(error)), True
         except DataError as error:
             return _unsolved(frame, code, str(error)), True
         except FRAME_FAULTS as error:
             text = self._failure("numerical failure", error)
             return _unsolved(frame, ReasonCode.NUMERICAL_FAILURE, text), True
+
+    def _with_stars(self, frame: Frame, camera: Camera, answers: Answers) -> Frame:
+        """A frame whose attitude is not stated with that of the stars in its picture.
+
+        Raises NoSolutionError where its stars give none.
+        """
+        if frame.tdb_s is None:
+            return frame
+        view = SkyView(self.folder.body, frame.tdb_s)
+        if STARS not in answers:
+            picture = self._picture(frame, camera)
+            answers[STARS] = pack(star_sight(picture.values, picture.saturation, camera, view))
+        sight = unpack(answers[STARS], StarSight)
+        if sight.camera_from_inertial is None:
+            text = f"no attitude: the quaternion is empty, and the stars give none: {sight.reason}"
+            raise NoSolutionError(text, ReasonCode.NO_ATTITUDE)
+        space = self.folder.attitude.inertial_from_body(frame.tdb_s)
+        # only the body's own rotation is common to frames: a boresight plays no part here
+        common = self.folder.motion.error_m(frame.tdb_s) / self.folder.body.radius_m
+        return replace(
+            frame,
+            camera_from_body=sight.camera_from_inertial * space,
+            attitude_sigma_rad=float(np.hypot(sight.sigma_rad, common)),
+            common_sigma_rad=common,
+        )
 
     def _record(
         self,
@@ -358,6 +389,8 @@ def _attitude_source(frame: Frame, row: Solution) -> str:
     fix = row.fix
     if fix is None or fix.camera_from_body is None:
         return ""
+    if frame.camera_from_body is None and fix.method is not Method.PICKED_POINTS:
+        return "stars"
     by_points = fix.method in (Method.CONTROL_POINTS, Method.PICKED_POINTS)
     return "points" if by_points and frame.attitude_sigma_rad is None else FROM_FILE
 

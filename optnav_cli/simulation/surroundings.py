@@ -1,16 +1,13 @@
 """All that a camera's pictures show besides the body, as a scenario says."""
 
-from functools import cache
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 from scipy.special import ndtr
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray
 from catalog.bodies.body import load_body
-from catalog.bodies.ephemeris import Ephemeris
-from catalog.config import resource
+from catalog.bodies.ephemeris import Ephemeris, velocity_inertial
+from catalog.bodies.stars import aberrated, bright_stars
 from optnav_cli.camera.camera import Camera
 from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.scenario_base import ScenarioBase
@@ -75,23 +72,6 @@ EARTH_RADIANCE = 0.3  # radiance factor at zero incidence: Bond albedo 0.3, Lamb
 EARTH_SAMPLES = 6  # rays a side of a pixel
 
 
-class Stars(NamedTuple):
-    """directions (n, 3) unit vectors, ICRF, epoch J1991.25; magnitudes (n,) V."""
-
-    directions: FloatArray
-    magnitudes: FloatArray
-
-
-@cache
-def bright_stars() -> Stars:
-    """The stars that ship with the package, down to V 6.5."""
-    path = resource("data/bright_stars.csv")
-    table = np.loadtxt(path, delimiter=",", skiprows=1, dtype=np.float64)
-    ra, dec = np.radians(table[:, 0]), np.radians(table[:, 1])
-    directions = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
-    return Stars(directions, table[:, 2])
-
-
 def star_light(
     exposure: Exposure, camera: Camera, motion: Ephemeris, scenario: ScenarioBase
 ) -> Float32Array:
@@ -100,13 +80,14 @@ def star_light(
     The brightest pixel of a star of stars_to_magnitude is STAR_SIGMAS of the dark noise, on the
     mean over places in a pixel.
     The body hides stars as a sphere; the terrain on its limb only where it is lit.
-    Aberration, 20 arc seconds at the Moon's speed about the Sun, is left out: less than half a
-    pixel of a navigation camera. So is proper motion: 10 arc seconds a year at most.
+    Proper motion and the aberration by the body's motion about the Sun are in; that of the craft
+    about the body, 1 arc second at the Moon, is not.
     """
     stars, sensor = bright_stars(), scenario.sensor
     to_magnitude = scenario.sky.stars_to_magnitude
     out = np.zeros(camera.shape, np.float32)
-    directions = stars.directions @ motion.body_from_inertial(exposure.tdb_s).T
+    seen = aberrated(stars.at(exposure.tdb_s), velocity_inertial(motion.body, exposure.tdb_s))
+    directions = seen @ motion.body_from_inertial(exposure.tdb_s).T
     chosen = stars.magnitudes <= to_magnitude + 2.0
     chosen &= ~_behind(exposure.position_m, directions, motion.body.radius_m)
     pixels = camera.project(directions[chosen] @ exposure.camera_from_body.as_matrix().T)

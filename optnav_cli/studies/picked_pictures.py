@@ -18,7 +18,7 @@ from optnav_cli.camera.camera import Camera
 HEIGHT_M, RELIEF_M = 420e3, 500.0
 AIR_TOP_M, NODES = 120e3, 64
 CAMERA = Camera("tele", "pinhole", 5616, 3744, 400.0 / 36.0 * 5616.0, (2807.5, 1871.5))
-MARGIN = 0.08  # of a side, between points and the picture's edge
+MARGIN = 0.02  # of a side, between points and the edge of the picture: picks are spread all over it
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,1 @@
+"""Stars in a picture: spots, which stars they are, and the attitude that follows."""

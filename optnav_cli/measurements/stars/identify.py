@@ -1,0 +1,374 @@
+"""Which stars the spots of a picture are, and the attitude that shows them so.
+
+Three bright spots have the angles of three stars: two angles list pairs of stars, joined on the
+common one; the third angle and the sense of the triple decide, with one scale for all three angles,
+since a lens is known to a per cent. Each such triple gives an attitude (Wahba's problem), under
+which the catalog's stars are counted among the spots. It stands when chance, over all triples that
+were tried, would have given as many so rarely.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from scipy.special import bdtrc
+
+from catalog.arrays import FloatArray, IntArray
+from catalog.bodies.stars import bright_stars
+from catalog.errors import NoSolutionError
+from catalog.geometry.rotations import cross_matrix
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.stars.spots import StarSpots
+from optnav_cli.reasons import ReasonCode
+
+MAX_PAIR_DEG = 25.0
+WANTED_IN_VIEW = 30.0  # stars of the catalog in a frame, as far as it goes so faint
+MIN_STARS = 4
+BRIGHT_SPOTS, MAX_TRIPLES, MAX_TRIED = 12, 220, 4000
+SCALE_ERROR = 0.012  # of the focal length, unless the camera file states more
+SPOT_PX = 0.5  # of a spot against its star, for the angles of a triple; distortion is in the lens
+MATCH_PX = 2.5
+MAX_CHANCE = 1e-5  # expected false attitudes of a picture
+SKY_SQUARE_DEG = 41_253.0
+MAX_STEPS = 6
+K1_STARS, SCALE_STARS = 15, 6
+FLOOR_PX = 0.03  # of a centroid, by what its model leaves out
+PRIOR_K1 = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class StarFix:
+    """An attitude from stars.
+
+    camera_from_sky  from the axes of the given directions to the camera's
+    covariance       (3, 3) of a rotation vector in the camera frame, rad^2
+    spots, stars     (n,) matched ones, by index; used (n,) those that the attitude rests on
+    predicted_px     (n, 2) where the attitude and lens put these stars
+    focal_scale      of the lens, against its file; 1 where it is not solved for
+    chance           expected number of attitudes that chance gives so well
+    """
+
+    camera_from_sky: Rotation
+    covariance: FloatArray
+    spots: IntArray
+    stars: IntArray
+    used: FloatArray
+    predicted_px: FloatArray
+    residuals_px: FloatArray
+    focal_scale: float
+    chance: float
+
+    @property
+    def residual_rms_px(self) -> float:
+        """Of the used ones, a coordinate."""
+        some = self.residuals_px[self.used > 0.0]
+        return float(np.sqrt((some**2).mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Pairs of stars by their angle: angles (m,) rising, first and second (m,)."""
+
+    angles: FloatArray
+    first: IntArray
+    second: IntArray
+
+    def about(self, angle: float, tolerance: float) -> tuple[IntArray, IntArray]:
+        """Both ends, in both orders, of pairs of an angle."""
+        low, high = np.searchsorted(self.angles, (angle - tolerance, angle + tolerance))
+        a, b = self.first[low:high], self.second[low:high]
+        return np.concatenate([a, b]), np.concatenate([b, a])
+
+
+@lru_cache(maxsize=4)
+def _pairs(count: int, widest: float) -> _Pairs:
+    """Of the brightest stars: the motions of a century change no angle by a pixel."""
+    directions = bright_stars().at(None)[:count]
+    reach = 2.0 * np.sin(widest / 2.0)
+    found = cKDTree(directions).query_pairs(reach, output_type="ndarray")
+    chords = np.linalg.norm(directions[found[:, 0]] - directions[found[:, 1]], axis=1)
+    angles = 2.0 * np.arcsin(chords / 2.0)
+    order = np.argsort(angles, kind="stable")
+    return _Pairs(angles[order], found[order, 0], found[order, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class StarIdentifier:
+    """Finds attitudes of one camera.
+
+    directions  (n, 3) of the catalog's stars as the camera sees them, the brightest first
+    """
+
+    camera: Camera
+    directions: FloatArray
+
+    def identify(self, spots: StarSpots) -> StarFix:
+        """The attitude under which the spots are stars.
+
+        Raises NoSolutionError where there are too few spots or no attitude stands against chance;
+        it says where the mirrored picture, or a lens some per cent off, would give one.
+        """
+        found = self._identified(spots)
+        if found is not None:
+            return found
+        if len(spots) < MIN_STARS:
+            raise NoSolutionError(_too_few(spots), ReasonCode.FEW_STARS)
+        mirrored = replace(
+            spots, pixels=np.array([self.camera.width_px - 1, 0.0]) - spots.pixels * [1.0, -1.0]
+        )
+        if self._identified(mirrored) is not None:
+            text = "the picture is mirrored: its stars fit the sky seen in a mirror"
+            raise NoSolutionError(text, ReasonCode.MIRRORED)
+        for factor in (0.95, 0.975, 1.025, 1.05, 0.925, 1.075, 0.9, 1.1):
+            other = StarIdentifier(self.camera.with_focal_factor(factor), self.directions)
+            fit = other._identified(spots)
+            if fit is not None:
+                percent = 100.0 * (factor * fit.focal_scale - 1.0)
+                raise NoSolutionError(
+                    f"the focal length is wrong: the stars fit one {percent:+.1f} % longer",
+                    ReasonCode.WRONG_LENS,
+                )
+        raise NoSolutionError(
+            f"{len(spots)} spots are no stars of the catalog, or too few of them{_besides(spots)}",
+            ReasonCode.NO_STARS,
+        )
+
+    def _identified(self, spots: StarSpots) -> StarFix | None:
+        if len(spots) < MIN_STARS:
+            return None
+        rays = self.camera.unproject(spots.pixels)
+        seen = np.flatnonzero(np.isfinite(rays).all(axis=1))
+        tried = 0
+        for three in _triples(seen):
+            for stars in self._candidates(rays[list(three)]):
+                tried += 1
+                fit = self._verified(spots, rays, three, stars, tried)
+                if fit is not None:
+                    return fit
+                if tried >= MAX_TRIED:
+                    return None
+        return None
+
+    def _count_in_view(self) -> int:
+        """How many of the catalog's stars to take, the brightest."""
+        camera = self.camera
+        area = camera.width_px * camera.height_px * np.degrees(camera.angular_resolution) ** 2
+        wanted = WANTED_IN_VIEW * SKY_SQUARE_DEG / min(area, SKY_SQUARE_DEG / 2.0)
+        return int(np.clip(wanted, 300, len(self.directions)))
+
+    def _widest(self) -> float:
+        half = np.hypot(self.camera.width_px, self.camera.height_px) / 2.0
+        across = 2.0 * np.arctan(half / self.camera.coarse_focal_px)
+        return float(min(across * 1.05, np.radians(MAX_PAIR_DEG)))
+
+    def _candidates(self, rays: FloatArray) -> list[IntArray]:
+        """Triples of stars (3,) with the angles and the sense of three rays (3, 3)."""
+        pairs = _pairs(self._count_in_view(), round(self._widest(), 6))
+        ab, ac, bc = (_angle(rays[i], rays[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
+        if max(ab, ac, bc) > self._widest() or min(ab, ac, bc) < 10.0 / self.camera.focal_length_px:
+            return []
+        noise = SPOT_PX * np.sqrt(2.0) / self.camera.focal_length_px
+        error = max(SCALE_ERROR, 3.0 * self.camera.focal_length_error)
+        first, second = pairs.about(ab, error * ab + 2.0 * noise)
+        common, third = pairs.about(ac, error * ac + 2.0 * noise)
+        order = np.argsort(common, kind="stable")
+        common, third = common[order], third[order]
+        low, high = np.searchsorted(common, first), np.searchsorted(common, first, side="right")
+        repeats = high - low
+        if not repeats.sum():
+            return []
+        index = np.repeat(np.arange(len(first)), repeats)
+        offset = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+        a, b, c = first[index], second[index], third[low[index] + offset]
+        stars = self.directions
+        scales = [
+            _angles_of(stars[p], stars[q]) / angle
+            for p, q, angle in ((a, b, ab), (a, c, ac), (b, c, bc))
+        ]
+        off = [
+            np.abs(one - other) < 2.0 * noise * np.hypot(1.0 / x, 1.0 / y)
+            for one, other, x, y in (
+                (scales[0], scales[1], ab, ac),
+                (scales[1], scales[2], ac, bc),
+                (scales[0], scales[2], ab, bc),
+            )
+        ]
+        sense = np.sign(np.linalg.det(rays))
+        volume = np.einsum("ni,ni->n", stars[a], np.cross(stars[b], stars[c]))
+        good = off[0] & off[1] & off[2] & (np.sign(volume) == sense) & (b != c)
+        worst = np.abs(scales[0] - 1.0) + np.abs(scales[1] - 1.0) + np.abs(scales[2] - 1.0)
+        chosen = np.flatnonzero(good)
+        chosen = chosen[np.argsort(worst[chosen], kind="stable")]
+        return [np.array([a[i], b[i], c[i]]) for i in chosen]
+
+    def _verified(
+        self,
+        spots: StarSpots,
+        rays: FloatArray,
+        three: tuple[int, ...],
+        stars: IntArray,
+        tried: int,
+    ) -> StarFix | None:
+        """The refined attitude of a triple; None where chance explains it."""
+        turn = wahba(rays[list(three)], self.directions[stars])
+        scale = self._scale_of(rays[list(three)], stars)
+        match = self._matched(spots, turn, scale, 0.0, 2.0 * MATCH_PX)
+        if len(match[0]) < MIN_STARS:
+            return None
+        fit = self._refined(spots, turn, scale, match)
+        if fit is None:
+            return None
+        # in the whole catalog's light, so that no spot is left without a star that it may be
+        in_view = self._in_view(fit.camera_from_sky).size
+        area = self.camera.width_px * self.camera.height_px
+        share = min(in_view * np.pi * MATCH_PX**2 / area, 1.0)
+        others, agreeing = len(spots) - 3, int((fit.used > 0.0).sum()) - 3
+        if agreeing < 1:
+            return None
+        chance = tried * float(bdtrc(agreeing - 1, others, share))
+        # a triple that fits by chance drags the first of others along
+        return replace(fit, chance=chance) if chance < MAX_CHANCE else None
+
+    def _scale_of(self, rays: FloatArray, stars: IntArray) -> float:
+        """The focal length's factor that the angles of a triple ask for."""
+        sky = self.directions[stars]
+        ours = sum(_angle(rays[i], rays[j]) for i, j in combinations(range(3), 2))
+        theirs = sum(_angle(sky[i], sky[j]) for i, j in combinations(range(3), 2))
+        return float(ours / theirs)
+
+    def _in_view(self, turn: Rotation) -> IntArray:
+        axis = turn.inv().apply((0.0, 0.0, 1.0))
+        half = np.hypot(self.camera.width_px, self.camera.height_px) / 2.0
+        reach = min(float(np.arctan(half / self.camera.coarse_focal_px)) * 1.3, np.pi)
+        near = np.flatnonzero(self.directions @ axis > np.cos(reach))
+        pixels = self.camera.project(turn.apply(self.directions[near]))
+        seen = np.isfinite(pixels).all(axis=1)
+        near, pixels = near[seen], pixels[seen]
+        return np.asarray(near[self.camera.contains(pixels)])
+
+    def _projected(
+        self, stars: IntArray, turn: Rotation, scale: float, k1: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Pixels (n, 2) of stars through a lens longer by a factor and with k1; derivatives (n, 2,
+        5) by a rotation vector, the factor and k1."""
+        camera = self.camera
+        points = turn.apply(self.directions[stars])
+        pixels, by_point = camera.project_with_jacobian(points)
+        middle = np.array(camera.principal_point_px)
+        out = pixels - middle
+        squared = ((out / camera.focal_length_px) ** 2).sum(axis=1)[:, None]
+        bent = scale * (1.0 + k1 * squared)
+        by_turn = -by_point @ cross_matrix(points) * bent[:, :, None]
+        columns = [by_turn, (out * (1.0 + k1 * squared))[:, :, None]]
+        columns.append((out * scale * squared)[:, :, None])
+        return middle + bent * out, np.concatenate(columns, axis=2)
+
+    def _matched(
+        self, spots: StarSpots, turn: Rotation, scale: float, k1: float, gate_px: float
+    ) -> tuple[IntArray, IntArray]:
+        """Spots and stars that are each other's nearest within a gate."""
+        stars = self._in_view(turn)
+        if not stars.size:
+            return np.empty(0, np.int64), np.empty(0, np.int64)
+        pixels, _ = self._projected(stars, turn, scale, k1)
+        away, nearest = cKDTree(pixels).query(spots.pixels, distance_upper_bound=gate_px)
+        ours = np.flatnonzero(np.isfinite(away))
+        order = ours[np.argsort(away[ours], kind="stable")]
+        _, first = np.unique(nearest[order], return_index=True)
+        kept = np.sort(order[first])
+        return kept, stars[nearest[kept]]
+
+    def _refined(
+        self,
+        spots: StarSpots,
+        turn: Rotation,
+        scale: float,
+        match: tuple[IntArray, IntArray],
+    ) -> StarFix | None:
+        """Rotation, and of enough stars the lens, by robust least squares."""
+        k1 = 0.0
+        prior = max(SCALE_ERROR, self.camera.focal_length_error)
+        for step in range(MAX_STEPS):
+            ours, stars = match
+            if len(ours) < MIN_STARS:
+                return None
+            pixels, jacobian = self._projected(stars, turn, scale, k1)
+            residuals = spots.pixels[ours] - pixels
+            size = np.linalg.norm(residuals, axis=1)
+            noise = np.hypot(spots.sigma_px[ours], FLOOR_PX)
+            spread = max(1.4826 * float(np.median(size / noise)) / 1.55, 1.0)
+            weights = np.maximum(1.0 - (size / (4.0 * spread * noise)) ** 2, 0.0) ** 2
+            if (weights > 0.0).sum() < MIN_STARS:
+                return None
+            solved = [0, 1, 2]
+            solved += [3] if len(ours) >= SCALE_STARS else []
+            solved += [4] if len(ours) >= K1_STARS else []
+            rows = (jacobian[:, :, solved] * np.sqrt(weights / noise**2)[:, None, None]).reshape(
+                -1, len(solved)
+            )
+            right = (residuals * np.sqrt(weights / noise**2)[:, None]).ravel()
+            normal = rows.T @ rows
+            known = np.array([np.inf, np.inf, np.inf, prior, PRIOR_K1])[solved]
+            normal += np.diag(spread**-2 * known**-2.0)
+            expected = np.array([0.0, 0.0, 0.0, 1.0 - scale, -k1])[solved]
+            gradient = rows.T @ right + spread**-2 * known**-2.0 * expected
+            move = np.zeros(5)
+            move[solved] = np.linalg.solve(normal, gradient)
+            turn = Rotation.from_rotvec(move[:3]) * turn
+            scale, k1 = scale + float(move[3]), k1 + float(move[4])
+            last = step == MAX_STEPS - 1 or float(np.abs(move[:3]).max()) < 1e-9
+            if last:
+                break
+            match = self._matched(spots, turn, scale, k1, MATCH_PX)
+        pixels, _ = self._projected(stars, turn, scale, k1)
+        used = (weights > 0.05).astype(np.float64)
+        freedom = max(2.0 * float(used.sum()) - len(solved), 1.0)
+        squares = float((weights * (size / noise) ** 2).sum()) / freedom
+        # few stars say little of their own scatter: the stated one counts as eight numbers
+        factor = max((squares * freedom + 8.0) / (freedom + 8.0), 0.5)
+        covariance = np.linalg.inv(normal)[:3, :3] * factor
+        return StarFix(
+            turn, covariance, ours, stars, used, pixels, spots.pixels[ours] - pixels, scale, 1.0
+        )
+
+
+def wahba(ours: FloatArray, theirs: FloatArray) -> Rotation:
+    """The rotation that takes directions (n, 3) nearest to ours (n, 3); Markley's SVD (1988)."""
+    u, _, vt = np.linalg.svd(ours.T @ theirs)
+    return Rotation.from_matrix(u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt)
+
+
+def _triples(seen: IntArray) -> Iterator[tuple[int, ...]]:
+    """Triples of the brightest spots, in order of the sum of their ranks."""
+    ranks = range(min(len(seen), BRIGHT_SPOTS))
+    ordered = sorted(combinations(ranks, 3), key=lambda three: (sum(three), three))
+    for three in ordered[:MAX_TRIPLES]:
+        yield tuple(int(seen[rank]) for rank in three)
+
+
+def _angle(a: FloatArray, b: FloatArray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
+def _angles_of(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(2.0 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=1) / 2.0, 1.0)))
+
+
+def _too_few(spots: StarSpots) -> str:
+    return f"{len(spots)} spots are fewer than the {MIN_STARS} stars wanted{_besides(spots)}"
+
+
+def _besides(spots: StarSpots) -> str:
+    """What else was seen, in words."""
+    parts = []
+    if spots.n_trails:
+        parts.append(f"{spots.n_trails} spots are drawn out: trailed stars")
+    if spots.n_hot:
+        parts.append(f"{spots.n_hot} are single hot pixels")
+    if spots.body > 0.02:
+        parts.append(f"a lit body and its glare take {100.0 * spots.body:.0f} % of the picture")
+    return f"; {'; '.join(parts)}" if parts else ""

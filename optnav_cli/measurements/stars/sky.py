@@ -1,0 +1,70 @@
+"""The sky of a picture: where its stars are seen, and what time and motion leave open."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.bodies.body import Body
+from catalog.bodies.ephemeris import velocity_inertial
+from catalog.bodies.stars import LIGHT_M_S, aberrated, bright_stars
+from catalog.errors import NoSolutionError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.stars.identify import StarIdentifier
+from optnav_cli.measurements.stars.spots import find_spots
+
+EARTH_SPEED_M_S = 29_785.0  # mean, about the Sun
+
+
+@dataclass(frozen=True)
+class SkyView:
+    """Whose motion displaces the stars, and when: TDB s past J2000, None where not known."""
+
+    body: Body
+    tdb_s: float | None
+
+    def directions(self) -> FloatArray:
+        """Where the catalog's stars are seen, inertial axes: (n, 3)."""
+        stars = bright_stars().at(self.tdb_s)
+        if self.tdb_s is None:
+            return stars
+        return aberrated(stars, velocity_inertial(self.body, self.tdb_s))
+
+    @property
+    def sigma_rad(self) -> float:
+        """What is not known of aberration, 1 sigma an axis: an orbit's motion, or the Earth's."""
+        # a low orbit's speed in a direction that is not known: two of three components count
+        orbit = np.sqrt(self.body.gm_m3_s2 / self.body.radius_m)
+        speed = orbit if self.tdb_s is not None else np.hypot(orbit, EARTH_SPEED_M_S)
+        return float(speed / LIGHT_M_S / np.sqrt(3.0))
+
+    @property
+    def variances(self) -> FloatArray:
+        """The same as variances (3,) about a camera's axes, rad^2; about the boresight it is less.
+
+        There only stars off the axis show it: a quarter is for fields of up to 60 deg.
+        """
+        return self.sigma_rad**2 * np.array([1.0, 1.0, 0.25])
+
+
+@dataclass(frozen=True)
+class StarSight:
+    """The attitude of a picture by its stars, 1 sigma an axis, rad; None, with the reason."""
+
+    camera_from_inertial: Rotation | None
+    sigma_rad: float
+    reason: str
+
+
+def star_sight(
+    picture: Float32Array, saturation: float | None, camera: Camera, view: SkyView
+) -> StarSight:
+    """The attitude of a picture (h, w) by its stars, or why there is none."""
+    try:
+        fix = StarIdentifier(camera, view.directions()).identify(find_spots(picture, saturation))
+    except NoSolutionError as error:
+        return StarSight(None, 0.0, str(error))
+    # navigation takes one sigma for all axes; across, where the ground is moved most, it is honest
+    across = np.sqrt((np.diag(fix.covariance) + view.variances)[:2].mean())
+    return StarSight(fix.camera_from_sky, float(across), "")

@@ -1,0 +1,180 @@
+"""Spots of light that may be stars: where they stand, how bright they are.
+
+A background by medians of blocks, a threshold in the smoothed picture, and a Gaussian-windowed
+centroid, iterated (as XWIN_IMAGE of E. Bertin's SExtractor): the plain moment is drawn to the
+middle of a pixel and to whatever else lies about. What is large is a body; spots at its rim and in
+its glare are left out.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from catalog.arrays import BoolArray, Float32Array, FloatArray
+
+BLOCK_PX = 32  # of the background
+SMOOTH_PX, THRESHOLD_SIGMAS = 1.0, 5.0
+MIN_PIXELS, MAX_STAR_PX = 4, 13  # a spot's pixels, and its longer side
+MIN_BODY_PX = 25  # across: larger than the picture of any star
+BODY_MARGIN_PX = 12
+TRAIL_RATIO, MIN_TRAIL_PX = 2.2, 5.0
+MIN_NEIGHBOUR_SHARE = (
+    0.3  # of the middle pixel's light, in the eight about it; a hot pixel has none
+)
+WINDOW_SIGMA_PX, WINDOW_PX, STEPS = 1.2, 4, 12
+MAX_SPOTS = 60
+BLUR_SIGMA_PX = 1.1  # of a star's picture, for the noise of a centroid
+
+
+@dataclass(frozen=True, eq=False)
+class StarSpots:
+    """Spots of a picture, the brightest first.
+
+    pixels    (n, 2) x, y;  light (n,) over the background;  sigma_px (n,) of a coordinate by noise
+    n_trails  spots that were left out because they are drawn out
+    n_hot     single hot pixels that were left out
+    body      share of the picture that large lit areas take
+    """
+
+    pixels: FloatArray
+    light: FloatArray
+    sigma_px: FloatArray
+    n_trails: int
+    n_hot: int
+    body: float
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+def find_spots(picture: Float32Array, saturation: float | None = None) -> StarSpots:
+    """The spots of a picture (h, w) that look like stars."""
+    over = picture - _background(picture)
+    smooth = cv2.GaussianBlur(over, (0, 0), SMOOTH_PX)
+    sample = np.abs(smooth[::3, ::3])
+    sigma = max(1.4826 * float(np.median(sample)), 1e-6)
+    body = _bodies(picture, over, sigma, saturation)
+    lit = (smooth > THRESHOLD_SIGMAS * sigma) & ~body
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(lit.astype(np.uint8))
+    del labels
+    noise = max(1.4826 * float(np.median(np.abs(over[::3, ::3]))), 1e-6)
+    found: list[tuple[float, float, float]] = []
+    trails = hot = 0
+    for number in range(1, count):
+        left, top, width, height, area = (int(v) for v in stats[number])
+        longest = max(width, height)
+        if area < MIN_PIXELS:
+            continue
+        part = np.asarray(smooth[top : top + height, left : left + width], np.float32)
+        ratio, length = _elongation(part * (part > THRESHOLD_SIGMAS * sigma))
+        if ratio > TRAIL_RATIO and length > MIN_TRAIL_PX:
+            trails += 1
+            continue
+        if longest > MAX_STAR_PX:
+            continue
+        r, c = np.unravel_index(int(np.argmax(part)), part.shape)
+        x, y = left + int(c), top + int(r)
+        if _touches(body, x, y, picture.shape):
+            continue
+        if _is_hot(over, x, y):
+            hot += 1
+            continue
+        centred = _centroid(over, float(x), float(y))
+        if centred is not None:
+            found.append(centred)
+    found.sort(key=lambda spot: -spot[2])
+    table = np.array(found[:MAX_SPOTS]).reshape(-1, 3)
+    # a centroid's noise of a Gaussian spot over white noise, with its window
+    by_noise = noise * np.sqrt(8.0 * np.pi) * BLUR_SIGMA_PX**2 / np.maximum(table[:, 2], 1e-9)
+    return StarSpots(table[:, :2], table[:, 2], by_noise, trails, hot, float(body.mean()))
+
+
+def _background(picture: Float32Array) -> Float32Array:
+    """Medians of blocks of every other pixel, between them as a smooth surface."""
+    rows, cols = (max(1, side // BLOCK_PX) for side in picture.shape)
+    tall, wide = picture.shape[0] // rows, picture.shape[1] // cols
+    part = picture[: rows * tall, : cols * wide].reshape(rows, tall, cols, wide)
+    thin = part[:, ::3, :, ::3].transpose(0, 2, 1, 3).reshape(rows, cols, -1)
+    blocks = np.median(thin, axis=2).astype(np.float32)
+    if min(blocks.shape) >= 3:
+        blocks = cv2.medianBlur(blocks, 3).astype(np.float32, copy=False)
+    size = picture.shape[1], picture.shape[0]
+    return np.asarray(cv2.resize(blocks, size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _bodies(
+    picture: Float32Array, over: Float32Array, sigma: float, saturation: float | None
+) -> BoolArray:
+    """Large lit areas, with a margin: (h, w)."""
+    sky = float(np.median(picture[::4, ::4]))
+    highest = float(picture.max())
+    level = sky + max(20.0 * sigma, 0.1 * (min(highest, saturation or highest) - sky))
+    lit = ((picture > level) | (over > 20.0 * sigma)).astype(np.uint8)
+    # opening takes away stars, whose pictures are small
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (MIN_BODY_PX, MIN_BODY_PX))
+    small = cv2.resize(lit, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    opened = cv2.morphologyEx(small, cv2.MORPH_OPEN, kernel[::4, ::4])
+    body = np.zeros(picture.shape, bool)
+    if opened.any():
+        count, labels = cv2.connectedComponents(lit)
+        up = cv2.resize(opened, picture.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+        chosen = np.zeros(count, bool)
+        chosen[np.unique(labels[up])] = True
+        chosen[0] = False
+        body = chosen[labels] | up
+        wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BODY_MARGIN_PX + 1,) * 2)
+        body = cv2.dilate(body.astype(np.uint8), wide) > 0
+    return np.asarray(body)
+
+
+def _touches(body: BoolArray, x: int, y: int, shape: tuple[int, ...]) -> bool:
+    """Whether a spot's window leaves the picture or reaches a body."""
+    r, rows, cols = WINDOW_PX, shape[0], shape[1]
+    if x < r or y < r or x >= cols - r or y >= rows - r:
+        return True
+    return bool(body[y - r : y + r + 1, x - r : x + r + 1].any())
+
+
+def _elongation(part: Float32Array) -> tuple[float, float]:
+    """Longer by shorter axis of light (h, w), and the longer one's full length, px."""
+    rows, cols = np.mgrid[: part.shape[0], : part.shape[1]]
+    total = max(float(part.sum()), 1e-9)
+    x, y = float((part * cols).sum()) / total, float((part * rows).sum()) / total
+    xx = float((part * (cols - x) ** 2).sum()) / total + 1.0 / 12.0
+    yy = float((part * (rows - y) ** 2).sum()) / total + 1.0 / 12.0
+    xy = float((part * (cols - x) * (rows - y)).sum()) / total
+    shorter, longer = np.linalg.eigvalsh(np.array([[xx, xy], [xy, yy]]))
+    return float(np.sqrt(longer / max(shorter, 1e-9))), float(4.0 * np.sqrt(longer))
+
+
+def _is_hot(over: Float32Array, x: int, y: int) -> bool:
+    patch = over[y - 1 : y + 2, x - 1 : x + 2]
+    middle = float(patch.max())
+    return float(patch.sum()) - middle < MIN_NEIGHBOUR_SHARE * middle
+
+
+def _centroid(over: Float32Array, x: float, y: float) -> tuple[float, float, float] | None:
+    """Place and light of a spot; None where it runs away."""
+    c0, r0 = round(x), round(y)
+    window = over[r0 - WINDOW_PX : r0 + WINDOW_PX + 1, c0 - WINDOW_PX : c0 + WINDOW_PX + 1]
+    patch = window.astype(np.float64)
+    side = np.arange(-WINDOW_PX, WINDOW_PX + 1, dtype=np.float64)
+    dx = dy = 0.0
+    light = 0.0
+    for _ in range(STEPS):
+        wx = np.exp(-0.5 * ((side - dx) / WINDOW_SIGMA_PX) ** 2)
+        wy = np.exp(-0.5 * ((side - dy) / WINDOW_SIGMA_PX) ** 2)
+        weighted = patch * np.outer(wy, wx)
+        light = float(weighted.sum())
+        if light <= 0.0:
+            return None
+        # twice the moment: window and spot of one width halve a shift
+        step_x = 2.0 * float((weighted.sum(axis=0) * (side - dx)).sum()) / light
+        step_y = 2.0 * float((weighted.sum(axis=1) * (side - dy)).sum()) / light
+        dx, dy = dx + step_x, dy + step_y
+        if max(abs(dx), abs(dy)) > 2.0:
+            return None
+        if max(abs(step_x), abs(step_y)) < 1e-3:
+            break
+    return c0 + dx, r0 + dy, 2.0 * light

@@ -1,0 +1,51 @@
+"""Overlays of star pictures: spots, the stars that they are, their names."""
+
+import numpy as np
+
+from catalog.arrays import ByteArray, Float32Array
+from catalog.bodies.stars import bright_stars
+from optnav_cli.measurements.stars.identify import StarFix
+from optnav_cli.measurements.stars.spots import StarSpots
+from optnav_cli.output.canvas import Canvas, dimmed, eight_bits, resized, shrink_factor, text_width
+
+FOUND, SPOT, LEFT_OUT, RESIDUAL = (90, 240, 110), (255, 190, 60), (80, 90, 255), (60, 220, 255)
+MAX_PX, ENLARGED = 1200, 100.0
+MAX_NAMED = 40  # the brightest
+
+
+def draw_stars(
+    picture: Float32Array, spots: StarSpots | None, fix: StarFix | None, words: str
+) -> ByteArray:
+    """The picture (h', w', 3) with its spots and stars, and a strip below with the result."""
+    factor = shrink_factor(picture.shape[1], picture.shape[0], MAX_PX)
+    canvas = Canvas(dimmed(resized(_stretched(picture), factor)), factor)
+    matched = set() if fix is None else set(fix.spots.tolist())
+    for number, pixel in enumerate([] if spots is None else spots.pixels):
+        if number not in matched:
+            canvas.ring(pixel, 7.0, SPOT, 1)
+    if fix is not None and spots is not None:
+        stars = bright_stars()
+        for row, (spot, star) in enumerate(zip(fix.spots, fix.stars, strict=True)):
+            colour = FOUND if fix.used[row] else LEFT_OUT
+            pixel = spots.pixels[spot]
+            canvas.ring(pixel, 7.0, colour, 1)
+            canvas.line(np.array([pixel, pixel + ENLARGED * fix.residuals_px[row]]), RESIDUAL, 1)
+            if row < MAX_NAMED:
+                x, y = (pixel + 0.5) * factor
+                label = stars.label(int(star))
+                right = x + 10.0 + text_width(label) < canvas.image.shape[1]
+                canvas.text(label, x + 10.0 if right else x - 10.0 - text_width(label), y, colour)
+    strip = Canvas(np.full((54, canvas.image.shape[1], 3), 24, dtype=np.uint8), 1.0)
+    room = max(int(canvas.image.shape[1] / 7.5), 10)
+    strip.text(words.encode("ascii", "replace").decode("ascii")[:room], 10, 20, (235, 235, 235))
+    if fix is not None:
+        strip.text(f"green: stars; blue: other spots; yellow: residual x{ENLARGED:g}", 10, 42, SPOT)
+    return np.vstack([canvas.image, strip.image])
+
+
+def _stretched(picture: Float32Array) -> ByteArray:
+    """Eight bits, in which stars of the threshold are seen beside the bright ones."""
+    sky = float(np.median(picture[::4, ::4]))
+    noise = max(1.4826 * float(np.median(np.abs(picture[::4, ::4] - sky))), 1e-6)
+    scaled = np.arcsinh(np.maximum(picture - sky, 0.0) / (4.0 * noise))
+    return eight_bits(scaled)

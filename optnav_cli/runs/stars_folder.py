@@ -1,0 +1,176 @@
+"""A folder of star pictures: every row of frames.csv becomes a row of attitudes.csv."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from catalog.bodies.body import Body, load_body
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.errors import DataError, NoSolutionError, NothingToDoError
+from catalog.files import replacing_folder
+from catalog.geometry.rotations import ARCSEC, quaternion_from_rotation
+from catalog.places import check_apart
+from catalog.progress import Progress, logged_stage
+from catalog.tables import CsvRow
+from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.folder import read_cameras
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.run_settings import RUN_TOML, read_run_settings
+from optnav_cli.frames.tables import ATTITUDES, QUATERNION, STAR_FRAMES
+from optnav_cli.measurements.stars.identify import StarFix, StarIdentifier
+from optnav_cli.measurements.stars.sky import SkyView
+from optnav_cli.measurements.stars.spots import StarSpots, find_spots
+from optnav_cli.output.canvas import encoded
+from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.overlay import overlay_path
+from optnav_cli.output.run_folder import CAMERAS, FRAMES, OVERLAYS
+from optnav_cli.output.star_overlay import draw_stars
+
+KIND, STAGE, ATTITUDES_CSV = "stars", "stars", "attitudes.csv"
+DEFAULT_BODY = "earth"  # where a craft flies whose folder has no run.toml
+
+
+@dataclass(frozen=True, eq=False)
+class StarRow:
+    """One picture: its attitude, or why it has none."""
+
+    file: str
+    utc: str
+    spots: StarSpots | None
+    fix: StarFix | None
+    view: SkyView | None
+    reason: str
+
+    @property
+    def solved(self) -> bool:
+        """Whether it has an attitude."""
+        return self.fix is not None
+
+    @property
+    def sigmas_arcsec(self) -> list[float]:
+        """1 sigma about the camera's x, y and z."""
+        if self.fix is None or self.view is None:
+            return []
+        whole = np.diag(self.fix.covariance) + self.view.variances
+        return [float(v) for v in np.sqrt(whole) / ARCSEC]
+
+    def cells(self) -> dict[str, object]:
+        """Of attitudes.csv."""
+        cells: dict[str, object] = {
+            "file": self.file,
+            "utc": self.utc,
+            "status": "solved" if self.solved else "unsolved",
+            "reason": self.reason,
+            "n_spots": None if self.spots is None else len(self.spots),
+        }
+        fix = self.fix
+        if fix is not None:
+            cells |= zip(QUATERNION, quaternion_from_rotation(fix.camera_from_sky), strict=True)
+            names = [f"sigma_{axis}_arcsec" for axis in "xyz"]
+            cells |= zip(names, self.sigmas_arcsec, strict=True)
+            cells |= {"n_matched": len(fix.stars), "n_used": int(fix.used.sum())}
+            cells |= {"residual_rms_px": fix.residual_rms_px, "chance": fix.chance}
+            cells["focal_scale"] = fix.focal_scale
+        return cells
+
+    def words(self) -> str:
+        """The row as a line for people."""
+        if self.fix is None:
+            return f"{self.file}: unsolved: {self.reason}"
+        x, y, z = self.sigmas_arcsec
+        return (
+            f"{self.file}: {int(self.fix.used.sum())} stars, rms {self.fix.residual_rms_px:.2f} "
+            f'px, sigma {max(x, y):.1f}" across, {z:.1f}" about the axis'
+        )
+
+
+def stars_folder(folder: Path, output: Path, progress: Progress) -> list[StarRow]:
+    """Find the attitudes of all pictures of a folder and write OUTPUT with attitudes.csv.
+
+    Raises ConfigError or DataError for a folder that cannot be used, NothingToDoError, after the
+    output is written, when no picture gives an attitude.
+    """
+    started = datetime.now(UTC)
+    check_apart(output, [folder])
+    with logged_stage(STAGE):
+        body = _body(folder)
+        cameras, table = read_cameras(folder / CAMERAS), STAR_FRAMES.rows(folder / FRAMES)
+        _check_files(folder / FRAMES, table)
+        rows: list[StarRow] = []
+        with replacing_folder(output, KIND) as place:
+            (place / OVERLAYS).mkdir()
+            with progress.stage(STAGE, len(table), "picture") as bar:
+                for row in table:
+                    rows.append(_row(folder, row, cameras, body, place / OVERLAYS))
+                    bar.advance()
+            ATTITUDES.write(place / ATTITUDES_CSV, (row.cells() for row in rows))
+            files = [row.file for row in rows]
+            write_manifest(
+                place,
+                KIND,
+                command="stars",
+                options={},
+                inputs={"folder": folder, "files_sha256": hash_files(folder, [*files, FRAMES])},
+                results={"pictures": len(rows), "solved": sum(row.solved for row in rows)},
+                started=started,
+            )
+    if not any(row.solved for row in rows):
+        raise NothingToDoError(
+            f"{output}: none of {len(rows)} pictures has an attitude; the first says: "
+            f"{rows[0].reason}"
+        )
+    return rows
+
+
+def star_lines(rows: Sequence[StarRow]) -> list[str]:
+    """A line for each picture, at most thirty."""
+    solved = sum(row.solved for row in rows)
+    return [f"solved {solved} of {len(rows)}", *(row.words() for row in rows[:30])]
+
+
+def _body(folder: Path) -> Body:
+    path = folder / RUN_TOML
+    return read_run_settings(path)[1] if path.exists() else load_body(DEFAULT_BODY)
+
+
+def _check_files(path: Path, table: Sequence[CsvRow]) -> None:
+    """Raise DataError for a row without a picture's name, or a name twice."""
+    seen: set[str] = set()
+    for row in table:
+        file = row["file"]
+        if not file or file in seen:
+            found = f"'{file}' stands twice" if file else "names no picture in column 'file'"
+            raise DataError(f"{row.where}: {found}; give each picture one row of {path.name}")
+        seen.add(file)
+
+
+def _row(
+    folder: Path, row: CsvRow, cameras: dict[str, Camera], body: Body, overlays: Path
+) -> StarRow:
+    file, utc, spots = row["file"], row["utc"], None
+    try:
+        if row.problem:
+            raise DataError(row.problem)
+        camera = cameras.get(row["camera"])
+        if camera is None:
+            known = ", ".join(sorted(cameras))
+            raise DataError(f"camera '{row['camera']}' has no file in cameras/; there are {known}")
+        view = SkyView(body, utc_to_tdb_s(utc) if utc else None)
+        picture = load_picture(folder / file, camera)
+    except DataError as error:
+        return StarRow(file, utc, None, None, None, str(error))
+    fix, reason = None, ""
+    try:
+        spots = find_spots(picture.values, picture.saturation)
+        fix = StarIdentifier(camera, view.directions()).identify(spots)
+        if not utc:
+            reason = 'no time: the stars are those of J2025, aberration (20") is in the sigmas'
+    except NoSolutionError as error:
+        reason = str(error)
+    found = StarRow(file, utc, spots, fix, view, reason)
+    drawn = draw_stars(picture.values, spots, fix, found.words())
+    overlay_path(overlays, file).write_bytes(encoded(drawn, ".png"))
+    return found
