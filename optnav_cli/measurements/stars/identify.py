@@ -10,7 +10,7 @@ were tried, would have given as many so rarely.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -28,13 +28,18 @@ from optnav_cli.reasons import ReasonCode
 MAX_PAIR_DEG = 25.0
 WANTED_IN_VIEW = 30.0  # stars of the catalog in a frame, as far as it goes so faint
 MIN_STARS = 4
-BRIGHT_SPOTS, MAX_TRIPLES, MAX_TRIED = 12, 220, 4000
+BRIGHT_SPOTS, MAX_BRIGHT_SPOTS, MAX_TRIPLES, MAX_TRIED = 12, 30, 220, 1500
 SCALE_ERROR = 0.012  # of the focal length, unless the camera file states more
+MAX_SCALE_OFF = 0.02  # beyond which a lens counts as another one than the camera file's
+# Of a failed picture few triples are tried with other lenses, to say what is wrong.
+FEW_TRIPLES, WRONG_FACTORS = 30, (0.95, 1.05, 0.975, 1.025)
 SPOT_PX = 0.5  # of a spot against its star, for the angles of a triple; distortion is in the lens
 MATCH_PX = 2.5
+MAX_COARSE_CHANCE = 1e-3  # of a triple's matches before they are refined
 MAX_CHANCE = 1e-5  # expected false attitudes of a picture
 SKY_SQUARE_DEG = 41_253.0
 MAX_STEPS = 6
+GATE_SIGMAS = 4.0  # of a match's distance from its star
 K1_STARS, SCALE_STARS = 15, 6
 FLOOR_PX = 0.03  # of a centroid, by what its model leaves out
 PRIOR_K1 = 0.05
@@ -112,38 +117,38 @@ class StarIdentifier:
         Raises NoSolutionError where there are too few spots or no attitude stands against chance;
         it says where the mirrored picture, or a lens some per cent off, would give one.
         """
-        found = self._identified(spots)
+        found = self._identified(spots, MAX_TRIPLES)
+        off = max(MAX_SCALE_OFF, 3.0 * self.camera.focal_length_error)
+        if found is not None and abs(found.focal_scale - 1.0) > off:
+            raise _wrong_lens(found.focal_scale)
         if found is not None:
             return found
-        if len(spots) < MIN_STARS:
+        if len(spots) < MIN_STARS or spots.n_trails > len(spots):
             raise NoSolutionError(_too_few(spots), ReasonCode.FEW_STARS)
         mirrored = replace(
             spots, pixels=np.array([self.camera.width_px - 1, 0.0]) - spots.pixels * [1.0, -1.0]
         )
-        if self._identified(mirrored) is not None:
+        if self._identified(mirrored, FEW_TRIPLES) is not None:
             text = "the picture is mirrored: its stars fit the sky seen in a mirror"
             raise NoSolutionError(text, ReasonCode.MIRRORED)
-        for factor in (0.95, 0.975, 1.025, 1.05, 0.925, 1.075, 0.9, 1.1):
+        for factor in WRONG_FACTORS:
             other = StarIdentifier(self.camera.with_focal_factor(factor), self.directions)
-            fit = other._identified(spots)
+            fit = other._identified(spots, FEW_TRIPLES)
             if fit is not None:
-                percent = 100.0 * (factor * fit.focal_scale - 1.0)
-                raise NoSolutionError(
-                    f"the focal length is wrong: the stars fit one {percent:+.1f} % longer",
-                    ReasonCode.WRONG_LENS,
-                )
+                raise _wrong_lens(factor * fit.focal_scale)
         raise NoSolutionError(
             f"{len(spots)} spots are no stars of the catalog, or too few of them{_besides(spots)}",
             ReasonCode.NO_STARS,
         )
 
-    def _identified(self, spots: StarSpots) -> StarFix | None:
+    def _identified(self, spots: StarSpots, most: int) -> StarFix | None:
+        """The attitude by the first so many triples; None without one."""
         if len(spots) < MIN_STARS:
             return None
         rays = self.camera.unproject(spots.pixels)
         seen = np.flatnonzero(np.isfinite(rays).all(axis=1))
         tried = 0
-        for three in _triples(seen):
+        for three in islice(_triples(seen, rays, self._widest()), most):
             for stars in self._candidates(rays[list(three)]):
                 tried += 1
                 fit = self._verified(spots, rays, three, stars, tried)
@@ -219,36 +224,39 @@ class StarIdentifier:
         match = self._matched(spots, turn, scale, 0.0, 2.0 * MATCH_PX)
         if len(match[0]) < MIN_STARS:
             return None
+        in_view = self._in_view(turn)[0].size
+        if self._chance(len(spots), len(match[0]), in_view, 2.0 * MATCH_PX) > MAX_COARSE_CHANCE:
+            return None
         fit = self._refined(spots, turn, scale, match)
         if fit is None:
             return None
-        # in the whole catalog's light, so that no spot is left without a star that it may be
-        in_view = self._in_view(fit.camera_from_sky).size
-        area = self.camera.width_px * self.camera.height_px
-        share = min(in_view * np.pi * MATCH_PX**2 / area, 1.0)
-        others, agreeing = len(spots) - 3, int((fit.used > 0.0).sum()) - 3
-        if agreeing < 1:
-            return None
-        chance = tried * float(bdtrc(agreeing - 1, others, share))
-        # a triple that fits by chance drags the first of others along
+        chance = tried * self._chance(len(spots), int(fit.used.sum()), in_view, MATCH_PX)
         return replace(fit, chance=chance) if chance < MAX_CHANCE else None
+
+    def _chance(self, spots: int, agreeing: int, in_view: int, gate_px: float) -> float:
+        """How probably random spots agree so with an attitude that three of them gave."""
+        if agreeing < MIN_STARS:
+            return 1.0
+        area = self.camera.width_px * self.camera.height_px
+        share = min(in_view * np.pi * gate_px**2 / area, 1.0)
+        return float(bdtrc(agreeing - 4, spots - 3, share))
 
     def _scale_of(self, rays: FloatArray, stars: IntArray) -> float:
         """The focal length's factor that the angles of a triple ask for."""
         sky = self.directions[stars]
-        ours = sum(_angle(rays[i], rays[j]) for i, j in combinations(range(3), 2))
-        theirs = sum(_angle(sky[i], sky[j]) for i, j in combinations(range(3), 2))
+        ours, theirs = (_angles_of(one, np.roll(one, 1, axis=0)).sum() for one in (rays, sky))
         return float(ours / theirs)
 
-    def _in_view(self, turn: Rotation) -> IntArray:
+    def _in_view(self, turn: Rotation) -> tuple[IntArray, FloatArray]:
+        """Stars in the picture, and their pixels (n, 2) by the lens as it is stated."""
         axis = turn.inv().apply((0.0, 0.0, 1.0))
         half = np.hypot(self.camera.width_px, self.camera.height_px) / 2.0
         reach = min(float(np.arctan(half / self.camera.coarse_focal_px)) * 1.3, np.pi)
         near = np.flatnonzero(self.directions @ axis > np.cos(reach))
         pixels = self.camera.project(turn.apply(self.directions[near]))
-        seen = np.isfinite(pixels).all(axis=1)
-        near, pixels = near[seen], pixels[seen]
-        return np.asarray(near[self.camera.contains(pixels)])
+        seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+        seen = seen[self.camera.contains(pixels[seen])]
+        return near[seen], pixels[seen]
 
     def _projected(
         self, stars: IntArray, turn: Rotation, scale: float, k1: float
@@ -271,10 +279,12 @@ class StarIdentifier:
         self, spots: StarSpots, turn: Rotation, scale: float, k1: float, gate_px: float
     ) -> tuple[IntArray, IntArray]:
         """Spots and stars that are each other's nearest within a gate."""
-        stars = self._in_view(turn)
+        stars, pixels = self._in_view(turn)
         if not stars.size:
             return np.empty(0, np.int64), np.empty(0, np.int64)
-        pixels, _ = self._projected(stars, turn, scale, k1)
+        out = pixels - self.camera.principal_point_px
+        squared = ((out / self.camera.focal_length_px) ** 2).sum(axis=1, keepdims=True)
+        pixels = self.camera.principal_point_px + scale * (1.0 + k1 * squared) * out
         away, nearest = cKDTree(pixels).query(spots.pixels, distance_upper_bound=gate_px)
         ours = np.flatnonzero(np.isfinite(away))
         order = ours[np.argsort(away[ours], kind="stable")]
@@ -301,7 +311,8 @@ class StarIdentifier:
             size = np.linalg.norm(residuals, axis=1)
             noise = np.hypot(spots.sigma_px[ours], FLOOR_PX)
             spread = max(1.4826 * float(np.median(size / noise)) / 1.55, 1.0)
-            weights = np.maximum(1.0 - (size / (4.0 * spread * noise)) ** 2, 0.0) ** 2
+            # a gate, not a bell: weights below 1 would make the scatter look smaller than it is
+            weights = (size < GATE_SIGMAS * spread * noise).astype(np.float64)
             if (weights > 0.0).sum() < MIN_STARS:
                 return None
             solved = [0, 1, 2]
@@ -325,7 +336,7 @@ class StarIdentifier:
                 break
             match = self._matched(spots, turn, scale, k1, MATCH_PX)
         pixels, _ = self._projected(stars, turn, scale, k1)
-        used = (weights > 0.05).astype(np.float64)
+        used = weights
         freedom = max(2.0 * float(used.sum()) - len(solved), 1.0)
         squares = float((weights * (size / noise) ** 2).sum()) / freedom
         # few stars say little of their own scatter: the stated one counts as eight numbers
@@ -342,11 +353,19 @@ def wahba(ours: FloatArray, theirs: FloatArray) -> Rotation:
     return Rotation.from_matrix(u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt)
 
 
-def _triples(seen: IntArray) -> Iterator[tuple[int, ...]]:
-    """Triples of the brightest spots, in order of the sum of their ranks."""
-    ranks = range(min(len(seen), BRIGHT_SPOTS))
-    ordered = sorted(combinations(ranks, 3), key=lambda three: (sum(three), three))
-    for three in ordered[:MAX_TRIPLES]:
+def _triples(seen: IntArray, rays: FloatArray, widest: float) -> Iterator[tuple[int, ...]]:
+    """Triples of the brightest spots within an angle, in order of the sum of their ranks."""
+    count = min(len(seen), MAX_BRIGHT_SPOTS)
+    near = rays[seen[:count]] @ rays[seen[:count]].T > np.cos(widest)
+    if near[:BRIGHT_SPOTS, :BRIGHT_SPOTS].mean() > 0.5:  # else a wide field, whose spots lie apart
+        count = min(count, BRIGHT_SPOTS)
+    some = [
+        (i, j, k)
+        for i, j, k in combinations(range(count), 3)
+        if near[i, j] and near[i, k] and near[j, k]
+    ]
+    some.sort(key=lambda three: (sum(three), three))
+    for three in some:
         yield tuple(int(seen[rank]) for rank in three)
 
 
@@ -356,6 +375,11 @@ def _angle(a: FloatArray, b: FloatArray) -> float:
 
 def _angles_of(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=1) / 2.0, 1.0)))
+
+
+def _wrong_lens(scale: float) -> NoSolutionError:
+    text = f"the focal length is wrong: the stars fit one {100.0 * (scale - 1.0):+.1f} % longer"
+    return NoSolutionError(text, ReasonCode.WRONG_LENS)
 
 
 def _too_few(spots: StarSpots) -> str:

@@ -1,0 +1,173 @@
+"""Stars in pictures: which they are, the attitude, and what is said of pictures without."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.body import load_body
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.stars import bright_stars
+from catalog.errors import NoSolutionError
+from catalog.geometry.rotations import ARCSEC
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.measurements.stars.identify import StarIdentifier
+from optnav_cli.measurements.stars.sky import SkyView, star_sight
+from optnav_cli.measurements.stars.spots import StarSpots, find_spots
+from optnav_cli.reasons import ReasonCode
+from tests.optnav_cli.made_skies import (
+    CAMERA,
+    UTC,
+    add_body,
+    drawn_sky,
+    sky_directions,
+    spots_of,
+    turned,
+)
+
+ORION = turned(84.0, -1.0, 20.0)
+REAL = Path(os.environ.get("OPTNAV_SHARED_DATA", "")) / "stars" / "star_field.tiff"
+
+
+def errors_arcsec(found: Rotation, true: Rotation) -> np.ndarray:
+    """About the camera's axes."""
+    return (found * true.inv()).as_rotvec() / ARCSEC
+
+
+def found_in(picture, camera=CAMERA):
+    return StarIdentifier(camera, sky_directions()).identify(find_spots(picture, 65535.0))
+
+
+@pytest.mark.parametrize(
+    "pointing", [(84.0, -1.0, 20.0), (200.0, 55.0, -70.0), (266.0, -29.0, 170.0)]
+)
+def test_a_drawn_sky_gives_its_attitude_inside_the_sigmas(pointing):
+    turn = turned(*pointing)
+    fix = found_in(drawn_sky(turn, seed=int(pointing[0])))
+    off = errors_arcsec(fix.camera_from_sky, turn) * ARCSEC
+    assert off @ np.linalg.solve(fix.covariance, off) < 14.2
+    assert np.abs(off[:2]).max() / ARCSEC < 8.0
+    assert fix.residual_rms_px < 0.2
+    assert fix.chance < 1e-5
+
+
+def test_stars_beside_a_lit_body_and_its_glare_are_found():
+    fix = found_in(add_body(drawn_sky(ORION)))
+    assert np.abs(errors_arcsec(fix.camera_from_sky, ORION))[:2].max() < 10.0
+
+
+def test_a_lens_longer_by_half_a_per_cent_is_told_by_the_stars():
+    longer = CAMERA.with_focal_factor(1.005)
+    fix = found_in(drawn_sky(ORION, longer))
+    assert fix.focal_scale == pytest.approx(1.005, abs=3e-4)
+    assert np.abs(errors_arcsec(fix.camera_from_sky, ORION))[:2].max() < 10.0
+
+
+@pytest.mark.parametrize("name", ["unk", "kam_s", "shnk"])
+def test_random_pointings_with_false_spots_are_found_and_none_wrong(name):
+    camera, rng = preset_camera(name), np.random.default_rng(11)
+    identifier, solved = StarIdentifier(camera, bright_stars().at(None)), 0
+    for _ in range(12):
+        turn = Rotation.random(random_state=rng)
+        fix = identifier.identify(spots_of(turn, camera, rng, 5.0, 4))
+        solved += 1
+        off = np.linalg.norm(errors_arcsec(fix.camera_from_sky, turn)) * ARCSEC
+        assert off * camera.focal_length_px < 3.0
+    assert solved == 12
+
+
+def test_random_spots_are_never_a_sky():
+    camera, rng = preset_camera("kam_s"), np.random.default_rng(5)
+    identifier = StarIdentifier(camera, bright_stars().at(None))
+    for count in rng.integers(5, 40, 4):
+        places = rng.uniform(0.0, 2047.0, (count, 2))
+        spots = StarSpots(places, np.ones(count), np.full(count, 0.1), 0, 0, 0.0)
+        with pytest.raises(NoSolutionError, match="no stars of the catalog"):
+            identifier.identify(spots)
+
+
+def refusal(picture) -> NoSolutionError:
+    with pytest.raises(NoSolutionError) as caught:
+        found_in(picture)
+    return caught.value
+
+
+def test_a_mirrored_picture_is_said_to_be_mirrored():
+    error = refusal(np.ascontiguousarray(drawn_sky(ORION)[:, ::-1]))
+    assert error.code == ReasonCode.MIRRORED
+
+
+def test_a_focal_length_wrong_by_five_per_cent_is_named():
+    error = refusal(drawn_sky(ORION, CAMERA.with_focal_factor(1.05)))
+    assert error.code == ReasonCode.WRONG_LENS
+    assert "+5.0 %" in str(error)
+
+
+def test_trailed_stars_are_named():
+    error = refusal(drawn_sky(ORION, trail_px=14.0))
+    assert "trailed" in str(error)
+
+
+def test_hot_pixels_alone_are_no_stars():
+    rng = np.random.default_rng(2)
+    picture = rng.normal(100.0, 4.0, CAMERA.shape).astype(np.float32)
+    picture[rng.integers(10, 500, 40), rng.integers(10, 500, 40)] = 9000.0
+    error = refusal(picture)
+    assert error.code == ReasonCode.FEW_STARS
+    assert "hot pixels" in str(error)
+
+
+@pytest.mark.parametrize("value", [0.0, 65535.0])
+def test_black_and_saturated_pictures_have_too_few_stars(value):
+    error = refusal(np.full(CAMERA.shape, value, np.float32))
+    assert error.code == ReasonCode.FEW_STARS
+
+
+def test_three_stars_are_too_few():
+    picture = drawn_sky(turned(193.0, 27.0, 0.0), faintest=4.4)
+    assert refusal(picture).code in (ReasonCode.FEW_STARS, ReasonCode.NO_STARS)
+
+
+def test_without_aberration_the_attitude_is_twenty_arc_seconds_off():
+    picture = drawn_sky(ORION)
+    plain = StarIdentifier(CAMERA, bright_stars().at(utc_to_tdb_s(UTC)))
+    wrong = plain.identify(find_spots(picture)).camera_from_sky
+    right = found_in(picture).camera_from_sky
+    assert 10.0 < np.linalg.norm(errors_arcsec(wrong, right)) < 25.0
+
+
+def test_a_sight_says_its_sigma_and_a_time_not_known_widens_it():
+    picture, body = drawn_sky(ORION), load_body("earth")
+    known = star_sight(picture, None, CAMERA, SkyView(body, utc_to_tdb_s(UTC)))
+    unknown = star_sight(picture, None, CAMERA, SkyView(body, None))
+    assert np.abs(errors_arcsec(known.camera_from_inertial, ORION)[:2]).max() < 12.0
+    assert 1.0 < known.sigma_rad / ARCSEC < 6.0
+    assert 10.0 < unknown.sigma_rad / ARCSEC < 20.0
+
+
+def test_proper_motion_is_the_catalogues():
+    """Rigil Kentaurus moves by 3.71" a year: Hipparcos 71683."""
+    stars = bright_stars()
+    number = stars.names.index("Rigil Kentaurus")
+    moved = stars.at(utc_to_tdb_s("2016-04-01T00:00:00Z"))[number]
+    angle = np.arccos(moved @ stars.directions[number]) / ARCSEC
+    assert angle / 25.0 == pytest.approx(3.71, abs=0.02)
+    assert replace(stars, names=("",) * len(stars.names)).label(number) == "HIP 71683"
+
+
+@pytest.mark.skipif(not REAL.is_file(), reason="OPTNAV_SHARED_DATA has no stars/star_field.tiff")
+def test_a_real_frame_is_solved_to_four_arc_seconds():
+    focal = 512.0 / np.tan(np.radians(11.4 / 2.0))
+    camera = Camera("esa", "pinhole", 1024, 768, focal, (511.5, 383.5))
+    picture = load_picture(REAL, camera)
+    fix = StarIdentifier(camera, bright_stars().at(None)).identify(find_spots(picture.values))
+    assert fix.used.sum() >= 20
+    assert fix.residual_rms_px / focal / ARCSEC < 4.0
+    assert np.sqrt(np.diag(fix.covariance))[:2].max() / ARCSEC < 3.0
+    axis = fix.camera_from_sky.inv().apply((0.0, 0.0, 1.0))
+    assert np.degrees(np.arcsin(axis[2])) == pytest.approx(64.225, abs=0.01)
