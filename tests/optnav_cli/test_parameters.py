@@ -202,13 +202,11 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
     studies = {"acceptance", "apollo", "autonomous", "comet", "horizon", "navigation", "phobos"}
     studies |= {"real", "calibration", "descent"}
     stages = {"build", "ingest", "render", "select", "check", "write"}
-    makers = {"simulate", "navigate", "demo", "import", "adjust", "stereo", "hazard", "calibrate"}
     orbits = {"fit", "qso", "landing", "delivery"}
     makers = {
         *("simulate", "navigate", "demo", "import", "adjust"),
         *("stereo", "stars", "hazard", "calibrate"),
     }
-    orbits = {"fit", "qso"}
     assert folders == (
         {((name,), "work") for name in stages}
         | {((name,), "output") for name in makers}
