@@ -290,21 +290,10 @@ _OTHERS = (
         not what it says; how many blunders are found; the places that three points leave.""",
         "-o points.svg",
         (
-            _trials(5, 200, "Pictures of each row."),
-            _seed("Of pictures and errors."),
+            trials(5, 200, "Pictures of each row."),
+            seed("Of pictures and errors."),
         ),
         draws=True,
-    ),
-    Study(
-        "qso",
-        "Quasi-satellite orbits of Phobos against the source, the theory and other forces.",
-        """Find quasi-satellite orbits of Phobos over 270 deg W and compare them.
-
-        Rings and angular rates against those of the source, the averaged theory against the numeric
-        motion, the table of 50 to 200 km at four anomalies, and what Mars' flattening and the field
-        of Phobos' mesh change. Takes a minute.""",
-        "--anomalies 1",
-        (_option("--anomalies", click.IntRange(1, 4), 4, "Of Phobos in its orbit."),),
     ),
     Study(
         "real",
