@@ -208,9 +208,9 @@ def config_type(kind: str) -> type[msgspec.Struct]:
 
         return QsoSettings
     if kind == "orbit":
-        from optnav_cli.orbit.settings import OrbitSettings
+        from optnav_cli.orbit.settings import OrbitFitSettings
 
-        return OrbitSettings
+        return OrbitFitSettings
     if kind == "delivery":
         from optnav_cli.orbit.delivery_settings import DeliverySettings
 

@@ -49,10 +49,10 @@ def command(
       optnav orbit fit run-1 run-2 --solve clock,focal -o orbit
       optnav orbit fit run --config orbit.toml -o orbit
     """
-    from optnav_cli.orbit.settings import OrbitSettings, load_orbit_settings
+    from optnav_cli.orbit.settings import OrbitFitSettings, load_orbit_settings
     from optnav_cli.runs.orbit_folder import fit_runs
 
-    settings = load_orbit_settings(config) if config else OrbitSettings()
+    settings = load_orbit_settings(config) if config else OrbitFitSettings()
     announce_compilation()
     tell(fit_runs(runs, output, settings, solve, config.parent if config else Path()))
     click.echo(output)

@@ -31,7 +31,7 @@ from optnav_cli.orbit.folder import (
 )
 from optnav_cli.orbit.motion import rnb_of
 from optnav_cli.orbit.oem import Oem, write_oem
-from optnav_cli.orbit.settings import UNITS, OrbitSettings
+from optnav_cli.orbit.settings import UNITS, OrbitFitSettings
 from optnav_cli.output.recording import Recording
 from optnav_cli.output.wording import length, table_lines
 
@@ -45,7 +45,7 @@ def rows_of_fit(fit: OrbitFit) -> OrbitRows:
     return OrbitRows(fit.problem.times, kinds, fit.trajectory.states, fit.covariances)
 
 
-def orbit_file(fit: OrbitFit, settings: OrbitSettings, kernels: Sequence[str]) -> OrbitFile:
+def orbit_file(fit: OrbitFit, settings: OrbitFitSettings, kernels: Sequence[str]) -> OrbitFile:
     """orbit.toml. The state is that of the last node."""
     problem, at = fit.problem, fit.trajectory
     epoch = float(problem.times[-1])
@@ -97,7 +97,7 @@ def stored_parameters(fit: OrbitFit) -> Iterator[StoredParameter]:
 
 
 def write_orbit_folder(
-    place: Path, fit: OrbitFit, dense: OrbitFit, settings: OrbitSettings, kernels: Sequence[str]
+    place: Path, fit: OrbitFit, dense: OrbitFit, settings: OrbitFitSettings, kernels: Sequence[str]
 ) -> None:
     """Write orbit.toml, orbit.csv, residuals.csv, disturbances.csv and orbit.oem.
 

@@ -13,11 +13,11 @@ from catalog.errors import ConfigError, DataError
 from optnav_cli.orbit.folder import ROTATION_STEP_S, matrix_of, stated_turn
 from optnav_cli.orbit.oem import read_oem
 from optnav_cli.orbit.problem import OrbitFix, OrbitPrior
-from optnav_cli.orbit.settings import PriorSettings
+from optnav_cli.orbit.settings import OrbitPriorSettings
 
 
 def orbit_priors(
-    settings: Sequence[PriorSettings],
+    settings: Sequence[OrbitPriorSettings],
     ephemeris: Ephemeris,
     beside: Path,
     fixes: Sequence[OrbitFix],
@@ -35,7 +35,7 @@ def orbit_priors(
     return found
 
 
-def _of_state(settings: PriorSettings, ephemeris: Ephemeris) -> OrbitPrior:
+def _of_state(settings: OrbitPriorSettings, ephemeris: Ephemeris) -> OrbitPrior:
     try:
         time = utc_to_tdb_s(settings.utc)
     except DataError as error:
@@ -55,7 +55,7 @@ def _of_state(settings: PriorSettings, ephemeris: Ephemeris) -> OrbitPrior:
 
 
 def _of_oem(
-    settings: PriorSettings, ephemeris: Ephemeris, path: Path, fixes: Sequence[OrbitFix]
+    settings: OrbitPriorSettings, ephemeris: Ephemeris, path: Path, fixes: Sequence[OrbitFix]
 ) -> OrbitPrior:
     """Its state at a covariance nearest the middle of the fixes, or with the stated sigmas."""
     oem = read_oem(path, ephemeris.body.name)
@@ -86,6 +86,6 @@ def _state_at(times: FloatArray, states: FloatArray, time: float) -> FloatArray:
     return np.concatenate([np.asarray(part, np.float64) for part in parts])
 
 
-def _spread(settings: PriorSettings) -> FloatArray:
+def _spread(settings: OrbitPriorSettings) -> FloatArray:
     position, velocity = settings.position_sigma_m or 0.0, settings.velocity_sigma_m_s or 0.0
     return np.diag([position**2] * 3 + [velocity**2] * 3)

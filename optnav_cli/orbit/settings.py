@@ -81,7 +81,7 @@ class ParameterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         return f"{self.name} of {whose}" if whose else self.name
 
 
-class PriorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class OrbitPriorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[[prior]]: what is known of the orbit without the fixes: a state, or the file of another.
 
     frame                inertial (ICRF axes at the body's centre) or body-fixed
@@ -121,7 +121,7 @@ class PriorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ConfigError("[[prior]] covariance has a number that is not finite; mend it")
 
 
-class OrbitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class OrbitFitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The whole config of a fit; see configs/templates/orbit.toml.
 
     step_s             between the rows of orbit.csv that are no fixes
@@ -133,13 +133,13 @@ class OrbitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     forces: ForcesSettings = ForcesSettings()
     noise: NoiseSettings = NoiseSettings()
     parameter: tuple[ParameterSettings, ...] = ()
-    prior: tuple[PriorSettings, ...] = ()
+    prior: tuple[OrbitPriorSettings, ...] = ()
     spice: SpiceSettings = SpiceSettings()
 
 
-def load_orbit_settings(path: Path) -> OrbitSettings:
+def load_orbit_settings(path: Path) -> OrbitFitSettings:
     """The settings of a file. Raises ConfigError for a wrong one."""
-    settings = load_toml(path, OrbitSettings)
+    settings = load_toml(path, OrbitFitSettings)
     try:
         settings.forces.check()
         for prior in settings.prior:

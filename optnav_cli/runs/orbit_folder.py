@@ -29,7 +29,7 @@ from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.output import record, smoothed_solutions, summary, write_orbit_folder
 from optnav_cli.orbit.priors import orbit_priors
 from optnav_cli.orbit.problem import OrbitFix, OrbitPrior, OrbitProblem
-from optnav_cli.orbit.settings import KIND, PARAMETERS, OrbitSettings, ParameterSettings
+from optnav_cli.orbit.settings import KIND, PARAMETERS, OrbitFitSettings, ParameterSettings
 from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
 from optnav_cli.output.run_folder import RECORDING, SOLUTION, RunFolder, read_run
 from optnav_cli.output.tables import write_solutions
@@ -53,7 +53,7 @@ class RunFixes:
 def fit_runs(
     runs: Sequence[Path],
     output: Path,
-    settings: OrbitSettings,
+    settings: OrbitFitSettings,
     solve: Sequence[str] = (),
     beside: Path = Path(),
 ) -> list[str]:
@@ -93,7 +93,7 @@ def fit_runs(
 def _write(
     place: Path,
     fit: OrbitFit,
-    settings: OrbitSettings,
+    settings: OrbitFitSettings,
     kernels: Sequence[str],
     found: RunFixes,
     read: Sequence[RunFolder],
@@ -106,7 +106,7 @@ def _write(
     record(place / RECORDING, found.body, list(zip(smoothed, cameras, strict=True)))
 
 
-def _with_whole_paths(settings: OrbitSettings, beside: Path) -> OrbitSettings:
+def _with_whole_paths(settings: OrbitFitSettings, beside: Path) -> OrbitFitSettings:
     """The settings with the field's file as it is found from anywhere."""
     if settings.forces.field is None:
         return settings
@@ -117,7 +117,7 @@ def _with_whole_paths(settings: OrbitSettings, beside: Path) -> OrbitSettings:
 
 def problem_of(
     found: RunFixes,
-    settings: OrbitSettings,
+    settings: OrbitFitSettings,
     ephemeris: Ephemeris,
     priors: list[OrbitPrior],
     beside: Path,
@@ -186,7 +186,7 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
     return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated)
 
 
-def _kernels(runs: Sequence[RunFolder], settings: OrbitSettings, beside: Path) -> list[str]:
+def _kernels(runs: Sequence[RunFolder], settings: OrbitFitSettings, beside: Path) -> list[str]:
     """SPICE kernels: of the settings, else those that the first run was navigated with."""
     if settings.spice.kernels:
         return [str(path_of(name, beside).resolve()) for name in settings.spice.kernels]
@@ -206,11 +206,11 @@ def _kernels(runs: Sequence[RunFolder], settings: OrbitSettings, beside: Path) -
 
 
 def with_solved(
-    settings: OrbitSettings,
+    settings: OrbitFitSettings,
     solve: Sequence[str],
     fixes: Sequence[OrbitFix],
     priors: Sequence[OrbitPrior],
-) -> OrbitSettings:
+) -> OrbitFitSettings:
     """The settings with the parameters that --solve names and that the noise model needs.
 
     Raises UsageError or ConfigError for one that no fix depends on, or that nothing can tell.

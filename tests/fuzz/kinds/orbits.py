@@ -1,6 +1,6 @@
 """Orbits: fits of changed runs, settings and gravity fields; what is made of changed folders."""
 
-from optnav_cli.orbit.settings import OrbitSettings
+from optnav_cli.orbit.settings import OrbitFitSettings
 from tests.fuzz.cases import DATA, NOTHING, OPEN, USAGE, Case, Place, kind
 from tests.fuzz.damage import damaged
 from tests.fuzz.kinds.configs import ConfigKind
@@ -11,7 +11,7 @@ TIMES = (
     "1959-01-01T00:00:00Z", "2022-03-08T12:00:60Z", "2016-12-31T23:59:60Z", "2022-03-08T12:00:00+01:00", "nan", "1e9",
 )  # fmt: skip
 STEPS = ("60", "600", "0", "-1", "1e-3", "1e-9", "1e7", "1e300", "nan", "inf", "x", "")
-SETTINGS = ConfigKind(OrbitSettings, "orbit.toml", "orbit.toml")
+SETTINGS = ConfigKind(OrbitFitSettings, "orbit.toml", "orbit.toml")
 FIT = ("-q", "orbit", "fit", "flown", "--config", "orbit.toml")
 
 

@@ -10,7 +10,7 @@ from optnav_cli.dynamics.orbit_settings import ForcesSettings, ThrustArc
 from optnav_cli.orbit.fit import densify, fit_orbit
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.problem import OrbitPrior, OrbitProblem
-from optnav_cli.orbit.settings import NoiseSettings, OrbitSettings, ParameterSettings
+from optnav_cli.orbit.settings import NoiseSettings, OrbitFitSettings, ParameterSettings
 from optnav_cli.runs.orbit_folder import with_solved
 from tests.optnav_cli.orbit.flights import (
     EPHEMERIS,
@@ -115,12 +115,12 @@ def test_a_mean_acceleration_is_found_and_predicts():
 
 
 def settings_with(*parameters):
-    return OrbitSettings(parameter=parameters)
+    return OrbitFitSettings(parameter=parameters)
 
 
 def test_one_clock_for_all_fixes_is_refused_with_the_reason(lunar):
     with pytest.raises(UsageError, match=r"not observable.*5e4 s.*prior"):
-        with_solved(OrbitSettings(), ["clock"], lunar.fixes, [])
+        with_solved(OrbitFitSettings(), ["clock"], lunar.fixes, [])
     both = [ParameterSettings("clock", camera=name) for name in ("unk", "shnk")]
     fixes = [*lunar.fixes, *fixes_of(lunar.times, lunar.states, camera="shnk")]
     with pytest.raises(UsageError, match="not observable"):
@@ -131,10 +131,10 @@ def test_one_clock_for_all_fixes_is_refused_with_the_reason(lunar):
 
 def test_a_clock_in_short_is_that_of_the_second_camera_or_run(lunar):
     twice = [*lunar.fixes, *fixes_of(lunar.times, lunar.states, camera="shnk")]
-    (clock,) = with_solved(OrbitSettings(), ["clock"], twice, []).parameter
+    (clock,) = with_solved(OrbitFitSettings(), ["clock"], twice, []).parameter
     assert clock.label == "clock of shnk"
     runs = [*lunar.fixes, *fixes_of(lunar.times, lunar.states, run="run-2")]
-    (clock,) = with_solved(OrbitSettings(), ["clock"], runs, []).parameter
+    (clock,) = with_solved(OrbitFitSettings(), ["clock"], runs, []).parameter
     assert clock.label == "clock of run-2"
 
 

@@ -13,13 +13,13 @@ from optnav_cli.main import run as optnav
 from optnav_cli.orbit.folder import read_orbit
 from optnav_cli.orbit.oem import read_oem
 from optnav_cli.orbit.predict import OrbitPath
-from optnav_cli.orbit.settings import OrbitSettings, ParameterSettings
+from optnav_cli.orbit.settings import OrbitFitSettings, ParameterSettings
 from optnav_cli.orbit.spk import write_spk
 from optnav_cli.runs.orbit_files import predict_orbit
 from optnav_cli.runs.orbit_folder import fit_runs
 from tests.optnav_cli.orbit.flights import QUIET, START_S, flight, truth, write_run
 
-SETTINGS = OrbitSettings(forces=ForcesSettings(degree=2), noise=QUIET)
+SETTINGS = OrbitFitSettings(forces=ForcesSettings(degree=2), noise=QUIET)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_force_parameters_widen_a_prediction(tmp_path):
     considered = ParameterSettings("acceleration", prior_sigma=1e-6, mode="consider")
     sigmas = []
     for name, parameters in (("plain", ()), ("with", (considered,))):
-        settings = OrbitSettings(forces=plain.forces, noise=QUIET, parameter=parameters)
+        settings = OrbitFitSettings(forces=plain.forces, noise=QUIET, parameter=parameters)
         fit_runs([run], tmp_path / name, settings)
         path = OrbitPath(read_orbit(tmp_path / name))
         row = path.rows(np.array([path.last_s + 7200.0])).rows

@@ -12,11 +12,11 @@ from optnav_cli.main import run as optnav
 from optnav_cli.orbit.folder import read_orbit
 from optnav_cli.orbit.picture_times import picture_times
 from optnav_cli.orbit.predict import OrbitPath
-from optnav_cli.orbit.settings import OrbitSettings
+from optnav_cli.orbit.settings import OrbitFitSettings
 from optnav_cli.runs.orbit_folder import fit_runs
 from tests.optnav_cli.orbit.flights import QUIET, START_S, fixes_of, flight, truth, write_run
 
-SETTINGS = OrbitSettings(forces=ForcesSettings(degree=2), noise=QUIET)
+SETTINGS = OrbitFitSettings(forces=ForcesSettings(degree=2), noise=QUIET)
 SPEED_M_S = 1633.0
 
 

@@ -26,7 +26,7 @@ from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import RunSettings
 from optnav_cli.navigation.control_points import method as control_points
 from optnav_cli.navigation.settings import MatchSettings, NavigateSettings, load_settings
-from optnav_cli.orbit.settings import NoiseSettings, OrbitSettings
+from optnav_cli.orbit.settings import NoiseSettings, OrbitFitSettings
 from optnav_cli.output import overlay
 from optnav_cli.output.run_folder import read_run
 from optnav_cli.output.tables import read_matches
@@ -456,7 +456,9 @@ def passing_orbit(taken, tmp_path_factory):
     states, _ = OrbitMotion(Forces(motion)).propagate(state, middle, times)
     folder = tmp_path_factory.mktemp("orbit")
     run = write_fixes(folder / "run", fixes_of(times, states))
-    settings = OrbitSettings(forces=ForcesSettings(degree=2), noise=NoiseSettings("white", 1e-12))
+    settings = OrbitFitSettings(
+        forces=ForcesSettings(degree=2), noise=NoiseSettings("white", 1e-12)
+    )
     fit_runs([run], folder / "orbit", settings)
     return folder / "orbit"
 
