@@ -93,6 +93,16 @@ class DescentFilter:
         return other
 
     @property
+    def nominal_m(self) -> FloatArray:
+        """(k, 3) where the ground points were when they joined, m, body frame."""
+        return self._nominal
+
+    def restore(self, state: FloatArray, covariance: FloatArray, nominal_m: FloatArray) -> None:
+        """Go on from a state (12 + 3 k,), its covariance and its points (k, 3) as they were."""
+        self.state, self.covariance = state.copy(), covariance.copy()
+        self._nominal = nominal_m.copy()
+
+    @property
     def count(self) -> int:
         """Ground points in the state."""
         return len(self._nominal)

@@ -72,6 +72,29 @@ class _Updated:
     remark: Reason = NO_REASON
 
 
+@dataclass(frozen=True, eq=False)
+class DescentMemory:
+    """What a descent knows after a frame, to go on from when it was stopped.
+
+    state, covariance, nominal_m  of the joint filter
+    keys       of its points: a landmark's number, or a window's level, side, row and column
+    roots_m    (3, 3) of the windows' errors
+    solved     whether any frame was
+    last_s, last_m, velocity  time, place and velocity of the track as it was last stated
+    """
+
+    state: FloatArray
+    covariance: FloatArray
+    nominal_m: FloatArray
+    keys: list[list[int]]
+    roots_m: list[FloatArray]
+    landmarks: list[Landmark]
+    solved: bool
+    last_s: float | None
+    last_m: FloatArray | None
+    velocity: FloatArray | None
+
+
 class DescentNavigator:
     """Solves the frames of a descent one after the other.
 
@@ -130,6 +153,27 @@ class DescentNavigator:
     def landmarks(self) -> list[Landmark]:
         """All landmarks so far."""
         return self._tracks.all
+
+    def memory(self) -> DescentMemory:
+        """All that the frames to come depend on."""
+        joint, own = self._state.filter, self._state
+        keys = [[key] if isinstance(key, int) else list(key) for key in own.keys]
+        arrays = joint.state, joint.covariance, joint.nominal_m
+        landmarks = [one if not one.reason else one.without_patch() for one in self._tracks.all]
+        last_s, last_m = self._last or (None, None)
+        return DescentMemory(
+            *arrays, keys, own.roots_m, landmarks, self._solved, last_s, last_m, self._velocity
+        )
+
+    def restore(self, memory: DescentMemory) -> None:
+        """Go on as the descent that gave this memory."""
+        self._state.filter.restore(memory.state, memory.covariance, memory.nominal_m)
+        keys = [WindowKey(*key) if len(key) > 1 else key[0] for key in memory.keys]
+        self._state.restore(keys, memory.roots_m)
+        self._tracks.all = list(memory.landmarks)
+        self._solved, self._velocity = memory.solved, memory.velocity
+        if memory.last_s is not None and memory.last_m is not None:
+            self._last = memory.last_s, memory.last_m
 
     def _advance(self, tdb_s: float, position_m: FloatArray) -> Reason:
         """Carry the filter to a frame; why the track there is no continuous one, if so."""

@@ -173,6 +173,17 @@ class JointState:
         """(3,) where a ground point of the state is by now; None for one that is not in it."""
         return self.filter.places_m[self.keys.index(key)] if key in self.keys else None
 
+    @property
+    def roots_m(self) -> list[FloatArray]:
+        """(3, 3) of the errors of the windows in the state, and of COMMON, in the order of keys."""
+        return [self._errors[key].root_m for key in self.keys if isinstance(key, WindowKey)]
+
+    def restore(self, keys: Sequence[WindowKey | int], roots_m: Sequence[FloatArray]) -> None:
+        """Name the points of a restored filter, those of windows with the roots of their errors."""
+        windows = [key for key in keys if isinstance(key, WindowKey)]
+        pairs = zip(windows, roots_m, strict=True)
+        self.keys, self._errors = list(keys), {key: WindowError(key, root) for key, root in pairs}
+
     def join_windows(self, errors: Sequence[WindowError], places_m: FloatArray) -> None:
         """Add windows at places (k, 3), their errors tied to those that share ground with them."""
         known = [number for number, key in enumerate(self.keys) if isinstance(key, WindowKey)]

@@ -1,7 +1,7 @@
 """Landmarks of a descent: chosen where no window is, tracked, cut anew, retired with a reason."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,11 @@ class Landmark:
     n_seen: int = 1
     missed: int = 0
     reason: Reason = NO_REASON
+
+    def without_patch(self) -> "Landmark":
+        """The same as far as a retired one is needed: for its row."""
+        bare = np.zeros((0, 0), np.float32)
+        return replace(self, patch=replace(self.patch, brightness=bare))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ import hashlib
 import logging
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,21 @@ from catalog.files import hash_file, replacing_folder
 from catalog.jobs.cluster import check_address, cluster_workers
 from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers, available_cores, workers_of
-from catalog.jobs.workspace import ChunkResults, Workspace, code_key, encode_records, stage_key
+from catalog.jobs.workspace import (
+    ChunkResults,
+    Workspace,
+    code_key,
+    decode_records,
+    encode_records,
+    stage_key,
+)
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.fix import MatchRow, Solution
 from optnav_cli.frames.picked_points import POINTS_CSV
 from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.navigation.autonomous import Navigator
-from optnav_cli.navigation.descent import DescentNavigator
+from optnav_cli.navigation.descent import DescentMemory, DescentNavigator
 from optnav_cli.navigation.history import SAME_TIME_S
 from optnav_cli.output.manifest import hash_files, is_finished, unfinished, versions, write_manifest
 from optnav_cli.output.overlay import overlay_path
@@ -132,6 +139,14 @@ def navigate_folder(
     return solutions
 
 
+@dataclass(frozen=True, eq=False)
+class FlownSoFar:
+    """How many frames of a descent are done, and what the next ones need of them."""
+
+    frames: int
+    memory: DescentMemory | None = None
+
+
 class _Run:
     """The frames of one run, in the order of time."""
 
@@ -207,13 +222,30 @@ class _Run:
         self, descent: DescentNavigator, progress: Progress
     ) -> Iterator[tuple[int, Solution, FrameRecord]]:
         """The same of a descent, each frame of which needs those before."""
-        with progress.stage(STAGE, len(self._order), "frame") as bar:
+        results, count = self._results, len(self._order)
+        # beside the frames' files: what the frames to come need of those that are done
+        memory = ChunkResults(results.workspace, STAGE, results.key, FlownSoFar)
+        stopped = (memory.records(count) or [FlownSoFar(0)])[0]
+        kept = results.all_records(stopped.frames) or []
+        if stopped.memory is not None and kept:
+            descent.restore(stopped.memory)
+        with progress.stage(STAGE, count, "frame") as bar:
+            bar.keep(len(kept))
             for position, number in enumerate(self._order):
-                row, record = self._worker.finish(self._frames[number], descent, unseen_record())
-                name = self._results.name(position)
-                self._results.workspace.put(name, encode_records([record]))
+                if position < len(kept):
+                    yield number, unpacked_row(kept[position].row), kept[position]
+                    continue
+                _, record = self._worker.finish(self._frames[number], descent, unseen_record())
+                results.workspace.put(results.name(position), encode_records([record]))
+                done = encode_records([FlownSoFar(position + 1, descent.memory())])
+                results.workspace.put(memory.name(count), done)
+                # goes on from the same arrays as a run that was stopped here: a sum over another
+                # order of memory differs in its last digit
+                (read,) = decode_records(done, FlownSoFar)
+                if read.memory is not None:
+                    descent.restore(read.memory)
                 bar.advance()
-                yield number, row, record
+                yield number, unpacked_row(record.row), record
         self._landmarks = [
             LandmarkRow(
                 one.number,

@@ -42,10 +42,11 @@ from optnav_cli.navigation.control_points.expectation import FrameContext, expec
 from optnav_cli.navigation.control_points.solve import MatchedFrame, match_all, matched_frame
 from optnav_cli.navigation.observation import Observation, observation_of
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
-from optnav_cli.studies import flights, navigation
+from optnav_cli.studies import descent_fit, flights, navigation
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
-MODELS = {"control_points": FILE}
+# Folders that catalogs and pictures of a model are taken from.
+FOLDERS = {"control_points": "optnav-navigation", "descent": "optnav-descent"}
 # Scenarios with their catalogs: of one the first frames are fitted with, the others only score.
 FITTED = {"real_unk_200km": "tycho"}
 SCORED = {"real_unk_400km": "tycho", "real_shnk_200km": "tycho", "real_farside_400km": "farside"}
@@ -80,17 +81,20 @@ class TrueFrame:
 def run(
     progress: Progress,
     name: str,
-    folder: Path,
+    folder: Path | None = None,
     frames: int | None = None,
     rows: str = "",
     output: Path | None = None,
-) -> "FitResult":
-    """Fit the sizes of one of MODELS; a TOML file with them goes to `output`.
+) -> "FitResult | descent_fit.DescentFitResult":
+    """Fit the sizes of one of FOLDERS' models; a TOML file with them goes to `output`.
 
-    folder  of the study navigation, whose catalogs and pictures are used again
-    frames  pictures of a scenario, its own number when None
+    folder  of a study, whose catalogs and pictures are used again; None for that of FOLDERS
+    frames  pictures of a scenario, its own number when None; of a descent always all
     rows    only scenarios whose name contains this
     """
+    folder = folder or Path(FOLDERS[name])
+    if name == "descent":
+        return descent_fit.run(progress, folder, rows, output)
     if output is not None:
         check_file(output, starts_with(BEGINNING))
     make_folder(folder)
@@ -109,7 +113,7 @@ def run(
     old = shipped_sizes()
     new = fitted(fit, old)
     if output is not None:
-        text = with_sizes(toml_text(resource(MODELS[name])), new)
+        text = with_sizes(toml_text(resource(FILE)), new)
         write_output(output, text.encode(), starts_with(BEGINNING))
     return FitResult(old, new, fit, held)
 
@@ -320,8 +324,10 @@ SCORES = columns("scenario; frames; ground; NEES_old = NEES, old .2f; NEES_new =
                  "worst_old = worst, old [σ] .1f; worst_new = worst, new [σ] .1f")  # fmt: skip
 
 
-def report(result: FitResult) -> StudyReport:
+def report(result: FitResult | descent_fit.DescentFitResult) -> StudyReport:
     """The sizes with what halving and doubling the new ones costs, and NEES by scenario."""
+    if isinstance(result, descent_fit.DescentFitResult):
+        return descent_fit.report(result)
     old, new = numbers(result.old), numbers(result.new)
     sizes: list[tuple[Cell, ...]] = [
         (name, old[name], new[name], *pair, "yes" if new[name] != old[name] else "no")

@@ -187,16 +187,17 @@ _OTHERS = (
         Frames over ground that differs from the terrain model as the Moon's does from GLD100 are
         matched from their true poses. NEES of frames held back, and of other ground, is that of the
         present sizes and of the new ones. Catalogs and pictures are those of `optnav study
-        navigation`; with them it takes a minute.""",
+        navigation`; with them it takes a minute. `descent` is fitted with the windows of flights of
+        `optnav study descent`, over another ground than those that it scores.""",
         "control_points -o sizes.toml",
         (
-            click.Argument(["name"], type=click.Choice(["control_points"])),
+            click.Argument(["name"], type=click.Choice(["control_points", "descent"])),
             output(None, "TOML file for the sizes.", ".toml"),
             option(
                 "--folder",
                 PATH,
-                "optnav-navigation",
-                "For catalogs and pictures; what is in it is used again.",
+                None,
+                "For catalogs and pictures; if left, that of the study that the model is of.",
             ),
             option(
                 "--frames", click.IntRange(1, MANY), None, "Pictures of each scenario; all if left."

@@ -4,8 +4,11 @@ import csv
 import re
 import shutil
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,11 +21,13 @@ from optnav_cli.api import evaluate, navigate_folder, report
 from optnav_cli.evaluation.files import write_evaluation
 from optnav_cli.fix import MatchKind, Method
 from optnav_cli.frames.folder import read_folder
+from optnav_cli.frames.frames import Frame
 from optnav_cli.frames.run_settings import InertialSettings
 from optnav_cli.frames.truth import read_truth
-from optnav_cli.output.run_folder import read_run
+from optnav_cli.output.run_folder import RECORDING, read_run
 from optnav_cli.output.tables import read_matches
 from optnav_cli.reasons import ReasonCode
+from optnav_cli.runs.frame_worker import FrameWorker
 from optnav_cli.simulation.descent import Descent, DescentSettings
 from optnav_cli.simulation.passes import SunSettings
 from optnav_cli.simulation.sections import DetailSettings, GlobeSettings, MainCamera
@@ -181,6 +186,72 @@ def test_a_gap_in_the_track_is_bridged(
         (folder / "frames.csv").write_text("\n".join([text[0], text[1], text[4]]) + "\n")
 
     assert [row.solved for row in read_run(flown(gap)).solutions] == [True, True]
+
+
+def test_a_gap_of_60_s_is_bridged_inside_wider_sigmas(
+    flown: Callable[[Callable[[Path], None]], Path], pictures: Path
+) -> None:
+    """The last picture a minute later: its place is searched by as much more."""
+
+    def later(folder: Path) -> None:
+        def by_a_minute(number: int, row: dict[str, str]) -> None:
+            if number == 3:
+                time = datetime.fromisoformat(row["utc"]) + timedelta(seconds=60.0)
+                row["utc"] = time.isoformat().replace("+00:00", "Z")
+
+        change_rows(folder, by_a_minute)
+
+    solutions = read_run(flown(later)).solutions
+    assert [row.solved for row in solutions] == [True] * 4
+    truth = read_truth(pictures / "truth.csv", read_folder(pictures).attitude)[-1]
+    assert solutions[3].fix is not None
+    off = solutions[3].fix.position_m - truth.position_m
+    assert squared_distance(off, solutions[3].fix.covariance_m2) < 16.0
+
+
+def test_a_frame_that_shows_nothing_is_carried_by_the_track_and_says_so(
+    flown: Callable[[Callable[[Path], None]], Path], pictures: Path
+) -> None:
+    def dark(folder: Path) -> None:
+        noise = np.random.default_rng(1).integers(0, 30, (300, 300))
+        cv2.imwrite(str(folder / "frame_0002.png"), noise.astype(np.uint8))
+
+    solutions = read_run(flown(dark)).solutions
+    carried = solutions[2]
+    assert [row.method for row in solutions] == [
+        Method.DESCENT, Method.DESCENT, Method.RELATIVE_LANDMARKS, Method.DESCENT,
+    ]  # fmt: skip
+    assert (carried.n_windows, carried.n_landmarks) == (0, 0)
+    assert carried.reason_code is ReasonCode.CARRIED
+    truth = read_truth(pictures / "truth.csv", read_folder(pictures).attitude)[2]
+    assert carried.fix is not None
+    off = carried.fix.position_m - truth.position_m
+    assert squared_distance(off, carried.fix.covariance_m2) < 16.0
+
+
+def test_a_descent_that_was_stopped_goes_on_to_the_same_bytes(
+    pictures: Path, catalog: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, again = tmp_path / "whole", tmp_path / "again"
+    navigate_folder(pictures, [catalog], whole)
+    finish, finished = FrameWorker.finish, []
+
+    def counted(worker: FrameWorker, frame: Frame, *rest: Any) -> Any:
+        finished.append(frame.file)
+        if len(finished) == 3:
+            raise KeyboardInterrupt
+        return finish(worker, frame, *rest)
+
+    monkeypatch.setattr(FrameWorker, "finish", counted)
+    with pytest.raises(KeyboardInterrupt):
+        navigate_folder(pictures, [catalog], again)
+    navigate_folder(pictures, [catalog], again)
+    # the third one twice, as it was not done, and none of the others
+    assert finished == [f"frame_000{k}.png" for k in (0, 1, 2, 2, 3)]
+    for name in ("solution.csv", "matches.csv", "landmarks.csv", RECORDING):
+        assert (again / name).read_bytes() == (whole / name).read_bytes()
+    for path in (whole / "overlays").iterdir():
+        assert (again / "overlays" / path.name).read_bytes() == path.read_bytes()
 
 
 def test_a_descent_without_a_catalog_says_so(pictures: Path, tmp_path: Path) -> None:

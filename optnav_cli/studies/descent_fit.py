@@ -1,0 +1,297 @@
+"""Fit the sizes of the errors of a descent's windows, and score them on other ground.
+
+The windows of all frames of a flight are matched from their true poses: what is left is their
+error. The sizes in FILE are those under which all errors of the flights together are likeliest: of
+the ground, the same in each frame that shows it, alike where windows share ground and, in a part,
+in all of a flight; and fresh ones. A prior holds sizes at the present ones where the flights say
+nothing. Fitted with the model of the truth, with one that is wrong, and with a 12 m model.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from catalog.arrays import BoolArray, FloatArray, IndexArray
+from catalog.config import resource, toml_text
+from catalog.errors import NothingToDoError
+from catalog.files import check_file, starts_with, write_output
+from catalog.places import make_folder
+from catalog.progress import Progress
+from optnav_cli.estimation.descent_filter import GATE
+from optnav_cli.estimation.models.points import Pose, predict
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.truth import read_truth
+from optnav_cli.matching.picture_pyramid import PicturePyramid
+from optnav_cli.navigation.control_points.expectation import FrameContext
+from optnav_cli.navigation.descent_state import (
+    FILE,
+    DescentErrorSizes,
+    WindowGround,
+    shipped_sizes,
+    sunward_shift_px,
+    window_ground,
+)
+from optnav_cli.navigation.descent_windows import (
+    WindowField,
+    WindowKey,
+    choose_windows,
+    match_window,
+    overlap,
+)
+from optnav_cli.navigation.observation import observation_of
+from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
+from optnav_cli.runs.inputs import open_ground
+from optnav_cli.studies.descent_flights import Way, catalog_of, pictures_of
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
+
+# Grounds that sizes are fitted with, and one that only scores; seeds of the wrong models of both.
+FITTED, HELD = (0,), (2,)
+FITTED_WRONG, HELD_WRONG = 4, 3
+SEARCHED_M = 20.0  # 1 sigma of the true position, for the search
+PRIOR, MAX_FACTOR = float(np.log(2.0)), 8.0
+MIN_DROP = 0.5  # of the logarithm, by halving or doubling: below it a size stays
+MAX_SHARE = 0.9
+KEPT = ("landmark_px", "landmark_height_postings")  # no sizes of windows
+SHARES = ("common", "fresh_share")
+BEGINNING = b"# How far a window of the terrain model"
+
+
+@dataclass(frozen=True, eq=False)
+class FlightErrors:
+    """Errors of the windows of a flight from its true poses.
+
+    grounds      (k) windows;  overlaps (k, k) correlation of their errors by common ground
+    of_window    (n,) which of them each sighting is of
+    missed_px    (n, 2) measured less predicted;  sunward_px (n, 2) by a unit of sunward_postings
+    by_ground    (n, 2, 3) derivative of the pixel by the ground's place
+    left_px2     (n, 2, 2) what each match leaves over
+    """
+
+    case: str
+    grounds: Sequence[WindowGround]
+    overlaps: FloatArray
+    of_window: IndexArray
+    missed_px: FloatArray
+    sunward_px: FloatArray
+    by_ground: FloatArray
+    left_px2: FloatArray
+
+    def subset(self, kept: BoolArray) -> "FlightErrors":
+        """Some of the sightings."""
+        names = ("of_window", "missed_px", "sunward_px", "by_ground", "left_px2")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
+    def errors(self, sizes: DescentErrorSizes) -> tuple[FloatArray, FloatArray]:
+        """What was missed (2 n,), px, and its covariance (2 n, 2 n) by some sizes."""
+        missed = self.missed_px - sizes.sunward_postings * self.sunward_px
+        roots = np.array([ground.error(sizes).root_m for ground in self.grounds])
+        moved = (self.by_ground @ roots[self.of_window]).reshape(-1, 3)
+        ties = sizes.common + (1.0 - sizes.common) * self.overlaps
+        ties = ties[np.ix_(self.of_window, self.of_window)]
+        covariance = (moved @ moved.T) * np.kron(ties, np.ones((2, 2)))
+        fresh = sizes.fresh_px**2 * np.eye(2) + sizes.fresh_share * self.left_px2
+        for k, own in enumerate(fresh):
+            covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own
+        return missed.ravel(), covariance
+
+
+def run(
+    progress: Progress, folder: Path, rows: str = "", output: Path | None = None
+) -> "DescentFitResult":
+    """Fit the sizes; a TOML file with them goes to `output`.
+
+    folder  of `optnav study descent`, whose catalogs and pictures are used again
+    rows    only flights whose name contains this
+    """
+    if output is not None:
+        check_file(output, starts_with(BEGINNING))
+    make_folder(folder)
+    fit = _gathered(folder, FITTED, FITTED_WRONG, rows, progress)
+    held = _gathered(folder, HELD, HELD_WRONG, rows, progress)
+    if not fit:
+        raise NothingToDoError(f"no flight to fit with is called '{rows}'")
+    old = shipped_sizes()
+    new = fitted(fit, old)
+    if output is not None:
+        text = with_sizes(toml_text(resource(FILE)), new)
+        write_output(output, text.encode(), starts_with(BEGINNING))
+    return DescentFitResult(old, new, fit, held)
+
+
+def _gathered(
+    folder: Path, grounds: Sequence[int], wrong: int, rows: str, progress: Progress
+) -> list[FlightErrors]:
+    cases = {"118 m": (Way.LONG, 0), "118 m, wrong": (Way.LONG, wrong), "12 m": (Way.FINE, 0)}
+    found = []
+    for ground in grounds:
+        for case, (way, seed) in cases.items():
+            name = f"{case}, ground {ground}"
+            if rows in name:
+                pictures = pictures_of(folder, ground, way, progress)
+                catalog = catalog_of(folder, pictures, progress, wrong=seed)
+                found.append(gathered(name, pictures, catalog, progress))
+    return found
+
+
+def gathered(case: str, pictures: Path, catalog: Path, progress: Progress) -> FlightErrors:
+    """The windows of a flight, matched from its true poses, without wrong matches."""
+    worker = FrameWorker(RunInputs(pictures, [catalog]))
+    grounds: dict[WindowKey, WindowGround] = {}
+    rows: list[tuple[WindowKey, FloatArray, FloatArray, FloatArray, FloatArray]] = []
+    try:
+        folder, inputs = worker.folder, worker.inputs
+        field = open_ground(worker.catalogs, folder.body)
+        truths = read_truth(pictures / "truth.csv", folder.attitude)
+        if field is None:
+            raise NothingToDoError(f"{catalog}: has no patches")
+        windows, known = WindowField(field, truths[-1].position_m), list[WindowKey]()
+        with progress.stage(f"match {case}", len(truths), "frame") as bar:
+            for frame, truth in zip(folder.frames, truths, strict=True):
+                camera = folder.cameras[frame.camera]
+                picture = load_picture(folder.picture_path(frame), camera)
+                seen = observation_of(frame, camera, picture)
+                values = PicturePyramid(picture.values)
+                context = FrameContext(seen, values, field, inputs.settings, inputs.matcher)
+                pose = Pose(truth.position_m, truth.camera_from_body)
+                chosen = choose_windows(context, pose, windows, known)
+                known = []
+                for window in chosen:
+                    pixel, by_pose = predict(camera, pose, window.place_m[None])
+                    by_position = by_pose[0, :, :3]
+                    sigma = SEARCHED_M * float(np.linalg.norm(by_position, 2))
+                    match = match_window(context, pose, window, sigma)
+                    if match.reason or match.pixel is None or match.covariance_px2 is None:
+                        continue
+                    known.append(window.key)
+                    if window.key not in grounds:
+                        grounds[window.key] = window_ground(window, match, by_position)
+                    place, posting, sun = window.place_m, window.posting_m, context.sun_body
+                    shift = sunward_shift_px(place, posting, by_position, sun)
+                    left = match.covariance_px2
+                    rows.append((window.key, match.pixel - pixel[0], shift, -by_position, left))
+                bar.advance()
+    finally:
+        worker.close()
+    if not rows:
+        raise NothingToDoError(f"{case}: no window was found")
+    keys = list(grounds)
+    overlaps = np.array([[overlap(one, other) for other in keys] for one in keys])
+    numbers: IndexArray = np.array([keys.index(row[0]) for row in rows])
+    parts = (np.array(part, np.float64) for part in list(zip(*rows, strict=True))[1:])
+    flight = FlightErrors(case, list(grounds.values()), overlaps, numbers, *parts)
+    missed, covariance = flight.errors(shipped_sizes())
+    each = missed.reshape(-1, 2)
+    count = len(each)
+    own = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
+    squares = np.einsum("ni,nij,nj->n", each, np.linalg.inv(own), each)
+    return flight.subset(squares < GATE)
+
+
+def log_likelihood(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> float:
+    """Of the errors of all windows, logarithm, less what no size changes."""
+    total = 0.0
+    for flight in flights:
+        missed, covariance = flight.errors(sizes)
+        factored = cho_factor(covariance, lower=True)
+        determinant = 2.0 * float(np.log(np.diag(factored[0])).sum())
+        total -= 0.5 * (float(missed @ cho_solve(factored, missed)) + determinant)
+    return total
+
+
+def scaled(sizes: DescentErrorSizes, factors: Mapping[str, float]) -> DescentErrorSizes:
+    """The sizes with some, by their names, multiplied; shares stay below MAX_SHARE."""
+    changed = {name: getattr(sizes, name) * factor for name, factor in factors.items()}
+    changed |= {name: min(changed[name], MAX_SHARE) for name in SHARES if name in changed}
+    return msgspec.structs.replace(sizes, **changed)
+
+
+def drops(
+    flights: Sequence[FlightErrors], sizes: DescentErrorSizes
+) -> dict[str, tuple[float, float]]:
+    """By how much halving and doubling each size lowers the logarithm of the likelihood."""
+    best = log_likelihood(flights, sizes)
+    names = [name for name in sizes.__struct_fields__ if name not in KEPT]
+
+    def drop(name: str, factor: float) -> float:
+        return best - log_likelihood(flights, scaled(sizes, {name: factor}))
+
+    return {name: (drop(name, 0.5), drop(name, 2.0)) for name in names}
+
+
+def fitted(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> DescentErrorSizes:
+    """The likeliest sizes, of those on which the flights depend."""
+    found = drops(flights, sizes)
+    names = [name for name, pair in found.items() if max(map(abs, pair)) > MIN_DROP]
+
+    def cost(logs: FloatArray) -> float:
+        trial = scaled(sizes, dict(zip(names, np.exp(logs).tolist(), strict=True)))
+        return -log_likelihood(flights, trial) + 0.5 * float(((logs / PRIOR) ** 2).sum())
+
+    limit = float(np.log(MAX_FACTOR))
+    best = minimize(
+        cost, np.zeros(len(names)), method="L-BFGS-B", bounds=[(-limit, limit)] * len(names),
+        options={"maxiter": 20, "ftol": 1e-6},
+    )  # fmt: skip
+    return scaled(sizes, dict(zip(names, np.exp(best.x).tolist(), strict=True)))
+
+
+def with_sizes(text: str, sizes: DescentErrorSizes) -> str:
+    """The text of the shipped sizes' file with other values, to two digits; comments stay."""
+    old, lines = shipped_sizes(), []
+    for line in text.splitlines():
+        name, _, _ = line.partition(" = ")
+        if name in old.__struct_fields__ and getattr(sizes, name) != getattr(old, name):
+            line = f"{name} = {getattr(sizes, name):.2g}"
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class DescentFitResult:
+    """Sizes before and after, and the flights that they were fitted with and are scored on."""
+
+    old: DescentErrorSizes
+    new: DescentErrorSizes
+    fit: Sequence[FlightErrors]
+    held: Sequence[FlightErrors]
+
+
+SIZES = columns(
+    "size; old .3g; new .3g; half = halved, drop .1f; twice = doubled, drop .1f; fitted"
+)
+SCORES = columns(
+    "flight; ground; windows; square_old = square a degree, old .2f; "
+    "square_new = square a degree, new .2f"
+)
+
+
+def report(result: DescentFitResult) -> StudyReport:
+    """The sizes with what halving and doubling the new ones costs, and squares of the errors."""
+    old, new = result.old, result.new
+    sizes: list[tuple[Cell, ...]] = [
+        (name, getattr(old, name), getattr(new, name), *pair,
+         "yes" if getattr(old, name) != getattr(new, name) else "no")
+        for name, pair in drops(result.fit, new).items()
+    ]  # fmt: skip
+    scores: list[tuple[Cell, ...]] = []
+    for ground, flights in (("fitted with", result.fit), ("held back", result.held)):
+        for flight in flights:
+            squares = [_square(flight, each) for each in (old, new)]
+            scores.append((flight.case, ground, len(flight.missed_px), *squares))
+    note = (
+        f"logarithms of the likelihood; sizes that change it by less than {MIN_DROP} by halving "
+        "and doubling stay; square of all errors of a flight over their joint covariance"
+    )
+    tables = StudyTable("Sizes", SIZES, tuple(sizes)), StudyTable("Scores", SCORES, tuple(scores))
+    return StudyReport(tables, (note,))
+
+
+def _square(flight: FlightErrors, sizes: DescentErrorSizes) -> float:
+    """Squared errors over their joint covariance, a degree of freedom."""
+    missed, covariance = flight.errors(sizes)
+    return float(missed @ np.linalg.solve(covariance, missed)) / missed.size
