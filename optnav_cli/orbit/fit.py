@@ -95,7 +95,14 @@ class _Solver:
 
     def step(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc, float]:
         """The next trajectory, the linear solution, and its longest step in sigmas."""
-        arc, _ = self.problem.linearise(at, weights, self._sigmas)
+        try:
+            arc, _ = self.problem.linearise(at, weights, self._sigmas)
+        except NoSolutionError as error:
+            first, last = _utc(self.problem, 0), _utc(self.problem, -1)
+            raise NoSolutionError(
+                f"the fixes from {first} to {last} fit no one orbit ({error}); see that they are "
+                "of one flight, and fit parts of it"
+            ) from error
         found = self.solve(arc)
         self.steps += 1
         deltas = found.deviations[:, :, 0]
@@ -125,8 +132,8 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
     """Fit. Raises NoSolutionError where the fixes fit no orbit, with the test that says so."""
     if len(problem.fixes) < MIN_FIXES and not problem.priors:
         raise NoSolutionError(
-            f"{len(problem.fixes)} fixes leave the orbit open; wanted {MIN_FIXES} or more, or a "
-            "[[prior]]"
+            f"too few fixes: {len(problem.fixes)} leave the orbit open; wanted {MIN_FIXES} or "
+            "more, or a [[prior]]"
         )
     solver = _Solver(problem, model)
     at, weights = _start(problem, solver)

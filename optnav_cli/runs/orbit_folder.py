@@ -37,6 +37,7 @@ from optnav_cli.output.tables import write_solutions
 log = logging.getLogger(__name__)
 
 MAX_FIXES = 20_000
+DEEPEST = 0.9  # of the least radius: no fix is deeper, whatever its error
 MIN_SIGMA_M = 1e-4  # what the columns of positions resolve
 
 
@@ -176,6 +177,11 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
         raise DataError(
             f"{where}: its covariance is below the digits of its position, {MIN_SIGMA_M:g} m; "
             "navigate again"
+        )
+    if float(np.linalg.norm(position)) < DEEPEST * min(run.attitude.body.radii_m):
+        raise DataError(
+            f"{where}: its position lies inside {run.attitude.body.name}; see that run.toml names "
+            "the right body, or navigate again"
         )
     try:
         time = utc_to_tdb_s(solution.utc)

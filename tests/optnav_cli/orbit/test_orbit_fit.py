@@ -65,8 +65,15 @@ def test_fixes_of_two_flights_do_not_close(lunar):
         fitted([*lunar.fixes[:10], *other.fixes[10:]])
 
 
+def test_places_at_random_are_no_orbit(lunar):
+    rng = np.random.default_rng(1)
+    wrong = [replace(f, position_m=2e6 * rng.normal(size=3)) for f in lunar.fixes]
+    with pytest.raises(NoSolutionError, match=r"the fixes from 2022.* fit no one orbit"):
+        fitted(wrong)
+
+
 def test_two_fixes_leave_an_orbit_open(lunar):
-    with pytest.raises(NoSolutionError, match="2 fixes leave the orbit open"):
+    with pytest.raises(NoSolutionError, match="too few fixes: 2 leave the orbit open"):
         fitted(lunar.fixes[:2])
 
 

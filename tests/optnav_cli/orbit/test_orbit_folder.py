@@ -115,11 +115,12 @@ def with_cell(column, text):
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [
-        (lambda lines: lines[:3], 4, "2 fixes leave the orbit open"),
+        (lambda lines: lines[:3], 4, "too few fixes: 2 leave"),
         (lambda lines: [*lines[:5], lines[4]], 3, "stands there twice"),
         (lambda lines: [*lines[:5], lines[5][:40]], 3, "the row has"),
         (lambda lines: [x.replace(",solved,", ",unsolved,") for x in lines], 4, "no frame is solv"),
         (with_cell("x_m", "nan"), 3, "x_m is nan"),
+        (with_cell("x_m", "1.0"), 3, "lies inside moon"),
         (with_cell("cov_xx_m2", ""), 3, "cov_xx_m2 is empty"),
         (with_cell("cov_xx_m2", "-1"), 3, "not positive definite"),
         (with_cell("utc", "yesterday"), 3, "time 'yesterday' is not understood"),
