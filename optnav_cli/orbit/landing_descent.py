@@ -148,10 +148,15 @@ class VerticalDescent:
         found[:, range(BEAMS), range(BEAMS)] += 0.01 * surface.near_error_m**2 + 1e-4
         return found
 
+    def _height(self) -> FloatArray:
+        """(n,) over the ground below as model and filter have it: it slopes about the target."""
+        over = self._model.height(self._body(self._xhat[:, :3])) - self._xhat[:, 6:].mean(axis=1)
+        return np.where(np.isfinite(over), over, self._xhat[:, 2])
+
     def _wanted(self) -> FloatArray:
         """The velocity (n, 3) that leads to the target."""
         section, beams = self._settings.landing, self._settings.beams
-        height = np.maximum(self._xhat[:, 2], 0.0)
+        height = np.maximum(self._height(), 0.0)
         share = np.sqrt(np.minimum(height / beams.to_m, 1.0))
         speed = np.maximum(section.descent_m_s * share, section.touchdown_m_s)
         togo = np.maximum(height / section.descent_m_s, 2.0 * CONTROL_S)
@@ -165,7 +170,7 @@ class VerticalDescent:
         """Change velocities towards the wanted ones, with the errors of engines."""
         errors = self._settings.errors
         change = wanted - self._xhat[:, 3:6]
-        low = self._xhat[:, 2] < LAST_M
+        low = self._height() < LAST_M
         change[low, :2] = 0.0
         size = np.linalg.norm(change, axis=1)
         due = due & (size > DEAD_M_S)
@@ -214,7 +219,8 @@ class VerticalDescent:
         beams = self._settings.beams
         height = self._x[:, 2]
         if step % beams.near_every_s == 0:
-            self._range(flying & (height > beams.to_m))
+            # below the altimeter's last height the ranges are the Doppler radar's
+            self._range(flying & (height > min(LAST_M, beams.to_m)))
         near = flying & (height < beams.doppler_from_m)
         if near.any():
             noise = beams.doppler_noise_m_s * self._rng.normal(size=(len(height), BEAMS))

@@ -4,6 +4,7 @@ from tests.fuzz.kinds import (
     catalogs,
     command_lines,
     configs,
+    designs,
     faults,
     kernels,
     labels,
@@ -19,6 +20,6 @@ from tests.fuzz.kinds import (
 )
 
 MODULES = (
-    catalogs, command_lines, configs, faults, kernels, labels, landings, meshes, orbits, pictures,
-    places, rasters, runs, surroundings, tables,
+    catalogs, command_lines, configs, designs, faults, kernels, labels, landings, meshes, orbits,
+    pictures, places, rasters, runs, surroundings, tables,
 )  # fmt: skip

@@ -36,6 +36,16 @@ CAMERA = (
     f'name = "cam"\nmodel = "pinhole"\nwidth_px = {SIDE_PX}\nheight_px = {SIDE_PX}\n'
     f"focal_length_px = 90.0\nprincipal_point_px = [{SIDE_PX / 2 - 0.5}, {SIDE_PX / 2 - 0.5}]\n"
 )
+DESIGNS = {
+    "qso.toml": '[qso]\ntime = "2026-01-01T00:00:00Z"\ndistance_km = 55.0\ndays = 1.0\n',
+    "landing.toml": '[landing]\ntime = "2026-01-01T07:23:25Z"\ntarget_lat_deg = 0.0\n'
+    "target_lon_deg = 90.0\ntrials = 1\n[beams]\nevery_s = 120.0\n",
+    "delivery.toml": '[delivery]\ntarget = "moon"\ncentre = "earth"\n'
+    'start = "2026-03-01T00:00:00Z"\n'
+    "position_km = [6211.415694521102, 1778.842276298046, 1196.6938730985983]\n"
+    "velocity_km_s = [-2.925287714986544, 9.809453411389116, 3.8147083990865895]\n"
+    "corrections_days = [1.0, 3.0]\ntrials = 200\n[optical]\nevery_s = 20000.0\n",
+}
 LIMB_CAMERA = (
     'name = "wide"\nmodel = "kannala_brandt"\nwidth_px = 128\nheight_px = 128\n'
     "focal_length_px = 180.0\nprincipal_point_px = [63.5, 63.5]\n"
@@ -238,6 +248,7 @@ def _write_inputs() -> None:
         "hazard.toml": "pad_m = 4.0\nsquare_m = 8.0\n",
         "calibrate.toml": CALIBRATE,
         "orbit.toml": ORBIT,
+        **DESIGNS,
         **{f"{name}.toml": text for name, text in SCENARIOS.items()},
     }
     for name, text in texts.items():
