@@ -59,6 +59,7 @@ COMMANDS = {
     "calibrate": Entry(f"{_HERE}.calibrate", "Calibrate cameras in flight by control points."),
     "stars": Entry(f"{_HERE}.stars", "Attitudes from the stars in pictures."),
     "stereo": Entry(f"{_HERE}.stereo", "Height and side velocity from two cameras on a base."),
+    "cylinder": Entry(f"{_HERE}.cylinder", "Distance and light angle by a lit cylinder."),
     "orbit": Entry(f"{_HERE}.orbit", "Orbits through fixes, and what follows from them."),
     "slopes": Entry(f"{_HERE}.hazard", "How steep a terrain model is.", "slopes"),
     "hazard": Entry(f"{_HERE}.hazard", "Map the risk of landing, choose pads.", "hazard"),

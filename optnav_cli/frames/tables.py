@@ -108,6 +108,7 @@ ATTITUDES = CsvTable(
 )
 
 TIMES = CsvTable((FILE, UTC), by_hand=True)
+TIMES_AND_CAMERAS = CsvTable((FILE, UTC, CAMERA))
 
 TRUTH = CsvTable(
     (
@@ -449,4 +450,32 @@ DELIVERY_ARRIVALS = CsvTable(
         *(_number(i, f"{w} less the aim's", u, ".6g", empty=False) for i, w, u in _AIM),
         _number("dv_m_s", "of all corrections", "m/s", ".6g", empty=False),
     )
+)
+
+CYLINDER = CsvTable(
+    (
+        *(FILE, UTC, STATUS),
+        _text("zone", "ok, full_face, crescent, glare or cut", empty=True),
+        _number("d_m", "from the camera to the cylinder's nearest surface", "m", "z.5f"),
+        _number("d_sigma_m", "its 1 sigma", "m", "z.5f"),
+        _number("theta_deg", "of the light at the axis from the camera; right: +", "deg", "z.4f"),
+        _number("theta_sigma_deg", "its 1 sigma", "deg", "z.4f"),
+        _number("bearing_deg", "of the axis from the boresight, to the right", "deg", "z.4f"),
+        _number("vx_m_s", "velocity of the camera to the light", "m/s", "z.5f"),
+        _number("vy_m_s", "across, to where theta grows", "m/s", "z.5f"),
+        _number("v_sigma_m_s", "1 sigma of these, a component", "m/s", "z.5f"),
+        REASON,
+    )
+)
+
+CYLINDER_TRUTH = CsvTable(
+    (
+        *(FILE, UTC),
+        _number("d_m", "true distance to the nearest surface", "m", "z.5f", empty=False),
+        _number("theta_deg", "true angle of the light", "deg", "z.4f", empty=False),
+        _number("bearing_deg", "true bearing of the axis", "deg", "z.4f", empty=False),
+        _number("vx_m_s", "true velocity to the light", "m/s", "z.5f", empty=False),
+        _number("vy_m_s", "true velocity across", "m/s", "z.5f", empty=False),
+    ),
+    by_hand=True,
 )

@@ -15,6 +15,7 @@ from optnav_cli.output.run_folder import read_run
 from optnav_cli.report import page, sheet
 from optnav_cli.report.calibration_page import calibration_page, is_calibration
 from optnav_cli.report.catalog_page import catalog_page
+from optnav_cli.report.cylinder_plots import CYLINDER_KIND, cylinder_page, cylinder_sheet
 from optnav_cli.report.delivery_page import delivery_page, delivery_sheet
 from optnav_cli.report.error_plots import error_sheet
 from optnav_cli.report.hazard_page import hazard_page
@@ -25,6 +26,7 @@ from optnav_cli.report.run_page import run_page
 
 # Pages and pictures of output folders, by the kind that their manifest states.
 PAGES = {
+    CYLINDER_KIND: cylinder_page,
     HAZARD: hazard_page,
     ORBIT: orbit_page,
     QSO_KIND: qso_page,
@@ -32,6 +34,7 @@ PAGES = {
     DELIVERY_KIND: delivery_page,
 }
 SHEETS = {
+    CYLINDER_KIND: cylinder_sheet,
     ORBIT: orbit_sheet,
     QSO_KIND: qso_sheet,
     LANDING_KIND: landing_sheet,

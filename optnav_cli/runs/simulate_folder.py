@@ -22,6 +22,7 @@ from catalog.progress import Progress, SilentProgress, logged_stage
 from optnav_cli.camera.camera_file import camera_toml
 from optnav_cli.frames.tables import FRAMES, PICKED_POINTS
 from optnav_cli.output.manifest import is_finished, unfinished, versions, write_manifest
+from optnav_cli.simulation.cylinder import simulation_of
 from optnav_cli.simulation.run import Simulation, Taken, take
 from optnav_cli.simulation.scenario import load_scenario, scenario_copy
 from optnav_cli.simulation.scenario_base import ScenarioBase
@@ -60,7 +61,7 @@ def simulate_folder(
             origin = {"name": path.name, "sha256": hash_file(path)}
         else:
             origin = {"sha256": hashlib.sha256(scenario_copy(scenario)).hexdigest()}
-        simulation = Simulation(scenario)
+        simulation = simulation_of(scenario)
         key = _key(simulation, workspace)
         if is_finished(pictures, key):
             log.info("%s: is there already, from the same scenario", pictures)
@@ -99,13 +100,13 @@ def _take(
     progress: Progress,
 ) -> None:
     """Put all pictures into a folder, those of a stopped run first."""
-    numbers = [[number] for number in range(len(simulation.flight))]
+    numbers = [[number] for number in range(len(simulation.names))]
     with progress.stage(STAGE, len(numbers), "picture") as bar:
         made = results.make(take, simulation, numbers, workers, StageAccount(STAGE), bar)
         with closing(made):
             for number in made:
                 (taken,) = results.records(number) or take(simulation, [number])
-                file = simulation.flight[number].file
+                file = simulation.names[number]
                 (place / file).write_bytes(taken.data)
                 event: dict[str, object] = {"stage": STAGE, "frame": file, "status": "simulated"}
                 event |= {"method": None, "seconds": taken.seconds}

@@ -116,6 +116,11 @@ class Simulation:
             found.append(exposure)
         return found
 
+    @cached_property
+    def names(self) -> list[str]:
+        """The files of the pictures."""
+        return [exposure.file for exposure in self.flight]
+
     @property
     def attitude(self) -> Attitude:
         """Which rotation the quaternions of frames.csv and truth.csv are."""
@@ -138,7 +143,7 @@ class Simulation:
         around = self._surroundings[exposure.camera]
         sensor = self._sensors[exposure.camera]
         counts = expose(radiance, sensor, rng, around.besides(exposure, radiance))
-        return _png(around.with_hot_pixels(counts))
+        return png(around.with_hot_pixels(counts))
 
     def write_tables(self, folder: Path) -> None:
         """Write frames.csv, truth.csv, the cameras and the scenario into a folder."""
@@ -212,7 +217,8 @@ def _frame(exposure: Exposure, scenario: ScenarioBase, camera: str, start_s: flo
     )
 
 
-def _png(counts: Counts) -> bytes:
+def png(counts: Counts) -> bytes:
+    """Counts (rows, columns) as a PNG file."""
     # the strongest compression costs seconds a picture and saves a tenth
     done, data = cv2.imencode(".png", counts, [cv2.IMWRITE_PNG_COMPRESSION, 3])
     if not done:

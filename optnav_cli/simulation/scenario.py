@@ -15,6 +15,7 @@ from catalog.terrain.dem.file import SHARED, path_of
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import load_camera, preset_camera
 from optnav_cli.simulation.approach import Approach
+from optnav_cli.simulation.cylinder_scenario import CylinderScenario
 from optnav_cli.simulation.descent import Descent
 from optnav_cli.simulation.inertial_path import InertialPath
 from optnav_cli.simulation.passes import Portraits, Scenario
@@ -31,6 +32,7 @@ KINDS: dict[str, type[ScenarioBase]] = {
     "flight": InertialPath,
     "transfer": InertialPath,
     "stereo": StereoScenario,
+    "cylinder": CylinderScenario,
 }
 
 

@@ -205,7 +205,7 @@ def test_every_file_that_a_command_writes_has_its_endings() -> None:
     orbits = {"fit", "qso", "landing", "delivery"}
     makers = {
         *("simulate", "navigate", "demo", "import", "adjust"),
-        *("stereo", "stars", "hazard", "calibrate"),
+        *("stereo", "stars", "hazard", "calibrate", "cylinder"),
     }
     assert folders == (
         {((name,), "work") for name in stages}

@@ -1,0 +1,121 @@
+"""A cylinder run as plots and as a page: distance and light angle over time, and the path."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.errors import DataError
+from catalog.tables import CsvRow
+from optnav_cli.frames.tables import CYLINDER
+from optnav_cli.output.manifest import read_manifest
+from optnav_cli.output.wording import json_text
+from optnav_cli.report import page as html
+from optnav_cli.report.sheet import LegendEntry, Panel, sheet
+from optnav_cli.report.svg import HALF, Plot, PlotAxis, span
+
+CYLINDER_KIND, CYLINDER_CSV = "cylinder", "cylinder.csv"
+# zones, and how they are drawn
+ZONES = (("ok", "s1"), ("full_face", "s3"), ("crescent", "s2"), ("cut", "s5"), ("glare", "s4"))
+HEIGHT = 300
+HEADER = ("file", "zone", "d, m", "σ, mm", "θ, °", "σ, °", "v, mm/s", "σ, mm/s", "why not")
+
+
+def cylinder_page(folder: Path) -> str:
+    """The page. Raises DataError for a folder that lacks its table."""
+    manifest = read_manifest(folder)
+    rows = CYLINDER.rows(folder / CYLINDER_CSV)
+    solved = [row for row in rows if row["status"] == "solved"]
+    numbers = [(f"{len(solved)} of {len(rows)}", "pictures have a distance")]
+    keys = {f"k{kind[1]}": zone.replace("_", " ") for zone, kind in ZONES}
+    drawn = [panel.plot.svg(panel.description) for panel in _panels(rows, _radius(manifest))]
+    words = "Distance to the surface, angle of the light, and the path about the axis, light right."
+    sections = [
+        html.section("Result", html.tiles(numbers)),
+        html.section("Motion", html.figure(html.side_by_side("triple", drawn), words, keys)),
+        html.section("Pictures", html.table(HEADER, [_cells(row) for row in rows], 2)),
+        html.section("How it was made", html.listing(json_text(manifest))),
+    ]
+    return html.page("A lit cylinder", f"{len(rows)} pictures", sections)
+
+
+def cylinder_sheet(folder: Path) -> str:
+    """The three plots as a picture that stands alone."""
+    rows = CYLINDER.rows(folder / CYLINDER_CSV)
+    legend = [LegendEntry(kind, zone.replace("_", " "), line=False) for zone, kind in ZONES]
+    return sheet("A lit cylinder", legend, [list(_panels(rows, None))])
+
+
+def _panels(rows: Sequence[CsvRow], radius_m: float | None) -> list[Panel]:
+    solved = [row for row in rows if row["status"] == "solved"]
+    seconds = np.array([_seconds(row) for row in solved])
+    seconds = seconds - np.nanmin(seconds) if np.isfinite(seconds).any() else seconds
+    d_m, theta = (_column(solved, name) for name in ("d_m", "theta_deg"))
+    found = []
+    for values, name, label in (
+        (d_m, "d", "distance to the surface, m"),
+        (theta, "θ", "angle of the light, °"),
+    ):
+        axes = PlotAxis(span(seconds, 0.03), "seconds"), PlotAxis(span(values), label)
+        plot = Plot(*axes, width=HALF, height=HEIGHT)
+        plot.line(seconds, values, "muted thin")
+        _by_zone(plot, solved, seconds, values)
+        found.append(Panel(name, plot, f"{label} over time"))
+    reach = d_m + (radius_m or 0.0)
+    x, y = reach * np.cos(np.radians(theta)), reach * np.sin(np.radians(theta))
+    ends = (min(0.0, *x, 0.0), max(0.0, *x, 0.0)), (min(0.0, *y, 0.0), max(0.0, *y, 0.0))
+    plot = Plot(
+        PlotAxis(span(ends[0], 0.1), "towards the light, m"),
+        PlotAxis(span(ends[1], 0.1), "across, m"),
+        width=HALF,
+        height=HEIGHT,
+        equal=True,
+    )
+    turn = np.linspace(0.0, 2.0 * np.pi, 61)
+    radius = radius_m or 0.0
+    plot.area(radius * np.cos(turn), radius * np.sin(turn), "muted")
+    plot.marks([0.0], [0.0], "muted", "cross")
+    plot.line(x, y, "muted thin")
+    _by_zone(plot, solved, x, y)
+    return [*found, Panel("path", plot, "path of the camera about the axis")]
+
+
+def _by_zone(plot: Plot, rows: Sequence[CsvRow], x: FloatArray, y: FloatArray) -> None:
+    for zone, kind in ZONES:
+        chosen = [n for n, row in enumerate(rows) if (row["zone"] or "ok") == zone]
+        plot.marks(x[chosen], y[chosen], kind, "circle")
+
+
+def _seconds(row: CsvRow) -> float:
+    try:
+        return utc_to_tdb_s(row["utc"])
+    except DataError:
+        return float("nan")
+
+
+def _column(rows: Sequence[CsvRow], name: str) -> FloatArray:
+    values = [row.number(name) for row in rows]
+    return np.array([np.nan if value is None else value for value in values], np.float64)
+
+
+def _radius(manifest: dict[str, object]) -> float:
+    inputs = manifest.get("inputs")
+    radius = inputs.get("radius_m") if isinstance(inputs, dict) else None
+    return float(radius) if isinstance(radius, int | float) else 0.0
+
+
+def _cells(row: CsvRow) -> tuple[str, ...]:
+    def shown(name: str, form: str, scale: float = 1.0) -> str:
+        value = row.number(name)
+        return "" if value is None else format(scale * value, form)
+
+    speed = ""
+    if row["vx_m_s"]:
+        speed = f"{1e3 * np.hypot(row.number('vx_m_s') or 0.0, row.number('vy_m_s') or 0.0):.1f}"
+    return (
+        *(row["file"], row["zone"], shown("d_m", ".4f"), shown("d_sigma_m", ".2f", 1e3)),
+        *(shown("theta_deg", ".2f"), shown("theta_sigma_deg", ".2f")),
+        *(speed, shown("v_sigma_m_s", ".2f", 1e3), row["reason"]),
+    )

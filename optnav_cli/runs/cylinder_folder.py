@@ -1,0 +1,281 @@
+"""A folder of pictures of a lit cylinder to cylinder.csv: distance, light angle and velocity."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from catalog.arrays import Float32Array, FloatArray
+from catalog.errors import DataError, NoSolutionError, NothingToDoError
+from catalog.files import replacing_folder
+from catalog.places import check_apart
+from catalog.progress import Progress, logged_stage
+from optnav_cli.camera.camera import Camera
+from optnav_cli.frames.cylinder_folder import (
+    CylinderFolder,
+    CylinderRunSettings,
+    read_cylinder_folder,
+)
+from optnav_cli.frames.frames import Frame
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.tables import CYLINDER
+from optnav_cli.measurements.cylinder import (
+    CylinderSize,
+    half_width,
+    lit_edges,
+    seed_distance_and_angle,
+)
+from optnav_cli.measurements.cylinder_fit import CylinderFit, IdealLens, fit_cylinder
+from optnav_cli.measurements.cylinder_profile import measure_profile, seed_extent
+from optnav_cli.output.cylinder_overlay import cylinder_overlay
+from optnav_cli.output.manifest import hash_files, write_manifest
+from optnav_cli.output.overlay import overlay_path
+from optnav_cli.output.wording import table_lines
+from optnav_cli.report.cylinder_plots import CYLINDER_CSV, CYLINDER_KIND, cylinder_sheet
+
+STAGE = "cylinder"
+Formula = Literal["fit", "seed"]
+CRESCENT_PX, CRESCENT_SIGMA_DEG = 5.0, 3.0
+MAX_SIGMA_DEG = 15.0  # beyond it the angle is no number to trust
+GLARE_SHARE = 0.002  # of the pixels at full scale
+MAX_STEP_S = 60.0  # between pictures that a velocity is taken from
+
+
+@dataclass(frozen=True)
+class CylinderRow:
+    """A row of cylinder.csv; d m, theta and bearing deg; velocity m/s towards the light, across.
+
+    noise  (2, 2) covariance of distance m and theta rad by the noise of the picture alone
+    """
+
+    frame: Frame
+    zone: str = ""
+    d_m: float | None = None
+    d_sigma_m: float | None = None
+    theta_deg: float | None = None
+    theta_sigma_deg: float | None = None
+    bearing_deg: float | None = None
+    velocity: tuple[float, float, float] | None = None
+    reason: str = ""
+    noise: FloatArray | None = None
+
+    def cells(self) -> dict[str, object]:
+        """The row as the file has it."""
+        found: dict[str, object] = {"file": self.frame.file, "utc": self.frame.utc}
+        found |= {"zone": self.zone, "reason": self.reason}
+        found["status"] = "unsolved" if self.d_m is None else "solved"
+        for name in ("d_m", "d_sigma_m", "theta_deg", "theta_sigma_deg", "bearing_deg"):
+            found[name] = getattr(self, name)
+        if self.velocity is not None:
+            names = ("vx_m_s", "vy_m_s", "v_sigma_m_s")
+            found |= zip(names, self.velocity, strict=True)
+        return found
+
+
+def cylinder_folder(
+    folder: Path, output: Path, formula: Formula, progress: Progress
+) -> list[CylinderRow]:
+    """Measure all pictures of a folder and write OUTPUT with cylinder.csv, plots and overlays.
+
+    Raises ConfigError for a wrong run.toml or camera, DataError for a folder that cannot be used,
+    NothingToDoError, after the output is written, when no picture gives a distance.
+    """
+    started = datetime.now(UTC)
+    check_apart(output, [folder])
+    with logged_stage(STAGE):
+        read = read_cylinder_folder(folder)
+        with replacing_folder(output, CYLINDER_KIND) as place:
+            (place / "overlays").mkdir()
+            rows = []
+            with progress.stage(STAGE, len(read.frames), "picture") as bar:
+                for frame in read.frames:
+                    rows.append(_measured(read, frame, formula, place))
+                    bar.advance()
+            if formula == "fit":
+                rows = with_velocities(rows, read.settings.radius_m)
+            CYLINDER.write(place / CYLINDER_CSV, (row.cells() for row in rows))
+            (place / "cylinder.svg").write_text(cylinder_sheet(place), encoding="utf-8")
+            solved = sum(row.d_m is not None for row in rows)
+            write_manifest(
+                place,
+                CYLINDER_KIND,
+                command="cylinder",
+                options={"formula": formula},
+                inputs={
+                    "folder": folder,
+                    "radius_m": read.settings.radius_m,
+                    "pictures_sha256": hash_files(folder, [f.file for f in read.frames]),
+                },
+                results={"pictures": len(rows), "solved": solved},
+                started=started,
+            )
+    if not solved:
+        raise NothingToDoError(
+            f"{folder}: no picture gives a distance; the first says: {rows[0].reason}"
+        )
+    return rows
+
+
+def _measured(folder: CylinderFolder, frame: Frame, formula: Formula, place: Path) -> CylinderRow:
+    if frame.problem is not None:
+        return CylinderRow(frame, reason=frame.problem)
+    settings, camera = folder.settings, folder.cameras[frame.camera]
+    size, lens = CylinderSize(settings.radius_m, settings.height_m), ideal_lens(camera)
+    try:
+        picture = load_picture(folder.path / frame.file.replace("\\", "/"), camera)
+    except DataError as error:
+        return CylinderRow(frame, reason=str(error))
+    values, fit = rectified(picture.values, camera), None
+    try:
+        profile = measure_profile(values, picture.saturation)
+        if formula == "seed":
+            height_px, width_px = seed_extent(profile)
+            angles = height_px / lens.focal_y_px, width_px / lens.focal_x_px
+            d_m, theta = seed_distance_and_angle(*angles, size)
+            row = CylinderRow(frame, "", d_m, None, math.degrees(theta))
+        else:
+            fit = fit_cylinder(profile, lens, size)
+            row = _row(frame, fit, profile.cut, camera, settings)
+    except NoSolutionError as error:
+        row = _unsolved(frame, values, picture.saturation, str(error))
+    words = "unsolved" if row.d_m is None else f"d {row.d_m:.4f} m, theta {row.theta_deg:.2f} deg"
+    drawn = cylinder_overlay(values, fit, lens, size, f"{words} {row.zone}")
+    overlay_path(place / "overlays", frame.file).write_bytes(drawn)
+    return row
+
+
+def _unsolved(
+    frame: Frame, values: Float32Array, saturation: float | None, reason: str
+) -> CylinderRow:
+    """The row of a picture without a number; full pixels mean that the source is in view."""
+    full = saturation is not None and float((values >= saturation).mean()) > GLARE_SHARE
+    if full:
+        reason = f"the source of light or its flare is in view; {reason}"
+    return CylinderRow(frame, "glare" if full else "", reason=reason)
+
+
+def _row(
+    frame: Frame,
+    fit: CylinderFit,
+    cut: Sequence[str],
+    camera: Camera,
+    settings: CylinderRunSettings,
+) -> CylinderRow:
+    sigma_m, _, sigma = (float(s) for s in np.sqrt(np.diag(fit.covariance)))
+    zone = zone_of(fit, cut, camera, settings)
+    sigma_deg, reason = math.degrees(sigma), ""
+    if cut:
+        reason = f"the lit part touches the picture's {', '.join(cut)} edge"
+    if sigma_deg > MAX_SIGMA_DEG:
+        return CylinderRow(frame, zone, reason="the angle of the light is open; " + reason)
+    return CylinderRow(
+        frame,
+        zone,
+        fit.distance_m - settings.radius_m,
+        sigma_m,
+        math.degrees(fit.theta),
+        sigma_deg,
+        math.degrees(fit.bearing),
+        reason=reason,
+        noise=fit.noise[np.ix_([0, 2], [0, 2])],
+    )
+
+
+def zone_of(
+    fit: CylinderFit, cut: Sequence[str], camera: Camera, settings: CylinderRunSettings
+) -> str:
+    """Where the camera stands to the light, in the words of cylinder.csv."""
+    if cut:
+        return "cut"
+    lens, radius = ideal_lens(camera), settings.radius_m
+    half_field = math.atan(0.5 * camera.width_px / lens.focal_x_px)
+    source = math.radians(settings.light_half_width_deg)
+    if abs(fit.theta) > math.pi - half_field - source:
+        return "glare"
+    if abs(fit.theta) <= half_width(radius, fit.distance_m):
+        return "full_face"
+    left, right = lit_edges(fit.theta, radius, fit.distance_m)
+    width = lens.focal_x_px * (math.tan(fit.bearing + right) - math.tan(fit.bearing + left))
+    sigma_deg = math.degrees(math.sqrt(fit.covariance[2, 2]))
+    return "crescent" if width < CRESCENT_PX or sigma_deg > CRESCENT_SIGMA_DEG else "ok"
+
+
+def ideal_lens(camera: Camera) -> IdealLens:
+    """The camera without its distortion."""
+    focal = camera.focal_length_px
+    return IdealLens(focal, focal * camera.aspect, *camera.principal_point_px)
+
+
+def rectified(values: Float32Array, camera: Camera) -> Float32Array:
+    """A picture with the distortion of its lens taken out, by OpenCV."""
+    if camera.distortion == "none":
+        return values
+    lens = ideal_lens(camera)
+    matrix = np.array(
+        [
+            [lens.focal_x_px, 0.0, lens.centre_x_px],
+            [0.0, lens.focal_y_px, lens.centre_y_px],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    return cv2.undistort(values, matrix, np.array(camera.coefficients)).astype(np.float32)
+
+
+def with_velocities(rows: Sequence[CylinderRow], radius_m: float) -> list[CylinderRow]:
+    """Rows with velocities by three neighbours in time: a line at their middle, or a parabola.
+
+    The positions are those of the camera about the axis: x towards the light, y where theta grows.
+    Errors that neighbours have in common, of cloth and lens, drop out, so that the noise of the
+    pictures alone makes the sigma.
+    """
+    found = list(rows)
+    usable = [
+        n for n, row in enumerate(rows) if row.noise is not None and row.frame.tdb_s is not None
+    ]
+    usable.sort(key=lambda n: rows[n].frame.tdb_s or 0.0)
+    for k, number in enumerate(usable):
+        first = min(max(k - 1, 0), len(usable) - 3)
+        if first < 0:
+            break
+        three = [rows[n] for n in usable[first : first + 3]]
+        times = np.array([row.frame.tdb_s or 0.0 for row in three])
+        times = times - (rows[number].frame.tdb_s or 0.0)
+        if np.diff(times).min() <= 0.0 or np.diff(times).max() > MAX_STEP_S:
+            continue
+        # the slope of the parabola through three points at the time of the row
+        weights = np.linalg.inv(np.vander(times, 3, increasing=True))[1]
+        velocity, variance = np.zeros(2), 0.0
+        for row, weight in zip(three, weights, strict=True):
+            place, spread = _place(row, radius_m)
+            velocity += weight * place
+            variance += weight**2 * float(np.trace(spread)) / 2.0
+        vx, vy = (float(speed) for speed in velocity)
+        found[number] = replace(rows[number], velocity=(vx, vy, math.sqrt(variance)))
+    return found
+
+
+def _place(row: CylinderRow, radius_m: float) -> tuple[FloatArray, FloatArray]:
+    """Position (2,), m, of a solved row and its covariance (2, 2)."""
+    distance, theta = (row.d_m or 0.0) + radius_m, math.radians(row.theta_deg or 0.0)
+    cosine, sine = math.cos(theta), math.sin(theta)
+    jacobian = np.array([[cosine, -distance * sine], [sine, distance * cosine]])
+    noise = np.eye(2) if row.noise is None else row.noise
+    return distance * np.array([cosine, sine]), jacobian @ noise @ jacobian.T
+
+
+def cylinder_lines(rows: Sequence[CylinderRow]) -> list[str]:
+    """A summary for people."""
+    table: list[tuple[str, ...]] = [("picture", "zone", "d, m", "sigma", "theta, deg", "sigma", "")]
+    for row in rows:
+        numbers = (row.d_m, row.d_sigma_m, row.theta_deg, row.theta_sigma_deg)
+        shown = (
+            "" if number is None else f"{number:.{digits}f}"
+            for number, digits in zip(numbers, (4, 4, 2, 2), strict=True)
+        )
+        table.append((row.frame.file, row.zone, *shown, row.reason))
+    return table_lines(table, left=(0, 1, 6))

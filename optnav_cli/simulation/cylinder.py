@@ -1,0 +1,93 @@
+"""The pictures of a [cylinder] scenario, and the tables that go with them."""
+
+import math
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.bodies.epochs import tdb_s_after, utc_from_tdb_s
+from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.frames.run_settings import RUN_TOML
+from optnav_cli.frames.tables import CYLINDER_TRUTH, TIMES_AND_CAMERAS
+from optnav_cli.simulation.cylinder_picture import draw_cylinder, source_glare
+from optnav_cli.simulation.cylinder_scenario import CylinderScenario
+from optnav_cli.simulation.run import SENSOR, Simulation, png
+from optnav_cli.simulation.scenario import scenario_copy
+from optnav_cli.simulation.scenario_base import ScenarioBase
+from optnav_cli.simulation.sensor import Besides, expose
+
+
+class CylinderSimulation(Simulation):
+    """The pictures of a cylinder; the truth is in terms of the light, not of a body."""
+
+    def __init__(self, scenario: CylinderScenario) -> None:
+        super().__init__(scenario)
+        self._own = scenario
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return CylinderSimulation, (self._own,)
+
+    def files(self) -> list[Path]:
+        return []
+
+    @cached_property
+    def _states(self) -> FloatArray:
+        return self._own.states()
+
+    @cached_property
+    def names(self) -> list[str]:
+        return [f"frame_{number:04d}.png" for number in range(len(self._states))]
+
+    def picture(self, number: int) -> bytes:
+        one, camera = self._own.cylinder, self.cameras[0]
+        _, distance, theta, _, _ = (float(value) for value in self._states[number])
+        axis = math.radians(one.bearing_deg)
+        place = (distance, axis, theta)
+        light = draw_cylinder(camera, (one.radius_m, one.height_m), place, one.surface)
+        glare = source_glare(camera, axis, theta, one.surface)
+        rng = np.random.default_rng([self._own.seed, SENSOR, number])
+        return png(expose(light, self._own.sensor, rng, Besides(veil=glare)))
+
+    def write_tables(self, folder: Path) -> None:
+        one, camera = self._own.cylinder, self.cameras[0]
+        text = f'target = "cylinder"\nradius_m = {one.radius_m!r}\nheight_m = {one.height_m!r}\n'
+        text += f"light_half_width_deg = {one.surface.light_half_width_deg!r}\n"
+        (folder / RUN_TOML).write_text(text, encoding="utf-8")
+        (folder / "cameras").mkdir(exist_ok=True)
+        (folder / "cameras" / f"{camera.name}.toml").write_text(
+            camera_toml(camera), encoding="utf-8"
+        )
+        times = [
+            utc_from_tdb_s(float(time), 3)
+            for time in tdb_s_after(one.start_utc, self._states[:, 0])
+        ]
+        heads = [{"file": name, "utc": utc} for name, utc in zip(self.names, times, strict=True)]
+        TIMES_AND_CAMERAS.write(
+            folder / "frames.csv", ({**head, "camera": camera.name} for head in heads)
+        )
+        CYLINDER_TRUTH.write(
+            folder / "truth.csv",
+            (
+                {
+                    **head,
+                    "d_m": distance - one.radius_m,
+                    "theta_deg": math.degrees(theta),
+                    "bearing_deg": one.bearing_deg,
+                    "vx_m_s": vx,
+                    "vy_m_s": vy,
+                }
+                for head, (_, distance, theta, vx, vy) in zip(
+                    heads, self._states.tolist(), strict=True
+                )
+            ),
+        )
+        (folder / "scenario.json").write_bytes(scenario_copy(self._own))
+
+
+def simulation_of(scenario: ScenarioBase) -> Simulation:
+    """The simulation of a scenario of any kind."""
+    if isinstance(scenario, CylinderScenario):
+        return CylinderSimulation(scenario)
+    return Simulation(scenario)

@@ -1,0 +1,158 @@
+"""A lit upright cylinder before a dark background, drawn point by point: the truth of trials.
+
+It is not the model of the fit: the cloth may be rough (Oren and Nayar, SIGGRAPH 1994, the
+qualitative model), gloss is a lobe about the half vector in space, and the source is a disc of some
+width that stands higher than the camera.
+"""
+
+import math
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from catalog.arrays import Float32Array, FloatArray
+from optnav_cli.camera.camera import Camera
+
+COLUMNS = 4  # drawn a pixel; limbs and ends of the strip are smoothed over one of them
+SOURCE_RAYS = 5  # across the source
+SOURCE_BRIGHTNESS = 60.0  # of the source in view, over the bright part of the strip
+
+Share = Annotated[float, Meta(ge=0.0, le=10.0)]
+Lobe = Annotated[float, Meta(ge=1.0, le=1000.0)]
+HalfAngle = Annotated[float, Meta(ge=0.0, le=20.0)]
+Elevation = Annotated[float, Meta(ge=-60.0, le=60.0)]
+Roughness = Annotated[float, Meta(ge=0.0, le=60.0)]
+
+
+class SurfaceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The strip, its light and what lies behind it.
+
+    reflectance     of the cloth without gloss
+    roughness_deg   of "oren_nayar": the scatter of its facets
+    gloss           of the lobe's peak over the cloth lit straight;  gloss_power  its exponent
+    ambient         light from all sides, as brightness of the strip over that of full light
+    background      brightness behind it, the same way
+    light_half_width_deg, light_elevation_deg  of the source, a disc far away
+    """
+
+    reflectance: Literal["lambert", "oren_nayar"] = "lambert"
+    roughness_deg: Roughness = 20.0
+    gloss: Share = 0.1
+    gloss_power: Lobe = 20.0
+    ambient: Share = 0.02
+    background: Share = 0.0
+    light_half_width_deg: HalfAngle = 2.0
+    light_elevation_deg: Elevation = 5.0
+
+
+def draw_cylinder(
+    camera: Camera,
+    size_m: tuple[float, float],
+    place: tuple[float, float, float],
+    surface: SurfaceSettings,
+    below_middle_m: float = 0.0,
+) -> Float32Array:
+    """Radiance (rows, columns) of a cylinder; 1 is the cloth lit straight.
+
+    size_m  radius, and height of the strip
+    place   distance of the axis, m, its bearing and the angle of the light, rad
+    below_middle_m  of the camera, from the middle of the strip
+    """
+    radius, height = size_m
+    distance, axis, theta = place
+    rows, columns = camera.shape
+    fine = (np.arange(columns * COLUMNS) + 0.5) / COLUMNS - 0.5
+    x, y = np.meshgrid(fine, np.arange(rows, dtype=np.float64))
+    rays = camera.unproject(np.stack([x, y], axis=-1))
+    flat = np.hypot(rays[..., 0], rays[..., 2])
+    bearing = np.arctan2(rays[..., 0], rays[..., 2]) - axis
+    slope = rays[..., 1] / flat  # down, a metre away
+    limb = math.asin(radius / distance)
+    # a limb falls off over one fine column, an end of the strip over one row
+    fine_step = np.abs(np.gradient(bearing, axis=1))
+    across = np.clip((limb - np.abs(bearing)) / fine_step + 0.5, 0.0, 1.0)
+    sine = np.clip(distance / radius * np.sin(bearing), -1.0, 1.0)
+    psi = np.arcsin(sine) - bearing
+    away = np.sqrt(distance**2 + radius**2 - 2.0 * distance * radius * np.cos(psi))
+    down = away * slope - below_middle_m  # of the seen point from the middle of the strip
+    row_step = np.abs(np.gradient(slope, axis=0)) * away
+    along = np.clip((0.5 * height - np.abs(down)) / row_step + 0.5, 0.0, 1.0)
+    light = _brightness(psi, bearing, slope, theta, surface)
+    cover = across * along
+    picture = cover * light + (1.0 - cover) * surface.background
+    mean: FloatArray = picture.reshape(rows, columns, COLUMNS).mean(axis=2)
+    return mean.astype(np.float32)
+
+
+def source_glare(
+    camera: Camera, axis: float, theta: float, surface: SurfaceSettings, falloff_deg: float = 4.0
+) -> Float32Array | None:
+    """The source in view and its flare (rows, columns), over the bright strip; None if it is not.
+
+    The source is seen at 180 deg less theta from the axis. Flare falls off by e over an angle.
+    """
+    at = axis + math.copysign(math.pi - abs(theta), theta)
+    up = math.radians(surface.light_elevation_deg)
+    to_light = np.array([math.cos(up) * math.sin(at), -math.sin(up), math.cos(up) * math.cos(at)])
+    rows, columns = camera.shape
+    pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+    rays = camera.unproject(pixels.astype(np.float64))
+    angle = np.degrees(np.arccos(np.clip(rays @ to_light, -1.0, 1.0)))
+    half = surface.light_half_width_deg
+    if float(angle.min()) > half + falloff_deg:
+        return None
+    veil = 0.5 * SOURCE_BRIGHTNESS * np.exp(-np.maximum(angle - half, 0.0) * 6.0 / falloff_deg)
+    flare: FloatArray = np.where(angle < half, SOURCE_BRIGHTNESS, veil)
+    return flare.astype(np.float32)
+
+
+def _brightness(
+    psi: FloatArray, bearing: FloatArray, slope: FloatArray, theta: float, surface: SurfaceSettings
+) -> FloatArray:
+    """Of points of the surface: psi and bearing from the axis, slope down to them."""
+    up = math.radians(surface.light_elevation_deg)
+    half = math.radians(surface.light_half_width_deg)
+    found = np.full(psi.shape, surface.ambient)
+    # chords of the disc at equal steps across it
+    places = (np.arange(SOURCE_RAYS) + 0.5) / SOURCE_RAYS * 2.0 - 1.0
+    shares = np.sqrt(1.0 - places**2)
+    shares /= shares.sum()
+    outgoing = 1.0 / np.sqrt(1.0 + slope**2)
+    emission = np.clip(outgoing * np.cos(psi + bearing), 1e-6, 1.0)
+    for place, share in zip(places, shares, strict=True):
+        turn = psi - theta - half * place
+        incidence = np.clip(math.cos(up) * np.cos(turn), 0.0, 1.0)
+        cloth = incidence * _roughened(incidence, emission, turn, psi + bearing, surface)
+        found += share * np.where(incidence > 0.0, cloth, 0.0)
+        if surface.gloss > 0.0:
+            # the half vector's part along the normal: of two unit vectors
+            upward = math.sin(up) + slope * outgoing
+            middle = math.cos(up) * np.cos(turn) + emission
+            turned = math.cos(up) * np.sin(-turn) - outgoing * np.sin(psi + bearing)
+            length = np.sqrt(middle**2 + turned**2 + upward**2)
+            lobe = np.maximum(middle / np.maximum(length, 1e-9), 0.0) ** surface.gloss_power
+            found += share * surface.gloss * np.where(incidence > 0.0, lobe, 0.0)
+    return found
+
+
+def _roughened(
+    incidence: FloatArray,
+    emission: FloatArray,
+    turn: FloatArray,
+    leave: FloatArray,
+    surface: SurfaceSettings,
+) -> FloatArray | float:
+    """Oren and Nayar's factor on Lambert's law; light and camera are taken to be level for it."""
+    if surface.reflectance == "lambert":
+        return 1.0
+    square = math.radians(surface.roughness_deg) ** 2
+    first = 1.0 - 0.5 * square / (square + 0.33)
+    second = 0.45 * square / (square + 0.09)
+    one, other = np.arccos(incidence), np.arccos(emission)
+    large, small = np.maximum(one, other), np.minimum(one, other)
+    # on the same side of the normal the azimuths agree, on the other they are opposite
+    same = np.maximum(np.sign(turn) * np.sign(leave), 0.0)
+    factor: FloatArray = first + second * same * np.sin(large) * np.tan(np.minimum(small, 1.5))
+    return factor

@@ -1,0 +1,108 @@
+"""A lit cylinder: its geometry, the printed formulas, and the fit against drawn pictures."""
+
+import math
+
+import numpy as np
+import pytest
+
+from catalog.errors import NoSolutionError
+from optnav_cli.camera.camera import Camera
+from optnav_cli.measurements.cylinder import (
+    CylinderSize,
+    bearing_of,
+    half_width,
+    lit_edges,
+    psi_of,
+    seed_distance_and_angle,
+)
+from optnav_cli.measurements.cylinder_fit import IdealLens, fit_cylinder
+from optnav_cli.measurements.cylinder_profile import measure_profile
+from optnav_cli.simulation.cylinder_picture import SurfaceSettings, draw_cylinder
+from optnav_cli.simulation.sections import SensorSettings
+from optnav_cli.simulation.sensor import expose
+
+CAMERA = Camera("small", "pinhole", 320, 240, 907.5, (159.5, 119.5))
+LENS = IdealLens(907.5, 907.5, 159.5, 119.5)
+RADIUS, HEIGHT = 0.14, 0.15
+SIZE = CylinderSize(RADIUS, HEIGHT)
+
+
+def seen(distance: float, bearing: float, theta_deg: float, seed: int = 1) -> np.ndarray:
+    """A picture of rough, glossy cloth under a wide source 5 degrees high: none is in the fit."""
+    surface = SurfaceSettings(
+        reflectance="oren_nayar", gloss=0.15, gloss_power=15.0, ambient=0.03, background=0.0
+    )
+    place = distance, bearing, math.radians(theta_deg)
+    light = draw_cylinder(CAMERA, (RADIUS, HEIGHT), place, surface)
+    counts = expose(light, SensorSettings(0.8, 90.0), np.random.default_rng(seed))
+    return counts.astype(np.float32)
+
+
+def test_bearings_lead_back_to_places_of_the_surface() -> None:
+    widest = 0.5 * math.pi - half_width(RADIUS, 1.3)
+    psi = np.linspace(-widest, widest, 21)[1:-1]
+    assert psi_of(bearing_of(psi, RADIUS, 1.3), RADIUS, 1.3) == pytest.approx(psi, abs=1e-9)
+
+
+def test_the_limb_is_a_tangent() -> None:
+    limb = half_width(RADIUS, 1.3)
+    assert float(bearing_of(0.5 * math.pi - limb, RADIUS, 1.3)) == pytest.approx(limb)
+
+
+def test_the_printed_formula_gives_31_degrees_for_a_full_face() -> None:
+    distance = 1.34
+    left, right = lit_edges(0.0, RADIUS, distance)
+    height = HEIGHT / (distance - RADIUS)
+    d_m, theta = seed_distance_and_angle(height, right - left, SIZE)
+    assert d_m == pytest.approx(1.2)
+    assert math.degrees(theta) == pytest.approx(31.4, abs=0.1)
+
+
+@pytest.mark.parametrize(("theta", "printed"), [(30, 38.5), (60, 61.1), (90, 89.9), (120, 120.5)])
+def test_the_printed_formula_gives_what_exact_widths_make_of_it(
+    theta: float, printed: float
+) -> None:
+    left, right = lit_edges(math.radians(theta), RADIUS, 1.34)
+    _, found = seed_distance_and_angle(HEIGHT / 1.2, right - left, SIZE)
+    assert math.degrees(found) == pytest.approx(printed, abs=0.1)
+
+
+def test_the_printed_formula_says_where_it_has_no_angle() -> None:
+    with pytest.raises(NoSolutionError, match="has no angle"):
+        seed_distance_and_angle(HEIGHT / 1.2, 0.5, SIZE)
+
+
+@pytest.mark.parametrize(
+    ("distance", "bearing", "theta"), [(1.34, 0.01, 2.0), (1.0, 0.0, -40.0), (1.8, -0.03, 75.0)]
+)
+def test_a_fit_finds_the_cylinder_within_its_errors(
+    distance: float, bearing: float, theta: float
+) -> None:
+    fit = fit_cylinder(measure_profile(seen(distance, bearing, theta), 255.0), LENS, SIZE)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    assert abs(fit.distance_m - distance) < min(2e-3, 4.0 * sigma[0] + 2e-4)
+    assert abs(math.degrees(fit.theta) - theta) < 0.5
+    assert abs(fit.theta - math.radians(theta)) < 4.0 * sigma[2]
+    assert fit.bearing == pytest.approx(bearing, abs=5e-4)
+
+
+def test_two_bodies_are_not_a_cylinder() -> None:
+    picture = seen(2.4, -0.08, 30.0)
+    picture[:, 200:] = picture[:, :120][:, ::-1]
+    with pytest.raises(NoSolutionError, match="two bodies"):
+        measure_profile(picture, 255.0)
+
+
+def test_a_dark_picture_shows_nothing() -> None:
+    noise = np.random.default_rng(1).normal(3.0, 1.0, (240, 320)).astype(np.float32)
+    with pytest.raises(NoSolutionError, match=r"stands out|no lit body"):
+        measure_profile(noise, 255.0)
+
+
+def test_a_sphere_is_not_taken_for_a_cylinder() -> None:
+    y, x = np.mgrid[:240, :320]
+    square = (x - 160.0) ** 2 + (y - 120.0) ** 2
+    depth = np.sqrt(np.maximum(70.0**2 - square, 0.0)) / 70.0
+    noise = np.random.default_rng(1).normal(2.0, 1.0, depth.shape)
+    with pytest.raises(NoSolutionError):
+        fit_cylinder(measure_profile((200.0 * depth + noise).astype(np.float32), 255.0), LENS, SIZE)

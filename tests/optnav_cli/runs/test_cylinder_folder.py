@@ -1,0 +1,95 @@
+"""`optnav cylinder` of a simulated craft, end to end, and what it says of bad folders."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from catalog.config import resource
+from catalog.errors import ConfigError, NothingToDoError
+from catalog.progress import SilentProgress
+from optnav_cli.frames.tables import CYLINDER, CYLINDER_TRUTH
+from optnav_cli.report import write_report
+from optnav_cli.runs.cylinder_folder import cylinder_folder
+from optnav_cli.runs.simulate_folder import simulate_folder
+from optnav_cli.simulation.cylinder_scenario import CylinderScenario
+from optnav_cli.simulation.scenario import load_scenario
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three pictures, 2 seconds apart, of the shipped circling craft, of half the size."""
+    place = tmp_path_factory.mktemp("cylinder")
+    small = resource("configs/cameras/lab_20deg.toml").read_text(encoding="utf-8")
+    for old, new in (
+        ("640", "320"), ("480", "240"), ("1815.0", "907.5"), ("319.5", "159.5"), ("239.5", "119.5"),
+    ):  # fmt: skip
+        small = small.replace(old, new)
+    (place / "lab_20deg.toml").write_text(small, encoding="utf-8")
+    text = resource("configs/scenarios/cylinder_circle.toml").read_text(encoding="utf-8")
+    (place / "circle.toml").write_text(
+        text.replace('"lab_20deg"', '"lab_20deg.toml"'), encoding="utf-8"
+    )
+    scenario = load_scenario(place / "circle.toml")
+    assert isinstance(scenario, CylinderScenario)
+    simulate_folder(scenario.shortened(3), place / "pictures", SilentProgress())
+    return place / "pictures"
+
+
+def test_a_circling_craft_is_followed(pictures: Path, tmp_path: Path) -> None:
+    cylinder_folder(pictures, tmp_path / "run", "fit", SilentProgress())
+    rows = CYLINDER.rows(tmp_path / "run" / "cylinder.csv")
+    truths = CYLINDER_TRUTH.rows(pictures / "truth.csv")
+    assert len(rows) == 3
+    for row, truth in zip(rows, truths, strict=True):
+        assert (row["status"], row["zone"]) == ("solved", "ok")
+        assert abs(row.number("d_m") - truth.number("d_m")) < 2e-3
+        assert abs(row.number("theta_deg") - truth.number("theta_deg")) < 0.5
+    middle, truth = rows[1], truths[1]
+    found, true = (np.array([r.number("vx_m_s"), r.number("vy_m_s")]) for r in (middle, truth))
+    assert np.linalg.norm(true) == pytest.approx(0.049, abs=0.004)
+    assert np.abs(found - true).max() < 4.0 * middle.number("v_sigma_m_s") + 5e-4
+    assert sorted(p.name for p in (tmp_path / "run" / "overlays").iterdir())
+    write_report(tmp_path / "run", tmp_path / "run.html")
+    assert "A lit cylinder" in (tmp_path / "run.html").read_text(encoding="utf-8")
+
+
+def test_the_printed_formulas_are_computed(pictures: Path, tmp_path: Path) -> None:
+    rows = cylinder_folder(pictures, tmp_path / "run", "seed", SilentProgress())
+    assert rows[0].theta_deg == pytest.approx(60.0, abs=5.0)
+    assert rows[0].theta_sigma_deg is None
+
+
+def test_a_height_is_asked_for(pictures: Path, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "run.toml").write_text('target = "cylinder"\nradius_m = 0.14\n')
+    with pytest.raises(ConfigError, match="height_m"):
+        cylinder_folder(tmp_path / "folder", tmp_path / "run", "fit", SilentProgress())
+
+
+def test_a_folder_of_a_body_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "run.toml").write_text('body = "moon"\nattitude = "camera_from_body"\n')
+    with pytest.raises(ConfigError, match="names no target"):
+        cylinder_folder(tmp_path / "folder", tmp_path / "run", "fit", SilentProgress())
+
+
+def test_missing_pictures_are_rows_with_a_reason(pictures: Path, tmp_path: Path) -> None:
+    place = tmp_path / "folder"
+    place.mkdir()
+    (place / "cameras").mkdir()
+    for name in ("run.toml", "frames.csv", "cameras/lab_20deg.toml"):
+        (place / name).write_bytes((pictures / name).read_bytes())
+    with pytest.raises(NothingToDoError, match="no picture gives a distance"):
+        cylinder_folder(place, tmp_path / "run", "fit", SilentProgress())
+    rows = CYLINDER.rows(tmp_path / "run" / "cylinder.csv")
+    assert all(row["status"] == "unsolved" and row["reason"] for row in rows)
+
+
+def test_a_craft_inside_the_cylinder_is_refused() -> None:
+    scenario = load_scenario(resource("configs/scenarios/cylinder_still.toml"))
+    assert isinstance(scenario, CylinderScenario)
+    near = msgspec.structs.replace(scenario.cylinder, distance_m=0.1)
+    with pytest.raises(ConfigError, match="outside the cylinder"):
+        msgspec.structs.replace(scenario, cylinder=near).check()
