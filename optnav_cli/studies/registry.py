@@ -354,6 +354,19 @@ _OTHERS = (
         ),
     ),
     Study(
+        "stars",
+        "Attitudes from stars: random pointings found, none wrongly.",
+        """Identify random pointings of three cameras among false spots, and random spots alone.
+
+        How many are found, the errors of their attitudes against the stated sigmas, the time, and
+        how many pictures without a star are taken for sky.""",
+        "--trials 20",
+        (
+            trials(5, 334, "Pictures of each row."),
+            seed("Of pointings and errors."),
+        ),
+    ),
+    Study(
         "stereo",
         "Height and side velocity from two cameras on a base.",
         """Draw pairs of the wide camera 25 to 1500 m over craters and relief and measure them.

@@ -117,7 +117,7 @@ class StarIdentifier:
         Raises NoSolutionError where there are too few spots or no attitude stands against chance;
         it says where the mirrored picture, or a lens some per cent off, would give one.
         """
-        found = self._identified(spots, MAX_TRIPLES)
+        found = self.attempt(spots)
         off = max(MAX_SCALE_OFF, 3.0 * self.camera.focal_length_error)
         if found is not None and abs(found.focal_scale - 1.0) > off:
             raise _wrong_lens(found.focal_scale)
@@ -140,6 +140,10 @@ class StarIdentifier:
             f"{len(spots)} spots are no stars of the catalog, or too few of them{_besides(spots)}",
             ReasonCode.NO_STARS,
         )
+
+    def attempt(self, spots: StarSpots) -> StarFix | None:
+        """The same without a look at why there is none."""
+        return self._identified(spots, MAX_TRIPLES)
 
     def _identified(self, spots: StarSpots, most: int) -> StarFix | None:
         """The attitude by the first so many triples; None without one."""

@@ -1,0 +1,131 @@
+"""Attitudes from stars: how often random pointings are found, and that none is found wrongly."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from catalog.bodies.stars import bright_stars
+from catalog.geometry.rotations import ARCSEC
+from catalog.progress import Progress
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import preset_camera
+from optnav_cli.measurements.stars.identify import StarFix, StarIdentifier
+from optnav_cli.measurements.stars.spots import MAX_SPOTS, StarSpots
+from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
+
+CAMERAS = {"unk": 5.0, "kam_s": 4.5, "shnk": 4.0}  # down to which magnitude spots are seen
+FALSE_SPOTS, MIN_STARS = 4, 8
+SPOT_PX, MAGNITUDE = 0.15, 0.2  # errors of spots
+WRONG_PX = 3.0
+FOUND = columns(
+    "camera; faintest = to V .1f; frames; found; wrong; share = found [%] .1f; "
+    "across = across, rms [″] .2f; about = about the axis, rms [″] .2f; nees = NEES .2f; "
+    "median = identification, median [ms] .0f; longest [ms] .0f"
+)
+EMPTY = columns("camera; frames; accepted; median = median [ms] .0f")
+
+
+@dataclass(frozen=True, eq=False)
+class StarFigures:
+    """Rows of the study's tables."""
+
+    found: list[tuple[Cell, ...]]
+    empty: list[tuple[Cell, ...]]
+
+
+def run(progress: Progress, trials: int = 334, seed: int = 1) -> StarFigures:
+    """Random pointings with false spots, and random spots without a star, of each camera."""
+    found, empty = [], []
+    with progress.stage("study stars", 2 * len(CAMERAS), "row") as bar:
+        for name, faintest in CAMERAS.items():
+            rng = np.random.default_rng([seed, len(found)])
+            found.append(_found(preset_camera(name), faintest, trials, rng))
+            bar.advance()
+            empty.append(_empty(preset_camera(name), trials, rng))
+            bar.advance()
+    return StarFigures(found, empty)
+
+
+def _timed(identifier: StarIdentifier, spots: StarSpots) -> tuple[StarFix | None, float]:
+    before = time.process_time()
+    fix = identifier.attempt(spots)
+    return fix, 1e3 * (time.process_time() - before)
+
+
+def _found(
+    camera: Camera, faintest: float, trials: int, rng: np.random.Generator
+) -> tuple[Cell, ...]:
+    stars = bright_stars()
+    identifier = StarIdentifier(camera, stars.at(None))
+    errors, squares, times, wrong = [], [], [], 0
+    while len(times) < trials:
+        turn = Rotation.random(random_state=rng)
+        spots = _spots(camera, turn, faintest, rng)
+        if len(spots) < MIN_STARS + FALSE_SPOTS:
+            continue
+        fix, took = _timed(identifier, spots)
+        times.append(took)
+        if fix is None:
+            continue
+        off = (fix.camera_from_sky * turn.inv()).as_rotvec()
+        if float(np.linalg.norm(off)) * camera.focal_length_px > WRONG_PX:
+            wrong += 1
+            continue
+        errors.append(off / ARCSEC)
+        squares.append(float(off @ np.linalg.solve(fix.covariance, off)) / 3.0)
+    table = np.array(errors).reshape(-1, 3)
+    across, about = rms(table[:, :2].ravel()), rms(table[:, 2])
+    counts = (len(times), len(errors), wrong, 100.0 * len(errors) / len(times))
+    spread = (across, about, float(np.mean(squares)))
+    return (camera.name, faintest, *counts, *spread, float(np.median(times)), max(times))
+
+
+def _empty(camera: Camera, trials: int, rng: np.random.Generator) -> tuple[Cell, ...]:
+    identifier = StarIdentifier(camera, bright_stars().at(None))
+    accepted, times = 0, []
+    for _ in range(trials):
+        count = int(rng.integers(8, 40))
+        places = _anywhere(camera, count, rng)
+        light = np.sort(rng.pareto(1.2, count))[::-1]
+        fix, took = _timed(identifier, _spotted(places, light))
+        accepted += fix is not None
+        times.append(took)
+    return camera.name, trials, accepted, float(np.median(times))
+
+
+def _spots(camera: Camera, turn: Rotation, faintest: float, rng: np.random.Generator) -> StarSpots:
+    stars = bright_stars()
+    pixels = camera.project(turn.apply(stars.at(None)))
+    seen = np.flatnonzero(np.isfinite(pixels).all(axis=1) & (stars.magnitudes < faintest))
+    seen = seen[camera.contains(pixels[seen])][: MAX_SPOTS - FALSE_SPOTS]
+    places = pixels[seen] + rng.normal(0.0, SPOT_PX, (len(seen), 2))
+    places = np.vstack([places, _anywhere(camera, FALSE_SPOTS, rng)])
+    magnitudes = stars.magnitudes[seen] + rng.normal(0.0, MAGNITUDE, len(seen))
+    magnitudes = np.append(magnitudes, rng.uniform(0.0, faintest, FALSE_SPOTS))
+    order = np.argsort(magnitudes)
+    return _spotted(places[order], 10.0 ** (-0.4 * magnitudes[order]))
+
+
+def _anywhere(camera: Camera, count: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(0.0, 1.0, (count, 2)) * (camera.width_px - 1, camera.height_px - 1)
+
+
+def _spotted(places: np.ndarray, light: np.ndarray) -> StarSpots:
+    return StarSpots(places, light, np.full(len(places), SPOT_PX), 0, 0, 0.0)
+
+
+def report(result: StarFigures) -> StudyReport:
+    """The tables."""
+    return StudyReport(
+        (
+            StudyTable("Random pointings", FOUND, tuple(result.found)),
+            StudyTable("Random spots, no stars", EMPTY, tuple(result.empty)),
+        ),
+        (
+            f"spots of the catalog's stars to {SPOT_PX:g} px and {MAGNITUDE:g} mag, {FALSE_SPOTS} "
+            f"false ones among them, at least {MIN_STARS} stars; wrong: over {WRONG_PX:g} px off",
+            "asked: 98 % found, none wrong, none of the starless accepted, 50 ms in the median",
+        ),
+    )
