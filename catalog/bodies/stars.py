@@ -40,7 +40,8 @@ class BrightStars:
         """Directions (n, 3) at a time, TDB s past J2000; at J2025 without one."""
         year = DEFAULT_YEAR if tdb_s is None else J2000_YEAR + tdb_s / YEAR_S
         moved = self.directions + (year - EPOCH_YEAR) * self.motions_rad_yr
-        return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+        found: FloatArray = moved / np.linalg.norm(moved, axis=1, keepdims=True)
+        return found
 
     def label(self, number: int) -> str:
         """What a star is called: its name, else its number in the catalogue."""
@@ -70,4 +71,5 @@ def aberrated(directions: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
     To first order in v/c: 20" by the Earth's motion; the next order is 0.002".
     """
     seen = directions + velocity_m_s / LIGHT_M_S
-    return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True))
+    found: FloatArray = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    return found

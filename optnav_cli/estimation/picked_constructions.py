@@ -62,7 +62,8 @@ def homography(image: FloatArray, plane: FloatArray) -> FloatArray:
 def through(matrix: FloatArray, points: FloatArray) -> FloatArray:
     """Points (n, 2) that a homography takes points (n, 2) to."""
     found = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-    return np.asarray(found[:, :2] / found[:, 2:])
+    placed: FloatArray = found[:, :2] / found[:, 2:]
+    return placed
 
 
 def by_circles(picks: Picks, ground: CircleGround = "tangent") -> FloatArray:
@@ -89,7 +90,8 @@ def by_circles(picks: Picks, ground: CircleGround = "tangent") -> FloatArray:
             camera = _above(homography(picks.image, flat[:, :2]), picks.half_side)
             if np.linalg.norm(camera - last) < SETTLED * np.linalg.norm(camera):
                 break
-    return np.asarray(base + axes @ camera)
+    found: FloatArray = base + axes @ camera
+    return found
 
 
 def by_tori(picks: Picks, start_m: FloatArray) -> FloatArray:
@@ -219,7 +221,8 @@ def _angles(rays: FloatArray) -> FloatArray:
     """Angles (3,) between three rays (3, 3): of the first two, the last two, the outer two."""
     others = np.roll(rays, -1, axis=0)
     crossed = np.linalg.norm(np.cross(rays, others), axis=1)
-    return np.asarray(np.arctan2(crossed, (rays * others).sum(axis=1)))
+    found: FloatArray = np.arctan2(crossed, (rays * others).sum(axis=1))
+    return found
 
 
 def _angles_from(places_m: FloatArray, camera_m: FloatArray) -> tuple[FloatArray, FloatArray]:

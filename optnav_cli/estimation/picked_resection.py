@@ -23,11 +23,19 @@ from catalog.errors import NoSolutionError
 from optnav_cli.estimation.least_squares import (
     Estimate,
     Iteration,
-    Linearisation,
-    linearised,
     solve,
 )
-from optnav_cli.estimation.models.points import Pose, ProjectingCamera, Sightings, predict
+from optnav_cli.estimation.models.picked_points import (
+    AttitudePrior,
+    LensErrors,
+    LensPoints,
+    LensPose,
+    LensPrior,
+    PickedSightings,
+    StatedAttitude,
+    moved_with_lens,
+)
+from optnav_cli.estimation.models.points import Pose, ProjectingCamera, predict
 from optnav_cli.reasons import Reason, ReasonCode
 
 # A point is left out, and a whole fit refused, when chance makes as much so rarely.
@@ -43,34 +51,6 @@ RIVAL_COST = 11.8  # another pose whose cost is less than 3 sigmas of two number
 _OPEN = Reason(ReasonCode.DEGENERATE, "the points do not fix position and attitude")
 _UNSETTLED = Reason(ReasonCode.NOT_SETTLED, "the position did not settle in 40 iterations")
 _ITERATION = Iteration(40, 1e-4, _OPEN, _UNSETTLED, each_unknown=True, damped=True)
-
-
-@dataclass(frozen=True)
-class LensPrior:
-    """What a lens may be off by, 1 sigma.
-
-    focal       relative, of the focal length;  centre_px  of the principal point, a coordinate
-    middle_px   (2,) the stated principal point
-    """
-
-    focal: float
-    centre_px: float
-    middle_px: FloatArray
-
-    @property
-    def sigmas(self) -> FloatArray:
-        """(k,) of the numbers that are not exact: factor, then shift along x and y."""
-        shift = [self.centre_px] * 2 if self.centre_px > 0.0 else []
-        return np.array([self.focal] * (self.focal > 0.0) + shift)
-
-
-@dataclass(frozen=True)
-class LensPose:
-    """A pose and an error of the lens: its focal length's factor less 1, and a shift (2,) px."""
-
-    pose: Pose
-    focal: float
-    shift_px: FloatArray
 
 
 @dataclass(frozen=True)
@@ -107,91 +87,6 @@ class PickedPose:
     def attitude_sigma_rad(self) -> float:
         """1 sigma an axis, root mean square."""
         return float(np.sqrt(np.trace(self.covariance[3:, 3:]) / 3.0))
-
-
-@dataclass(frozen=True, eq=False)
-class PickedSightings:
-    """Points that a person picked.
-
-    places_m (n, 3) body frame;  pixels (n, 2);  sigma_px, sigma_m (n,) a coordinate
-    """
-
-    places_m: FloatArray
-    pixels: FloatArray
-    sigma_px: FloatArray
-    sigma_m: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.places_m)
-
-    def subset(self, some: BoolArray) -> "PickedSightings":
-        """Those of a mask (n,)."""
-        return PickedSightings(
-            self.places_m[some], self.pixels[some], self.sigma_px[some], self.sigma_m[some]
-        )
-
-    def sightings(self, camera: ProjectingCamera, pose: Pose) -> Sightings:
-        """With the error of each place as the camera sees it from a pose, px."""
-        _, jacobian = predict(camera, pose, self.places_m)
-        by_place = jacobian[:, :, :3]
-        seen = by_place @ by_place.transpose(0, 2, 1)
-        own = np.eye(2) * (self.sigma_px**2)[:, None, None]
-        return Sightings(self.places_m, self.pixels, own + seen * (self.sigma_m**2)[:, None, None])
-
-
-class _LensPoints:
-    """Picked points as measurements of a pose and a lens."""
-
-    def __init__(self, camera: ProjectingCamera, seen: Sightings, lens: LensPrior) -> None:
-        self._camera, self._seen, self._lens = camera, seen, lens
-        self._information = np.linalg.inv(seen.covariances_px2).astype(np.float64)
-
-    def linearise(self, state: LensPose) -> Linearisation:
-        pixels, by_pose = predict(self._camera, state.pose, self._seen.points_body_m)
-        out = pixels - self._lens.middle_px
-        factor = 1.0 + state.focal
-        residuals = self._seen.pixels - (self._lens.middle_px + state.shift_px + factor * out)
-        if not np.isfinite(residuals).all():
-            text = "a point left the camera's view during the iteration"
-            raise NoSolutionError(text, ReasonCode.NOT_SETTLED)
-        columns = [factor * by_pose]
-        if self._lens.focal > 0.0:
-            columns.append(out[:, :, None])
-        if self._lens.centre_px > 0.0:
-            columns.append(np.broadcast_to(np.eye(2), (len(out), 2, 2)))
-        return linearised(residuals, np.concatenate(columns, axis=2), self._information)
-
-
-class _LensErrors:
-    """The lens as its file states it, as a measurement."""
-
-    def __init__(self, lens: LensPrior) -> None:
-        self._lens, self._sigmas = lens, lens.sigmas
-
-    def linearise(self, state: LensPose) -> Linearisation:
-        numbers = _numbers(state, self._lens)
-        jacobian = np.eye(6 + numbers.size)[6:]
-        return linearised(-numbers, jacobian, self._sigmas**-2)
-
-
-class _StatedAttitude:
-    """A measured attitude (camera_from_body) with one sigma an axis, rad."""
-
-    def __init__(self, camera_from_body: Rotation, sigma_rad: float, unknowns: int) -> None:
-        self._measured, self._weights = camera_from_body, np.full(3, sigma_rad**-2)
-        self._jacobian = np.eye(3, unknowns, 3)
-
-    def linearise(self, state: LensPose) -> Linearisation:
-        offset = (self._measured * state.pose.camera_from_body.inv()).as_rotvec()
-        return linearised(offset, self._jacobian, self._weights)
-
-
-@dataclass(frozen=True)
-class AttitudePrior:
-    """A stated attitude, camera_from_body, and its sigma an axis, rad, over 0."""
-
-    camera_from_body: Rotation
-    sigma_rad: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,16 +306,16 @@ class PickedResection:
         points, lens = self.points.subset(used), self.lens
         pose = start
         for _ in range(2):  # the weights of places hang on the distance, which is known after one
-            models: list[_LensPoints | _LensErrors | _StatedAttitude] = [
-                _LensPoints(self.camera, points.sightings(self.camera, pose), lens)
+            models: list[LensPoints | LensErrors | StatedAttitude] = [
+                LensPoints(self.camera, points.sightings(self.camera, pose), lens)
             ]
             if lens.sigmas.size:
-                models.append(_LensErrors(lens))
+                models.append(LensErrors(lens))
             if self.attitude is not None:
                 turn, sigma = self.attitude.camera_from_body, self.attitude.sigma_rad
-                models.append(_StatedAttitude(turn, sigma, 6 + lens.sigmas.size))
+                models.append(StatedAttitude(turn, sigma, 6 + lens.sigmas.size))
             first = LensPose(pose, 0.0, np.zeros(2))
-            estimate = solve(models, first, partial(_moved, lens=lens), _ITERATION)
+            estimate = solve(models, first, partial(moved_with_lens, lens=lens), _ITERATION)
             pose = estimate.state.pose
         return estimate
 
@@ -471,21 +366,6 @@ def is_before(pose: Pose, places_m: FloatArray) -> BoolArray:
 def with_places(problem: PickedResection, places_m: FloatArray) -> PickedResection:
     """The same with other places (n, 3) of the points."""
     return replace(problem, points=replace(problem.points, places_m=places_m))
-
-
-def _numbers(state: LensPose, lens: LensPrior) -> FloatArray:
-    """(k,) as `LensPrior.sigmas`."""
-    shift = list(state.shift_px) if lens.centre_px > 0.0 else []
-    return np.array([state.focal] * (lens.focal > 0.0) + shift)
-
-
-def _moved(state: LensPose, step: FloatArray, lens: LensPrior) -> LensPose:
-    focal, shift, rest = state.focal, state.shift_px, step[6:]
-    if lens.focal > 0.0:
-        focal, rest = focal + float(rest[0]), rest[1:]
-    if lens.centre_px > 0.0:
-        shift = shift + rest
-    return LensPose(state.pose.moved(step[:6]), focal, shift)
 
 
 def _squares(residuals_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:

@@ -92,18 +92,21 @@ def places_of(
         base = np.full(len(lat), body.radius_m)
         if settings.height == "ellipsoid":
             base = np.linalg.norm(surface_at(directions, body.radii_m), axis=1)
-        return np.asarray(directions * (base + heights_m)[:, None])
+        found: FloatArray = directions * (base + heights_m)[:, None]
+        return found
     a, _, c = body.radii_m
     up = xyz_from_latlon(lat, lon, np.ones(len(lat)))
     squared = 1.0 - (c / a) ** 2
     across = a / np.sqrt(1.0 - squared * np.sin(lat) ** 2)
     foot = up * np.stack([across, across, across * (1.0 - squared)], axis=1)
     if settings.height == "ellipsoid":
-        return np.asarray(foot + up * heights_m[:, None])
+        placed: FloatArray = foot + up * heights_m[:, None]
+        return placed
     # along the normal to the distance that the sphere and the height ask for
     along = (foot * up).sum(axis=1)
     wanted = (body.radius_m + heights_m) ** 2 - (foot * foot).sum(axis=1)
-    return np.asarray(foot + up * (np.sqrt(along**2 + wanted) - along)[:, None])
+    raised: FloatArray = foot + up * (np.sqrt(along**2 + wanted) - along)[:, None]
+    return raised
 
 
 def _point(row: CsvRow) -> PickedPoint:

@@ -16,6 +16,7 @@ from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import normal_at
 from catalog.geometry.latlon import latlon_from_xyz, wrap_longitude_deg
 from optnav_cli.camera.camera import Camera
+from optnav_cli.estimation.models.picked_points import AttitudePrior, LensPrior, PickedSightings
 from optnav_cli.estimation.models.points import Pose, predict
 from optnav_cli.estimation.picked_constructions import (
     Picks,
@@ -25,11 +26,8 @@ from optnav_cli.estimation.picked_constructions import (
     pose_at,
 )
 from optnav_cli.estimation.picked_resection import (
-    AttitudePrior,
-    LensPrior,
     PickedPose,
     PickedResection,
-    PickedSightings,
     is_before,
     with_places,
 )
@@ -293,7 +291,8 @@ class _FrameOfPoints:
         up = normal_at(self._places, self._body.radii_m)
         sights = pose.position_m - self._places
         sights /= np.linalg.norm(sights, axis=1, keepdims=True)
-        return np.asarray(np.arccos(np.clip((up * sights).sum(axis=1), -1.0, 1.0)))
+        found: FloatArray = np.arccos(np.clip((up * sights).sum(axis=1), -1.0, 1.0))
+        return found
 
     def _refracted(self, pose: Pose) -> FloatArray:
         """Where straight lines of sight reach the ground: places (n, 3) farther from the nadir.

@@ -66,8 +66,10 @@ def _layout(rng: np.random.Generator, count: int) -> FloatArray:
     side = np.array(CAMERA.shape[::-1])
     if count == 4:
         corners = np.array([(0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)])
-        return np.asarray((corners + rng.uniform(-0.08, 0.08, (4, 2))) * side)
-    return np.asarray(rng.uniform(MARGIN, 1.0 - MARGIN, (count, 2)) * side)
+        found: FloatArray = (corners + rng.uniform(-0.08, 0.08, (4, 2))) * side
+        return found
+    placed: FloatArray = rng.uniform(MARGIN, 1.0 - MARGIN, (count, 2)) * side
+    return placed
 
 
 def _pointed(up: FloatArray, off: float, rng: np.random.Generator) -> Rotation:
@@ -87,7 +89,8 @@ def _on_ground(position: FloatArray, sights: FloatArray, radii: FloatArray) -> F
     a, b = (ways * ways).sum(axis=1), (ways * start).sum(axis=1)
     under = b * b - a * ((start * start).sum(axis=1) - 1.0)
     along = (-b - np.sqrt(under)) / a
-    return np.asarray(position + sights * along[:, None])
+    found: FloatArray = position + sights * along[:, None]
+    return found
 
 
 def _bent(position: FloatArray, places: FloatArray, body: Body) -> FloatArray:
@@ -118,4 +121,5 @@ def _bent(position: FloatArray, places: FloatArray, body: Body) -> FloatArray:
     level = places - (places @ down)[:, None] * down
     level /= np.linalg.norm(level, axis=1, keepdims=True)
     sine = (impact / far)[:, None]
-    return np.asarray(sine * level + np.sqrt(1.0 - sine**2) * down)
+    found: FloatArray = sine * level + np.sqrt(1.0 - sine**2) * down
+    return found

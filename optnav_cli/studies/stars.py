@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from catalog.arrays import FloatArray
 from catalog.bodies.stars import bright_stars
 from catalog.geometry.rotations import ARCSEC
 from catalog.progress import Progress
@@ -37,7 +38,8 @@ class StarFigures:
 
 def run(progress: Progress, trials: int = 334, seed: int = 1) -> StarFigures:
     """Random pointings with false spots, and random spots without a star, of each camera."""
-    found, empty = [], []
+    found: list[tuple[Cell, ...]] = []
+    empty: list[tuple[Cell, ...]] = []
     with progress.stage("study stars", 2 * len(CAMERAS), "row") as bar:
         for name, faintest in CAMERAS.items():
             rng = np.random.default_rng([seed, len(found)])
@@ -59,7 +61,10 @@ def _found(
 ) -> tuple[Cell, ...]:
     stars = bright_stars()
     identifier = StarIdentifier(camera, stars.at(None))
-    errors, squares, times, wrong = [], [], [], 0
+    errors: list[FloatArray] = []
+    squares: list[float] = []
+    times: list[float] = []
+    wrong = 0
     while len(times) < trials:
         turn = Rotation.random(random_state=rng)
         spots = _spots(camera, turn, faintest, rng)
@@ -84,7 +89,8 @@ def _found(
 
 def _empty(camera: Camera, trials: int, rng: np.random.Generator) -> tuple[Cell, ...]:
     identifier = StarIdentifier(camera, bright_stars().at(None))
-    accepted, times = 0, []
+    accepted = 0
+    times: list[float] = []
     for _ in range(trials):
         count = int(rng.integers(8, 40))
         places = _anywhere(camera, count, rng)
@@ -108,11 +114,11 @@ def _spots(camera: Camera, turn: Rotation, faintest: float, rng: np.random.Gener
     return _spotted(places[order], 10.0 ** (-0.4 * magnitudes[order]))
 
 
-def _anywhere(camera: Camera, count: int, rng: np.random.Generator) -> np.ndarray:
+def _anywhere(camera: Camera, count: int, rng: np.random.Generator) -> FloatArray:
     return rng.uniform(0.0, 1.0, (count, 2)) * (camera.width_px - 1, camera.height_px - 1)
 
 
-def _spotted(places: np.ndarray, light: np.ndarray) -> StarSpots:
+def _spotted(places: FloatArray, light: FloatArray) -> StarSpots:
     return StarSpots(places, light, np.full(len(places), SPOT_PX), 0, 0, 0.0)
 
 

@@ -10,15 +10,16 @@ from catalog.bodies.body import Body, load_body
 from catalog.geometry.latlon import latlon_from_xyz
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.estimation.models.picked_points import LensPrior, PickedSightings
 from optnav_cli.estimation.models.points import Pose
-from optnav_cli.estimation.picked_resection import LensPrior, PickedResection, PickedSightings
+from optnav_cli.estimation.picked_resection import PickedResection
 
 CAMERA = Camera("tele", "pinhole", 5616, 3744, 62_400.0, (2807.5, 1871.5))
 WIDE = Camera("wide", "pinhole", 2000, 2000, 2500.0, (999.5, 999.5))
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class PickedScene:
     """A camera over a body, and where it sees places (n, 3): pixels (n, 2)."""
 
     body: Body
@@ -46,7 +47,7 @@ def scene(
     camera=CAMERA,
     body="moon",
     relief_m=500.0,
-) -> Scene:
+) -> PickedScene:
     """Points spread over a picture that looks so far off the nadir."""
     rng, found = np.random.default_rng(seed), load_body(body)
     up = np.array([0.6, -0.48, 0.64])
@@ -70,10 +71,10 @@ def scene(
     radius = found.radius_m + rng.uniform(0.0, relief_m, count)
     along = rays @ place
     reach = -along - np.sqrt(along**2 - place @ place + radius**2)
-    return Scene(found, camera, Pose(place, turn), place + rays * reach[:, None], pixels)
+    return PickedScene(found, camera, Pose(place, turn), place + rays * reach[:, None], pixels)
 
 
-def rows_of(made: Scene, file="a.png", sigma=(0.7, 10.0)) -> list[list[object]]:
+def rows_of(made: PickedScene, file="a.png", sigma=(0.7, 10.0)) -> list[list[object]]:
     """Rows of points.csv: planetocentric, above the sphere."""
     lat, lon, radius = latlon_from_xyz(made.places_m)
     cells = np.column_stack(
@@ -83,7 +84,7 @@ def rows_of(made: Scene, file="a.png", sigma=(0.7, 10.0)) -> list[list[object]]:
 
 
 def write_picked(
-    folder: Path, made: Scene, rows: list[list[object]], prior="", files=("a.png",), more=""
+    folder: Path, made: PickedScene, rows: list[list[object]], prior="", files=("a.png",), more=""
 ) -> Path:
     """A folder without pictures. prior: x_m,y_m,z_m,position_sigma_m of all frames."""
     (folder / "cameras").mkdir(parents=True, exist_ok=True)

@@ -378,7 +378,8 @@ def _angle(a: FloatArray, b: FloatArray) -> float:
 
 
 def _angles_of(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(2.0 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=1) / 2.0, 1.0)))
+    found: FloatArray = 2.0 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=1) / 2.0, 1.0))
+    return found
 
 
 def _wrong_lens(scale: float) -> NoSolutionError:

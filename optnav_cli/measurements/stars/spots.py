@@ -125,7 +125,8 @@ def _bodies(
         body = chosen[labels] | up
         wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BODY_MARGIN_PX + 1,) * 2)
         body = cv2.dilate(body.astype(np.uint8), wide) > 0
-    return np.asarray(body)
+    covered: BoolArray = body
+    return covered
 
 
 def _touches(body: BoolArray, x: int, y: int, shape: tuple[int, ...]) -> bool:
