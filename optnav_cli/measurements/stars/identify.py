@@ -35,6 +35,7 @@ MAX_SCALE_OFF = 0.02  # beyond which a lens counts as another one than the camer
 FEW_TRIPLES, WRONG_FACTORS = 30, (0.95, 1.05, 0.975, 1.025)
 SPOT_PX = 0.5  # of a spot against its star, for the angles of a triple; distortion is in the lens
 MATCH_PX = 2.5
+MAX_RMS_PX = 0.7  # a coordinate; places that fill a gate of 2.5 px evenly have 1.25
 MAX_COARSE_CHANCE = 1e-3  # of a triple's matches before they are refined
 MAX_CHANCE = 1e-5  # expected false attitudes of a picture
 SKY_SQUARE_DEG = 41_253.0
@@ -232,7 +233,8 @@ class StarIdentifier:
         if self._chance(len(spots), len(match[0]), in_view, 2.0 * MATCH_PX) > MAX_COARSE_CHANCE:
             return None
         fit = self._refined(spots, turn, scale, match)
-        if fit is None:
+        # matches by chance fill the gate evenly; so do those of an attitude near the right one
+        if fit is None or fit.residual_rms_px > MAX_RMS_PX:
             return None
         chance = tried * self._chance(len(spots), int(fit.used.sum()), in_view, MATCH_PX)
         return replace(fit, chance=chance) if chance < MAX_CHANCE else None
