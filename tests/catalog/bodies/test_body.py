@@ -36,7 +36,7 @@ def test_every_shipped_body_loads_under_its_own_name(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "number"),
     [("mercury", 199), ("eros", 2000433), ("vesta", 2000004), ("itokawa", 2025143),
-     ("67p", 1000012), ("mars", 499), ("phobos", 401)],
+     ("67p", 1000012), ("mars", 499), ("phobos", 401), ("venus", 299), ("jupiter", 599)],
 )  # fmt: skip
 def test_sizes_and_masses_are_those_of_the_constants_kernels(
     name: str, number: int, shared_data: Callable[[str], Path]
