@@ -41,14 +41,18 @@ def cylinder_page(folder: Path) -> str:
     return html.page("A lit cylinder", f"{len(rows)} pictures", sections)
 
 
-def cylinder_sheet(folder: Path) -> str:
-    """The three plots as a picture that stands alone."""
+def cylinder_sheet(folder: Path, radius_m: float | None = None) -> str:
+    """The three plots as a picture that stands alone.
+
+    radius_m  of the cylinder; by the folder's manifest if None
+    """
+    radius = _radius(read_manifest(folder)) if radius_m is None else radius_m
     rows = CYLINDER.rows(folder / CYLINDER_CSV)
     legend = [LegendEntry(kind, zone.replace("_", " "), line=False) for zone, kind in ZONES]
-    return sheet("A lit cylinder", legend, [list(_panels(rows, None))])
+    return sheet("A lit cylinder", legend, [list(_panels(rows, radius))])
 
 
-def _panels(rows: Sequence[CsvRow], radius_m: float | None) -> list[Panel]:
+def _panels(rows: Sequence[CsvRow], radius_m: float) -> list[Panel]:
     solved = [row for row in rows if row["status"] == "solved"]
     seconds = np.array([_seconds(row) for row in solved])
     seconds = seconds - np.nanmin(seconds) if np.isfinite(seconds).any() else seconds
@@ -63,7 +67,7 @@ def _panels(rows: Sequence[CsvRow], radius_m: float | None) -> list[Panel]:
         plot.line(seconds, values, "muted thin")
         _by_zone(plot, solved, seconds, values)
         found.append(Panel(name, plot, f"{label} over time"))
-    reach = d_m + (radius_m or 0.0)
+    reach = d_m + radius_m
     x, y = reach * np.cos(np.radians(theta)), reach * np.sin(np.radians(theta))
     ends = (min(0.0, *x, 0.0), max(0.0, *x, 0.0)), (min(0.0, *y, 0.0), max(0.0, *y, 0.0))
     plot = Plot(
@@ -74,8 +78,7 @@ def _panels(rows: Sequence[CsvRow], radius_m: float | None) -> list[Panel]:
         equal=True,
     )
     turn = np.linspace(0.0, 2.0 * np.pi, 61)
-    radius = radius_m or 0.0
-    plot.area(radius * np.cos(turn), radius * np.sin(turn), "muted")
+    plot.area(radius_m * np.cos(turn), radius_m * np.sin(turn), "muted")
     plot.marks([0.0], [0.0], "muted", "cross")
     plot.line(x, y, "muted thin")
     _by_zone(plot, solved, x, y)

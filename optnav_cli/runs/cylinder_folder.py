@@ -99,7 +99,9 @@ def cylinder_folder(
             if formula == "fit":
                 rows = with_velocities(rows, read.settings.radius_m)
             CYLINDER.write(place / CYLINDER_CSV, (row.cells() for row in rows))
-            (place / "cylinder.svg").write_text(cylinder_sheet(place), encoding="utf-8")
+            (place / "cylinder.svg").write_text(
+                cylinder_sheet(place, read.settings.radius_m), encoding="utf-8"
+            )
             solved = sum(row.d_m is not None for row in rows)
             write_manifest(
                 place,
