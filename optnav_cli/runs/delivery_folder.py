@@ -15,7 +15,7 @@ from catalog.errors import NoSolutionError, NothingToDoError
 from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
-from optnav_cli.frames.tables import DELIVERY_ARRIVALS, DELIVERY_BOXES, DELIVERY_STAGES
+from optnav_cli.frames.orbit_tables import DELIVERY_ARRIVALS, DELIVERY_BOXES, DELIVERY_STAGES
 from optnav_cli.orbit.delivery import (
     BoxStage,
     DeliveryTask,

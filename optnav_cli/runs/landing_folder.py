@@ -14,7 +14,7 @@ from catalog.errors import NoSolutionError, NothingToDoError
 from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
-from optnav_cli.frames.tables import LANDING, LANDING_IMPULSE, LANDING_PATH
+from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE, LANDING_PATH
 from optnav_cli.orbit.landing_descent import Touchdown
 from optnav_cli.orbit.landing_navigation import beams_about
 from optnav_cli.orbit.landing_settings import (

@@ -15,7 +15,7 @@ from catalog.errors import NoSolutionError, NothingToDoError
 from catalog.files import hash_file, replacing_folder
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
-from optnav_cli.frames.tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
+from optnav_cli.frames.orbit_tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
 from optnav_cli.orbit.oem import Oem, write_oem
 from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart, body_turns
 from optnav_cli.orbit.qso_motion import MoonMotion

@@ -6,7 +6,7 @@ import pytest
 
 from catalog.config import resource
 from catalog.progress import SilentProgress
-from optnav_cli.frames.tables import DELIVERY_STAGES
+from optnav_cli.frames.orbit_tables import DELIVERY_STAGES
 from optnav_cli.main import run
 from optnav_cli.studies import delivery as study
 

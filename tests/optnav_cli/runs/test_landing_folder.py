@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from catalog.progress import SilentProgress
-from optnav_cli.frames.tables import LANDING, LANDING_IMPULSE
+from optnav_cli.frames.orbit_tables import LANDING, LANDING_IMPULSE
 from optnav_cli.main import run
 from optnav_cli.studies import landing as study
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog.progress import SilentProgress
-from optnav_cli.frames.tables import QSO, QSO_PASSES
+from optnav_cli.frames.orbit_tables import QSO, QSO_PASSES
 from optnav_cli.main import run
 from optnav_cli.orbit.oem import read_oem
 from optnav_cli.studies.qso import report as study_report
