@@ -39,12 +39,12 @@ class Frame:
     attitude_sigma_rad  1 sigma an axis, common_sigma_rad included; 0: exact; None: free
     position_m          (3,) prior position, body frame, m
     position_sigma_m    its 1 sigma a component
-    predicted           where a known orbit leads, for a frame without position_m
     sun_body            (3,) unit vector to the Sun, body frame; from the time where not given
     common_sigma_rad    the share in attitude_sigma_rad that frames.csv does not state: of the
                         camera's boresight, common to all its frames, and of the body's own
                         rotation where the file's attitude is against the stars
     problem             why the frame cannot be used, or None; then any of the others may be None
+    predicted           where a known orbit leads, for a frame without position_m
     """
 
     file: str
@@ -55,10 +55,10 @@ class Frame:
     attitude_sigma_rad: float | None = None
     position_m: FloatArray | None = None
     position_sigma_m: float | None = None
-    predicted: PositionPrior | None = None
     sun_body: FloatArray | None = None
     common_sigma_rad: float = 0.0
     problem: str | None = None
+    predicted: PositionPrior | None = None
 
     @property
     def own_attitude_sigma_rad(self) -> float | None:

@@ -17,7 +17,7 @@ from optnav_cli.report import page as html
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import HALF, WIDE, Plot, PlotAxis, span
 
-MAX_DOTS = 1500
+MAX_DOTS = 450
 HEADER = (
     *("before", "day", "condition", "ξ, km", "99.73 %", "η, km", "99.73 %", "τ, s", "99.73 %"),
     *("Δv, m/s", "99.73 %", "largest", "boxes"),

@@ -116,7 +116,8 @@ def _drawn(degrees: Float32Array, summary: SlopeSummary) -> ByteArray:
     ]
     left, bottom = panel.shape[1] + MARGIN_PX, GRAPH_PX - 2 * MARGIN_PX
     wide = GRAPH_PX // STEPS
-    scale = (bottom - MARGIN_PX) / max(shares)
+    # all may lie beyond the graph
+    scale = (bottom - MARGIN_PX) / max(*shares, 1e-9)
     tints = coloured(np.arange(STEPS, dtype=np.float32)[None] + 0.5, STEPS)[0]
     for number, share in enumerate(shares):
         x = left + number * wide

@@ -20,7 +20,7 @@ from optnav_cli.runs.frame_worker import RunInputs
 from optnav_cli.runs.navigate_folder import navigate_folder
 from optnav_cli.runs.simulate_folder import simulate_folder
 from optnav_cli.studies import apollo
-from tests.golden import documents, flights, pictures, sketch, values
+from tests.golden import documents, flights, orbits, pictures, sketch, values
 
 HERE = Path(__file__).resolve().parent
 README = HERE / "readme"
@@ -36,6 +36,8 @@ CURVES = ("arc", "resection", "matching")  # studies
 @click.option("--pictures/--no-pictures", "draw", default=True, help="Make the README's pictures.")
 @click.option("--curves/--no-curves", "plot", default=True, help="Make the README's curves.")
 @click.option("--flights/--no-flights", "flown", default=True, help="Make the flights' pictures.")
+@click.option("--designs/--no-designs", "designed", default=True, help="Orbits' pictures.")
+@click.option("--fit/--no-fit", "fitted", default=True, help="The picture of an orbit's fit.")
 @click.option("--hazard/--no-hazard", "landed", default=True, help="Make the hazard map.")
 @click.option(
     "--work",
@@ -43,7 +45,16 @@ CURVES = ("arc", "resection", "matching")  # studies
     default=HERE.parents[1] / "build" / "golden",
     help="Folder for what the pictures are made from.",
 )
-def main(freeze: bool, draw: bool, plot: bool, flown: bool, landed: bool, work: Path) -> None:
+def main(
+    freeze: bool,
+    draw: bool,
+    plot: bool,
+    flown: bool,
+    designed: bool,
+    fitted: bool,
+    landed: bool,
+    work: Path,
+) -> None:
     """See the head of this file."""
     if freeze:
         values.freeze()
@@ -66,6 +77,11 @@ def main(freeze: bool, draw: bool, plot: bool, flown: bool, landed: bool, work: 
         for path, captions_of in flights.fly(work, moon, README):
             captions[path.stem] = captions_of
             _told(path)
+    made = [*(orbits.designs(work, README) if designed else ())]
+    made += [orbits.through_fixes(work, README)] if fitted else []
+    for path, caption in made:
+        captions[path.stem] = caption
+        _told(path)
     if landed:
         picture, captions["hazard"] = pictures.hazard_map(*HAZARD)
         sketch.write(picture, README / "hazard.png")

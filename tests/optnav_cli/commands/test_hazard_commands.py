@@ -9,7 +9,7 @@ import rasterio
 from scipy.spatial.transform import Rotation
 
 from catalog.geometry.latlon import body_from_local, latlon_from_xyz, xyz_from_latlon
-from catalog.rasters import OWN, open_raster
+from catalog.rasters import OWN, encode_geotiff, open_raster
 from catalog.store.reader import Catalog
 from optnav_cli.camera.camera import Camera
 from optnav_cli.camera.camera_file import camera_toml
@@ -446,3 +446,13 @@ def test_heights_of_the_ground_come_from_the_nearest_point_of_a_catalog(tmp_path
         far = _catalog_heights(catalog, np.array([lat]), np.array([lon]) + 0.05)
     assert found[0] == pytest.approx(middle, abs=25.0)
     assert np.isnan(far[0])
+
+
+def test_ground_steeper_than_the_graph_is_drawn(tmp_path: Path) -> None:
+    heights = np.tile(np.float32(200.0) * np.arange(40, dtype=np.float32), (40, 1))
+    place = rasterio.Affine(1e-3, 0.0, 10.0, 0.0, -1e-3, 20.0)  # 30 m
+    profile = {"crs": "+proj=longlat +R=1737400 +no_defs", "transform": place}
+    (tmp_path / "dem.tif").write_bytes(encode_geotiff({"height, m": heights}, profile))
+    words = ["slopes", str(tmp_path / "dem.tif"), "--base-m", "31", "-o", str(tmp_path / "s.png")]
+    assert run(words) == 0
+    assert (tmp_path / "s.png").stat().st_size > 1000

@@ -18,6 +18,7 @@ from optnav_cli.camera.camera import Camera
 from optnav_cli.frames.folder import read_folder
 from optnav_cli.frames.picture import load_picture
 from optnav_cli.frames.truth import read_truth
+from optnav_cli.simulation.cylinder import CylinderScenario
 from optnav_cli.simulation.exposure import Exposure
 from optnav_cli.simulation.passes import Scenario
 from optnav_cli.simulation.region_ground import RegionGround, truth_terrain
@@ -311,6 +312,8 @@ def test_every_shipped_scenario_loads_and_the_template_shows_the_defaults():
     assert len(shipped) >= 6
     for path in shipped:
         scenario = load_scenario(path)
+        if isinstance(scenario, CylinderScenario):  # of no body
+            continue
         assert len(scenario.exposures(AnalyticEphemeris(load_body(scenario.body)))) >= 12
     template = load_scenario(root / "templates" / "scenario.toml")
     plain = Scenario(camera=template.camera, orbit=template.orbit)
