@@ -39,6 +39,7 @@ COARSE_ROWS = 64  # of the sphere around
 NODES_A_PIXEL = 1.5
 SHADOW_SHARE = 0.6  # of the seen ground's width that the drawn ground reaches beyond it
 MAX_NODES = 40_000_000
+MIN_HEIGHT_M = 1.0  # of a camera over the ground
 MAX_SUN = 89.0
 
 Height = Annotated[float, Meta(ge=2.0, le=20_000.0)]  # m
@@ -184,6 +185,11 @@ class StereoTerrain:
         radius = self._body.radius_m
         relief = self._scenario.relief(own[0].ground_seed or 0, self._body)
         heights = np.array([self._over_ground(e.position_m, relief) for e in own])
+        if heights.min() < MIN_HEIGHT_M:
+            raise ConfigError(
+                f"[stereo] a camera comes to {heights.min():.3g} m over the ground; wanted "
+                f"{MIN_HEIGHT_M:g} and more: see heights_m, velocity_m_s and the mounts' position_m"
+            )
         corners = np.concatenate([self._corners(camera, e, h) for e, h in zip(own, heights)])
         width = float(np.ptp(corners, axis=0).max())
         margin = (SHADOW_SHARE * width + 2.0) / radius

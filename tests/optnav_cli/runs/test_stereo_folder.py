@@ -164,3 +164,11 @@ def test_a_drawn_pair_over_craters_is_measured_within_its_sigmas(tmp_path: Path)
     # ship frame: x to the right, y backward
     assert abs(velocity.velocity_m_s[0] - 1.0) < 4.0 * velocity.side_sigma_m_s
     assert abs(velocity.velocity_m_s[1] + 2.0) < 4.0 * velocity.side_sigma_m_s
+
+
+def test_a_camera_mounted_below_the_ground_is_refused(tmp_path: Path) -> None:
+    scenario = load_scenario(resource("configs/scenarios/stereo_100m.toml"))
+    low = msgspec.structs.replace(scenario.mount[0], position_m=(0.0, 0.0, 150.0))
+    scenario = msgspec.structs.replace(scenario, mount=(low, scenario.mount[1]))
+    with pytest.raises(ConfigError, match=r"comes to -.* over the ground"):
+        simulate_folder(scenario, tmp_path / "pictures", SilentProgress())
