@@ -15,11 +15,12 @@ from tests.fuzz.kinds import (
     places,
     rasters,
     runs,
+    sights,
     surroundings,
     tables,
 )
 
 MODULES = (
     catalogs, command_lines, configs, designs, faults, kernels, labels, landings, meshes, orbits,
-    pictures, places, rasters, runs, surroundings, tables,
+    pictures, places, rasters, runs, sights, surroundings, tables,
 )  # fmt: skip

@@ -55,6 +55,10 @@ PAIR_CAMERA = (
     'name = "shtk"\nmodel = "pinhole"\nwidth_px = 320\nheight_px = 320\n'
     "focal_length_px = 775.0\nprincipal_point_px = [159.5, 159.5]\n"
 )
+LAB_CAMERA = (
+    'name = "lab"\nmodel = "pinhole"\nwidth_px = 160\nheight_px = 120\n'
+    "focal_length_px = 450.0\nprincipal_point_px = [79.5, 59.5]\n"
+)
 BODY = """name = "pebble"
 radius_km = 11.0
 radii_km = [12.65, 11.0, 9.35]
@@ -152,6 +156,8 @@ SCENARIOS = {
     "[stereo]\nheights_m = [60.0]\nplace_deg = [11.0, 20.0]\nlargest_m = 20.0\n"
     '[[mount]]\ncamera = "left"\nposition_m = [-0.5, 0.0, 0.0]\n'
     '[[mount]]\ncamera = "right"\nposition_m = [0.5, 0.0, 0.0]\nerror_arcsec = 20.0\n',
+    "cylinder": 'seed = 3\ncamera = {name = "lab.toml"}\n[cylinder]\nradius_m = 0.14\n'
+    "height_m = 0.15\ndistance_m = 1.3\ntheta_deg = 40.0\npictures = 2\nspacing_s = 2.0\n",
     "descent": _SHARED + 'dem = [{path = "dem.tif"}]\ndetail = {seeds = [], smallest_m = 900.0}\n'
     "[descent]\nfrom_km = 60.0\nto_km = 56.0\nduration_s = 20.0\nspacing_s = 10.0\n"
     "speed_m_s = [800.0, 790.0]\nend_deg = [11.0, 20.0]\ntilt_deg = [5.0, 0.0]\n"
@@ -174,6 +180,8 @@ COMMANDS = (
     ("stereo", "pair", "-o", "heights"),
     ("hazard", "pair", "--height-m", "60", "--pad-m", "4", "--square-m", "8", "-o", "pads"),
     ("slopes", "dem.tif", "--base-m", "3000", "-o", "slopes.tif"),
+    ("config", "template", "points", "-o", "picked"),
+    ("simulate", "cylinder.toml", "-o", "lamp"),
     ("simulate", "descent.toml", "-o", "fall"),
     ("navigate", "fall", "--catalog", "moon.gpkg", "-o", "fall.run"),
     ("orbit", "fit", "flown", "--config", "orbit.toml", "-o", "orbit"),
@@ -240,6 +248,7 @@ def _write_inputs() -> None:
         "cam.toml": CAMERA,
         "wide.toml": LIMB_CAMERA,
         "shtk.toml": PAIR_CAMERA,
+        "lab.toml": LAB_CAMERA,
         "body.toml": BODY,
         "moon.toml": BUILD,
         "relief.toml": BUILD + '[relief]\ndem = {path = "globe.tif"}\n',
