@@ -35,12 +35,18 @@ from catalog.geometry.vectors import unit
 CENTURY_S = 36525.0 * DAY_S
 
 
+def mean_anomaly(orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
+    """Of a moon in its orbit, rad, not brought to one turn, at times (...)."""
+    century = np.asarray(tdb_s, dtype=np.float64) / CENTURY_S
+    argument = np.array(orbit.mean_anomaly_deg_by_century)
+    mean: FloatArray = np.radians(np.polynomial.polynomial.polyval(century, argument))
+    return mean
+
+
 def planet_body(body: Body, orbit: LockedOrbit, tdb_s: ArrayLike) -> FloatArray:
     """Positions (..., 3) of the planet's centre from the moon's, body frame, m, at times (...)."""
-    century = np.asarray(tdb_s, dtype=np.float64) / CENTURY_S
+    mean, e = mean_anomaly(orbit, tdb_s), orbit.eccentricity
     argument = orbit.mean_anomaly_deg_by_century
-    mean = np.radians(np.polynomial.polynomial.polyval(century, np.array(argument)))
-    e = orbit.eccentricity
     swing = sum(t.meridian_deg for t in body.rotation.terms if t.angle_deg_by_century == argument)
     centre = 2.0 * e * np.sin(mean) + 1.25 * e**2 * np.sin(2.0 * mean)
     longitude = centre - np.radians(swing) * np.sin(mean)
@@ -103,15 +109,24 @@ def _from_sun(body: Body, tdb_s: float) -> tuple[FloatArray, FloatArray]:
     return _kepler(body.sun, tdb_s / DAY_S)
 
 
+def eccentric_anomaly(mean: ArrayLike, eccentricity: float) -> FloatArray:
+    """Kepler's equation solved by Newton's steps for mean anomalies (...), rad."""
+    wanted = np.asarray(mean, dtype=np.float64)
+    # from here the steps converge
+    anomaly = wanted.copy() if eccentricity < 0.8 else np.full_like(wanted, np.pi)
+    for _ in range(KEPLER_STEPS):
+        wrong = anomaly - eccentricity * np.sin(anomaly) - wanted
+        anomaly -= wrong / (1.0 - eccentricity * np.cos(anomaly))
+    return anomaly
+
+
 def _kepler(orbit: SunOrbit, day: float) -> tuple[FloatArray, FloatArray]:
     """Position, AU, and velocity, AU/day, on an orbit about the Sun, `day` days after J2000."""
     a, e = orbit.semi_major_axis_au, orbit.eccentricity
     rate = GAUSS_PER_DAY / a**1.5
     mean = np.radians(orbit.mean_anomaly_deg) + rate * (day + J2000_JD - orbit.epoch_jd)
     mean = float(np.remainder(mean, 2.0 * np.pi))
-    anomaly = mean if e < 0.8 else np.pi  # from here Newton's steps converge
-    for _ in range(KEPLER_STEPS):
-        anomaly -= (anomaly - e * np.sin(anomaly) - mean) / (1.0 - e * np.cos(anomaly))
+    anomaly = float(eccentric_anomaly(mean, e))
     cosine, sine, flat = np.cos(anomaly), np.sin(anomaly), np.sqrt(1.0 - e * e)
     angles = [orbit.perihelion_deg, orbit.inclination_deg, orbit.node_deg]
     ecliptic_from_orbit = Rotation.from_euler("zxz", angles, degrees=True)

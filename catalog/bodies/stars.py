@@ -11,11 +11,12 @@ from functools import cache
 import numpy as np
 
 from catalog.arrays import FloatArray, IntArray
+from catalog.bodies.body import JULIAN_YEAR_S
 from catalog.config import resource
 
 EPOCH_YEAR = 1991.25
 DEFAULT_YEAR = 2025.0  # of pictures without a time
-J2000_YEAR, YEAR_S = 2000.0, 365.25 * 86400.0
+J2000_YEAR = 2000.0
 MAS = np.radians(1.0 / 3.6e6)
 LIGHT_M_S = 299_792_458.0
 
@@ -38,7 +39,7 @@ class BrightStars:
 
     def at(self, tdb_s: float | None) -> FloatArray:
         """Directions (n, 3) at a time, TDB s past J2000; at J2025 without one."""
-        year = DEFAULT_YEAR if tdb_s is None else J2000_YEAR + tdb_s / YEAR_S
+        year = DEFAULT_YEAR if tdb_s is None else J2000_YEAR + tdb_s / JULIAN_YEAR_S
         moved = self.directions + (year - EPOCH_YEAR) * self.motions_rad_yr
         found: FloatArray = moved / np.linalg.norm(moved, axis=1, keepdims=True)
         return found

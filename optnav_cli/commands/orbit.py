@@ -113,7 +113,7 @@ def predict(
     if output is None:
         click.echo("\n".join(lines))
         return
-    write_orbit(path, prediction.rows, output, -999)
+    write_orbit(path.orbit, prediction.rows, output, -999)
     tell([*lines[:2], lines[-1]])
     click.echo(output)
 

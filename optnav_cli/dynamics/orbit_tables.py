@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body
-from catalog.bodies.ephemeris import Ephemeris, Neighbour
+from catalog.bodies.ephemeris import CENTURY_S, Ephemeris, Neighbour
 from catalog.bodies.epochs import DAY_S
 from catalog.errors import DataError, NoSolutionError
 
@@ -36,7 +36,7 @@ def spacing_s(body: Body) -> float:
         spacing = min(spacing, 360.0 / degrees_a_day * DAY_S / TURN_SHARE)
     if body.orbit is not None:
         degrees = abs(body.orbit.mean_anomaly_deg_by_century[1])
-        spacing = min(spacing, 36525.0 * DAY_S * 360.0 / max(degrees, 1.0) / ORBIT_SHARE)
+        spacing = min(spacing, CENTURY_S * 360.0 / max(degrees, 1.0) / ORBIT_SHARE)
     return max(float(math.floor(spacing)), MIN_SPACING_S)
 
 

@@ -9,11 +9,11 @@ The ground uses the difference of two paths (`qso_motion`).
 import numpy as np
 
 from catalog.arrays import FloatArray
+from catalog.bodies.ephemeris import eccentric_anomaly, mean_anomaly
 from catalog.geometry.kernel import kernel
 from optnav_cli.orbit.qso_motion import MoonMotion
 
 MAX_STEP = 0.01  # rad of true anomaly, 44 s: the fourth-order step leaves 1e-6 m in 30 min
-KEPLER_STEPS = 12
 
 
 @kernel
@@ -86,14 +86,9 @@ class OnboardMotion:
 
     def anomaly(self, tdb_s: FloatArray) -> FloatArray:
         """True anomalies (n,), rad, rising with time, of the moon in its orbit."""
-        century = tdb_s / (36525.0 * 86400.0)
-        argument = np.array(self._motion.orbit.mean_anomaly_deg_by_century)
-        mean = np.radians(np.polynomial.polynomial.polyval(century, argument))
+        mean = mean_anomaly(self._motion.orbit, tdb_s)
         mean = mean - 2.0 * np.pi * np.floor(mean[0] / (2.0 * np.pi))
-        eccentric = mean.copy()
-        for _ in range(KEPLER_STEPS):
-            wrong = eccentric - self.e * np.sin(eccentric) - mean
-            eccentric -= wrong / (1.0 - self.e * np.cos(eccentric))
+        eccentric = eccentric_anomaly(mean, self.e)
         flat = self.e / (1.0 + np.sqrt(1.0 - self.e**2))
         # the anomaly less the eccentric one never passes a half turn: no jumps
         ahead = np.arctan2(flat * np.sin(eccentric), 1.0 - flat * np.cos(eccentric))

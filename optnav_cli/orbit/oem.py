@@ -5,13 +5,13 @@ Inertial states in km and km/s with TDB or UTC times; covariances are lower tria
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.epochs import DAY_S, utc_to_tdb_s
 from catalog.errors import DataError
 from catalog.inputs import MEGABYTE, read_input
 
@@ -19,6 +19,7 @@ BEGINNING = b"CCSDS_OEM_VERS"
 MAX_BYTES = 64 * MEGABYTE
 FRAMES = ("ICRF", "EME2000", "J2000", "GCRF")  # apart by 0.02": 0.2 m at the Moon's distance
 LOWER = np.tril_indices(6)
+UNDATED = "2000-01-01T00:00:00"  # of a file without a clock: the same input gives the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +32,11 @@ class Oem:
     body: str
     times: FloatArray
     states: FloatArray
-    covariance_times: FloatArray
-    covariances: FloatArray
+    covariance_times: FloatArray = field(default_factory=lambda: np.empty(0))
+    covariances: FloatArray = field(default_factory=lambda: np.empty((0, 6, 6)))
 
 
-def write_oem(path: Path, oem: Oem, name: str, created_utc: str) -> None:
+def write_oem(path: Path, oem: Oem, name: str, created_utc: str = UNDATED) -> None:
     """Write a file; times are TDB."""
     stamps = [_tdb_text(time) for time in oem.times]
     lines = [
@@ -175,7 +176,7 @@ class _Reader:
 
 def _tdb_text(tdb_s: float) -> str:
     """A TDB time as a calendar shows it."""
-    day, second = divmod(tdb_s + 43200.0, 86400.0)
+    day, second = divmod(tdb_s + 0.5 * DAY_S, DAY_S)
     micro = round(second * 1e6)
     if micro >= 86_400_000_000:
         day, micro = day + 1.0, 0
@@ -195,8 +196,8 @@ def _tdb_of(text: str) -> float:
     except ValueError:
         raise DataError(f"time '{text}' does not exist") from None
     return (
-        float(days) * 86400.0
-        - 43200.0
+        float(days) * DAY_S
+        - 0.5 * DAY_S
         + 3600.0 * int(match[2])
         + 60.0 * int(match[3])
         + float(match[4])

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.special import chdtri
 
 from catalog.arrays import FloatArray
+from catalog.bodies.epochs import DAY_S
 from catalog.errors import DataError
 from optnav_cli.orbit.folder import body_fixed_state, stated_turn
 from optnav_cli.orbit.predict import OrbitPath
@@ -79,7 +80,7 @@ def _track(path: OrbitPath, first_s: float, last_s: float) -> _Track:
     count = int(np.ceil((last_s - first_s) / step)) + 1
     if count > MAX_PLACES:
         raise DataError(
-            f"the orbit and the stamps of the pictures are {(last_s - first_s) / 86400.0:.0f} days "
+            f"the orbit and the stamps of the pictures are {(last_s - first_s) / DAY_S:.0f} days "
             "long, too much to search; name an orbit of the time of the pictures"
         )
     rows = path.rows(np.linspace(first_s, last_s, max(count, 2))).rows

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from catalog.arrays import FloatArray
+from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
 from catalog.geometry.ellipsoid import surface_at
@@ -115,7 +116,7 @@ class QsoSearch:
         """The theory's state (6,), inertial, and its angular rate."""
         at = np.array([self.start.tdb_s])
         turning = self.motion.turning_from_inertial(at)[0]
-        turns = body_turns(self.motion, at)[0]
+        turns = body_from_inertial(self.motion.moon, at)[0]
         place = turning @ (turns.T @ self._along) * self.radius_m
         planet = float(np.linalg.norm(self.motion.planet_m(at)[0]))
         share = self.motion.pair.moon_gm / self.motion.pair.planet_gm
@@ -148,10 +149,10 @@ class QsoSearch:
         return np.concatenate([turning.T @ place, turning.T @ velocity]), rate
 
     def _tables(self, step_s: float) -> tuple[FlightTable, FloatArray, FloatArray]:
-        steps = max(int(np.ceil(self.days * 86400.0 / step_s)), 4)
-        times = self.start.tdb_s + self.days * 86400.0 * np.linspace(0.0, 1.0, steps + 1)
+        steps = max(int(np.ceil(self.days * DAY_S / step_s)), 4)
+        times = self.start.tdb_s + self.days * DAY_S * np.linspace(0.0, 1.0, steps + 1)
         table = self.motion.table(times)
-        return table, body_turns(self.motion, times), times
+        return table, body_from_inertial(self.motion.moon, times), times
 
     def state(self, steps: FloatArray) -> FloatArray:
         """The state (6,) whose velocity differs from the theory's by steps across and along.
@@ -255,11 +256,6 @@ class QsoSearch:
         at = np.concatenate([times[:1], at])
         exact = self.motion.propagate(state, at, PASS_STEP_S)
         return QsoPasses(at, np.linalg.norm(exact[:, :3], axis=1), exact)
-
-
-def body_turns(motion: MoonMotion, times: FloatArray) -> FloatArray:
-    """Rotations (n, 3, 3) from inertial to the moon's body frame."""
-    return body_from_inertial(motion.moon, times)
 
 
 def _cubic(u: FloatArray) -> tuple[FloatArray, FloatArray]:

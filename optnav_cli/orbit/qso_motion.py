@@ -19,6 +19,7 @@ from scipy.integrate import DOP853
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import planet_body
+from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import ConfigError
 from catalog.geometry.kernel import kernel
@@ -267,7 +268,7 @@ class MoonMotion:
     @property
     def mean_motion(self) -> float:
         """The mean rate at which the moon goes round and turns, rad/s."""
-        return float(np.radians(self.moon.rotation.meridian_deg_by_day[1]) / 86400.0)
+        return float(np.radians(self.moon.rotation.meridian_deg_by_day[1]) / DAY_S)
 
     def planet_m(self, tdb_s: FloatArray) -> FloatArray:
         """The planet's centre (n, 3) from the moon's, inertial."""

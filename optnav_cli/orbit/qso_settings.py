@@ -8,7 +8,8 @@ import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.bodies.body import Body, load_body
-from catalog.bodies.epochs import utc_to_tdb_s
+from catalog.bodies.ephemeris import CENTURY_S, mean_anomaly
+from catalog.bodies.epochs import DAY_S, utc_to_tdb_s
 from catalog.config import Turn, load_toml, named_config
 from catalog.errors import ConfigError, DataError
 from catalog.terrain.mesh.file import MeshSettings
@@ -23,7 +24,7 @@ MAX_STARTS = 10_000
 
 Distance = Annotated[float, msgspec.Meta(ge=0.1, le=1e5)]
 Days = Annotated[float, msgspec.Meta(ge=0.5, le=60.0)]
-Step = Annotated[float, msgspec.Meta(ge=1.0, le=86400.0)]
+Step = Annotated[float, msgspec.Meta(ge=1.0, le=DAY_S)]
 Degree = Annotated[int, msgspec.Meta(ge=2, le=20)]
 BUNDLED_MESH = MeshSettings(path="bundled:phobos_thomas.tab", units="km", longitude="west")
 
@@ -111,21 +112,16 @@ def moon_of(name: str, path: Path) -> Body:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def mean_anomaly(motion: MoonMotion, tdb_s: float) -> float:
-    """The moon's mean anomaly, rad, 0 to 2 pi."""
-    century = tdb_s / (36525.0 * 86400.0)
-    argument = np.array(motion.orbit.mean_anomaly_deg_by_century)
-    return float(np.radians(np.polynomial.polynomial.polyval(century, argument)) % (2.0 * np.pi))
-
-
 def start_times(section: QsoSection, motion: MoonMotion) -> FloatArray:
     """TDB s of the starts: the times, or after each the first at which the anomaly is reached."""
-    rate = np.radians(motion.orbit.mean_anomaly_deg_by_century[1]) / (36525.0 * 86400.0)
+    orbit, turn = motion.orbit, 2.0 * np.pi
+    rate = np.radians(orbit.mean_anomaly_deg_by_century[1]) / CENTURY_S
     found = []
     for time in times_of(section):
         tdb_s = utc_to_tdb_s(time)
         if not section.anomaly_deg:
             found.append(tdb_s)
         for anomaly in np.radians(section.anomaly_deg):
-            found.append(tdb_s + (anomaly - mean_anomaly(motion, tdb_s)) % (2.0 * np.pi) / rate)
+            now = float(mean_anomaly(orbit, tdb_s)) % turn
+            found.append(tdb_s + (anomaly - now) % turn / rate)
     return np.array(found)

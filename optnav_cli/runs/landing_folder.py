@@ -39,7 +39,6 @@ from optnav_cli.output.manifest import write_manifest
 from optnav_cli.output.wording import table_lines
 
 STAGE = "orbit landing"
-CREATED = "2000-01-01T00:00:00"  # of the OEM: no clock, so that the same input gives the same
 GROUNDS = 5  # wrong grounds that the trials take in turn
 DRAWN_BEAMS = 5  # sets of beams in path.csv
 PROFILE_KM, PROFILE_STEP_KM = 20.0, 0.1
@@ -93,7 +92,7 @@ def landing_folder(settings_path: Path, output: Path, progress: Progress) -> Lan
             LANDING.write(place / LANDING_CSV, cells)
             LANDING_IMPULSE.write(place / IMPULSE_CSV, _impulse_cells(task))
             LANDING_PATH.write(place / PATH_CSV, _path_cells(result))
-            write_oem(place / "transfer.oem", _oem(task), "TRANSFER", CREATED)
+            write_oem(place / "transfer.oem", _oem(task), "TRANSFER")
             write_manifest(
                 place,
                 LANDING_KIND,
@@ -202,7 +201,7 @@ def _oem(task: LandingTask) -> Oem:
     departure = task.departure
     times = np.linspace(departure.tdb_s, departure.arrival_s, len(task.path))
     states = task.motion.propagate(departure.state, times, STEP_S)
-    return Oem(task.motion.moon.name, times, states, np.empty(0), np.empty((0, 6, 6)))
+    return Oem(task.motion.moon.name, times, states)
 
 
 def landing_lines(result: LandingResult) -> list[str]:

@@ -11,7 +11,14 @@ from catalog.files import replacing_file, starts_with, write_output
 from catalog.geometry.rotations import rnb_axes
 from catalog.progress import Progress
 from optnav_cli.frames.orbit_tables import PICTURE_TIMES
-from optnav_cli.orbit.folder import ORBIT_CSV, OrbitRows, read_orbit, stated_turn, write_orbit_rows
+from optnav_cli.orbit.folder import (
+    ORBIT_CSV,
+    OrbitRows,
+    StoredOrbit,
+    read_orbit,
+    stated_turn,
+    write_orbit_rows,
+)
 from optnav_cli.orbit.oem import BEGINNING, Oem, write_oem
 from optnav_cli.orbit.picture_times import PictureTime, picture_times
 from optnav_cli.orbit.predict import OrbitPath, Prediction
@@ -81,12 +88,11 @@ def prediction_lines(path: OrbitPath, prediction: Prediction) -> list[str]:
     return table_lines(lines, left=(0,))
 
 
-def write_orbit(path: OrbitPath, rows: OrbitRows, output: Path, craft: int) -> None:
+def write_orbit(orbit: StoredOrbit, rows: OrbitRows, output: Path, craft: int) -> None:
     """Write states as .csv (the columns of orbit.csv), CCSDS .oem or SPICE .bsp, by the ending.
 
     craft  NAIF number of the craft in a .bsp
     """
-    orbit = path.orbit
     ending = output.suffix.lower()
     if ending == CSV:
         with replacing_file(output, starts_with(CSV_BEGINNING)) as new:
@@ -113,7 +119,7 @@ def export_orbit(folder: Path, output: Path, craft: int) -> None:
     if output.suffix.lower() == CSV:
         write_output(output, (folder / ORBIT_CSV).read_bytes(), starts_with(CSV_BEGINNING))
     else:
-        write_orbit(OrbitPath(orbit), orbit.rows, output, craft)
+        write_orbit(orbit, orbit.rows, output, craft)
 
 
 def time_pictures(run: Path, folder: Path, output: Path, margin_s: float) -> list[str]:

@@ -9,7 +9,9 @@ import msgspec
 import numpy as np
 
 from catalog.arrays import FloatArray
-from catalog.bodies.epochs import utc_from_tdb_s
+from catalog.bodies.ephemeris import mean_anomaly
+from catalog.bodies.epochs import DAY_S, utc_from_tdb_s
+from catalog.bodies.rotation import body_from_inertial
 from catalog.config import named_config
 from catalog.errors import NoSolutionError, NothingToDoError
 from catalog.files import hash_file, replacing_folder
@@ -17,7 +19,7 @@ from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.frames.orbit_tables import BODY_STATE, INERTIAL, QSO, QSO_PASSES, QSO_PATHS
 from optnav_cli.orbit.oem import Oem, write_oem
-from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart, body_turns
+from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart
 from optnav_cli.orbit.qso_motion import MoonMotion
 from optnav_cli.orbit.qso_settings import (
     FOLDER,
@@ -28,7 +30,6 @@ from optnav_cli.orbit.qso_settings import (
     QsoSection,
     distances_of,
     load_qso_settings,
-    mean_anomaly,
     moon_of,
     motion_of_moon,
     start_times,
@@ -38,7 +39,6 @@ from optnav_cli.output.wording import table_lines
 
 STAGE = "orbit qso"
 PATH_STEP_S = 600.0
-CREATED = "2000-01-01T00:00:00"  # of the OEM: no clock, so that the same input gives the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def qso_folder(settings_path: Path, output: Path, progress: Progress) -> tuple[l
                 if row.orbit is not None:
                     name = f"orbit_{row.number:02d}"
                     oem = _oem(row, row.orbit, section, motion)
-                    write_oem(place / f"{name}.oem", oem, name.upper(), CREATED)
+                    write_oem(place / f"{name}.oem", oem, name.upper())
             found = [row.orbit for row in rows if row.orbit]
             write_manifest(
                 place,
@@ -106,7 +106,8 @@ def find_orbits(section: QsoSection, motion: MoonMotion, progress: Progress) -> 
             for distance in distances:
                 longitude = float(np.radians(section.longitude_deg))
                 start = QsoStart(1e3 * distance, longitude, float(tdb_s))
-                number, anomaly = len(rows) + 1, mean_anomaly(motion, float(tdb_s))
+                number = len(rows) + 1
+                anomaly = float(mean_anomaly(motion.orbit, tdb_s)) % (2.0 * np.pi)
                 try:
                     search = QsoSearch(motion, start, section.days, section.start == "greatest")
                     orbit = search.solve(section.velocity)
@@ -121,9 +122,10 @@ def states_cells(
     motion: MoonMotion, tdb_s: FloatArray, states: FloatArray
 ) -> list[dict[str, float]]:
     """Cells of body-fixed and inertial states (n, 6) at times (n,)."""
-    turns = body_turns(motion, tdb_s)
-    after = body_turns(motion, tdb_s + 1.0)
-    rates = after - body_turns(motion, tdb_s - 1.0)  # over two seconds: 1e-9 of the speed
+    turns, before, after = (
+        body_from_inertial(motion.moon, tdb_s + seconds) for seconds in (0.0, -1.0, 1.0)
+    )
+    rates = after - before  # over two seconds: 1e-9 of the speed
     places = np.einsum("nij,nj->ni", turns, states[:, :3])
     speeds = np.einsum("nij,nj->ni", turns, states[:, 3:])
     speeds += np.einsum("nij,nj->ni", 0.5 * rates, states[:, :3])
@@ -190,7 +192,7 @@ def _path_cells(row: QsoRow, days: float, motion: MoonMotion) -> Iterator[dict[s
     """The paths of an orbit and of its first guess in the turning frame, for drawings."""
     if row.orbit is None:
         return
-    seconds = np.append(np.arange(0.0, 86400.0 * days, PATH_STEP_S), 86400.0 * days)
+    seconds = np.append(np.arange(0.0, DAY_S * days, PATH_STEP_S), DAY_S * days)
     turning = motion.turning_from_inertial(row.start.tdb_s + seconds)
     for kind, state in (("orbit", row.orbit.state), ("theory", row.orbit.guess)):
         states = motion.propagate(state, row.start.tdb_s + seconds, PATH_STEP_S)
@@ -205,10 +207,10 @@ def _path_cells(row: QsoRow, days: float, motion: MoonMotion) -> Iterator[dict[s
 
 
 def _oem(row: QsoRow, orbit: QsoOrbit, section: QsoSection, motion: MoonMotion) -> Oem:
-    seconds = 86400.0 * section.days
+    seconds = DAY_S * section.days
     times = row.start.tdb_s + np.append(np.arange(0.0, seconds, section.step_s), seconds)
     states = motion.propagate(orbit.state, times, min(section.step_s, PATH_STEP_S))
-    return Oem(motion.moon.name, times, states, np.empty(0), np.empty((0, 6, 6)))
+    return Oem(motion.moon.name, times, states)
 
 
 def qso_lines(rows: list[QsoRow], mean_motion: float) -> list[str]:

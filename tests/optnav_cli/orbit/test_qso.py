@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from catalog.bodies.body import load_body
+from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import NoSolutionError
-from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart, Velocity, body_turns
+from optnav_cli.orbit.qso import QsoOrbit, QsoSearch, QsoStart, Velocity
 from optnav_cli.orbit.qso_motion import MoonMotion
 from optnav_cli.orbit.qso_settings import QsoSection, start_times
 
@@ -41,9 +42,8 @@ def test_a_free_velocity_keeps_all_passes_at_one_distance(distance: float) -> No
     assert found.ring_m < (1.9e3 if distance <= 60.0 else 3e3)
     # nothing passes farther off than was asked for
     assert found.passes.radius_m.max() < found.radius_m + 50.0
-    places = np.einsum(
-        "nij,nj->ni", body_turns(MOTION, found.passes.tdb_s), found.passes.states[:, :3]
-    )
+    turns = body_from_inertial(MOTION.moon, found.passes.tdb_s)
+    places = np.einsum("nij,nj->ni", turns, found.passes.states[:, :3])
     assert np.degrees(np.arctan2(places[:, 1], places[:, 0])) == pytest.approx(90.0, abs=1e-3)
 
 
