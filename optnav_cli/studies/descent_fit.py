@@ -14,7 +14,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 from catalog.arrays import BoolArray, FloatArray, IndexArray
 from catalog.config import resource, toml_text
@@ -46,6 +45,7 @@ from optnav_cli.navigation.descent_windows import (
 from optnav_cli.navigation.observation import observation_of
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
 from optnav_cli.runs.inputs import open_ground
+from optnav_cli.studies import likelihood
 from optnav_cli.studies.descent_flights import Way, catalog_of, pictures_of
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
@@ -53,8 +53,7 @@ from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 FITTED, HELD = (0,), (2,)
 FITTED_WRONG, HELD_WRONG = 4, 3
 SEARCHED_M = 20.0  # 1 sigma of the true position, for the search
-PRIOR, MAX_FACTOR = float(np.log(2.0)), 8.0
-MIN_DROP = 0.5  # of the logarithm, by halving or doubling: below it a size stays
+MAX_FACTOR = 8.0
 MAX_SHARE = 0.9
 KEPT = ("landmark_px", "landmark_height_postings")  # no sizes of windows
 SHARES = ("common", "fresh_share")
@@ -210,34 +209,26 @@ def scaled(sizes: DescentErrorSizes, factors: Mapping[str, float]) -> DescentErr
     return msgspec.structs.replace(sizes, **changed)
 
 
+def _names() -> list[str]:
+    """Of the sizes that windows tell of."""
+    return [name for name in DescentErrorSizes.__struct_fields__ if name not in KEPT]
+
+
 def drops(
     flights: Sequence[FlightErrors], sizes: DescentErrorSizes
 ) -> dict[str, tuple[float, float]]:
     """By how much halving and doubling each size lowers the logarithm of the likelihood."""
-    best = log_likelihood(flights, sizes)
-    names = [name for name in sizes.__struct_fields__ if name not in KEPT]
-
-    def drop(name: str, factor: float) -> float:
-        return best - log_likelihood(flights, scaled(sizes, {name: factor}))
-
-    return {name: (drop(name, 0.5), drop(name, 2.0)) for name in names}
+    return likelihood.drops(
+        lambda factors: log_likelihood(flights, scaled(sizes, factors)), _names()
+    )
 
 
 def fitted(flights: Sequence[FlightErrors], sizes: DescentErrorSizes) -> DescentErrorSizes:
     """The likeliest sizes, of those on which the flights depend."""
-    found = drops(flights, sizes)
-    names = [name for name, pair in found.items() if max(map(abs, pair)) > MIN_DROP]
-
-    def cost(logs: FloatArray) -> float:
-        trial = scaled(sizes, dict(zip(names, np.exp(logs).tolist(), strict=True)))
-        return -log_likelihood(flights, trial) + 0.5 * float(((logs / PRIOR) ** 2).sum())
-
-    limit = float(np.log(MAX_FACTOR))
-    best = minimize(
-        cost, np.zeros(len(names)), method="L-BFGS-B", bounds=[(-limit, limit)] * len(names),
-        options={"maxiter": 20, "ftol": 1e-6},
-    )  # fmt: skip
-    return scaled(sizes, dict(zip(names, np.exp(best.x).tolist(), strict=True)))
+    factors = likelihood.likeliest_factors(
+        lambda some: log_likelihood(flights, scaled(sizes, some)), _names(), MAX_FACTOR
+    )
+    return scaled(sizes, factors)
 
 
 def with_sizes(text: str, sizes: DescentErrorSizes) -> str:
@@ -261,9 +252,6 @@ class DescentFitResult:
     held: Sequence[FlightErrors]
 
 
-SIZES = columns(
-    "size; old .3g; new .3g; half = halved, drop .1f; twice = doubled, drop .1f; fitted"
-)
 SCORES = columns(
     "flight; ground; windows; square_old = square a degree, old .2f; "
     "square_new = square a degree, new .2f"
@@ -273,22 +261,15 @@ SCORES = columns(
 def report(result: DescentFitResult) -> StudyReport:
     """The sizes with what halving and doubling the new ones costs, and squares of the errors."""
     old, new = result.old, result.new
-    sizes: list[tuple[Cell, ...]] = [
-        (name, getattr(old, name), getattr(new, name), *pair,
-         "yes" if getattr(old, name) != getattr(new, name) else "no")
-        for name, pair in drops(result.fit, new).items()
-    ]  # fmt: skip
+    before, after = (msgspec.to_builtins(sizes) for sizes in (old, new))
+    sizes = likelihood.sizes_table(before, after, drops(result.fit, new))
     scores: list[tuple[Cell, ...]] = []
     for ground, flights in (("fitted with", result.fit), ("held back", result.held)):
         for flight in flights:
             squares = [_square(flight, each) for each in (old, new)]
             scores.append((flight.case, ground, len(flight.missed_px), *squares))
-    note = (
-        f"logarithms of the likelihood; sizes that change it by less than {MIN_DROP} by halving "
-        "and doubling stay; square of all errors of a flight over their joint covariance"
-    )
-    tables = StudyTable("Sizes", SIZES, tuple(sizes)), StudyTable("Scores", SCORES, tuple(scores))
-    return StudyReport(tables, (note,))
+    note = f"{likelihood.NOTE}; square of all errors of a flight over their joint covariance"
+    return StudyReport((sizes, StudyTable("Scores", SCORES, tuple(scores))), (note,))
 
 
 def _square(flight: FlightErrors, sizes: DescentErrorSizes) -> float:

@@ -3,8 +3,7 @@
 Frames of shipped scenarios are matched from their true poses: what is left of each match is its
 error. The sizes in configs/models/control_points.toml are chosen under which these errors are
 likeliest: normal, with each point's own, correlated where templates overlap, and those common to a
-frame. A prior of PRIOR in the logarithm holds them at the present ones: a size about which the
-frames say nothing stays. The positions that follow are scored by NEES, linearised at the truth.
+frame. The positions that follow are scored by NEES, linearised at the truth.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +14,6 @@ from typing import Any
 import msgspec
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 from catalog.arrays import BoolArray, FloatArray
 from catalog.config import resource, toml_text
@@ -42,7 +40,7 @@ from optnav_cli.navigation.control_points.expectation import FrameContext, expec
 from optnav_cli.navigation.control_points.solve import MatchedFrame, match_all, matched_frame
 from optnav_cli.navigation.observation import Observation, observation_of
 from optnav_cli.runs.frame_worker import FrameWorker, RunInputs
-from optnav_cli.studies import descent_fit, flights, navigation
+from optnav_cli.studies import descent_fit, flights, likelihood, navigation
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 # Folders that catalogs and pictures of a model are taken from.
@@ -58,9 +56,7 @@ MIN_POINTS = 3
 MAX_SIGMAS = 5.0
 # Of what overlapping templates share: less than all, as each peak has its own noise.
 SHARED = 0.95
-PRIOR = float(np.log(2.0))
 MAX_FACTOR = 4.0
-MIN_DROP = 0.5  # of the logarithm, by halving or doubling: below it a size stays
 LENGTHS = ("region_km",)  # no sizes
 BEGINNING = b"# Errors of matched control points"
 
@@ -264,30 +260,17 @@ def scaled(sizes: PointErrorSizes, factors: Mapping[str, float]) -> PointErrorSi
 
 def drops(frames: Sequence[TrueFrame], sizes: PointErrorSizes) -> dict[str, tuple[float, float]]:
     """By how much halving and doubling each size lowers the logarithm of the likelihood."""
-    best = log_likelihood(frames, sizes)
-    return {
-        name: (
-            best - log_likelihood(frames, scaled(sizes, {name: 0.5})),
-            best - log_likelihood(frames, scaled(sizes, {name: 2.0})),
-        )
-        for name in numbers(sizes)
-    }
+    return likelihood.drops(
+        lambda factors: log_likelihood(frames, scaled(sizes, factors)), numbers(sizes)
+    )
 
 
 def fitted(frames: Sequence[TrueFrame], sizes: PointErrorSizes) -> PointErrorSizes:
     """The likeliest sizes, of those on which the frames depend."""
-    names = [name for name, pair in drops(frames, sizes).items() if max(map(abs, pair)) > MIN_DROP]
-
-    def cost(logs: FloatArray) -> float:
-        trial = scaled(sizes, dict(zip(names, np.exp(logs).tolist(), strict=True)))
-        return -log_likelihood(frames, trial) + 0.5 * float(((logs / PRIOR) ** 2).sum())
-
-    limit = float(np.log(MAX_FACTOR))
-    found = minimize(
-        cost, np.zeros(len(names)), method="L-BFGS-B", bounds=[(-limit, limit)] * len(names),
-        options={"maxiter": 20, "ftol": 1e-5},
-    )  # fmt: skip
-    return scaled(sizes, dict(zip(names, np.exp(found.x).tolist(), strict=True)))
+    factors = likelihood.likeliest_factors(
+        lambda some: log_likelihood(frames, scaled(sizes, some)), numbers(sizes), MAX_FACTOR
+    )
+    return scaled(sizes, factors)
 
 
 def with_sizes(text: str, sizes: PointErrorSizes) -> str:
@@ -317,9 +300,6 @@ class FitResult:
     held: Sequence[TrueFrame]
 
 
-SIZES = columns(
-    "size; old .3g; new .3g; half = halved, drop .1f; twice = doubled, drop .1f; fitted"
-)
 SCORES = columns("scenario; frames; ground; NEES_old = NEES, old .2f; NEES_new = NEES, new .2f; "
                  "worst_old = worst, old [σ] .1f; worst_new = worst, new [σ] .1f")  # fmt: skip
 
@@ -329,10 +309,7 @@ def report(result: FitResult | descent_fit.DescentFitResult) -> StudyReport:
     if isinstance(result, descent_fit.DescentFitResult):
         return descent_fit.report(result)
     old, new = numbers(result.old), numbers(result.new)
-    sizes: list[tuple[Cell, ...]] = [
-        (name, old[name], new[name], *pair, "yes" if new[name] != old[name] else "no")
-        for name, pair in drops(result.fit, result.new).items()
-    ]
+    sizes = likelihood.sizes_table(old, new, drops(result.fit, result.new))
     scores: list[tuple[Cell, ...]] = []
     for ground, frames in (("fitted with", result.fit), ("held back", result.held)):
         for name in dict.fromkeys(frame.case for frame in frames):
@@ -344,9 +321,5 @@ def report(result: FitResult | descent_fit.DescentFitResult) -> StudyReport:
             )
             worst = [float(np.sqrt(3.0 * some.max())) for some in (before, after)]
             scores.append((name, len(own), kind, before.mean(), after.mean(), *worst))
-    note = (
-        f"logarithms of the likelihood; sizes that change it by less than {MIN_DROP} by halving "
-        "and doubling stay; NEES of positions from the true pose's matches, exact attitude"
-    )
-    tables = StudyTable("Sizes", SIZES, tuple(sizes)), StudyTable("Scores", SCORES, tuple(scores))
-    return StudyReport(tables, (note,))
+    note = f"{likelihood.NOTE}; NEES of positions from the true pose's matches, exact attitude"
+    return StudyReport((sizes, StudyTable("Scores", SCORES, tuple(scores))), (note,))
