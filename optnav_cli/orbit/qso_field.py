@@ -5,13 +5,13 @@ their integral is 3/(n + 3) of its volume times their mean on the face. The mean
 rule of seven points, exact to degree 5; faces are a hundredth of the body, so above it as well.
 """
 
-from math import factorial
+import math
 
 import numpy as np
 
 from catalog.arrays import FloatArray
 from catalog.terrain.mesh.shape import Shape
-from optnav_cli.orbit.qso_motion import MoonField
+from optnav_cli.dynamics.gravity_field import HarmonicField
 
 # Rule of degree 5 on a triangle: Strang and Fix, "An Analysis of the Finite Element Method", 1973.
 _ROOT = np.sqrt(15.0)
@@ -21,8 +21,8 @@ for _a, _w in ((_NEAR, (155.0 - _ROOT) / 1200.0), (_FAR, (155.0 + _ROOT) / 1200.
     _RULE += [(_a, _a, _w), (1.0 - 2.0 * _a, _a, _w), (_a, 1.0 - 2.0 * _a, _w)]
 
 
-def mesh_field(shape: Shape, radius_m: float, degree: int) -> MoonField:
-    """Unnormalised coefficients of degrees 2 to `degree` for a radius.
+def mesh_field(shape: Shape, radius_m: float, degree: int) -> HarmonicField:
+    """Coefficients of degrees 2 to `degree` for a radius.
 
     Degrees 0 and 1 are 0: the point mass stands apart, and a body's ephemeris is that of its centre
     of mass, whatever its figure's centre is.
@@ -38,10 +38,10 @@ def mesh_field(shape: Shape, radius_m: float, degree: int) -> MoonField:
     cosines, sines = np.zeros((size, size)), np.zeros((size, size))
     for n in range(2, size):
         for m in range(n + 1):
-            scale = (2.0 if m else 1.0) * factorial(n - m) / factorial(n + m)
-            scale *= 3.0 / (n + 3.0) / float(volume.sum())
+            share = (2.0 if m else 1.0) * math.factorial(n - m) / math.factorial(n + m)
+            scale = math.sqrt(share / (2.0 * n + 1.0)) * 3.0 / (n + 3.0) / float(volume.sum())
             cosines[n, m], sines[n, m] = scale * sums[:, n, m]
-    return MoonField(radius_m, cosines, sines)
+    return HarmonicField(radius_m, cosines, sines, None, "mesh of even density")
 
 
 def _solid(points: FloatArray, size: int) -> FloatArray:

@@ -10,7 +10,6 @@ coefficients as scipy has them) of a length that is set before: what depends on 
 once for all flights of a search. 900 s about Phobos leave 1e-4 m in five days at 60 km.
 """
 
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -23,6 +22,8 @@ from catalog.bodies.epochs import DAY_S
 from catalog.bodies.rotation import body_from_inertial
 from catalog.errors import ConfigError
 from catalog.geometry.kernel import kernel
+from optnav_cli.dynamics.gravity_field import HarmonicField
+from optnav_cli.dynamics.gravity_kernel import Table, harmonic_tables, pull
 
 STAGES = 12
 _A = np.ascontiguousarray(DOP853.A[:STAGES, :STAGES], dtype=np.float64)
@@ -52,25 +53,15 @@ class PairConstants(NamedTuple):
     """Planet and moon as kernels take them; lengths m, m^3/s^2.
 
     planet_shape  (3, 3) the planet's second degree, inertial axes, times its radius squared
-    c, s          (n, n) unnormalised coefficients of the moon's field from degree 3 on (and of 1
-                  and 2 where they are not in the shape), for radius_m; (0, 0) without
+    radius_m      of the moon's field
+    field         what `gravity_kernel.pull` sums of it; empty without
     """
 
     planet_gm: float
     moon_gm: float
     planet_shape: FloatArray
     radius_m: float
-    c: FloatArray
-    s: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class MoonField:
-    """The moon's field beside its point mass: unnormalised (n, n) C, S for a radius."""
-
-    radius_m: float
-    c: FloatArray
-    s: FloatArray
+    field: Table
 
 
 Vector = tuple[float, float, float]
@@ -107,48 +98,6 @@ def _add_gradient(gm: float, shape: FloatArray, x: FloatArray, gradient: FloatAr
 
 
 @kernel
-def harmonic_pull(
-    gm: float, radius_m: float, c: FloatArray, s: FloatArray, x: FloatArray
-) -> FloatArray:
-    """Pull (3,) of unnormalised coefficients C, S (n, n) at a body-fixed place (3,).
-
-    By the recursion of Cunningham, Celest. Mech. 2 (1970) 207, as Montenbruck and Gill write it
-    ("Satellite Orbits", 2000, eq. 3.29-3.33).
-    """
-    top = c.shape[0]
-    v, w = np.zeros((top + 1, top + 1)), np.zeros((top + 1, top + 1))
-    squared = x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
-    rho = radius_m / squared
-    x0, y0, z0, r0 = x[0] * rho, x[1] * rho, x[2] * rho, radius_m * rho
-    v[0, 0] = radius_m / np.sqrt(squared)
-    for m in range(top + 1):
-        if m > 0:
-            v[m, m] = (2 * m - 1) * (x0 * v[m - 1, m - 1] - y0 * w[m - 1, m - 1])
-            w[m, m] = (2 * m - 1) * (x0 * w[m - 1, m - 1] + y0 * v[m - 1, m - 1])
-        for n in range(m + 1, top + 1):
-            first, second = (2 * n - 1) * z0 / (n - m), (n + m - 1) * r0 / (n - m)
-            v[n, m] = first * v[n - 1, m]
-            w[n, m] = first * w[n - 1, m]
-            if n > m + 1:
-                v[n, m] -= second * v[n - 2, m]
-                w[n, m] -= second * w[n - 2, m]
-    pull = np.zeros(3)
-    for n in range(top):
-        pull[0] -= c[n, 0] * v[n + 1, 1]
-        pull[1] -= c[n, 0] * w[n + 1, 1]
-        pull[2] -= (n + 1) * c[n, 0] * v[n + 1, 0]
-        for m in range(1, n + 1):
-            factor = 0.5 * (n - m + 1) * (n - m + 2)
-            up, down = n + 1, m - 1
-            pull[0] -= 0.5 * (c[n, m] * v[up, m + 1] + s[n, m] * w[up, m + 1])
-            pull[0] += factor * (c[n, m] * v[up, down] + s[n, m] * w[up, down])
-            pull[1] -= 0.5 * (c[n, m] * w[up, m + 1] - s[n, m] * v[up, m + 1])
-            pull[1] -= factor * (c[n, m] * w[up, down] - s[n, m] * v[up, down])
-            pull[2] -= (n - m + 1) * (c[n, m] * v[up, m] + s[n, m] * w[up, m])
-    return gm / (radius_m * radius_m) * pull
-
-
-@kernel
 def _rates(
     y: FloatArray,
     planet: FloatArray,
@@ -167,9 +116,11 @@ def _rates(
     out[3] = far[0] + near[0] - own_pull[0]
     out[4] = far[1] + near[1] - own_pull[1]
     out[5] = far[2] + near[2] - own_pull[2]
-    if pair.c.shape[0] > 0:
-        place = np.array([y[0], y[1], y[2]])
-        rest = turn.T @ harmonic_pull(pair.moon_gm, pair.radius_m, pair.c, pair.s, turn @ place)
+    if pair.field[1].shape[0] > 0:
+        felt = np.empty(3)
+        place = turn @ np.array([y[0], y[1], y[2]])
+        pull(place, (pair.moon_gm, pair.radius_m), pair.field, felt)
+        rest = turn.T @ felt
         for i in range(3):
             out[3 + i] += rest[i]
     if y.size == 42:
@@ -236,7 +187,7 @@ class MoonMotion:
         self,
         moon: Body,
         planet_flattening: bool = True,
-        field: MoonField | Literal["point", "body"] = "body",
+        field: HarmonicField | Literal["point", "body"] = "body",
     ) -> None:
         """field  of the moon: a point mass, J2 and C22 of its body file, or coefficients.
 
@@ -254,16 +205,16 @@ class MoonMotion:
         if own is not None:
             lines = [own.j2 / 2.0 + 3.0 * own.c22, own.j2 / 2.0 - 3.0 * own.c22, -own.j2]
             self._diagonal = (own.radius_km * 1e3) ** 2 * np.array(lines)
-        given = field if isinstance(field, MoonField) else MoonField(1.0, *np.zeros((2, 0, 0)))
+        radius_m, table = 1.0, (np.zeros((0, 0)), np.zeros(0))
+        if isinstance(field, HarmonicField):
+            radius_m, table = field.radius_m, harmonic_tables(field, field.degree)[0]
         flat = self.planet.gravity if planet_flattening else None
         shape = np.zeros((3, 3))
         if flat is not None:
             pole = body_from_inertial(self.planet, 0.0)[2]
             shape = 0.5 * flat.j2 * (np.eye(3) - 3.0 * np.outer(pole, pole))
             shape *= (flat.radius_km * 1e3) ** 2
-        self.pair = PairConstants(
-            self.planet.gm_m3_s2, moon.gm_m3_s2, shape, given.radius_m, given.c, given.s
-        )
+        self.pair = PairConstants(self.planet.gm_m3_s2, moon.gm_m3_s2, shape, radius_m, table)
 
     @property
     def mean_motion(self) -> float:
@@ -302,14 +253,14 @@ class MoonMotion:
         turns = body_from_inertial(self.moon, stages)
         planet = self.planet_m(stages.ravel()).reshape(*stages.shape, 3)
         away = np.linalg.norm(planet, axis=-1, keepdims=True)
-        pull = self.pair.planet_gm * planet / away**3
+        own_pull = self.pair.planet_gm * planet / away**3
         if self.pair.planet_shape.any():
             bent = -planet @ self.pair.planet_shape
             q = np.einsum("...i,...i->...", -planet, bent)[..., None]
             flat = 2.0 * bent / away**5 + 5.0 * q * planet / away**7
-            pull = pull + self.pair.planet_gm * flat
+            own_pull = own_pull + self.pair.planet_gm * flat
         shape = np.einsum("...ki,k,...kj->...ij", turns, self._diagonal, turns)
-        tables = (np.ascontiguousarray(v) for v in (steps, planet, pull, shape, turns))
+        tables = (np.ascontiguousarray(v) for v in (steps, planet, own_pull, shape, turns))
         return FlightTable(*tables)
 
     def propagate(

@@ -14,8 +14,9 @@ from catalog.config import Turn, load_toml, named_config
 from catalog.errors import ConfigError, DataError
 from catalog.terrain.mesh.file import MeshSettings
 from catalog.terrain.mesh.shape import load_shape
+from optnav_cli.dynamics.gravity_field import HarmonicField
 from optnav_cli.orbit.qso_field import mesh_field
-from optnav_cli.orbit.qso_motion import MoonField, MoonMotion
+from optnav_cli.orbit.qso_motion import MoonMotion
 
 QSO_KIND = "qso"  # of the output folder
 QSO_CSV, PASSES_CSV, PATHS_CSV = "qso.csv", "passes.csv", "paths.csv"
@@ -95,7 +96,7 @@ def times_of(section: QsoSection) -> tuple[str, ...]:
 
 def motion_of_moon(forces: MoonForces, moon: Body, beside: Path) -> MoonMotion:
     """The motion beside a moon; the mesh's path is relative to the folder `beside`."""
-    field: MoonField | Literal["point", "body"]
+    field: HarmonicField | Literal["point", "body"]
     if forces.field == "mesh":
         shape = load_shape(forces.mesh, beside, moon)
         field = mesh_field(shape, moon.radius_m, forces.degree)
