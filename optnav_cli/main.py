@@ -79,7 +79,7 @@ COMMANDS = {
 )
 @click.version_option(catalog.__version__, message="optnav %(version)s")
 def cli() -> None:
-    """Optical navigation near the Moon.
+    """Optical navigation at airless bodies.
 
     Builds catalogs of control points from terrain models and finds the camera's position for each
     picture of a folder. Results go to stdout, messages to stderr.
