@@ -56,7 +56,9 @@ COMMANDS = {
     "simulate": Entry(_PICTURES, "Make a folder of pictures with known positions.", "simulate"),
     "navigate": Entry(_PICTURES, "Find the camera's position for each picture.", "navigate"),
     "adjust": Entry(_PICTURES, "Adjust the frames of runs, and what is common to them.", "adjust"),
-    "calibrate": Entry(f"{_HERE}.calibrate", "Calibrate cameras in flight by control points."),
+    "calibrate": Entry(
+        f"{_HERE}.calibrate", "Calibrate cameras by control points, a lens by a grid of dots."
+    ),
     "stars": Entry(f"{_HERE}.stars", "Attitudes from the stars in pictures."),
     "stereo": Entry(f"{_HERE}.stereo", "Height and side velocity from two cameras on a base."),
     "cylinder": Entry(f"{_HERE}.cylinder", "Distance and light angle by a lit cylinder."),

@@ -21,6 +21,7 @@ from catalog.errors import DataError
 from catalog.inputs import check_input
 from catalog.rasters import PICTURES, open_raster, reading_raster
 from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import MAX_PIXELS
 
 # the highest value of the integer types pictures are taken with
 _SATURATION = {"uint8": 255.0, "uint16": 65535.0}
@@ -63,8 +64,8 @@ class LaterPicture(Picture):
         return self._read()
 
 
-def load_picture(path: str | Path, camera: Camera) -> Picture:
-    """Read a picture of a camera.
+def load_picture(path: str | Path, camera: Camera | None) -> Picture:
+    """Read a picture of a camera; of any size where there is none yet.
 
     Raises DataError, with the reason, for a file that is missing, broken, of another size than the
     camera's pictures, in colours other than gray, transparent, or without content: all black, all
@@ -121,16 +122,26 @@ def _check_chunks(path: Path, file: BinaryIO) -> None:
             raise DataError(f"{path}: the picture is broken: wrong checksum at byte {place}")
 
 
-def _read(path: Path, camera: Camera) -> tuple[NDArray[np.generic], str]:
+def _read(path: Path, camera: Camera | None) -> tuple[NDArray[np.generic], str]:
     """The values, all bands being the same, and the name of their type."""
     with open_raster(path, PICTURES) as dataset, reading_raster(path, siblings=False):
         # before its pixels are decoded: a small file can hold a huge picture
-        if dataset.shape != camera.shape:
+        if camera is None:
+            _check_size(path, dataset.width, dataset.height)
+        elif dataset.shape != camera.shape:
             raise DataError(
                 f"{path}: the picture is {dataset.width} x {dataset.height}; camera "
                 f"'{camera.name}' takes {camera.width_px} x {camera.height_px}"
             )
         return _gray(path, dataset), dataset.dtypes[0]
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width * height > MAX_PIXELS:
+        raise DataError(
+            f"{path}: the picture is {width} x {height}; wanted at most {MAX_PIXELS:,} pixels: "
+            "scale it down"
+        )
 
 
 def _gray(path: Path, dataset: Any) -> NDArray[np.generic]:

@@ -62,6 +62,8 @@ def words_with(names: tuple[str, ...], param: click.Parameter, value: str) -> li
             words += [other.opts[0], *values * other.nargs]
         elif other.required or (names == ("report",) and "-o" in other.opts):
             words += [other.opts[0], f"x{[*getattr(other, 'endings', ()), '.json'][0]}"]
+    if names == ("calibrate",) and param.name != "catalogs":
+        words += ["--catalog", "x"]  # else it asks for one, or for the spacing of a grid
     return [*words, *given]
 
 

@@ -98,7 +98,7 @@ class CommonNumber:
             Common.BORESIGHT: f"the boresight of {self.camera}",
             Common.FOCAL: f"the focal length of {self.camera}",
             Common.CENTRE: f"the principal point of {self.camera} along {self.axis}",
-            Common.DISTORTION: f"the distortion of {self.camera}",
+            Common.DISTORTION: f"the distortion {self.axis} of {self.camera}",
             Common.MOUNTING: f"the mounting of {self.camera} about {self.axis}",
             Common.CLOCK: f"the clock of {self.camera}",
         }

@@ -1,0 +1,277 @@
+"""Pictures of a grid of dots to a calibration: the camera file, its errors, what stays open."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from catalog.arrays import FloatArray
+from catalog.errors import DataError, NoSolutionError, NothingToDoError
+from catalog.files import hash_file, replacing_folder
+from catalog.places import check_apart
+from catalog.progress import Progress, logged_stage
+from optnav_cli.calibration.grid_calibration import (
+    GridCalibration,
+    GridDistance,
+    GridView,
+    calibrate_by_grids,
+)
+from optnav_cli.calibration.separability import not_told_apart, tied_pairs
+from optnav_cli.camera.camera import Camera
+from optnav_cli.camera.camera_file import camera_toml
+from optnav_cli.estimation.models.common import Common
+from optnav_cli.frames.picture import load_picture
+from optnav_cli.frames.tables import CALIBRATION_RESIDUALS
+from optnav_cli.measurements.calibration_grid import GridDots, find_dots
+from optnav_cli.output.manifest import write_manifest
+from optnav_cli.output.run_folder import CAMERAS
+from optnav_cli.output.wording import json_text, table_lines
+from optnav_cli.runs.calibrate_folder import CALIBRATION_JSON, KIND, RESIDUALS_CSV, STAGE
+
+UNSEEN_SHARE = 0.9  # of its prior's sigma: a number of which the pictures tell hardly anything
+WEAK_FOCAL = 0.003  # relative error of a focal length that people should know of
+TIED = 0.9  # correlation of focal length and distance
+MAX_DISTANCE_MISFIT = 4.0  # sigmas
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class GridInputs:
+    """Pictures of a grid, and what is said of them.
+
+    spacing_mm  from dot to dot;  size  columns and rows of dots, None where they are to be found
+    name        of the camera;  distance  of the grid in the first picture, where it was measured
+    """
+
+    pictures: tuple[Path, ...]
+    spacing_mm: float
+    size: tuple[int, int] | None = None
+    name: str = "grid"
+    distance: GridDistance | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class GridResult:
+    """A calibration by grids, the pictures that it rests on, and the others with their reasons."""
+
+    found: GridCalibration
+    files: tuple[str, ...]
+    dots: tuple[GridDots, ...]
+    skipped: tuple[str, ...]
+
+    @property
+    def notes(self) -> list[str]:
+        """What the pictures tell little of, in words."""
+        found, notes = self.found, [f"left out: {reason}" for reason in self.skipped]
+        sigmas = np.sqrt(np.diag(found.covariance))
+        for number, sigma in zip(found.numbers, sigmas, strict=True):
+            if sigma > UNSEEN_SHARE * number.prior_sigma:
+                notes.append(f"{number.label} is not observed: it stays about where it began")
+        if len(self.files) == 1 and abs(found.focal_distance) > TIED:
+            notes.append(
+                "one picture hardly tells the focal length from the distance of the grid "
+                f"(correlation {abs(found.focal_distance):.3f}, tilt {found.tilts_deg[0]:.0f} deg)"
+            )
+        if found.focal_error > WEAK_FOCAL:
+            notes.append(
+                f"the focal length is known to {100.0 * found.focal_error:.1f} % only: tilt the "
+                "grid by 20 to 40 deg and take several pictures"
+            )
+        focal = {found.camera.name: found.camera.focal_length_px}
+        for group in not_told_apart(found.numbers, found.covariance):
+            notes.append(f"{group.words().split(':')[0]}: take pictures with the grid turned")
+        pairs = tied_pairs(found.numbers, found.covariance, focal)
+        return notes + [pair.words() for pair in pairs]
+
+    def rows(self) -> list[dict[str, object]]:
+        """One a number of the lens, as in calibrations in flight."""
+        found, camera = self.found, self.found.camera
+        sigmas = np.sqrt(np.diag(found.covariance))
+        together = {
+            place
+            for group in not_told_apart(found.numbers, found.covariance)
+            for place in group.places
+        }
+        rows: list[dict[str, object]] = []
+        for place, number in enumerate(found.numbers):
+            value, per, zero, unit = _written(number.kind, number.axis, camera)
+            rows.append(
+                {
+                    "name": number.kind.value,
+                    "axis": number.axis,
+                    "camera": camera.name,
+                    "value": value,
+                    "change": value - zero,
+                    "sigma": per * float(sigmas[place]),
+                    "prior_sigma": per * number.prior_sigma,
+                    "unit": unit,
+                    "observed": bool(sigmas[place] <= UNSEEN_SHARE * number.prior_sigma),
+                    "told_apart": place not in together,
+                }
+            )
+        return rows
+
+    def document(self) -> dict[str, object]:
+        """calibration.json."""
+        found = self.found
+        sigmas = np.sqrt(np.diag(found.covariance))
+        dots = sum(len(part) for part in found.after)
+        return {
+            "numbers": self.rows(),
+            "correlations": found.covariance / np.outer(sigmas, sigmas),
+            "not_told_apart": [],
+            "notes": self.notes,
+            "frames": len(self.files),
+            "matches": dots,
+            "matches_used": dots,
+            "sigma_px": found.sigma_px,
+            "residual_rms_px": {"before": _rms(found.before), "after": _rms(found.after)},
+            "grids": [
+                {"file": name, "columns": dot.size[0], "rows": dot.size[1]}
+                | {"distance_mm": float(distance), "tilt_deg": float(tilt)}
+                for name, dot, distance, tilt in zip(
+                    self.files, self.dots, found.distances_mm, found.tilts_deg, strict=True
+                )
+            ],
+        }
+
+    def lines(self) -> list[str]:
+        """A summary for people."""
+        found = self.found
+        table = [("", "value", "sigma", "")]
+        for row in self.rows():
+            label = f"{row['name']} {row['axis']}".strip()
+            table.append((label, f"{row['value']:.7g}", f"{row['sigma']:.2g}", str(row["unit"])))
+        grids: list[tuple[str, ...]] = [("picture", "dots", "distance, mm", "tilt, deg")]
+        for name, dot, distance, tilt in zip(
+            self.files, self.dots, found.distances_mm, found.tilts_deg, strict=True
+        ):
+            size = f"{dot.size[0]} x {dot.size[1]}"
+            grids.append((name, size, f"{distance:.1f}", f"{tilt:.1f}"))
+        return [
+            *table_lines(table, left=(0, 3)),
+            *table_lines(grids, left=(0,)),
+            f"residuals, rms a coordinate: {_rms(found.after):.3f} px",
+            *self.notes,
+        ]
+
+
+def calibrate_grid(
+    given: GridInputs, output: Path, kinds: Sequence[Common], progress: Progress
+) -> GridResult:
+    """Calibrate a camera by pictures of a grid, and write the calibration.
+
+    Raises DataError for pictures that cannot be read, differ in size, or contradict the stated
+    distance; NothingToDoError where none shows a grid, NoSolutionError where they leave the focal
+    length open.
+    """
+    started = datetime.now(UTC)
+    check_apart(output, list(given.pictures))
+    with logged_stage(STAGE):
+        files, dots, skipped, blank = [], [], [], None
+        with progress.stage(STAGE, len(given.pictures), "picture") as bar:
+            for path in given.pictures:
+                values = load_picture(path, blank).values
+                height, width = values.shape
+                blank = blank or Camera(
+                    given.name, "pinhole", width, height, max(width, height), (0.0, 0.0)
+                )
+                try:
+                    dots.append(find_dots(values, given.size))
+                    files.append(path.name)
+                except NoSolutionError as error:
+                    skipped.append(f"{path.name}: {error}")
+                    _log.warning("%s: %s", path, error)
+                bar.advance()
+        if not dots or blank is None:
+            raise NothingToDoError(f"no picture shows a grid; {skipped[0]}")
+        views = [GridView(dot.pixels, dot.places) for dot in dots]
+        # the distance is that of the first picture named: of another one it says nothing
+        distance = given.distance if files[0] == given.pictures[0].name else None
+        found = calibrate_by_grids(blank, views, given.spacing_mm, kinds, distance)
+        _check_distance(found, blank, views, given, kinds)
+        result = GridResult(found, tuple(files), tuple(dots), tuple(skipped))
+        with replacing_folder(output, KIND) as place:
+            _write(place, result)
+            write_manifest(
+                place,
+                KIND,
+                command="calibrate",
+                options={
+                    "solve": [kind.value for kind in kinds],
+                    "grid_spacing_mm": given.spacing_mm,
+                    "grid": given.size,
+                    "distance_mm": given.distance.value_mm if given.distance else None,
+                },
+                inputs={
+                    "pictures": [
+                        {"path": path, "sha256": hash_file(path)} for path in given.pictures
+                    ]
+                },
+                results={"frames": len(files), "matches": sum(len(dot.pixels) for dot in dots)},
+                started=started,
+            )
+    return result
+
+
+def _check_distance(
+    found: GridCalibration,
+    blank: Camera,
+    views: Sequence[GridView],
+    given: GridInputs,
+    kinds: Sequence[Common],
+) -> None:
+    """Raise DataError where the tilt of the grids tells another distance than the one measured."""
+    misfit = found.distance_misfit
+    if misfit is None or abs(misfit) <= MAX_DISTANCE_MISFIT or given.distance is None:
+        return
+    alone = calibrate_by_grids(blank, views, given.spacing_mm, kinds)
+    share = given.distance.value_mm / float(alone.distances_mm[0])
+    raise DataError(
+        f"{given.pictures[0]}: --distance-mm is {given.distance.value_mm:g}, but the tilted grid "
+        f"stands {alone.distances_mm[0]:.1f} mm away if its dots are {given.spacing_mm:g} mm apart "
+        f"({abs(misfit):.0f} sigmas); measure again: at that distance they are "
+        f"{share * given.spacing_mm:.4g} mm apart"
+    )
+
+
+def _rms(parts: Sequence[FloatArray]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def _written(kind: Common, axis: str, camera: Camera) -> tuple[float, float, float, str]:
+    """A number's value, how many of its unit make one of the state's, what it began at, its unit.
+
+    A focal length begins at the longer side, as nothing is known of it.
+    """
+    if kind == Common.FOCAL:
+        focal = camera.focal_length_px
+        return focal, focal, float(max(camera.shape)), "px"
+    if kind == Common.CENTRE:
+        number = "xy".index(axis)
+        side = (camera.width_px, camera.height_px)[number]
+        return camera.principal_point_px[number], 1.0, 0.5 * (side - 1.0), "px"
+    return camera.coefficients[["k1", "k2"].index(axis)], 1.0, 0.0, ""
+
+
+def _write(place: Path, result: GridResult) -> None:
+    """Fill the folder but for its manifest."""
+    found, camera = result.found, result.found.camera
+    (place / CAMERAS).mkdir()
+    (place / CAMERAS / f"{camera.name}.toml").write_text(camera_toml(camera), encoding="utf-8")
+    (place / CALIBRATION_JSON).write_text(json_text(result.document()) + "\n", encoding="utf-8")
+    cells: list[dict[str, object]] = []
+    for name, dots, before, after in zip(
+        result.files, result.dots, found.before, found.after, strict=True
+    ):
+        for number, (x, y) in enumerate(dots.pixels):
+            one: dict[str, object] = {"file": name, "camera": camera.name, "id": number}
+            one |= {"measured_x_px": x, "measured_y_px": y, "weight": 1.0}
+            one |= {"before_x_px": before[number, 0], "before_y_px": before[number, 1]}
+            one |= {"after_x_px": after[number, 0], "after_y_px": after[number, 1]}
+            cells.append(one)
+    CALIBRATION_RESIDUALS.write(place / RESIDUALS_CSV, cells)
