@@ -14,11 +14,16 @@ DESIGNS = {
 }
 
 
-def _design(place: Place, name: str, written: frozenset[int] = frozenset({0})) -> Case:
+def _design(
+    place: Place,
+    name: str,
+    written: frozenset[int] = frozenset({0}),
+    leaves: tuple[str, ...] = (),
+) -> Case:
     text, codes, note = DESIGNS[name].text(place)
     place.write(f"{name}.toml", text)
     args = ("-q", "orbit", name, f"{name}.toml", "-o", "new")
-    return Case(args, codes | {DATA, NOTHING}, "new", written, note=note)
+    return Case(args, codes | {DATA, NOTHING}, "new", written, leaves, note=note)
 
 
 @kind("design-qso", 0.6)
@@ -29,8 +34,8 @@ def qso(place: Place) -> Case:
 
 @kind("design-landing", 0.4)
 def landing(place: Place) -> Case:
-    """A landing by other settings."""
-    return _design(place, "landing")
+    """A landing by other settings; the trials are written also where none lands."""
+    return _design(place, "landing", leaves=("new",))
 
 
 @kind("design-delivery", 0.6)
