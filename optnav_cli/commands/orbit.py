@@ -8,7 +8,7 @@ from optnav_cli.console import ConsoleProgress, announce_compilation, pass_progr
 from optnav_cli.options import LazyGroup, output_option, path_argument
 from optnav_cli.parameters import PATH, Number
 
-SOLVED = ("clock", "focal", "map_offset", "acceleration", "srp")
+SOLVED = ("clock", "focal", "map_offset", "acceleration", "srp", "vertical")
 CRAFT = click.option(
     "--craft",
     type=click.IntRange(-(10**9), -2),  # -1 is Geotail
@@ -47,7 +47,8 @@ def _solved(context: click.Context, option: click.Parameter, value: str) -> tupl
     default="",
     metavar="WHAT,...",
     help="What to solve for besides the orbit: clock of a camera or run against the first one, "
-    "focal length, origin of the map (map_offset), a constant acceleration, sunlight (srp).",
+    "focal length, origin of the map (map_offset), a constant acceleration, sunlight (srp); of "
+    "zenith distances the vertical.",
 )
 @output_option("Folder for the orbit; an earlier one in it is replaced.")
 def fit(runs: tuple[Path, ...], config: Path | None, solve: tuple[str, ...], output: Path) -> None:
@@ -58,9 +59,13 @@ def fit(runs: tuple[Path, ...], config: Path | None, solve: tuple[str, ...], out
     manifest.json. Ends with exit code 4, and the test that failed, where the fit does not converge
     or the residuals refute it.
 
+    A zenith.csv among RUNS, or a folder that has one and no solution.csv, is fitted by its zenith
+    distances of stars; OUTPUT then has zenith_residuals.csv in place of the tables of fixes.
+
     \b
     Example:
       optnav orbit fit run -o orbit
+      optnav orbit fit run/zenith.csv --solve srp -o orbit
       optnav orbit fit run-1 run-2 --solve clock,focal -o orbit
       optnav orbit fit run --config orbit.toml -o orbit
     """

@@ -177,6 +177,11 @@ def evaluate_orbit(folder: Path, truth: Path) -> OrbitEvaluation:
         settings, body = read_run_settings(folder / RUN_TOML)
         attitude = FileAttitude(settings.attitude, body)
         truths = read_truth(truth, attitude)
+        if not (folder / SMOOTHED).exists():
+            raise DataError(
+                f"{folder}: has no {SMOOTHED}, for it is an orbit through zenith distances and not "
+                "through fixes of pictures; compare the rows of orbit.csv"
+            )
         files = {row.file for row in truths}
         rows = [s for s in read_solutions(folder / SMOOTHED, attitude) if s.file in files]
         if not rows:

@@ -84,6 +84,35 @@ ORBIT_RESIDUALS = CsvTable(
     )
 )
 
+_SIGHT = (
+    text("utc", "time of the sight, UTC, with as many digits as it is known to"),
+    text("type", "star_zenith"),
+    _filled("ra_deg", "right ascension of the star, ICRS, proper motion in it", "deg", "z.6f"),
+    _filled("dec_deg", "declination of the star", "deg", "z.6f"),
+    _filled(
+        "value_deg",
+        "angle between the craft's place from the body's centre and the star, without aberration",
+        "deg",
+        "z.8f",
+    ),
+    _filled("sigma_arcsec", "1 sigma of it", "arcsec", ".6g"),
+)
+
+ZENITH = CsvTable(_SIGHT)
+
+ZENITH_RESIDUALS = CsvTable(
+    (
+        _SIGHT[0],
+        text("star", "its name, or its number in the Hipparcos catalogue"),
+        _filled("value_deg", "the zenith distance measured", "deg", "z.8f"),
+        _filled("residual_arcsec", "measured less that of the orbit", "arcsec", "z.4f"),
+        _filled("sigma_arcsec", "1 sigma as stated", "arcsec", ".6g"),
+        _filled("chi_square", "of the residual by its own covariance; 1 is expected", "", "z.4f"),
+        CsvColumn("used", "whether the orbit rests on it", "flag"),
+        text("reason", "why not", empty=True),
+    )
+)
+
 DISTURBANCES = CsvTable(
     (
         text("from_utc", "start of the interval"),

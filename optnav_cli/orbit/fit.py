@@ -32,11 +32,13 @@ MEDIAN_OF_3 = 2.366  # of a chi-square of three numbers
 MAX_LEFT_OUT = 1.0 / 3.0
 MAX_SCATTER = 3.0  # times the stated sigmas, of the middle fix
 UNOBSERVED = 0.9  # of the prior's sigma
+AXES_OF = {"vertical": "NB"}  # of parameters of which one axis may be open and another not
 # Of the residuals to their sigmas; beyond it they refute the fit, below it is a remark: what stands
 # for the field that is left out is right to some tens of percent.
 MAX_RATIO = 1.5
 MIN_FIXES = 3
 MAX_BETWEEN = 100_000
+RUNAWAY_M = 1e12  # of a step: no orbit about a body is so wide
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +77,17 @@ class OrbitFit:
         return self.last_covariance[6:, 6:]
 
     @property
+    def count(self) -> int:
+        """Measurements, those left out among them."""
+        return len(self.residuals)
+
+    @property
     def used(self) -> int:
-        """Fixes that the orbit rests on."""
+        """Measurements that the orbit rests on."""
         return sum(residual.used for residual in self.residuals)
 
 
-class _Solver:
+class OrbitSolver:
     """Steps of Gauss and Newton about a trajectory."""
 
     def __init__(self, problem: OrbitProblem, model: NoiseModel) -> None:
@@ -89,9 +96,9 @@ class _Solver:
         self.steps = 0
         self._sigmas: FloatArray | None = None
 
-    def of(self, problem: OrbitProblem) -> "_Solver":
+    def of(self, problem: OrbitProblem) -> "OrbitSolver":
         """The same of a part of the problem."""
-        return _Solver(problem, "white" if self.solve is smooth else "nuisance")
+        return OrbitSolver(problem, "white" if self.solve is smooth else "nuisance")
 
     def step(self, at: Trajectory, weights: FloatArray) -> tuple[Trajectory, SmoothedArc, float]:
         """The next trajectory, the linear solution, and its longest step in sigmas."""
@@ -106,6 +113,8 @@ class _Solver:
         found = self.solve(arc)
         self.steps += 1
         deltas = found.deviations[:, :, 0]
+        if not np.abs(deltas[:, :6]).max() < RUNAWAY_M:
+            raise NoSolutionError("the steps of the fit run away; the fixes fit no orbit")
         parameters = at.parameters + deltas[-1, 6:]
         sigmas = np.sqrt(np.maximum(np.diagonal(found.covariances, axis1=1, axis2=2), 1e-300))
         self._sigmas = sigmas[0, :6]
@@ -135,7 +144,7 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
             f"too few fixes: {len(problem.fixes)} leave the orbit open; wanted {MIN_FIXES} or "
             "more, or a [[prior]]"
         )
-    solver = _Solver(problem, model)
+    solver = OrbitSolver(problem, model)
     at, weights = _start(problem, solver)
     at, found = solver.settle(at, np.ones(len(weights)))
     residuals = _residuals(problem, at, found, np.ones(len(weights), bool))
@@ -153,7 +162,7 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
         seen.add(used.tobytes())
         used = judged
     remarks = _judge(problem, found, residuals)
-    covariances = _with_considered(problem, at, found, used, solver)
+    covariances = with_considered(problem, at, found, used, solver)
     return OrbitFit(
         problem,
         at,
@@ -164,11 +173,11 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
         found.chi_square,
         _freedom(problem, found),
         solver.steps,
-        [*remarks, *_unobserved(problem, covariances[-1, 6:, 6:])],
+        [*remarks, *unobserved_remarks(problem, covariances[-1, 6:, 6:])],
     )
 
 
-def _start(problem: OrbitProblem, solver: _Solver) -> tuple[Trajectory, FloatArray]:
+def _start(problem: OrbitProblem, solver: OrbitSolver) -> tuple[Trajectory, FloatArray]:
     """A trajectory near enough, and the weights of the fixes that it ends with."""
     times, parameters = problem.times, np.zeros(problem.width - 6)
     node, state = first_orbit(problem)
@@ -336,8 +345,8 @@ def _freedom(problem: OrbitProblem, found: SmoothedArc) -> int:
     return found.count - 6
 
 
-def _with_considered(
-    problem: OrbitProblem, at: Trajectory, found: SmoothedArc, used: BoolArray, solver: _Solver
+def with_considered(
+    problem: OrbitProblem, at: Trajectory, found: SmoothedArc, used: BoolArray, solver: OrbitSolver
 ) -> FloatArray:
     """Covariances (N, 6 + p, 6 + p) of the states with the parameters.
 
@@ -369,10 +378,10 @@ def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
         if inner:
             start = float(times[k])
             states[inner] = problem.motion.path(states[node], start, dense.times[inner])[0]
-    solver = _Solver(dense, "white")
+    solver = OrbitSolver(dense, "white")
     used = np.array([r.used for r in fit.residuals])
     at, found = solver.settle(Trajectory(states, fit.trajectory.parameters), used.astype(float))
-    covariances = _with_considered(dense, at, found, used, solver)
+    covariances = with_considered(dense, at, found, used, solver)
     return replace(
         fit,
         problem=dense,
@@ -382,19 +391,27 @@ def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
     )
 
 
-def _unobserved(problem: OrbitProblem, covariance: FloatArray) -> list[str]:
-    """What the fixes do not tell, in words."""
+def unobserved_remarks(problem: OrbitProblem, covariance: FloatArray) -> list[str]:
+    """What the measurements do not tell, in words."""
     remarks = []
     for parameter in problem.estimated:
         sigmas = np.sqrt(np.diag(covariance)[parameter.span])
         left = sigmas / np.sqrt(np.diag(parameter.covariance))
+        axes = AXES_OF.get(parameter.name, "")
+        whose = parameter.settings.label
         # an arc of thrust is known before: there is nothing to say where the fixes add nothing
-        if (left > UNOBSERVED).all() and parameter.name in PRIOR_SIGMAS:
-            share = float(left.min())
-            remarks.append(
-                f"{parameter.settings.label} is unobserved: the fixes leave {100.0 * share:.0f} % "
-                "of its prior sigma"
-            )
+        if parameter.name not in PRIOR_SIGMAS or not (left > UNOBSERVED).any():
+            continue
+        if not (left > UNOBSERVED).all():
+            if not axes:
+                continue
+            hidden = (axis for axis, share in zip(axes, left, strict=True) if share > UNOBSERVED)
+            whose += f" along {', '.join(hidden)}"
+        share = float(left[left > UNOBSERVED].min())
+        remarks.append(
+            f"{whose} is not observed: the measurements leave {100.0 * share:.0f} % of its prior "
+            "sigma"
+        )
     return remarks
 
 

@@ -86,6 +86,12 @@ class ArcMotion:
         """States (n, 6) at times, and their derivatives (n, 6, 6)."""
         return self._motion.propagate(state, tdb_s, times)
 
+    def partials(
+        self, state: FloatArray, tdb_s: float, times: FloatArray, names: Sequence[str]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `path`, and derivatives (n, 6, p) by force parameters of these names."""
+        return self._motion.partials(state, tdb_s, times, names)
+
     def radian_s(self, position_m: FloatArray) -> float:
         """How long the motion takes for a radian, s."""
         return self._motion.radian_s(position_m)

@@ -57,7 +57,7 @@ def orbit_file(fit: OrbitFit, settings: OrbitFitSettings, kernels: Sequence[str]
         triangle_of(fit.last_covariance),
     )
     test = StoredTest(
-        len(fit.residuals),
+        fit.count,
         fit.used,
         float(fit.chi_square),
         fit.degrees_of_freedom,
@@ -108,7 +108,7 @@ def write_orbit_folder(
     rows = rows_of_fit(dense)
     write_orbit_rows(place / ORBIT_CSV, rows, fit.problem.ephemeris)
     ORBIT_RESIDUALS.write(place / RESIDUALS, residual_rows(fit))
-    DISTURBANCES.write(place / DISTURBANCES_CSV, _disturbance_rows(fit))
+    DISTURBANCES.write(place / DISTURBANCES_CSV, disturbance_rows(fit))
     fixes = np.array([kind == "fix" for kind in rows.kinds])
     body = fit.problem.ephemeris.body.name
     oem = Oem(body, rows.times, rows.states, rows.times[fixes], rows.covariances[fixes])
@@ -130,7 +130,8 @@ def residual_rows(fit: OrbitFit) -> Iterator[dict[str, object]]:
         yield cells
 
 
-def _disturbance_rows(fit: OrbitFit) -> Iterator[dict[str, object]]:
+def disturbance_rows(fit: OrbitFit) -> Iterator[dict[str, object]]:
+    """The rows of disturbances.csv."""
     problem = fit.problem
     for i, moved in enumerate(fit.disturbances):
         start, end = (float(problem.times[k]) for k in (i, i + 1))
@@ -190,6 +191,23 @@ def record(path: Path, body: Body, rows: Sequence[tuple[Solution, Camera | None]
             recording.add_frame(solution, (), camera)
 
 
+def parameter_lines(fit: OrbitFit) -> list[str]:
+    """A table of the parameters for people; none without any."""
+    parameters = list(stored_parameters(fit))
+    if not parameters:
+        return []
+    table = [("parameter", "", "value", "sigma", "before", "")]
+    for p in parameters:
+        whose = " ".join(filter(None, (p.camera, p.run)))
+        unit = UNITS.get(p.name, UNITS["acceleration"])
+        for value, sigma in zip(p.value, p.sigma, strict=True):
+            known = "considered" if p.mode == "consider" else ""
+            known = known or ("" if p.observed else "not observed")
+            cells = (f"{value:.6g}", f"{sigma:.2g}", f"{p.prior_sigma:.2g}")
+            table.append((f"{p.name} {unit}".strip(), whose, *cells, known))
+    return table_lines(table, left=(0, 1, 5))
+
+
 def summary(fit: OrbitFit) -> list[str]:
     """A few lines for people."""
     first, last = (utc_from_tdb_s(float(fit.problem.times[k]), 0) for k in (0, -1))
@@ -204,24 +222,7 @@ def summary(fit: OrbitFit) -> list[str]:
         f"median sigma an axis: {length(float(np.median(sigmas)))} of the orbit, "
         f"{length(float(np.median(fixes)))} of a fix"
     )
-    parameters = list(stored_parameters(fit))
-    if parameters:
-        table = [("parameter", "", "value", "sigma", "before", "")]
-        for p in parameters:
-            whose = " ".join(filter(None, (p.camera, p.run)))
-            for value, sigma in zip(p.value, p.sigma, strict=True):
-                known = "considered" if p.mode == "consider" else ""
-                known = known or ("" if p.observed else "unobserved")
-                cells = (f"{value:.6g}", f"{sigma:.2g}", f"{p.prior_sigma:.2g}")
-                table.append(
-                    (
-                        f"{p.name} {UNITS.get(p.name, UNITS['acceleration'])}".strip(),
-                        whose,
-                        *cells,
-                        known,
-                    )
-                )
-        lines += table_lines(table, left=(0, 1, 5))
+    lines += parameter_lines(fit)
     left_out = [
         f"left out {fix.file}: {LEFT_OUT} (chi-square {residual.chi_square:.0f} of 3)"
         for fix, residual in zip(fit.problem.fixes, fit.residuals, strict=True)

@@ -12,7 +12,7 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import ConfigError, DataError
 from optnav_cli.orbit.folder import ROTATION_STEP_S, matrix_of, stated_turn
 from optnav_cli.orbit.oem import read_oem
-from optnav_cli.orbit.problem import OrbitFix, OrbitPrior
+from optnav_cli.orbit.problem import OrbitPrior
 from optnav_cli.orbit.settings import OrbitPriorSettings
 
 
@@ -20,13 +20,15 @@ def orbit_priors(
     settings: Sequence[OrbitPriorSettings],
     ephemeris: Ephemeris,
     beside: Path,
-    fixes: Sequence[OrbitFix],
+    ends: tuple[float, float],
 ) -> list[OrbitPrior]:
-    """The priors, each at one time. Raises ConfigError or DataError for one that is wrong."""
+    """The priors, each at one time; ends: TDB s of the first and last measurement.
+
+    Raises ConfigError or DataError for one that is wrong."""
     found = []
     for one in settings:
         if one.oem:
-            found.append(_of_oem(one, ephemeris, beside / one.oem, fixes))
+            found.append(_of_oem(one, ephemeris, beside / one.oem, ends))
         else:
             found.append(_of_state(one, ephemeris))
     for prior in found:
@@ -55,11 +57,11 @@ def _of_state(settings: OrbitPriorSettings, ephemeris: Ephemeris) -> OrbitPrior:
 
 
 def _of_oem(
-    settings: OrbitPriorSettings, ephemeris: Ephemeris, path: Path, fixes: Sequence[OrbitFix]
+    settings: OrbitPriorSettings, ephemeris: Ephemeris, path: Path, ends: tuple[float, float]
 ) -> OrbitPrior:
     """Its state at a covariance nearest the middle of the fixes, or with the stated sigmas."""
     oem = read_oem(path, ephemeris.body.name)
-    first, last = min(f.tdb_s for f in fixes), max(f.tdb_s for f in fixes)
+    first, last = ends
     middle = min(max(0.5 * (first + last), float(oem.times[0])), float(oem.times[-1]))
     if oem.times[-1] < first or oem.times[0] > last:
         start, end = (utc_from_tdb_s(float(oem.times[k]), 0) for k in (0, -1))

@@ -5,7 +5,7 @@ offset d of its camera or run, the relative focal error s, and the map's offset 
 wrong by s moves a fix by its height times s along the vertical.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,10 +20,11 @@ from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.settings import OF_FIXES, ParameterSettings
 
 SAME_TIME_S = 1e-3  # fixes of one node
+# Numbers of a parameter; others have one.
+SIZES = {"map_offset": 3, "acceleration": 3, "vertical": 2}
 # Of the first state where no prior states one: a share of the distance, but no more sigmas of a fix
 # than leave the covariance digits; once the state's own sigmas are known, so many of these. About
 # the state of the step before, so it moves no orbit.
-SIZES = {"map_offset": 3, "acceleration": 3}  # numbers of a parameter; others have one
 OPEN_SHARE, OPEN_SIGMAS, OPEN_AGAIN = 0.1, 1e4, 1e3
 
 
@@ -80,16 +81,19 @@ class FitParameter:
 
 
 def parameters_of(
-    settings: Sequence[ParameterSettings], thrusts: Sequence[FloatArray]
+    settings: Sequence[ParameterSettings],
+    thrusts: Sequence[FloatArray],
+    sizes: Mapping[str, int] = SIZES,
 ) -> tuple[list[FitParameter], list[FitParameter]]:
     """Those estimated and those considered, each with its place.
 
     thrusts  covariances (3, 3) of the arcs of thrust, which are estimated too
+    sizes    how many numbers a parameter has; 1 where not named
     """
     found: dict[str, list[FitParameter]] = {"estimate": [], "consider": []}
     ends = dict.fromkeys(found, 0)
     every: list[tuple[str, ParameterSettings, FloatArray]] = [
-        (one.name, one, np.eye(SIZES.get(one.name, 1)) * one.sigma**2) for one in settings
+        (one.name, one, np.eye(sizes.get(one.name, 1)) * one.sigma**2) for one in settings
     ]
     for number, covariance in enumerate(thrusts, start=1):
         every.append((f"{THRUST}{number}", ParameterSettings("acceleration"), covariance))
@@ -127,13 +131,16 @@ class OrbitProblem:
 
     def __post_init__(self) -> None:
         self.fixes = sorted(self.fixes, key=lambda fix: fix.tdb_s)
-        self.estimated, self.considered = parameters_of(self.parameters, self.motion.thrusts)
+        self.estimated, self.considered = parameters_of(
+            self.parameters, self.motion.thrusts, self.sizes
+        )
         every = sorted([f.tdb_s for f in self.fixes] + [p.tdb_s for p in self.priors])
         times: list[float] = []
         for time in every:
             if not times or time - times[-1] > SAME_TIME_S:
                 times.append(time)
-        free = [float(time) for time in self.between if np.abs(times - time).min() > SAME_TIME_S]
+        near = np.array(times or [np.inf])
+        free = [float(time) for time in self.between if np.abs(near - time).min() > SAME_TIME_S]
         self.times = np.sort(np.array([*times, *free]))
         self.node_of = [self._node(fix.tdb_s) for fix in self.fixes]
         self.prior_nodes = [self._node(prior.tdb_s) for prior in self.priors]
@@ -146,6 +153,11 @@ class OrbitProblem:
     @property
     def ephemeris(self) -> Ephemeris:
         return self.motion.ephemeris
+
+    @property
+    def sizes(self) -> Mapping[str, int]:
+        """How many numbers a parameter has; 1 where not named."""
+        return SIZES
 
     @property
     def width(self) -> int:

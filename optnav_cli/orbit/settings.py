@@ -14,7 +14,7 @@ from optnav_cli.frames.run_settings import SpiceSettings
 
 KIND = "orbit"  # of the output folder
 
-Name = Literal["clock", "focal", "map_offset", "acceleration", "srp"]
+Name = Literal["clock", "focal", "map_offset", "acceleration", "srp", "vertical", "star_catalog"]
 Mode = Literal["estimate", "consider"]
 NoiseModel = Literal["white", "mean", "nuisance", "none"]
 PARAMETERS: tuple[Name, ...] = ("clock", "focal", "map_offset", "acceleration", "srp")
@@ -25,6 +25,8 @@ PRIOR_SIGMAS: dict[Name, float] = {
     "map_offset": 1000.0,
     "acceleration": 1e-5,
     "srp": 0.02,
+    "vertical": 0.1,
+    "star_catalog": 0.01,
 }
 UNITS: dict[str, str] = {
     "clock": "s",
@@ -32,9 +34,13 @@ UNITS: dict[str, str] = {
     "map_offset": "m",
     "acceleration": "m/s2",
     "srp": "m2/kg",
+    "vertical": "arcsec",
+    "star_catalog": "arcsec",
 }
-# In these a parameter belongs to the fixes of a camera or of a run; the others move the craft.
-OF_FIXES: tuple[Name, ...] = ("clock", "focal", "map_offset")
+# In these a parameter belongs to the fixes of a camera or of a run; those of sights belong to all
+# zenith distances; the others move the craft.
+OF_SIGHTS: tuple[Name, ...] = ("vertical", "star_catalog")
+OF_FIXES: tuple[Name, ...] = ("clock", "focal", "map_offset", *OF_SIGHTS)
 
 Vector = tuple[
     Annotated[float, Meta(ge=-1e13, le=1e13)],
@@ -59,7 +65,7 @@ class ParameterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """[[parameter]]: a number common to fixes, or to the arc.
 
     camera, run  whose fixes it belongs to; of a run, the name of its folder; "": all
-    prior_sigma  s, a share, m, m/s^2 or a share; unset: wide
+    prior_sigma  s, a share, m, m/s^2, m^2/kg or arc seconds; unset: wide
     mode         estimate it, or only consider that it is not known
     """
 
@@ -156,9 +162,9 @@ def check_parameters(parameters: tuple[ParameterSettings, ...]) -> None:
     for parameter in parameters:
         if parameter.label in seen:
             raise ConfigError(f"[[parameter]] {parameter.label} is there twice; remove one")
-        if parameter.name not in OF_FIXES and (parameter.camera or parameter.run):
-            raise ConfigError(
-                f"[[parameter]] {parameter.name} moves the craft, whatever camera looks; remove "
-                "camera and run"
-            )
+        owned = parameter.name in OF_FIXES and parameter.name not in OF_SIGHTS
+        if not owned and (parameter.camera or parameter.run):
+            what = "is common to all zenith distances" if parameter.name in OF_SIGHTS else ""
+            what = what or "moves the craft, whatever camera looks"
+            raise ConfigError(f"[[parameter]] {parameter.name} {what}; remove camera and run")
         seen.add(parameter.label)

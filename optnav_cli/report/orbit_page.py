@@ -12,9 +12,10 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.tables import CsvRow
 from optnav_cli.evaluation.orbit_errors import ERRORS_CSV
-from optnav_cli.frames.orbit_tables import AXES, ORBIT_ERRORS, ORBIT_RESIDUALS
+from optnav_cli.frames.orbit_tables import AXES, ORBIT_ERRORS, ORBIT_RESIDUALS, ZENITH_RESIDUALS
 from optnav_cli.orbit.folder import RESIDUALS, StoredOrbit, read_orbit, rnb_turn, stated_turn
 from optnav_cli.orbit.settings import UNITS
+from optnav_cli.orbit.zenith_output import ZENITH_RESIDUALS_CSV
 from optnav_cli.output.manifest import read_manifest
 from optnav_cli.output.wording import json_text, length
 from optnav_cli.report import page as html
@@ -35,6 +36,8 @@ class OrbitPicture:
     fix_hours, residuals, fix_sigmas, used  of the fixes, (n,), (n, 3), (n, 3), (n,), m
     hours, errors, sigmas                   of the orbit against a truth; empty without one
     path_hours, path_sigmas                 of the rows, (k,), (k, 3)
+    looks                                   of zenith distances in place of fixes, (m, 4): hours,
+                                            residual and sigma in arc seconds, whether used
     """
 
     orbit: StoredOrbit
@@ -46,6 +49,7 @@ class OrbitPicture:
     errors: FloatArray
     sigmas: FloatArray
     ahead: BoolArray
+    looks: FloatArray | None = None
 
     @property
     def path_hours(self) -> FloatArray:
@@ -66,7 +70,12 @@ def read_picture(folder: Path) -> OrbitPicture:
     """What the files of a folder hold. Raises DataError for damaged ones."""
     orbit = read_orbit(folder)
     start = float(orbit.rows.times[0])
-    fixes = ORBIT_RESIDUALS.read(folder / RESIDUALS, lambda row: _fix(row, start))
+    fixes, looks = [], None
+    if (folder / ZENITH_RESIDUALS_CSV).exists():
+        looks = np.array(ZENITH_RESIDUALS.read(folder / ZENITH_RESIDUALS_CSV, _look))
+        looks[:, 0] = (looks[:, 0] - start) / 3600.0
+    else:
+        fixes = ORBIT_RESIDUALS.read(folder / RESIDUALS, lambda row: _fix(row, start))
     errors: list[tuple[float, float, FloatArray, FloatArray]] = []
     if (folder / ERRORS_CSV).exists():
         errors = ORBIT_ERRORS.read(folder / ERRORS_CSV, lambda row: _error(row, start))
@@ -80,6 +89,7 @@ def read_picture(folder: Path) -> OrbitPicture:
         np.array([error[2] for error in errors]).reshape(-1, 3),
         np.array([error[3] for error in errors]).reshape(-1, 3),
         np.array([error[1] > 0.0 for error in errors], bool),
+        looks,
     )
 
 
@@ -89,7 +99,7 @@ def orbit_page(folder: Path) -> str:
     orbit, test = drawn.orbit, drawn.orbit.file.test
     first, last = (utc_from_tdb_s(float(orbit.rows.times[k]), 0) for k in (0, -1))
     numbers = [
-        (f"{test.used} of {test.fixes}", "fixes used"),
+        (f"{test.used} of {test.fixes}", f"{_measured(drawn)} used"),
         (length(_middle_sigma(drawn)), "median sigma an axis"),
         (f"{test.chi_square:.0f} of {test.degrees_of_freedom}", "chi-square"),
     ]
@@ -107,7 +117,7 @@ def orbit_page(folder: Path) -> str:
         html.section("How it was made", html.listing(json_text(read_manifest(folder)))),
     ]
     words = f"{orbit.body.name.capitalize()}, {first} to {last}"
-    return html.page("An orbit through fixes", words, sections)
+    return html.page(f"An orbit through {_measured(drawn)}", words, sections)
 
 
 def orbit_sheet(folder: Path) -> str:
@@ -115,6 +125,11 @@ def orbit_sheet(folder: Path) -> str:
     drawn = read_picture(folder)
     inside = ~drawn.ahead
     compared = bool(len(drawn.errors) and inside.any())
+    if drawn.looks is not None:
+        plot = _look_plot(drawn.looks, WIDE)
+        legend = [LegendEntry("s1", "residuals, 3 sigma"), LegendEntry("s4", "left out", "circle")]
+        what = f"Zenith distances less the orbit, {drawn.orbit.body.name.capitalize()}"
+        return sheet(what, legend, [[Panel("", plot, "Residuals of zenith distances")]])
     panels = []
     for axis, name in enumerate(AXES):
         plot = (
@@ -130,7 +145,39 @@ def orbit_sheet(folder: Path) -> str:
     return sheet(f"{what}, {drawn.orbit.body.name.capitalize()}", legend, panels)
 
 
+def _measured(drawn: OrbitPicture) -> str:
+    return "fixes" if drawn.looks is None else "zenith distances"
+
+
+def _look_plot(looks: FloatArray, width: int) -> Plot:
+    """Residuals of zenith distances with their sigmas."""
+    hours, residuals, bound, used = looks[:, 0], looks[:, 1], STATED * looks[:, 2], looks[:, 3] > 0
+    ends = span(np.concatenate([residuals[used], bound, -bound]), 0.08)
+    axes = PlotAxis(span(hours, 0.03), HOURS), PlotAxis(ends, "residual, arc seconds")
+    plot = Plot(*axes, width=width, height=230)
+    plot.band(hours, -bound, bound, "s1")
+    plot.level(0.0)
+    plot.marks(hours[used], residuals[used], "s1", "circle", 1.6)
+    plot.marks(hours[~used], np.clip(residuals[~used], *ends), "s4", "circle", 4.2)
+    return plot
+
+
+def _look_residuals(looks: FloatArray) -> Markup:
+    drawings = [
+        html.side_by_side(kind, [_look_plot(looks, width).svg("Residuals of zenith distances")])
+        for kind, width in (("wider", WIDE), ("narrow", NARROW))
+    ]
+    out = int((looks[:, 3] == 0.0).sum())
+    caption = (
+        f"Zenith distance less that of the orbit; the band is 3 stated sigmas; {out} left out."
+    )
+    keys = {"k1": "used", "k4": "left out"} if out else None
+    return html.figure(Markup().join(drawings), caption, keys)
+
+
 def _residuals(drawn: OrbitPicture) -> Markup:
+    if drawn.looks is not None:
+        return _look_residuals(drawn.looks)
     drawings = []
     for kind, width in (("wider", WIDE), ("narrow", NARROW)):
         plots = [
@@ -266,7 +313,11 @@ def _parameters(orbit: StoredOrbit) -> Markup:
         unit = UNITS.get(p.name, UNITS["acceleration"])
         for value, sigma in zip(p.value, p.sigma, strict=True):
             known = (
-                "considered" if p.mode == "consider" else "observed" if p.observed else "unobserved"
+                "considered"
+                if p.mode == "consider"
+                else "observed"
+                if p.observed
+                else "not observed"
             )
             numbers = (f"{value:.6g}", f"{sigma:.2g}", f"{p.prior_sigma:.2g}")
             rows.append((p.name, whose, unit, known, *numbers))
@@ -294,8 +345,9 @@ def _track(drawn: OrbitPicture) -> Markup:
     )
     plot.line(*line, "s1 thin")
     plot.marks(lon[fixes], lat[fixes], "s3", "circle", 2.4)
-    keys = {"k1": "orbit", "k3": "fixes"}
-    return html.figure(plot.svg("Ground track"), "Ground below the orbit, and its fixes.", keys)
+    keys = {"k1": "orbit", "k3": "fixes"} if fixes.any() else None
+    words = "Ground below the orbit, and its fixes." if fixes.any() else "Ground below the orbit."
+    return html.figure(plot.svg("Ground track"), words, keys)
 
 
 def _middle_sigma(drawn: OrbitPicture) -> float:
@@ -314,6 +366,12 @@ def _fix(row: CsvRow, start: float) -> tuple[float, FloatArray, FloatArray, bool
         nothing if sigma is None else sigma,
         row.flag("used"),
     )
+
+
+def _look(row: CsvRow) -> tuple[float, float, float, float]:
+    """TDB s, residual and sigma in arc seconds, whether it is used."""
+    residual, sigma = row.number("residual_arcsec") or 0.0, row.number("sigma_arcsec") or 0.0
+    return utc_to_tdb_s(row["utc"]), residual, sigma, float(row.flag("used"))
 
 
 def _error(row: CsvRow, start: float) -> tuple[float, float, FloatArray, FloatArray]:

@@ -29,10 +29,18 @@ from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.output import record, smoothed_solutions, summary, write_orbit_folder
 from optnav_cli.orbit.priors import orbit_priors
 from optnav_cli.orbit.problem import OrbitFix, OrbitPrior, OrbitProblem
-from optnav_cli.orbit.settings import KIND, PARAMETERS, OrbitFitSettings, ParameterSettings
+from optnav_cli.orbit.settings import (
+    KIND,
+    OF_SIGHTS,
+    PARAMETERS,
+    OrbitFitSettings,
+    ParameterSettings,
+)
+from optnav_cli.orbit.zenith import ZENITH_CSV
 from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
 from optnav_cli.output.run_folder import RECORDING, SOLUTION, RunFolder, read_run
 from optnav_cli.output.tables import write_solutions
+from optnav_cli.runs.zenith_orbit import fit_zenith_files, is_zenith
 
 log = logging.getLogger(__name__)
 
@@ -68,11 +76,14 @@ def fit_runs(
     started = datetime.now(UTC)
     check_apart(output, runs)
     with logged_stage("orbit"):
+        if any(map(is_zenith, runs)):
+            settings = _with_whole_paths(settings, beside)
+            return fit_zenith_files(runs, output, settings, solve, beside, started)
         read = [read_run(path) for path in runs]
         found = read_fixes(read)
         kernels = _kernels(read, settings, beside)
         ephemeris = motion_of(found.body, [Path(name) for name in kernels])
-        priors = orbit_priors(settings.prior, ephemeris, beside, found.fixes)
+        priors = orbit_priors(settings.prior, ephemeris, beside, _ends(found.fixes))
         settings = _with_whole_paths(settings, beside)
         settings = with_solved(settings, solve, found.fixes, priors)
         problem = problem_of(found, settings, ephemeris, priors, beside)
@@ -239,6 +250,12 @@ def with_solved(
     return msgspec.structs.replace(settings, parameter=tuple(parameters))
 
 
+def _ends(fixes: Sequence[OrbitFix]) -> tuple[float, float]:
+    """TDB s of the first and the last one."""
+    times = [fix.tdb_s for fix in fixes]
+    return min(times), max(times)
+
+
 def _clocks(fixes: Sequence[OrbitFix], with_prior: bool) -> list[ParameterSettings]:
     """A clock for each camera, or of one camera for each run; without a prior not for the first."""
     for kind in ("camera", "run"):
@@ -252,6 +269,11 @@ def _clocks(fixes: Sequence[OrbitFix], with_prior: bool) -> list[ParameterSettin
 def _check_owners(parameters: Sequence[ParameterSettings], fixes: Sequence[OrbitFix]) -> None:
     cameras, runs = {fix.camera for fix in fixes}, {fix.run for fix in fixes}
     for parameter in parameters:
+        if parameter.name in OF_SIGHTS:
+            raise ConfigError(
+                f"[[parameter]] {parameter.name} belongs to zenith distances, and there are fixes "
+                f"alone; remove it, or name a {ZENITH_CSV}"
+            )
         for kind, name, known in (
             ("camera", parameter.camera, cameras),
             ("run", parameter.run, runs),

@@ -76,3 +76,14 @@ def predict(place: Place) -> Case:
     to, step = place.rng.choice(TIMES), place.rng.choice(STEPS)
     args = ("-q", "orbit", "predict", "orbit", "--to", to, "--step", step, "-o", "new.oem")
     return Case(args, OPEN | {USAGE}, "new.oem", note=f"{to}, {step}")
+
+
+@kind("orbit-zenith", 1.0)
+def zenith(place: Place) -> Case:
+    """A fit of changed zenith distances."""
+    change = changed if place.rng.random() < 0.5 else damaged
+    data, note = change(place.material("zenith.csv"), place.rng)
+    place.write("zenith.csv", data)
+    place.write("orbit.toml", "[forces]\ndegree = 2\n")
+    args = ("-q", "orbit", "fit", "zenith.csv", "--config", "orbit.toml", "-o", "new")
+    return Case(args, OPEN | {USAGE}, "new", note=note)

@@ -1,4 +1,4 @@
-"""Numbers common to fixes or to the arc: found, or called unobserved."""
+"""Numbers common to fixes or to the arc: found, or said not to be observed."""
 
 import numpy as np
 import pytest
@@ -75,9 +75,9 @@ def test_a_prior_orbit_makes_one_clock_of_all_fixes_known():
     assert not found.remarks
 
 
-def test_what_the_fixes_do_not_tell_is_called_unobserved(lunar):
+def test_what_the_fixes_do_not_tell_is_said_not_to_be_observed(lunar):
     found = fitted(lunar.fixes, ParameterSettings("srp", prior_sigma=1e-6))
-    assert any("srp is unobserved" in remark for remark in found.remarks)
+    assert any("srp is not observed" in remark for remark in found.remarks)
     found = fitted(lunar.fixes, FOCAL)
     assert found.remarks == []
 
