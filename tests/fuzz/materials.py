@@ -21,10 +21,14 @@ from rasterio.transform import Affine
 from catalog.bodies.body import load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris
 from catalog.bodies.epochs import utc_from_tdb_s
+from catalog.bodies.stars import bright_stars
+from catalog.geometry.rotations import ARCSEC
 from optnav_cli.dynamics.forces import Forces, OrbitMotion
 from optnav_cli.fix import Fix, Method, Solution
+from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.run_settings import FileAttitude, RunSettings, write_run_settings
 from optnav_cli.main import run
+from optnav_cli.orbit.zenith import zenith_distances, zenith_row
 from optnav_cli.output.tables import write_solutions
 
 MOON_DEG = "+proj=longlat +R=1737400 +no_defs"
@@ -243,6 +247,7 @@ def _write_inputs() -> None:
     Path("body.plt").write_text(_plates(shape))
     _write_kernels(Path("kernels"))
     _write_flown(Path("flown"))
+    _write_zenith(Path("zenith.csv"))
     _write_fields()
     texts = {
         "cam.toml": CAMERA,
@@ -281,6 +286,20 @@ def _write_flown(folder: Path) -> None:
         rows.append(Solution(f"{number}.png", utc_from_tdb_s(time), fix))
     write_run_settings(RunSettings("moon", "camera_from_body"), folder)
     write_solutions(folder / "solution.csv", rows, FileAttitude("camera_from_body", body))
+
+
+def _write_zenith(path: Path) -> None:
+    """Zenith distances of three stars along a circular orbit."""
+    stars, angles = bright_stars().at(7e8)[[4, 46, 6]], np.linspace(0.0, 6.0, 60)
+    places = 2.7e6 * np.stack([np.cos(angles), 0.6 * np.sin(angles), 0.8 * np.sin(angles)], axis=1)
+    directions = stars[np.arange(60) % 3]
+    values = zenith_distances(places, directions)[0]
+    rate = (4902.8001e9 / 2.7e6**3) ** 0.5
+    rows = [
+        zenith_row(utc_from_tdb_s(7e8 + angle / rate), star, float(value), 60.0 * ARCSEC)
+        for angle, star, value in zip(angles, directions, values, strict=True)
+    ]
+    ZENITH.write(path, rows)
 
 
 def _write_fields() -> None:
