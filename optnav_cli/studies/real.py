@@ -35,7 +35,7 @@ from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns
 
 MIN_SET = 5  # frames from which what is common to them can be told
 BEYOND_SIGMAS = 5.0
-CORRECTED = "pictures-corrected"
+PICTURES, CORRECTED = "pictures", "pictures-corrected"
 # Of labels that were corrected: what is asked of a navigator at 67P.
 CORRECTED_M, CORRECTED_RAD = 300.0, 200.0 * ARCSEC
 # What the labels of 67P scatter by once that is taken out, from frame to frame: 0.7 px, 23 arcsec.
@@ -76,6 +76,7 @@ class SetResult:
 
     first, last  the run with the labels as they are, and the one with the corrected ones
     common       what is common to the labels, where there are frames enough
+    adjusted     the folder of the adjustment that found it
     nees         (n,) of the solved frames against the corrected labels, a degree of freedom;
                  nothing where labels are not corrected
     skipped      why there is nothing
@@ -85,6 +86,7 @@ class SetResult:
     first: RunFolder | None = None
     last: RunFolder | None = None
     common: AdjustedRuns | None = None
+    adjusted: Path | None = None
     nees: Sequence[float] = ()
     skipped: str = ""
 
@@ -108,17 +110,26 @@ def corrected_set(
 ) -> tuple[Path, list[Path]]:
     """Pictures of the set whose name contains a text, with corrected labels, and its catalogs.
 
-    Arguments otherwise as `run`. Raises DataError where labels cannot be corrected.
+    The labels are corrected by what both rounds find together: what the first one finds from
+    labels that are far off leaves some 40 arc seconds. Arguments otherwise as `run`.
+    Raises DataError where labels cannot be corrected.
     """
     _begin(folder, output)
     (one,) = flights.rows_named(SETS, name)
     result, place = _of_set(one, folder, output, progress, frames), _place(one, output)
-    if result.last is result.first:
+    if result.adjusted is None:
         few = f"fewer than {MIN_SET} frames are solved as labelled"
         raise DataError(
             f"{folder}: {one.name}: {result.skipped or few}; the labels stay as they are"
         )
-    return place / CORRECTED, [place / "catalog.gpkg"]
+    pictures = _corrected(place / PICTURES, result.adjusted, place / f"{CORRECTED}-twice")
+    return pictures, [place / "catalog.gpkg"]
+
+
+def labels_of(name: str, folder: Path) -> list[Path]:
+    """The labels of the set whose name contains a text, in order."""
+    (one,) = flights.rows_named(SETS, name)
+    return sorted(folder.glob(one.labels))
 
 
 def _begin(folder: Path, output: Path) -> None:
@@ -142,18 +153,21 @@ def _of_set(
         files = [files[k] for k in np.unique(np.linspace(0, len(files) - 1, most).astype(int))]
     make_folder(place)
     own = () if one.labels else (resource(apollo.PICTURE),)
-    pictures = place / "pictures"
+    pictures = place / PICTURES
     import_folder(files, pictures, ImportOptions(pictures=own))
     catalogs = _catalogs(one, folder, place, progress)
     first = _navigated(pictures, catalogs, place / "run", progress)
-    common = _adjusted(first, place / "adjusted")
+    adjusted = place / "adjusted"
+    common = _adjusted(first, adjusted)
     if common is None or common.frames < MIN_SET:
         return SetResult(one.name, first, first)
-    corrected = _corrected(pictures, place / "adjusted", place / CORRECTED)
+    corrected = _corrected(pictures, adjusted, place / CORRECTED)
     last = _navigated(corrected, catalogs, place / "run-corrected", progress)
     again = _adjusted(last, place / "adjusted-corrected")
+    if again is not None:
+        common, adjusted = again, place / "adjusted-corrected"
     found = _nees(last, read_folder(corrected).frames)
-    return SetResult(one.name, first, last, again or common, found)
+    return SetResult(one.name, first, last, common, adjusted, found)
 
 
 def _catalogs(one: RealSet, folder: Path, place: Path, progress: Progress) -> list[Path]:
@@ -247,11 +261,10 @@ def report(results: Sequence[SetResult]) -> StudyReport:
 
 def _common(result: SetResult) -> list[dict[str, Cell]]:
     """The common numbers in all, of both rounds: as the body's and the camera's files hold them."""
-    if result.last is None or result.common is None:
+    if result.adjusted is None or result.common is None:
         return []
     sigmas = {(row["name"], row["axis"]): row["sigma"] for row in result.common.rows()}
-    place = result.last.path.parent / "adjusted-corrected"
-    found = read_run(place)
+    found = read_run(result.adjusted)
     frame = found.attitude.body.catalog_frame
     camera = next(iter(found.cameras.values()))
     boresight = camera.boresight_arcsec or (0.0, 0.0, 0.0)

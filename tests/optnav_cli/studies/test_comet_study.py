@@ -4,9 +4,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from catalog.geometry.rotations import ARCSEC
+from optnav_cli.fix import Fix, Method
 from optnav_cli.frames.folder import read_folder
-from optnav_cli.studies.comet import CASES, TURNED_DEG, report, stated_folder
+from optnav_cli.frames.truth import Truth
+from optnav_cli.studies.comet import (
+    CASES,
+    TURNED_DEG,
+    CaseResult,
+    report,
+    seen_error_m,
+    stated_folder,
+)
 from tests.optnav_cli.runs.test_adjust_runs import write_run
 
 
@@ -34,5 +45,17 @@ def test_what_is_stated_lies_about_the_truth(tmp_path: Path, case) -> None:
 
 
 def test_a_case_without_solutions_has_a_row() -> None:
-    table = report([(CASES[0], ())]).tables[0]
+    table = report([CaseResult(CASES[0], (), {}, frozenset())]).tables[0]
     assert table.column("methods") == ["none solved"]
+    assert table.column("range_limit") == [None]
+
+
+def test_a_turn_about_the_body_moves_nothing_that_the_camera_sees() -> None:
+    place = np.array([0.0, 0.0, -1e5])
+    truth = Truth("a.png", "", 0.0, place, Rotation.identity())
+    turn = Rotation.from_rotvec([200.0 * ARCSEC, 0.0, 0.0])
+    about = Fix(Method.SILHOUETTE, turn.apply(place, inverse=True), np.eye(3), turn)
+    assert np.linalg.norm(about.position_m - place) == pytest.approx(97.0, abs=0.1)
+    assert seen_error_m(about, truth) == pytest.approx(0.0, abs=1e-6)
+    aside = Fix(Method.SILHOUETTE, place + np.array([30.0, 0.0, 500.0]), np.eye(3), None)
+    assert seen_error_m(aside, truth) == pytest.approx(30.0, rel=1e-6)
