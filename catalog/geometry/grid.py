@@ -19,6 +19,103 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
 
 
 @kernel
+def sample_rows(
+    grid: Float32Array,
+    row: FloatArray,
+    col: FloatArray,
+    fit: tuple[float, float, float, float],
+    wide: FloatArray,
+    steepest: float,
+    out: Float32Array,
+) -> bool:
+    """Means of cubic samples over footprints about places in rows.
+
+    row, col  (m, n) of the places, along each of which columns rise
+    fit       a, b, c, d: of the grid they are a row + b, c col + d
+    wide      (m,) columns that the footprints of a row are wide, a sample for each
+    steepest  rows that a row of places may cross a column
+    out       (m, n)
+
+    The grid is sampled down its columns where a row crosses them, then that line along. Values
+    are those of `cubic_weights` but for single precision (1e-7 of them) and for the row's slope
+    times what a cubic misses between columns. NaN where a hole is touched. False, with some rows
+    made, where a row leaves the grid or crosses it too steeply.
+    """
+    height, width = grid.shape
+    size = col.shape[1]
+    line, past = np.empty(width, np.float32), np.empty(width, np.float32)
+    base = np.empty(width, np.int64)
+    at, over = np.empty(size, np.uint32), np.empty(size, np.float32)
+    fall, rows, cols = np.empty(size - 1), np.empty(size), np.empty(size)
+    per_row, row0, per_col, col0 = fit
+    target = np.empty(size, np.float32)
+    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    three_halves, five_halves = np.float32(1.5), np.float32(2.5)
+    for m in range(out.shape[0]):
+        for j in range(size):
+            rows[j] = row[m, j] * per_row + row0
+            cols[j] = col[m, j] * per_col + col0
+        samples = max(1, int(wide[m] + 0.5))
+        reach = 0.5 * wide[m] * (samples - 1) / samples
+        first, last = int(np.floor(cols[0] - reach)) - 1, int(cols[size - 1] + reach) + 2
+        if not (first >= 0 and last < width):
+            return False
+        steep = 0
+        for j in range(size - 1):
+            step = cols[j + 1] - cols[j]
+            fall[j] = (rows[j + 1] - rows[j]) / step
+            steep += 0 if (step > 0.0) & (abs(fall[j]) <= steepest) else 1
+        if steep:
+            return False
+        c = first
+        for j in range(size - 1):
+            # columns beyond the outer places lie on the lines of these
+            end = last + 1 if j == size - 2 else int(cols[j + 1]) + 1
+            while c < end:
+                place = rows[j] + (c - cols[j]) * fall[j]
+                base[c] = int(place)
+                past[c] = np.float32(place - base[c])
+                c += 1
+        begin = first
+        while begin <= last:
+            # columns that the row crosses between the same two of the grid
+            r, end = base[begin], begin + 1
+            while end <= last and base[end] == r:
+                end += 1
+            if r < 1 or r > height - 3:
+                return False
+            above, upper, lower, below = grid[r - 1], grid[r], grid[r + 1], grid[r + 2]
+            for k in range(np.uint64(begin), np.uint64(end)):
+                x = past[k]
+                xx = x * x
+                xxx = xx * x
+                outer = (xx - half * (x + xxx)) * above[k] + half * (xxx - xx) * below[k]
+                inner = (one + three_halves * xxx - five_halves * xx) * upper[k]
+                line[k] = outer + (inner + (half * x + two * xx - three_halves * xxx) * lower[k])
+            begin = end
+        target[:] = np.float32(0.0)
+        share = np.float32(1.0 / samples)
+        for s in range(samples):
+            aside = ((s + 0.5) / samples - 0.5) * wide[m] - 1.0
+            for j in range(size):
+                place = cols[j] + aside
+                at[j] = np.uint32(place)
+                over[j] = np.float32(place - at[j])
+            for j in range(size):
+                i = np.uint64(at[j])
+                x = over[j]
+                xx = x * x
+                xxx = xx * x
+                outer = (xx - half * (x + xxx)) * line[i]
+                outer += half * (xxx - xx) * line[i + np.uint64(3)]
+                inner = (one + three_halves * xxx - five_halves * xx) * line[i + np.uint64(1)]
+                inner += (half * x + two * xx - three_halves * xxx) * line[i + np.uint64(2)]
+                target[j] += share * (outer + inner)
+        out[m] = target
+    return True
+
+
+@kernel
 def bilinear(grid: Float32Array, row: float, col: float) -> float:
     """Value between four nodes; the place must lie inside."""
     r = min(max(int(row), 0), grid.shape[0] - 2)

@@ -204,7 +204,7 @@ class Mosaic:
         def nodes(place: Georeference) -> Pixels:
             return pixels_of_grid(place, projection, posting_m, size)
 
-        return self._sample(nodes, size * size, posting_m)
+        return self._sample(nodes, size * size, posting_m, size)
 
     def _at(
         self, lat: ArrayLike, lon: ArrayLike, posting_m: float
@@ -220,9 +220,12 @@ class Mosaic:
         self._reset()
 
     def _sample(
-        self, places: Callable[[Georeference], Pixels], count: int, posting_m: float
+        self, places: Callable[[Georeference], Pixels], count: int, posting_m: float, size: int = 0
     ) -> Sampled:
-        """Heights of `count` points; `places` finds them in a raster."""
+        """Heights of `count` points; `places` finds them in a raster.
+
+        size  nodes a row of the map grid that they are, 0 for scattered ones
+        """
         layers = []
         wanted = np.arange(count)
         for i, pyramid in enumerate(self.pyramids):
@@ -231,7 +234,8 @@ class Mosaic:
                 pixels = pixels.part(wanted)
             level = pyramid.level_for(posting_m)
             rows_wide = posting_m / (pyramid.source.posting_m * 2.0**level)
-            found = sample_level(self.level_windows(i, level), pixels, rows_wide)
+            whole = size if wanted.size == count else 0
+            found = sample_level(self.level_windows(i, level), pixels, rows_wide, whole)
             known = ~np.isnan(found)
             if len(self.pyramids) == 1:
                 # nothing to compose: the usual case, and it is on the hot path of a build

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from catalog.arrays import BoolArray, Float32Array, FloatArray, Int8Array, IntArray
-from catalog.geometry.grid import bicubic_at, cubic_weights
+from catalog.geometry.grid import bicubic_at, cubic_weights, sample_rows
 from catalog.geometry.kernel import kernel
 from catalog.terrain.pyramid.level_window import LevelWindows, halvings_for
 from catalog.terrain.sampling.map_nodes import Pixels
@@ -20,6 +20,11 @@ from catalog.terrain.sampling.map_nodes import Pixels
 # rasters are oversampled there, so neighbours in a row have the same height.
 MAX_COLUMNS = 64
 MAX_ROWS = 16  # the same of rows: more only where a posting is far coarser than the last level
+
+
+MAX_AVERAGED = 8.0  # columns of a footprint beyond which nodes are not taken row by row
+
+MAX_APART = 1.03  # rows of a window between places where it is sampled along a row of nodes
 
 
 class Corner(NamedTuple):
@@ -111,6 +116,45 @@ def means_over_footprints(
         if total != total:
             total = _mean_of_what_is_there(window, row, col, rows_wide, wide, down, along)
         out[i] = total
+
+
+@kernel
+def means_along_rows(
+    window: Float32Array,
+    pixels: Pixels,
+    size: int,
+    corner: Corner,
+    footprint: Footprint,
+    out: Float32Array,
+) -> bool:
+    """`means_over_footprints` of all nodes of a map grid, size a row, at a third of its time.
+
+    The footprints of a row are as wide as that of its middle. NaN where a hole is touched. False
+    where rows of nodes run across those of the window, or footprints are too large.
+    """
+    rows, cols, column_scale = pixels
+    per_row, per_col, row0, col0 = corner
+    rows_wide, columns_wide, widest, largest_scale = footprint
+    if samples_across(rows_wide, MAX_ROWS) > 1 or size < 2:
+        return False
+    if largest_scale * columns_wide > min(MAX_AVERAGED, widest / 4.0):
+        return False
+    shape = rows.size // size, size
+    wide = column_scale.reshape(shape)[:, size // 2] * columns_wide
+    # a row is known where it crosses columns: on the ground, hardly farther apart than rows are
+    apart = rows_wide / max(wide.min(), 1e-9)
+    steepest = np.sqrt(max(MAX_APART**2 - apart * apart, MAX_APART**2 - 1.0))
+    # the other way where the raster counts columns westward
+    way = 1 if cols[size - 1] > cols[0] else -1
+    return sample_rows(
+        window,
+        rows.reshape(shape)[:, ::way],
+        cols.reshape(shape)[:, ::way],
+        (per_row, 0.5 * per_row - 0.5 - row0, per_col, 0.5 * per_col - 0.5 - col0),
+        wide,
+        steepest,
+        out.reshape(shape)[:, ::way],
+    )
 
 
 @kernel
@@ -219,11 +263,14 @@ MAX_WINDOW = 16 << 20
 PIECE = 512  # pixels a side of the raster that pieces are sorted by
 
 
-def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> Float32Array:
+def sample_level(
+    base: LevelWindows, pixels: Pixels, rows_wide: float, size: int = 0
+) -> Float32Array:
     """Heights (n) float32, NaN for none, of places in the whole raster from one of its levels.
 
     base       the level's windows
     rows_wide  rows of the level that a footprint is high
+    size       nodes a row where the places are the rows of a map grid, else 0
     """
     out = np.full(pixels.row.size, np.nan, dtype=np.float32)
     if base.pyramid.source.wraps and not base.wraps:
@@ -234,6 +281,11 @@ def sample_level(base: LevelWindows, pixels: Pixels, rows_wide: float) -> Float3
         return out
     chosen = np.arange(out.size)
     extent = _extent(*pixels, chosen)
+    if size and _inside(base, extent) and _along_rows(base, pixels, extent, rows_wide, size, out):
+        chosen = np.flatnonzero(np.isnan(out))  # beside holes
+        if not chosen.size:
+            return out
+        extent = _extent(*pixels, chosen)
     if not _inside(base, extent):
         chosen = np.flatnonzero(_inside_each(base, pixels, rows_wide))
         if not chosen.size:
@@ -271,6 +323,35 @@ def _inside_each(base: LevelWindows, pixels: Pixels, rows_wide: float) -> BoolAr
         half = pixels.column_scale * (rows_wide * base.scale / 2.0)
         inside &= (pixels.col >= -0.5 - half) & (pixels.col <= cols - 0.5 + half)
     return inside
+
+
+def _along_rows(
+    base: LevelWindows,
+    pixels: Pixels,
+    extent: Extent,
+    rows_wide: float,
+    size: int,
+    out: Float32Array,
+) -> bool:
+    """Sample all nodes of a map grid, row by row; False where they must be taken one by one."""
+    level = base.halved(int(halvings_for(extent[4] * rows_wide, base.most_halvings)))
+    row0, col0, height, width = _bounds(level, rows_wide, extent)
+    if height * width > MAX_WINDOW:
+        return False
+    corner, footprint = _through(level, rows_wide, extent, row0, col0)
+    window = level.window(row0, col0, height, width)
+    return bool(means_along_rows(window, pixels, size, corner, footprint, out))
+
+
+def _through(
+    level: LevelWindows, rows_wide: float, extent: Extent, row0: int, col0: int
+) -> tuple[Corner, Footprint]:
+    """How a window from (row0, col0) on lies in the raster, and the size of footprints in it."""
+    period = level.period or np.inf
+    return (
+        Corner(1.0 / level.scale, 1.0 / (level.scale * level.squeeze), row0, col0),
+        Footprint(rows_wide, rows_wide / level.squeeze, period, extent[5]),
+    )
 
 
 def _in_pieces(
@@ -321,8 +402,7 @@ def _through_window(
         level.window(row0, col0, height, width),
         pixels,
         chosen,
-        Corner(1.0 / level.scale, 1.0 / (level.scale * level.squeeze), row0, col0),
-        Footprint(rows_wide, rows_wide / level.squeeze, level.period or np.inf, extent[5]),
+        *_through(level, rows_wide, extent, row0, col0),
         out,
     )
 

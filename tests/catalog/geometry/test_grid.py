@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import map_coordinates
 
-from catalog.geometry.grid import bicubic_at, sample_bicubic
+from catalog.geometry.grid import bicubic_at, sample_bicubic, sample_rows
 
 
 def keys(distance):
@@ -92,3 +92,53 @@ def test_the_shape_of_the_places_is_kept(grid):
     row = np.full((2, 3, 4), 5.0)
     assert sample_bicubic(grid, row, row).shape == (2, 3, 4)
     assert sample_bicubic(grid, row, row).dtype == np.float32
+
+
+def rows_across(slope: float, count: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    """Places (5, count) in rows that climb `slope` rows a column, 0.7 columns apart."""
+    col = 5.3 + 0.7 * np.arange(count) + 0.01 * np.arange(5)[:, None]
+    return 8.2 + 1.1 * np.arange(5)[:, None] + slope * (col - 5.0), col
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2, -0.24])
+@pytest.mark.parametrize("wide", [0.5, 1.8, 3.3])
+def test_rows_are_sampled_as_their_places_one_by_one(slope, wide):
+    """On ground that cubics follow; a footprint of so many columns has as many samples."""
+    down, along = np.mgrid[:32, :48]
+    ground = (8000.0 + 900.0 * np.sin(down / 9.0) * np.cos(along / 11.0)).astype(np.float32)
+    row, col = rows_across(slope)
+    out = np.empty(row.shape, np.float32)
+    # half of the rows and columns that the grid has, and none of its first three
+    fit = (2.0, 3.0, 2.0, 1.0)
+    given = (row - fit[1]) / fit[0], (col - fit[3]) / fit[2]
+    assert sample_rows(ground, *given, fit, np.full(5, wide), 0.25, out)
+    samples = max(1, int(wide + 0.5))
+    aside = ((np.arange(samples) + 0.5) / samples - 0.5) * wide
+    wanted = np.mean([sample_bicubic(ground, row + slope * by, col + by) for by in aside], axis=0)
+    assert_allclose(out, wanted, atol=0.02)  # of relief of 900
+
+
+def test_rows_that_cross_columns_too_steeply_or_leave_the_grid_are_refused():
+    ground = np.zeros((32, 48), np.float32)
+    fit, wide = (1.0, 0.0, 1.0, 0.0), np.full(5, 1.0)
+    row, col = rows_across(0.3)
+    out = np.empty(row.shape, np.float32)
+    assert not sample_rows(ground, row, col, fit, wide, 0.25, out)
+    assert sample_rows(ground, row, col, fit, wide, 0.35, out)
+    assert not sample_rows(ground, row, col[:, ::-1].copy(), fit, wide, 0.35, out)
+    for beyond in (-12.0, 30.0):
+        assert not sample_rows(ground, row + beyond, col, fit, wide, 0.35, out)
+        assert not sample_rows(ground, row, col + beyond, fit, wide, 0.35, out)
+
+
+def test_a_hole_is_known_where_a_row_touches_it():
+    ground = np.full((32, 48), 5.0, np.float32)
+    ground[10, 20] = np.nan
+    row, col = rows_across(0.0)
+    out = np.empty(row.shape, np.float32)
+    assert sample_rows(ground, row, col, (1.0, 0.0, 1.0, 0.0), np.full(5, 1.0), 0.25, out)
+    near = (np.floor(row) - 1 <= 10) & (np.floor(row) + 2 >= 10)
+    near &= (np.floor(col) - 1 <= 20) & (np.floor(col) + 2 >= 20)
+    assert near.any()
+    np.testing.assert_array_equal(np.isnan(out), near)
+    assert np.allclose(out[~near], 5.0)
