@@ -99,6 +99,7 @@ def load_model(path: Path) -> object:
     from optnav_cli.navigation.descent_state import DescentErrorSizes
     from optnav_cli.navigation.silhouette import SilhouetteErrors
     from optnav_cli.orbit.motion import OrbitNoiseSizes
+    from optnav_cli.orbit.shared_errors import SharedErrorSizes
 
     types: dict[str, type[object]] = {
         "acceptance": AcceptanceLimits,
@@ -109,6 +110,7 @@ def load_model(path: Path) -> object:
         "silhouette": SilhouetteErrors,
         "hazard": HazardModel,
         "orbit": OrbitNoiseSizes,
+        "orbit_fixes": SharedErrorSizes,
     }
     return load_toml(path, types[path.stem])
 

@@ -180,6 +180,14 @@ class Forces:
         degree = float((share * n).sum() / share.sum())
         return Unmodelled(sigma, distance / (float(np.sqrt(self.gm / distance)) * degree))
 
+    def unmodelled_speed(self, position_m: FloatArray) -> float:
+        """1 sigma, m/s, of a circular orbit's speed by the potential left out; see `unmodelled`."""
+        distance = float(np.linalg.norm(position_m))
+        n, sizes = self._left_out
+        share = (2.0 * n + 1.0) * sizes**2
+        share = share * (self._radius_m / max(distance, self._radius_m)) ** (2.0 * n)
+        return float(np.sqrt(self.gm / distance * share.sum()))
+
     def tide_error_m_s2(self, position_m: FloatArray) -> float:
         """Of a planet's tide: what is wrong with it for hours, 1 sigma an axis; 0 without one."""
         return self._tide_error * float(np.linalg.norm(position_m))

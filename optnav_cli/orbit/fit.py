@@ -55,8 +55,9 @@ class FixResidual:
 class OrbitFit:
     """An orbit through fixes.
 
-    covariances   (N, 6, 6) of the states, with what is considered
-    last_covariance  (6 + p, 6 + p) of the last state and the parameters
+    covariances   (N, 6, 6) of the states, with what is considered and what is local
+    last_covariance  (6 + p, 6 + p) of the last state and the parameters, without what is local:
+                  what predictions start from
     disturbances  (N-1, 6) of the intervals
     """
 
@@ -112,11 +113,13 @@ class OrbitSolver:
             ) from error
         found = self.solve(arc)
         self.steps += 1
-        deltas = found.deviations[:, :, 0]
+        width = self.problem.width
+        deltas = found.deviations[:, :width, 0]
         if not np.abs(deltas[:, :6]).max() < RUNAWAY_M:
             raise NoSolutionError("the steps of the fit run away; the fixes fit no orbit")
         parameters = at.parameters + deltas[-1, 6:]
         sigmas = np.sqrt(np.maximum(np.diagonal(found.covariances, axis1=1, axis2=2), 1e-300))
+        sigmas = sigmas[:, :width]
         self._sigmas = sigmas[0, :6]
         size = float(np.max(np.abs(deltas) / sigmas))
         return Trajectory(at.states + deltas[:, :6], parameters), found, size
@@ -162,18 +165,18 @@ def fit_orbit(problem: OrbitProblem, model: NoiseModel, gate_probability: float)
         seen.add(used.tobytes())
         used = judged
     remarks = _judge(problem, found, residuals)
-    covariances = with_considered(problem, at, found, used, solver)
+    covariances, width = with_considered(problem, at, found, used, solver), problem.width
     return OrbitFit(
         problem,
         at,
-        covariances[:, :6, :6],
-        covariances[-1],
+        covariances[:, :6, :6] + problem.motion.local(at.states),
+        covariances[-1, :width, :width],
         found.disturbances[:, :6, 0],
         residuals,
         found.chi_square,
         _freedom(problem, found),
         solver.steps,
-        [*remarks, *unobserved_remarks(problem, covariances[-1, 6:, 6:])],
+        [*remarks, *unobserved_remarks(problem, covariances[-1, 6:width, 6:width])],
     )
 
 
@@ -240,12 +243,17 @@ def _residuals(
     residuals = []
     for number, fix in enumerate(problem.fixes):
         residual, design, _ = problem.measure(number, at)
-        spread = design @ found.covariances[problem.node_of[number]] @ design.T
-        own = fix.covariance_m2 - spread if used[number] else fix.covariance_m2 + spread
+        node = problem.node_of[number]
+        moved, white = problem.shared.split(number, fix.covariance_m2)
+        design = np.concatenate([design, moved], axis=1)
+        spread = design @ found.covariances[node] @ design.T
+        own = white - spread if used[number] else white + spread
         # of a fix that alone holds a direction of the orbit nothing is left to judge it by
         values, axes = np.linalg.eigh(own)
         kept = values > 1e-6 * np.trace(fix.covariance_m2)
-        along = axes[:, kept].T @ residual
+        # what it has in common with near ones speaks neither for nor against it
+        common = moved @ found.deviations[node, problem.width :, 0]
+        along = axes[:, kept].T @ (residual - common)
         chi_square = float((along**2 / values[kept]).sum())
         residuals.append(FixResidual(residual, own, chi_square, bool(used[number])))
     return residuals
@@ -348,7 +356,7 @@ def _freedom(problem: OrbitProblem, found: SmoothedArc) -> int:
 def with_considered(
     problem: OrbitProblem, at: Trajectory, found: SmoothedArc, used: BoolArray, solver: OrbitSolver
 ) -> FloatArray:
-    """Covariances (N, 6 + p, 6 + p) of the states with the parameters.
+    """Covariances (N, n, n) of the states with parameters and what near fixes have in common.
 
     Considered numbers move the estimate as their columns say; the gains are those without them.
     """
@@ -386,8 +394,8 @@ def densify(fit: OrbitFit, step_s: float) -> OrbitFit:
         fit,
         problem=dense,
         trajectory=at,
-        covariances=covariances[:, :6, :6],
-        last_covariance=covariances[-1],
+        covariances=covariances[:, :6, :6] + problem.motion.local(at.states),
+        last_covariance=covariances[-1, : dense.width, : dense.width],
     )
 
 

@@ -39,7 +39,9 @@ class ArcStep:
 class OrbitNoiseSizes(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The fitted numbers of FILE, which says what each is."""
 
-    along_share: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+    across: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
+    along: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+    local: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 
 
 @cache
@@ -52,13 +54,22 @@ class ArcMotion:
     """The motion of an arc about a body with what the forces leave out."""
 
     def __init__(
-        self, forces: Forces, noise: NoiseSettings, motion: OrbitMotion | None = None
+        self,
+        forces: Forces,
+        noise: NoiseSettings,
+        motion: OrbitMotion | None = None,
+        sizes: OrbitNoiseSizes | None = None,
     ) -> None:
-        """motion  with values of force parameters; without it, as the settings state them."""
+        """What moves a craft along an arc.
+
+        motion  with values of force parameters; without it, as the settings state them
+        sizes   of the noise; without them, those that ship
+        """
         self.ephemeris = forces.motion
         self.forces = forces
         self._motion = motion or OrbitMotion(forces)
         self._noise = noise
+        self.sizes = sizes or noise_sizes()
 
     def with_added(self, values: Mapping[str, FloatArray]) -> "ArcMotion":
         """The same motion with so much more of parameters of the forces."""
@@ -66,7 +77,8 @@ class ArcMotion:
             return self
         before = self.forces.values()
         changed = {name: before[name] + value for name, value in values.items()}
-        return ArcMotion(self.forces, self._noise, self._motion.with_values(changed))
+        moved = self._motion.with_values(changed)
+        return ArcMotion(self.forces, self._noise, moved, self.sizes)
 
     @property
     def thrusts(self) -> list[FloatArray]:
@@ -102,12 +114,26 @@ class ArcMotion:
             return np.zeros(3)
         if self._noise.density_m2_s3 is not None:
             return np.full(3, self._noise.density_m2_s3)
-        density = self.forces.unmodelled(position_m).spectral_density
-        found = density * np.array([1.0, noise_sizes().along_share, 1.0])
+        density, sizes = self.forces.unmodelled(position_m).spectral_density, self.sizes
+        found = density * np.array([sizes.across, sizes.along, sizes.across])
         steady = self.forces.tide_error_m_s2(position_m)
         if steady and self.forces.planet_rate:
             # it turns with the planet, and lasts for a radian of that
             found += 2.0 * steady**2 / self.forces.planet_rate
+        return found
+
+    def local(self, states: FloatArray) -> FloatArray:
+        """Covariances (n, 6, 6) of states (n, 6) by what comes and goes with the ground below.
+
+        The potential that the field lacks changes the speed along the motion while the craft is
+        over it, and gives it back after: it neither grows nor moves a prediction.
+        """
+        found = np.zeros((len(states), 6, 6))
+        if self._noise.model == "white" and self._noise.density_m2_s3 is None:
+            for k, state in enumerate(states):
+                sigma = self.sizes.local * self.forces.unmodelled_speed(state[:3])
+                along = sigma * rnb_of(state)[1]
+                found[k, 3:, 3:] = np.outer(along, along)
         return found
 
     def _noises(self, states: FloatArray, seconds: float) -> FloatArray:

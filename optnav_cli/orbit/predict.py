@@ -1,9 +1,10 @@
 """Where a fitted orbit leads at any time: within its arc, ahead of it and before it.
 
 Ahead the state at the last fix goes on with its covariance, that of the force parameters, what was
-only considered, arcs of thrust, and the noise of what the forces leave out. Before the arc the
-first state goes back; its correlation with the force parameters is not stored and left out. Within
-the arc the nearest stored state is carried over less than a step.
+only considered, arcs of thrust, and the noise of what the forces leave out; what is local adds to
+each state and is not carried on. Before the arc the first state goes back; its correlation with the
+force parameters is not stored and left out. Within the arc the nearest stored state is carried over
+less than a step.
 """
 
 from collections.abc import Callable
@@ -100,18 +101,19 @@ class OrbitPath:
         inner = [self._between(float(t)) for t in times[len(before) : len(times) - len(after)]]
         last = _At(self.orbit.epoch_s, self.orbit.state, self._last)
         parameters = self._last[6:, 6:]
-        first_spread = block_diag(stored.covariances[0], parameters)
+        first_spread = block_diag(
+            stored.covariances[0] - self._motion.local(stored.states[:1])[0], parameters
+        )
         first = _At(self.first_s, stored.states[0], first_spread)
         ahead, met_after = self._walk(last, after, advance)
         back, met_before = self._walk(first, before[::-1], advance)
         found = [*back[::-1], *inner, *ahead]
         kinds: list[Kind] = [*len(back) * (AHEAD,), *len(inner) * (WITHIN,), *len(ahead) * (AHEAD,)]
-        rows = OrbitRows(
-            np.array([at.tdb_s for at in found]),
-            kinds,
-            np.array([at.state for at in found]).reshape(-1, 6),
-            np.array([at.covariance[:6, :6] for at in found]).reshape(-1, 6, 6),
-        )
+        states = np.array([at.state for at in found]).reshape(-1, 6)
+        spreads = np.array([at.covariance[:6, :6] for at in found]).reshape(-1, 6, 6)
+        beyond = np.array([kind == AHEAD for kind in kinds], dtype=bool)
+        spreads[beyond] += self._motion.local(states[beyond])  # stored states have it
+        rows = OrbitRows(np.array([at.tdb_s for at in found]), kinds, states, spreads)
         return Prediction(rows, met_after if met_after is not None else met_before)
 
     def radian_s(self) -> float:

@@ -18,6 +18,7 @@ from optnav_cli.dynamics.forces import THRUST
 from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement
 from optnav_cli.orbit.motion import ArcMotion
 from optnav_cli.orbit.settings import OF_FIXES, ParameterSettings
+from optnav_cli.orbit.shared_errors import SharedErrorSizes, shared_errors
 
 SAME_TIME_S = 1e-3  # fixes of one node
 # Numbers of a parameter; others have one.
@@ -30,7 +31,10 @@ OPEN_SHARE, OPEN_SIGMAS, OPEN_AGAIN = 0.1, 1e4, 1e3
 
 @dataclass(frozen=True, eq=False)
 class OrbitFix:
-    """A solved frame: its place (3,), m, body-fixed as files state it, and covariance (3, 3)."""
+    """A solved frame: its place (3,), m, body-fixed as files state it, and covariance (3, 3).
+
+    method  that solved it; empty: its error is like no other's
+    """
 
     file: str
     utc: str
@@ -39,6 +43,7 @@ class OrbitFix:
     camera: str
     position_m: FloatArray
     covariance_m2: FloatArray
+    method: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +122,10 @@ class OrbitProblem:
     """Fixes in the order of time, with their nodes.
 
     between  (n,) TDB s: further times that are nodes
+    shared_sizes  of what near fixes have in common; None: those that ship
+
+    A linear arc has the state, the parameters estimated and, last, the numbers that near fixes have
+    in common. These are linear and about 0: a trajectory does not hold them.
     """
 
     motion: ArcMotion
@@ -125,6 +134,7 @@ class OrbitProblem:
     parameters: list[ParameterSettings]
     radius_m: float
     between: FloatArray = field(default_factory=lambda: np.empty(0))
+    shared_sizes: SharedErrorSizes | None = None
     times: FloatArray = field(init=False)
     node_of: list[int] = field(init=False)
     prior_nodes: list[int] = field(init=False)
@@ -147,6 +157,11 @@ class OrbitProblem:
         ephemeris = self.ephemeris
         self._turns = [ephemeris.body_from_inertial(fix.tdb_s) for fix in self.fixes]
 
+        places = np.array([fix.position_m for fix in self.fixes]).reshape(-1, 3)
+        stamps = np.array([fix.tdb_s for fix in self.fixes])
+        names = [(fix.run, fix.camera, fix.method) for fix in self.fixes]
+        self.shared = shared_errors(places, stamps, names, self.radius_m, self.shared_sizes)
+
     def _node(self, time: float) -> int:
         return int(np.argmin(np.abs(self.times - time)))
 
@@ -161,7 +176,7 @@ class OrbitProblem:
 
     @property
     def width(self) -> int:
-        """Of the state with the parameters estimated."""
+        """Of the state with the parameters estimated, without what near fixes have in common."""
         return 6 + sum(parameter.size for parameter in self.estimated)
 
     def prior_covariance(self, parameters: Sequence[FitParameter]) -> FloatArray:
@@ -255,17 +270,28 @@ class OrbitProblem:
             if first <= node <= last
         ]
         fixes = [self.fixes[k] for k in inside]
-        return OrbitProblem(self.motion, fixes, priors, self.parameters, self.radius_m)
+        return OrbitProblem(
+            self.motion,
+            fixes,
+            priors,
+            self.parameters,
+            self.radius_m,
+            shared_sizes=self.shared_sizes,
+        )
 
     def linearise(
         self, at: Trajectory, weights: FloatArray, sigmas: FloatArray | None = None
     ) -> tuple[LinearArc, FloatArray]:
         """The linear problem about a trajectory, and the paths (N, n, q) of what is considered.
 
+        n is the width with what near fixes have in common.
+
         weights  (fixes,) of each; 0 leaves one out
         sigmas   (6,) of the first state as the step before had them
         """
-        n, count = self.width, len(self.times)
+        n, count = self.width + self.shared.width, len(self.times)
+        common = np.arange(self.width, n)
+        fading = self.shared.fading(self.times)
         estimated = [p for p in self.estimated if p.name not in OF_FIXES]
         considered = [p for p in self.considered if p.name not in OF_FIXES]
         q = sum(p.size for p in self.considered)
@@ -280,6 +306,8 @@ class OrbitProblem:
             transitions[i, :6, :6] = step.transition
             defects[i, :6, 0] = step.state - at.states[i + 1]
             noises[i, :6, :6] = step.noise
+            transitions[i, common, common] = fading[i]
+            noises[i, common, common] = 1.0 - fading[i] ** 2
             column = 0
             pushed = np.zeros((6, q))
             for p in (*estimated, *considered):
@@ -301,7 +329,7 @@ class OrbitProblem:
             residual[:, 1:] = paths[node, :6]
             measurements.append(NodeMeasurement(node, residual, np.eye(6, n), prior.covariance))
         offset = np.zeros((n, 1 + q))
-        offset[6:, 0] = -at.parameters
+        offset[6 : self.width, 0] = -at.parameters
         arc = LinearArc(
             transitions, defects, noises, measurements, offset, self._open_prior(at, sigmas)
         )
@@ -312,10 +340,11 @@ class OrbitProblem:
     ) -> NodeMeasurement:
         residual, design, of_considered = self.measure(number, at)
         node = self.node_of[number]
+        moved, own = self.shared.split(number, self.fixes[number].covariance_m2)
+        design = np.concatenate([design, moved], axis=1)
         more = design @ paths[node] + of_considered
         columns = np.concatenate([residual[:, None], more], axis=1)
-        covariance = self.fixes[number].covariance_m2 / weight
-        return NodeMeasurement(node, columns, design, covariance)
+        return NodeMeasurement(node, columns, design, own / weight)
 
     def _open_prior(self, at: Trajectory, known: FloatArray | None) -> FloatArray:
         """Covariance of the first node: the state open, the parameters as stated before."""
@@ -329,4 +358,5 @@ class OrbitProblem:
         if known is not None:
             sigmas = np.clip(OPEN_AGAIN * known, sigmas / OPEN_SIGMAS, sigmas)
         known_before = self.prior_covariance(self.estimated)
-        return np.array(block_diag(np.diag(sigmas**2), known_before))
+        common = np.eye(self.shared.width)
+        return np.array(block_diag(np.diag(sigmas**2), known_before, common))

@@ -187,7 +187,7 @@ def settled(problem: ZenithProblem, at: Trajectory, gate_probability: float) -> 
     return ZenithFit(
         problem,
         at,
-        covariances[:, :6, :6],
+        covariances[:, :6, :6] + problem.motion.local(at.states),
         covariances[-1],
         found.disturbances[:, :6, 0],
         [],
@@ -227,7 +227,7 @@ def denser(fit: ZenithFit, step_s: float) -> ZenithFit:
         fit,
         problem=problem,
         trajectory=dense,
-        covariances=covariances[:, :6, :6],
+        covariances=covariances[:, :6, :6] + problem.motion.local(dense.states),
         last_covariance=covariances[-1],
     )
 

@@ -200,7 +200,8 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
         raise DataError(f"{where}: {error}") from None
     name = run.path.resolve().name
     place = frame.stated(position)
-    return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated)
+    method = str(solution.method)
+    return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated, method)
 
 
 def _kernels(runs: Sequence[RunFolder], settings: OrbitFitSettings, beside: Path) -> list[str]:

@@ -1,10 +1,8 @@
 """Orbits through fixes: other methods, honest sigmas, predictions, what else is solved for."""
 
 import os
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -15,33 +13,36 @@ from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.estimation.smoother import LinearArc, NodeMeasurement, batch, nuisance, smooth
 from optnav_cli.orbit.fit import OrbitFit
-from optnav_cli.orbit.motion import ArcMotion, rnb_of
+from optnav_cli.orbit.motion import rnb_of
 from optnav_cli.orbit.problem import OrbitPrior
 from optnav_cli.orbit.settings import NoiseSettings, ParameterSettings
 from optnav_cli.studies.orbit_fits import AHEAD_H, Judged, OrbitFigure, moon, predicted, solved
 from optnav_cli.studies.orbit_flights import (
+    DAY_SIDE,
+    HEIGHT_M,
+    SHARED,
     FixErrors,
     TrueFlight,
+    day_fixes,
     ephemeris_of,
     every,
     fixes_of,
     fly,
     random_start,
-    rough_forces,
+    rough_flights,
 )
+from optnav_cli.studies.orbit_sizes import sizes
 from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 
-HEIGHT_M = 100e3
-SHARED = "OPTNAV_SHARED_DATA"
-DAY_SIDE = FixErrors(8.0, 20.0)
 FOCAL, CLOCK_S, MEAN_M_S2 = 8e-4, 1.5, 2e-6
 SPEED_FIXES = 288
+SIZES = "sizes"  # the group that configs/models/orbit.toml is chosen by
 
 
 def run(progress: Progress, trials: int = 60, seed: int = 1, rows: str = "") -> list[OrbitFigure]:
     """All figures, or those whose group contains `rows`."""
-    # without a name not the flights that noise is chosen by
-    chosen = {n: part for n, part in PARTS.items() if rows in n and (rows or n != "fitted")}
+    # without a name not the flights that the sizes of noise are chosen by
+    chosen = {n: part for n, part in PARTS.items() if rows in n and (rows or n != SIZES)}
     found: list[OrbitFigure] = []
     with progress.stage("orbits", len(chosen), "group") as bar:
         for part in chosen.values():
@@ -155,78 +156,63 @@ def matched(trials: int, seed: int) -> list[OrbitFigure]:
     for k in range(trials):
         rng = np.random.default_rng((seed, k))
         start = random_start(rng, forces.motion.body, HEIGHT_M)
-        densities = ArcMotion(forces, NoiseSettings()).densities(start[:3])
-        flight = fly(forces, start, every(5.0, 6.0), kicks=(rng, densities))
-        judged.add(solved(forces, fixes_of(flight, rng, FixErrors())), flight)
+        density = forces.unmodelled(start[:3]).spectral_density
+        noise = NoiseSettings(density_m2_s3=density)
+        flight = fly(forces, start, every(5.0, 6.0), kicks=(rng, np.full(3, density)))
+        judged.add(solved(forces, fixes_of(flight, rng, FixErrors()), noise=noise), flight)
     nees = float(np.mean(judged.squares))
     return [OrbitFigure("NEES a component of the state, matched noise", "0.9-1.1", nees, trials)]
 
 
 def mismatch(trials: int, seed: int) -> list[OrbitFigure]:
     """Flights over a field that the fit does not have, fixes by day; then a wrong focal length."""
-    shared = os.environ.get(SHARED)
-    if not shared:
+    if not os.environ.get(SHARED):
         return [OrbitFigure(f"real mismatch: needs {SHARED}", "", None, 0)]
-    count = max(trials // 3, 1)
     forces, judged, focal = moon(50), Judged(), Judged()
     parameter = ParameterSettings("focal")
-    with tempfile.TemporaryDirectory() as folder:
-        for k in range(count):
-            rng = np.random.default_rng((seed, 1000 + k))
-            truth = rough_forces(1000 * seed + k, Path(shared), Path(folder))
-            start = random_start(rng, truth.motion.body, HEIGHT_M)
-            whole = fly(truth, start, every(5.0, 25.0))
-            arc = whole.part(whole.times <= whole.times[0] + 12 * 3600.0 + 1.0)
-            arc = arc.part(arc.lit())
-            noise = rng.integers(2**31)
-            fixes = fixes_of(arc, np.random.default_rng(noise), DAY_SIDE)
-            judged.add(solved(forces, fixes), arc, whole)
-            wrong = FixErrors(DAY_SIDE.across_m, DAY_SIDE.height_m, focal=FOCAL)
-            fit = solved(forces, fixes_of(arc, np.random.default_rng(noise), wrong), [parameter])
-            focal.add(fit, arc)
-            sigma = float(np.sqrt(fit.parameter_covariance[0, 0]))
-            focal.values.append((float(fit.trajectory.parameters[0]) - FOCAL, sigma))
+    wrong = FixErrors(DAY_SIDE.across_m, DAY_SIDE.height_m, focal=FOCAL)
+    for arc, whole, noise in rough_flights(seed, trials):
+        judged.add(solved(forces, day_fixes(arc, noise)), arc, whole)
+        fit = solved(forces, fixes_of(arc, np.random.default_rng(noise), wrong), [parameter])
+        focal.add(fit, arc)
+        sigma = float(np.sqrt(fit.parameter_covariance[0, 0]))
+        focal.values.append((float(fit.trajectory.parameters[0]) - FOCAL, sigma))
     offsets, sigmas = np.array(focal.values).T
     spread = float(np.sqrt(np.mean(np.square(DAY_SIDE_RMS))))
     found = [
         OrbitFigure(
-            "NEES of places, real mismatch", "0.7-1.4", float(np.mean(judged.of_places)), count
+            "NEES of places, real mismatch", "0.7-1.4", float(np.mean(judged.of_places)), trials
         ),
-        OrbitFigure("the same with velocities", "0.7-1.4", float(np.mean(judged.squares)), count),
+        OrbitFigure("the same with velocities", "0.7-1.4", float(np.mean(judged.squares)), trials),
         OrbitFigure(
             "components of places inside 3 sigma, %",
             "≥ 95",
             100 * float(np.mean(judged.inside)),
-            count,
+            trials,
         ),
         OrbitFigure(
-            f"orbit by day-side fixes of {spread:.0f} m, rms, m", "≤ 5", judged.rms_m(), count
+            f"orbit by day-side fixes of {spread:.0f} m, rms, m", "≤ 5", judged.rms_m(), trials
         ),
     ]
     for hours, limit in zip(AHEAD_H, ("≤ 40", "≤ 250"), strict=True):
-        error, stated = np.sqrt(np.mean(judged.ahead[hours], axis=0))
+        error, stated = judged.ahead_m(hours)
         what = f"prediction {hours:.0f} h after the last fix"
         found += [
-            OrbitFigure(f"{what}, rms a component, m", limit, float(error), count),
+            OrbitFigure(f"{what}, rms a component, m", limit, float(error), trials),
             OrbitFigure(
-                f"{what}, stated sigma over error", "0.6-1.4", float(stated / error), count
+                f"{what}, stated sigma over error", "0.6-1.4", float(stated / error), trials
             ),
         ]
     return [
         *found,
         OrbitFigure("focal length wrong by 8e-4: rms error of the one found", "≤ 3e-5",
-                    float(np.sqrt(np.mean(offsets**2))), count),
-        OrbitFigure("its stated sigma", "≤ 3e-5", float(np.sqrt(np.mean(sigmas**2))), count),
-        OrbitFigure("orbit with it solved for, rms, m", "as without", focal.rms_m(), count),
+                    float(np.sqrt(np.mean(offsets**2))), trials),
+        OrbitFigure("its stated sigma", "≤ 3e-5", float(np.sqrt(np.mean(sigmas**2))), trials),
+        OrbitFigure("orbit with it solved for, rms, m", "as without", focal.rms_m(), trials),
     ]  # fmt: skip
 
 
 DAY_SIDE_RMS = (DAY_SIDE.across_m, DAY_SIDE.across_m, DAY_SIDE.height_m)
-
-
-def fitted(trials: int, seed: int) -> list[OrbitFigure]:
-    """Predictions alone, on flights of their own: what configs/models/orbit.toml is chosen by."""
-    return [f for f in mismatch(trials, seed) if "prediction" in f.what or "NEES" in f.what]
 
 
 def clocks(trials: int, seed: int) -> list[OrbitFigure]:
@@ -353,7 +339,7 @@ PARTS: dict[str, Callable[[int, int], list[OrbitFigure]]] = {
     "station": station,
     "disturbance": disturbance,
     "speed": speed,
-    "fitted": fitted,
+    SIZES: sizes,
 }
 
 

@@ -9,7 +9,7 @@ from catalog.arrays import FloatArray
 from optnav_cli.dynamics.forces import Forces
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
 from optnav_cli.orbit.fit import OrbitFit, fit_orbit
-from optnav_cli.orbit.motion import ArcMotion
+from optnav_cli.orbit.motion import ArcMotion, OrbitNoiseSizes
 from optnav_cli.orbit.problem import OrbitFix, OrbitPrior, OrbitProblem
 from optnav_cli.orbit.settings import NoiseSettings, ParameterSettings
 from optnav_cli.studies.orbit_flights import TrueFlight, ephemeris_of
@@ -69,6 +69,11 @@ class Judged:
         error, variance = predicted(fit, float(whole.times[k]), whole.states[k])
         self.ahead.setdefault(hours, []).append((float(error @ error) / 3.0, variance / 3.0))
 
+    def ahead_m(self, hours: float) -> tuple[float, float]:
+        """Error and stated sigma of predictions, rms a component, m."""
+        error, stated = np.sqrt(np.mean(self.ahead[hours], axis=0))
+        return float(error), float(stated)
+
     def rms_m(self) -> float:
         """Of places, a component."""
         return float(np.sqrt(np.mean(np.concatenate(self.places) ** 2)))
@@ -93,10 +98,11 @@ def solved(
     parameters: Sequence[ParameterSettings] = (),
     noise: NoiseSettings | None = None,
     priors: Sequence[OrbitPrior] = (),
+    sizes: OrbitNoiseSizes | None = None,
 ) -> OrbitFit:
     """The orbit through fixes."""
     noise = noise or NoiseSettings()
-    motion = ArcMotion(forces, noise)
+    motion = ArcMotion(forces, noise, sizes=sizes)
     radius = forces.motion.body.radius_m
     problem = OrbitProblem(motion, list(fixes), list(priors), list(parameters), radius)
     return fit_orbit(problem, noise.model, GATE)

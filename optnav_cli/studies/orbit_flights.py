@@ -4,7 +4,9 @@ The forces of the truth are the compiled accelerations, which `optnav study orbi
 against a field written another way; the path is scipy's DOP853 at 1e-12, not the estimator's.
 """
 
-from collections.abc import Callable
+import os
+import tempfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +18,7 @@ from catalog.arrays import BoolArray, FloatArray
 from catalog.bodies.body import Body, load_body
 from catalog.bodies.ephemeris import AnalyticEphemeris, Ephemeris
 from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
+from catalog.errors import ConfigError
 from catalog.geometry.rotations import rnb_axes
 from catalog.geometry.vectors import unit
 from optnav_cli.dynamics.forces import Forces
@@ -26,6 +29,8 @@ from optnav_cli.orbit.motion import rnb_of, white
 from optnav_cli.orbit.problem import OrbitFix
 
 START_UTC = "2026-01-01T00:00:00Z"
+HEIGHT_M = 100e3
+SHARED = "OPTNAV_SHARED_DATA"
 TOLERANCE = 1e-12
 KICK_S = 30.0  # white noise of the truth is drawn as kicks so far apart
 SURE_DEGREE, TRUE_DEGREE, FIELD_ERROR = 20, 90, 0.1
@@ -148,10 +153,36 @@ def fixes_of(flight: TrueFlight, rng: np.random.Generator, errors: FixErrors) ->
     return found
 
 
+DAY_SIDE = FixErrors(8.0, 20.0)
+
+
+def day_fixes(arc: TrueFlight, seed: int) -> list[OrbitFix]:
+    """Fixes of the size DAY_SIDE."""
+    return fixes_of(arc, np.random.default_rng(seed), DAY_SIDE)
+
+
 def every(minutes: float, hours: float) -> FloatArray:
     """Times from the start, TDB s."""
     count = round(60.0 * hours / minutes) + 1
     return utc_to_tdb_s(START_UTC) + 60.0 * minutes * np.arange(float(count))
+
+
+def rough_flights(seed: int, count: int) -> Iterator[tuple[TrueFlight, TrueFlight, int]]:
+    """Flights over fields with drawn errors: the lit part of 12 h, all 25 h, and a seed of noise.
+
+    Raises ConfigError without the folder of OPTNAV_SHARED_DATA.
+    """
+    shared = os.environ.get(SHARED)
+    if not shared:
+        raise ConfigError(f"flights over another field need {SHARED}; name the folder with {FIELD}")
+    with tempfile.TemporaryDirectory() as folder:
+        for k in range(count):
+            rng = np.random.default_rng((seed, 1000 + k))
+            truth = rough_forces(1000 * seed + k, Path(shared), Path(folder))
+            start = random_start(rng, truth.motion.body, HEIGHT_M)
+            whole = fly(truth, start, every(5.0, 25.0))
+            arc = whole.part(whole.times <= whole.times[0] + 12 * 3600.0 + 1.0)
+            yield arc.part(arc.lit()), whole, int(rng.integers(2**31))
 
 
 def rough_forces(seed: int, shared: Path, folder: Path) -> Forces:

@@ -26,6 +26,7 @@ from optnav_cli.studies.tables import StudyReport, StudyTable, columns
 START_UTC = "2026-01-01T00:00:00Z"
 DEGREES = (2, 20, 50)
 HEIGHT_M, INCLINATION_DEG, OUTPUT_S = 100e3, 86.0, 300.0
+STEPS = np.array([10.0] * 3 + [0.01] * 3)  # of differences, m and m/s
 EXACT, EXACT_M, EXACT_M_S = 1e-13, 1e-6, 1e-9  # tolerances of the check
 REPEATS = 5
 
@@ -37,12 +38,14 @@ class MotionRow:
     """One degree of the field.
 
     error_m            of the place at the end, against scipy
+    transition         of the place by the start, against differences of paths, a share
     milliseconds       of a processor, with transition and an output every 5 minutes
     sigma_m_s2, lasting_s  what the field leaves out at this height
     """
 
     degree: int
     error_m: float
+    transition: float
     milliseconds: float
     sigma_m_s2: float
     lasting_s: float
@@ -73,7 +76,24 @@ def one_degree(degree: int, hours: float) -> MotionRow:
     wanted = exact_place(forces, start, epoch, float(times[-1]))
     error = float(np.linalg.norm(states[-1, :3] - wanted))
     left = forces.unmodelled(start[:3])
-    return MotionRow(degree, error, 1e3 * min(spent[1:]), left.sigma_m_s2, left.lasting_s)
+    transition = transition_error(orbit, start, epoch, float(times[-1]))
+    spent_ms = 1e3 * min(spent[1:])
+    return MotionRow(degree, error, transition, spent_ms, left.sigma_m_s2, left.lasting_s)
+
+
+def transition_error(orbit: OrbitMotion, start: FloatArray, from_s: float, to_s: float) -> float:
+    """How far the derivative of the place by the start is off, a share of its size.
+
+    Its equations take the gradient of lower degrees only (`GRADIENT_DEGREE`); the check is the
+    difference of whole paths.
+    """
+    end = np.array([to_s])
+    _, transitions = orbit.propagate(start, from_s, end)
+    moved = transitions[0, :3] * STEPS
+    for k, step in enumerate(np.diag(STEPS)):
+        sides = [orbit.propagate(start + sign * step, from_s, end)[0][0, :3] for sign in (1, -1)]
+        moved[:, k] -= 0.5 * (sides[0] - sides[1])
+    return float(np.linalg.norm(moved) / np.linalg.norm(transitions[0, :3] * STEPS))
 
 
 def low_orbit() -> FloatArray:
@@ -132,11 +152,19 @@ def reference_rates(forces: Forces, from_s: float) -> Rates:
 def report(rows: list[MotionRow]) -> StudyReport:
     """A row a degree."""
     heads = columns(
-        "degree .0f; error_m = off scipy at 1e-13 [m] .3f; milliseconds = with transition [ms] .0f;"
+        "degree .0f; error_m = off scipy at 1e-13 [m] .3f; "
+        "transition = transition off [%] .3f; milliseconds = with transition [ms] .0f; "
         "sigma = left out, an axis [µm/s²] .1f; lasting = lasts [s] .0f"
     )
     lines = tuple(
-        (row.degree, row.error_m, row.milliseconds, 1e6 * row.sigma_m_s2, row.lasting_s)
+        (
+            row.degree,
+            row.error_m,
+            100.0 * row.transition,
+            row.milliseconds,
+            1e6 * row.sigma_m_s2,
+            row.lasting_s,
+        )
         for row in rows
     )
     title = f"A path at {HEIGHT_M / 1e3:.0f} km over the Moon, an output every 5 minutes"
