@@ -244,7 +244,8 @@ def _create(source: DemSource, folder: Path, level: int) -> Any:
         blockysize=BLOCK,
         compress="zstd",
         zstd_level=1,
-        predictor=3 if np.dtype(dtype).kind == "f" else 2,
+        # a predictor for floats would halve the file, and double the time of every later reading
+        predictor=1 if np.dtype(dtype).kind == "f" else 2,
         bigtiff="if_safer",
     )
 
@@ -266,15 +267,25 @@ def _copy_into_tiles(source: DemSource, folder: Path, progress: Progress) -> Non
 @kernel
 def extremes(raw: NDArray[Any], convert: Conversion) -> tuple[float, float, int, int]:
     """Lowest and highest height, number of valid and of all values."""
-    lowest, highest, valid = np.inf, -np.inf, 0
-    for i in range(raw.shape[0]):
-        for j in range(raw.shape[1]):
-            value = float(raw[i, j])
-            if is_height(value, convert):
-                height = value * convert.scale_m + convert.offset_m
-                lowest, highest = min(lowest, height), max(highest, height)
-                valid += 1
-    return lowest, highest, valid, raw.size
+    rows, cols = raw.shape
+    least, nodata = convert.lowest_valid, convert.nodata
+    single = np.float64(np.float32(nodata))
+    # by columns, and without a branch: compiled to vector instructions
+    low, high = np.full(cols, np.inf), np.full(cols, -np.inf)
+    valid = 0
+    for i in range(rows):
+        line = raw[i]
+        for j in range(cols):
+            value = np.float64(line[j])
+            known = (value >= least) & (abs(value) < np.inf) & (value != nodata) & (value != single)
+            low[j] = value if known & (value < low[j]) else low[j]
+            high[j] = value if known & (value > high[j]) else high[j]
+            valid += 1 if known else 0
+    if valid == 0:
+        return np.inf, -np.inf, 0, raw.size
+    one = low.min() * convert.scale_m + convert.offset_m
+    other = high.max() * convert.scale_m + convert.offset_m
+    return min(one, other), max(one, other), valid, raw.size
 
 
 @kernel
@@ -287,6 +298,29 @@ def mark_holes(raw: NDArray[Any], convert: Conversion, block: int, whole: BoolAr
 
 
 @kernel
+def _halve_rows(
+    upper: NDArray[Any], lower: NDArray[Any], convert: Conversion, step: float, out: Float32Array
+) -> None:
+    """`halve_raw` of two whole rows, without branches: a fifth of the time."""
+    least, nodata = convert.lowest_valid, convert.nodata
+    single = np.float64(np.float32(nodata))
+    scale, offset = convert.scale_m, convert.offset_m
+    total, known = np.zeros(out.size), np.zeros(out.size)
+    for line in (upper, lower):
+        for side in range(2):
+            for j in range(line.size // 2):
+                value = np.float64(line[2 * j + side])
+                is_known = (
+                    (value >= least) & (abs(value) < np.inf) & (value != nodata) & (value != single)
+                )
+                total[j] += value if is_known else 0.0
+                known[j] += 1.0 if is_known else 0.0
+    for j in range(upper.size // 2):
+        mean = total[j] / known[j] * scale + offset
+        out[j] = np.rint(mean / step) * step if known[j] >= 2.0 else np.nan
+
+
+@kernel
 def halve_raw(raw: NDArray[Any], convert: Conversion, step: float) -> Float32Array:
     """Means of 2 x 2 counts as heights rounded to `step`; at least half of what is there is valid.
 
@@ -294,8 +328,10 @@ def halve_raw(raw: NDArray[Any], convert: Conversion, step: float) -> Float32Arr
     """
     rows, cols = raw.shape
     out = np.empty(((rows + 1) // 2, (cols + 1) // 2), np.float32)
+    for i in range(rows // 2):
+        _halve_rows(raw[2 * i], raw[2 * i + 1], convert, step, out[i])
     for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
+        for j in range(cols // 2 if i < rows // 2 else 0, out.shape[1]):
             total, valid, there = 0.0, 0, 0
             for r in range(2 * i, min(2 * i + 2, rows)):
                 for c in range(2 * j, min(2 * j + 2, cols)):
