@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 
 from catalog.arrays import Float32Array, FloatArray
-from catalog.correlation.ncc import high_pass
+from catalog.correlation.ncc import HIGH_PASS_NODES, high_pass
 from catalog.correlation.surf64 import own_similarity_surface
 from catalog.geometry.kernel import kernel
 
@@ -225,6 +225,22 @@ def _structure_tensor(brightness: Float32Array) -> tuple[float, float, float, fl
     return mxx, mxy, myy, total / max(count, 1)
 
 
+def _contrast(brightness: Float32Array) -> float:
+    """Standard deviation of a template behind the high-pass that matching applies.
+
+    Where it has no holes and even sides, the local mean is taken on half as many nodes a side.
+    """
+    rows, cols = brightness.shape
+    if rows % 2 or cols % 2 or not np.isfinite(brightness).all():
+        # holes are zero after the high-pass and count as nodes without contrast
+        return float(cv2.meanStdDev(high_pass(brightness))[1][0, 0])
+    means = cv2.resize(brightness, (cols // 2, rows // 2), interpolation=cv2.INTER_AREA)
+    # means of two nodes and the way back between them blur by a variance of 1/4 and 3/4 node²
+    means = cv2.GaussianBlur(means, (0, 0), math.sqrt(HIGH_PASS_NODES**2 - 1.0) / 2.0)
+    local = cv2.resize(means, (cols, rows), interpolation=cv2.INTER_LINEAR)
+    return float(cv2.meanStdDev(brightness - local)[1][0, 0])
+
+
 @dataclass(frozen=True)
 class MatchPrediction:
     """How well a rendered template would match its own picture under white noise.
@@ -256,8 +272,7 @@ def predict_match(brightness: Float32Array, snr: float) -> MatchPrediction:
     smallest = 0.5 * (mxx + myy - math.hypot(mxx - myy, 2.0 * mxy))
     # 1e-12 of the brightness²: below it the difference of two sums is rounding
     known = smallest > 1e-12 * mean * mean
-    # holes are zero after the high-pass and count as nodes without contrast
-    contrast = float(cv2.meanStdDev(high_pass(brightness))[1][0, 0]) / mean
+    contrast = _contrast(brightness) / mean
     return MatchPrediction(
         mean / (snr * math.sqrt(smallest)) if known else math.inf,
         contrast / math.hypot(contrast, 1.0 / snr),
