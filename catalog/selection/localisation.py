@@ -208,20 +208,23 @@ def hessian_eigenvalue(
 def _structure_tensor(brightness: Float32Array) -> tuple[float, float, float, float]:
     """Its elements xx, xy and yy, x along columns, y along rows, and the mean brightness."""
     rows, cols = brightness.shape
-    mxx = mxy = myy = total = 0.0
-    count = 0
+    inner = cols - 2
+    # sums a column, so that additions need not wait for each other
+    sums, known = np.zeros((4, inner)), np.zeros(inner, np.int64)
+    sxx, sxy, syy, values = sums[0], sums[1], sums[2], sums[3]
     for r in range(1, rows - 1):
-        for c in range(1, cols - 1):
-            gx = 0.5 * (np.float64(brightness[r, c + 1]) - brightness[r, c - 1])
-            gy = 0.5 * (np.float64(brightness[r + 1, c]) - brightness[r - 1, c])
-            value = brightness[r, c]
-            if value == value:
-                total += value
-                count += 1
-            if gx == gx and gy == gy:
-                mxx += gx * gx
-                mxy += gx * gy
-                myy += gy * gy
+        here, above, below = brightness[r], brightness[r - 1][1:], brightness[r + 1][1:]
+        for c in range(inner):
+            gx = 0.5 * (np.float64(here[c + 2]) - np.float64(here[c]))
+            gy = 0.5 * (np.float64(below[c]) - np.float64(above[c]))
+            value = np.float64(here[c + 1])
+            whole = (gx == gx) & (gy == gy)
+            sxx[c] += gx * gx if whole else 0.0
+            sxy[c] += gx * gy if whole else 0.0
+            syy[c] += gy * gy if whole else 0.0
+            values[c] += value if value == value else 0.0
+            known[c] += 1 if value == value else 0
+    mxx, mxy, myy, total, count = sxx.sum(), sxy.sum(), syy.sum(), values.sum(), known.sum()
     return mxx, mxy, myy, total / max(count, 1)
 
 
