@@ -15,6 +15,7 @@ from catalog.build.select import SelectedCell
 from catalog.build.trials import outcomes_at
 from catalog.control_point import SHADOW_AZIMUTHS, ControlPoint, Flag, Patch
 from catalog.geometry.projection import MapProjection
+from catalog.rasters import held_settings
 from catalog.rendering.map_view import render_map
 from catalog.rendering.sun_samples import sun_samples
 from catalog.selection.localisation import uniqueness_margin
@@ -162,7 +163,8 @@ class Certificate:
 
 def check_chunk(context: StageContext, records: Sequence[SelectedCell]) -> list[ControlPoint]:
     """The point of each cell with its certificate, and its place in a comparison model."""
-    return [compared(context, check_cell(context, record)) for record in records]
+    with held_settings():
+        return [compared(context, check_cell(context, record)) for record in records]
 
 
 def check_cell(context: StageContext, record: SelectedCell) -> ControlPoint:

@@ -16,6 +16,7 @@ from catalog.build.context import StageContext
 from catalog.build.shortlist import shortlists
 from catalog.geometry.latlon import latlon_from_xyz
 from catalog.geometry.projection import MapProjection
+from catalog.rasters import held_settings
 from catalog.rendering.map_view import render_map_quickly
 from catalog.selection.localisation import hessian_eigenvalue, predict_match
 
@@ -51,6 +52,11 @@ class RenderedCell(msgspec.Struct, frozen=True):
 
 def render_chunk(context: StageContext, cells: Sequence[int]) -> list[RenderedCell]:
     """Candidates of cells; a cell whose ground is all holes is left out."""
+    with held_settings():
+        return _rendered(context, cells)
+
+
+def _rendered(context: StageContext, cells: Sequence[int]) -> list[RenderedCell]:
     records = []
     for cell, found in shortlists(context, cells).items():
         latitude = context.sun_latitude_deg(*context.grid.centre_deg(cell))

@@ -30,6 +30,7 @@ from catalog.jobs.usage import StageAccount
 from catalog.jobs.workers import Workers
 from catalog.jobs.workspace import ChunkResults, Workspace
 from catalog.progress import Progress
+from catalog.rasters import held_settings
 from catalog.store.connection import SealState, connect, live_log, read_meta, seal_state
 from catalog.store.manifest import CatalogMeta, ComparisonMeta, PlanesMeta
 from catalog.store.patches import PreparedPoint, prepare_point
@@ -143,10 +144,11 @@ def prepare_chunk(context: StageContext, points: Sequence[ControlPoint]) -> list
     """Cut and compress the patches of some points; runs in a worker."""
     steps = context.config.write.steps_m(context.postings_m)
     # the patches are centred on the place that the catalog will state
-    return [
-        prepare_point(place, context.patches(place.lat_deg, place.lon_deg), steps)
-        for place in map(rounded_point, points)
-    ]
+    with held_settings():
+        return [
+            prepare_point(place, context.patches(place.lat_deg, place.lon_deg), steps)
+            for place in map(rounded_point, points)
+        ]
 
 
 def _in_order(

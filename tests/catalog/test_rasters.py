@@ -3,6 +3,7 @@
 import os
 import shutil
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from rasterio.transform import Affine
 
 from catalog.bodies.body import Body
 from catalog.errors import DataError
-from catalog.rasters import PICTURES, TERRAIN, open_raster
+from catalog.rasters import PICTURES, TERRAIN, held_settings, open_raster, reading_raster
 from catalog.terrain.dem.source import DemSettings, DemSource
 from tests.catalog.conftest import smooth_grid, write_dem
 from tests.catalog.mute_server import MuteServer
@@ -355,3 +356,24 @@ def test_a_folder_of_the_environment_that_is_no_utf_8_is_passed_over(
     monkeypatch.setenv(name, "\udcff")
     with open_raster(path, TERRAIN) as dataset:
         assert dataset.count == 1
+
+
+def test_settings_are_held_for_a_threads_readings_and_then_let_go() -> None:
+    """Offline all the while; a reading that wants other settings has them and gives them back."""
+
+    def found() -> tuple[object, object]:
+        options = rasterio.env.getenv()
+        return options["GDAL_DISABLE_READDIR_ON_OPEN"], options["CPL_VSIL_CURL_ALLOWED_FILENAME"]
+
+    with held_settings():
+        for siblings, beside in ((True, "FALSE"), (False, "EMPTY_DIR"), (True, "FALSE")):
+            with reading_raster(Path("any.tif"), siblings=siblings):
+                assert found() == (beside, "none")
+        outside: list[bool] = []
+        thread = threading.Thread(target=lambda: outside.append(rasterio.env.hasenv()))
+        thread.start()
+        thread.join()
+        assert outside == [False]
+    assert not rasterio.env.hasenv()
+    with reading_raster(Path("any.tif")):
+        assert found() == ("FALSE", "none")
