@@ -21,7 +21,7 @@ from catalog.bodies.epochs import utc_from_tdb_s, utc_to_tdb_s
 from catalog.errors import ConfigError
 from catalog.geometry.rotations import rnb_axes
 from catalog.geometry.vectors import unit
-from optnav_cli.dynamics.forces import Forces
+from optnav_cli.dynamics.forces import SUNLIGHT, Forces
 from optnav_cli.dynamics.gravity_field import read_field
 from optnav_cli.dynamics.orbit_integrator import acceleration
 from optnav_cli.dynamics.orbit_settings import ForcesSettings
@@ -104,7 +104,8 @@ def fly(
     kicks  generator and spectral density (3,), m^2/s^3, of white acceleration along R, N, B
     """
     first, last = float(times[0]), float(times[-1])
-    world = forces.world(first, last, 0.0, sees_sunlight=False)
+    sunlight = float(forces.values()[SUNLIGHT][0])
+    world = forces.world(first, last, sunlight, sees_sunlight=False)
     out, none = np.empty((3, 11)), np.zeros(3)
 
     def rates(t: float, y: FloatArray) -> FloatArray:
