@@ -43,7 +43,7 @@ LAST_DEGREE, BEYOND_FIELD = 120, 50
 # Above it coefficients without stated errors have those of [forces] field_error.
 SURE_DEGREE = 20
 # Whose tides count beside the Sun's.
-_NEIGHBOURS: dict[str, tuple[Neighbour, ...]] = {"moon": ("earth",), "earth": ("moon",)}
+NEIGHBOURS: dict[str, tuple[Neighbour, ...]] = {"moon": ("earth",), "earth": ("moon",)}
 # Kaula's rule on the Earth, where it was found; elsewhere rock carries hills by the weight that
 # they have there (the same source), but a body of rubble is no more uneven than Eros.
 EARTH_KAULA = 1e-5
@@ -94,7 +94,7 @@ class Forces:
         self._tables = harmonic_tables(self.field, min(self.field.degree, GRADIENT_DEGREE))
         self._left_out = self._coefficients_left_out(known=field is not None or bool(body.gravity))
         planet: tuple[Neighbour, ...] = () if body.orbit is None else (body.orbit.around,)
-        names: list[Neighbour] = [*_NEIGHBOURS.get(body.name, ()), *planet]
+        names: list[Neighbour] = [*NEIGHBOURS.get(body.name, ()), *planet]
         bodies = [load_body(name) for name in names]
         self._gms = np.array([*(other.gm_m3_s2 for other in bodies), SUN_GM_M3_S2])
         self._radii_m = np.array([*(other.radius_m for other in bodies), 0.0])

@@ -2,7 +2,8 @@
 
 A fix is body-fixed: h = Q(t + d) x(t + d) + s height up + b, with Q = body from inertial, the clock
 offset d of its camera or run, the relative focal error s, and the map's offset b. A focal length
-wrong by s moves a fix by its height times s along the vertical.
+wrong by s moves a fix by its height times s along the vertical; one of picked points by its
+distance times s along the line of sight.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +34,8 @@ OPEN_SHARE, OPEN_SIGMAS, OPEN_AGAIN = 0.1, 1e4, 1e3
 class OrbitFix:
     """A solved frame: its place (3,), m, body-fixed as files state it, and covariance (3, 3).
 
-    method  that solved it; empty: its error is like no other's
+    method   that solved it; empty: its error is like no other's
+    sight_m  (3,) from the ground in the middle of its picture to the craft; None: straight up
     """
 
     file: str
@@ -44,6 +46,7 @@ class OrbitFix:
     position_m: FloatArray
     covariance_m2: FloatArray
     method: str = ""
+    sight_m: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,6 +248,8 @@ class OrbitProblem:
         fix = self.fixes[number]
         if p.name == "map_offset":
             return np.eye(3)
+        if p.name == "focal" and fix.sight_m is not None:
+            return fix.sight_m[:, None]
         if p.name == "focal":
             height = float(np.linalg.norm(fix.position_m)) - self.radius_m
             return (height * unit(fix.position_m))[:, None]

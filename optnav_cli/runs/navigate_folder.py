@@ -28,11 +28,13 @@ from catalog.jobs.workspace import (
 from catalog.places import check_apart
 from catalog.progress import Progress, logged_stage
 from optnav_cli.fix import MatchRow, Solution
+from optnav_cli.frames.orbit_tables import ZENITH
 from optnav_cli.frames.picked_points import POINTS_CSV
 from optnav_cli.frames.run_settings import RUN_TOML
 from optnav_cli.navigation.autonomous import Navigator
 from optnav_cli.navigation.descent import DescentMemory, DescentNavigator
 from optnav_cli.navigation.history import SAME_TIME_S
+from optnav_cli.orbit.zenith import ZENITH_CSV
 from optnav_cli.output.manifest import hash_files, is_finished, unfinished, versions, write_manifest
 from optnav_cli.output.overlay import overlay_path
 from optnav_cli.output.recording import Recording, describe
@@ -60,6 +62,7 @@ from optnav_cli.runs.frame_worker import (
     unseen_record,
 )
 from optnav_cli.runs.orbit_prior import orbit_inputs
+from optnav_cli.runs.zenith_file import zenith_rows
 
 log = logging.getLogger(__name__)
 
@@ -188,6 +191,9 @@ class _Run:
                 rows[number] = replace(row, outcome=replace(row.outcome, evidence=bare))
         solutions = [rows[number] for number in range(len(self._frames))]
         write_solutions(place / SOLUTION, solutions, folder.attitude)
+        sights = zenith_rows(folder, solutions)
+        if sights:
+            ZENITH.write(place / ZENITH_CSV, sights)
         write_matches(place / MATCHES, self._matches())
         if self._landmarks is not None:
             write_landmarks(place / LANDMARKS, self._landmarks, folder.attitude)

@@ -40,6 +40,12 @@ from optnav_cli.orbit.zenith import ZENITH_CSV
 from optnav_cli.output.manifest import hash_files, read_manifest, write_manifest
 from optnav_cli.output.run_folder import RECORDING, SOLUTION, RunFolder, read_run
 from optnav_cli.output.tables import write_solutions
+from optnav_cli.runs.picked_orbit import (
+    sight_of,
+    with_lens_errors,
+    without_lens_error,
+    write_calibrated,
+)
 from optnav_cli.runs.zenith_orbit import fit_zenith_files, is_zenith
 
 log = logging.getLogger(__name__)
@@ -80,16 +86,20 @@ def fit_runs(
             settings = _with_whole_paths(settings, beside)
             return fit_zenith_files(runs, output, settings, solve, beside, started)
         read = [read_run(path) for path in runs]
-        found = read_fixes(read)
+        named = {*solve, *(parameter.name for parameter in settings.parameter)}
+        found = read_fixes(read, lens="focal" in named)
         kernels = _kernels(read, settings, beside)
         ephemeris = motion_of(found.body, [Path(name) for name in kernels])
         priors = orbit_priors(settings.prior, ephemeris, beside, _ends(found.fixes))
         settings = _with_whole_paths(settings, beside)
         settings = with_solved(settings, solve, found.fixes, priors)
+        cameras = [camera for _, camera in found.rows]
+        settings = with_lens_errors(settings, cameras)
         problem = problem_of(found, settings, ephemeris, priors, beside)
         with replacing_folder(output, KIND) as place:
             fit = fit_orbit(problem, settings.noise.model, settings.gate_probability)
             _write(place, fit, settings, kernels, found, read)
+            lenses = write_calibrated(place, fit, cameras)
             write_manifest(
                 place,
                 KIND,
@@ -99,7 +109,7 @@ def fit_runs(
                 results={"fixes": len(fit.residuals), "used": fit.used},
                 started=started,
             )
-    return summary(fit)
+    return [*summary(fit), *lenses]
 
 
 def _write(
@@ -140,8 +150,11 @@ def problem_of(
     return OrbitProblem(motion, found.fixes, priors, parameters, found.body.radius_m)
 
 
-def read_fixes(runs: Sequence[RunFolder]) -> RunFixes:
-    """The solved frames of runs. Raises DataError for runs of several bodies or damaged fixes."""
+def read_fixes(runs: Sequence[RunFolder], *, lens: bool = False) -> RunFixes:
+    """The solved frames of runs; lens: without what is stated of the focal lengths.
+
+    Raises DataError for runs of several bodies or damaged fixes.
+    """
     first = runs[0]
     places = Counter(run.path.resolve() for run in runs)
     for run in runs:
@@ -158,7 +171,7 @@ def read_fixes(runs: Sequence[RunFolder]) -> RunFixes:
     fixes = []
     for run in runs:
         twice = Counter(solution.file for solution in run.solutions)
-        for solution in run.solutions:
+        for solution in without_lens_error(run) if lens else run.solutions:
             where = f"{run.path / SOLUTION}: {solution.file}"
             if twice[solution.file] > 1:
                 raise DataError(f"{where}: stands there twice; keep one row")
@@ -199,9 +212,13 @@ def _fix(solution: Solution, run: RunFolder, camera: str, where: str) -> OrbitFi
     except DataError as error:
         raise DataError(f"{where}: {error}") from None
     name = run.path.resolve().name
-    place = frame.stated(position)
+    place, sight = frame.stated(position), None
+    if solution.fix is not None:
+        sight = sight_of(solution.fix, run.attitude.body.radius_m)
+    if sight is not None:
+        sight = frame.stated_direction(sight)
     method = str(solution.method)
-    return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated, method)
+    return OrbitFix(solution.file, solution.utc, time, name, camera, place, stated, method, sight)
 
 
 def _kernels(runs: Sequence[RunFolder], settings: OrbitFitSettings, beside: Path) -> list[str]:
@@ -239,16 +256,32 @@ def with_solved(
         if name not in solve or name in stated:
             continue
         if name == "clock":
-            parameters += _clocks(fixes, bool(priors))
+            parameters += _clocks(fixes, bool(priors) or _are_picked(fixes))
+        elif name == "focal":
+            parameters += _lenses(fixes)
         else:
             parameters.append(ParameterSettings(name))
     names = {parameter.name for parameter in parameters}
     if settings.noise.model == "mean" and "acceleration" not in names:
         parameters.append(ParameterSettings("acceleration"))
     _check_owners(parameters, fixes)
-    if not priors:
+    if not priors and not _are_picked(fixes):
         _check_clocks(parameters, fixes)
     return msgspec.structs.replace(settings, parameter=tuple(parameters))
+
+
+def _lenses(fixes: Sequence[OrbitFix]) -> list[ParameterSettings]:
+    """A focal length for each camera."""
+    names = list(dict.fromkeys(fix.camera for fix in fixes))
+    return [ParameterSettings("focal", camera=name if len(names) > 1 else "") for name in names]
+
+
+def _are_picked(fixes: Sequence[OrbitFix]) -> bool:
+    """Whether all are of picked points: the clock of such a series is known by its stamps alone.
+
+    It then stays at its prior and is said not to be observed, for the orbit's sigma needs it.
+    """
+    return all(fix.sight_m is not None for fix in fixes)
 
 
 def _ends(fixes: Sequence[OrbitFix]) -> tuple[float, float]:

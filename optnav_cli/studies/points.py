@@ -18,6 +18,7 @@ from optnav_cli.frames.run_settings import FileAttitude, PointsSettings
 from optnav_cli.navigation.picked_points import PickedFrames
 from optnav_cli.report.sheet import LegendEntry, Panel, sheet
 from optnav_cli.report.svg import Plot, PlotAxis
+from optnav_cli.studies.picked_orbits import series_figures
 from optnav_cli.studies.picked_pictures import CAMERA, RELIEF_M, PickedPicture, picked_picture
 from optnav_cli.studies.tables import Cell, StudyReport, StudyTable, columns, rms
 
@@ -37,6 +38,7 @@ TILTS = columns(
     "angle = off the nadir [°] .0f; horizontal [km] .3f; vertical [km] .3f; nees = NEES .2f; "
     "unsolved"
 )
+SERIES = columns("figure; wanted; found .3g; flights")
 LENSES = columns(
     "lens; horizontal [km] .2f; vertical [km] .2f; angle = from the line of sight, median [°] .1f; "
     "nees = NEES .2f; inside = in 3σ [%] .0f"
@@ -57,6 +59,7 @@ class PointsFigures:
     lenses: list[tuple[Cell, ...]]
     blunders: list[tuple[Cell, ...]]
     three: tuple[int, int, float]
+    series: list[tuple[Cell, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,14 +143,17 @@ def run(progress: Progress, trials: int = 200, seed: int = 1) -> PointsFigures:
         _blunders,
     ]
     rows = []
-    with progress.stage("study points", len(parts) + 1, "table") as bar:
+    with progress.stage("study points", len(parts) + 2, "table") as bar:
         for part in parts:
             rows.append(part(study))
             bar.advance()
         three = _three(study)
         bar.advance()
+        figures = series_figures(max(2 * trials // 5, 2), seed)
+        series: list[tuple[Cell, ...]] = [(f.what, f.wanted, f.found, f.flights) for f in figures]
+        bar.advance()
     ways, numbers, tilts, lenses, blunders = rows
-    return PointsFigures(ways, numbers, tilts, lenses, blunders, three)
+    return PointsFigures(ways, numbers, tilts, lenses, blunders, three, series)
 
 
 def _sizes(errors: Sequence[tuple[float, float]]) -> tuple[float, float, int]:
@@ -301,6 +307,7 @@ def report(result: PointsFigures) -> StudyReport:
             StudyTable("20 points by the angle off the nadir", TILTS, tuple(result.tilts)),
             StudyTable("A lens that is not what it says, 20 points", LENSES, tuple(result.lenses)),
             StudyTable(f"Blunders of {BLUNDER_PX:g} px", BLUNDERS, tuple(result.blunders)),
+            StudyTable("An orbit through a series of pictures", SERIES, tuple(result.series)),
         ),
         (
             f"pictures of the Earth from 420 km through 400 mm, {OFF_DEG:g}° off the nadir, picked "
