@@ -310,7 +310,12 @@ class _RasterFiles:
     def _check_pointed(self, label: Path, names: list[bytes]) -> None:
         """Check the files that a label names; some, as of explanations, are often left out."""
         for raw in names:
-            name = html.unescape(raw.decode("utf-8", "replace")).strip()
+            try:
+                name = html.unescape(raw.decode()).strip()
+            except UnicodeDecodeError:  # rasterio prints a traceback where GDAL's words hold it
+                raise DataError(
+                    f"{label}: the name of a file in it is not UTF-8 text; get the file again"
+                ) from None
             if re.fullmatch(r"[\d.]*(\s*<\w+>)?", name):  # a place in the same file
                 continue
             if "/" in name or "\\" in name or name == "..":

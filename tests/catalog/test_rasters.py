@@ -328,6 +328,17 @@ def test_a_name_in_a_header_that_is_no_utf_8_is_refused(tmp_path: Path) -> None:
         open_raster(path, TERRAIN)
 
 
+def test_a_label_that_names_a_file_in_no_utf_8_is_refused_quietly(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """GDAL's words about it hold the name, which makes rasterio print a traceback."""
+    label = tmp_path / "a.lbl"
+    label.write_bytes(b'PDS_VERSION_ID = PDS3\r\n^IMAGE = "\xff\xffimg"\r\nEND\r\n')
+    with pytest.raises(DataError, match=r"a\.lbl: the name of a file in it is not UTF-8 text"):
+        open_raster(label, PICTURES)
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.parametrize("kind", ["complex_int16", "complex64"])
 def test_complex_numbers_are_no_heights(kind: str, tmp_path: Path) -> None:
     """numpy has no name for the first of them."""
