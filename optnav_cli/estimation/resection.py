@@ -7,7 +7,7 @@ from scipy.special import gammaincinv
 
 from catalog.arrays import BoolArray, FloatArray, IntArray
 from catalog.errors import NoSolutionError
-from optnav_cli.estimation.consider import considered, correlated
+from optnav_cli.estimation.consider import correlated
 from optnav_cli.estimation.least_squares import Estimate, Iteration, Linearisation, Model, solve
 from optnav_cli.estimation.models.points import (
     AttitudeModel,
@@ -95,7 +95,7 @@ def resect_robustly(
     """Solve for the pose with wrong matches among the sightings.
 
     common_errors_px  (n, 2, k) what one sigma of each of k errors that all sightings share moves
-                      them by; they are not solved for, but their effect is in the covariance
+                      them by; once the wrong ones are out, they are solved for beside the pose
     error_correlation (n, n) of the sightings' own errors; None: each errs for itself. They are
                       weighted as if it were so, but the covariance is the true one's
     common_shares     of the sightings' own scatter: a shift along x and along y, and a stretch at
@@ -136,12 +136,13 @@ def resect_robustly(
         errors = np.concatenate([errors, common_errors_px[used]], axis=2)
     if error_correlation is not None:
         error_correlation = error_correlation[np.ix_(used, used)]
-    covariance = with_dependent_errors(
+    step, covariance = with_dependent_errors(
         rescaled(found, factor), found.measured, factor, kept, errors, error_correlation
     )
-    pixels, _ = predict(camera, found.state, sightings.points_body_m)
+    pose = found.state.moved(step)
+    pixels, _ = predict(camera, pose, sightings.points_body_m)
     return Resection(
-        found.state, covariance, found.degrees_of_freedom, used, factor, sightings.pixels - pixels
+        pose, covariance, found.degrees_of_freedom, used, factor, sightings.pixels - pixels
     )
 
 
@@ -152,18 +153,35 @@ def with_dependent_errors(
     sightings: Sightings,
     errors_px: FloatArray,
     correlation: FloatArray | None,
-) -> FloatArray:
-    """A covariance (k, k) for which each sighting erred for itself, with the errors that do not.
+) -> tuple[FloatArray, FloatArray]:
+    """How a solution changes by errors that sightings share: a step (k,), its covariance (k, k).
 
-    factor       by which the stated covariances of the sightings, `measured`, were scaled for it
+    covariance   (k, k) of a solution for which each sighting erred for itself
+    measured     the sightings at that solution, by their stated covariances
+    factor       by which these were scaled for it
     errors_px    (n, 2, m) one sigma of each of m errors that all sightings share
     correlation  (n, n) of their own errors; None: none
+
+    The sizes of the shared errors are unknowns with a prior of one sigma. A sighting that they move
+    farther than others, as one matched at a coarse level, so counts for less. Correlated errors of
+    their own do not change the weights: their correlation is known by the overlap of templates
+    alone, and weighted by it neighbours of opposite errors would carry the solution away.
     """
+    unknowns, size = covariance.shape[0], measured.residuals.size
+    weights = measured.weights / factor
+    jacobian = measured.jacobian.reshape(size, unknowns)
+    errors = errors_px.reshape(size, -1)
+    weighted = np.matmul(weights, errors_px).reshape(size, -1)
     gain = measured.gain(covariance / factor)
+    shift = gain @ errors
+    spread = np.linalg.inv(np.eye(errors.shape[1]) + weighted.T @ (errors - jacobian @ shift))
+    step = -shift @ spread @ (weighted.T @ measured.residuals.ravel())
+    covariance = covariance + shift @ spread @ shift.T
     if correlation is not None:
         roots = np.linalg.cholesky(sightings.covariances_px2).astype(np.float64)
+        gain = gain - shift @ spread @ (weighted.T - weighted.T @ jacobian @ gain)
         covariance = covariance + factor * correlated(gain, roots, correlation)
-    return covariance + considered(gain, errors_px.reshape(-1, errors_px.shape[-1]))
+    return step, covariance
 
 
 def errors_of_scatter(

@@ -232,10 +232,15 @@ def position_nees(frame: TrueFrame, sizes: PointErrorSizes) -> float:
     factor = variance_factor(squares, missed.size - 3)
     _, _, common = _errors(frame, sizes, factor)
     seen, _ = frame.matched.weighed(sizes)
-    covariance = with_dependent_errors(
-        factor * noise, measured, factor, seen, common, frame.matched.correlation
+    step, covariance = with_dependent_errors(
+        factor * noise,
+        measured._replace(residuals=rest),
+        factor,
+        seen,
+        common,
+        frame.matched.correlation,
     )
-    return squared_distance(error, covariance) / 3.0
+    return squared_distance(error + step, covariance) / 3.0
 
 
 def numbers(sizes: PointErrorSizes) -> dict[str, float]:

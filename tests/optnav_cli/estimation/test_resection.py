@@ -127,6 +127,27 @@ def test_common_errors_go_by_the_scatter_of_the_frame():
     assert np.sqrt(added[0] / 2.0) == pytest.approx(0.5 * 0.3 * per_px, rel=0.25)
 
 
+def test_sightings_that_share_a_large_error_count_for_less():
+    """Half of the sightings are moved together: the others lead, and the covariance says so."""
+    rng = np.random.default_rng(9)
+    truth, points = scene(rng, count=40)
+    shared = np.zeros((40, 2, 1))
+    shared[:20, 0] = 0.9
+    far = {True: [], False: []}
+    nees = {True: [], False: []}
+    for _ in range(60):
+        seen = sightings_of(truth, points, rng, sigma_px=0.3)
+        seen = Sightings(points, seen.pixels + shared[:, :, 0] * rng.normal(), seen.covariances_px2)
+        for known in far:
+            errors = shared if known else None
+            found = resect_robustly(Pinhole(), seen, truth, 0.0, common_errors_px=errors)
+            error = found.pose.position_m - truth.position_m
+            far[known].append(error @ error)
+            nees[known].append(error @ np.linalg.solve(found.covariance, error) / 3.0)
+    assert np.mean(far[True]) < 0.5 * np.mean(far[False])
+    assert 0.6 < np.mean(nees[True]) < 1.4
+
+
 def test_contradicting_matches_are_no_solution():
     rng = np.random.default_rng(5)
     truth, points = scene(rng, count=2)
